@@ -1,0 +1,8 @@
+// The extension module: one binary per instruction set, torch-free.
+#include <nanobind/nanobind.h>
+
+#include "bindings/bindings.h"
+
+#define DIFFSIM_EXPAND(name, m) NB_MODULE(name, m)
+
+DIFFSIM_EXPAND(DIFFSIM_MODULE, m) { diffsim::bind_cpu(m); }

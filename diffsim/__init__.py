@@ -1,0 +1,3 @@
+"""diffsim: design robots through differentiable simulation."""
+
+__version__ = "0.1.0"

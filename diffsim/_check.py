@@ -1,0 +1,131 @@
+"""Argument checks with one message style: which argument, what is required, what came, what to do."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Sequence
+
+import torch
+from torch import Tensor
+
+_DIMS = dict[str, int]
+
+
+def require(
+    name: str,
+    value: Tensor,
+    shape: Sequence[int | str],
+    dtype: torch.dtype = torch.float64,
+    *,
+    finite: bool = True,
+) -> Tensor:
+    """Check dtype, device, shape and finiteness of a tensor and make it contiguous.
+
+    Args:
+        name: The argument's name, for the message.
+        value: The tensor.
+        shape: Expected shape; strings stand for any size, a leading ``"..."`` for any batch axes.
+        dtype: Expected dtype.
+        finite: Refuse NaN and infinity.
+
+    Returns:
+        ``value``, contiguous.
+
+    Raises:
+        TypeError: not a tensor, wrong dtype or device.
+        ValueError: wrong shape, or not finite.
+    """
+    if not isinstance(value, Tensor):
+        raise TypeError(
+            f"{name} must be a torch.Tensor, got {type(value).__name__}; "
+            f"convert with torch.as_tensor({name}, dtype={dtype})"
+        )
+    if value.dtype != dtype:
+        raise TypeError(f"{name} must be {dtype}, got {value.dtype}; convert with {name}.to({dtype})")
+    if value.device.type != "cpu":
+        raise TypeError(f"{name} must be on the CPU, got device {value.device}; use {name}.cpu()")
+    want = list(shape)
+    got = list(value.shape)
+    tail = got
+    if want and want[0] == "...":
+        want = want[1:]
+        tail = got[len(got) - len(want) :] if len(got) >= len(want) else [-1]
+    matches = len(tail) == len(want) and all(
+        isinstance(w, str) or w == g for w, g in zip(want, tail, strict=True)
+    )
+    if not matches:
+        expected = ", ".join(str(s) for s in shape)
+        raise ValueError(f"{name} must have shape ({expected}), got {tuple(got)}")
+    if finite and value.is_floating_point() and not bool(torch.isfinite(value).all()):
+        bad = int((~torch.isfinite(value)).sum())
+        where = tuple(int(i) for i in torch.nonzero(~torch.isfinite(value))[0])
+        raise ValueError(f"{name} must be finite, got {bad} NaN or infinite entries, first at {where}")
+    return value.contiguous()
+
+
+def require_number(
+    name: str,
+    value: float,
+    *,
+    above: float = -math.inf,
+    below: float = math.inf,
+    at_least: float = -math.inf,
+    at_most: float = math.inf,
+    hint: str = "",
+) -> float:
+    """Check that a number is finite and lies in a range; ``hint`` says how to mend it."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise TypeError(f"{name} must be a number, got {type(value).__name__}")
+    value = float(value)
+    if not (math.isfinite(value) and above < value < below and at_least <= value <= at_most):
+        raise ValueError(f"{name} must lie in {_interval(above, below, at_least, at_most)}, got {value:g}"
+                         + (f"; {hint}" if hint else ""))
+    return value
+
+
+def require_range(
+    name: str,
+    value: Tensor,
+    *,
+    above: float = -math.inf,
+    below: float = math.inf,
+    at_least: float = -math.inf,
+    at_most: float = math.inf,
+    hint: str = "",
+) -> Tensor:
+    """``require_number`` for every entry of a tensor; the message shows the worst entry."""
+    v = value.detach()
+    bad = ~((v > above) & (v < below) & (v >= at_least) & (v <= at_most))
+    if bool(bad.any()):
+        worst = float(v[bad].flatten()[0])
+        raise ValueError(f"{name} must lie in {_interval(above, below, at_least, at_most)}, got {worst:g}"
+                         + (f"; {hint}" if hint else ""))
+    return value
+
+
+def require_choice(name: str, value: str, choices: Iterable[str]) -> str:
+    """Check a name against the known ones; the message offers the closest matches."""
+    known = list(choices)
+    if value in known:
+        return value
+    close = difflib.get_close_matches(str(value), known, n=3, cutoff=0.4)
+    hint = f"; did you mean {' or '.join(map(repr, close))}?" if close else ""
+    raise ValueError(f"{name} must be one of {known}, got {value!r}{hint}")
+
+
+def require_indices(name: str, value: Tensor, size: int, of: str) -> Tensor:
+    """Check that integer indices lie in [0, size)."""
+    if value.numel() and (int(value.min()) < 0 or int(value.max()) >= size):
+        bad = value[(value < 0) | (value >= size)].flatten()
+        raise ValueError(
+            f"{name} must hold indices of {of} in [0, {size}), got {int(bad[0])}"
+            + (f" and {bad.numel() - 1} more out of range" if bad.numel() > 1 else "")
+        )
+    return value
+
+
+def _interval(above: float, below: float, at_least: float, at_most: float) -> str:
+    low = f"({above:g}" if above > at_least or at_least == -math.inf else f"[{at_least:g}"
+    high = f"{below:g})" if below < at_most or at_most == math.inf else f"{at_most:g}]"
+    return f"{low}, {high}"

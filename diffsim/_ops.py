@@ -1,0 +1,7 @@
+"""The one door to the compiled core: checks dtype and contiguity, allocates outputs, passes addresses."""
+
+from __future__ import annotations
+
+from diffsim._core import core
+
+INSTRUCTION_SET: str = core.instruction_set

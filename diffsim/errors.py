@@ -1,0 +1,53 @@
+"""Exceptions: users' mistakes are ValueError or TypeError; what numerics could not do is DiffsimError."""
+
+from __future__ import annotations
+
+
+class DiffsimError(RuntimeError):
+    """Base of everything that the numerics could not do; carries its data."""
+
+
+class ConvergenceError(DiffsimError):
+    """An iterative solve stopped above its tolerance.
+
+    Attributes:
+        residual_norm: Norm of the last residual, in the unit of the solve (N for a step).
+        tolerance: The norm that was asked for, same unit.
+        num_iters: Iterations done.
+    """
+
+    def __init__(self, message: str, *, residual_norm: float, tolerance: float, num_iters: int):
+        super().__init__(message)
+        self.residual_norm = residual_norm
+        self.tolerance = tolerance
+        self.num_iters = num_iters
+
+
+class ConvergenceWarning(UserWarning):
+    """The same, where the caller chose to go on."""
+
+
+class FactorizationError(DiffsimError):
+    """A matrix that should be symmetric positive definite is not.
+
+    Attributes:
+        pivot: Index of the unknown whose pivot failed.
+        value: The pivot found.
+    """
+
+    def __init__(self, message: str, *, pivot: int, value: float):
+        super().__init__(message)
+        self.pivot = pivot
+        self.value = value
+
+
+class MeshError(ValueError):
+    """A mesh that cannot be simulated; the message names the elements or nodes.
+
+    Attributes:
+        indices: The offending elements, nodes or edges (first ones where there are many).
+    """
+
+    def __init__(self, message: str, indices: tuple[int, ...] = ()):
+        super().__init__(message)
+        self.indices = indices
