@@ -72,14 +72,14 @@ class BuildExt(build_ext):
     def build_extensions(self) -> None:
         self.check_extensions_list(self.extensions)
         jobs = [(ext, source) for ext in self.extensions for source in ext.sources]
-        newest_header = max((Path(h).stat().st_mtime for h in self.extensions[0].depends), default=0.0)
+        newest = max(Path(p).stat().st_mtime for p in [*self.extensions[0].depends, __file__])
         with ThreadPoolExecutor(max_workers=self.parallel or os.cpu_count()) as pool:
-            objects = list(pool.map(lambda job: self._compile(*job, newest_header), jobs))
+            objects = list(pool.map(lambda job: self._compile(*job, newest), jobs))
         for ext in self.extensions:
             target = self.get_ext_fullpath(ext.name)
             Path(target).parent.mkdir(parents=True, exist_ok=True)
             self.compiler.link_shared_object(
-                [obj for (owner, _), obj in zip(jobs, objects) if owner is ext],
+                [obj for (owner, _), obj in zip(jobs, objects, strict=True) if owner is ext],
                 target,
                 extra_postargs=ext.extra_link_args,
                 target_lang="c++",
@@ -87,8 +87,8 @@ class BuildExt(build_ext):
 
     def _compile(self, ext: Extension, source: str, newest_header: float) -> str:
         out = Path(self.build_temp) / ext.name
-        obj = Path(self.compiler.object_filenames([source], strip_dir=False, output_dir=str(out))[0])
-        changed = max(Path(source).stat().st_mtime, newest_header, (ROOT / "setup.py").stat().st_mtime)
+        obj = Path(self.compiler.object_filenames([source], output_dir=str(out))[0])
+        changed = max(Path(source).stat().st_mtime, newest_header)
         if self.force or not obj.is_file() or obj.stat().st_mtime < changed:
             print(f"compiling {source} for {ext.name}", flush=True)
             self.compiler.compile(

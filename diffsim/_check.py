@@ -1,4 +1,4 @@
-"""Argument checks with one message style: which argument, what is required, what came, what to do."""
+"""Argument checks in one message style: what is required, what came, what to do."""
 
 from __future__ import annotations
 
@@ -42,7 +42,9 @@ def require(
             f"convert with torch.as_tensor({name}, dtype={dtype})"
         )
     if value.dtype != dtype:
-        raise TypeError(f"{name} must be {dtype}, got {value.dtype}; convert with {name}.to({dtype})")
+        raise TypeError(
+            f"{name} must be {dtype}, got {value.dtype}; convert with {name}.to({dtype})"
+        )
     if value.device.type != "cpu":
         raise TypeError(f"{name} must be on the CPU, got device {value.device}; use {name}.cpu()")
     want = list(shape)
@@ -58,9 +60,11 @@ def require(
         expected = ", ".join(str(s) for s in shape)
         raise ValueError(f"{name} must have shape ({expected}), got {tuple(got)}")
     if finite and value.is_floating_point() and not bool(torch.isfinite(value).all()):
-        bad = int((~torch.isfinite(value)).sum())
-        where = tuple(int(i) for i in torch.nonzero(~torch.isfinite(value))[0])
-        raise ValueError(f"{name} must be finite, got {bad} NaN or infinite entries, first at {where}")
+        bad = torch.nonzero(~torch.isfinite(value))
+        first = tuple(int(i) for i in bad[0])
+        raise ValueError(
+            f"{name} must be finite, got {len(bad)} NaN or infinite entries, first at {first}"
+        )
     return value.contiguous()
 
 
@@ -79,8 +83,8 @@ def require_number(
         raise TypeError(f"{name} must be a number, got {type(value).__name__}")
     value = float(value)
     if not (math.isfinite(value) and above < value < below and at_least <= value <= at_most):
-        raise ValueError(f"{name} must lie in {_interval(above, below, at_least, at_most)}, got {value:g}"
-                         + (f"; {hint}" if hint else ""))
+        interval = _interval(above, below, at_least, at_most)
+        raise ValueError(f"{name} must lie in {interval}, got {value:g}{_hint(hint)}")
     return value
 
 
@@ -99,8 +103,8 @@ def require_range(
     bad = ~((v > above) & (v < below) & (v >= at_least) & (v <= at_most))
     if bool(bad.any()):
         worst = float(v[bad].flatten()[0])
-        raise ValueError(f"{name} must lie in {_interval(above, below, at_least, at_most)}, got {worst:g}"
-                         + (f"; {hint}" if hint else ""))
+        interval = _interval(above, below, at_least, at_most)
+        raise ValueError(f"{name} must lie in {interval}, got {worst:g}{_hint(hint)}")
     return value
 
 
@@ -129,3 +133,7 @@ def _interval(above: float, below: float, at_least: float, at_most: float) -> st
     low = f"({above:g}" if above > at_least or at_least == -math.inf else f"[{at_least:g}"
     high = f"{below:g})" if below < at_most or at_most == math.inf else f"{at_most:g}]"
     return f"{low}, {high}"
+
+
+def _hint(hint: str) -> str:
+    return f"; {hint}" if hint else ""

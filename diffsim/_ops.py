@@ -1,4 +1,4 @@
-"""The one door to the compiled core: checks dtype and contiguity, allocates outputs, passes addresses."""
+"""The one door to the compiled core: checks, allocates outputs, passes addresses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Exceptions: users' mistakes are ValueError or TypeError; what numerics could not do is DiffsimError."""
+"""Users' mistakes are ValueError or TypeError; what numerics could not do is DiffsimError."""
 
 from __future__ import annotations
 
