@@ -1,0 +1,368 @@
+#include "kernels/soft/elasticity.h"
+
+#include <algorithm>
+
+#include "kernels/soft/damping.h"
+#include "kernels/soft/pd_material.h"
+
+namespace diffsim {
+namespace {
+
+using Index = std::int64_t;
+std::size_t at(Index i) { return static_cast<std::size_t>(i); }
+
+// Groups per task: small enough to share, large enough that a task costs microseconds.
+constexpr Index kTask = 16;
+// Groups whose element matrices are held at once while the tangent is assembled.
+constexpr Index kChunk = 512;
+
+Index num_tasks(Index count, Index size) { return (count + size - 1) / size; }
+
+Lane load_direction(const SoftModel& model, Index fibre, int axis) {
+  return broadcast(model.fibre_directions[at(3 * fibre + axis)]);
+}
+
+template <typename Group>
+void fibre_directions(const SoftModel& model, Index g, Lane m[3]) {
+  for (int i = 0; i < 3; ++i) {
+    if constexpr (Group::kNodes == 8) {
+      m[i] = load_direction(model, g, i);
+    } else {
+      for (int lane = 0; lane < kLanes; ++lane)
+        m[i][lane] = model.fibre_directions[at(3 * TetGroup::element(model.fibre, g, lane) + i)];
+    }
+  }
+}
+
+/// Sums the vectors buffer into nodes, in element order whatever the number of threads.
+void gather_vectors(const SoftModel& model, const double* vectors, double* out, ThreadPool& pool) {
+  constexpr Index kNodesPerTask = 256;
+  pool.run(num_tasks(model.num_nodes, kNodesPerTask), [&](Index task) {
+    const Index stride = model.gather_stride;
+    const Index last = std::min(model.num_nodes, (task + 1) * kNodesPerTask);
+    for (Index i = task * kNodesPerTask; i < last; ++i) {
+      double sum[3] = {0.0, 0.0, 0.0};
+      for (Index k = model.gather_start[at(i)]; k < model.gather_start[at(i + 1)]; ++k) {
+        const double* v = vectors + model.gather_offset[at(k)];
+        for (int axis = 0; axis < 3; ++axis) sum[axis] += v[axis * stride];
+      }
+      for (int axis = 0; axis < 3; ++axis) out[3 * i + axis] = sum[axis];
+    }
+  });
+}
+
+/// Calls f(group) for all groups, in tasks of kTask.
+template <typename F>
+void for_groups(const ElementBlock& block, ThreadPool& pool, F&& f) {
+  pool.run(num_tasks(block.num_groups, kTask), [&](Index task) {
+    const Index last = std::min(block.num_groups, (task + 1) * kTask);
+    for (Index g = task * kTask; g < last; ++g) f(g);
+  });
+}
+
+template <typename Group>
+double energy_gradient_of(const SoftModel& model, const SoftParameters& p,
+                          const std::vector<DampingFrame>& frames, const double* x,
+                          ElasticityScratch& scratch, ThreadPool& pool) {
+  const ElementBlock& solid = model.solid;
+  const ElementBlock& fibre = model.fibre;
+  scratch.vectors.resize(at(model.vectors_size));
+  scratch.partial.resize(at(solid.num_groups + fibre.num_groups));
+  for_groups(solid, pool, [&](Index g) {
+    Lane F[9], P[9];
+    deformation_gradient<Group>(solid, g, x, F);
+    const PdProjection projection = project(F);
+    Lane psi = pd_stress(projection, Group::element_value(solid, g, p.w_mu),
+                         Group::element_value(solid, g, p.w_vol), P);
+    if (p.damp_mu) {
+      Lane delta[9];
+      const DampingFrame& frame = frames[at(g)];
+      for (int i = 0; i < 9; ++i) delta[i] = F[i] - frame.Fv[i];
+      psi += add_viscous_stress(frame.Fn, delta, Group::element_value(solid, g, p.damp_mu),
+                                Group::element_value(solid, g, p.damp_lambda), P);
+    }
+    const auto& shape = Group::shape(solid, g);
+    scatter_stress(shape, P, scratch.vectors.data() + g * solid.vectors_size());
+    scratch.partial[at(g)] = sum(shape.weight * psi);
+  });
+  for_groups(fibre, pool, [&](Index g) {
+    Lane F[9], P[9], m[3];
+    deformation_gradient<Group>(fibre, g, x, F);
+    fibre_directions<Group>(model, g, m);
+    const Lane psi = fibre_stress(fibre_state(F, m), Group::element_value(fibre, g, p.fibre_stiffness),
+                                  Group::element_value(fibre, g, p.activation), P);
+    const auto& shape = Group::shape(fibre, g);
+    scatter_stress(shape, P,
+                   scratch.vectors.data() + model.fibre_vectors_start + g * fibre.vectors_size());
+    scratch.partial[at(solid.num_groups + g)] = sum(shape.weight * psi);
+  });
+  double energy = 0.0;
+  for (double e : scratch.partial) energy += e;
+  return energy;
+}
+
+/// Element matrix K_ab = sum of weight grad_a^T H grad_b for a <= b, as 3x3 lanes.
+template <int kNodes>
+void element_matrix(const GroupShape<kNodes>& shape, const Lane H[81], Lane* K) {
+  Lane T[27];  // H grad_b, (i, j, k)
+  for (int b = 0; b < kNodes; ++b) {
+    Lane g[3];
+    for (int l = 0; l < 3; ++l) g[l] = shape.weight * shape.grad[b][l];
+    for (int n = 0; n < 27; ++n)
+      T[n] = H[3 * n] * g[0] + H[3 * n + 1] * g[1] + H[3 * n + 2] * g[2];
+    for (int a = 0; a <= b; ++a) {
+      Lane* out = K + 9 * (b * (b + 1) / 2 + a);
+      for (int i = 0; i < 3; ++i)
+        for (int k = 0; k < 3; ++k)
+          out[3 * i + k] = shape.grad[a][0] * T[9 * i + k] + shape.grad[a][1] * T[9 * i + 3 + k] +
+                           shape.grad[a][2] * T[9 * i + 6 + k];
+    }
+  }
+}
+
+/// Doubles that hold the element matrices of one group, padded to whole lanes.
+template <typename Group>
+constexpr Index matrix_size() {
+  constexpr Index kPairs = Group::kNodes * (Group::kNodes + 1) / 2;
+  return Group::kNodes == 8 ? (kPairs * 9 + 7) / 8 * 8 : kPairs * 9 * kLanes;
+}
+
+template <typename Group>
+void store_matrix(Lane* K, double* out) {
+  constexpr Index kEntries = Group::kNodes * (Group::kNodes + 1) / 2 * 9;
+  if constexpr (Group::kNodes == 8) {
+    for (Index k = kEntries; k < matrix_size<Group>(); ++k) K[k] = broadcast(0.0);
+    for (Index k = 0; k < kEntries; k += 8) store(out + k, sum_each(K + k));
+  } else {
+    for (Index k = 0; k < kEntries; ++k) store(out + k * kLanes, K[k]);
+  }
+}
+
+/// Adds the element matrices of groups [first, last) to rows, a fixed row range per thread: every
+/// entry receives its contributions in element order.
+template <typename Group>
+void scatter_matrices(const SoftModel& model, const ElementBlock& block,
+                      const std::vector<std::int32_t>& slots, const double* matrices, Index first,
+                      Index last, double* values, ThreadPool& pool) {
+  constexpr int n = Group::kNodes;
+  constexpr Index per_group = Group::kNodes == 8 ? 1 : kLanes;
+  const Index stride = per_group;
+  const Index element_end = std::min(block.num_elements, last * per_group);
+  const int parts = pool.size();
+  pool.run(parts, [&](Index part) {
+    const Index row_begin = model.num_nodes * part / parts;
+    const Index row_end = model.num_nodes * (part + 1) / parts;
+    const auto add = [&](Index row, std::int32_t slot, const double* k, bool transpose) {
+      const Index begin = model.row_start[at(row)];
+      const Index width = 3 * (model.row_start[at(row + 1)] - begin);
+      double* strip = values + 9 * begin + 3 * slot;
+      for (int i = 0; i < 3; ++i)
+        for (int j = 0; j < 3; ++j)
+          strip[i * width + j] += k[(transpose ? 3 * j + i : 3 * i + j) * stride];
+    };
+    for (Index e = first * per_group; e < element_end; ++e) {
+      const double* matrix =
+          matrices + (e / per_group - first) * matrix_size<Group>() + e % per_group;
+      const Index* node = block.nodes.data() + e * n;
+      const std::int32_t* slot = slots.data() + e * n * n;
+      for (int b = 0; b < n; ++b)
+        for (int a = 0; a <= b; ++a) {
+          const double* k = matrix + 9 * (b * (b + 1) / 2 + a) * stride;
+          if (node[a] >= row_begin && node[a] < row_end) add(node[a], slot[a * n + b], k, false);
+          if (a != b && node[b] >= row_begin && node[b] < row_end)
+            add(node[b], slot[b * n + a], k, true);
+        }
+    }
+  });
+}
+
+/// Assembles one block; fill(g, H) writes the (9, 9) tangent of a group's samples.
+template <typename Group, typename Fill>
+void assemble(const SoftModel& model, const ElementBlock& block,
+              const std::vector<std::int32_t>& slots, Fill&& fill, double* values,
+              ElasticityScratch& scratch, ThreadPool& pool) {
+  scratch.blocks.resize(at(std::min(kChunk, block.num_groups) * matrix_size<Group>()));
+  for (Index first = 0; first < block.num_groups; first += kChunk) {
+    const Index last = std::min(block.num_groups, first + kChunk);
+    pool.run(num_tasks(last - first, kTask), [&](Index task) {
+      const Index end = std::min(last, first + (task + 1) * kTask);
+      for (Index g = first + task * kTask; g < end; ++g) {
+        Lane H[81], K[328];
+        fill(g, H);
+        element_matrix(Group::shape(block, g), H, K);
+        store_matrix<Group>(K, scratch.blocks.data() + (g - first) * matrix_size<Group>());
+      }
+    });
+    scatter_matrices<Group>(model, block, slots, scratch.blocks.data(), first, last, values, pool);
+  }
+}
+
+template <typename Group>
+void tangent_of(const SoftModel& model, const SoftParameters& p,
+                const std::vector<DampingFrame>& frames, const double* x, bool clamp,
+                double* values, ElasticityScratch& scratch, ThreadPool& pool) {
+  const ElementBlock& solid = model.solid;
+  const ElementBlock& fibre = model.fibre;
+  const auto fill_solid = [&](Index g, Lane H[81]) {
+    Lane F[9];
+    deformation_gradient<Group>(solid, g, x, F);
+    const PdProjection projection = project(F);
+    PrincipalTangent core =
+        pd_tangent_principal(projection, Group::element_value(solid, g, p.w_mu),
+                             Group::element_value(solid, g, p.w_vol));
+    if (clamp) clamp_tangent(core);
+    expand_tangent(projection, core, H);
+    if (p.damp_mu)
+      add_viscous_tangent(frames[at(g)].Fn, Group::element_value(solid, g, p.damp_mu),
+                          Group::element_value(solid, g, p.damp_lambda), H);
+  };
+  const auto fill_fibre = [&](Index g, Lane H[81]) {
+    Lane F[9], m[3];
+    deformation_gradient<Group>(fibre, g, x, F);
+    fibre_directions<Group>(model, g, m);
+    fibre_tangent(fibre_state(F, m), Group::element_value(fibre, g, p.fibre_stiffness),
+                  Group::element_value(fibre, g, p.activation), clamp, H);
+  };
+  std::fill(values, values + 9 * model.num_blocks(), 0.0);
+  assemble<Group>(model, solid, model.solid_slot, fill_solid, values, scratch, pool);
+  assemble<Group>(model, fibre, model.fibre_slot, fill_fibre, values, scratch, pool);
+}
+
+Lane contract(const Lane A[9], const Lane B[9]) {
+  Lane total = A[0] * B[0];
+  for (int i = 1; i < 9; ++i) total += A[i] * B[i];
+  return total;
+}
+
+/// Adjoint of the damping force. With Z = dz/dX, Y = sym(F_n^T Z) and S the strain rate:
+///   z . grad D = Y : T(S),  d/dF_n = Z T(S) + delta T(Y),  d/dF_v = -F_n T(Y).
+template <typename Group>
+void damping_adjoint(const SoftModel& model, const SoftParameters& p,
+                     const std::vector<DampingFrame>& frames, const double* x, const double* z,
+                     const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool) {
+  const ElementBlock& solid = model.solid;
+  std::fill(scratch.vectors.begin(), scratch.vectors.end(), 0.0);
+  // Two passes, since both nodal gradients go through the one vectors buffer.
+  for (const bool frame_pass : {true, false}) {
+    for_groups(solid, pool, [&](Index g) {
+      Lane F[9], Z[9], delta[9], S[9], Y[9], TS[9], TY[9], A[9], B[9];
+      const DampingFrame& frame = frames[at(g)];
+      deformation_gradient<Group>(solid, g, x, F);
+      deformation_gradient<Group>(solid, g, z, Z);
+      for (int i = 0; i < 9; ++i) delta[i] = F[i] - frame.Fv[i];
+      const Lane d_mu = Group::element_value(solid, g, p.damp_mu);
+      const Lane d_lambda = Group::element_value(solid, g, p.damp_lambda);
+      strain_rate(frame.Fn, delta, S);
+      strain_rate(frame.Fn, Z, Y);
+      viscous(S, d_mu, d_lambda, TS);
+      viscous(Y, d_mu, d_lambda, TY);
+      const auto& shape = Group::shape(solid, g);
+      if (frame_pass) {
+        const Lane traces = (Y[0] + Y[4] + Y[8]) * (S[0] + S[4] + S[8]);
+        Group::add_element_value(solid, g, shape.weight * contract(Y, S), out.damp_mu);
+        Group::add_element_value(solid, g, shape.weight * traces, out.damp_lambda);
+        times(Z, TS, A);
+        times(delta, TY, B);
+        for (int i = 0; i < 9; ++i) A[i] += B[i];
+      } else {
+        times(frame.Fn, TY, A);
+        for (int i = 0; i < 9; ++i) A[i] = -A[i];
+      }
+      scatter_stress(shape, A, scratch.vectors.data() + g * solid.vectors_size());
+    });
+    gather_vectors(model, scratch.vectors.data(), frame_pass ? out.x_frame : out.x_velocity, pool);
+  }
+}
+
+template <typename Group>
+void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p,
+                          const std::vector<DampingFrame>& frames, const double* x,
+                          const double* z, const ParameterAdjoint& out,
+                          ElasticityScratch& scratch, ThreadPool& pool) {
+  const ElementBlock& solid = model.solid;
+  const ElementBlock& fibre = model.fibre;
+  for_groups(solid, pool, [&](Index g) {
+      Lane F[9], Z[9], P[9];
+      deformation_gradient<Group>(solid, g, x, F);
+      deformation_gradient<Group>(solid, g, z, Z);
+      const PdProjection projection = project(F);
+      const Lane weight = Group::shape(solid, g).weight;
+      // The stress is linear in the weights: its derivative is the stress of unit weights.
+      pd_stress(projection, broadcast(1.0), broadcast(0.0), P);
+      Group::add_element_value(solid, g, weight * contract(P, Z), out.w_mu);
+      pd_stress(projection, broadcast(0.0), broadcast(1.0), P);
+      Group::add_element_value(solid, g, weight * contract(P, Z), out.w_vol);
+    });
+  for_groups(fibre, pool, [&](Index g) {
+      Lane F[9], Z[9], m[3];
+      deformation_gradient<Group>(fibre, g, x, F);
+      deformation_gradient<Group>(fibre, g, z, Z);
+      fibre_directions<Group>(model, g, m);
+      const FibreState f = fibre_state(F, m);
+      Lane along = broadcast(0.0);  // e . Z m
+      for (int i = 0; i < 3; ++i)
+        along += f.unit[i] * (Z[3 * i] * m[0] + Z[3 * i + 1] * m[1] + Z[3 * i + 2] * m[2]);
+      const Lane weight = Group::shape(fibre, g).weight;
+      const Lane stiffness = Group::element_value(fibre, g, p.fibre_stiffness);
+      const Lane stretch = f.length - Group::element_value(fibre, g, p.activation);
+      Group::add_element_value(fibre, g, weight * stretch * along, out.fibre_stiffness);
+      Group::add_element_value(fibre, g, -weight * stiffness * along, out.activation);
+    });
+  if (p.damp_mu) damping_adjoint<Group>(model, p, frames, x, z, out, scratch, pool);
+}
+
+}  // namespace
+
+std::vector<DampingFrame> damping_frames(const SoftModel& model, const double* x_frame,
+                                         const double* x_velocity, ThreadPool& pool) {
+  std::vector<DampingFrame> frames(at(model.solid.num_groups));
+  const auto fill = [&](auto group) {
+    using Group = decltype(group);
+    for_groups(model.solid, pool, [&](Index g) {
+      deformation_gradient<Group>(model.solid, g, x_frame, frames[at(g)].Fn);
+      deformation_gradient<Group>(model.solid, g, x_velocity, frames[at(g)].Fv);
+    });
+  };
+  model.solid.is_hex ? fill(HexGroup{}) : fill(TetGroup{});
+  return frames;
+}
+
+double energy_gradient(const SoftModel& model, const SoftParameters& p,
+                       const std::vector<DampingFrame>& frames, const double* x, double* gradient,
+                       ElasticityScratch& scratch, ThreadPool& pool) {
+  const double energy = model.solid.is_hex
+                            ? energy_gradient_of<HexGroup>(model, p, frames, x, scratch, pool)
+                            : energy_gradient_of<TetGroup>(model, p, frames, x, scratch, pool);
+  gather_vectors(model, scratch.vectors.data(), gradient, pool);
+  return energy;
+}
+
+void tangent(const SoftModel& model, const SoftParameters& p,
+             const std::vector<DampingFrame>& frames, const double* x, bool clamp, double* values,
+             ElasticityScratch& scratch, ThreadPool& pool) {
+  if (model.solid.is_hex)
+    tangent_of<HexGroup>(model, p, frames, x, clamp, values, scratch, pool);
+  else
+    tangent_of<TetGroup>(model, p, frames, x, clamp, values, scratch, pool);
+}
+
+void parameter_adjoint(const SoftModel& model, const SoftParameters& p,
+                       const std::vector<DampingFrame>& frames, const double* x, const double* z,
+                       const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool) {
+  const auto clear = [](double* values, Index size) { std::fill(values, values + size, 0.0); };
+  clear(out.w_mu, model.solid.num_elements);
+  clear(out.w_vol, model.solid.num_elements);
+  clear(out.fibre_stiffness, model.fibre.num_elements);
+  clear(out.activation, model.fibre.num_elements);
+  if (p.damp_mu) {
+    clear(out.damp_mu, model.solid.num_elements);
+    clear(out.damp_lambda, model.solid.num_elements);
+  }
+  scratch.vectors.resize(at(model.vectors_size));
+  if (model.solid.is_hex)
+    parameter_adjoint_of<HexGroup>(model, p, frames, x, z, out, scratch, pool);
+  else
+    parameter_adjoint_of<TetGroup>(model, p, frames, x, z, out, scratch, pool);
+}
+
+}  // namespace diffsim

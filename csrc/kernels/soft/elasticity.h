@@ -1,0 +1,63 @@
+// Elastic energy of a soft body with muscles and damping: gradient, tangent matrix, and the adjoint
+// of the gradient with respect to its parameters.
+#pragma once
+
+#include <vector>
+
+#include "kernels/parallel.h"
+#include "kernels/soft/soft_model.h"
+
+namespace diffsim {
+
+/// Parameters of the energy; all arrays belong to the caller.
+struct SoftParameters {
+  const double* w_mu = nullptr;             // (num_elements,) corotated weight, 2 mu [Pa]
+  const double* w_vol = nullptr;            // (num_elements,) volume weight [Pa]
+  const double* fibre_stiffness = nullptr;  // (num_fibres,) [Pa]
+  const double* activation = nullptr;       // (num_fibres,) target stretch [-]
+  const double* damp_mu = nullptr;          // (num_elements,) beta kappa 2 mu [Pa]; null: undamped
+  const double* damp_lambda = nullptr;      // (num_elements,) beta kappa lambda [Pa]
+};
+
+/// Deformation gradients of the frames that damping refers to (see damping.h), one entry a group.
+struct DampingFrame {
+  Lane Fn[9], Fv[9];
+};
+
+/// Reusable memory of one evaluation at a time.
+struct ElasticityScratch {
+  std::vector<double> vectors, partial, blocks;
+};
+
+/// @param[in] x_frame     (num_nodes, 3) positions at the step's start, F_n [m]
+/// @param[in] x_velocity  (num_nodes, 3) positions that velocity is measured from, F_v [m]
+std::vector<DampingFrame> damping_frames(const SoftModel& model, const double* x_frame,
+                                         const double* x_velocity, ThreadPool& pool);
+
+/// Energy E + D [J] and its gradient [N], overwritten.
+double energy_gradient(const SoftModel& model, const SoftParameters& parameters,
+                       const std::vector<DampingFrame>& frames, const double* x, double* gradient,
+                       ElasticityScratch& scratch, ThreadPool& pool);
+
+/// d^2(E + D)/dx^2 [N/m] in the model's strip layout, overwritten.
+/// @param[in] clamp  drop negative eigenvalues of each sample's tangent
+void tangent(const SoftModel& model, const SoftParameters& parameters,
+             const std::vector<DampingFrame>& frames, const double* x, bool clamp, double* values,
+             ElasticityScratch& scratch, ThreadPool& pool);
+
+/// z . d(gradient)/dp for every parameter p of the energy, overwritten; the last four with damping only.
+struct ParameterAdjoint {
+  double* w_mu = nullptr;
+  double* w_vol = nullptr;
+  double* fibre_stiffness = nullptr;
+  double* activation = nullptr;
+  double* damp_mu = nullptr;
+  double* damp_lambda = nullptr;
+  double* x_frame = nullptr;     // (num_nodes, 3)
+  double* x_velocity = nullptr;  // (num_nodes, 3)
+};
+void parameter_adjoint(const SoftModel& model, const SoftParameters& parameters,
+                       const std::vector<DampingFrame>& frames, const double* x, const double* z,
+                       const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool);
+
+}  // namespace diffsim

@@ -1,0 +1,204 @@
+// Projective-dynamics solid and muscle fibre: energy density, first Piola stress and its tangent,
+// eight samples at a time. Thesis eqs. 4.12-4.17 with closed-form derivatives of the projections.
+//
+// Solid:  psi(F) = w_mu/2 |F - R(F)|^2 + w_vol/2 |F - B(F)|^2                               [J/m^3]
+//   R: nearest rotation; B = U diag(t) V^T: nearest matrix of determinant one.
+//   With F = U diag(s) V^T, minimising |t - s|^2 subject to t0 t1 t2 = 1 gives
+//   t_i (t_i - s_i) = -l with one multiplier l for all i, so t_i = (s_i + q_i)/2 and
+//   q_i = +-sqrt(s_i^2 - 4 l). Taking u = t_2 (smallest) as the unknown, l = u (s_2 - u) and
+//   q_2 = 2u - s_2 needs no root: one monotone scalar equation u t0(u) t1(u) = 1 is left.
+// Fibre:  psi(F) = w/2 (|F m| - a)^2, unit direction m, activation a = target stretch.
+#pragma once
+
+#include "kernels/linalg/lanes.h"
+#include "kernels/linalg/svd3.h"
+
+namespace diffsim {
+
+/// Principal stretches s, targets t of the volume projection and q = 2t - s.
+struct PdProjection {
+  Lane U[9], s[3], V[9];
+  Lane t[3], q[3];
+};
+
+/// Solves u t0 t1 = 1 by Newton inside a bracket; exact to rounding, any sign of det F.
+inline void project_volume(PdProjection& p) {
+  const Lane one = broadcast(1.0), zero = broadcast(0.0), half = broadcast(0.5);
+  const Lane d0 = (p.s[0] - p.s[2]) * (p.s[0] + p.s[2]);
+  const Lane d1 = (p.s[1] - p.s[2]) * (p.s[1] + p.s[2]);
+  Lane low = zero, high = broadcast(1e300);
+  Lane u = max(p.s[2], broadcast(0.3));
+  for (int iter = 0; iter < 60; ++iter) {
+    const Lane q2 = 2.0 * u - p.s[2];
+    const Lane q0 = max(sqrt(max(d0 + q2 * q2, zero)), broadcast(1e-12));
+    const Lane q1 = max(sqrt(max(d1 + q2 * q2, zero)), broadcast(1e-12));
+    const Lane t0 = half * (p.s[0] + q0), t1 = half * (p.s[1] + q1);
+    const Lane value = u * t0 * t1 - one;
+    p.t[0] = t0, p.t[1] = t1, p.t[2] = u;
+    p.q[0] = q0, p.q[1] = q1, p.q[2] = q2;
+    if (all(abs(value) < broadcast(2e-15))) return;
+    low = select(value < zero, u, low);
+    high = select(value < zero, high, u);
+    const Lane slope = t0 * t1 + u * q2 * (t1 / q0 + t0 / q1);
+    const Lane newton = u - value / slope;
+    const LaneMask inside = (newton > low) & (newton < high);
+    const Lane bisect = select(high > broadcast(1e299), 2.0 * u, half * (low + high));
+    const Lane next = select(inside, newton, bisect);
+    if (all(next == u)) return;
+    u = next;
+  }
+}
+
+inline PdProjection project(const Lane F[9]) {
+  PdProjection p;
+  svd3(F, p.U, p.s, p.V);
+  project_volume(p);
+  return p;
+}
+
+/// out = U diag(d) V^T.
+inline void compose(const Lane U[9], const Lane d[3], const Lane V[9], Lane out[9]) {
+  Lane Ud[9];
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) Ud[3 * i + j] = U[3 * i + j] * d[j];
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j)
+      out[3 * i + j] = Ud[3 * i] * V[3 * j] + Ud[3 * i + 1] * V[3 * j + 1] + Ud[3 * i + 2] * V[3 * j + 2];
+}
+
+/// P = U diag(w_mu (s - 1) + w_vol (s - t)) V^T [Pa]; returns psi [J/m^3].
+inline Lane pd_stress(const PdProjection& p, const Lane& w_mu, const Lane& w_vol, Lane P[9]) {
+  Lane d[3];
+  Lane corotated = broadcast(0.0), volume = broadcast(0.0);
+  for (int i = 0; i < 3; ++i) {
+    const Lane a = p.s[i] - 1.0, b = p.s[i] - p.t[i];
+    d[i] = w_mu * a + w_vol * b;
+    corotated += a * a;
+    volume += b * b;
+  }
+  compose(p.U, d, p.V, P);
+  return 0.5 * (w_mu * corotated + w_vol * volume);
+}
+
+/// dP/dF in principal axes: dP = U core(U^T dF V) V^T. The core couples the diagonal entries by
+/// `diagonal`, and each off-diagonal pair (i, j) by a symmetric and a skew coefficient.
+struct PrincipalTangent {
+  Lane diagonal[9];
+  Lane symmetric[3], skew[3];  // pairs (0,1), (0,2), (1,2)
+};
+inline constexpr int kPair[3][2] = {{0, 1}, {0, 2}, {1, 2}};
+
+inline PrincipalTangent pd_tangent_principal(const PdProjection& p, const Lane& w_mu,
+                                             const Lane& w_vol) {
+  PrincipalTangent c;
+  const Lane one = broadcast(1.0), tiny = broadcast(1e-12);
+  const Lane r0 = one / (p.t[0] * p.q[0]), r1 = one / (p.t[1] * p.q[1]);
+  const Lane q2t2 = p.q[2] * p.t[2];
+  const Lane denominator = one + q2t2 * (r0 + r1);
+  // dl = g . ds, dt_i = (t_i ds_i - dl) / q_i for i < 2, and dt_2 from t0 t1 t2 = 1.
+  const Lane g[3] = {q2t2 / (p.q[0] * denominator), q2t2 / (p.q[1] * denominator),
+                     p.t[2] / denominator};
+  Lane dt[9];
+  for (int j = 0; j < 3; ++j) {
+    for (int i = 0; i < 2; ++i)
+      dt[3 * i + j] = ((i == j ? p.t[i] : broadcast(0.0)) - g[j]) / p.q[i];
+    dt[6 + j] = -p.t[2] * (dt[j] / p.t[0] + dt[3 + j] / p.t[1]);
+  }
+  for (int i = 0; i < 9; ++i)
+    c.diagonal[i] = (i % 4 == 0 ? w_mu + w_vol : broadcast(0.0)) - w_vol * dt[i];
+  for (int k = 0; k < 3; ++k) {
+    const int i = kPair[k][0], j = kPair[k][1];
+    const Lane t = p.t[i] + p.t[j];
+    // s_i + s_j = 0 is where the nearest rotation is not unique: the derivative is unbounded there.
+    const Lane s = max(p.s[i] + p.s[j], tiny), q = p.q[i] + p.q[j];
+    c.symmetric[k] = w_mu + w_vol * (one - t / select(abs(q) < tiny, tiny, q));
+    c.skew[k] = w_mu * (one - 2.0 / s) + w_vol * (one - t / s);
+  }
+  return c;
+}
+
+/// Nearest positive semidefinite core: Newton's definiteness fix.
+inline void clamp_tangent(PrincipalTangent& c) {
+  const Lane zero = broadcast(0.0);
+  for (int k = 0; k < 3; ++k) {
+    c.symmetric[k] = max(c.symmetric[k], zero);
+    c.skew[k] = max(c.skew[k], zero);
+  }
+  // B symmetric: B^T B = V s^2 V^T, so |B| = V |s| V^T and (B + |B|) / 2 drops negative eigenvalues.
+  Lane U[9], s[3], V[9], absolute[9];
+  svd3(c.diagonal, U, s, V);
+  for (int i = 0; i < 3; ++i) s[i] = abs(s[i]);
+  compose(V, s, V, absolute);
+  for (int i = 0; i < 9; ++i) c.diagonal[i] = 0.5 * (c.diagonal[i] + absolute[i]);
+}
+
+/// H[9 a + b] = dP_a / dF_b, symmetric, from its principal form.
+inline void expand_tangent(const PdProjection& p, const PrincipalTangent& c, Lane H[81]) {
+  Lane d[3][9];  // u_i v_i^T
+  for (int i = 0; i < 3; ++i)
+    for (int k = 0; k < 9; ++k) d[i][k] = p.U[3 * (k / 3) + i] * p.V[3 * (k % 3) + i];
+  Lane e[3][9];
+  for (int i = 0; i < 3; ++i)
+    for (int k = 0; k < 9; ++k)
+      e[i][k] = c.diagonal[3 * i] * d[0][k] + c.diagonal[3 * i + 1] * d[1][k] +
+                c.diagonal[3 * i + 2] * d[2][k];
+  for (int a = 0; a < 9; ++a)
+    for (int b = a; b < 9; ++b)
+      H[9 * a + b] = d[0][a] * e[0][b] + d[1][a] * e[1][b] + d[2][a] * e[2][b];
+  for (int k = 0; k < 3; ++k) {
+    const int i = kPair[k][0], j = kPair[k][1];
+    Lane sym[9], skw[9], sym_c[9], skw_c[9];
+    for (int n = 0; n < 9; ++n) {
+      const Lane ij = p.U[3 * (n / 3) + i] * p.V[3 * (n % 3) + j];
+      const Lane ji = p.U[3 * (n / 3) + j] * p.V[3 * (n % 3) + i];
+      sym[n] = ij + ji;
+      skw[n] = ij - ji;
+      sym_c[n] = 0.5 * c.symmetric[k] * sym[n];
+      skw_c[n] = 0.5 * c.skew[k] * skw[n];
+    }
+    for (int a = 0; a < 9; ++a)
+      for (int b = a; b < 9; ++b) H[9 * a + b] += sym_c[a] * sym[b] + skw_c[a] * skw[b];
+  }
+  for (int a = 1; a < 9; ++a)
+    for (int b = 0; b < a; ++b) H[9 * a + b] = H[9 * b + a];
+}
+
+/// Fibre of direction m: l = F m, P = w (1 - a/|l|) l m^T; returns psi.
+struct FibreState {
+  Lane direction[3], unit[3], length;
+};
+
+inline FibreState fibre_state(const Lane F[9], const Lane m[3]) {
+  FibreState f;
+  Lane l[3];
+  for (int i = 0; i < 3; ++i) {
+    f.direction[i] = m[i];
+    l[i] = F[3 * i] * m[0] + F[3 * i + 1] * m[1] + F[3 * i + 2] * m[2];
+  }
+  f.length = max(sqrt(l[0] * l[0] + l[1] * l[1] + l[2] * l[2]), broadcast(1e-12));
+  for (int i = 0; i < 3; ++i) f.unit[i] = l[i] / f.length;
+  return f;
+}
+
+inline Lane fibre_stress(const FibreState& f, const Lane& w, const Lane& activation, Lane P[9]) {
+  const Lane stretch = f.length - activation;
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) P[3 * i + j] = w * stretch * f.unit[i] * f.direction[j];
+  return 0.5 * w * stretch * stretch;
+}
+
+/// dP_ij/dF_kl = C_ik m_j m_l with C = w ((1 - a/|l|) (I - e e^T) + e e^T), e = l/|l|.
+inline void fibre_tangent(const FibreState& f, const Lane& w, const Lane& activation, bool clamp,
+                          Lane H[81]) {
+  Lane across = 1.0 - activation / f.length;
+  if (clamp) across = max(across, broadcast(0.0));
+  Lane C[9];
+  for (int i = 0; i < 9; ++i)
+    C[i] = w * ((1.0 - across) * f.unit[i / 3] * f.unit[i % 3] +
+                (i % 4 == 0 ? across : broadcast(0.0)));
+  for (int a = 0; a < 9; ++a)
+    for (int b = 0; b < 9; ++b)
+      H[9 * a + b] = C[3 * (a / 3) + b / 3] * f.direction[a % 3] * f.direction[b % 3];
+}
+
+}  // namespace diffsim

@@ -1,0 +1,139 @@
+#include "kernels/soft/soft_model.h"
+
+#include <algorithm>
+
+namespace diffsim {
+namespace {
+
+using Index = std::int64_t;
+std::size_t at(Index i) { return static_cast<std::size_t>(i); }
+
+template <int kNodes>
+GroupShape<kNodes> lanes_of(const double* grad[kLanes], const double weight[kLanes]) {
+  GroupShape<kNodes> shape;
+  for (int lane = 0; lane < kLanes; ++lane) {
+    for (int a = 0; a < kNodes; ++a)
+      for (int i = 0; i < 3; ++i) shape.grad[a][i][lane] = grad[lane][3 * a + i];
+    shape.weight[lane] = weight[lane];
+  }
+  return shape;
+}
+
+/// The block of the elements listed in `subset` (all, where null).
+ElementBlock make_block(const MeshTables& t, const Index* subset, Index count) {
+  ElementBlock block;
+  block.is_hex = t.is_hex;
+  block.num_elements = count;
+  const int n = block.nodes_per_element();
+  std::vector<Index> classes(at(count));
+  for (Index e = 0; e < count; ++e) {
+    const Index element = subset ? subset[e] : e;
+    block.nodes.insert(block.nodes.end(), t.elements + element * n, t.elements + (element + 1) * n);
+    classes[at(e)] = t.class_idx[element];
+  }
+  if (t.is_hex) {
+    block.num_groups = count;
+    block.hex_class = std::move(classes);
+    for (Index c = 0; c < t.num_classes; ++c) {
+      const double* grad[kLanes];
+      for (int q = 0; q < kLanes; ++q) grad[q] = t.grad + (c * kLanes + q) * 24;
+      block.hex_shape.push_back(lanes_of<8>(grad, t.weight + c * kLanes));
+    }
+    return block;
+  }
+  block.num_groups = (count + kLanes - 1) / kLanes;
+  for (Index g = 0; g < block.num_groups; ++g) {
+    const double* grad[kLanes];
+    double weight[kLanes];
+    for (int lane = 0; lane < kLanes; ++lane) {
+      const Index c = classes[at(TetGroup::element(block, g, lane))];
+      grad[lane] = t.grad + c * 12;
+      weight[lane] = g * kLanes + lane < count ? t.weight[c] : 0.0;
+    }
+    block.tet_shape.push_back(lanes_of<4>(grad, weight));
+  }
+  return block;
+}
+
+/// CSR graph of nodes that share an element.
+void make_graph(SoftModel& model) {
+  const int n = model.solid.nodes_per_element();
+  std::vector<Index> start(at(model.num_nodes + 1), 0), elements_of;
+  const std::vector<Index>& nodes = model.solid.nodes;
+  for (Index node : nodes) ++start[at(node + 1)];
+  for (Index i = 0; i < model.num_nodes; ++i) start[at(i + 1)] += start[at(i)];
+  elements_of.resize(nodes.size());
+  std::vector<Index> fill(start.begin(), start.end() - 1);
+  for (std::size_t k = 0; k < nodes.size(); ++k)
+    elements_of[at(fill[at(nodes[k])]++)] = static_cast<Index>(k) / n;
+
+  model.row_start.assign(1, 0);
+  std::vector<Index> row;
+  for (Index i = 0; i < model.num_nodes; ++i) {
+    row.assign(1, i);
+    for (Index k = start[at(i)]; k < start[at(i + 1)]; ++k) {
+      const Index* node = nodes.data() + elements_of[at(k)] * n;
+      row.insert(row.end(), node, node + n);
+    }
+    std::sort(row.begin(), row.end());
+    row.erase(std::unique(row.begin(), row.end()), row.end());
+    const auto diagonal = std::lower_bound(row.begin(), row.end(), i) - row.begin();
+    model.diagonal.push_back(model.row_start.back() + diagonal);
+    model.column.insert(model.column.end(), row.begin(), row.end());
+    model.row_start.push_back(static_cast<Index>(model.column.size()));
+  }
+}
+
+std::vector<std::int32_t> make_slots(const SoftModel& model, const ElementBlock& block) {
+  const int n = block.nodes_per_element();
+  std::vector<std::int32_t> slots(at(block.num_elements * n * n));
+  for (Index e = 0; e < block.num_elements; ++e)
+    for (int a = 0; a < n; ++a) {
+      const Index row = block.nodes[at(e * n + a)];
+      const auto first = model.column.begin() + model.row_start[at(row)];
+      const auto last = model.column.begin() + model.row_start[at(row + 1)];
+      for (int b = 0; b < n; ++b)
+        slots[at((e * n + a) * n + b)] = static_cast<std::int32_t>(
+            std::lower_bound(first, last, block.nodes[at(e * n + b)]) - first);
+    }
+  return slots;
+}
+
+/// Lists, per node and in element order, where its contributions lie in the vectors buffer.
+void make_gather(SoftModel& model) {
+  model.gather_stride = vector_stride(model.solid);
+  model.fibre_vectors_start = model.solid.num_groups * model.solid.vectors_size();
+  model.vectors_size = model.fibre_vectors_start + model.fibre.num_groups * model.fibre.vectors_size();
+  model.gather_start.assign(at(model.num_nodes + 1), 0);
+  for (const ElementBlock* block : {&model.solid, &model.fibre})
+    for (Index node : block->nodes) ++model.gather_start[at(node + 1)];
+  for (Index i = 0; i < model.num_nodes; ++i)
+    model.gather_start[at(i + 1)] += model.gather_start[at(i)];
+  model.gather_offset.resize(at(model.gather_start.back()));
+  std::vector<Index> fill(model.gather_start.begin(), model.gather_start.end() - 1);
+  for (const ElementBlock* block : {&model.solid, &model.fibre}) {
+    const Index first = block == &model.solid ? 0 : model.fibre_vectors_start;
+    const int n = block->nodes_per_element();
+    for (Index e = 0; e < block->num_elements; ++e)
+      for (int a = 0; a < n; ++a)
+        model.gather_offset[at(fill[at(block->nodes[at(e * n + a)])]++)] =
+            first + vector_offset(*block, e, a);
+  }
+}
+
+}  // namespace
+
+SoftModel make_soft_model(const MeshTables& t) {
+  SoftModel model;
+  model.num_nodes = t.num_nodes;
+  model.solid = make_block(t, nullptr, t.num_elements);
+  model.fibre = make_block(t, t.fibre_elements, t.num_fibres);
+  model.fibre_directions.assign(t.fibre_directions, t.fibre_directions + 3 * t.num_fibres);
+  make_graph(model);
+  model.solid_slot = make_slots(model, model.solid);
+  model.fibre_slot = make_slots(model, model.fibre);
+  make_gather(model);
+  return model;
+}
+
+}  // namespace diffsim

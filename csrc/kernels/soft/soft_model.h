@@ -1,0 +1,46 @@
+// What never changes about a soft body: elements, muscle fibres, and the sparsity they imply.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "kernels/soft/element_block.h"
+
+namespace diffsim {
+
+/// Shape-function tables as Python computes them (diffsim/mesh/shape.py).
+struct MeshTables {
+  bool is_hex = true;
+  std::int64_t num_nodes = 0, num_elements = 0, num_classes = 0;
+  const std::int64_t* elements = nullptr;   // (num_elements, N)
+  const double* grad = nullptr;             // (num_classes, Q, N, 3) [1/m]
+  const double* weight = nullptr;           // (num_classes, Q) [m^3]
+  const std::int64_t* class_idx = nullptr;  // (num_elements,)
+  const double* coords = nullptr;           // (num_nodes, 3) rest positions [m], for ordering
+  std::int64_t num_fibres = 0;
+  const std::int64_t* fibre_elements = nullptr;  // (num_fibres,)
+  const double* fibre_directions = nullptr;      // (num_fibres, 3), unit
+};
+
+/// Immutable. Matrix pattern: node graph in CSR, diagonal included, columns ascending. Values of a
+/// 3x3-block matrix lie per row node as a dense (3, 3 * row length) row-major strip.
+struct SoftModel {
+  std::int64_t num_nodes = 0;
+  ElementBlock solid, fibre;
+  std::vector<double> fibre_directions;  // (num_fibres, 3)
+
+  std::vector<std::int64_t> row_start, column;      // CSR node graph
+  std::vector<std::int64_t> diagonal;               // position of (i, i) in `column`
+  std::vector<std::int32_t> solid_slot, fibre_slot;  // (elements, N, N): place of node b in row of a
+
+  // Node -> its vectors in the buffer [solid vectors | fibre vectors].
+  std::vector<std::int64_t> gather_start, gather_offset;
+  std::int64_t gather_stride = 1;
+  std::int64_t fibre_vectors_start = 0, vectors_size = 0;
+
+  std::int64_t num_blocks() const { return static_cast<std::int64_t>(column.size()); }
+};
+
+SoftModel make_soft_model(const MeshTables& tables);
+
+}  // namespace diffsim
