@@ -18,20 +18,10 @@ constexpr Index kChunk = 512;
 
 Index num_tasks(Index count, Index size) { return (count + size - 1) / size; }
 
-Lane load_direction(const SoftModel& model, Index fibre, int axis) {
-  return broadcast(model.fibre_directions[at(3 * fibre + axis)]);
-}
-
 template <typename Group>
 void fibre_directions(const SoftModel& model, Index g, Lane m[3]) {
-  for (int i = 0; i < 3; ++i) {
-    if constexpr (Group::kNodes == 8) {
-      m[i] = load_direction(model, g, i);
-    } else {
-      for (int lane = 0; lane < kLanes; ++lane)
-        m[i][lane] = model.fibre_directions[at(3 * TetGroup::element(model.fibre, g, lane) + i)];
-    }
-  }
+  for (int i = 0; i < 3; ++i)
+    m[i] = Group::element_value(model.fibre, g, model.fibre_directions.data(), 3, i);
 }
 
 /// Sums the vectors buffer into nodes, in element order whatever the number of threads.

@@ -11,7 +11,19 @@
 
 namespace diffsim {
 
-inline constexpr int kLanes = 8;
+/// Sums of eight vectors, as the lanes of one: out[i] = sum(v[i]), in the same order as sum().
+inline Lane sum_each(const Lane v[kLanes]) {
+  if constexpr (kParts == 1) {
+    Lane row[kLanes];
+    for (int i = 0; i < kLanes; ++i) row[i] = v[i];
+    detail::transpose_square(row);
+    return ((row[0] + row[4]) + (row[2] + row[6])) + ((row[1] + row[5]) + (row[3] + row[7]));
+  } else {
+    Lane out;
+    for (int i = 0; i < kLanes; ++i) out[i] = sum(v[i]);
+    return out;
+  }
+}
 
 /// Shape-function gradients [1/m] and quadrature weights [m^3] of the eight samples of a group.
 template <int kNodes>
@@ -49,9 +61,10 @@ struct HexGroup {
     for (int a = 0; a < kNodes; ++a)
       for (int i = 0; i < 3; ++i) out[a][i] = x[3 * node[a] + i];
   }
-  /// One value per element, as lanes.
-  static Lane element_value(const ElementBlock&, std::int64_t g, const double* value) {
-    return broadcast(value[g]);
+  /// Entry `i` of a record of `size` values per element, as lanes.
+  static Lane element_value(const ElementBlock&, std::int64_t g, const double* value, int size = 1,
+                            int i = 0) {
+    return broadcast(value[size * g + i]);
   }
   static void add_element_value(const ElementBlock&, std::int64_t g, const Lane& v, double* out) {
     out[g] += sum(v);
@@ -72,16 +85,21 @@ struct TetGroup {
   }
   static void gather(const ElementBlock& block, std::int64_t g, const double* x,
                      NodeValue out[kNodes][3]) {
+    alignas(64) double v[3 * kNodes][kLanes];
     for (int lane = 0; lane < kLanes; ++lane) {
       const std::int64_t* node = block.nodes.data() + element(block, g, lane) * kNodes;
       for (int a = 0; a < kNodes; ++a)
-        for (int i = 0; i < 3; ++i) out[a][i][lane] = x[3 * node[a] + i];
+        for (int i = 0; i < 3; ++i) v[3 * a + i][lane] = x[3 * node[a] + i];
     }
+    for (int a = 0; a < kNodes; ++a)
+      for (int i = 0; i < 3; ++i) out[a][i] = load(v[3 * a + i]);
   }
-  static Lane element_value(const ElementBlock& block, std::int64_t g, const double* value) {
-    Lane v;
-    for (int lane = 0; lane < kLanes; ++lane) v[lane] = value[element(block, g, lane)];
-    return v;
+  /// Entry `i` of a record of `size` values per element, as lanes.
+  static Lane element_value(const ElementBlock& block, std::int64_t g, const double* value,
+                            int size = 1, int i = 0) {
+    alignas(64) double v[kLanes];
+    for (int lane = 0; lane < kLanes; ++lane) v[lane] = value[size * element(block, g, lane) + i];
+    return load(v);
   }
   static void add_element_value(const ElementBlock& block, std::int64_t g, const Lane& v,
                                 double* out) {

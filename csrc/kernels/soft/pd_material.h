@@ -23,7 +23,8 @@ struct PdProjection {
 
 /// Solves u t0 t1 = 1 by Newton inside a bracket; exact to rounding, any sign of det F.
 inline void project_volume(PdProjection& p) {
-  const Lane one = broadcast(1.0), zero = broadcast(0.0), half = broadcast(0.5);
+  const Lane one = broadcast(1.0), zero = broadcast(0.0);
+  const double half = 0.5;
   const Lane d0 = (p.s[0] - p.s[2]) * (p.s[0] + p.s[2]);
   const Lane d1 = (p.s[1] - p.s[2]) * (p.s[1] + p.s[2]);
   Lane low = zero, high = broadcast(1e300);
@@ -36,15 +37,17 @@ inline void project_volume(PdProjection& p) {
     const Lane value = u * t0 * t1 - one;
     p.t[0] = t0, p.t[1] = t1, p.t[2] = u;
     p.q[0] = q0, p.q[1] = q1, p.q[2] = q2;
-    if (all(abs(value) < broadcast(2e-15))) return;
-    low = select(value < zero, u, low);
-    high = select(value < zero, high, u);
+    if (all(less(abs(value), broadcast(2e-15)))) return;
+    const LaneMask below = less(value, zero);
+    low = select(below, u, low);
+    high = select(below, high, u);
     const Lane slope = t0 * t1 + u * q2 * (t1 / q0 + t0 / q1);
     const Lane newton = u - value / slope;
-    const LaneMask inside = (newton > low) & (newton < high);
-    const Lane bisect = select(high > broadcast(1e299), 2.0 * u, half * (low + high));
+    const LaneMask inside = less(low, newton) & less(newton, high);
+    const Lane bisect = select<Lane>(less(broadcast(1e299), high), 2.0 * u, half * (low + high));
     const Lane next = select(inside, newton, bisect);
-    if (all(next == u)) return;
+    // A lane that no longer moves is done; NaN (not less, not greater) must not hold up the others.
+    if (!any(less(next, u) | less(u, next))) return;
     u = next;
   }
 }
@@ -111,7 +114,7 @@ inline PrincipalTangent pd_tangent_principal(const PdProjection& p, const Lane& 
     const Lane t = p.t[i] + p.t[j];
     // s_i + s_j = 0 is where the nearest rotation is not unique: the derivative is unbounded there.
     const Lane s = max(p.s[i] + p.s[j], tiny), q = p.q[i] + p.q[j];
-    c.symmetric[k] = w_mu + w_vol * (one - t / select(abs(q) < tiny, tiny, q));
+    c.symmetric[k] = w_mu + w_vol * (one - t / select(less(abs(q), tiny), tiny, q));
     c.skew[k] = w_mu * (one - 2.0 / s) + w_vol * (one - t / s);
   }
   return c;

@@ -1,0 +1,154 @@
+// Soft bodies: pattern, constant system, implicit step and its adjoint, elastic forces.
+#include <nanobind/stl/shared_ptr.h>
+
+#include "bindings/bindings.h"
+#include "kernels/soft/elastic_force.h"
+
+namespace diffsim {
+namespace {
+
+/// Addresses that Python fills by name; zero means absent.
+struct SoftArrays {
+  Address w_mu = 0, w_vol = 0, fibre_stiffness = 0, activation = 0, damp_mu = 0, damp_lambda = 0;
+  Address y = 0, force = 0, target = 0, guess = 0, inertia = 0, x_frame = 0, x_velocity = 0;
+
+  StepInputs inputs() const {
+    StepInputs in;
+    in.parameters = {diffsim::in(w_mu),       diffsim::in(w_vol),   diffsim::in(fibre_stiffness),
+                     diffsim::in(activation), diffsim::in(damp_mu), diffsim::in(damp_lambda)};
+    in.y = diffsim::in(y);
+    in.force = diffsim::in(force);
+    in.target = diffsim::in(target);
+    in.guess = diffsim::in(guess);
+    in.x_frame = diffsim::in(x_frame);
+    in.x_velocity = diffsim::in(x_velocity);
+    return in;
+  }
+  StepAdjoint adjoint() const {
+    StepAdjoint grads;
+    grads.y = out(y);
+    grads.force = out(force);
+    grads.target = out(target);
+    grads.inertia = out(inertia);
+    grads.parameters = {out(w_mu),    out(w_vol),       out(fibre_stiffness), out(activation),
+                        out(damp_mu), out(damp_lambda), out(x_frame),         out(x_velocity)};
+    return grads;
+  }
+};
+
+void bind_arrays(nb::module_& m) {
+  nb::class_<SoftArrays>(m, "SoftArrays")
+      .def(nb::init<>())
+      .def_rw("w_mu", &SoftArrays::w_mu)
+      .def_rw("w_vol", &SoftArrays::w_vol)
+      .def_rw("fibre_stiffness", &SoftArrays::fibre_stiffness)
+      .def_rw("activation", &SoftArrays::activation)
+      .def_rw("damp_mu", &SoftArrays::damp_mu)
+      .def_rw("damp_lambda", &SoftArrays::damp_lambda)
+      .def_rw("y", &SoftArrays::y)
+      .def_rw("force", &SoftArrays::force)
+      .def_rw("target", &SoftArrays::target)
+      .def_rw("guess", &SoftArrays::guess)
+      .def_rw("inertia", &SoftArrays::inertia)
+      .def_rw("x_frame", &SoftArrays::x_frame)
+      .def_rw("x_velocity", &SoftArrays::x_velocity);
+  nb::class_<StepOptions>(m, "StepOptions")
+      .def(nb::init<>())
+      .def_rw("rtol", &StepOptions::rtol)
+      .def_rw("atol", &StepOptions::atol)
+      .def_rw("max_iters", &StepOptions::max_iters)
+      .def_rw("method", &StepOptions::method);
+  nb::enum_<StepMethod>(m, "StepMethod")
+      .value("auto", StepMethod::kAuto)
+      .value("quasi_newton", StepMethod::kQuasiNewton)
+      .value("newton_pcg", StepMethod::kNewtonPcg)
+      .value("newton_jacobi", StepMethod::kNewtonJacobi)
+      .value("newton_cholesky", StepMethod::kNewtonCholesky);
+}
+
+void bind_prepared(nb::module_& m) {
+  nb::class_<SoftPattern>(m, "SoftPattern")
+      .def_prop_ro("num_nodes", [](const SoftPattern& p) { return p.model().num_nodes; })
+      .def_prop_ro("num_blocks", [](const SoftPattern& p) { return p.model().num_blocks(); });
+  nb::class_<ConstantSystem>(m, "ConstantSystem");
+
+  m.def(
+      "make_soft_pattern",
+      [](bool is_hex, std::int64_t num_nodes, std::int64_t num_elements, std::int64_t num_classes,
+         std::int64_t num_fibres, Address elements, Address grad, Address weight, Address class_idx,
+         Address coords, Address fibre_elements, Address fibre_directions) {
+        nb::gil_scoped_release release;
+        MeshTables t;
+        t.is_hex = is_hex;
+        t.num_nodes = num_nodes;
+        t.num_elements = num_elements;
+        t.num_classes = num_classes;
+        t.num_fibres = num_fibres;
+        t.elements = in_index(elements);
+        t.grad = in(grad);
+        t.weight = in(weight);
+        t.class_idx = in_index(class_idx);
+        t.coords = in(coords);
+        t.fibre_elements = in_index(fibre_elements);
+        t.fibre_directions = in(fibre_directions);
+        return std::make_shared<SoftPattern>(make_soft_model(t), t.coords);
+      },
+      nb::kw_only(), nb::arg("is_hex"), nb::arg("num_nodes"), nb::arg("num_elements"),
+      nb::arg("num_classes"), nb::arg("num_fibres"), nb::arg("elements"), nb::arg("grad"),
+      nb::arg("weight"), nb::arg("class_idx"), nb::arg("coords"), nb::arg("fibre_elements"),
+      nb::arg("fibre_directions"));
+
+  m.def(
+      "make_constant_system",
+      [](std::shared_ptr<SoftPattern> pattern, Address fixed, Address inertia, Address kappa,
+         Address fibre_kappa, int num_threads) {
+        nb::gil_scoped_release release;
+        ThreadPool pool(num_threads);
+        return std::make_shared<ConstantSystem>(
+            std::move(pattern),
+            ConstantSystemInputs{reinterpret_cast<const std::uint8_t*>(fixed), in(inertia),
+                                 in(kappa), in(fibre_kappa)},
+            pool);
+      },
+      nb::arg("pattern"), nb::kw_only(), nb::arg("fixed"), nb::arg("inertia"), nb::arg("kappa"),
+      nb::arg("fibre_kappa"), nb::arg("num_threads"));
+}
+
+}  // namespace
+
+void bind_soft(nb::module_& m) {
+  bind_arrays(m);
+  bind_prepared(m);
+
+  static_assert(sizeof(StepStats) == 8 * sizeof(double), "Python reads stats as (batch, 8) doubles");
+  m.def("implicit_step", [](const ConstantSystem& system, const SoftArrays& arrays,
+                            const StepOptions& options, std::int64_t batch, Address x, Address stats,
+                            int num_threads) {
+    nb::gil_scoped_release release;
+    implicit_step_batch(system, arrays.inputs(), options, batch, out(x),
+                        reinterpret_cast<StepStats*>(stats), num_threads);
+  });
+  m.def("implicit_step_adjoint", [](const ConstantSystem& system, const SoftArrays& arrays,
+                                    const StepOptions& options, std::int64_t batch, Address x,
+                                    Address grad_x, const SoftArrays& grads, Address stats,
+                                    int num_threads) {
+    nb::gil_scoped_release release;
+    implicit_step_adjoint_batch(system, arrays.inputs(), options, batch, in(x), in(grad_x),
+                                grads.adjoint(), reinterpret_cast<StepStats*>(stats), num_threads);
+  });
+  m.def("elastic_gradient", [](const SoftPattern& pattern, const SoftArrays& arrays, Address x,
+                               Address gradient, Address energy, int num_threads) {
+    nb::gil_scoped_release release;
+    elastic_gradient(pattern.model(), arrays.inputs(), in(x), out(gradient), out(energy),
+                     num_threads);
+  });
+  m.def("elastic_gradient_adjoint", [](const SoftPattern& pattern, const SoftArrays& arrays,
+                                       Address x, Address z, Address grad_x, const SoftArrays& grads,
+                                       int num_threads) {
+    nb::gil_scoped_release release;
+    elastic_gradient_adjoint(pattern.model(), arrays.inputs(), in(x), in(z), out(grad_x),
+                             grads.adjoint().parameters, num_threads);
+  });
+}
+
+}  // namespace diffsim

@@ -1,0 +1,138 @@
+#include "kernels/soft/constant_system.h"
+
+namespace diffsim {
+namespace {
+
+using Index = std::int64_t;
+std::size_t at(Index i) { return static_cast<std::size_t>(i); }
+
+/// Adds kappa_e grad_a . grad_b [N/m] of the samples of group g; `direction` restricts to a fibre.
+template <typename Group>
+void add_group(const SoftModel& model, const ElementBlock& block,
+               const std::vector<std::int32_t>& slots, Index g, const double* kappa,
+               const double* direction, Vector& values) {
+  constexpr int n = Group::kNodes;
+  constexpr int per_group = n == 8 ? 1 : kLanes;
+  const auto& shape = Group::shape(block, g);
+  const Lane weight = shape.weight * Group::element_value(block, g, kappa);
+  Lane along[n];
+  if (direction) {
+    for (int a = 0; a < n; ++a) {
+      along[a] = broadcast(0.0);
+      for (int i = 0; i < 3; ++i)
+        along[a] += Group::element_value(block, g, direction, 3, i) * shape.grad[a][i];
+    }
+  }
+  for (int a = 0; a < n; ++a)
+    for (int b = 0; b < n; ++b) {
+      const Lane product = direction ? along[a] * along[b]
+                                     : shape.grad[a][0] * shape.grad[b][0] +
+                                           shape.grad[a][1] * shape.grad[b][1] +
+                                           shape.grad[a][2] * shape.grad[b][2];
+      const Lane k = weight * product;
+      for (int lane = 0; lane < per_group; ++lane) {
+        const Index e = g * per_group + lane;
+        if (e >= block.num_elements) break;
+        const Index row = block.nodes[at(e * n + a)];
+        values[at(model.row_start[at(row)] + slots[at((e * n + a) * n + b)])] +=
+            per_group == 1 ? sum(k) : k[lane];
+      }
+    }
+}
+
+Vector scalar_matrix(const SoftModel& model, const ConstantSystemInputs& in) {
+  Vector values(model.column.size(), 0.0);
+  const auto add = [&](auto group) {
+    using Group = decltype(group);
+    for (Index g = 0; g < model.solid.num_groups; ++g)
+      add_group<Group>(model, model.solid, model.solid_slot, g, in.kappa, nullptr, values);
+    for (Index g = 0; g < model.fibre.num_groups; ++g)
+      add_group<Group>(model, model.fibre, model.fibre_slot, g, in.fibre_kappa,
+                       model.fibre_directions.data(), values);
+  };
+  model.solid.is_hex ? add(HexGroup{}) : add(TetGroup{});
+  for (Index i = 0; i < model.num_nodes; ++i) values[at(model.diagonal[at(i)])] += in.inertia[i];
+  return values;
+}
+
+/// Rows and columns of fixed nodes become those of the identity times the mean diagonal.
+Vector with_dirichlet(const SoftModel& model, Vector values, const std::uint8_t* fixed, int axis) {
+  double scale = 0.0;
+  for (Index d : model.diagonal) scale += values[at(d)];
+  scale /= static_cast<double>(model.num_nodes);
+  for (Index row = 0; row < model.num_nodes; ++row)
+    for (Index k = model.row_start[at(row)]; k < model.row_start[at(row + 1)]; ++k) {
+      const Index col = model.column[at(k)];
+      if (fixed[3 * row + axis] || fixed[3 * col + axis])
+        values[at(k)] = row == col ? scale : 0.0;
+    }
+  return values;
+}
+
+bool same_set(const SoftModel& model, const std::uint8_t* fixed, int a, int b) {
+  for (Index i = 0; i < model.num_nodes; ++i)
+    if (fixed[3 * i + a] != fixed[3 * i + b]) return false;
+  return true;
+}
+
+}  // namespace
+
+SoftPattern::SoftPattern(SoftModel model, const double* coords)
+    : model_(std::move(model)), coords_(coords, coords + 3 * model_.num_nodes) {}
+
+std::shared_ptr<const CholeskySymbolic> SoftPattern::scalar() const {
+  std::call_once(scalar_once_, [this] {
+    scalar_ = analyze_cholesky(model_.num_nodes, model_.row_start.data(), model_.column.data(),
+                               coords_.data(), 1);
+  });
+  return scalar_;
+}
+
+std::shared_ptr<const CholeskySymbolic> SoftPattern::blocks() const {
+  std::call_once(blocks_once_, [this] {
+    blocks_ = analyze_cholesky(model_.num_nodes, model_.row_start.data(), model_.column.data(),
+                               coords_.data(), 3);
+  });
+  return blocks_;
+}
+
+ConstantSystem::ConstantSystem(std::shared_ptr<const SoftPattern> pattern,
+                               const ConstantSystemInputs& inputs, ThreadPool& pool)
+    : pattern_(std::move(pattern)),
+      fixed_(inputs.fixed, inputs.fixed + 3 * model().num_nodes),
+      inertia_(inputs.inertia, inputs.inertia + model().num_nodes) {
+  const Vector values = scalar_matrix(model(), inputs);
+  for (int axis = 0; axis < 3; ++axis) {
+    bool shared = false;
+    for (AxisFactor& f : factors_)
+      if (!shared && same_set(model(), inputs.fixed, f.axes[0], axis)) {
+        f.axes.push_back(axis);
+        shared = true;
+      }
+    if (shared) continue;
+    factors_.push_back({{axis}, CholeskyFactor(pattern_->scalar())});
+    factors_.back().factor.refactor(with_dirichlet(model(), values, inputs.fixed, axis).data(), pool);
+  }
+}
+
+void ConstantSystem::solve(const Vector& r, Vector& z, Scratch& scratch, ThreadPool& pool) const {
+  z.resize(r.size());
+  if (factors_.size() == 1) {
+    factors_[0].factor.solve(r.data(), z.data(), 3, scratch.cholesky, pool);
+    return;
+  }
+  for (const AxisFactor& f : factors_) {
+    const std::size_t width = f.axes.size(), n = at(model().num_nodes);
+    scratch.column.resize(n * width);
+    for (std::size_t i = 0; i < n; ++i)
+      for (std::size_t k = 0; k < width; ++k)
+        scratch.column[i * width + k] = r[3 * i + static_cast<std::size_t>(f.axes[k])];
+    f.factor.solve(scratch.column.data(), scratch.column.data(), static_cast<int>(width),
+                   scratch.cholesky, pool);
+    for (std::size_t i = 0; i < n; ++i)
+      for (std::size_t k = 0; k < width; ++k)
+        z[3 * i + static_cast<std::size_t>(f.axes[k])] = scratch.column[i * width + k];
+  }
+}
+
+}  // namespace diffsim

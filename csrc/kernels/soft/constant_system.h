@@ -1,0 +1,70 @@
+// The constant system of projective dynamics, A = diag(inertia) + sum of kappa G^T G (eq. 4.15),
+// factorised once and used by the forward step and by its adjoint.
+//
+// A acts on each coordinate alone, so one scalar factor (n x n) serves three right-hand sides. An
+// axis with its own Dirichlet set needs its own factor; axes with equal sets share one.
+#pragma once
+
+#include <memory>
+#include <mutex>
+
+#include "kernels/linalg/cholesky.h"
+#include "kernels/soft/soft_model.h"
+#include "kernels/vector_ops.h"
+
+namespace diffsim {
+
+/// A model with the symbolic factorisations of its scalar and 3x3-block patterns, made when needed.
+class SoftPattern {
+ public:
+  SoftPattern(SoftModel model, const double* coords);
+  const SoftModel& model() const { return model_; }
+  std::shared_ptr<const CholeskySymbolic> scalar() const;
+  std::shared_ptr<const CholeskySymbolic> blocks() const;
+
+ private:
+  SoftModel model_;
+  std::vector<double> coords_;
+  mutable std::once_flag scalar_once_, blocks_once_;
+  mutable std::shared_ptr<const CholeskySymbolic> scalar_, blocks_;
+};
+
+/// What A is made of; everything the factor depends on.
+struct ConstantSystemInputs {
+  const std::uint8_t* fixed = nullptr;   // (num_nodes, 3), 1 where Dirichlet
+  const double* inertia = nullptr;       // (num_nodes,) [N/m]
+  const double* kappa = nullptr;         // (num_elements,) [Pa]
+  const double* fibre_kappa = nullptr;   // (num_fibres,) [Pa]
+};
+
+/// Immutable once made; throws NotPositiveDefinite for a body that nothing holds.
+class ConstantSystem {
+ public:
+  struct Scratch {
+    CholeskyWorkspace cholesky;
+    Vector column;
+  };
+
+  ConstantSystem(std::shared_ptr<const SoftPattern> pattern, const ConstantSystemInputs& inputs,
+                 ThreadPool& pool);
+
+  const SoftModel& model() const { return pattern_->model(); }
+  const SoftPattern& pattern() const { return *pattern_; }
+  const std::uint8_t* fixed() const { return fixed_.data(); }
+  const double* inertia() const { return inertia_.data(); }
+
+  /// z = A^-1 r on free unknowns, zero on fixed ones; r is (num_nodes, 3), zero on fixed ones.
+  void solve(const Vector& r, Vector& z, Scratch& scratch, ThreadPool& pool) const;
+
+ private:
+  struct AxisFactor {
+    std::vector<int> axes;
+    CholeskyFactor factor;
+  };
+  std::shared_ptr<const SoftPattern> pattern_;
+  std::vector<std::uint8_t> fixed_;
+  Vector inertia_;
+  std::vector<AxisFactor> factors_;
+};
+
+}  // namespace diffsim

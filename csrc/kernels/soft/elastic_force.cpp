@@ -1,0 +1,36 @@
+#include "kernels/soft/elastic_force.h"
+
+#include "kernels/soft/block_matrix.h"
+
+namespace diffsim {
+namespace {
+
+std::vector<DampingFrame> frames_of(const SoftModel& model, const StepInputs& in, ThreadPool& pool) {
+  if (!in.parameters.damp_mu) return {};
+  return damping_frames(model, in.x_frame, in.x_velocity, pool);
+}
+
+}  // namespace
+
+void elastic_gradient(const SoftModel& model, const StepInputs& in, const double* x,
+                      double* gradient, double* energy, int num_threads) {
+  ThreadPool pool(num_threads);
+  ElasticityScratch scratch;
+  energy[0] = energy_gradient(model, in.parameters, frames_of(model, in, pool), x, gradient, scratch,
+                              pool);
+}
+
+void elastic_gradient_adjoint(const SoftModel& model, const StepInputs& in, const double* x,
+                              const double* z, double* grad_x, const ParameterAdjoint& out,
+                              int num_threads) {
+  ThreadPool pool(num_threads);
+  ElasticityScratch scratch;
+  const std::vector<DampingFrame> frames = frames_of(model, in, pool);
+  Vector values(static_cast<std::size_t>(9 * model.num_blocks()));
+  const Vector no_inertia(static_cast<std::size_t>(model.num_nodes), 0.0);
+  tangent(model, in.parameters, frames, x, false, values.data(), scratch, pool);
+  block_multiply(model, values.data(), no_inertia.data(), z, grad_x, pool);
+  parameter_adjoint(model, in.parameters, frames, x, z, out, scratch, pool);
+}
+
+}  // namespace diffsim

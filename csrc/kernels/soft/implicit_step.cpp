@@ -1,0 +1,188 @@
+#include "kernels/soft/implicit_step.h"
+
+#include <deque>
+
+#include "kernels/soft/step_problem.h"
+
+namespace diffsim {
+namespace {
+
+/// Backtracks along d until the Armijo condition holds; updates x, value and gradient.
+/// Differences below rounding count as descent, else the last digits could not be reached.
+bool line_search(StepProblem& problem, const Vector& d, double slope, Vector& x, double& value,
+                 Vector& gradient) {
+  const Vector start = x;
+  const double start_value = value;
+  const double rounding = 1e-14 * problem.magnitude();
+  double step = 1.0;
+  for (int trial = 0; trial < 30; ++trial, step *= 0.5) {
+    x = start;
+    problem.ops().add(step, d, x);
+    value = problem.value_gradient(x, gradient);
+    if (value <= start_value + 1e-4 * step * slope + rounding) return true;
+  }
+  x = start;
+  value = problem.value_gradient(x, gradient);
+  return false;
+}
+
+/// L-BFGS on the constant factor (Liu et al. 2017): A^-1 is the initial inverse Hessian.
+class QuasiNewton {
+ public:
+  explicit QuasiNewton(StepProblem& problem) : problem_(problem) {}
+
+  void direction(const Vector& gradient, Vector& d) {
+    VectorOps& ops = problem_.ops();
+    Vector q = gradient;
+    std::vector<double> alpha(pairs_.size());
+    for (std::size_t k = pairs_.size(); k-- > 0;) {
+      alpha[k] = ops.dot(pairs_[k].s, q) / pairs_[k].sy;
+      ops.add(-alpha[k], pairs_[k].y, q);
+    }
+    problem_.solve_constant(q, d);
+    for (std::size_t k = 0; k < pairs_.size(); ++k)
+      ops.add(alpha[k] - ops.dot(pairs_[k].y, d) / pairs_[k].sy, pairs_[k].s, d);
+    for (double& v : d) v = -v;
+  }
+
+  void update(const Vector& x_old, const Vector& g_old, const Vector& x, const Vector& g) {
+    Pair pair{x, g, 0.0};
+    problem_.ops().add(-1.0, x_old, pair.s);
+    problem_.ops().add(-1.0, g_old, pair.y);
+    pair.sy = problem_.ops().dot(pair.s, pair.y);
+    // A pair without positive curvature would make the update indefinite.
+    if (!(pair.sy > 1e-14 * problem_.ops().norm(pair.s) * problem_.ops().norm(pair.y))) return;
+    if (pairs_.size() == kHistory) pairs_.pop_front();
+    pairs_.push_back(std::move(pair));
+  }
+
+  void forget() { pairs_.clear(); }
+
+ private:
+  static constexpr std::size_t kHistory = 10;
+  struct Pair {
+    Vector s, y;
+    double sy;
+  };
+  StepProblem& problem_;
+  std::deque<Pair> pairs_;
+};
+
+/// Newton directions by the chosen linear solver.
+class Newton {
+ public:
+  Newton(StepProblem& problem, StepMethod method) : problem_(problem), method_(method) {}
+
+  /// Inexact Newton: forcing term by Eisenstat and Walker 1996, choice 2, never tighter than needed.
+  void direction(const Vector& x, const Vector& gradient, double norm, double tolerance, Vector& d) {
+    problem_.assemble(x, clamp_);
+    double forcing = 0.1;
+    if (last_norm_ > 0.0) forcing = std::min(0.1, 0.9 * (norm / last_norm_) * (norm / last_norm_));
+    last_norm_ = norm;
+    forcing = std::max(forcing, std::min(0.5, 0.5 * tolerance / norm));
+    Vector rhs = gradient;
+    for (double& v : rhs) v = -v;
+    if (method_ == StepMethod::kNewtonCholesky) {
+      direct(x, rhs, d);
+    } else {
+      iterative(x, rhs, forcing * norm, d);
+    }
+    if (problem_.ops().dot(d, gradient) < 0.0) return;
+    // Not a descent direction: the constant system is always one.
+    clamp_ = true;
+    problem_.solve_constant(rhs, d);
+  }
+
+ private:
+  void direct(const Vector& x, const Vector& rhs, Vector& d) {
+    if (!problem_.factorize()) {
+      clamp_ = true;
+      problem_.assemble(x, true);
+      if (!problem_.factorize()) {
+        problem_.solve_constant(rhs, d);
+        return;
+      }
+    }
+    problem_.solve_factorized(rhs, d);
+  }
+
+  void iterative(const Vector& x, const Vector& rhs, double tolerance, Vector& d) {
+    const auto apply = [this](const Vector& in, Vector& out) { problem_.multiply(in, out); };
+    const auto constant = [this](const Vector& in, Vector& out) { problem_.solve_constant(in, out); };
+    const auto jacobi = [this](const Vector& in, Vector& out) { problem_.solve_jacobi(in, out); };
+    const int limit = static_cast<int>(problem_.size());
+    const auto solve = [&] {
+      return method_ == StepMethod::kNewtonJacobi
+                 ? conjugate_gradients(apply, jacobi, rhs, d, false, tolerance, limit, krylov_,
+                                       problem_.ops())
+                 : conjugate_gradients(apply, constant, rhs, d, false, tolerance, limit, krylov_,
+                                       problem_.ops());
+    };
+    if (solve().negative_curvature && !clamp_) {
+      clamp_ = true;
+      problem_.assemble(x, true);
+      solve();
+    }
+  }
+
+  StepProblem& problem_;
+  StepMethod method_;
+  bool clamp_ = false;
+  double last_norm_ = 0.0;
+  KrylovScratch krylov_;
+};
+
+}  // namespace
+
+StepStats implicit_step(const ConstantSystem& system, const StepInputs& inputs,
+                        const StepOptions& options, double* x_out, ThreadPool& pool) {
+  StepProblem problem(system, inputs, pool);
+  Vector x(inputs.guess, inputs.guess + problem.size());
+  for (std::size_t i = 0; i < x.size(); ++i)
+    if (system.fixed()[i]) x[i] = inputs.target[i];
+
+  Vector gradient, d, x_old, g_old;
+  double value = problem.value_gradient(x, gradient);
+  StepStats stats;
+  stats.residual_norm = problem.ops().norm(gradient);
+  // A static problem without load has no force scale of its own: measure from the start.
+  stats.scale = problem.scale() > 0.0 ? problem.scale() : stats.residual_norm;
+  stats.tolerance = options.rtol * stats.scale + options.atol;
+
+  const StepMethod method =
+      options.method == StepMethod::kAuto ? StepMethod::kNewtonPcg : options.method;
+  QuasiNewton quasi_newton(problem);
+  Newton newton(problem, method);
+  for (int iter = 0; std::isfinite(value); ++iter) {
+    stats.num_iters = iter;
+    stats.converged = stats.residual_norm <= stats.tolerance ? 1.0 : 0.0;
+    if (stats.converged != 0.0 || iter == options.max_iters) break;
+    if (method == StepMethod::kQuasiNewton) {
+      quasi_newton.direction(gradient, d);
+      x_old = x;
+      g_old = gradient;
+    } else {
+      newton.direction(x, gradient, stats.residual_norm, stats.tolerance, d);
+    }
+    const double slope = problem.ops().dot(d, gradient);
+    const bool descended = line_search(problem, d, slope, x, value, gradient);
+    stats.residual_norm = problem.ops().norm(gradient);
+    if (method == StepMethod::kQuasiNewton) {
+      if (descended)
+        quasi_newton.update(x_old, g_old, x, gradient);
+      else
+        quasi_newton.forget();
+    }
+    if (!descended && method != StepMethod::kQuasiNewton) {
+      stats.converged = stats.residual_norm <= stats.tolerance ? 1.0 : 0.0;
+      break;
+    }
+  }
+  stats.num_solves = problem.num_solves;
+  stats.num_factorizations = problem.num_factorizations;
+  stats.energy = problem.elastic_energy();
+  std::copy(x.begin(), x.end(), x_out);
+  return stats;
+}
+
+}  // namespace diffsim

@@ -1,0 +1,79 @@
+// One implicit step of a soft body and its adjoint.
+//
+// Forward: x minimises over free unknowns, with x = target on fixed ones,
+//   g(x) = 1/2 (x - y)^T diag(inertia) (x - y) - force . x + E(x) + D(x)            (thesis eq. 4.5)
+// Backward (eq. 4.9, 4.10): with H = d^2 g/dx^2 on free unknowns, H z = dL/dx, and for any parameter p
+//   dL/dp = -z . d(grad g)/dp.
+// Every integrator of diffsim/soft is this problem with its own y, inertia and velocity frame.
+#pragma once
+
+#include "kernels/soft/constant_system.h"
+#include "kernels/soft/elasticity.h"
+
+namespace diffsim {
+
+/// How the minimum is found; all meet the same tolerance (see implicit_step.cpp).
+enum class StepMethod { kAuto, kQuasiNewton, kNewtonPcg, kNewtonJacobi, kNewtonCholesky };
+
+struct StepOptions {
+  StepMethod method = StepMethod::kAuto;
+  double rtol = 1e-6;  // of |inertia (y - mean y)| + |force|, see StepStats::scale
+  double atol = 0.0;   // [N]
+  int max_iters = 500;
+};
+
+struct StepInputs {
+  SoftParameters parameters;
+  const double* y = nullptr;           // (num_nodes, 3) [m]
+  const double* force = nullptr;       // (num_nodes, 3) [N]
+  const double* target = nullptr;      // (num_nodes, 3) [m], read at fixed unknowns
+  const double* guess = nullptr;       // (num_nodes, 3) [m], start of the iteration
+  const double* x_frame = nullptr;     // (num_nodes, 3) [m], with damping only
+  const double* x_velocity = nullptr;  // (num_nodes, 3) [m], with damping only
+};
+
+struct StepStats {
+  double residual_norm = 0.0;  // |grad g| on free unknowns [N]
+  double tolerance = 0.0;      // what it had to reach [N]
+  double scale = 0.0;          // force scale that rtol refers to [N]
+  double num_iters = 0.0;      // outer iterations (adjoint: of the Krylov solve)
+  double num_solves = 0.0;     // solves with the constant factor
+  double num_factorizations = 0.0;  // of the 3x3-block tangent
+  double energy = 0.0;         // E + D at the answer [J]
+  double converged = 0.0;      // 1 or 0
+};
+
+/// @param[out] x (num_nodes, 3) [m]
+StepStats implicit_step(const ConstantSystem& system, const StepInputs& inputs,
+                        const StepOptions& options, double* x, ThreadPool& pool);
+
+struct StepAdjoint {
+  double* y = nullptr;        // (num_nodes, 3)
+  double* force = nullptr;    // (num_nodes, 3)
+  double* target = nullptr;   // (num_nodes, 3), zero at free unknowns
+  double* inertia = nullptr;  // (num_nodes,)
+  ParameterAdjoint parameters;
+};
+
+/// @param[in] x       (num_nodes, 3) answer of the forward step [m]
+/// @param[in] grad_x  (num_nodes, 3) dL/dx [1/m]
+StepStats implicit_step_adjoint(const ConstantSystem& system, const StepInputs& inputs,
+                                const StepOptions& options, const double* x, const double* grad_x,
+                                const StepAdjoint& out, ThreadPool& pool);
+
+/// Pointers of batch item k: leading batch axes on states, forces and activations; parameters shared.
+StepInputs batch_item(const StepInputs& inputs, const SoftModel& model, std::int64_t k);
+StepAdjoint batch_item(const StepAdjoint& adjoint, const SoftModel& model, std::int64_t k);
+
+/// Steps of a batch of states; one item uses all threads, several share them.
+/// @param[out] stats  (batch,)
+void implicit_step_batch(const ConstantSystem& system, const StepInputs& inputs,
+                         const StepOptions& options, std::int64_t batch, double* x,
+                         StepStats* stats, int num_threads);
+/// Every member of `out` has a leading batch axis, also those of shared parameters.
+void implicit_step_adjoint_batch(const ConstantSystem& system, const StepInputs& inputs,
+                                 const StepOptions& options, std::int64_t batch, const double* x,
+                                 const double* grad_x, const StepAdjoint& out, StepStats* stats,
+                                 int num_threads);
+
+}  // namespace diffsim

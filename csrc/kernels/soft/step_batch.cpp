@@ -1,0 +1,80 @@
+#include "kernels/soft/implicit_step.h"
+
+namespace diffsim {
+namespace {
+
+template <typename T>
+T* offset(T* base, std::int64_t k, std::int64_t stride) {
+  return base ? base + k * stride : nullptr;
+}
+
+/// One item gets all threads inside the step; several are dealt out, one thread each.
+template <typename F>
+void for_batch(std::int64_t batch, int num_threads, F&& f) {
+  ThreadPool pool(num_threads);
+  if (batch == 1) {
+    f(0, pool);
+    return;
+  }
+  pool.run(batch, [&](std::int64_t k) {
+    ThreadPool alone(1);
+    f(k, alone);
+  });
+}
+
+}  // namespace
+
+StepInputs batch_item(const StepInputs& in, const SoftModel& model, std::int64_t k) {
+  const std::int64_t size = 3 * model.num_nodes;
+  StepInputs item = in;
+  item.parameters.activation = offset(in.parameters.activation, k, model.fibre.num_elements);
+  item.y = offset(in.y, k, size);
+  item.force = offset(in.force, k, size);
+  item.target = offset(in.target, k, size);
+  item.guess = offset(in.guess, k, size);
+  item.x_frame = offset(in.x_frame, k, size);
+  item.x_velocity = offset(in.x_velocity, k, size);
+  return item;
+}
+
+StepAdjoint batch_item(const StepAdjoint& out, const SoftModel& model, std::int64_t k) {
+  const std::int64_t size = 3 * model.num_nodes;
+  const std::int64_t elements = model.solid.num_elements, fibres = model.fibre.num_elements;
+  StepAdjoint item;
+  item.y = offset(out.y, k, size);
+  item.force = offset(out.force, k, size);
+  item.target = offset(out.target, k, size);
+  item.inertia = offset(out.inertia, k, model.num_nodes);
+  item.parameters.w_mu = offset(out.parameters.w_mu, k, elements);
+  item.parameters.w_vol = offset(out.parameters.w_vol, k, elements);
+  item.parameters.fibre_stiffness = offset(out.parameters.fibre_stiffness, k, fibres);
+  item.parameters.activation = offset(out.parameters.activation, k, fibres);
+  item.parameters.damp_mu = offset(out.parameters.damp_mu, k, elements);
+  item.parameters.damp_lambda = offset(out.parameters.damp_lambda, k, elements);
+  item.parameters.x_frame = offset(out.parameters.x_frame, k, size);
+  item.parameters.x_velocity = offset(out.parameters.x_velocity, k, size);
+  return item;
+}
+
+void implicit_step_batch(const ConstantSystem& system, const StepInputs& inputs,
+                         const StepOptions& options, std::int64_t batch, double* x,
+                         StepStats* stats, int num_threads) {
+  for_batch(batch, num_threads, [&](std::int64_t k, ThreadPool& pool) {
+    stats[k] = implicit_step(system, batch_item(inputs, system.model(), k), options,
+                             x + 3 * k * system.model().num_nodes, pool);
+  });
+}
+
+void implicit_step_adjoint_batch(const ConstantSystem& system, const StepInputs& inputs,
+                                 const StepOptions& options, std::int64_t batch, const double* x,
+                                 const double* grad_x, const StepAdjoint& out, StepStats* stats,
+                                 int num_threads) {
+  const std::int64_t size = 3 * system.model().num_nodes;
+  for_batch(batch, num_threads, [&](std::int64_t k, ThreadPool& pool) {
+    stats[k] = implicit_step_adjoint(system, batch_item(inputs, system.model(), k), options,
+                                     x + k * size, grad_x + k * size,
+                                     batch_item(out, system.model(), k), pool);
+  });
+}
+
+}  // namespace diffsim

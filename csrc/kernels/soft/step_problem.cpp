@@ -1,0 +1,136 @@
+#include "kernels/soft/step_problem.h"
+
+#include <Eigen/Dense>
+
+namespace diffsim {
+namespace {
+
+std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
+
+double force_scale(const ConstantSystem& system, const StepInputs& in) {
+  const std::int64_t n = system.model().num_nodes;
+  const double* inertia = system.inertia();
+  double mean[3] = {0, 0, 0};
+  for (std::int64_t i = 0; i < n; ++i)
+    for (int axis = 0; axis < 3; ++axis)
+      mean[axis] += in.y[3 * i + axis] / static_cast<double>(n);
+  double momentum = 0.0, force = 0.0;
+  for (std::int64_t i = 0; i < n; ++i)
+    for (int axis = 0; axis < 3; ++axis) {
+      if (system.fixed()[3 * i + axis]) continue;
+      const double m = inertia[i] * (in.y[3 * i + axis] - mean[axis]);
+      momentum += m * m;
+      force += in.force[3 * i + axis] * in.force[3 * i + axis];
+    }
+  return std::sqrt(momentum) + std::sqrt(force);
+}
+
+}  // namespace
+
+StepProblem::StepProblem(const ConstantSystem& system, const StepInputs& inputs, ThreadPool& pool)
+    : system_(system),
+      in_(inputs),
+      pool_(pool),
+      ops_(pool),
+      size_(at(3 * system.model().num_nodes)),
+      scale_(force_scale(system, inputs)) {
+  if (in_.parameters.damp_mu)
+    frames_ = damping_frames(system.model(), in_.x_frame, in_.x_velocity, pool);
+}
+
+double StepProblem::value_gradient(const Vector& x, Vector& gradient) {
+  gradient.resize(size_);
+  energy_ = energy_gradient(system_.model(), in_.parameters, frames_, x.data(), gradient.data(),
+                            elastic_, pool_);
+  double kinetic = 0.0, work = 0.0;
+  for (std::size_t i = 0; i < size_; ++i) {
+    const double m = system_.inertia()[i / 3], step = x[i] - in_.y[i];
+    if (!system_.fixed()[i]) {
+      kinetic += 0.5 * m * step * step;
+      work += in_.force[i] * step;
+    }
+    gradient[i] += m * step - in_.force[i];
+  }
+  zero_fixed(gradient);
+  magnitude_ = kinetic + std::abs(work) + energy_;
+  return kinetic - work + energy_;
+}
+
+void StepProblem::assemble(const Vector& x, bool clamp) {
+  values_.resize(at(9 * system_.model().num_blocks()));
+  tangent(system_.model(), in_.parameters, frames_, x.data(), clamp, values_.data(), elastic_, pool_);
+}
+
+void StepProblem::multiply_all(const Vector& in, Vector& out) {
+  out.resize(size_);
+  block_multiply(system_.model(), values_.data(), system_.inertia(), in.data(), out.data(), pool_);
+}
+
+void StepProblem::multiply(const Vector& in, Vector& out) {
+  multiply_all(in, out);
+  zero_fixed(out);
+}
+
+void StepProblem::zero_fixed(Vector& v) const {
+  for (std::size_t i = 0; i < size_; ++i)
+    if (system_.fixed()[i]) v[i] = 0.0;
+}
+
+void StepProblem::solve_constant(const Vector& r, Vector& z) {
+  ++num_solves;
+  system_.solve(r, z, constant_, pool_);
+}
+
+void StepProblem::solve_jacobi(const Vector& r, Vector& z) const {
+  const SoftModel& model = system_.model();
+  using Block = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+  for (std::int64_t i = 0; i < model.num_nodes; ++i) {
+    const std::int64_t begin = model.row_start[at(i)];
+    const std::int64_t width = 3 * (model.row_start[at(i + 1)] - begin);
+    const double* strip = values_.data() + 9 * begin + 3 * (model.diagonal[at(i)] - begin);
+    Block block;
+    Eigen::Vector3d b;
+    for (int a = 0; a < 3; ++a) {
+      const bool fixed = system_.fixed()[3 * i + a];
+      b[a] = fixed ? 0.0 : r[at(3 * i + a)];
+      for (int c = 0; c < 3; ++c)
+        block(a, c) = fixed || system_.fixed()[3 * i + c] ? (a == c ? 1.0 : 0.0)
+                                                          : strip[a * width + c] +
+                                                                (a == c ? system_.inertia()[i] : 0.0);
+    }
+    // Jacobi preconditions by the diagonal where the block is not positive definite.
+    const Eigen::LLT<Block> llt(block);
+    const Eigen::Vector3d zi = llt.info() == Eigen::Success
+                                   ? Eigen::Vector3d(llt.solve(b))
+                                   : Eigen::Vector3d(b.array() / block.diagonal().array().abs().max(1e-300));
+    for (int a = 0; a < 3; ++a) z[at(3 * i + a)] = zi[a];
+  }
+}
+
+bool StepProblem::factorize() {
+  const SoftModel& model = system_.model();
+  blocks_.resize(at(9 * model.num_blocks()));
+  double diagonal = 0.0;
+  for (std::int64_t i = 0; i < model.num_nodes; ++i) diagonal += system_.inertia()[i];
+  for (std::int64_t i = 0; i < model.num_nodes; ++i) {
+    const std::int64_t begin = model.row_start[at(i)];
+    diagonal += values_[at(9 * begin + 3 * (model.diagonal[at(i)] - begin))];
+  }
+  export_blocks(model, values_.data(), system_.inertia(), system_.fixed(),
+                diagonal / static_cast<double>(model.num_nodes), blocks_.data(), pool_);
+  if (factor_.empty()) factor_.emplace_back(system_.pattern().blocks());
+  ++num_factorizations;
+  try {
+    factor_[0].refactor(blocks_.data(), pool_);
+  } catch (const NotPositiveDefinite&) {
+    return false;
+  }
+  return true;
+}
+
+void StepProblem::solve_factorized(const Vector& r, Vector& z) {
+  z.resize(size_);
+  factor_[0].solve(r.data(), z.data(), 1, cholesky_, pool_);
+}
+
+}  // namespace diffsim

@@ -1,0 +1,59 @@
+// The objective of one implicit step, its derivatives on free unknowns, and linear solves with them.
+#pragma once
+
+#include "kernels/linalg/krylov.h"
+#include "kernels/soft/block_matrix.h"
+#include "kernels/soft/implicit_step.h"
+
+namespace diffsim {
+
+class StepProblem {
+ public:
+  StepProblem(const ConstantSystem& system, const StepInputs& inputs, ThreadPool& pool);
+
+  std::size_t size() const { return size_; }
+  VectorOps& ops() { return ops_; }
+  /// |inertia (y - mean y)| + |force| over free unknowns [N]: translation-invariant, and the norm that
+  /// published implementations call the right-hand side.
+  double scale() const { return scale_; }
+
+  /// g(x) [J], its gradient with fixed entries zeroed [N], and the magnitude of the terms summed.
+  double value_gradient(const Vector& x, Vector& gradient);
+  double magnitude() const { return magnitude_; }
+  double elastic_energy() const { return energy_; }
+
+  /// Assembles d^2 g/dx^2 at x.
+  void assemble(const Vector& x, bool clamp);
+  /// out = H in on free unknowns; fixed entries of `in` must be zero, those of `out` are zeroed.
+  void multiply(const Vector& in, Vector& out);
+  /// The same without zeroing: forces that fixed unknowns feel.
+  void multiply_all(const Vector& in, Vector& out);
+  void zero_fixed(Vector& v) const;
+
+  /// z = A^-1 r.
+  void solve_constant(const Vector& r, Vector& z);
+  /// z = (3x3 diagonal blocks of H)^-1 r.
+  void solve_jacobi(const Vector& r, Vector& z) const;
+  /// Factorises H; false where it is not positive definite.
+  bool factorize();
+  void solve_factorized(const Vector& r, Vector& z);
+
+  int num_solves = 0;
+  int num_factorizations = 0;
+
+ private:
+  const ConstantSystem& system_;
+  const StepInputs& in_;
+  ThreadPool& pool_;
+  VectorOps ops_;
+  std::size_t size_;
+  double scale_ = 0.0, magnitude_ = 0.0, energy_ = 0.0;
+  std::vector<DampingFrame> frames_;
+  ElasticityScratch elastic_;
+  ConstantSystem::Scratch constant_;
+  CholeskyWorkspace cholesky_;
+  Vector values_, blocks_;
+  std::vector<CholeskyFactor> factor_;  // none or one
+};
+
+}  // namespace diffsim

@@ -1,0 +1,72 @@
+// Long vectors whose sums do not depend on the number of threads: fixed chunks, combined in order.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <vector>
+
+#include "kernels/parallel.h"
+
+namespace diffsim {
+
+using Vector = std::vector<double>;
+
+class VectorOps {
+ public:
+  explicit VectorOps(ThreadPool& pool) : pool_(pool) {}
+
+  double dot(const Vector& a, const Vector& b) {
+    const std::int64_t n = static_cast<std::int64_t>(a.size());
+    const std::int64_t tasks = (n + kChunk - 1) / kChunk;
+    partial_.resize(static_cast<std::size_t>(tasks));
+    for_chunks(n, [&](std::int64_t begin, std::int64_t end) {
+      // Eight running sums let the compiler use vector registers without reordering a sum.
+      double lane[8] = {0, 0, 0, 0, 0, 0, 0, 0};
+      std::int64_t i = begin;
+      for (; i + 8 <= end; i += 8)
+        for (int k = 0; k < 8; ++k) lane[k] += a[u(i + k)] * b[u(i + k)];
+      double total = 0.0;
+      for (double v : lane) total += v;
+      for (; i < end; ++i) total += a[u(i)] * b[u(i)];
+      partial_[u(begin / kChunk)] = total;
+    });
+    double total = 0.0;
+    for (double v : partial_) total += v;
+    return total;
+  }
+  double norm(const Vector& a) { return std::sqrt(dot(a, a)); }
+
+  /// y += alpha x
+  void add(double alpha, const Vector& x, Vector& y) {
+    for_chunks(size(y), [&](std::int64_t begin, std::int64_t end) {
+      for (std::int64_t i = begin; i < end; ++i) y[u(i)] += alpha * x[u(i)];
+    });
+  }
+  /// y = x + beta y
+  void scale_add(const Vector& x, double beta, Vector& y) {
+    for_chunks(size(y), [&](std::int64_t begin, std::int64_t end) {
+      for (std::int64_t i = begin; i < end; ++i) y[u(i)] = x[u(i)] + beta * y[u(i)];
+    });
+  }
+
+ private:
+  static constexpr std::int64_t kChunk = 4096;
+  static std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
+  static std::int64_t size(const Vector& v) { return static_cast<std::int64_t>(v.size()); }
+
+  template <typename F>
+  void for_chunks(std::int64_t n, F&& f) {
+    const std::int64_t tasks = (n + kChunk - 1) / kChunk;
+    const auto run = [&](std::int64_t t) { f(t * kChunk, std::min(n, (t + 1) * kChunk)); };
+    if (tasks < 8)  // waking threads would cost more than the work
+      for (std::int64_t t = 0; t < tasks; ++t) run(t);
+    else
+      pool_.run(tasks, run);
+  }
+
+  ThreadPool& pool_;
+  Vector partial_;
+};
+
+}  // namespace diffsim
