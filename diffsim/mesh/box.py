@@ -1,0 +1,71 @@
+"""Boxes of hexahedra or tetrahedra, the meshes with a known order of nodes and elements."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from diffsim._check import require_number
+from diffsim.mesh.core import HexMesh, TetMesh
+from diffsim.mesh.reference import HEX_CORNERS, Array, IntArray
+
+KUHN: IntArray = np.array(
+    [[0, 4, 6, 7], [0, 5, 4, 7], [0, 6, 2, 7], [0, 2, 3, 7], [0, 1, 5, 7], [0, 3, 1, 7]], np.int64
+)
+"""Six right-handed tetrahedra around the diagonal 0-7 of a cell; neighbours conform, (6, 4)."""
+
+
+def hex_box(
+    cells: Sequence[int] = (4, 4, 4),
+    size: Sequence[float] = (1.0, 1.0, 1.0),
+    origin: Sequence[float] = (0.0, 0.0, 0.0),
+) -> HexMesh:
+    """A box of nx x ny x nz equal hexahedra.
+
+    Nodes and elements are lexicographic in (i, j, k), k fastest: node (i, j, k) has the index
+    ``(i (ny + 1) + j) (nz + 1) + k`` and lies at origin + (i lx/nx, j ly/ny, k lz/nz).
+
+    Args:
+        cells: (nx, ny, nz), each at least 1.
+        size: (lx, ly, lz) [m], positive.
+        origin: Lower corner [m].
+    """
+    x, hexes = box_arrays(cells, size, origin)
+    return HexMesh(torch.from_numpy(x), torch.from_numpy(hexes))
+
+
+def tet_box(
+    cells: Sequence[int] = (4, 4, 4),
+    size: Sequence[float] = (1.0, 1.0, 1.0),
+    origin: Sequence[float] = (0.0, 0.0, 0.0),
+) -> TetMesh:
+    """The nodes of `hex_box`, each cell split in six (Kuhn); element 6 e + t lies in cell e."""
+    x, hexes = box_arrays(cells, size, origin)
+    return TetMesh(torch.from_numpy(x), torch.from_numpy(hexes[:, KUHN].reshape(-1, 4)))
+
+
+def box_arrays(
+    cells: Sequence[int], size: Sequence[float], origin: Sequence[float]
+) -> tuple[Array, IntArray]:
+    """Nodes (V, 3) [m] and hexahedra (E, 8) of a box, unchecked but for the arguments."""
+    if len(cells) != 3 or any(int(n) != n or n < 1 for n in cells):
+        raise ValueError(f"cells must be three whole numbers >= 1, got {tuple(cells)}")
+    if len(size) != 3 or len(origin) != 3:
+        raise ValueError(
+            f"size and origin must have three entries [m], got {tuple(size)} and {tuple(origin)}"
+        )
+    lengths = [require_number(f"size[{c}]", float(size[c]), above=0.0) for c in range(3)]
+    start = [require_number(f"origin[{c}]", float(origin[c])) for c in range(3)]
+    count = [int(n) for n in cells]
+    axes = [start[c] + np.arange(count[c] + 1) * (lengths[c] / count[c]) for c in range(3)]
+    x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    ijk = np.indices(count).reshape(3, -1).T
+    return np.ascontiguousarray(x), grid_hexes(ijk, count)
+
+
+def grid_hexes(ijk: IntArray, cells: Sequence[int]) -> IntArray:
+    """Node indices, (E, 8), of the cells ``ijk`` (E, 3) of a full grid of ``cells``."""
+    corner = ijk[:, None, :] + HEX_CORNERS[None]
+    return (corner[..., 0] * (cells[1] + 1) + corner[..., 1]) * (cells[2] + 1) + corner[..., 2]
