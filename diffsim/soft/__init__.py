@@ -1,0 +1,27 @@
+"""Soft bodies by projective dynamics, forward and backward (thesis 4.1)."""
+
+from diffsim.soft.body import SoftBody
+from diffsim.soft.materials import lame_parameters, pd_weights
+from diffsim.soft.muscles import Muscle
+from diffsim.soft.options import SolverOptions
+from diffsim.soft.physics import Physics
+from diffsim.soft.rollout import rollout
+from diffsim.soft.state import State, Trajectory
+from diffsim.soft.statics import static_equilibrium
+from diffsim.soft.step import elastic_energy, elastic_force, step
+
+__all__ = [
+    "Muscle",
+    "Physics",
+    "SoftBody",
+    "SolverOptions",
+    "State",
+    "Trajectory",
+    "elastic_energy",
+    "elastic_force",
+    "lame_parameters",
+    "pd_weights",
+    "rollout",
+    "static_equilibrium",
+    "step",
+]

@@ -1,0 +1,82 @@
+"""Material constants: from Young's modulus and Poisson's ratio to the weights of the PD energies."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from diffsim._check import require_choice, require_range
+
+VOLUME_WEIGHTS = ("small_strain", "thesis")
+
+
+def lame_parameters(youngs_modulus: Tensor, poissons_ratio: Tensor) -> tuple[Tensor, Tensor]:
+    """Lame parameters of a linear elastic solid.
+
+    lame_mu = E / (2 (1 + nu)),  lame_lambda = E nu / ((1 + nu)(1 - 2 nu)).
+
+    Args:
+        youngs_modulus: E, any shape [Pa], > 0.
+        poissons_ratio: nu, broadcastable [-], in (-1, 0.5).
+
+    Returns:
+        (lame_mu, lame_lambda) [Pa]. Gradients: both arguments.
+
+    Raises:
+        ValueError: out of range.
+    """
+    check_elastic(youngs_modulus, poissons_ratio)
+    mu = youngs_modulus / (2.0 * (1.0 + poissons_ratio))
+    lame_lambda = (
+        youngs_modulus * poissons_ratio / ((1.0 + poissons_ratio) * (1.0 - 2.0 * poissons_ratio))
+    )
+    return mu, lame_lambda
+
+
+def pd_weights(
+    youngs_modulus: Tensor, poissons_ratio: Tensor, volume_weight: str = "small_strain"
+) -> tuple[Tensor, Tensor]:
+    """Weights of the corotated and volume energies (thesis eq. 4.12).
+
+    psi(F) = w_mu/2 |F - R|^2 + w_vol/2 |F - B|^2,  w_mu = 2 lame_mu.
+
+    The nearest matrix of determinant one to F = I + e is B = I + e - tr(e)/3 I, so the volume term
+    is w_vol/6 tr(e)^2 at small strain, where linear elasticity has lame_lambda/2 tr(e)^2:
+
+    * ``"small_strain"``: w_vol = 3 lame_lambda; small strains follow linear elasticity with the
+      constants given (E, nu in = E, nu out).
+    * ``"thesis"``: w_vol = lame_lambda, as published; nu = 0.45 then behaves as 0.375 and E as
+      0.948 E. For comparison with published numbers.
+
+    Args:
+        youngs_modulus: E, (num_elements,) or scalar [Pa].
+        poissons_ratio: nu, same [-]; must be >= 0, since a negative weight has no minimum.
+        volume_weight: one of the two conventions.
+
+    Returns:
+        (w_mu, w_vol) [Pa]. Gradients: both arguments.
+    """
+    require_choice("volume_weight", volume_weight, VOLUME_WEIGHTS)
+    mu, lame_lambda = lame_parameters(youngs_modulus, poissons_ratio)
+    if not torch.compiler.is_compiling():
+        require_range(
+            "poissons_ratio",
+            poissons_ratio,
+            at_least=0.0,
+            hint="the projective-dynamics volume energy needs a non-negative weight",
+        )
+    return 2.0 * mu, (3.0 if volume_weight == "small_strain" else 1.0) * lame_lambda
+
+
+def check_elastic(youngs_modulus: Tensor, poissons_ratio: Tensor) -> None:
+    """Refuse constants that no stable isotropic solid has."""
+    if torch.compiler.is_compiling():
+        return
+    require_range("youngs_modulus", youngs_modulus, above=0.0, hint="unit is Pa")
+    require_range(
+        "poissons_ratio",
+        poissons_ratio,
+        above=-1.0,
+        below=0.5,
+        hint="for nearly incompressible use 0.49",
+    )

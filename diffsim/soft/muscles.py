@@ -1,0 +1,100 @@
+"""Muscle fibres: elements that contract along a direction on command."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from diffsim._check import require, require_choice, require_indices, require_number
+
+KINDS = ("length", "contraction")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Muscle:
+    """Fibres through some elements, driven by one activation.
+
+    * ``kind="length"``: psi = w/2 (|F m| - a)^2, activation a = target stretch; 1 is rest, below 1
+      contracts (Min et al. 2019; the published DiffPD code).
+    * ``kind="contraction"``: psi = w/2 |(1 - r) F m|^2, activation r in [0, 1] (thesis 4.1.6): the
+      fibre always pulls, least at r = 1.
+
+    Attributes:
+        elements: Element indices, (num_fibres,) int64.
+        direction: Fibre direction m in the rest shape, (3,) or (num_fibres, 3); normalised here.
+        stiffness: w [Pa], > 0.
+        kind: what the activation means.
+    """
+
+    elements: Tensor
+    direction: Tensor | Sequence[float]
+    stiffness: float
+    kind: str = "length"
+
+    def __post_init__(self) -> None:
+        elements = require("elements", torch.as_tensor(self.elements), ("num_fibres",), torch.int64)
+        if elements.numel() == 0:
+            raise ValueError("elements must name at least one element, got none")
+        direction = torch.as_tensor(self.direction, dtype=torch.float64)
+        if direction.ndim == 1:
+            direction = direction.expand(elements.numel(), -1)
+        direction = require("direction", direction, (elements.numel(), 3))
+        norm = direction.norm(dim=1, keepdim=True)
+        if bool((norm == 0).any()):
+            raise ValueError("direction must not be zero")
+        require_number("stiffness", self.stiffness, above=0.0, hint="unit is Pa")
+        require_choice("kind", self.kind, KINDS)
+        object.__setattr__(self, "elements", elements)
+        object.__setattr__(self, "direction", (direction / norm).contiguous())
+
+    @property
+    def rest_activation(self) -> float:
+        """The activation without force (``length``) or with the least (``contraction``)."""
+        return 1.0
+
+
+class MuscleSet:
+    """All muscles of a body, as the flat fibre arrays that kernels read."""
+
+    def __init__(self, muscles: Sequence[Muscle], num_elements: int):
+        for k, muscle in enumerate(muscles):
+            if not isinstance(muscle, Muscle):
+                raise TypeError(f"muscles[{k}] must be a Muscle, got {type(muscle).__name__}")
+            require_indices(f"muscles[{k}].elements", muscle.elements, num_elements, "elements")
+        self.num_muscles = len(muscles)
+        empty = torch.zeros(0, dtype=torch.int64)
+        self.elements = torch.cat([empty, *(m.elements for m in muscles)])
+        self.directions = torch.cat(
+            [torch.zeros(0, 3, dtype=torch.float64), *(m.direction for m in muscles)]
+        )
+        self.owner = torch.cat(
+            [empty, *(torch.full_like(m.elements, k) for k, m in enumerate(muscles))]
+        )
+        self.stiffness = torch.tensor([float(m.stiffness) for m in muscles], dtype=torch.float64)
+        self.contraction = torch.tensor([m.kind == "contraction" for m in muscles])
+        self.rest_activation = torch.tensor(
+            [m.rest_activation for m in muscles], dtype=torch.float64
+        )
+
+    def fibres(self, stiffness: Tensor, activation: Tensor) -> tuple[Tensor, Tensor]:
+        """Stiffness (num_fibres,) and target stretch (..., num_fibres) of the fibres.
+
+        A contraction muscle is the length muscle of stiffness w (1 - r)^2 and target 0; its stiffness
+        would differ within a batch, so such muscles take one activation for the whole batch.
+        """
+        if not self.num_muscles:
+            return stiffness, activation
+        if bool(self.contraction.any()):
+            shared = activation.reshape(-1, self.num_muscles)
+            if shared.shape[0] != 1 and bool((shared[:1] != shared).any()):
+                raise ValueError(
+                    "activation of contraction muscles must be the same for the whole batch; "
+                    "step such states one at a time"
+                )
+            slack = torch.where(self.contraction, (1.0 - shared[0]) ** 2, torch.ones_like(stiffness))
+            stiffness = stiffness * slack
+            activation = torch.where(self.contraction, torch.zeros_like(activation), activation)
+        return stiffness[self.owner], activation[..., self.owner]

@@ -1,0 +1,51 @@
+"""How a step is solved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from diffsim import _ops_soft
+from diffsim._check import require_choice, require_number
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolverOptions:
+    """Solver and tolerances of an implicit step and its adjoint.
+
+    Attributes:
+        method: ``auto``, or ``quasi_newton`` (L-BFGS on the constant factor), ``newton_pcg``
+            (Newton, conjugate gradients preconditioned by the constant factor), ``newton_jacobi``
+            (the same with 3x3 Jacobi, as in textbook baselines), ``newton_cholesky`` (Newton,
+            sparse Cholesky of the tangent at every iteration).
+        rtol: The residual must fall below ``rtol * scale + atol``; scale is
+            |inertia (y - mean y)| + |force| over free nodes (the right-hand side of eq. 4.3 about
+            the body's centre) [-].
+        atol: See rtol [N].
+        adjoint_rtol: |H z - dL/dx| must fall below ``adjoint_rtol * |dL/dx|``; None: rtol [-].
+        max_iters: Largest number of outer iterations [-].
+        adjoint_max_iters: Largest number of Krylov iterations of the adjoint [-].
+        num_threads: Threads of one step; a batch deals its items out to them [-].
+        on_failure: ``raise`` :class:`~diffsim.errors.ConvergenceError`, or ``warn``.
+    """
+
+    method: str = "auto"
+    rtol: float = 1e-6
+    atol: float = 0.0
+    adjoint_rtol: float | None = None
+    max_iters: int = 500
+    adjoint_max_iters: int = 5000
+    num_threads: int = 1
+    on_failure: str = "raise"
+
+    def __post_init__(self) -> None:
+        require_choice("method", self.method, _ops_soft.METHODS)
+        require_number("rtol", self.rtol, above=0.0, below=1.0)
+        require_number("atol", self.atol, at_least=0.0)
+        if self.adjoint_rtol is not None:
+            require_number("adjoint_rtol", self.adjoint_rtol, above=0.0, below=1.0)
+        for name in ("max_iters", "adjoint_max_iters", "num_threads"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int):
+                raise TypeError(f"{name} must be an int, got {type(value).__name__}")
+            require_number(name, value, at_least=1)
+        require_choice("on_failure", self.on_failure, ("raise", "warn"))

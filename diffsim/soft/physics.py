@@ -1,0 +1,110 @@
+"""Physical parameters of a body, expanded to what the kernels read, once per rollout."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from diffsim._check import require, require_range
+from diffsim.soft.materials import lame_parameters, pd_weights
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Per-element and per-node parameters; every tensor may carry a gradient.
+
+    Attributes:
+        w_mu, w_vol: Weights of the corotated and volume energies, (num_elements,) [Pa].
+        lame_mu, lame_lambda: Lame parameters, (num_elements,) [Pa].
+        mass: Nodal masses, attached ones included, (num_vertices,) [kg].
+        gravity: (3,) [m/s^2].
+        rayleigh_alpha: Mass-proportional damping, scalar [1/s].
+        rayleigh_beta: Stiffness-proportional damping, scalar or (num_elements,) [s]; None: none.
+        fibre_stiffness: Of each muscle, (num_muscles,) [Pa].
+    """
+
+    w_mu: Tensor
+    w_vol: Tensor
+    lame_mu: Tensor
+    lame_lambda: Tensor
+    mass: Tensor
+    gravity: Tensor
+    rayleigh_alpha: Tensor
+    rayleigh_beta: Tensor | None
+    fibre_stiffness: Tensor
+
+    def damping(self, kappa: float) -> tuple[Tensor, Tensor]:
+        """Damping weights beta kappa 2 mu and beta kappa lambda, (num_elements,) [Pa], or empty."""
+        if self.rayleigh_beta is None:
+            empty = torch.zeros(0, dtype=torch.float64)
+            return empty, empty
+        rate = self.rayleigh_beta * kappa
+        return rate * 2.0 * self.lame_mu, rate * self.lame_lambda
+
+
+def make_physics(
+    *,
+    num_elements: int,
+    nodal_volume: Tensor,
+    volume_weight: str,
+    youngs_modulus: Tensor,
+    poissons_ratio: Tensor,
+    density: Tensor,
+    gravity: Tensor,
+    rayleigh_alpha: Tensor,
+    rayleigh_beta: Tensor | None,
+    attached_mass: Tensor | None,
+    node_mass: Tensor | None,
+    fibre_stiffness: Tensor,
+) -> Physics:
+    """Check ranges and expand scalars to elements and nodes (see :class:`Physics`)."""
+    youngs_modulus = _per("youngs_modulus", youngs_modulus, num_elements, "num_elements")
+    poissons_ratio = _per("poissons_ratio", poissons_ratio, num_elements, "num_elements")
+    w_mu, w_vol = pd_weights(youngs_modulus, poissons_ratio, volume_weight)
+    lame_mu, lame_lambda = lame_parameters(youngs_modulus, poissons_ratio)
+    num_vertices = nodal_volume.shape[0]
+    if node_mass is None:
+        density = _per("density", density, num_vertices, "num_vertices")
+        _range("density", density, above=0.0, hint="unit is kg/m^3")
+        mass = density * nodal_volume
+    else:
+        mass = require("node_mass", node_mass, (num_vertices,))
+        _range("node_mass", mass, above=0.0, hint="unit is kg")
+    if attached_mass is not None:
+        attached_mass = require("attached_mass", attached_mass, (num_vertices,))
+        _range("attached_mass", attached_mass, at_least=0.0, hint="unit is kg")
+        mass = mass + attached_mass
+    gravity = require("gravity", gravity, (3,))
+    rayleigh_alpha = require("rayleigh_alpha", rayleigh_alpha, ())
+    _range("rayleigh_alpha", rayleigh_alpha, at_least=0.0, hint="unit is 1/s")
+    if rayleigh_beta is not None:
+        rayleigh_beta = _per("rayleigh_beta", rayleigh_beta, num_elements, "num_elements")
+        _range("rayleigh_beta", rayleigh_beta, at_least=0.0, hint="unit is s")
+    _range("fibre_stiffness", fibre_stiffness, above=0.0, hint="unit is Pa")
+    return Physics(
+        w_mu=w_mu,
+        w_vol=w_vol,
+        lame_mu=lame_mu,
+        lame_lambda=lame_lambda,
+        mass=mass,
+        gravity=gravity,
+        rayleigh_alpha=rayleigh_alpha,
+        rayleigh_beta=rayleigh_beta,
+        fibre_stiffness=fibre_stiffness,
+    )
+
+
+def _per(name: str, value: Tensor, size: int, axis: str) -> Tensor:
+    if value.ndim == 0:
+        return require(name, value, ()).expand(size).contiguous()
+    if value.shape != (size,):
+        raise ValueError(f"{name} must be a scalar or have shape ({axis},) = ({size},), got "
+                         f"{tuple(value.shape)}")  # fmt: skip
+    return require(name, value, (size,))
+
+
+def _range(name: str, value: Tensor, **limits) -> None:
+    if not torch.compiler.is_compiling():
+        require_range(name, value, **limits)

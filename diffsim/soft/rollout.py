@@ -1,0 +1,91 @@
+"""Many steps: trajectories with checkpointing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+from torch.utils.checkpoint import checkpoint
+
+from diffsim._check import require_number
+from diffsim.soft.physics import Physics
+from diffsim.soft.state import State, Trajectory
+from diffsim.soft.step import step
+
+if TYPE_CHECKING:
+    from diffsim.soft.body import SoftBody
+
+Signal = Tensor | Callable[[int, State], Tensor] | None
+
+
+def rollout(
+    body: SoftBody,
+    state: State,
+    num_steps: int,
+    *,
+    external_force: Signal = None,
+    activation: Signal = None,
+    dirichlet_target: Signal = None,
+    physics: Physics | None = None,
+    checkpoint_every: int | None = None,
+    keep: Callable[[State], Tensor] | None = None,
+) -> Trajectory:
+    """Take ``num_steps`` steps.
+
+    Args:
+        body: The body.
+        state: Initial state, (..., num_vertices, 3).
+        num_steps: Number of steps, >= 1.
+        external_force: One tensor for all steps, or ``f(step, state)`` for closed loops and for
+            signals in time [N].
+        activation, dirichlet_target: The same, see :func:`diffsim.soft.step`.
+        physics: Parameters from ``body.physics(...)``; None: the body's own.
+        checkpoint_every: Store the graph of that many steps at a time and recompute the rest in the
+            backward pass: memory of about num_steps / k + k states instead of all. Callables must then
+            be deterministic.
+        keep: Function of a state whose result is kept instead of x, for example marker positions.
+
+    Returns:
+        :class:`~diffsim.soft.Trajectory`; x (num_steps + 1, ...), the initial state first.
+        Gradients: as in :func:`diffsim.soft.step`.
+    """
+    if isinstance(num_steps, bool) or not isinstance(num_steps, int):
+        raise TypeError(f"num_steps must be an int, got {type(num_steps).__name__}")
+    require_number("num_steps", num_steps, at_least=1)
+    if checkpoint_every is not None:
+        require_number("checkpoint_every", checkpoint_every, at_least=1)
+    physics = physics or body.physics()
+
+    def advance(first: int, count: int, start: State) -> tuple[list[Tensor], list[Tensor], State]:
+        xs, vs = [], []
+        now = start
+        for k in range(first, first + count):
+            now = step(
+                body,
+                now,
+                external_force=_at(external_force, k, now),
+                activation=_at(activation, k, now),
+                dirichlet_target=_at(dirichlet_target, k, now),
+                physics=physics,
+            )
+            xs.append(now.x if keep is None else keep(now))
+            vs.append(now.v)
+        return xs, vs, now
+
+    xs, vs = [state.x if keep is None else keep(state)], [state.v]
+    block = checkpoint_every or num_steps
+    for first in range(0, num_steps, block):
+        count = min(block, num_steps - first)
+        if checkpoint_every is None:
+            more_x, more_v, state = advance(first, count, state)
+        else:
+            more_x, more_v, state = checkpoint(advance, first, count, state, use_reentrant=False)
+        xs += more_x
+        vs += more_v
+    return Trajectory(torch.stack(xs), torch.stack(vs), state)
+
+
+def _at(signal: Signal, k: int, state: State) -> Tensor | None:
+    return signal(k, state) if callable(signal) and not isinstance(signal, Tensor) else signal

@@ -1,0 +1,41 @@
+"""States and trajectories of a soft body."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from torch import Tensor
+
+
+class State(NamedTuple):
+    """Positions and velocities; BDF2 also remembers the step before.
+
+    Attributes:
+        x: Positions, (..., num_vertices, 3) [m].
+        v: Velocities, same shape [m/s].
+        x_prev: Positions one step earlier, or None (then BDF2 starts with implicit Euler).
+        v_prev: Velocities one step earlier, or None.
+    """
+
+    x: Tensor
+    v: Tensor
+    x_prev: Tensor | None = None
+    v_prev: Tensor | None = None
+
+    def detach(self) -> State:
+        """The same state without its history of gradients."""
+        return State(*(None if t is None else t.detach() for t in self))
+
+
+class Trajectory(NamedTuple):
+    """States of a rollout, the initial one first.
+
+    Attributes:
+        x: Positions, (num_steps + 1, ..., num_vertices, 3) [m].
+        v: Velocities, same shape [m/s].
+        final: The last state, from which a rollout can go on.
+    """
+
+    x: Tensor
+    v: Tensor
+    final: State

@@ -1,0 +1,63 @@
+"""Rest under load."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from diffsim.soft.physics import Physics
+from diffsim.soft.state import State
+from diffsim.soft.step import _inputs, solve
+
+if TYPE_CHECKING:
+    from diffsim.soft.body import SoftBody
+
+
+def static_equilibrium(
+    body: SoftBody,
+    *,
+    guess: Tensor | None = None,
+    external_force: Tensor | None = None,
+    activation: Tensor | None = None,
+    dirichlet_target: Tensor | None = None,
+    physics: Physics | None = None,
+) -> State:
+    """Positions where elastic, muscle, gravity and external forces balance: a minimum of energy.
+
+    Args:
+        body: The body; its Dirichlet set must hold it on every axis.
+        guess: Start of the iteration, (..., num_vertices, 3) [m]; None: rest. Which of several
+            equilibria is found depends on it; no gradient.
+        external_force, activation, dirichlet_target, physics: As in :func:`diffsim.soft.step`.
+
+    Returns:
+        The state, v = 0. Gradients: external_force, activation, dirichlet_target, physics.
+
+    Raises:
+        FactorizationError: nothing holds the body.
+        ConvergenceError: the solver stopped above its tolerance.
+    """
+    physics = physics or body.physics()
+    start = body.x_rest if guess is None else guess
+    for given in (external_force, dirichlet_target):
+        if given is not None and given.ndim > start.ndim:
+            start = start.expand(*given.shape[:-2], *start.shape[-2:])
+    if activation is not None and activation.ndim + 1 > start.ndim:
+        start = start.expand(*activation.shape[:-1], *start.shape[-2:])
+    state = State(start, torch.zeros_like(start))
+    x, force, target, activation = _inputs(
+        body, state, external_force, activation, dirichlet_target, physics
+    )
+    x = solve(
+        body,
+        y=x.detach(),
+        force=force,
+        target=target,
+        guess=x,
+        inertia=torch.zeros_like(physics.mass),
+        activation=activation,
+        physics=physics,
+    )
+    return State(x, torch.zeros_like(x))
