@@ -13,6 +13,7 @@ namespace diffsim {
 namespace nb = nanobind;
 using Address = std::uintptr_t;
 
+void bind_cholesky(nb::module_& m);
 void bind_cpu(nb::module_& m);
 void bind_soft(nb::module_& m);
 

@@ -1,0 +1,95 @@
+// Sparse supernodal Cholesky factorisation A = L L' of a symmetric positive definite matrix.
+//
+// Three steps: analyze_cholesky (pattern only; ordering and storage), CholeskyFactor::refactor
+// (values) and CholeskyFactor::solve. Results are bitwise the same for every number of threads.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <stdexcept>
+
+#include "kernels/linalg/aligned_buffer.h"
+#include "kernels/parallel.h"
+
+namespace diffsim {
+
+/// Immutable symbolic analysis: ordering, supernodes, and the map from input entries to factor
+/// positions. Contents in cholesky_symbolic.h.
+class CholeskySymbolic;
+
+/// @param num_nodes  nodes of the graph; the matrix has num_nodes * block unknowns
+/// @param indptr     (num_nodes + 1) CSR row starts of the full symmetric pattern
+/// @param indices    (nnz) CSR columns, the diagonal included, no column twice in a row
+/// @param coords     (num_nodes, 3) node positions in any unit, or nullptr: dissection by graph
+/// @param block      unknowns per node, 1 to 6
+/// @throws std::invalid_argument where the pattern lacks a diagonal entry, is not symmetric, or
+///         has indices out of range
+std::shared_ptr<const CholeskySymbolic> analyze_cholesky(std::int64_t num_nodes,
+                                                         const std::int64_t* indptr,
+                                                         const std::int64_t* indices,
+                                                         const double* coords, int block);
+
+/// The matrix is not positive definite to working precision.
+struct NotPositiveDefinite : std::runtime_error {
+  NotPositiveDefinite(std::int64_t unknown_index, double pivot_value);
+  std::int64_t unknown;  // index in the caller's numbering: node * block + component
+  double pivot;          // what was found where a positive number was needed; may be NaN
+};
+
+/// Scratch of one solve at a time; grows when needed and is reused.
+class CholeskyWorkspace {
+ public:
+  /// 64-byte aligned memory for `count` doubles, contents undefined.
+  double* reserve(std::size_t count) { return buffer_.resize(count); }
+
+ private:
+  AlignedBuffer<double> buffer_;
+};
+
+/// How the factor is stored; the factorisation itself always runs in float64.
+enum class FactorPrecision { kFloat64, kFloat32 };
+
+class CholeskyFactor {
+ public:
+  /// @param precision kFloat32 halves the memory that a solve streams and gives about 1e-6 relative
+  ///        accuracy: for use as a preconditioner
+  explicit CholeskyFactor(std::shared_ptr<const CholeskySymbolic> symbolic,
+                          FactorPrecision precision = FactorPrecision::kFloat64);
+
+  /// Factors new values on the analysed pattern.
+  /// @param values (nnz, block, block) row-major blocks in the CSR's order; one triangle is read
+  /// @throws NotPositiveDefinite where a pivot is not positive, NaN, or negligible beside its
+  ///         diagonal entry; the factor is then unusable until the next refactor
+  void refactor(const double* values, ThreadPool& pool);
+
+  /// x = A^-1 b.
+  /// @param b, x (num_unknowns, num_rhs) row-major; may be the same memory
+  /// @throws std::logic_error before a successful refactor
+  void solve(const double* b, double* x, int num_rhs, CholeskyWorkspace& ws,
+             ThreadPool& pool) const;
+
+  /// Frees the memory kept for the next refactor.
+  void release_refactor_memory();
+
+  bool usable() const { return usable_; }
+  std::int64_t num_unknowns() const;
+  std::int64_t nnz() const;    // entries of L, relaxed supernodes' zeros included, padding not
+  std::int64_t bytes() const;  // memory of L as stored, which a solve streams twice
+  double flops() const;        // of one refactor
+  const CholeskySymbolic& symbolic() const { return *symbolic_; }
+
+ private:
+  template <typename T>
+  struct Solver;
+  struct Refactor;
+
+  std::shared_ptr<const CholeskySymbolic> symbolic_;
+  FactorPrecision precision_;
+  AlignedBuffer<double> factor64_;
+  AlignedBuffer<float> factor32_;
+  AlignedBuffer<double> fronts_;  // update matrices, kept from one refactor to the next
+  bool usable_ = false;
+};
+
+}  // namespace diffsim

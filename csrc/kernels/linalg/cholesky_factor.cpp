@@ -1,0 +1,123 @@
+// CholeskyFactor: multifrontal factorisation.
+#include "kernels/linalg/cholesky.h"
+
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include "kernels/linalg/cholesky_front.h"
+#include "kernels/linalg/cholesky_symbolic.h"
+
+namespace diffsim {
+
+NotPositiveDefinite::NotPositiveDefinite(std::int64_t unknown_index, double pivot_value)
+    : std::runtime_error("matrix is not positive definite: pivot of unknown " +
+                         std::to_string(unknown_index) + " is " + std::to_string(pivot_value)),
+      unknown(unknown_index),
+      pivot(pivot_value) {}
+
+/// One factorisation in progress.
+struct CholeskyFactor::Refactor {
+  const CholeskySymbolic& sym;
+  const double* values;
+  double* factor;
+  double* fronts;
+  float* rounded;                    // where L goes in float32, or nullptr
+  double relative_floor;             // smallest accepted pivot, relative to the diagonal entry
+  std::vector<double> floor;         // by elimination order
+  std::vector<FailedPivot> failed;   // by supernode
+
+  /// Adds the matrix's own entries and notes the smallest pivots to accept.
+  void assemble(const CholeskySupernode& node, const Front& front) {
+    const int block = sym.block;
+    for (std::int64_t e = node.entries; e < node.entries_end; ++e) {
+      const CholeskyEntry& entry = sym.entries[e];
+      const double* value = values + entry.source * block * block;
+      // The stored block sits in the column's row of A: its transpose belongs below the diagonal.
+      for (int b = 0; b < block; ++b) {
+        for (int a = 0; a < block; ++a) {
+          if (entry.row + a >= entry.col + b) front.at(entry.row + a, entry.col + b) += value[b * block + a];
+        }
+      }
+    }
+    for (int k = 0; k < node.num_cols; ++k) {
+      floor[node.first + k] = relative_floor * front.at(k, k);
+    }
+  }
+
+  bool run(int s, ThreadPool* pool) {
+    const CholeskySupernode& node = sym.supernodes[s];
+    const Front front(node, factor, fronts);
+    front.set_zero();
+    assemble(node, front);
+    for (std::int64_t c = node.children; c < node.children_end; ++c) {
+      const CholeskySupernode& child = sym.supernodes[sym.children[c]];
+      front.add(Front(child, factor, fronts), sym.row_in_parent.data() + child.rows);
+    }
+    failed[s] = front.factor(floor.data() + node.first, pool);
+    if (rounded) {
+      for (std::int64_t i = node.factor; i < node.factor + node.factor_size(); ++i) {
+        rounded[i] = static_cast<float>(factor[i]);
+      }
+    }
+    return failed[s].column < 0;
+  }
+
+  void check() const {
+    for (std::size_t s = 0; s < failed.size(); ++s) {
+      if (failed[s].column < 0) continue;
+      throw NotPositiveDefinite(sym.unknown[sym.supernodes[s].first + failed[s].column],
+                                failed[s].value);
+    }
+  }
+};
+
+CholeskyFactor::CholeskyFactor(std::shared_ptr<const CholeskySymbolic> symbolic,
+                               FactorPrecision precision)
+    : symbolic_(std::move(symbolic)), precision_(precision) {}
+
+void CholeskyFactor::refactor(const double* values, ThreadPool& pool) {
+  usable_ = false;
+  const CholeskySymbolic& sym = *symbolic_;
+  // Rounding leaves the last pivot of a singular matrix at about eps sqrt(n) of its diagonal.
+  const double floor = 4 * std::numeric_limits<double>::epsilon() *
+                       std::sqrt(static_cast<double>(sym.num_unknowns) + 1);
+  const bool round = precision_ == FactorPrecision::kFloat32;
+  Refactor work{sym, values, factor64_.resize(sym.factor_size), fronts_.resize(sym.fronts_size),
+                round ? factor32_.resize(sym.factor_size) : nullptr, floor,
+                std::vector<double>(sym.num_unknowns), {}};
+  work.failed.resize(sym.supernodes.size());
+  pool.run(static_cast<std::int64_t>(sym.tasks.size()), [&](std::int64_t t) {
+    for (const auto& [begin, end] : sym.tasks[t]) {
+      for (int s = begin; s < end; ++s) {
+        if (!work.run(s, nullptr)) return;
+      }
+    }
+  });
+  work.check();
+  for (const std::vector<int>& level : sym.levels) {
+    if (level.size() < static_cast<std::size_t>(pool.size())) {
+      for (int s : level) work.run(s, &pool);
+    } else {
+      pool.run(static_cast<std::int64_t>(level.size()),
+               [&](std::int64_t i) { work.run(level[i], nullptr); });
+    }
+    work.check();
+  }
+  if (round) factor64_.release();
+  usable_ = true;
+}
+
+void CholeskyFactor::release_refactor_memory() { fronts_.release(); }
+
+std::int64_t CholeskyFactor::num_unknowns() const { return symbolic_->num_unknowns; }
+std::int64_t CholeskyFactor::nnz() const { return symbolic_->nnz; }
+double CholeskyFactor::flops() const { return symbolic_->flops; }
+std::int64_t CholeskyFactor::bytes() const {
+  const std::int64_t entry = precision_ == FactorPrecision::kFloat32 ? sizeof(float) : sizeof(double);
+  return symbolic_->factor_size * entry;
+}
+
+}  // namespace diffsim

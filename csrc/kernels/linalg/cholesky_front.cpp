@@ -1,0 +1,128 @@
+#include "kernels/linalg/cholesky_front.h"
+
+#include <algorithm>
+#include <cstring>
+
+#include "kernels/linalg/tile_kernels.h"
+
+namespace diffsim {
+namespace {
+
+constexpr int kBlockPanels = 16;  // 128 columns: three row tiles of them stay in L1
+
+}  // namespace
+
+/// Triangular diagonal tiles of the panels of one block, before they are replaced by inverses.
+struct Front::Diagonals {
+  alignas(64) double lower[kBlockPanels][kTile * kTile];
+  double reciprocal[kBlockPanels][kTile];
+};
+
+void Front::set_zero() const {
+  std::memset(own_, 0, sizeof(double) * node_.factor_size());
+  std::memset(update_, 0, sizeof(double) * triangle_size(tiles_ - panels_));
+}
+
+void Front::add(const Front& child, const int* map) const {
+  const int rows = child.node_.num_rows;
+  for (int c = 0; c < rows; ++c) {
+    const int col = map[c], p = col / kTile;
+    const int stride = width(p) * kTile;
+    double* const target = tile(p, p) + (col % kTile) * kTile - std::int64_t{p} * stride;
+    const int source_panel = child.panels_ + c / kTile;
+    const double* source = child.tile(source_panel, source_panel) + (c % kTile) * kTile;
+    const int first = c / kTile * kTile;
+    for (int r = c; r < rows; ++r) {
+      const int row = map[r], offset = r - first;
+      target[(row / kTile) * stride + row % kTile] +=
+          source[(offset / kTile) * kTile * kTile + offset % kTile];
+    }
+  }
+}
+
+void Front::multiply(int i, int count, int p, int q0, int q1) const {
+  const auto a = [&](int q) { return tile(i, q); };
+  const auto b = [&](int q) { return tile(p, q); };
+  const auto depth = [&](int q) { return node_.width(q); };
+  double* c = tile(i, p);
+  const int w = width(p);
+  if (count == 1) {
+    tiles::multiply<1>(c, w, q0, q1, a, b, depth);
+  } else if (count == 2) {
+    tiles::multiply<2>(c, w, q0, q1, a, b, depth);
+  } else {
+    tiles::multiply<3>(c, w, q0, q1, a, b, depth);
+  }
+}
+
+FailedPivot Front::factor_block(int p0, int p1, const double* floor, Diagonals& diagonals) const {
+  for (int p = p0; p < p1; ++p) {
+    if (p > p0) {
+      for (int i = p; i < p1; i += tiles::kRowTiles) {
+        multiply(i, std::min(tiles::kRowTiles, p1 - i), p, p0, p);
+      }
+    }
+    double* const diagonal = tile(p, p);
+    const int w = width(p);
+    FailedPivot failed;
+    const int column = tiles::factor_diagonal(diagonal, w, floor + p * kTile, &failed.value);
+    if (column >= 0) {
+      failed.column = p * kTile + column;
+      return failed;
+    }
+    double* const lower = diagonals.lower[p - p0];
+    std::memcpy(lower, diagonal, sizeof(double) * kTile * w);
+    for (int k = 0; k < w; ++k) diagonals.reciprocal[p - p0][k] = 1.0 / lower[k * kTile + k];
+    tiles::invert_lower(lower, w, diagonal);
+    for (int i = p + 1; i < p1; ++i) {
+      tiles::solve_right<1>(tile(i, p), w, lower, diagonals.reciprocal[p - p0]);
+    }
+  }
+  return {};
+}
+
+void Front::solve_rows(int i, int count, int p0, int p1, const Diagonals& diagonals) const {
+  for (int p = p0; p < p1; ++p) {
+    if (p > p0) multiply(i, count, p, p0, p);
+    const double* lower = diagonals.lower[p - p0];
+    const double* reciprocal = diagonals.reciprocal[p - p0];
+    if (count == 3) {
+      tiles::solve_right<3>(tile(i, p), width(p), lower, reciprocal);
+    } else {
+      for (int r = 0; r < count; ++r) {
+        tiles::solve_right<1>(tile(i + r, p), width(p), lower, reciprocal);
+      }
+    }
+  }
+}
+
+void Front::update_rows(int i, int count, int p0, int p1) const {
+  for (int p = p1; p < i + count; ++p) {
+    const int first = std::max(i, p);
+    multiply(first, i + count - first, p, p0, p1);
+  }
+}
+
+FailedPivot Front::factor(const double* floor, ThreadPool* pool) const {
+  Diagonals diagonals;
+  for (int p0 = 0; p0 < panels_; p0 += kBlockPanels) {
+    const int p1 = std::min(panels_, p0 + kBlockPanels);
+    const FailedPivot failed = factor_block(p0, p1, floor, diagonals);
+    if (failed.column >= 0) return failed;
+    const int groups = (tiles_ - p1 + tiles::kRowTiles - 1) / tiles::kRowTiles;
+    const auto row = [&](std::int64_t g) { return p1 + static_cast<int>(g) * tiles::kRowTiles; };
+    const auto count = [&](int i) { return std::min(tiles::kRowTiles, tiles_ - i); };
+    const auto solve = [&](std::int64_t g) { solve_rows(row(g), count(row(g)), p0, p1, diagonals); };
+    const auto update = [&](std::int64_t g) { update_rows(row(g), count(row(g)), p0, p1); };
+    if (pool) {
+      pool->run(groups, solve);
+      pool->run(groups, update);
+    } else {
+      for (int g = 0; g < groups; ++g) solve(g);
+      for (int g = 0; g < groups; ++g) update(g);
+    }
+  }
+  return {};
+}
+
+}  // namespace diffsim

@@ -1,0 +1,57 @@
+// One supernode's dense share of a factorisation: its panels of L and its update matrix.
+#pragma once
+
+#include <cstdint>
+
+#include "kernels/linalg/cholesky_symbolic.h"
+#include "kernels/parallel.h"
+
+namespace diffsim {
+
+/// First failed pivot; column < 0 where there is none.
+struct FailedPivot {
+  int column = -1;
+  double value = 0;
+};
+
+/// The front of a supernode: tiles (i, p) with i >= p, over own panels and update panels alike.
+class Front {
+ public:
+  Front(const CholeskySupernode& node, double* factor, double* fronts)
+      : node_(node), own_(factor + node.factor), update_(fronts + node.update),
+        panels_(node.panels()), tiles_(node.num_tiles()) {}
+
+  int panels() const { return panels_; }
+  int tiles() const { return tiles_; }
+  int width(int p) const { return p < panels_ ? node_.width(p) : kTile; }
+  double* tile(int i, int p) const {
+    if (p < panels_) return own_ + node_.panel(p) + (i - p) * kTile * node_.width(p);
+    const std::int64_t q = p - panels_, below = tiles_ - panels_;
+    return update_ + (q * below - q * (q - 1) / 2 + (i - p)) * kTile * kTile;
+  }
+  double& at(int row, int col) const {
+    return tile(row / kTile, col / kTile)[(col % kTile) * kTile + row % kTile];
+  }
+
+  void set_zero() const;
+  /// Adds the update matrix of a child; `map` sends its rows to local rows here.
+  void add(const Front& child, const int* map) const;
+  /// Partial Cholesky: own panels become L (diagonal tiles inverted), the rest the Schur complement.
+  /// @param floor (num_cols) pivots must be above this
+  /// @param pool  splits the rows, or nullptr
+  FailedPivot factor(const double* floor, ThreadPool* pool) const;
+
+ private:
+  struct Diagonals;
+  FailedPivot factor_block(int p0, int p1, const double* floor, Diagonals& diagonals) const;
+  void solve_rows(int i, int count, int p0, int p1, const Diagonals& diagonals) const;
+  void update_rows(int i, int count, int p0, int p1) const;
+  void multiply(int i, int count, int p, int q0, int q1) const;
+
+  const CholeskySupernode& node_;
+  double* own_;
+  double* update_;
+  int panels_, tiles_;
+};
+
+}  // namespace diffsim
