@@ -86,24 +86,22 @@ class SoftContext:
                     self._systems.move_to_end(known)
                     return self._systems[known]
         inertia, kappa, fibre_kappa = (k.contiguous().clone() for k in key)
-        try:
-            made = core.make_constant_system(
-                self.pattern,
-                fixed=self.fixed.data_ptr(),
-                inertia=inertia.data_ptr(),
-                kappa=kappa.data_ptr(),
-                fibre_kappa=fibre_kappa.data_ptr(),
-                num_threads=num_threads,
-            )
-        except core.NotPositiveDefinite as err:
-            unknown, pivot = err.args[0], err.args[1]
+        made, node, pivot = core.make_constant_system(
+            self.pattern,
+            fixed=self.fixed.data_ptr(),
+            inertia=inertia.data_ptr(),
+            kappa=kappa.data_ptr(),
+            fibre_kappa=fibre_kappa.data_ptr(),
+            num_threads=num_threads,
+        )
+        if made is None:
             raise FactorizationError(
-                f"the soft body's constant matrix is singular at node {unknown} (pivot {pivot:.3e}); "
+                f"the soft body's constant matrix is singular at node {node} (pivot {pivot:.3e}); "
                 "a static problem needs Dirichlet nodes on every axis, a dynamic one needs "
                 "density > 0",
-                pivot=int(unknown),
-                value=float(pivot),
-            ) from err
+                pivot=node,
+                value=pivot,
+            )
         with self._lock:
             self._systems[(inertia, kappa, fibre_kappa)] = made
             while len(self._systems) > _CACHED_SYSTEMS:

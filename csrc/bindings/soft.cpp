@@ -100,15 +100,25 @@ void bind_prepared(nb::module_& m) {
 
   m.def(
       "make_constant_system",
+      // Returns (system, -1, 0), or (None, unknown, pivot) where A is not positive definite.
       [](std::shared_ptr<SoftPattern> pattern, Address fixed, Address inertia, Address kappa,
          Address fibre_kappa, int num_threads) {
-        nb::gil_scoped_release release;
-        ThreadPool pool(num_threads);
-        return std::make_shared<ConstantSystem>(
-            std::move(pattern),
-            ConstantSystemInputs{reinterpret_cast<const std::uint8_t*>(fixed), in(inertia),
-                                 in(kappa), in(fibre_kappa)},
-            pool);
+        std::shared_ptr<ConstantSystem> system;
+        std::int64_t unknown = -1;
+        double pivot = 0.0;
+        {
+          nb::gil_scoped_release release;
+          ThreadPool pool(num_threads);
+          const ConstantSystemInputs inputs{reinterpret_cast<const std::uint8_t*>(fixed),
+                                            in(inertia), in(kappa), in(fibre_kappa)};
+          try {
+            system = std::make_shared<ConstantSystem>(std::move(pattern), inputs, pool);
+          } catch (const NotPositiveDefinite& e) {
+            unknown = e.unknown;
+            pivot = e.pivot;
+          }
+        }
+        return nb::make_tuple(system, unknown, pivot);
       },
       nb::arg("pattern"), nb::kw_only(), nb::arg("fixed"), nb::arg("inertia"), nb::arg("kappa"),
       nb::arg("fibre_kappa"), nb::arg("num_threads"));

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import torch
@@ -185,7 +186,8 @@ def solve(
 
 def _flat(value: Tensor, trailing: int = 2) -> Tensor:
     """(batch, ...) with one leading axis, contiguous."""
-    return value.reshape(-1, *value.shape[value.ndim - trailing :]).contiguous()
+    batch = math.prod(value.shape[: value.ndim - trailing])
+    return value.reshape(batch, *value.shape[value.ndim - trailing :]).contiguous()
 
 
 def _explicit_step(

@@ -47,6 +47,8 @@ class ConstantSystem {
 
   ConstantSystem(std::shared_ptr<const SoftPattern> pattern, const ConstantSystemInputs& inputs,
                  ThreadPool& pool);
+  ConstantSystem(const ConstantSystem&) = delete;
+  ConstantSystem& operator=(const ConstantSystem&) = delete;
 
   const SoftModel& model() const { return pattern_->model(); }
   const SoftPattern& pattern() const { return *pattern_; }
