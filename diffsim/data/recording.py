@@ -66,7 +66,7 @@ class Recording:
     @property
     def is_gap(self) -> NDArray[np.bool_]:
         """(T, num_markers): True where the marker was not seen."""
-        return np.isnan(self.position_m).any(axis=2)
+        return np.asarray(np.isnan(self.position_m).any(axis=2))
 
     @property
     def rate_Hz(self) -> float:

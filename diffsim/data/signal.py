@@ -10,7 +10,9 @@ Frequencies are those of the damped oscillation, as seen in the record, unless a
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,7 +133,9 @@ def fit_decay(
     )
 
 
-def _standard_errors(p: Array, coeff: Array, s: Array, basis, left: Array) -> Array:
+def _standard_errors(
+    p: Array, coeff: NDArray[Any], s: Array, basis: Callable[[Array], Array], left: Array
+) -> Array:
     """sqrt(diag(sigma^2 (J'J)^-1)) of all unknowns, nonlinear ones first; J by differences."""
     columns = []
     for i in range(len(p)):

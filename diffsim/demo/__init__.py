@@ -1,0 +1,1 @@
+"""The demo: silicone beam, measured against simulated (`diffsim demo`)."""
