@@ -17,8 +17,8 @@ demo's report):
 - *The weight is a mass, not a force.* 7.7 Hz without it, 4.3 Hz with it. The ratio asks for a
   modal tip mass of 24 g, a quarter of the bar's 96 g, which is the textbook value: the weight
   moves with the tip. A constant force, as published, cannot change the frequency. Sideways the
-  tip keeps swinging at 8 Hz and the weight at about 1.2 Hz, a pendulum of 0.17 m: it hangs on
-  something limp.
+  tip keeps swinging at 8 Hz, and slowly at about 1.1 Hz, as a pendulum of 0.2 m would pull it:
+  the weight hangs on something limp.
 - *The string goes slack at release.* The unloaded tip falls away from the weight, which
   falls freely: the loaded tip pauses about 45 ms after release, 10 mm down, where free fall
   catches up.
@@ -28,9 +28,11 @@ demo's report):
 - *Held straight is not unloaded.* The tip turns by 5.0-5.1 degrees (gravity) between held and
   settled, where a bar that starts straight would turn by 4.4: the held tip points up by 0.6
   degrees, as a propped cantilever's does.
-- *Tilt.* In the laboratory axes the tip moves along a line tilted as the beam is, by about 6
-  degrees: the data are inclined, but whether gravity is cannot be told (it would change sag by
-  1 - cos 6.6 deg = 0.7 %).
+- *Tilt.* The tip's path from held to settled is perpendicular to a beam inclined by 5 to 6
+  degrees against the laboratory axes (allowing for the markers' height above the axis and for
+  foreshortening): the inclination is the beam's, not the markers'. Whether gravity follows the
+  laboratory's z or the model's cannot be told; it would change the sag by 1 - cos 6.6 deg =
+  0.7 %.
 - *The clamp's* markers follow the tip by 0.01-0.06 mm (gravity) and up to 0.14 mm (load52), and
   jump by up to 0.9 mm when half hidden. Taken as rigid motion this is about 1 % of the sag and
   not above what the jumps would fake; it is reported, not removed.

@@ -141,7 +141,7 @@ def _creep(numbers: dict[str, Any]) -> str:
     return (
         f"The rubber creeps: its sag grows by {100 * min(shares):.1f} to {100 * max(shares):.1f} % "
         f"per tenfold time, and the level about which the tip first swings lies "
-        f"{100 * min(early):.0f} to {100 * max(early):.0f} % above the one it settles at. "
+        f"{100 * np.mean(early):.0f} % above the one it settles at. "
         "No elastic material has both."
     )
 

@@ -102,7 +102,7 @@ def spectra(
         ax.set_ylim(bottom=floor_m * 1e3)
         ax.set_title(title, loc="left", fontsize=10.5, color=INK, fontweight="bold")
         ax.set_xlabel("frequency [Hz]", color=SOFT)
-        _legend(ax, curves)
+        _legend(ax, curves, columns=1)
     axes[0, 0].set_ylabel("amplitude [mm]", color=SOFT)
     return figure
 
@@ -116,7 +116,7 @@ def decay_envelopes(panels: Sequence[tuple[str, Sequence[Curve]]]) -> Figure:
         ax.set_yscale("log")
         ax.set_title(title, loc="left", fontsize=10.5, color=INK, fontweight="bold")
         ax.set_xlabel("time since release [s]", color=SOFT)
-        _legend(ax, curves)
+        _legend(ax, curves, columns=1)
     axes[0, 0].set_ylabel("swing from turn to turn [mm]", color=SOFT)
     return figure
 
@@ -219,7 +219,7 @@ def _draw(ax: Axes, curve: Curve, *, scale: float) -> None:
     )
 
 
-def _legend(ax: Axes, curves: Sequence[Curve]) -> None:
+def _legend(ax: Axes, curves: Sequence[Curve], columns: int = 4) -> None:
     named = [curve for curve in curves if curve.label]
     if named:
-        ax.legend(frameon=False, fontsize=8.5, ncols=min(len(named), 4), labelcolor=INK)
+        ax.legend(frameon=False, fontsize=8.5, ncols=min(len(named), columns), labelcolor=INK)
