@@ -99,10 +99,10 @@ def spectra(
             _draw(ax, curve, scale=1e3)
         ax.set_yscale("log")
         ax.set_xlim(0.0, max_Hz)
-        ax.set_ylim(bottom=floor_m * 1e3)
         ax.set_title(title, loc="left", fontsize=10.5, color=INK, fontweight="bold")
         ax.set_xlabel("frequency [Hz]", color=SOFT)
         _legend(ax, curves, columns=1)
+    axes[0, 0].set_ylim(bottom=floor_m * 1e3)  # last: a limit set early stops the autoscale
     axes[0, 0].set_ylabel("amplitude [mm]", color=SOFT)
     return figure
 
