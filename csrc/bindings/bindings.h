@@ -14,6 +14,7 @@ namespace nb = nanobind;
 using Address = std::uintptr_t;
 
 void bind_cpu(nb::module_& m);
+void bind_svd(nb::module_& m);
 
 inline const double* in(Address a) { return reinterpret_cast<const double*>(a); }
 inline double* out(Address a) { return reinterpret_cast<double*>(a); }

@@ -5,4 +5,7 @@
 
 #define DIFFSIM_EXPAND(name, m) NB_MODULE(name, m)
 
-DIFFSIM_EXPAND(DIFFSIM_MODULE, m) { diffsim::bind_cpu(m); }
+DIFFSIM_EXPAND(DIFFSIM_MODULE, m) {
+  diffsim::bind_cpu(m);
+  diffsim::bind_svd(m);
+}

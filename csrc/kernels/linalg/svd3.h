@@ -14,8 +14,6 @@
 // infinity in a lane makes every output of that lane NaN.
 #pragma once
 
-#include <type_traits>
-
 #include "kernels/linalg/lane_pair.h"
 #include "kernels/linalg/lanes.h"
 
@@ -87,8 +85,9 @@ DIFFSIM_INLINE void givens(const T& x, const T& y, T& c, T& s, T& r) {
   r = c * x + s * y;
 }
 
+// Out of line: it is large, and inlined into a caller's loop GCC spills more.
 template <class T>
-DIFFSIM_INLINE void svd3_core(const T* F, T* U, T* sigma, T* V) {
+__attribute__((noinline)) void svd3_core(const T* F, T* U, T* sigma, T* V) {
   // A power of two brings the largest entry into [1, 2).
   T largest = constant<T>(2.2250738585072014e-308);
   for (int i = 0; i < 9; ++i) largest = max(abs(F[i]), largest);
@@ -205,39 +204,6 @@ DIFFSIM_INLINE void svd3_core(const T* F, T* U, T* sigma, T* V) {
   }
 }
 
-// Register i of kGroups consecutive Lanes of n entries each.
-DIFFSIM_INLINE Native get_register(const Lane* A, int n, int entry, int i) {
-  return split(A[i / kParts * n + entry], i % kParts);
-}
-DIFFSIM_INLINE void set_register(Lane* A, int n, int entry, int i, const Native& value) {
-  join(A[i / kParts * n + entry], i % kParts, value);
-}
-
-// One or two of those registers at a time.
-struct OneRegister {
-  using T = Native;
-  static constexpr int kCount = 1;
-  static DIFFSIM_INLINE T get(const Lane* A, int n, int entry, int i) {
-    return get_register(A, n, entry, i);
-  }
-  static DIFFSIM_INLINE void set(Lane* A, int n, int entry, int i, const T& value) {
-    set_register(A, n, entry, i, value);
-  }
-};
-struct TwoRegisters {
-  using T = Pair<Native>;
-  static constexpr int kCount = 2;
-  static DIFFSIM_INLINE T get(const Lane* A, int n, int entry, int i) {
-    return {get_register(A, n, entry, i), get_register(A, n, entry, i + 1)};
-  }
-  static DIFFSIM_INLINE void set(Lane* A, int n, int entry, int i, const T& value) {
-    set_register(A, n, entry, i, value.a);
-    set_register(A, n, entry, i + 1, value.b);
-  }
-};
-template <int kGroups>
-using Registers = std::conditional_t<kGroups * kParts % 2 == 0, TwoRegisters, OneRegister>;
-
 }  // namespace detail
 
 /// Singular value decomposition of kGroups times eight matrices, F = U diag(s) V^T.
@@ -249,29 +215,69 @@ using Registers = std::conditional_t<kGroups * kParts % 2 == 0, TwoRegisters, On
 /// kGroups = 2 is faster per matrix with AVX-512, where one Lane is a single register.
 template <int kGroups = 1>
 inline void svd3(const Lane* F, Lane* U, Lane* s, Lane* V) {
-  using R = detail::Registers<kGroups>;
-  using T = typename R::T;
-  for (int r = 0; r < kGroups * kParts; r += R::kCount) {
+  detail::for_registers<kGroups>([&](auto at) {
+    using T = typename decltype(at)::T;
     T f[9], u[9], sigma[3], v[9];
-    for (int i = 0; i < 9; ++i) f[i] = R::get(F, 9, i, r);
+    at.template get<9>(F, f);
     detail::svd3_core<T>(f, u, sigma, v);
-    for (int i = 0; i < 9; ++i) R::set(U, 9, i, r, u[i]);
-    for (int i = 0; i < 3; ++i) R::set(s, 3, i, r, sigma[i]);
-    for (int i = 0; i < 9; ++i) R::set(V, 9, i, r, v[i]);
-  }
+    at.template set<9>(U, u);
+    at.template set<3>(s, sigma);
+    at.template set<9>(V, v);
+  });
 }
 
 namespace detail {
+
+// Newton's X <- (X + X^-T) / 2 from F itself, whose fixed point is the rotation to rounding. Only
+// for det F > 0 and singular values within some 60% of 1, as in a solid near rest: five steps at
+// most. Returns those lanes; NaN and overflow are not among them.
+template <class T>
+DIFFSIM_INLINE auto polar3_newton(const T* F, T* X) {
+  for (int i = 0; i < 9; ++i) X[i] = F[i];
+  auto near_rest = less(T{}, T{}), done = near_rest;
+  for (int step = 0; step < 8; ++step) {
+    T C[9];  // cofactors
+    for (int i = 0; i < 3; ++i) {
+      const int a = (i + 1) % 3 * 3, b = (i + 2) % 3 * 3;
+      for (int j = 0; j < 3; ++j) {
+        const int k = (j + 1) % 3, l = (j + 2) % 3;
+        C[3 * i + j] = X[a + k] * X[b + l] - X[a + l] * X[b + k];
+      }
+    }
+    const T det = X[0] * C[0] + X[1] * C[1] + X[2] * C[2];
+    const T half = 0.5 / det;
+    T change{};
+    for (int i = 0; i < 9; ++i) {
+      const T next = 0.5 * X[i] + half * C[i];
+      change = max(abs(next - X[i]), change);
+      X[i] = select(done, X[i], next);
+    }
+    if (step == 0) {
+      near_rest = greater(det, constant<T>(0.05)) & less(det, constant<T>(20.0)) &
+                  less(change, constant<T>(0.5));
+      if (!any(near_rest)) break;
+      done = ~near_rest;
+    }
+    done = done | less(change, constant<T>(5e-9));  // the next change is about change^2 / 2
+    if (all(done)) break;
+  }
+  return near_rest;
+}
+
 template <class T>
 DIFFSIM_INLINE void polar3_core(const T* F, T* R) {
+  const auto near_rest = polar3_newton(F, R);
+  if (all(near_rest)) return;
   T U[9], s[3], V[9];
   svd3_core<T>(F, U, s, V);
   for (int i = 0; i < 3; ++i) {
     for (int j = 0; j < 3; ++j) {
-      R[3 * i + j] = U[3 * i] * V[3 * j] + U[3 * i + 1] * V[3 * j + 1] + U[3 * i + 2] * V[3 * j + 2];
+      const T r = U[3 * i] * V[3 * j] + U[3 * i + 1] * V[3 * j + 1] + U[3 * i + 2] * V[3 * j + 2];
+      R[3 * i + j] = select(near_rest, R[3 * i + j], r);
     }
   }
 }
+
 }  // namespace detail
 
 /// The rotation nearest to F, R = U V^T with the proper rotations of svd3.
@@ -279,14 +285,13 @@ DIFFSIM_INLINE void polar3_core(const T* F, T* R) {
 /// @param[out] R (kGroups, 3, 3) rotation, det +1; one of several where s1 + s2 = 0
 template <int kGroups = 1>
 inline void polar3(const Lane* F, Lane* R) {
-  using Regs = detail::Registers<kGroups>;
-  using T = typename Regs::T;
-  for (int i = 0; i < kGroups * kParts; i += Regs::kCount) {
-    T f[9], q[9];
-    for (int k = 0; k < 9; ++k) f[k] = Regs::get(F, 9, k, i);
-    detail::polar3_core<T>(f, q);
-    for (int k = 0; k < 9; ++k) Regs::set(R, 9, k, i, q[k]);
-  }
+  detail::for_registers<kGroups>([&](auto at) {
+    using T = typename decltype(at)::T;
+    T f[9], r[9];
+    at.template get<9>(F, f);
+    detail::polar3_core<T>(f, r);
+    at.template set<9>(R, r);
+  });
 }
 
 }  // namespace diffsim
