@@ -102,8 +102,8 @@ def polar3(F: Tensor, *, num_threads: int = 1) -> Tensor:
         ValueError: F is not (..., 3, 3), or num_threads < 1.
 
     Gradients: F, first order, also at repeated singular values (it depends on s_i + s_j only) and
-    for inverted matrices. It grows as 1 / (s1 + s2) and is NaN where s1 + s2 = 0 to rounding, unless
-    dL/dR does not feel the rotation at all.
+    for inverted matrices. It grows as 1 / (s1 + s2) and is NaN where s1 + s2 = 0 (to 1e-15 s0),
+    unless dL/dR has exactly no part that turns R.
     """
     F = _checked(F, num_threads)
     return Polar3Function.apply(F, num_threads)

@@ -1,4 +1,4 @@
-// 3x3 singular value and polar decompositions over arrays; diffsim/_ops_svd.py checks the arguments.
+// 3x3 singular value and polar decompositions over arrays; _ops_svd.py checks the arguments.
 #include "bindings/bindings.h"
 #include "kernels/linalg/batched_svd.h"
 

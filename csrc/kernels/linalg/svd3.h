@@ -74,7 +74,8 @@ DIFFSIM_INLINE void swap_turn(const M& swap, T& Spp, T& Sqq, T& w, T& vk, T& vp,
   turn_quaternion(keep(swap, constant<T>(1.0)), w, vk, vp, vq);
 }
 
-// c, s with c^2 + s^2 = 1 and (c x + s y, c y - s x) = (r, 0); identity where r would underflow.
+// c, s with c^2 + s^2 = 1 and (c x + s y, c y - s x) = (r, 0); 1, 0 and r = 0 where r^2 would
+// underflow (r below 1e-145, next to a largest entry in [1, 2)).
 template <class T>
 DIFFSIM_INLINE void givens(const T& x, const T& y, T& c, T& s, T& r) {
   const T rr = x * x + y * y;
@@ -82,7 +83,7 @@ DIFFSIM_INLINE void givens(const T& x, const T& y, T& c, T& s, T& r) {
   const T inv = 1.0 / sqrt(rr);
   c = select(tiny, constant<T>(1.0), x * inv);
   s = select(tiny, T{}, y * inv);
-  r = c * x + s * y;
+  r = select(tiny, T{}, c * x + s * y);
 }
 
 // Out of line: it is large, and inlined into a caller's loop GCC spills more.
@@ -211,7 +212,8 @@ __attribute__((noinline)) void svd3_core(const T* F, T* U, T* sigma, T* V) {
 /// @param[out] U (kGroups, 3, 3) rotations, det +1
 /// @param[out] s (kGroups, 3) s0 >= s1 >= |s2|, sign(s2) = sign(det F)
 /// @param[out] V (kGroups, 3, 3) rotations, det +1
-/// Errors, relative to s0: about 1e-15, at any condition number and at scales 1e-300 to 1e300.
+/// Errors, relative to s0: about 1e-15, at any condition number and at scales 1e-300 to 1e300;
+/// values below 1e-145 s0 come out as zero.
 /// kGroups = 2 is faster per matrix with AVX-512, where one Lane is a single register.
 template <int kGroups = 1>
 inline void svd3(const Lane* F, Lane* U, Lane* s, Lane* V) {

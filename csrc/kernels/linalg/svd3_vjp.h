@@ -7,23 +7,24 @@
 namespace diffsim {
 namespace detail {
 
+// a . b for vectors with strides.
+template <class T>
+DIFFSIM_INLINE T dot3(const T* a, int stride_a, const T* b, int stride_b) {
+  return a[0] * b[0] + a[stride_a] * b[stride_b] + a[2 * stride_a] * b[2 * stride_b];
+}
+
 // C = A^T B, C = A B and C = A B^T for row-major 3x3 matrices.
 template <class T>
 DIFFSIM_INLINE void mul_tn(const T* A, const T* B, T* C) {
-  for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 3; ++j) C[3 * i + j] = A[i] * B[j] + A[3 + i] * B[3 + j] + A[6 + i] * B[6 + j];
+  for (int k = 0; k < 9; ++k) C[k] = dot3(A + k / 3, 3, B + k % 3, 3);
 }
 template <class T>
 DIFFSIM_INLINE void mul_nn(const T* A, const T* B, T* C) {
-  for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 3; ++j)
-      C[3 * i + j] = A[3 * i] * B[j] + A[3 * i + 1] * B[3 + j] + A[3 * i + 2] * B[6 + j];
+  for (int k = 0; k < 9; ++k) C[k] = dot3(A + k / 3 * 3, 1, B + k % 3, 3);
 }
 template <class T>
 DIFFSIM_INLINE void mul_nt(const T* A, const T* B, T* C) {
-  for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 3; ++j)
-      C[3 * i + j] = A[3 * i] * B[3 * j] + A[3 * i + 1] * B[3 * j + 1] + A[3 * i + 2] * B[3 * j + 2];
+  for (int k = 0; k < 9; ++k) C[k] = dot3(A + k / 3 * 3, 1, B + k % 3 * 3, 1);
 }
 
 /// Gaps of singular values below this, relative to s0, are rounding: the values are equal.
@@ -70,8 +71,8 @@ DIFFSIM_INLINE void svd3_vjp_core(const T* U, const T* s, const T* V, const T* g
 /// dL/dF of the rotation R of F = R H, H symmetric.
 ///
 /// dR = R [w] with (tr(H) 1 - H) w = axial(R^T dF - dF^T R). The matrix has the eigenvalues
-/// s_i + s_j: repeated singular values are no obstacle, and only s1 + s2 = 0, where R is not unique,
-/// is one (NaN if s1 + s2 is below rounding, 1e-15 s0, and dL/dR feels the rotation at all).
+/// s_i + s_j: repeated singular values are no obstacle; s1 + s2 = 0 is one, for R is not unique
+/// there (NaN if s1 + s2 is below rounding, some 1e-15 s0, and dL/dR feels the rotation at all).
 /// @param[in]  F, R    (3, 3) and its rotation
 /// @param[in]  grad_R  (3, 3) dL/dR
 /// @param[out] grad_F  (3, 3) dL/dF
