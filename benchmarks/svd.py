@@ -29,7 +29,7 @@ def inputs(num_matrices: int) -> dict[str, Tensor]:
 
 
 def svd_loss(F: Tensor, num_threads: int) -> Tensor:
-    """A loss of s and of the rotation U V^T that feels every output of svd3."""
+    """A loss that feels every output of svd3."""
     U, s, V = svd3(F, num_threads=num_threads)
     return s.sum() + U.sum() + V.sum()
 

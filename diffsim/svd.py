@@ -58,9 +58,12 @@ def svd3(F: Tensor, *, num_threads: int = 1) -> tuple[Tensor, Tensor, Tensor]:
     F = U diag(s) V^T,  det U = det V = +1,  s0 >= s1 >= abs(s2),  sign(s2) = sign(det F).
 
     The sign sits on the last singular value, not on U or V: an inverted element has s2 < 0, and s
-    is smooth through det F = 0. Errors of U diag(s) V^T and of s are about 1e-15 s0 at any
-    condition number and any scale; values below that, relative to s0, are noise. A matrix that
-    holds NaN or infinity gives NaN throughout.
+    is smooth through det F = 0. Two columns of U and the same two of V may change sign together,
+    and no canonical choice is made: losses should not depend on it.
+
+    Errors of U diag(s) V^T and of s are about 1e-15 s0 at any condition number and any scale;
+    values below that, relative to s0, are noise. A matrix that holds NaN or infinity gives NaN
+    throughout.
 
     Args:
         F: Matrices, (..., 3, 3) float64; any unit.
