@@ -123,7 +123,8 @@ class BuildExt(build_ext):
         obj = Path(self.compiler.object_filenames([source], output_dir=str(out))[0])
         changed = max(Path(source).stat().st_mtime, newest_header)
         if self.force or not obj.is_file() or obj.stat().st_mtime < changed:
-            print(f"compiling {source} for {ext.name}", flush=True)
+            sys.stdout.write(f"compiling {source} for {ext.name}\n")  # one write: threads
+            sys.stdout.flush()
             self.compiler.compile(
                 [source],
                 output_dir=str(out),
