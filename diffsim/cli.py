@@ -98,7 +98,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     args = parser().parse_args(argv)
     try:
-        return args.run(args) or 0
+        status = args.run(args) or 0
+        sys.stdout.flush()
+        return status
     except KeyboardInterrupt:
         print("\ninterrupted; finished work is kept", file=sys.stderr)
         if args.command == "demo":
@@ -106,6 +108,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             again += [] if args.resume else ["--resume"]
             print(f"go on with: diffsim {shlex.join(again)}", file=sys.stderr)
         return EXIT_INTERRUPTED
+    except BrokenPipeError:  # `diffsim info | head`: nobody reads on
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_MISTAKE
     except (DiffsimError, ValueError, ImportError, OSError) as err:
         if args.debug:
             raise

@@ -108,3 +108,9 @@ def test_runs_as_a_module():
         [sys.executable, "-m", "diffsim", "--version"], capture_output=True, text=True, check=True
     )
     assert done.stdout.strip() == f"diffsim {__version__}"
+
+
+def test_a_closed_pipe_is_no_error_message():
+    line = f"{sys.executable} -m diffsim info | true"
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=True)
+    assert done.stderr == ""
