@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from helpers import check_layer
+from tests.helpers import check_layer
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
