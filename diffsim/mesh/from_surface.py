@@ -52,7 +52,8 @@ def tetrahedralize(
         surface: A watertight `trimesh.Trimesh`, or the path of a surface file in metres.
         spacing: Target edge length [m].
         method: "ftetwild" keeps sharp edges (Hu et al. 2020, "Fast Tetrahedral Meshing in the
-            Wild"; needs ``pip install diffsim-robot[mesh]``); "stuffing" needs nothing further
+            Wild"; needs ``pip install diffsim-robot[mesh]``; two runs give two meshes, so save
+            what you publish); "stuffing" is reproducible, needs nothing further
             and rounds features below ``spacing`` (`tet_from_sdf`); "auto" takes the first where it
             is installed and otherwise warns and takes the second.
         tolerance: How far fTetWild may depart from the surface [m]; 1e-3 of the diagonal of the
@@ -104,7 +105,7 @@ def _pytetwild() -> ModuleType:
 
 
 def _ftetwild(x: Array, faces: IntArray, spacing: float, tolerance: float | None) -> TetMesh:
-    """One thread: fTetWild's result depends on how many there are."""
+    """One thread, so that callers decide how many processors are busy."""
     diagonal = float(np.linalg.norm(x.max(axis=0) - x.min(axis=0)))
     points, tets = _pytetwild().tetrahedralize(
         x,
