@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import warnings
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -107,6 +108,8 @@ def _pytetwild() -> ModuleType:
 def _ftetwild(x: Array, faces: IntArray, spacing: float, tolerance: float | None) -> TetMesh:
     """One thread, so that callers decide how many processors are busy."""
     diagonal = float(np.linalg.norm(x.max(axis=0) - x.min(axis=0)))
+    by_product = Path("__tracked_surface.stl")  # pytetwild 0.2.3 leaves it in the current folder
+    existed = by_product.exists()
     points, tets = _pytetwild().tetrahedralize(
         x,
         np.ascontiguousarray(faces, np.int32),
@@ -115,6 +118,8 @@ def _ftetwild(x: Array, faces: IntArray, spacing: float, tolerance: float | None
         num_threads=1,
         quiet=True,
     )
+    if not existed:
+        by_product.unlink(missing_ok=True)
     nodes = torch.from_numpy(np.asarray(points, np.float64))
     elements = torch.from_numpy(np.asarray(tets, np.int64))
     return TetMesh(*flip_inverted(*remove_degenerate(nodes, elements)))

@@ -55,12 +55,14 @@ def test_stuffing(make):
     assert m.quality(mesh).dihedral_angle.minimum > 9
 
 
-def test_ftetwild():
+def test_ftetwild(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     pytest.importorskip("pytetwild", reason="pip install 'diffsim-robot[mesh]'")
     surface = trimesh.creation.box((0.2, 0.1, 0.1))
     mesh = m.tetrahedralize(surface, 0.05, method="ftetwild")
     # the envelope, 1e-3 of the diagonal, over a third of the width
     assert m.total_volume(mesh) == pytest.approx(0.002, rel=1e-2)
+    assert not list(tmp_path.iterdir())
 
 
 def test_without_ftetwild(monkeypatch):
