@@ -81,9 +81,10 @@ CholeskyFactor::CholeskyFactor(std::shared_ptr<const CholeskySymbolic> symbolic,
 void CholeskyFactor::refactor(const double* values, ThreadPool& pool) {
   usable_ = false;
   const CholeskySymbolic& sym = *symbolic_;
-  // Rounding leaves the last pivot of a singular matrix at about eps sqrt(n) of its diagonal.
-  const double floor = 4 * std::numeric_limits<double>::epsilon() *
-                       std::sqrt(static_cast<double>(sym.num_unknowns) + 1);
+  // The last pivot of a singular matrix is the sum of all entries' rounding errors, weighted by the
+  // null vector: about eps sqrt(nnz) of its diagonal entry. Below a few times that it is noise.
+  const double entries = static_cast<double>(sym.num_blocks) * sym.block * sym.block;
+  const double floor = 4 * std::numeric_limits<double>::epsilon() * std::sqrt(entries);
   const bool round = precision_ == FactorPrecision::kFloat32;
   Refactor work{sym, values, factor64_.resize(sym.factor_size), fronts_.resize(sym.fronts_size),
                 round ? factor32_.resize(sym.factor_size) : nullptr, floor,
