@@ -54,7 +54,8 @@ struct CholeskyFactor::Refactor {
     assemble(node, front);
     for (std::int64_t c = node.children; c < node.children_end; ++c) {
       const CholeskySupernode& child = sym.supernodes[sym.children[c]];
-      front.add(Front(child, factor, fronts), sym.row_in_parent.data() + child.rows);
+      front.add(Front(child, factor, fronts), sym.row_in_parent.data() + child.rows,
+                sym.row_offset_in_parent.data() + child.rows);
     }
     failed[s] = front.factor(floor.data() + node.first, pool);
     if (rounded) {

@@ -139,6 +139,9 @@ void map_indices(const Supernodes& nodes, const std::int64_t* indptr, const std:
     }
     node.entries_end = static_cast<std::int64_t>(sym.entries.size());
   }
+  for (int row : sym.row_in_parent) {
+    sym.row_offset_in_parent.push_back(row / kTile * kTile * kTile + row % kTile);
+  }
 }
 
 }  // namespace

@@ -11,8 +11,8 @@
 namespace diffsim {
 namespace {
 
-constexpr std::size_t kLeafSize = 64;    // parts up to here are ordered by minimum degree
-constexpr std::size_t kMaskSize = 512;   // leaf nodes and the neighbours around them
+constexpr std::size_t kLeafSize = 32;   // parts up to here are ordered by minimum degree
+constexpr std::size_t kMaskSize = 512;  // leaf nodes and the neighbours around them
 
 class Dissector {
  public:
