@@ -57,17 +57,27 @@ class SparseCholesky:
         self.block = block
         self.num_threads = _require_threads(num_threads)
         self.precision = require_choice("precision", precision, ["float64", "float32"])
-        blocks = self._blocks(matrix)
-        self._indptr = torch.as_tensor(blocks.indptr.astype(np.int64))
-        self._indices = torch.as_tensor(blocks.indices.astype(np.int64))
-        self.shape = blocks.shape
+        csr = _to_scipy(matrix)
+        if csr.ndim != 2 or csr.shape[0] != csr.shape[1]:
+            raise ValueError(f"matrix must be square, got shape {csr.shape}")
+        if csr.shape[0] % block:
+            raise ValueError(
+                f"matrix must have a multiple of block = {block} rows, got {csr.shape[0]}"
+            )
+        self.shape = csr.shape
+        self._pattern = _Pattern(csr, block)
+        self._check_values(csr)
         if coords is not None:
             coords = torch.as_tensor(coords)
             coords = require("coords", coords, (self.shape[0] // block, 3), torch.float64)
         self._factor = SparseFactor(
-            self._indptr, self._indices, coords, block, self.precision == "float32"
+            torch.as_tensor(self._pattern.indptr),
+            torch.as_tensor(self._pattern.indices),
+            coords,
+            block,
+            self.precision == "float32",
         )
-        self._refactor(blocks)
+        self._refactor(csr)
 
     @property
     def nnz(self) -> int:
@@ -95,19 +105,17 @@ class SparseCholesky:
             FactorizationError: A is singular or indefinite; ``solve`` then refuses until the next
                 successful ``refactor``.
         """
-        blocks = self._blocks(matrix)
-        if blocks.shape != self.shape:
-            raise ValueError(f"matrix must have shape {self.shape}, got {blocks.shape}")
-        if not (
-            np.array_equal(blocks.indptr, self._indptr)
-            and np.array_equal(blocks.indices, self._indices)
-        ):
+        csr = _to_scipy(matrix)
+        if csr.shape != self.shape:
+            raise ValueError(f"matrix must have shape {self.shape}, got {csr.shape}")
+        if not self._pattern.matches(csr):
             raise ValueError(
                 "matrix must have the sparsity pattern it was analysed with "
-                f"({len(self._indices)} blocks), got another one ({len(blocks.indices)} blocks); "
+                f"({len(self._pattern.columns)} entries), got another one ({csr.nnz} entries); "
                 "store explicit zeros to keep a pattern, or make a new SparseCholesky"
             )
-        self._refactor(blocks)
+        self._check_values(csr)
+        self._refactor(csr)
 
     def solve(self, b: Tensor | np.ndarray) -> Tensor | np.ndarray:
         """Solve A x = b.
@@ -142,8 +150,15 @@ class SparseCholesky:
         x = x if ndim == 2 else x.squeeze(1)
         return x.numpy() if isinstance(b, np.ndarray) else x
 
-    def _refactor(self, blocks: sp.bsr_matrix) -> None:
-        values = torch.as_tensor(np.ascontiguousarray(blocks.data))
+    def _check_values(self, csr: sp.csr_matrix) -> None:
+        if not np.isfinite(csr.data).all():
+            bad = int(np.flatnonzero(~np.isfinite(csr.data))[0])
+            row, column = int(self._pattern.rows[bad]), int(csr.indices[bad])
+            raise ValueError(f"matrix must be finite, got {csr.data[bad]} at ({row}, {column})")
+        self._pattern.require_symmetric(csr.data)
+
+    def _refactor(self, csr: sp.csr_matrix) -> None:
+        values = torch.as_tensor(self._pattern.blocks(csr.data))
         unknown, pivot = self._factor.refactor(values, self.num_threads)
         if unknown >= 0:
             raise FactorizationError(
@@ -154,23 +169,58 @@ class SparseCholesky:
                 value=pivot,
             )
 
-    def _blocks(self, matrix: sp.spmatrix | sp.sparray | Tensor) -> sp.bsr_matrix:
-        """The matrix as checked blocks with sorted columns and every diagonal block stored."""
-        csr = _to_scipy(matrix)
-        if csr.ndim != 2 or csr.shape[0] != csr.shape[1]:
-            raise ValueError(f"matrix must be square, got shape {csr.shape}")
-        if csr.shape[0] % self.block:
+
+class _Pattern:
+    """A scalar CSR pattern and where its entries go in blocks with every diagonal block stored."""
+
+    def __init__(self, csr: sp.csr_matrix, block: int):
+        self.block = block
+        self.shape = csr.shape
+        self.row_begin, self.columns = csr.indptr, csr.indices
+        num_rows, num_nodes = csr.shape[0], csr.shape[0] // block
+        rows = np.repeat(np.arange(num_rows), np.diff(csr.indptr))
+        columns = csr.indices.astype(np.int64)
+        # The transposed entry of every entry, where the pattern is symmetric.
+        key, transposed = rows * num_rows + columns, columns * num_rows + rows
+        where = np.minimum(np.searchsorted(key, transposed), max(len(key) - 1, 0))
+        lonely = np.flatnonzero(key[where] != transposed) if len(key) else where
+        self.transposed = where
+        self.lonely = lonely  # entries whose transposed entry is not stored, and counts as zero
+        self.rows = rows
+        node = np.arange(num_nodes)
+        i, j = rows // block, columns // block
+        keys = np.unique(
+            np.concatenate([i, j, node]) * num_nodes + np.concatenate([j, i, node])
+        ).astype(np.int64)
+        self.num_blocks = len(keys)
+        self.indptr = np.searchsorted(keys, np.arange(num_nodes + 1) * num_nodes).astype(np.int64)
+        self.indices = keys % max(num_nodes, 1)
+        entry = np.searchsorted(keys, i * num_nodes + j)
+        self.target = (entry * block + rows % block) * block + columns % block
+
+    def matches(self, csr: sp.csr_matrix) -> bool:
+        return np.array_equal(csr.indptr, self.row_begin) and np.array_equal(
+            csr.indices, self.columns
+        )
+
+    def require_symmetric(self, data: np.ndarray) -> None:
+        if not len(data):
+            return
+        mirrored = data[self.transposed]
+        mirrored[self.lonely] = 0.0
+        difference = np.abs(data - mirrored)
+        worst = int(np.argmax(difference))
+        if difference[worst] > _SYMMETRY_TOLERANCE * np.abs(data).max():
+            i, j = int(self.rows[worst]), int(self.columns[worst])
             raise ValueError(
-                f"matrix must have a multiple of block = {self.block} rows, got {csr.shape[0]}"
+                f"matrix must be symmetric, got A[{i}, {j}] = {data[worst]:g} and A[{j}, {i}] = "
+                f"{mirrored[worst]:g}; store both triangles, for rounding use (A + A.T) / 2"
             )
-        if not np.isfinite(csr.data).all():
-            bad = int(np.flatnonzero(~np.isfinite(csr.data))[0])
-            row = int(np.searchsorted(csr.indptr, bad, side="right")) - 1
-            raise ValueError(
-                f"matrix must be finite, got {csr.data[bad]} at ({row}, {int(csr.indices[bad])})"
-            )
-        _require_symmetric(csr)
-        return _block_pattern(csr, self.block)
+
+    def blocks(self, data: np.ndarray) -> np.ndarray:
+        values = np.zeros((self.num_blocks, self.block, self.block))
+        values.reshape(-1)[self.target] = data
+        return values
 
 
 def _to_scipy(matrix: sp.spmatrix | sp.sparray | Tensor) -> sp.csr_matrix:
@@ -197,37 +247,6 @@ def _to_scipy(matrix: sp.spmatrix | sp.sparray | Tensor) -> sp.csr_matrix:
     csr = sp.csr_matrix(matrix, copy=True)
     csr.sum_duplicates()
     return csr
-
-
-def _require_symmetric(csr: sp.csr_matrix) -> None:
-    if csr.nnz == 0:
-        return
-    difference = abs(csr - csr.T).tocoo()
-    if difference.nnz == 0:
-        return
-    worst = int(np.argmax(difference.data))
-    if difference.data[worst] > _SYMMETRY_TOLERANCE * abs(csr.data).max():
-        i, j = int(difference.row[worst]), int(difference.col[worst])
-        raise ValueError(
-            f"matrix must be symmetric, got A[{i}, {j}] = {csr[i, j]:g} and "
-            f"A[{j}, {i}] = {csr[j, i]:g}; store both triangles, for rounding use (A + A.T) / 2"
-        )
-
-
-def _block_pattern(csr: sp.csr_matrix, block: int) -> sp.bsr_matrix:
-    """Blocks on the symmetrised pattern of ``csr`` with the whole diagonal, zeros kept."""
-    num_nodes = csr.shape[0] // block
-    rows = np.repeat(np.arange(csr.shape[0]), np.diff(csr.indptr))
-    i, j = rows // block, csr.indices // block
-    node = np.arange(num_nodes)
-    keys = np.concatenate([i, j, node]) * np.int64(num_nodes) + np.concatenate([j, i, node])
-    keys = np.unique(keys)
-    indptr = np.searchsorted(keys, np.arange(num_nodes + 1) * np.int64(num_nodes))
-    data = np.zeros((len(keys), block, block))
-    where = np.searchsorted(keys, i * np.int64(num_nodes) + j)
-    data[where, rows % block, csr.indices % block] = csr.data
-    indices = keys % np.int64(max(num_nodes, 1))
-    return sp.bsr_matrix((data, indices, indptr), shape=csr.shape, blocksize=(block, block))
 
 
 def _require_threads(num_threads: int) -> int:

@@ -38,7 +38,8 @@ struct CholeskyFactor::Refactor {
       // The stored block sits in the column's row of A: its transpose belongs below the diagonal.
       for (int b = 0; b < block; ++b) {
         for (int a = 0; a < block; ++a) {
-          if (entry.row + a >= entry.col + b) front.at(entry.row + a, entry.col + b) += value[b * block + a];
+          const int row = entry.row + a, col = entry.col + b;
+          if (row >= col) front.at(row, col) += value[b * block + a];
         }
       }
     }
@@ -118,8 +119,8 @@ std::int64_t CholeskyFactor::num_unknowns() const { return symbolic_->num_unknow
 std::int64_t CholeskyFactor::nnz() const { return symbolic_->nnz; }
 double CholeskyFactor::flops() const { return symbolic_->flops; }
 std::int64_t CholeskyFactor::bytes() const {
-  const std::int64_t entry = precision_ == FactorPrecision::kFloat32 ? sizeof(float) : sizeof(double);
-  return symbolic_->factor_size * entry;
+  const bool single = precision_ == FactorPrecision::kFloat32;
+  return symbolic_->factor_size * (single ? sizeof(float) : sizeof(double));
 }
 
 }  // namespace diffsim

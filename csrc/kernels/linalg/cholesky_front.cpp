@@ -132,7 +132,9 @@ FailedPivot Front::factor(const double* floor, ThreadPool* pool) const {
     const int groups = (tiles_ - p1 + tiles::kRowTiles - 1) / tiles::kRowTiles;
     const auto row = [&](std::int64_t g) { return p1 + static_cast<int>(g) * tiles::kRowTiles; };
     const auto count = [&](int i) { return std::min(tiles::kRowTiles, tiles_ - i); };
-    const auto solve = [&](std::int64_t g) { solve_rows(row(g), count(row(g)), p0, p1, diagonals); };
+    const auto solve = [&](std::int64_t g) {
+      solve_rows(row(g), count(row(g)), p0, p1, diagonals);
+    };
     const auto update = [&](std::int64_t g) { update_rows(row(g), count(row(g)), p0, p1); };
     if (pool) {
       pool->run(groups, solve);

@@ -38,7 +38,8 @@ class Front {
   /// @param map    (child's rows) local rows here
   /// @param offset (child's rows) the same as offsets within a column of full panels
   void add(const Front& child, const int* map, const int* offset) const;
-  /// Partial Cholesky: own panels become L (diagonal tiles inverted), the rest the Schur complement.
+  /// Partial Cholesky: own panels become L (diagonal tiles inverted), the update matrix the Schur
+  /// complement.
   /// @param floor (num_cols) pivots must be above this
   /// @param pool  splits the rows, or nullptr
   FailedPivot factor(const double* floor, ThreadPool* pool) const;

@@ -24,7 +24,9 @@ class Dissector {
     // A node coupled to almost everything would spoil every separator: eliminate it last.
     const double dense = std::max(64.0, 10.0 * std::sqrt(double(graph_.num_nodes)));
     std::vector<int> rest, hubs;
-    for (int v = 0; v < graph_.num_nodes; ++v) (graph_.degree(v) > dense ? hubs : rest).push_back(v);
+    for (int v = 0; v < graph_.num_nodes; ++v) {
+      (graph_.degree(v) > dense ? hubs : rest).push_back(v);
+    }
     for (int v : hubs) owner_[v] = -1;
     std::copy(hubs.begin(), hubs.end(), order_.begin() + rest.size());
     work_.push_back({std::move(rest), 0, 0});
