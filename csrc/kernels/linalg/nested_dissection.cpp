@@ -118,7 +118,6 @@ class Dissector {
         keys.emplace_back(n);
         for (std::size_t i = 0; i < n; ++i) keys.back()[i] = coords_[3 * item.nodes[i] + axis];
       }
-      return keys;
     }
     // Difference of the distances to two far-apart nodes, for up to three pairs of them.
     std::vector<double> nearest(n, 1e30);  // distance to the nearest node already used
@@ -145,7 +144,7 @@ class Dissector {
   /// Averages a key over neighbours a few times, which breaks the ties of integer distances.
   void smooth(const Item& item, std::vector<double>& key) {
     value_.resize(graph_.num_nodes);
-    for (int sweep = 0; sweep < 3; ++sweep) {
+    for (int sweep = 0; sweep < 12; ++sweep) {
       for (std::size_t i = 0; i < key.size(); ++i) value_[item.nodes[i]] = key[i];
       for (std::size_t i = 0; i < key.size(); ++i) {
         const int v = item.nodes[i];
