@@ -6,7 +6,9 @@
 #pragma once
 
 #include <atomic>
+#include <condition_variable>
 #include <cstdint>
+#include <mutex>
 #include <thread>
 #include <type_traits>
 #include <vector>
@@ -23,7 +25,7 @@ class ThreadPool {
   ThreadPool& operator=(const ThreadPool&) = delete;
   ~ThreadPool() {
     stop_.store(true, std::memory_order_release);
-    generation_.fetch_add(1, std::memory_order_release);
+    announce();
     for (std::thread& t : workers_) t.join();
   }
 
@@ -43,7 +45,7 @@ class ThreadPool {
     num_tasks_ = num_tasks;
     next_.store(0, std::memory_order_relaxed);
     busy_.store(static_cast<int>(workers_.size()), std::memory_order_relaxed);
-    generation_.fetch_add(1, std::memory_order_release);
+    announce();
     drain();
     for (int spin = 0; busy_.load(std::memory_order_acquire) != 0; ++spin) pause(spin);
   }
@@ -57,7 +59,12 @@ class ThreadPool {
   void work() {
     std::uint64_t seen = 0;
     while (true) {
-      for (int spin = 0; generation_.load(std::memory_order_acquire) == seen; ++spin) pause(spin);
+      for (int spin = 0; generation_.load() == seen; ++spin) {
+        if (spin < kSpins)
+          pause(spin);
+        else
+          sleep(seen);
+      }
       ++seen;
       if (stop_.load(std::memory_order_acquire)) return;
       drain();
@@ -65,7 +72,25 @@ class ThreadPool {
     }
   }
 
-  // Regions follow one another within microseconds: spin first, then let others have the core.
+  /// Starts a generation of work and wakes those who sleep.
+  void announce() {
+    generation_.fetch_add(1);  // sequentially consistent, as is sleepers_: no wake-up is lost
+    if (sleepers_.load() > 0) {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      wake_.notify_all();
+    }
+  }
+
+  void sleep(std::uint64_t seen) {
+    std::unique_lock<std::mutex> lock(mutex_);
+    sleepers_.fetch_add(1);
+    wake_.wait(lock, [&] { return generation_.load() != seen; });
+    sleepers_.fetch_sub(1);
+  }
+
+  // Regions follow one another within microseconds, so workers spin before they sleep; the caller
+  // only yields, since what it waits for is already running.
+  static constexpr int kSpins = 4000;
   static void pause(int spin) {
     if (spin < 2000) {
 #if defined(__x86_64__)
@@ -84,6 +109,9 @@ class ThreadPool {
   std::atomic<int> busy_{0};
   std::atomic<std::uint64_t> generation_{0};
   std::atomic<bool> stop_{false};
+  std::atomic<int> sleepers_{0};
+  std::mutex mutex_;
+  std::condition_variable wake_;
 };
 
 }  // namespace diffsim
