@@ -54,6 +54,7 @@ class ConstantSystem {
   const SoftPattern& pattern() const { return *pattern_; }
   const std::uint8_t* fixed() const { return fixed_.data(); }
   const double* inertia() const { return inertia_.data(); }
+  const double* diagonal() const { return diagonal_.data(); }  // of A, (num_nodes,) [N/m]
 
   /// z = A^-1 r on free unknowns, zero on fixed ones; r is (num_nodes, 3), zero on fixed ones.
   void solve(const Vector& r, Vector& z, Scratch& scratch, ThreadPool& pool) const;
@@ -65,7 +66,7 @@ class ConstantSystem {
   };
   std::shared_ptr<const SoftPattern> pattern_;
   std::vector<std::uint8_t> fixed_;
-  Vector inertia_;
+  Vector inertia_, diagonal_;
   std::vector<AxisFactor> factors_;
 };
 
