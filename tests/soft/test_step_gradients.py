@@ -56,7 +56,9 @@ def layer_of(body, names, num_steps=2):
 
     def layer(*args):
         given = dict(zip(names, args, strict=True))
-        state = soft.State(given.pop("x", body.x_rest), given.pop("v", torch.zeros_like(body.x_rest)))
+        state = soft.State(
+            given.pop("x", body.x_rest), given.pop("v", torch.zeros_like(body.x_rest))
+        )
         signals = {k: given.pop(k) for k in STATE_INPUTS[2:] if k in given}
         physics = body.physics(**given)
         for _ in range(num_steps):
@@ -191,9 +193,7 @@ def test_elastic_force_of_hard_elements(name):
 @pytest.mark.parametrize("method", ["auto", "newton_cholesky", "quasi_newton"])
 def test_step_of_hard_elements(name, method):
     """A step that starts from a hard element; light nodes, so that it stays one: h^2 E / m is 0.03."""
-    body, x = one_tet(
-        STRETCHES[name], dt=0.01, solver=soft.SolverOptions(method=method, **SHARP)
-    )
+    body, x = one_tet(STRETCHES[name], dt=0.01, solver=soft.SolverOptions(method=method, **SHARP))
     names = ("x", "v", "youngs_modulus")
     args = (leaf(x), leaf(0.1 * noise(4, 3)), leaf(30.0))
     assert torch.autograd.gradcheck(
@@ -362,9 +362,14 @@ def test_equal_contraction_activations_share_their_gradient():
     torch.testing.assert_close(rows.grad.sum(0), one.grad, rtol=1e-12, atol=1e-12)
     assert rows.grad[0, 1] == rows.grad[1, 1]  # one value for all, so one share for each
     with pytest.raises(ValueError, match="contraction muscles must be the same"):
-        body(soft.State(x, torch.zeros_like(x)), activation=torch.tensor([[1, 0.3], [1, 0.4]]).double())
+        body(
+            soft.State(x, torch.zeros_like(x)),
+            activation=torch.tensor([[1, 0.3], [1, 0.4]]).double(),
+        )
     # What a length muscle does may differ.
-    body(soft.State(x, torch.zeros_like(x)), activation=torch.tensor([[1, 0.3], [0.9, 0.3]]).double())
+    body(
+        soft.State(x, torch.zeros_like(x)), activation=torch.tensor([[1, 0.3], [0.9, 0.3]]).double()
+    )
 
 
 def test_non_contiguous_inputs():
@@ -415,7 +420,9 @@ def test_step_keeps_the_layer_contract(kind, monkeypatch):
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_every_integrator_compiles(integrator):
     m = irregular_mesh("tet", (1, 1, 1), (1.0, 1.0, 1.0))
-    body = soft_body(m, fixed=rail_mask(m), muscles=two_muscles()[:1], integrator=integrator, dt=0.02)
+    body = soft_body(
+        m, fixed=rail_mask(m), muscles=two_muscles()[:1], integrator=integrator, dt=0.02
+    )
     names = ("x", "v", "external_force", "activation", "youngs_modulus", "rayleigh_beta")
     args = [all_inputs(m)[name] for name in names]
     args[3] = leaf([0.8])
