@@ -65,6 +65,6 @@ def soft_body(m, **changes) -> soft.SoftBody:
     return soft.SoftBody(m, **{**arguments, **changes})
 
 
-def leaf(value, **like) -> Tensor:
+def leaf(value) -> Tensor:
     """A float64 tensor that asks for its gradient."""
     return torch.as_tensor(value, dtype=torch.float64).clone().requires_grad_()
