@@ -335,6 +335,7 @@ def _step_setup(ctx, inputs, output):
     y, force, target, guess, inertia, *rest = inputs
     ctx.save_for_backward(output[0], y, force, target, inertia, *rest[:8])
     ctx.handle, ctx.method, *_, ctx.num_threads, ctx.on_failure, ctx.rtol, ctx.max_iters = rest[8:]
+    ctx.owner = context(ctx.handle)  # the graph keeps the prepared solver, if its body is deleted
     ctx.mark_non_differentiable(output[1])
 
 
@@ -465,6 +466,7 @@ def _(z, x, w_mu, w_vol, fs, act, dm, dl, xf, xv, *args):
 def _elastic_setup(ctx, inputs, output):
     ctx.save_for_backward(*inputs[:9], output[0])
     ctx.handle, ctx.num_threads = inputs[9:]
+    ctx.owner = context(ctx.handle)
     if inputs[5].numel():  # with damping frames the energy's own gradient is not defined
         ctx.mark_non_differentiable(output[1])
 

@@ -96,9 +96,10 @@ class SoftBody(nn.Module):
         self.volume_weight = require_choice("volume_weight", volume_weight, VOLUME_WEIGHTS)
         self.solver = solver or SolverOptions()
         self.muscles = MuscleSet(muscles, mesh.num_elements)
-        self.register_buffer("x_rest", mesh.x_rest)
-        self.register_buffer("fixed", _dirichlet_mask(fixed, mesh.num_vertices))
-        self.register_buffer("nodal_volume", nodal_volume(mesh))
+        # Not in the state_dict: loading one would change them behind the prepared solver's back.
+        self.register_buffer("x_rest", mesh.x_rest, persistent=False)
+        self.register_buffer("fixed", _dirichlet_mask(fixed, mesh.num_vertices), persistent=False)
+        self.register_buffer("nodal_volume", nodal_volume(mesh), persistent=False)
         given = {
             "youngs_modulus": youngs_modulus,
             "poissons_ratio": poissons_ratio,
