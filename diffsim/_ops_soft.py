@@ -135,12 +135,29 @@ VOLUME_SHARE = 0.1
 FIBRE_SHARE = 0.5
 
 
+def _require_sizes(ctx: SoftContext, batch: int, tensors: dict[str, Tensor]) -> None:
+    """Kernels read whole arrays: refuse any other size before they do."""
+    expected = {
+        "activation": (batch, ctx.num_fibres),
+        "fibre_stiffness": (ctx.num_fibres,),
+        "inertia": (ctx.num_vertices,),
+        **dict.fromkeys(("w_mu", "w_vol", "damp_mu", "damp_lambda"), (ctx.num_elements,)),
+    }
+    damped = tensors["damp_mu"].numel() > 0
+    for name, tensor in tensors.items():
+        shape = expected.get(name, (batch, ctx.num_vertices, 3))
+        if not damped and name in ("damp_mu", "damp_lambda", "x_frame", "x_velocity"):
+            shape = (0,)
+        if tuple(tensor.shape) != shape:
+            raise ValueError(f"{name} must have shape {shape}, got {tuple(tensor.shape)}")
+        if tensor.dtype != torch.float64 or not tensor.is_contiguous():
+            raise TypeError(f"{name} must be contiguous float64")
+
+
 def _pointers(**tensors: Tensor) -> object:
     arrays = core.SoftArrays()
     for name, tensor in tensors.items():
         if tensor.numel():
-            if tensor.dtype != torch.float64 or not tensor.is_contiguous():
-                raise TypeError(f"{name} must be contiguous float64")
             setattr(arrays, name, tensor.data_ptr())
     return arrays
 
@@ -195,27 +212,28 @@ def soft_step(
 ) -> tuple[Tensor, Tensor]:
     """One implicit step of a batch; see csrc/kernels/soft/implicit_step.h. Returns x and stats."""
     ctx = context(handle)
+    inputs = {
+        "y": y,
+        "force": force,
+        "target": target,
+        "guess": guess,
+        "w_mu": w_mu,
+        "w_vol": w_vol,
+        "fibre_stiffness": fibre_stiffness,
+        "activation": activation,
+        "damp_mu": damp_mu,
+        "damp_lambda": damp_lambda,
+        "x_frame": x_frame,
+        "x_velocity": x_velocity,
+    }
+    _require_sizes(ctx, y.shape[0], {**inputs, "inertia": inertia})
     kappa = preconditioner_stiffness(w_mu, w_vol, damp_mu, damp_lambda)
     system = ctx.system((inertia, kappa, FIBRE_SHARE * fibre_stiffness), num_threads)
-    arrays = _pointers(
-        y=y,
-        force=force,
-        target=target,
-        guess=guess,
-        w_mu=w_mu,
-        w_vol=w_vol,
-        fibre_stiffness=fibre_stiffness,
-        activation=activation,
-        damp_mu=damp_mu,
-        damp_lambda=damp_lambda,
-        x_frame=x_frame,
-        x_velocity=x_velocity,
-    )
     x = torch.empty_like(y)
     stats = torch.zeros(y.shape[0], len(STATS), dtype=torch.float64)
     core.implicit_step(
         system,
-        arrays,
+        _pointers(**inputs),
         _options(method, rtol, atol, max_iters),
         y.shape[0],
         x.data_ptr(),
@@ -256,8 +274,6 @@ def soft_step_vjp(
 ) -> list[Tensor]:
     """Adjoint of :func:`soft_step`; gradients in the order of ``_GRADIENTS``, then stats."""
     ctx = context(handle)
-    kappa = preconditioner_stiffness(w_mu, w_vol, damp_mu, damp_lambda)
-    system = ctx.system((inertia, kappa, FIBRE_SHARE * fibre_stiffness), num_threads)
     inputs = {
         "y": y,
         "force": force,
@@ -272,9 +288,12 @@ def soft_step_vjp(
         "x_velocity": x_velocity,
     }
     batch = y.shape[0]
+    grad_x = grad_x.contiguous()
+    _require_sizes(ctx, batch, {**inputs, "inertia": inertia, "x": x, "grad_x": grad_x})
+    kappa = preconditioner_stiffness(w_mu, w_vol, damp_mu, damp_lambda)
+    system = ctx.system((inertia, kappa, FIBRE_SHARE * fibre_stiffness), num_threads)
     grads = _gradient_buffers({**inputs, "inertia": inertia}, batch)
     stats = torch.zeros(batch, len(STATS), dtype=torch.float64)
-    grad_x = grad_x.contiguous()
     core.implicit_step_adjoint(
         system,
         _pointers(**inputs),
@@ -380,14 +399,23 @@ def elastic_gradient(
 ) -> tuple[Tensor, Tensor]:
     """Gradient of the elastic (and damping) energy [N] and the energy [J], per batch item."""
     ctx = context(handle)
+    inputs = {
+        "w_mu": w_mu,
+        "w_vol": w_vol,
+        "fibre_stiffness": fibre_stiffness,
+        "activation": activation,
+        "damp_mu": damp_mu,
+        "damp_lambda": damp_lambda,
+        "x_frame": x_frame,
+        "x_velocity": x_velocity,
+    }
+    _require_sizes(ctx, x.shape[0], {**inputs, "x": x})
     gradient = torch.empty_like(x)
     energy = torch.empty(x.shape[0], dtype=torch.float64)
     for k in range(x.shape[0]):
-        arrays = _item(k, w_mu, w_vol, fibre_stiffness, activation, damp_mu, damp_lambda,
-                       x_frame, x_velocity)  # fmt: skip
         core.elastic_gradient(
             ctx.pattern,
-            arrays,
+            _item(k, **inputs),
             x[k].data_ptr(),
             gradient[k].data_ptr(),
             energy[k].data_ptr(),
@@ -442,9 +470,10 @@ def elastic_gradient_vjp(
         "x_frame": x_frame,
         "x_velocity": x_velocity,
     }
+    z = z.contiguous()
+    _require_sizes(ctx, batch, {**inputs, "x": x, "z": z})
     grads = _gradient_buffers(inputs, batch)
     grad_x = torch.empty_like(x)
-    z = z.contiguous()
     for k in range(batch):
         core.elastic_gradient_adjoint(
             ctx.pattern,

@@ -94,6 +94,8 @@ class SoftBody(nn.Module):
         self.dt = require_number("dt", dt, above=0.0, hint="unit is s")
         self.integrator = require_choice("integrator", integrator, INTEGRATORS)
         self.volume_weight = require_choice("volume_weight", volume_weight, VOLUME_WEIGHTS)
+        if solver is not None and not isinstance(solver, SolverOptions):
+            raise TypeError(f"solver must be a SolverOptions, got {type(solver).__name__}")
         self.solver = solver or SolverOptions()
         self.muscles = MuscleSet(muscles, mesh.num_elements)
         # Not in the state_dict: loading one would change them behind the prepared solver's back.
@@ -163,6 +165,7 @@ class SoftBody(nn.Module):
             values[name] = None if value is None else _as_tensor(name, value)
         return make_physics(
             num_elements=self.mesh.num_elements,
+            num_muscles=self.muscles.num_muscles,
             nodal_volume=self.nodal_volume,
             volume_weight=self.volume_weight,
             **values,
