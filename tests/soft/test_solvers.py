@@ -140,7 +140,12 @@ def test_nearly_incompressible(method, kind):
 def test_units_do_not_matter(method, scale):
     """Stiffness, density and forces in other units of force: the same motion."""
     body, reference = (
-        bar(cells=(4, 2, 2), youngs_modulus=1e4 * s, density=1000.0 * s, solver=options(method, rtol=1e-9))
+        bar(
+            cells=(4, 2, 2),
+            youngs_modulus=1e4 * s,
+            density=1000.0 * s,
+            solver=options(method, rtol=1e-9),
+        )
         for s in (scale, 1.0)
     )
     found, expected = step_and_gradients(body), step_and_gradients(reference)
@@ -168,7 +173,9 @@ def test_extreme_stiffness(method, youngs_modulus):
 def test_too_few_iterations_raise_with_the_numbers(method):
     body = bar(dt=0.2, solver=options(method, rtol=1e-10, max_iters=1))
     state = soft.State(body.x_rest, noise(*body.x_rest.shape))
-    with pytest.raises(ConvergenceError, match=r"stopped after 1 iterations.*needed.*raise max_iters") as e:
+    with pytest.raises(
+        ConvergenceError, match=r"stopped after 1 iterations.*needed.*raise max_iters"
+    ) as e:
         body(state)
     assert e.value.num_iters == 1
     assert e.value.residual_norm > e.value.tolerance > 0.0
@@ -184,7 +191,9 @@ def test_an_adjoint_that_does_not_converge_raises(method):
     body = bar(dt=0.2, solver=options(method, rtol=1e-8, adjoint_rtol=1e-10, adjoint_max_iters=2))
     x = leaf(body.x_rest)
     end = body(soft.State(x, noise(*x.shape)))
-    with pytest.raises(ConvergenceError, match="adjoint solve stopped after .* loosen adjoint_rtol"):
+    with pytest.raises(
+        ConvergenceError, match="adjoint solve stopped after .* loosen adjoint_rtol"
+    ):
         (end.x * noise(*x.shape)).sum().backward()
     body = bar(dt=0.2, solver=options(method, rtol=1e-8, adjoint_rtol=1e-10, adjoint_max_iters=2,
                                       on_failure="warn"))  # fmt: skip
