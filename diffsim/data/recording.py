@@ -1,0 +1,295 @@
+"""Marker recordings in the tidy CSV format: one row per frame, metres and seconds, gaps marked.
+
+Columns: ``time_s``, then ``<marker>_x_m, <marker>_y_m, <marker>_z_m`` for each marker; ``frame``
+and other columns are allowed and ignored. An empty cell or ``nan`` is a gap (the marker was not
+seen); everything else that is not a finite number is refused, with file, row and column.
+"""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import math
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_COORDINATE = re.compile(r"^(?P<marker>.+)_(?P<axis>[xyz])_m$")
+_OTHER_UNIT = re.compile(r"^(?P<marker>.+)_(?P<axis>[xyz])_(?P<unit>mm|cm|um|in|ft)$")
+_OTHER_TIME = re.compile(r"^(t|time|timestamp|time_?ms|time_?us|t_s|t_ms|seconds)$", re.IGNORECASE)
+#: Largest coordinate accepted [m]: no marker system sees further, and millimetres read as metres
+#: are nearly always beyond it.
+MAX_COORDINATE_M = 100.0
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Marker places over time.
+
+    Attributes:
+        time_s: (T,) strictly increasing [s].
+        position_m: (T, num_markers, 3) [m]; NaN where a marker was not seen.
+        markers: Marker names, in the order of the second axis.
+        name: Short name, by default the file's stem.
+        metadata: Whatever the source says about this recording.
+        source: The file it came from; None if it was made in memory.
+    """
+
+    time_s: Array
+    position_m: Array
+    markers: tuple[str, ...]
+    name: str = "recording"
+    metadata: dict[str, Any] = field(default_factory=dict)
+    source: Path | None = None
+
+    def __post_init__(self) -> None:
+        expected = (len(self.time_s), len(self.markers), 3)
+        if self.position_m.shape != expected:
+            raise ValueError(
+                f"position_m of recording {self.name!r} must have shape (T, num_markers, 3) = "
+                f"{expected}, got {self.position_m.shape}"
+            )
+
+    @property
+    def num_gaps(self) -> int:
+        """Number of (frame, marker) pairs in which the marker was not seen."""
+        return int(self.is_gap.sum())
+
+    @property
+    def is_gap(self) -> NDArray[np.bool_]:
+        """(T, num_markers): True where the marker was not seen."""
+        return np.asarray(np.isnan(self.position_m).any(axis=2))
+
+    @property
+    def rate_Hz(self) -> float:
+        """Sampling rate, from the median step."""
+        return 1.0 / float(np.median(np.diff(self.time_s)))
+
+    @property
+    def is_uniform(self) -> bool:
+        """Whether every step is within 1 % of the median step."""
+        step = np.diff(self.time_s)
+        return bool(np.all(np.abs(step / np.median(step) - 1.0) < 0.01))
+
+    def select(self, markers: Sequence[str]) -> Recording:
+        """The same recording with these markers only, in this order."""
+        idx = [self._marker_idx(name) for name in markers]
+        return replace(self, position_m=self.position_m[:, idx], markers=tuple(markers))
+
+    def position_of(self, marker: str) -> Array:
+        """(T, 3) places of one marker [m]."""
+        return self.position_m[:, self._marker_idx(marker)]
+
+    def _marker_idx(self, marker: str) -> int:
+        if marker not in self.markers:
+            raise ValueError(
+                f"recording {self.name!r} has no marker {marker!r}; it has "
+                f"{', '.join(self.markers)}{_did_you_mean(marker, self.markers)}"
+            )
+        return self.markers.index(marker)
+
+
+def load_csv(
+    path: str | Path,
+    *,
+    markers: Sequence[str] | None = None,
+    metadata: dict[str, Any] | None = None,
+    min_frames: int = 20,
+) -> Recording:
+    """Read a recording and refuse, with file, row and column, what cannot be one.
+
+    Args:
+        path: CSV file in the tidy format (see the module's docstring).
+        markers: Markers that must be there, in this order; by default all that the file has.
+        metadata: Stored with the recording.
+        min_frames: Shortest recording accepted.
+
+    Raises:
+        FileNotFoundError: no such file; the message lists the CSV files beside it.
+        ValueError: a column is missing or in another unit, a cell is not a number, time does not
+            increase, a marker is never seen, or there are fewer than ``min_frames`` rows.
+    """
+    path = Path(path)
+    if not path.is_file():
+        beside = sorted(p.name for p in path.parent.glob("*.csv")) if path.parent.is_dir() else []
+        there = f"; that folder has {', '.join(beside)}" if beside else ""
+        raise FileNotFoundError(
+            f"{path}: no such recording{there}{_did_you_mean(path.name, beside)}"
+        )
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        rows = csv.reader(file)
+        header = [name.strip() for name in next(rows, [])]
+        if not header:
+            raise ValueError(f"{path}: the file is empty; expected a header line with time_s")
+        time_col, coordinates = _columns(path, header, markers)
+        time_s: list[float] = []
+        position_m: list[list[float]] = []
+        for row in rows:
+            if not any(cell.strip() for cell in row):
+                continue  # blank line, usually the last
+            line = rows.line_num
+            if len(row) != len(header):
+                raise ValueError(
+                    f"{path}, row {line}: {len(row)} cells, but the header has {len(header)} "
+                    "columns; a cell without a value must still have its comma"
+                )
+            now = _number(path, line, header[time_col], row[time_col])
+            if math.isnan(now):
+                raise ValueError(f"{path}, row {line}, column {header[time_col]}: time is missing")
+            if time_s and now <= time_s[-1]:
+                raise ValueError(
+                    f"{path}, row {line}, column {header[time_col]}: time must increase, got "
+                    f"{now:g} s after {time_s[-1]:g} s; remove repeated rows or sort the file"
+                )
+            time_s.append(now)
+            position_m.append(
+                [
+                    _number(path, line, header[col], row[col], limit=MAX_COORDINATE_M)
+                    for cols in coordinates.values()
+                    for col in cols
+                ]
+            )
+    if len(time_s) < min_frames:
+        raise ValueError(
+            f"{path}: {len(time_s)} frames; a recording needs at least {min_frames} "
+            "(is this the right file, or was the export cut short?)"
+        )
+    places = np.array(position_m).reshape(len(time_s), len(coordinates), 3)
+    for marker, unseen in zip(coordinates, np.isnan(places).any(2).all(0), strict=True):
+        if unseen:
+            raise ValueError(
+                f"{path}: marker {marker} is never seen: its cells are empty in all "
+                f"{len(time_s)} rows; leave it out with markers=[...]"
+            )
+    return Recording(
+        time_s=np.array(time_s),
+        position_m=places,
+        markers=tuple(coordinates),
+        name=path.stem,
+        metadata=dict(metadata or {}),
+        source=path,
+    )
+
+
+def format_csv(recording: Recording) -> str:
+    """The recording in the tidy format, micrometres and microseconds kept; gaps are empty."""
+    columns = [f"{m}_{axis}_m" for m in recording.markers for axis in "xyz"]
+    lines = [",".join(["frame", "time_s", *columns])]
+    flat = recording.position_m.reshape(len(recording.time_s), -1)
+    for frame, (now, row) in enumerate(zip(recording.time_s, flat, strict=True)):
+        cells = ("" if math.isnan(value) else f"{value:.6f}" for value in row)
+        lines.append(",".join([str(frame), f"{now:.6f}", *cells]))
+    return "\n".join(lines) + "\n"
+
+
+def find_dataset(name: str, data: str | Path | None = None) -> Path | None:
+    """Folder of a data set: under ``data``, else DIFFSIM_DATA, else ``../shared/data``.
+
+    Args:
+        name: Folder name, such as ``silicone_beam``.
+        data: Folder that holds the data sets (or the data set's own folder). When given, or when
+            DIFFSIM_DATA is set, nothing else is searched: a typing error must not silently lead
+            to other data.
+
+    Returns:
+        The folder, or None if none was asked for and none was found.
+
+    Raises:
+        FileNotFoundError: ``data`` or DIFFSIM_DATA was given but does not hold the set.
+    """
+    asked = [("data", data)] if data is not None else []
+    if not asked and (from_env := os.environ.get("DIFFSIM_DATA")):
+        asked = [("DIFFSIM_DATA", from_env)]
+    for label, value in asked:
+        base = Path(str(value)).expanduser()
+        for folder in (base / name, base):
+            if (folder / "metadata.yaml").is_file() and (folder is not base or base.name == name):
+                return folder
+        has = sorted(p.name for p in base.iterdir() if p.is_dir()) if base.is_dir() else None
+        state = "does not exist" if has is None else f"holds {', '.join(has) or 'no folders'}"
+        raise FileNotFoundError(
+            f"{label}={base} must be the folder that holds {name}/metadata.yaml; it {state}"
+            f"{_did_you_mean(name, has or [])}"
+        )
+    package_root = Path(__file__).resolve().parents[2]
+    for base in (Path.cwd().parent, Path.cwd(), package_root.parent):
+        folder = base / "shared" / "data" / name
+        if (folder / "metadata.yaml").is_file():
+            return folder
+    return None
+
+
+def _columns(
+    path: Path, header: list[str], markers: Sequence[str] | None
+) -> tuple[int, dict[str, list[int]]]:
+    """Index of the time column and, per marker, of its x, y and z columns."""
+    repeated = sorted({name for name in header if name and header.count(name) > 1})
+    if repeated:
+        raise ValueError(f"{path}: column {repeated[0]!r} occurs more than once in the header")
+    if "time_s" not in header:
+        close = [name for name in header if _OTHER_TIME.match(name)]
+        hint = f"; column {close[0]!r} looks like it: rename it, in seconds" if close else ""
+        raise ValueError(
+            f"{path}: column time_s is missing{hint or _did_you_mean('time_s', header)}; "
+            f"the file has {', '.join(header)}"
+        )
+    for name in header:
+        if wrong := _OTHER_UNIT.match(name):
+            raise ValueError(
+                f"{path}: column {name} is in {wrong['unit']}; positions must be in metres: "
+                f"convert it and name it {wrong['marker']}_{wrong['axis']}_m"
+            )
+    found = [m["marker"] for name in header if (m := _COORDINATE.match(name))]
+    names = list(markers) if markers is not None else list(dict.fromkeys(found))
+    if not names:
+        raise ValueError(
+            f"{path}: no marker columns; expected names such as tip1_x_m, tip1_y_m, tip1_z_m, "
+            f"the file has {', '.join(header)}"
+        )
+    coordinates: dict[str, list[int]] = {}
+    for marker in names:
+        wanted = [f"{marker}_{axis}_m" for axis in "xyz"]
+        missing = [name for name in wanted if name not in header]
+        if missing:
+            raise ValueError(
+                f"{path}: column {missing[0]} is missing{_did_you_mean(missing[0], header)}; "
+                f"the file has markers {', '.join(dict.fromkeys(found)) or 'none'}"
+            )
+        coordinates[marker] = [header.index(name) for name in wanted]
+    return header.index("time_s"), coordinates
+
+
+def _number(path: Path, line: int, column: str, cell: str, limit: float = math.inf) -> float:
+    """One cell; an empty one or ``nan`` is a gap."""
+    text = cell.strip()
+    if text == "" or text.lower() in ("nan", "na"):
+        return math.nan
+    try:
+        value = float(text)
+    except ValueError:
+        comma = "; use a decimal point" if re.fullmatch(r"-?\d+,\d+", text) else ""
+        raise ValueError(
+            f"{path}, row {line}, column {column}: {text!r} is not a number{comma}; "
+            "leave the cell empty where the marker was not seen"
+        ) from None
+    if not math.isfinite(value):
+        raise ValueError(f"{path}, row {line}, column {column}: {text!r} is not a finite number")
+    if abs(value) > limit:
+        raise ValueError(
+            f"{path}, row {line}, column {column}: {value:g} m is not a marker position "
+            f"(limit {limit:g} m); are these millimetres?"
+        )
+    return value
+
+
+def _did_you_mean(name: str, known: Sequence[str]) -> str:
+    close = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
+    return f"; did you mean {' or '.join(close)}?" if close else ""

@@ -1,0 +1,62 @@
+"""Stages of a long run: each result is kept on disk, an interrupted run takes up where it was."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from diffsim._files import to_plain, write_json_atomic
+
+Result = dict[str, Any]
+
+
+class Stages:
+    """Runs named stages once; with ``resume``, finished ones are read back.
+
+    A stage is reused only if everything it depends on is unchanged: the settings given here and
+    the results of all earlier stages.
+
+    Args:
+        folder: Results are kept in ``folder/stages``.
+        settings: What all stages depend on (data checksum, version, options).
+        resume: Read finished stages back; otherwise compute everything anew.
+    """
+
+    def __init__(self, folder: Path, settings: Result, *, resume: bool):
+        self.folder, self.resume = folder / "stages", resume
+        self.reused: list[str] = []
+        self._key = _digest(settings)
+
+    def run(self, name: str, compute: Callable[[], Result], **inputs: Any) -> Result:
+        """The result of a stage: read back if it is finished, else computed and kept."""
+        path = self.folder / f"{name}.json"
+        self._key = _digest({"before": self._key, "name": name, "inputs": inputs})
+        if self.resume and (kept := _read(path)) is not None and kept.get("key") == self._key:
+            self.reused.append(name)
+            return kept["result"]
+        result = to_plain(compute())
+        write_json_atomic(path, {"key": self._key, "result": result})
+        return result
+
+
+def file_digest(paths: list[Path]) -> str:
+    """SHA-256 over the contents of files, in the order given."""
+    digest = hashlib.sha256()
+    for path in paths:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _read(path: Path) -> Result | None:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, json.JSONDecodeError):
+        return None
+
+
+def _digest(value: Any) -> str:
+    text = json.dumps(to_plain(value), sort_keys=True)
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()

@@ -1,0 +1,129 @@
+"""A report of one static HTML file: verdict first, then figures, tables, what was held fixed.
+
+The page needs no network and no scripts: styles and figures are inside.
+"""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
+from importlib import metadata, resources
+from pathlib import Path
+
+from diffsim import __version__
+from diffsim._files import write_text_atomic
+from diffsim.viz._require import optional
+
+TONES = ("good", "fair", "bad", "plain")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Number:
+    """One key figure: ``value`` with its unit, what it is, and how to read it."""
+
+    label: str
+    value: str
+    unit: str = ""
+    note: str = ""
+    tone: str = "plain"
+
+    def __post_init__(self) -> None:
+        if self.tone not in TONES:
+            raise ValueError(f"tone must be one of {TONES}, got {self.tone!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """A figure. ``uri`` is a data URI, see ``figures.data_uri``; ``caption`` says what to see."""
+
+    uri: str
+    caption: str
+    alt: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A table of finished strings; the first column is the row's name.
+
+    Attributes:
+        columns: Headings, with units.
+        rows: Cells, as many as columns.
+        caption: What the table shows.
+        emphasis: Indices of rows to stress.
+    """
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str = ""
+    emphasis: Sequence[int] = ()
+
+    def __post_init__(self) -> None:
+        for i, row in enumerate(self.rows):
+            if len(row) != len(self.columns):
+                raise ValueError(
+                    f"table row {i} has {len(row)} cells, but there are {len(self.columns)} "
+                    f"columns: {list(row)}"
+                )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """A heading, a few sentences, then pictures and tables in the order given."""
+
+    title: str
+    text: Sequence[str] = ()
+    content: Sequence[Picture | Table] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """Everything on the page.
+
+    Attributes:
+        title, subtitle: What was compared with what.
+        verdict: The answer in a few sentences with numbers and units.
+        banner: A warning across the page, such as "virtual data"; None for none.
+        numbers: Key figures, shown large.
+        sections: The body.
+        held_fixed: (what, value) pairs that were not fitted.
+        versions: (what, version) pairs; by default those of the libraries that computed.
+    """
+
+    title: str
+    subtitle: str
+    verdict: Sequence[str]
+    banner: str | None = None
+    numbers: Sequence[Number] = ()
+    sections: Sequence[Section] = ()
+    held_fixed: Sequence[tuple[str, str]] = ()
+    versions: Sequence[tuple[str, str]] = field(default_factory=lambda: versions())
+
+
+def versions(packages: Sequence[str] = ("torch", "numpy", "scipy", "matplotlib")) -> list:
+    """(name, version) of diffsim, Python, the machine and what computed the numbers."""
+    found = [("diffsim", __version__), ("Python", platform.python_version())]
+    for package in packages:
+        try:
+            found.append((package, metadata.version(package)))
+        except metadata.PackageNotFoundError:
+            found.append((package, "not installed"))
+    return [*found, ("machine", f"{platform.system()} {platform.machine()}")]
+
+
+def render(report: Report, *, made: datetime | None = None) -> str:
+    """The page as text; everything that comes from outside is escaped."""
+    jinja2 = optional("jinja2", purpose="an HTML report")
+    source = resources.files("diffsim.viz").joinpath("templates/report.html.j2").read_text("utf-8")
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.tests["picture"] = lambda item: isinstance(item, Picture)
+    when = (made or datetime.now(timezone.utc)).strftime("%d %B %Y, %H:%M UTC")
+    return environment.from_string(source).render(report=report, made=when)
+
+
+def write(report: Report, path: str | Path) -> Path:
+    """Render and write atomically."""
+    return write_text_atomic(path, render(report))

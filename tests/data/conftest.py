@@ -1,0 +1,28 @@
+"""Shared data of the data tests: the measured beam if it is there, a virtual one always."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from diffsim.data import BeamStudy, find_dataset, load_beam_study
+from diffsim.data.virtual_lab import write_beam_study
+
+
+@pytest.fixture(scope="session")
+def measured_beam() -> BeamStudy:
+    folder = find_dataset("silicone_beam")
+    if folder is None:
+        pytest.skip("no measured data: set DIFFSIM_DATA to the folder that holds silicone_beam/")
+    return load_beam_study(folder)
+
+
+@pytest.fixture(scope="session")
+def virtual_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_beam_study(tmp_path_factory.mktemp("virtual"), seed=3)
+
+
+@pytest.fixture(scope="session")
+def virtual_beam(virtual_folder: Path) -> BeamStudy:
+    return load_beam_study(virtual_folder)
