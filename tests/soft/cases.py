@@ -1,4 +1,5 @@
-"""Small bodies in round units (metre, second, tens of Pa), so that every gradient is of order one."""
+"""Small bodies in round units (metre, second, tens of Pa), so that every gradient is of order
+one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Every public function refuses what it cannot use and says what came, what is needed, what to do."""
+"""Every public function refuses what it cannot use and says what came, what is needed, what to
+do."""
 
 import math
 
@@ -36,15 +37,25 @@ BAD_BODIES = [
     ({"dt": INF}, ValueError, "dt must lie in.*got inf"),
     ({"dt": "0.1"}, TypeError, "dt must be a number, got str"),
     ({"dt": True}, TypeError, "dt must be a number, got bool"),
-    ({"integrator": "implicit_eular"}, ValueError, "got 'implicit_eular'; did you mean 'implicit_euler'"),
+    (
+        {"integrator": "implicit_eular"},
+        ValueError,
+        "got 'implicit_eular'; did you mean 'implicit_euler'",
+    ),
     ({"volume_weight": "small-strain"}, ValueError, "did you mean 'small_strain'"),
     ({"youngs_modulus": 0.0}, ValueError, "youngs_modulus must lie in .*got 0; unit is Pa"),
     ({"youngs_modulus": -1e5}, ValueError, "youngs_modulus must lie in .*got -1"),
     ({"youngs_modulus": NAN}, ValueError, "youngs_modulus must be finite"),
-    ({"youngs_modulus": zeros(ELEMENTS + 1)}, ValueError,
-     rf"youngs_modulus must be a scalar or have shape \(num_elements,\) = \({ELEMENTS},\), got \(3,\)"),
-    ({"youngs_modulus": torch.ones(())}, TypeError,
-     r"youngs_modulus must be torch.float64, got torch.float32; convert with"),
+    (
+        {"youngs_modulus": zeros(ELEMENTS + 1)},
+        ValueError,
+        rf"must be a scalar or have shape \(num_elements,\) = \({ELEMENTS},\), got \(3,\)",
+    ),
+    (
+        {"youngs_modulus": torch.ones(())},
+        TypeError,
+        r"youngs_modulus must be torch.float64, got torch.float32; convert with",
+    ),
     ({"youngs_modulus": "stiff"}, TypeError, "youngs_modulus must be a number.*got str"),
     ({"youngs_modulus": None}, TypeError, "youngs_modulus"),
     ({"poissons_ratio": 0.5}, ValueError, r"poissons_ratio must lie in \(-1, 0.5\), got 0.5.*0.49"),
@@ -53,30 +64,53 @@ BAD_BODIES = [
     ({"poissons_ratio": [0.3, 0.6]}, ValueError, "poissons_ratio must lie in.*got 0.6"),
     ({"density": 0.0}, ValueError, "density must lie in.*got 0; unit is kg/m"),
     ({"density": -1.0}, ValueError, "density must lie in.*got -1"),
-    ({"density": zeros(ELEMENTS)}, ValueError, r"density must be a scalar or have shape \(num_vertices,\)"),
+    (
+        {"density": zeros(ELEMENTS)},
+        ValueError,
+        r"density must be a scalar or have shape \(num_vertices,\)",
+    ),
     ({"gravity": -9.81}, ValueError, r"gravity must have shape \(3\), got \(\)"),
     ({"gravity": (0.0, -9.81)}, ValueError, r"gravity must have shape \(3\), got \(2,\)"),
     ({"gravity": (0.0, 0.0, INF)}, ValueError, r"gravity must be finite.*first at \(2,\)"),
     ({"rayleigh_alpha": -0.1}, ValueError, "rayleigh_alpha must lie in.*unit is 1/s"),
     ({"rayleigh_alpha": [0.1, 0.2]}, ValueError, "rayleigh_alpha must have shape"),
     ({"rayleigh_beta": -1e-4}, ValueError, "rayleigh_beta must lie in.*unit is s"),
-    ({"rayleigh_beta": zeros(ELEMENTS + 2)}, ValueError, "rayleigh_beta must be a scalar or have shape"),
+    (
+        {"rayleigh_beta": zeros(ELEMENTS + 2)},
+        ValueError,
+        "rayleigh_beta must be a scalar or have shape",
+    ),
     ({"attached_mass": -torch.ones(NODES).double()}, ValueError, "attached_mass must lie in.*kg"),
-    ({"attached_mass": zeros(2)}, ValueError, rf"attached_mass must have shape \({NODES}\), got \(2,\)"),
+    (
+        {"attached_mass": zeros(2)},
+        ValueError,
+        rf"attached_mass must have shape \({NODES}\), got \(2,\)",
+    ),
     ({"node_mass": zeros(NODES)}, ValueError, "node_mass must lie in.*got 0"),
     ({"node_mass": zeros(2)}, ValueError, "node_mass must have shape"),
     ({"fixed": [0, 1]}, TypeError, "fixed must be a torch.Tensor, got list"),
-    ({"fixed": torch.tensor([0, NODES])}, ValueError, rf"fixed must hold indices of vertices in \[0, {NODES}\), got {NODES}"),
+    (
+        {"fixed": torch.tensor([0, NODES])},
+        ValueError,
+        rf"fixed must hold indices of vertices in \[0, {NODES}\), got {NODES}",
+    ),
     ({"fixed": torch.tensor([-1])}, ValueError, "fixed must hold indices.*got -1"),
-    ({"fixed": torch.tensor([0], dtype=torch.int32)}, TypeError, "fixed must be torch.int64, got torch.int32"),
+    (
+        {"fixed": torch.tensor([0], dtype=torch.int32)},
+        TypeError,
+        "fixed must be torch.int64, got torch.int32",
+    ),
     ({"fixed": torch.tensor([0.0])}, TypeError, "fixed must be torch.int64, got torch.float32"),
     ({"fixed": torch.zeros(NODES + 1, dtype=torch.bool)}, ValueError, "fixed must have shape"),
     ({"fixed": torch.zeros(NODES, 2, dtype=torch.bool)}, ValueError, "fixed must have shape"),
     ({"muscles": ["biceps"]}, TypeError, r"muscles\[0\] must be a Muscle, got str"),
-    ({"muscles": [soft.Muscle(elements=torch.tensor([9]), direction=[1, 0, 0], stiffness=1.0)]},
-     ValueError, rf"muscles\[0\].elements must hold indices of elements in \[0, {ELEMENTS}\), got 9"),
+    (
+        {"muscles": [soft.Muscle(elements=torch.tensor([9]), direction=[1, 0, 0], stiffness=1.0)]},
+        ValueError,
+        rf"muscles\[0\].elements must hold indices of elements in \[0, {ELEMENTS}\), got 9",
+    ),
     ({"solver": {"rtol": 1e-3}}, TypeError, "solver must be a SolverOptions, got dict"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("arguments, error, message", BAD_BODIES, ids=lambda v: str(v)[:40])
@@ -96,15 +130,23 @@ BAD_PHYSICS = [
     ({"youngs_modulus": zeros(())}, ValueError, "youngs_modulus must lie in"),
     ({"poissons_ratio": 0.5}, ValueError, "poissons_ratio must lie in"),
     ({"density": -1.0}, ValueError, "density must lie in"),
-    ({"density": zeros((), device="meta")}, TypeError, "density must be on the CPU, got device meta"),
-    ({"gravity": zeros(3, dtype=torch.float32)}, TypeError, "gravity must be torch.float64, got torch.float32"),
+    (
+        {"density": zeros((), device="meta")},
+        TypeError,
+        "density must be on the CPU, got device meta",
+    ),
+    (
+        {"gravity": zeros(3, dtype=torch.float32)},
+        TypeError,
+        "gravity must be torch.float64, got torch.float32",
+    ),
     ({"fibre_stiffness": [1.0]}, ValueError, "fibre_stiffness must have shape"),
     ({"fibre_stiffness": [1.0, -1.0]}, ValueError, "fibre_stiffness must lie in"),
     ({"fibre_stiffness": [1.0, NAN]}, ValueError, "fibre_stiffness must be finite"),
     ({"fibre_stiffness": torch.ones(2)}, TypeError, "fibre_stiffness must be torch.float64"),
     ({"youngs_modulus": None}, TypeError, "youngs_modulus"),
     ({"gravity": None}, TypeError, "gravity"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("overrides, error, message", BAD_PHYSICS, ids=lambda v: str(v)[:40])
@@ -115,13 +157,21 @@ def test_physics_is_refused(overrides, error, message):
 
 X, V = STATE.x, STATE.v
 BAD_STATES = [
-    (soft.State(X[:-1], V), ValueError, rf"state.x must have shape \(..., {NODES}, 3\), got \({NODES - 1}, 3\)"),
+    (
+        soft.State(X[:-1], V),
+        ValueError,
+        rf"state.x must have shape \(..., {NODES}, 3\), got \({NODES - 1}, 3\)",
+    ),
     (soft.State(X.flatten(), V), ValueError, "state.x must have shape"),
     (soft.State(X[:, :2], V), ValueError, "state.x must have shape"),
     (soft.State(X.T, V), ValueError, "state.x must have shape"),
     (soft.State(X, V[:-1]), ValueError, "state.v must have shape"),
     (soft.State(X.expand(2, -1, -1), V), ValueError, "state.v must have shape"),
-    (soft.State(X.float(), V), TypeError, r"state.x must be torch.float64, got torch.float32; convert with"),
+    (
+        soft.State(X.float(), V),
+        TypeError,
+        r"state.x must be torch.float64, got torch.float32; convert with",
+    ),
     (soft.State(X, V.float()), TypeError, "state.v must be torch.float64"),
     (soft.State(X.to("meta"), V), TypeError, "state.x must be on the CPU, got device meta"),
     (soft.State(X * NAN, V), ValueError, rf"state.x must be finite, got {3 * NODES} NaN"),
@@ -131,7 +181,7 @@ BAD_STATES = [
     (soft.State(X, V, X, V * NAN), ValueError, "state.v_prev must be finite"),
     (X, TypeError, "state must be a State, got Tensor"),
     (None, TypeError, "state must be a State, got NoneType"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("integrator", ["implicit_euler", "bdf2", "semi_implicit_euler"])
@@ -147,11 +197,27 @@ def test_states_are_refused(state, error, message, integrator):
 
 
 BAD_INPUTS = [
-    ({"external_force": zeros(NODES, 2)}, ValueError, rf"external_force must have shape \(..., {NODES}, 3\), got"),
-    ({"external_force": zeros(2, NODES, 3)}, ValueError, "external_force must broadcast to.*batch axes"),
+    (
+        {"external_force": zeros(NODES, 2)},
+        ValueError,
+        rf"external_force must have shape \(..., {NODES}, 3\), got",
+    ),
+    (
+        {"external_force": zeros(2, NODES, 3)},
+        ValueError,
+        "external_force must broadcast to.*batch axes",
+    ),
     ({"external_force": zeros(NODES, 3) * NAN}, ValueError, "external_force must be finite"),
-    ({"external_force": zeros(NODES, 3, dtype=torch.float32)}, TypeError, "external_force must be torch.float64"),
-    ({"external_force": zeros(NODES, 3, device="meta")}, TypeError, "external_force must be on the CPU"),
+    (
+        {"external_force": zeros(NODES, 3, dtype=torch.float32)},
+        TypeError,
+        "external_force must be torch.float64",
+    ),
+    (
+        {"external_force": zeros(NODES, 3, device="meta")},
+        TypeError,
+        "external_force must be on the CPU",
+    ),
     ({"external_force": 1.0}, TypeError, "external_force must be a torch.Tensor, got float"),
     ({"dirichlet_target": zeros(4, 3)}, ValueError, "dirichlet_target must have shape"),
     ({"dirichlet_target": zeros(3, NODES, 3)}, ValueError, "dirichlet_target must broadcast to"),
@@ -163,8 +229,12 @@ BAD_INPUTS = [
     ({"activation": torch.zeros(2)}, TypeError, "activation must be torch.float64"),
     ({"activation": [1.0, 1.0]}, TypeError, "activation must be a torch.Tensor, got list"),
     ({"physics": {"density": 1.0}}, TypeError, "physics must come from body.physics.*got dict"),
-    ({"physics": soft_body(mesh.hex_box((3, 1, 1))).physics()}, ValueError, "physics must be made by this body.*for 16 vertices and 3 elements, the body has 12 and 2"),
-]  # fmt: skip
+    (
+        {"physics": soft_body(mesh.hex_box((3, 1, 1))).physics()},
+        ValueError,
+        "physics must be made by this body.*for 16 vertices and 3 elements, the body has 12 and 2",
+    ),
+]
 
 
 @pytest.mark.parametrize("inputs, error, message", BAD_INPUTS, ids=lambda v: str(v)[:40])
@@ -211,13 +281,16 @@ def test_activation_without_muscles_is_refused():
 
 
 @pytest.mark.parametrize("function", [BODY.elastic_force, BODY.elastic_energy])
-@pytest.mark.parametrize("x, error, message", [
-    (zeros(3, 3), ValueError, "x must have shape"),
-    (X.float(), TypeError, "x must be torch.float64"),
-    (X * NAN, ValueError, "x must be finite"),
-    (X.to("meta"), TypeError, "x must be on the CPU"),
-    (X.tolist(), TypeError, "x must be a torch.Tensor, got list"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "x, error, message",
+    [
+        (zeros(3, 3), ValueError, "x must have shape"),
+        (X.float(), TypeError, "x must be torch.float64"),
+        (X * NAN, ValueError, "x must be finite"),
+        (X.to("meta"), TypeError, "x must be on the CPU"),
+        (X.tolist(), TypeError, "x must be a torch.Tensor, got list"),
+    ],
+)
 def test_elastic_inputs_are_refused(function, x, error, message):
     with pytest.raises(error, match=message):
         function(x)
@@ -226,20 +299,31 @@ def test_elastic_inputs_are_refused(function, x, error, message):
 def test_guesses_are_refused():
     with pytest.raises(ValueError, match="guess must have shape"):
         BODY.static_equilibrium(guess=zeros(3, 3))
-    with pytest.raises(TypeError, match="guess must be a torch.Tensor, got list"):
+    with pytest.raises(TypeError, match=r"guess must be a torch.Tensor, got list"):
         BODY.static_equilibrium(guess=[1.0])
 
 
-@pytest.mark.parametrize("arguments, error, message", [
-    ({"num_steps": 0}, ValueError, r"num_steps must lie in \[1, inf\), got 0"),
-    ({"num_steps": -3}, ValueError, "num_steps must lie in"),
-    ({"num_steps": 2.0}, TypeError, "num_steps must be an int, got float"),
-    ({"num_steps": True}, TypeError, "num_steps must be an int, got bool"),
-    ({"num_steps": 2, "checkpoint_every": 0}, ValueError, "checkpoint_every must lie in"),
-    ({"num_steps": 2, "checkpoint_every": 1.5}, TypeError, "checkpoint_every must be an int, got float"),
-    ({"num_steps": 2, "external_force": lambda k, s: zeros(2, 2)}, ValueError, "external_force must have shape"),
-    ({"num_steps": 2, "keep": 3}, TypeError, "keep must be a function of a State, got int"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "arguments, error, message",
+    [
+        ({"num_steps": 0}, ValueError, r"num_steps must lie in \[1, inf\), got 0"),
+        ({"num_steps": -3}, ValueError, "num_steps must lie in"),
+        ({"num_steps": 2.0}, TypeError, "num_steps must be an int, got float"),
+        ({"num_steps": True}, TypeError, "num_steps must be an int, got bool"),
+        ({"num_steps": 2, "checkpoint_every": 0}, ValueError, "checkpoint_every must lie in"),
+        (
+            {"num_steps": 2, "checkpoint_every": 1.5},
+            TypeError,
+            "checkpoint_every must be an int, got float",
+        ),
+        (
+            {"num_steps": 2, "external_force": lambda k, s: zeros(2, 2)},
+            ValueError,
+            "external_force must have shape",
+        ),
+        ({"num_steps": 2, "keep": 3}, TypeError, "keep must be a function of a State, got int"),
+    ],
+)
 def test_rollouts_are_refused(arguments, error, message):
     with pytest.raises(error, match=message):
         soft.rollout(BODY, STATE, **arguments)
@@ -258,9 +342,13 @@ BAD_OPTIONS = [
     ({"adjoint_max_iters": 0}, ValueError, "adjoint_max_iters must lie in"),
     ({"num_threads": 0}, ValueError, "num_threads must lie in"),
     ({"num_threads": True}, TypeError, "num_threads must be an int, got bool"),
-    ({"on_failure": "ignore"}, ValueError, r"on_failure must be one of \['raise', 'warn'\], got 'ignore'"),
+    (
+        {"on_failure": "ignore"},
+        ValueError,
+        r"on_failure must be one of \['raise', 'warn'\], got 'ignore'",
+    ),
     ({"max_iter": 10}, TypeError, "max_iter"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("arguments, error, message", BAD_OPTIONS, ids=lambda v: str(v)[:40])
@@ -277,7 +365,11 @@ def test_options_and_muscles_are_frozen():
 
 
 BAD_MUSCLES = [
-    ({"elements": torch.tensor([], dtype=torch.int64)}, ValueError, "elements must name at least one"),
+    (
+        {"elements": torch.tensor([], dtype=torch.int64)},
+        ValueError,
+        "elements must name at least one",
+    ),
     ({"elements": torch.tensor([0.0])}, TypeError, "elements must be torch.int64"),
     ({"elements": torch.tensor([[0]])}, ValueError, r"elements must have shape \(num_fibres\)"),
     ({"direction": [0.0, 0.0, 0.0]}, ValueError, "direction must not be zero"),
@@ -288,7 +380,7 @@ BAD_MUSCLES = [
     ({"stiffness": -5.0}, ValueError, "stiffness must lie in"),
     ({"stiffness": INF}, ValueError, "stiffness must lie in"),
     ({"kind": "contract"}, ValueError, "did you mean 'contraction'"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("arguments, error, message", BAD_MUSCLES, ids=lambda v: str(v)[:40])
@@ -305,7 +397,7 @@ def test_material_constants_are_refused():
         soft.lame_parameters(one, 0.5 * one)
     with pytest.raises(ValueError, match="youngs_modulus must lie in"):
         soft.lame_parameters(-one, 0.3 * one)
-    with pytest.raises(ValueError, match="poissons_ratio must lie in.*non-negative"):
+    with pytest.raises(ValueError, match=r"poissons_ratio must lie in.*non-negative"):
         soft.pd_weights(one, -0.3 * one)
     with pytest.raises(ValueError, match="did you mean 'thesis'"):
         soft.pd_weights(one, 0.3 * one, "thesys")
@@ -404,8 +496,15 @@ def test_ops_refuse_sizes_that_kernels_would_overrun():
     x, none = X[None].contiguous(), zeros(1, 0)
     good = [x, physics.w_mu, physics.w_vol, empty, none, empty, empty, empty, empty, BODY.handle, 1]
     _ops_soft.elastic_gradient(*good)
-    for k, bad in [(0, x[:, 1:].contiguous()), (1, physics.w_mu[1:]), (2, zeros(ELEMENTS + 1)), (3, zeros(1)),
-                   (4, zeros(1, 3)), (5, zeros(1)), (7, x)]:  # fmt: skip
+    for k, bad in [
+        (0, x[:, 1:].contiguous()),
+        (1, physics.w_mu[1:]),
+        (2, zeros(ELEMENTS + 1)),
+        (3, zeros(1)),
+        (4, zeros(1, 3)),
+        (5, zeros(1)),
+        (7, x),
+    ]:
         with pytest.raises(ValueError, match="must have shape"):
             _ops_soft.elastic_gradient(*good[:k], bad, *good[k + 1 :])
     with pytest.raises(RuntimeError, match="handle 0 is gone"):

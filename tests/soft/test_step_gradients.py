@@ -179,7 +179,8 @@ def test_elastic_force_of_hard_elements(name):
         physics = body.physics(youngs_modulus=youngs_modulus, poissons_ratio=poissons_ratio)
         return body.elastic_force(x, physics=physics)
 
-    # Curvature grows like 1 / (s1 + s2): the needle's third derivatives are 1e6, times eps^2 = 1e-14.
+    # Curvature grows like 1 / (s1 + s2): the needle's third derivatives are 1e6, times eps^2 =
+    # 1e-14.
     options = {"eps": 1e-7, "atol": 1e-4, "rtol": 1e-5}
     args = (leaf(x), youngs_modulus, poissons_ratio)
     assert torch.autograd.gradcheck(layer, args, **options)
@@ -192,7 +193,8 @@ def test_elastic_force_of_hard_elements(name):
 @pytest.mark.parametrize("name", STRETCHES)
 @pytest.mark.parametrize("method", ["auto", "newton_cholesky", "quasi_newton"])
 def test_step_of_hard_elements(name, method):
-    """A step that starts from a hard element; light nodes, so that it stays one: h^2 E / m is 0.03."""
+    """A step that starts from a hard element; light nodes, so that it stays one: h^2 E / m is
+    0.03."""
     body, x = one_tet(STRETCHES[name], dt=0.01, solver=soft.SolverOptions(method=method, **SHARP))
     names = ("x", "v", "youngs_modulus")
     args = (leaf(x), leaf(0.1 * noise(4, 3)), leaf(30.0))
@@ -216,9 +218,12 @@ def energy_by_search(stretch, w_mu, w_vol):
 def test_at_the_kinks(stretch):
     """Where the projection is not unique the energy has a concave kink: no derivative exists.
 
-    Two nearest rotations at s1 + s2 = 0; several nearest volume-preserving matrices at s1 = s2 of an
-    element expanded beyond 2. What happens: energy and force are finite, the energy is right, and the
-    force is that of one of the nearest points, so that -force . d bounds the energy's slope from above
+    Two nearest rotations at s1 + s2 = 0; several nearest volume-preserving matrices at s1 = s2 of
+    an
+    element expanded beyond 2. What happens: energy and force are finite, the energy is right, and
+    the
+    force is that of one of the nearest points, so that -force . d bounds the energy's slope from
+    above
     in every direction d. The tangent's entries are finite; along the kink's jump they are about
     -1e12 E, so a step's adjoint there ends in an error or a vanishing component, not in NaN.
     """
@@ -254,8 +259,15 @@ def test_step_from_the_kink(method):
 def test_static_equilibrium(kind):
     m = irregular_mesh(kind, (1, 1, 1), (1.0, 1.0, 1.0))
     body = soft_body(m, fixed=torch.tensor([0, 1, 2, 3]))
-    names = ("external_force", "dirichlet_target", "youngs_modulus", "poissons_ratio", "density",
-             "gravity", "attached_mass")  # fmt: skip
+    names = (
+        "external_force",
+        "dirichlet_target",
+        "youngs_modulus",
+        "poissons_ratio",
+        "density",
+        "gravity",
+        "attached_mass",
+    )
     inputs = all_inputs(m)
 
     def layer(external_force, dirichlet_target, *parameters):
@@ -283,14 +295,19 @@ def test_static_equilibrium_of_muscles():
 @pytest.mark.parametrize("block", [1, 2, 3, 7])
 def test_checkpoints_change_nothing(integrator, block):
     m = irregular_mesh("tet", (1, 1, 1), (1.0, 1.0, 1.0))
-    body = soft_body(m, fixed=torch.tensor([0, 1]), integrator=integrator,
-                     dt=0.02 if integrator == "semi_implicit_euler" else 0.1)  # fmt: skip
+    body = soft_body(
+        m,
+        fixed=torch.tensor([0, 1]),
+        integrator=integrator,
+        dt=0.02 if integrator == "semi_implicit_euler" else 0.1,
+    )
 
     def run(checkpoint_every):
         inputs = {name: leaf(t.detach()) for name, t in all_inputs(m).items()}
         force = inputs["external_force"]
-        physics = body.physics(youngs_modulus=inputs["youngs_modulus"],
-                               rayleigh_beta=inputs["rayleigh_beta"])  # fmt: skip
+        physics = body.physics(
+            youngs_modulus=inputs["youngs_modulus"], rayleigh_beta=inputs["rayleigh_beta"]
+        )
         trajectory = soft.rollout(
             body,
             soft.State(inputs["x"], inputs["v"]),
@@ -316,8 +333,13 @@ def test_checkpoints_change_nothing(integrator, block):
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_batch_equals_one_by_one(integrator, kind):
     m = irregular_mesh(kind, (2, 1, 1) if kind == "hex" else (1, 1, 1), (1.0, 1.0, 1.0))
-    body = soft_body(m, fixed=rail_mask(m), muscles=two_muscles()[:1], integrator=integrator,
-                     dt=0.02 if integrator == "semi_implicit_euler" else 0.1)  # fmt: skip
+    body = soft_body(
+        m,
+        fixed=rail_mask(m),
+        muscles=two_muscles()[:1],
+        integrator=integrator,
+        dt=0.02 if integrator == "semi_implicit_euler" else 0.1,
+    )
     x = torch.stack([deformed(m, seed=k) for k in range(6)]).view(2, 3, -1, 3)
     names = ("v", "external_force", "dirichlet_target")
     varied = {n: 0.2 * noise(2, 3, m.num_vertices, 3, seed=k) for k, n in enumerate(names)}
@@ -442,8 +464,11 @@ def test_elastic_force_keeps_the_layer_contract(monkeypatch):
     args = (leaf(deformed(m)), leaf([0.8, 0.3]), leaf(30.0), leaf(0.3), leaf([8.0, 6.0]))
 
     def layer(x, activation, youngs_modulus, poissons_ratio, fibre_stiffness):
-        physics = body.physics(youngs_modulus=youngs_modulus, poissons_ratio=poissons_ratio,
-                               fibre_stiffness=fibre_stiffness)  # fmt: skip
+        physics = body.physics(
+            youngs_modulus=youngs_modulus,
+            poissons_ratio=poissons_ratio,
+            fibre_stiffness=fibre_stiffness,
+        )
         return body.elastic_force(x, activation=activation, physics=physics)
 
     ops = recorded_ops(

@@ -44,8 +44,15 @@ ORDERS = {
 def order_body(kind, **damping):
     def make(**options):
         m = irregular_mesh(kind, (2, 1, 1), (1.0, 0.5, 0.5), 0.02)
-        return soft_body(m, youngs_modulus=4.0, density=2.0, poissons_ratio=0.2,
-                         fixed=torch.tensor([0, 1, 2, 3]), **damping, **options)  # fmt: skip
+        return soft_body(
+            m,
+            youngs_modulus=4.0,
+            density=2.0,
+            poissons_ratio=0.2,
+            fixed=torch.tensor([0, 1, 2, 3]),
+            **damping,
+            **options,
+        )
 
     return make
 
@@ -55,7 +62,8 @@ def order_body(kind, **damping):
 def test_order_in_time(integrator, kind):
     order, steps = ORDERS[integrator]
     make = order_body(kind, rayleigh_alpha=0.2)
-    # Midpoint with a step 8 times finer than the finest second-order one: its error is 1/64 of that.
+    # Midpoint with a step 8 times finer than the finest second-order one: its error is 1/64 of
+    # that.
     exact = state_at(make, "implicit_midpoint", TIME / 512, TIME)
     error = [float((state_at(make, integrator, dt, TIME) - exact).norm()) for dt in steps]
     assert observed_order(steps, error) == pytest.approx(order, abs=0.1)
@@ -83,9 +91,15 @@ def cantilever(kind, n, nu, **changes):
     """n cells over the height, square cells; clamped at x = 0."""
     cells = (10 * n, n, n)
     m = (mesh.hex_box if kind == "hex" else mesh.tet_box)(cells, (LENGTH, SIDE, SIDE))
-    options = {"youngs_modulus": YOUNG, "poissons_ratio": nu, "density": DENSITY, "dt": 1e-3,
-               "gravity": (0.0, 0.0, -1e-3), "fixed": m.nodes_near_plane("x", 0.0),
-               "solver": soft.SolverOptions(rtol=1e-9)}  # fmt: skip
+    options = {
+        "youngs_modulus": YOUNG,
+        "poissons_ratio": nu,
+        "density": DENSITY,
+        "dt": 1e-3,
+        "gravity": (0.0, 0.0, -1e-3),
+        "fixed": m.nodes_near_plane("x", 0.0),
+        "solver": soft.SolverOptions(rtol=1e-9),
+    }
     return soft_body(m, **{**options, **changes})
 
 
@@ -125,7 +139,8 @@ def test_cantilever_sag_converges(kind):
 
 
 def test_cantilever_sag_at_nu_03():
-    """Two meshes extrapolated to h = 0 in stiffness; the clamp's warping restraint is worth about 1 %."""
+    """Two meshes extrapolated to h = 0 in stiffness; the clamp's warping restraint is worth about
+    1 %."""
     one, two = (1.0 / sag("hex", n, 0.3) for n in (2, 4))
     extrapolated = 1.0 / ((4.0 * two - one) / 3.0)
     assert extrapolated == pytest.approx(timoshenko_sag(0.3), rel=0.015)
@@ -187,13 +202,21 @@ def test_first_bending_frequency_converges():
     """Euler-Bernoulli lowered by shear and rotary inertia (1 % here); elements are too stiff."""
     error = []
     for n in (1, 2):
-        body = cantilever("hex", n, 0.0, gravity=(0.0, 0.0, 0.0), dt=4e-3,
-                          integrator="implicit_midpoint", solver=soft.SolverOptions(rtol=1e-7))  # fmt: skip
+        body = cantilever(
+            "hex",
+            n,
+            0.0,
+            gravity=(0.0, 0.0, 0.0),
+            dt=4e-3,
+            integrator="implicit_midpoint",
+            solver=soft.SolverOptions(rtol=1e-7),
+        )
         w, _ = frequency_and_damping(ring(body, 120), 4e-3)
         # Static stiffness and mass: the sag's locking factor carries over as its square root.
         softening = math.sqrt(timoshenko_sag(0.0) / sag("hex", n, 0.0))
         error.append(w / BEAM_FREQUENCY / softening - 1.0)
-    # Shear and rotary inertia lower w by (k r)^2 (1 + E / (kappa G)) / 2 ~ 0.9 %; sag holds the shear.
+    # Shear and rotary inertia lower w by (k r)^2 (1 + E / (kappa G)) / 2 ~ 0.9 %; sag holds the
+    # shear.
     assert abs(error[0]) < 0.02 and abs(error[1]) < 0.02
 
 
@@ -202,13 +225,28 @@ def test_first_bending_frequency_converges():
 def test_rayleigh_damping_ratio(integrator, damping):
     """zeta = alpha / (2 w) and beta w / 2, on the first bending mode."""
     dt = 2e-3
-    body = cantilever("hex", 1, 0.3, gravity=(0.0, 0.0, 0.0), dt=dt, integrator=integrator,
-                      solver=soft.SolverOptions(rtol=1e-9))  # fmt: skip
+    body = cantilever(
+        "hex",
+        1,
+        0.3,
+        gravity=(0.0, 0.0, 0.0),
+        dt=dt,
+        integrator=integrator,
+        solver=soft.SolverOptions(rtol=1e-9),
+    )
     w, none = frequency_and_damping(ring(body, 200), dt)
     assert abs(none) < 1e-3  # the fit's own error
     value = {"rayleigh_alpha": 0.1 * w, "rayleigh_beta": 0.1 / w}[damping]  # zeta = 0.05
-    damped = cantilever("hex", 1, 0.3, gravity=(0.0, 0.0, 0.0), dt=dt, integrator=integrator,
-                        solver=soft.SolverOptions(rtol=1e-9), **{damping: value})  # fmt: skip
+    damped = cantilever(
+        "hex",
+        1,
+        0.3,
+        gravity=(0.0, 0.0, 0.0),
+        dt=dt,
+        integrator=integrator,
+        solver=soft.SolverOptions(rtol=1e-9),
+        **{damping: value},
+    )
     same, zeta = frequency_and_damping(ring(damped, 200), dt)
     assert zeta == pytest.approx(0.05, rel=0.03)
     assert same == pytest.approx(w, rel=5e-3)
@@ -221,7 +259,14 @@ def test_rayleigh_damping_ratio(integrator, damping):
 def test_numerical_damping(integrator, low, high):
     """Implicit Euler damps a mode of angular frequency w by about w h / 2; the others hardly."""
     dt = 4e-3
-    body = cantilever("hex", 1, 0.3, gravity=(0.0, 0.0, 0.0), dt=dt, integrator=integrator,
-                      solver=soft.SolverOptions(rtol=1e-9))  # fmt: skip
+    body = cantilever(
+        "hex",
+        1,
+        0.3,
+        gravity=(0.0, 0.0, 0.0),
+        dt=dt,
+        integrator=integrator,
+        solver=soft.SolverOptions(rtol=1e-9),
+    )
     w, zeta = frequency_and_damping(ring(body, 120), dt)
     assert low <= zeta / (w * dt / 2.0) <= high

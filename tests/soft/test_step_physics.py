@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from diffsim import mesh, soft
-from tests.soft.cases import SHARP, deformed, irregular_mesh, leaf, noise, soft_body, two_muscles
+from tests.soft.cases import deformed, irregular_mesh, leaf, noise, soft_body, two_muscles
 
 pytestmark = pytest.mark.property
 IMPLICIT = ["implicit_euler", "bdf2", "implicit_midpoint"]
@@ -81,8 +81,14 @@ def test_energy_is_invariant_and_force_turns_with_the_body(kind):
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_a_turned_world_gives_the_turned_step(integrator, kind):
     m = irregular_mesh(kind, (2, 1, 1))
-    options = {"fixed": torch.tensor([0, 1, 2]), "muscles": two_muscles(), "integrator": integrator,
-               "rayleigh_beta": 0.02, "rayleigh_alpha": 0.1, "dt": 0.02}  # fmt: skip
+    options = {
+        "fixed": torch.tensor([0, 1, 2]),
+        "muscles": two_muscles(),
+        "integrator": integrator,
+        "rayleigh_beta": 0.02,
+        "rayleigh_alpha": 0.1,
+        "dt": 0.02,
+    }
     body = soft_body(m, **options)
     turn, shift = rotation(), torch.tensor([3.0, -2.0, 1.0], dtype=torch.float64)
     x, v = deformed(m), noise(m.num_vertices, 3)
@@ -103,7 +109,8 @@ def test_a_turned_world_gives_the_turned_step(integrator, kind):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_free_bodies_keep_their_momentum(integrator, kind):
-    """All integrators keep linear momentum, damped or not. The explicit one also keeps angular momentum
+    """All integrators keep linear momentum, damped or not. The explicit one also keeps angular
+    momentum
     (its force is a torque-free function of x_n; x_{n+1} x v_{n+1} = x_n x v_{n+1})."""
     body = free_body(kind, integrator, dt=0.02, rayleigh_beta=0.01)
     mass = body.physics().mass
@@ -138,7 +145,8 @@ def spin(body, speed):
 def test_damping_does_not_brake_rigid_rotation(integrator, kind):
     """A stiff body that spins loses the same angular momentum with and without rayleigh_beta.
 
-    Material damping knows strain rates only. Classical beta K v with the rest stiffness would stop this
+    Material damping knows strain rates only. Classical beta K v with the rest stiffness would stop
+    this
     body within 1 / (beta w^2), a thousandth of the time simulated.
     """
     results = []
@@ -149,7 +157,8 @@ def test_damping_does_not_brake_rigid_rotation(integrator, kind):
         mass = body.physics().mass
         results.append(angular_momentum(mass, end).norm() / angular_momentum(mass, start).norm())
     plain, damped = map(float, results)
-    # Turned by 0.2 rad. Implicit Euler alone loses h w^2 T = 1e-3; the rest is what the body stretches,
+    # Turned by 0.2 rad. Implicit Euler alone loses h w^2 T = 1e-3; the rest is what the body
+    # stretches,
     # which damping changes a little: 2e-4. Braking would be of order one.
     assert abs(damped - plain) < 5e-4
     expected = 1.0 - 0.005 * 1.0 * 0.2 if integrator == "implicit_euler" else 1.0
@@ -185,8 +194,9 @@ def test_implicit_midpoint_nearly_keeps_energy(kind):
     wobble = []
     for dt in (0.02, 0.01):
         body = free_body(kind, "implicit_midpoint", dt=dt)
-        state = soft.State(body.x_rest + 0.02 * noise(body.mesh.num_vertices, 3),
-                           torch.zeros_like(body.x_rest))  # fmt: skip
+        state = soft.State(
+            body.x_rest + 0.02 * noise(body.mesh.num_vertices, 3), torch.zeros_like(body.x_rest)
+        )
         mass = body.physics().mass
         energies = []
         for _ in range(round(2.0 / dt)):
@@ -209,7 +219,8 @@ def test_free_fall_is_a_parabola(integrator, kind):
     time = dt * steps
     close(end.v, (v0 + time * gravity).expand_as(end.v), 1e-8)
     # Exact sums: midpoint is exact; both Euler methods fall h t g / 2 further; BDF2's first step is
-    # implicit Euler and its error decays by thirds to a constant h^2 / 2 + ... (checked to order h^2).
+    # implicit Euler and its error decays by thirds to a constant h^2 / 2 + ... (checked to order
+    # h^2).
     fall = (end.x - body.x_rest - time * v0).mean(0) / gravity
     close(end.x - body.x_rest, (end.x - body.x_rest).mean(0).expand_as(end.x), 1e-8)
     exact = 0.5 * time**2
@@ -232,14 +243,21 @@ def test_numbering_does_not_matter(integrator, kind):
     elements = torch.argsort(shuffle)[torch.tensor([0, 1])]
     results = []
     for this, pick, muscle_elements in (
-        (m, slice(None), torch.tensor([0, 1])), (other, order, elements),
-    ):  # fmt: skip
+        (m, slice(None), torch.tensor([0, 1])),
+        (other, order, elements),
+    ):
         muscle = soft.Muscle(elements=muscle_elements, direction=[1.0, 0.2, 0.0], stiffness=8.0)
         fixed = torch.zeros(m.num_vertices, 3, dtype=torch.bool)
         fixed[:2] = True
         fixed[2, 1] = True
-        body = soft_body(this, fixed=fixed[pick], muscles=[muscle], integrator=integrator,
-                         rayleigh_beta=0.02, dt=0.02)  # fmt: skip
+        body = soft_body(
+            this,
+            fixed=fixed[pick],
+            muscles=[muscle],
+            integrator=integrator,
+            rayleigh_beta=0.02,
+            dt=0.02,
+        )
         x, v = leaf(deformed(m)[pick]), leaf(noise(m.num_vertices, 3)[pick])
         state = run(body, soft.State(x, v), 2, activation=torch.tensor([0.8], dtype=torch.float64))
         grads = torch.autograd.grad(
@@ -252,7 +270,8 @@ def test_numbering_does_not_matter(integrator, kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_tangent_is_symmetric(kind):
-    """<J v, w> = <v, J w> of the elastic force, at a strongly deformed state with inverted elements."""
+    """<J v, w> = <v, J w> of the elastic force, at a strongly deformed state with inverted
+    elements."""
     body = soft_body(irregular_mesh(kind), muscles=two_muscles())
     for amount in (0.25, 2.0):
         x = leaf(deformed(body.mesh, amount))
@@ -267,7 +286,8 @@ def test_the_tangent_is_symmetric(kind):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("volume_weight", ["small_strain", "thesis"])
 def test_patch(kind, volume_weight):
-    """Boundary nodes follow x -> A x + b: all nodes do, whatever the shape of the elements inside."""
+    """Boundary nodes follow x -> A x + b: all nodes do, whatever the shape of the elements
+    inside."""
     box = (mesh.hex_box if kind == "hex" else mesh.tet_box)((3, 3, 3))
     inside = ((box.x_rest > 1e-9) & (box.x_rest < 1 - 1e-9)).all(1)
     moved = box.x_rest + 0.06 * inside[:, None] * noise(box.num_vertices, 3).clamp(-1.5, 1.5)
@@ -296,8 +316,14 @@ def uniaxial(kind, nu, volume_weight):
     strain = 1e-5
     target = x.clone()
     target[x[:, 0] == 1.0, 0] += strain
-    body = soft_body(m, fixed=fixed, gravity=(0.0, 0.0, 0.0), poissons_ratio=nu,
-                     youngs_modulus=1e6, volume_weight=volume_weight)  # fmt: skip
+    body = soft_body(
+        m,
+        fixed=fixed,
+        gravity=(0.0, 0.0, 0.0),
+        poissons_ratio=nu,
+        youngs_modulus=1e6,
+        volume_weight=volume_weight,
+    )
     state = body.static_equilibrium(dirichlet_target=target)
     pull = -body.elastic_force(state.x)[x[:, 0] == 1.0, 0].sum()
     contraction = -(state.x - x)[x[:, 1] == 1.0, 1].mean()
@@ -350,8 +376,13 @@ def test_a_moving_boundary_is_followed(integrator):
 
 def bar(cells=(8, 2, 2), **changes):
     m = mesh.hex_box(cells, (1.0, 0.2, 0.2))
-    options = {"youngs_modulus": 1e6, "poissons_ratio": 0.0, "density": 1000.0,
-               "gravity": (0.0, 0.0, -9.81), "fixed": m.nodes_near_plane("x", 0.0)}  # fmt: skip
+    options = {
+        "youngs_modulus": 1e6,
+        "poissons_ratio": 0.0,
+        "density": 1000.0,
+        "gravity": (0.0, 0.0, -9.81),
+        "fixed": m.nodes_near_plane("x", 0.0),
+    }
     return soft_body(m, **{**options, **changes})
 
 
@@ -367,7 +398,8 @@ def test_attached_mass_pulls_and_slows():
     # At nu = 0 the corotated stress is linear in the stretch: exact but for the solver's 1e-12 N.
     assert float(heavy - plain) == pytest.approx(4.0 * 9.81 / (1e6 * 0.04), rel=1e-8)
 
-    # Rod with mass M at its end: modes sin(q x / l), q tan q = m / M; w = q c / l, c = sqrt(E / rho).
+    # Rod with mass M at its end: modes sin(q x / l), q tan q = m / M; w = q c / l, c = sqrt(E /
+    # rho).
     # m / M is infinite and one. Eight lumped elements and steps of 2 ms lower w by 0.2 and 0.1 %.
     body = bar(integrator="implicit_midpoint", dt=2e-3)
     for q, mass in ((math.pi / 2, 0.0 * extra), (0.86033, 10.0 * extra)):
@@ -385,10 +417,19 @@ def test_attached_mass_pulls_and_slows():
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_muscle_shortens_its_body(muscle_kind, kind):
     m = (mesh.hex_box if kind == "hex" else mesh.tet_box)((4, 2, 2), (1.0, 0.2, 0.2))
-    muscle = soft.Muscle(elements=torch.arange(m.num_elements), direction=[1.0, 0.0, 0.0],
-                         stiffness=20.0, kind=muscle_kind)  # fmt: skip
-    body = soft_body(m, fixed=m.nodes_near_plane("x", 0.0), gravity=(0.0, 0.0, 0.0), muscles=[muscle],
-                     poissons_ratio=0.0)  # fmt: skip
+    muscle = soft.Muscle(
+        elements=torch.arange(m.num_elements),
+        direction=[1.0, 0.0, 0.0],
+        stiffness=20.0,
+        kind=muscle_kind,
+    )
+    body = soft_body(
+        m,
+        fixed=m.nodes_near_plane("x", 0.0),
+        gravity=(0.0, 0.0, 0.0),
+        muscles=[muscle],
+        poissons_ratio=0.0,
+    )
     tip = m.nodes_near_plane("x", 1.0)
     lengths = []
     for activation in (1.0, 0.9, 0.7, 0.5):
