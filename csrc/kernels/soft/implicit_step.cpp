@@ -161,10 +161,15 @@ StepStats implicit_step(const ConstantSystem& system, const StepInputs& inputs,
   double value = problem.value_gradient(x, gradient);
   StepStats stats;
   stats.residual_norm = problem.ops().norm(gradient);
-  // A static problem without load has no force scale of its own: measure from the start.
-  stats.scale = problem.scale() > 0.0 ? problem.scale() : stats.residual_norm;
-  stats.tolerance =
-      std::max(options.rtol * stats.scale + options.atol, rounding_floor(system, x));
+  // A static problem without load has no force scale of its own: measure from the start, which may be
+  // rounding already.
+  const bool unloaded = !(problem.scale() > 0.0);
+  stats.scale = unloaded ? stats.residual_norm : problem.scale();
+  stats.tolerance = options.rtol * stats.scale + options.atol;
+  const double rounding = rounding_floor(system, x);
+  if (unloaded) stats.tolerance = std::max(stats.tolerance, rounding);
+  double best = stats.residual_norm;
+  int since_best = 0;
 
   const StepMethod method =
       options.method == StepMethod::kAuto ? StepMethod::kNewtonPcg : options.method;
@@ -184,6 +189,10 @@ StepStats implicit_step(const ConstantSystem& system, const StepInputs& inputs,
     const double slope = problem.ops().dot(d, gradient);
     const bool descended = line_search(problem, d, slope, x, value, gradient);
     stats.residual_norm = problem.ops().norm(gradient);
+    since_best = stats.residual_norm < best ? 0 : since_best + 1;
+    best = std::min(best, stats.residual_norm);
+    // Rounding decides from here on; a tolerance below it is reported as missed, but soon.
+    if (best <= rounding && since_best > 20 && stats.residual_norm > stats.tolerance) break;
     if (method == StepMethod::kQuasiNewton) {
       if (descended)
         quasi_newton.update(x_old, g_old, x, gradient);

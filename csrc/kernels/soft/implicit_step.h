@@ -34,7 +34,7 @@ struct StepInputs {
 
 struct StepStats {
   double residual_norm = 0.0;  // |grad g| on free unknowns [N]
-  double tolerance = 0.0;      // what it had to reach [N]: rtol * scale + atol, or rounding if larger
+  double tolerance = 0.0;      // what it had to reach [N]
   double scale = 0.0;          // force scale that rtol refers to [N]
   double num_iters = 0.0;      // outer iterations (adjoint: of the Krylov solve)
   double num_solves = 0.0;     // solves with the constant factor
