@@ -27,7 +27,7 @@ def require(
         value: The tensor.
         shape: Expected shape; strings stand for any size, a leading ``"..."`` for any batch axes.
         dtype: Expected dtype.
-        finite: Refuse NaN and infinity (not while ``torch.compile`` traces: values are unknown then).
+        finite: Refuse NaN and infinity (not while ``torch.compile`` traces, without values).
 
     Returns:
         ``value``, contiguous.

@@ -56,7 +56,8 @@ def rollout(
     require_number("num_steps", num_steps, at_least=1)
     if checkpoint_every is not None:
         if isinstance(checkpoint_every, bool) or not isinstance(checkpoint_every, int):
-            raise TypeError(f"checkpoint_every must be an int, got {type(checkpoint_every).__name__}")
+            kind = type(checkpoint_every).__name__
+            raise TypeError(f"checkpoint_every must be an int, got {kind}")
         require_number("checkpoint_every", checkpoint_every, at_least=1)
     if keep is not None and not callable(keep):
         raise TypeError(f"keep must be a function of a State, got {type(keep).__name__}")
