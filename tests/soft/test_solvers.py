@@ -232,7 +232,8 @@ def test_too_few_iterations_raise_with_the_numbers(method):
     assert after.x.isfinite().all()
 
 
-@pytest.mark.parametrize("method", ["auto", "quasi_newton", "newton_jacobi"])
+# Not auto or newton_cholesky: with a factor of the tangent two iterations are enough.
+@pytest.mark.parametrize("method", ["quasi_newton", "newton_pcg", "newton_jacobi"])
 def test_an_adjoint_that_does_not_converge_raises(method):
     body = bar(dt=0.2, solver=options(method, rtol=1e-8, adjoint_rtol=1e-10, adjoint_max_iters=2))
     x = leaf(body.x_rest)
