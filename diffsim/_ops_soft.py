@@ -143,12 +143,29 @@ def preconditioner_stiffness(
     return kappa, FIBRE_SHARE * fibre_stiffness
 
 
+def _require_sizes(ctx: SoftContext, batch: int, tensors: dict[str, Tensor]) -> None:
+    """Kernels read whole arrays: refuse any other size before they do."""
+    expected = {
+        "activation": (batch, ctx.num_fibres),
+        "fibre_stiffness": (ctx.num_fibres,),
+        "inertia": (ctx.num_vertices,),
+        **dict.fromkeys(("w_mu", "w_vol", "damp_mu", "damp_lambda"), (ctx.num_elements,)),
+    }
+    damped = tensors["damp_mu"].numel() > 0
+    for name, tensor in tensors.items():
+        shape = expected.get(name, (batch, ctx.num_vertices, 3))
+        if not damped and name in ("damp_mu", "damp_lambda", "x_frame", "x_velocity"):
+            shape = (0,)
+        if tuple(tensor.shape) != shape:
+            raise ValueError(f"{name} must have shape {shape}, got {tuple(tensor.shape)}")
+        if tensor.dtype != torch.float64 or not tensor.is_contiguous():
+            raise TypeError(f"{name} must be contiguous float64")
+
+
 def _pointers(**tensors: Tensor) -> object:
     arrays = core.SoftArrays()
     for name, tensor in tensors.items():
         if tensor.numel():
-            if tensor.dtype != torch.float64 or not tensor.is_contiguous():
-                raise TypeError(f"{name} must be contiguous float64")
             setattr(arrays, name, tensor.data_ptr())
     return arrays
 
@@ -217,13 +234,13 @@ def soft_step(
         "x_frame": x_frame,
         "x_velocity": x_velocity,
     }
+    _require_sizes(ctx, y.shape[0], {**inputs, "inertia": inertia})
     system = ctx.system(inertia, inputs, num_threads)
-    arrays = _pointers(**inputs)
     x = torch.empty_like(y)
     stats = torch.zeros(y.shape[0], len(STATS), dtype=torch.float64)
     core.implicit_step(
         system,
-        arrays,
+        _pointers(**inputs),
         _options(method, rtol, atol, max_iters),
         y.shape[0],
         x.data_ptr(),
@@ -277,11 +294,12 @@ def soft_step_vjp(
         "x_frame": x_frame,
         "x_velocity": x_velocity,
     }
-    system = ctx.system(inertia, inputs, num_threads)
     batch = y.shape[0]
+    grad_x = grad_x.contiguous()
+    _require_sizes(ctx, batch, {**inputs, "inertia": inertia, "x": x, "grad_x": grad_x})
+    system = ctx.system(inertia, inputs, num_threads)
     grads = _gradient_buffers({**inputs, "inertia": inertia}, batch)
     stats = torch.zeros(batch, len(STATS), dtype=torch.float64)
-    grad_x = grad_x.contiguous()
     core.implicit_step_adjoint(
         system,
         _pointers(**inputs),
@@ -342,6 +360,7 @@ def _step_setup(ctx, inputs, output):
     y, force, target, guess, inertia, *rest = inputs
     ctx.save_for_backward(output[0], y, force, target, inertia, *rest[:8])
     ctx.handle, ctx.method, *_, ctx.num_threads, ctx.on_failure, ctx.rtol, ctx.max_iters = rest[8:]
+    ctx.owner = context(ctx.handle)  # the graph keeps the prepared solver, if its body is deleted
     ctx.mark_non_differentiable(output[1])
 
 
@@ -386,14 +405,23 @@ def elastic_gradient(
 ) -> tuple[Tensor, Tensor]:
     """Gradient of the elastic (and damping) energy [N] and the energy [J], per batch item."""
     ctx = context(handle)
+    inputs = {
+        "w_mu": w_mu,
+        "w_vol": w_vol,
+        "fibre_stiffness": fibre_stiffness,
+        "activation": activation,
+        "damp_mu": damp_mu,
+        "damp_lambda": damp_lambda,
+        "x_frame": x_frame,
+        "x_velocity": x_velocity,
+    }
+    _require_sizes(ctx, x.shape[0], {**inputs, "x": x})
     gradient = torch.empty_like(x)
     energy = torch.empty(x.shape[0], dtype=torch.float64)
     for k in range(x.shape[0]):
-        arrays = _item(k, w_mu, w_vol, fibre_stiffness, activation, damp_mu, damp_lambda,
-                       x_frame, x_velocity)  # fmt: skip
         core.elastic_gradient(
             ctx.pattern,
-            arrays,
+            _item(k, **inputs),
             x[k].data_ptr(),
             gradient[k].data_ptr(),
             energy[k].data_ptr(),
@@ -448,9 +476,10 @@ def elastic_gradient_vjp(
         "x_frame": x_frame,
         "x_velocity": x_velocity,
     }
+    z = z.contiguous()
+    _require_sizes(ctx, batch, {**inputs, "x": x, "z": z})
     grads = _gradient_buffers(inputs, batch)
     grad_x = torch.empty_like(x)
-    z = z.contiguous()
     for k in range(batch):
         core.elastic_gradient_adjoint(
             ctx.pattern,
@@ -472,14 +501,16 @@ def _(z, x, w_mu, w_vol, fs, act, dm, dl, xf, xv, *args):
 def _elastic_setup(ctx, inputs, output):
     ctx.save_for_backward(*inputs[:9], output[0])
     ctx.handle, ctx.num_threads = inputs[9:]
+    ctx.owner = context(ctx.handle)
+    if inputs[5].numel():  # with damping frames the energy's own gradient is not defined
+        ctx.mark_non_differentiable(output[1])
 
 
 def _elastic_backward(ctx, grad_gradient, grad_energy):
     *inputs, gradient = ctx.saved_tensors
-    if inputs[5].numel() and bool((grad_energy != 0).any()):
-        raise NotImplementedError("the energy's own gradient is not defined with damping frames")
     g_x, *others = elastic_gradient_vjp(grad_gradient, *inputs, ctx.handle, ctx.num_threads)
-    g_x = g_x + grad_energy[:, None, None] * gradient
+    if not inputs[5].numel():
+        g_x = g_x + grad_energy[:, None, None] * gradient
     return g_x, *others, None, None
 
 

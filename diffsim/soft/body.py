@@ -94,11 +94,14 @@ class SoftBody(nn.Module):
         self.dt = require_number("dt", dt, above=0.0, hint="unit is s")
         self.integrator = require_choice("integrator", integrator, INTEGRATORS)
         self.volume_weight = require_choice("volume_weight", volume_weight, VOLUME_WEIGHTS)
+        if solver is not None and not isinstance(solver, SolverOptions):
+            raise TypeError(f"solver must be a SolverOptions, got {type(solver).__name__}")
         self.solver = solver or SolverOptions()
         self.muscles = MuscleSet(muscles, mesh.num_elements)
-        self.register_buffer("x_rest", mesh.x_rest)
-        self.register_buffer("fixed", _dirichlet_mask(fixed, mesh.num_vertices))
-        self.register_buffer("nodal_volume", nodal_volume(mesh))
+        # Not in the state_dict: loading one would change them behind the prepared solver's back.
+        self.register_buffer("x_rest", mesh.x_rest, persistent=False)
+        self.register_buffer("fixed", _dirichlet_mask(fixed, mesh.num_vertices), persistent=False)
+        self.register_buffer("nodal_volume", nodal_volume(mesh), persistent=False)
         given = {
             "youngs_modulus": youngs_modulus,
             "poissons_ratio": poissons_ratio,
@@ -162,6 +165,7 @@ class SoftBody(nn.Module):
             values[name] = None if value is None else _as_tensor(name, value)
         return make_physics(
             num_elements=self.mesh.num_elements,
+            num_muscles=self.muscles.num_muscles,
             nodal_volume=self.nodal_volume,
             volume_weight=self.volume_weight,
             **values,

@@ -75,6 +75,7 @@ class MuscleSet:
         )
         self.stiffness = torch.tensor([float(m.stiffness) for m in muscles], dtype=torch.float64)
         self.contraction = torch.tensor([m.kind == "contraction" for m in muscles])
+        self.has_contraction = any(m.kind == "contraction" for m in muscles)
         self.rest_activation = torch.tensor(
             [m.rest_activation for m in muscles], dtype=torch.float64
         )
@@ -87,14 +88,24 @@ class MuscleSet:
         """
         if not self.num_muscles:
             return stiffness, activation
-        if bool(self.contraction.any()):
-            shared = activation.reshape(-1, self.num_muscles)
-            if shared.shape[0] != 1 and bool((shared[:1] != shared).any()):
-                raise ValueError(
-                    "activation of contraction muscles must be the same for the whole batch; "
-                    "step such states one at a time"
-                )
-            slack = torch.where(self.contraction, (1.0 - shared[0]) ** 2, torch.ones_like(stiffness))
+        if self.has_contraction:
+            shared = _shared_activation(activation, self.contraction)
+            slack = torch.where(self.contraction, (1.0 - shared) ** 2, torch.ones_like(stiffness))
             stiffness = stiffness * slack
             activation = torch.where(self.contraction, torch.zeros_like(activation), activation)
         return stiffness[self.owner], activation[..., self.owner]
+
+
+def _shared_activation(activation: Tensor, which: Tensor) -> Tensor:
+    """The one row (num_muscles,) of a batch of activations that agree on the muscles ``which``."""
+    rows = activation.reshape(-1, activation.shape[-1])
+    leading = zip(activation.shape[:-1], activation.stride()[:-1], strict=True)
+    if all(size == 1 or stride == 0 for size, stride in leading):
+        return rows[0]  # one row, expanded
+    if torch.compiler.is_compiling() or bool((rows[:1] != rows)[:, which].any()):
+        raise ValueError(
+            "activation of contraction muscles must be the same for the whole batch; pass one of "
+            "shape (num_muscles,), or step such states one at a time"
+        )
+    # All entries are equal: the maximum is their value, and its gradient is shared out evenly.
+    return rows.amax(0)

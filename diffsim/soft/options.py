@@ -19,7 +19,8 @@ class SolverOptions:
             sparse Cholesky of the tangent at every iteration).
         rtol: The residual must fall below ``rtol * scale + atol``; scale is
             |inertia (y - mean y)| + |force| over free nodes (the right-hand side of eq. 4.3 about
-            the body's centre) [-].
+            the body's centre) [-]. Without load (statics), scale is the residual at the start, and
+            the tolerance is at least rounding, 4e-16 |diag(A) x|.
         atol: See rtol [N].
         adjoint_rtol: |H z - dL/dx| must fall below ``adjoint_rtol * |dL/dx|``; None: rtol [-].
         max_iters: Largest number of outer iterations [-].

@@ -47,6 +47,7 @@ class Physics:
 def make_physics(
     *,
     num_elements: int,
+    num_muscles: int,
     nodal_volume: Tensor,
     volume_weight: str,
     youngs_modulus: Tensor,
@@ -82,6 +83,7 @@ def make_physics(
     if rayleigh_beta is not None:
         rayleigh_beta = _per("rayleigh_beta", rayleigh_beta, num_elements, "num_elements")
         _range("rayleigh_beta", rayleigh_beta, at_least=0.0, hint="unit is s")
+    fibre_stiffness = require("fibre_stiffness", fibre_stiffness, (num_muscles,))
     _range("fibre_stiffness", fibre_stiffness, above=0.0, hint="unit is Pa")
     return Physics(
         w_mu=w_mu,
@@ -96,8 +98,23 @@ def make_physics(
     )
 
 
+def require_physics(physics: Physics, num_vertices: int, num_elements: int) -> Physics:
+    """Refuse what is no :class:`Physics`, or one of another body."""
+    if not isinstance(physics, Physics):
+        raise TypeError(
+            f"physics must come from body.physics(...), got {type(physics).__name__}"
+        )
+    size = (physics.mass.shape[0], physics.w_mu.shape[0])
+    if size != (num_vertices, num_elements):
+        raise ValueError(
+            f"physics must be made by this body's physics(...): it is for {size[0]} vertices and "
+            f"{size[1]} elements, the body has {num_vertices} and {num_elements}"
+        )
+    return physics
+
+
 def _per(name: str, value: Tensor, size: int, axis: str) -> Tensor:
-    if value.ndim == 0:
+    if not isinstance(value, Tensor) or value.ndim == 0:
         return require(name, value, ()).expand(size).contiguous()
     if value.shape != (size,):
         raise ValueError(f"{name} must be a scalar or have shape ({axis},) = ({size},), got "

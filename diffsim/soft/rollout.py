@@ -11,7 +11,7 @@ from torch.utils.checkpoint import checkpoint
 
 from diffsim._check import require_number
 from diffsim.soft.physics import Physics
-from diffsim.soft.state import State, Trajectory
+from diffsim.soft.state import State, Trajectory, require_state
 from diffsim.soft.step import step
 
 if TYPE_CHECKING:
@@ -55,8 +55,14 @@ def rollout(
         raise TypeError(f"num_steps must be an int, got {type(num_steps).__name__}")
     require_number("num_steps", num_steps, at_least=1)
     if checkpoint_every is not None:
+        if isinstance(checkpoint_every, bool) or not isinstance(checkpoint_every, int):
+            kind = type(checkpoint_every).__name__
+            raise TypeError(f"checkpoint_every must be an int, got {kind}")
         require_number("checkpoint_every", checkpoint_every, at_least=1)
-    physics = physics or body.physics()
+    if keep is not None and not callable(keep):
+        raise TypeError(f"keep must be a function of a State, got {type(keep).__name__}")
+    require_state(state)
+    physics = body.physics() if physics is None else physics
 
     def advance(first: int, count: int, start: State) -> tuple[list[Tensor], list[Tensor], State]:
         xs, vs = [], []

@@ -27,6 +27,15 @@ class State(NamedTuple):
         return State(*(None if t is None else t.detach() for t in self))
 
 
+def require_state(state: State) -> State:
+    """Refuse what is no :class:`State`."""
+    if not isinstance(state, State):
+        raise TypeError(
+            f"state must be a State, got {type(state).__name__}; use State(x, v) or body.rest_state()"
+        )
+    return state
+
+
 class Trajectory(NamedTuple):
     """States of a rollout, the initial one first.
 

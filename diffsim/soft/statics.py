@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from diffsim._check import require
 from diffsim.soft.physics import Physics
 from diffsim.soft.state import State
 from diffsim.soft.step import _inputs, solve
@@ -39,13 +40,19 @@ def static_equilibrium(
         FactorizationError: nothing holds the body.
         ConvergenceError: the solver stopped above its tolerance.
     """
-    physics = physics or body.physics()
-    start = body.x_rest if guess is None else guess
-    for given in (external_force, dirichlet_target):
-        if given is not None and given.ndim > start.ndim:
+    physics = body.physics() if physics is None else physics
+    nodal = ("...", body.mesh.num_vertices, 3)
+    start = body.x_rest if guess is None else require("guess", guess, nodal)
+    for name, given in (("external_force", external_force), ("dirichlet_target", dirichlet_target)):
+        if given is None:
+            continue
+        require(name, given, nodal)
+        if given.ndim > start.ndim:
             start = start.expand(*given.shape[:-2], *start.shape[-2:])
-    if activation is not None and activation.ndim + 1 > start.ndim:
-        start = start.expand(*activation.shape[:-1], *start.shape[-2:])
+    if activation is not None:
+        require("activation", activation, ("...", "num_muscles"))
+        if activation.ndim + 1 > start.ndim:
+            start = start.expand(*activation.shape[:-1], *start.shape[-2:])
     state = State(start, torch.zeros_like(start))
     x, force, target, activation = _inputs(
         body, state, external_force, activation, dirichlet_target, physics

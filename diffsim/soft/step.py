@@ -12,8 +12,8 @@ from diffsim import _ops_soft
 from diffsim._check import require
 from diffsim.errors import DiffsimError
 from diffsim.soft.integrators import EXPLICIT, Stage, finish_stage, make_stage
-from diffsim.soft.physics import Physics
-from diffsim.soft.state import State
+from diffsim.soft.physics import Physics, require_physics
+from diffsim.soft.state import State, require_state
 
 if TYPE_CHECKING:
     from diffsim.soft.body import SoftBody
@@ -49,7 +49,7 @@ def step(
         TypeError, ValueError: wrong shape, dtype or non-finite input.
         ConvergenceError: the solver stopped above its tolerance (see ``body.solver.on_failure``).
     """
-    physics = physics or body.physics()
+    physics = body.physics() if physics is None else physics
     x, force, target, activation = _inputs(
         body, state, external_force, activation, dirichlet_target, physics
     )
@@ -72,6 +72,8 @@ def _inputs(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Checked and broadcast x, total force, Dirichlet target, activation."""
     num_vertices = body.mesh.num_vertices
+    require_physics(physics, num_vertices, body.mesh.num_elements)
+    require_state(state)
     x = require("state.x", state.x, ("...", num_vertices, 3))
     require("state.v", state.v, tuple(x.shape))
     for name in ("x_prev", "v_prev"):
@@ -254,7 +256,8 @@ def elastic_force(
     Returns:
         Forces, shape of x [N]. Gradients: x, activation, physics; first order.
     """
-    physics = physics or body.physics()
+    physics = body.physics() if physics is None else physics
+    x = require("x", x, ("...", body.mesh.num_vertices, 3))
     state = State(x, torch.zeros_like(x))
     x, _, _, activation = _inputs(body, state, None, activation, None, physics)
     return _force(body, x, None, activation, physics)
@@ -275,7 +278,8 @@ def elastic_energy(
     Returns:
         Energies, (...) [J]. Gradient: x only (parameters are treated as constants).
     """
-    physics = physics or body.physics()
+    physics = body.physics() if physics is None else physics
+    x = require("x", x, ("...", body.mesh.num_vertices, 3))
     state = State(x, torch.zeros_like(x))
     x, _, _, activation = _inputs(body, state, None, activation, None, physics)
     stiffness, stretch = body.muscles.fibres(physics.fibre_stiffness, activation)

@@ -102,6 +102,7 @@ ConstantSystem::ConstantSystem(std::shared_ptr<const SoftPattern> pattern,
       fixed_(inputs.fixed, inputs.fixed + 3 * model().num_nodes),
       inertia_(inputs.inertia, inputs.inertia + model().num_nodes) {
   const Vector values = scalar_matrix(model(), inputs);
+  for (Index d : model().diagonal) diagonal_.push_back(values[at(d)]);
   for (int axis = 0; axis < 3; ++axis) {
     bool shared = false;
     for (AxisFactor& f : factors_)

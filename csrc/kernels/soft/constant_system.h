@@ -57,6 +57,7 @@ class ConstantSystem {
   const SoftPattern& pattern() const { return *pattern_; }
   const std::uint8_t* fixed() const { return fixed_.data(); }
   const double* inertia() const { return inertia_.data(); }
+  const double* diagonal() const { return diagonal_.data(); }  // of A, (num_nodes,) [N/m]
   const SolverPlan& plan() const { return plan_; }
   std::int64_t factor_bytes() const;
 
@@ -70,7 +71,7 @@ class ConstantSystem {
   };
   std::shared_ptr<const SoftPattern> pattern_;
   std::vector<std::uint8_t> fixed_;
-  Vector inertia_;
+  Vector inertia_, diagonal_;
   std::vector<AxisFactor> factors_;
   SolverPlan plan_;
 };

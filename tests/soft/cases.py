@@ -1,0 +1,71 @@
+"""Small bodies in round units (metre, second, tens of Pa), so that every gradient is of order
+one."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from diffsim import mesh, soft
+
+SHARP = {"rtol": 1e-12, "adjoint_rtol": 1e-12}  # solver noise below what finite differences see
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def noise(*shape: int, seed: int = 0) -> Tensor:
+    """Standard normal numbers that depend on nothing but their arguments."""
+    return torch.randn(*shape, generator=generator(seed), dtype=torch.float64)
+
+
+def irregular_mesh(kind: str, cells=(2, 1, 1), size=(2.0, 1.0, 1.0), amount: float = 0.08):
+    """A box whose nodes are all displaced, so that no two elements are alike."""
+    box = (mesh.hex_box if kind == "hex" else mesh.tet_box)(cells, size)
+    x = box.x_rest + amount * noise(box.num_vertices, 3, seed=9).clamp(-1.5, 1.5)
+    return type(box)(x, box.elements)
+
+
+def deformed(m, amount: float = 0.25, seed: int = 1) -> Tensor:
+    """Positions far from rest: stretched, sheared, turned and noisy, without inverted elements."""
+    stretch = torch.tensor(
+        [[1.2, 0.3, 0.0], [-0.2, 0.9, 0.4], [0.1, -0.3, 0.8]], dtype=torch.float64
+    )
+    return m.x_rest @ stretch.T + amount * 0.3 * noise(m.num_vertices, 3, seed=seed)
+
+
+def two_muscles() -> list[soft.Muscle]:
+    """One muscle of each kind, through different elements, in directions of no symmetry."""
+    first, second = torch.tensor([0, 1]), torch.tensor([1])
+    return [
+        soft.Muscle(elements=first, direction=[1.0, 0.2, -0.1], stiffness=8.0, kind="length"),
+        soft.Muscle(elements=second, direction=[0.3, 1.0, 0.5], stiffness=6.0, kind="contraction"),
+    ]
+
+
+def rail_mask(m) -> Tensor:
+    """Node 0 fixed, node 1 on a rail along x, node 2 held in z alone."""
+    mask = torch.zeros(m.num_vertices, 3, dtype=torch.bool)
+    mask[0] = True
+    mask[1, 1:] = True
+    mask[2, 2] = True
+    return mask
+
+
+def soft_body(m, **changes) -> soft.SoftBody:
+    """A body of order-one constants; ``changes`` replace constructor arguments."""
+    arguments = {
+        "dt": 0.1,
+        "youngs_modulus": 30.0,
+        "poissons_ratio": 0.3,
+        "density": 1.5,
+        "gravity": (0.3, -0.2, -1.0),
+        "solver": soft.SolverOptions(**SHARP),
+    }
+    return soft.SoftBody(m, **{**arguments, **changes})
+
+
+def leaf(value) -> Tensor:
+    """A float64 tensor that asks for its gradient."""
+    return torch.as_tensor(value, dtype=torch.float64).clone().requires_grad_()

@@ -1,0 +1,511 @@
+"""Every public function refuses what it cannot use and says what came, what is needed, what to
+do."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from diffsim import mesh, soft
+from diffsim.errors import DiffsimError, FactorizationError
+from tests.soft.cases import irregular_mesh, soft_body, two_muscles
+
+MESH = mesh.hex_box((2, 1, 1))
+NODES, ELEMENTS = MESH.num_vertices, MESH.num_elements
+BODY = soft_body(MESH, fixed=torch.tensor([0, 1, 2, 3]))
+MUSCULAR = soft_body(MESH, fixed=torch.tensor([0, 1, 2, 3]), muscles=two_muscles())
+NAN, INF = float("nan"), float("inf")
+
+
+def zeros(*shape, **options):
+    return torch.zeros(*shape, **{"dtype": torch.float64, **options})
+
+
+def make(**changes):
+    return soft_body(MESH, **changes)
+
+
+STATE = BODY.rest_state()
+
+# (arguments of SoftBody, exception, message)
+BAD_BODIES = [
+    ({"dt": 0.0}, ValueError, r"dt must lie in \(0, inf\), got 0; unit is s"),
+    ({"dt": -1e-3}, ValueError, "dt must lie in"),
+    ({"dt": NAN}, ValueError, "dt must lie in.*got nan"),
+    ({"dt": INF}, ValueError, "dt must lie in.*got inf"),
+    ({"dt": "0.1"}, TypeError, "dt must be a number, got str"),
+    ({"dt": True}, TypeError, "dt must be a number, got bool"),
+    (
+        {"integrator": "implicit_eular"},
+        ValueError,
+        "got 'implicit_eular'; did you mean 'implicit_euler'",
+    ),
+    ({"volume_weight": "small-strain"}, ValueError, "did you mean 'small_strain'"),
+    ({"youngs_modulus": 0.0}, ValueError, "youngs_modulus must lie in .*got 0; unit is Pa"),
+    ({"youngs_modulus": -1e5}, ValueError, "youngs_modulus must lie in .*got -1"),
+    ({"youngs_modulus": NAN}, ValueError, "youngs_modulus must be finite"),
+    (
+        {"youngs_modulus": zeros(ELEMENTS + 1)},
+        ValueError,
+        rf"must be a scalar or have shape \(num_elements,\) = \({ELEMENTS},\), got \(3,\)",
+    ),
+    (
+        {"youngs_modulus": torch.ones(())},
+        TypeError,
+        r"youngs_modulus must be torch.float64, got torch.float32; convert with",
+    ),
+    ({"youngs_modulus": "stiff"}, TypeError, "youngs_modulus must be a number.*got str"),
+    ({"youngs_modulus": None}, TypeError, "youngs_modulus"),
+    ({"poissons_ratio": 0.5}, ValueError, r"poissons_ratio must lie in \(-1, 0.5\), got 0.5.*0.49"),
+    ({"poissons_ratio": 0.7}, ValueError, "poissons_ratio must lie in.*got 0.7"),
+    ({"poissons_ratio": -0.1}, ValueError, "poissons_ratio must lie in.*got -0.1.*non-negative"),
+    ({"poissons_ratio": [0.3, 0.6]}, ValueError, "poissons_ratio must lie in.*got 0.6"),
+    ({"density": 0.0}, ValueError, "density must lie in.*got 0; unit is kg/m"),
+    ({"density": -1.0}, ValueError, "density must lie in.*got -1"),
+    (
+        {"density": zeros(ELEMENTS)},
+        ValueError,
+        r"density must be a scalar or have shape \(num_vertices,\)",
+    ),
+    ({"gravity": -9.81}, ValueError, r"gravity must have shape \(3\), got \(\)"),
+    ({"gravity": (0.0, -9.81)}, ValueError, r"gravity must have shape \(3\), got \(2,\)"),
+    ({"gravity": (0.0, 0.0, INF)}, ValueError, r"gravity must be finite.*first at \(2,\)"),
+    ({"rayleigh_alpha": -0.1}, ValueError, "rayleigh_alpha must lie in.*unit is 1/s"),
+    ({"rayleigh_alpha": [0.1, 0.2]}, ValueError, "rayleigh_alpha must have shape"),
+    ({"rayleigh_beta": -1e-4}, ValueError, "rayleigh_beta must lie in.*unit is s"),
+    (
+        {"rayleigh_beta": zeros(ELEMENTS + 2)},
+        ValueError,
+        "rayleigh_beta must be a scalar or have shape",
+    ),
+    ({"attached_mass": -torch.ones(NODES).double()}, ValueError, "attached_mass must lie in.*kg"),
+    (
+        {"attached_mass": zeros(2)},
+        ValueError,
+        rf"attached_mass must have shape \({NODES}\), got \(2,\)",
+    ),
+    ({"node_mass": zeros(NODES)}, ValueError, "node_mass must lie in.*got 0"),
+    ({"node_mass": zeros(2)}, ValueError, "node_mass must have shape"),
+    ({"fixed": [0, 1]}, TypeError, "fixed must be a torch.Tensor, got list"),
+    (
+        {"fixed": torch.tensor([0, NODES])},
+        ValueError,
+        rf"fixed must hold indices of vertices in \[0, {NODES}\), got {NODES}",
+    ),
+    ({"fixed": torch.tensor([-1])}, ValueError, "fixed must hold indices.*got -1"),
+    (
+        {"fixed": torch.tensor([0], dtype=torch.int32)},
+        TypeError,
+        "fixed must be torch.int64, got torch.int32",
+    ),
+    ({"fixed": torch.tensor([0.0])}, TypeError, "fixed must be torch.int64, got torch.float32"),
+    ({"fixed": torch.zeros(NODES + 1, dtype=torch.bool)}, ValueError, "fixed must have shape"),
+    ({"fixed": torch.zeros(NODES, 2, dtype=torch.bool)}, ValueError, "fixed must have shape"),
+    ({"muscles": ["biceps"]}, TypeError, r"muscles\[0\] must be a Muscle, got str"),
+    (
+        {"muscles": [soft.Muscle(elements=torch.tensor([9]), direction=[1, 0, 0], stiffness=1.0)]},
+        ValueError,
+        rf"muscles\[0\].elements must hold indices of elements in \[0, {ELEMENTS}\), got 9",
+    ),
+    ({"solver": {"rtol": 1e-3}}, TypeError, "solver must be a SolverOptions, got dict"),
+]
+
+
+@pytest.mark.parametrize("arguments, error, message", BAD_BODIES, ids=lambda v: str(v)[:40])
+def test_bodies_are_refused(arguments, error, message):
+    with pytest.raises(error, match=message):
+        make(**arguments)
+
+
+def test_a_body_needs_a_mesh():
+    with pytest.raises(TypeError, match="mesh must be a HexMesh or TetMesh, got Tensor"):
+        soft_body(MESH.x_rest)
+
+
+BAD_PHYSICS = [
+    ({"youngs_modulos": 1.0}, ValueError, "did you mean 'youngs_modulus'"),
+    ({"dt": 0.1}, ValueError, "physics override must be one of"),
+    ({"youngs_modulus": zeros(())}, ValueError, "youngs_modulus must lie in"),
+    ({"poissons_ratio": 0.5}, ValueError, "poissons_ratio must lie in"),
+    ({"density": -1.0}, ValueError, "density must lie in"),
+    (
+        {"density": zeros((), device="meta")},
+        TypeError,
+        "density must be on the CPU, got device meta",
+    ),
+    (
+        {"gravity": zeros(3, dtype=torch.float32)},
+        TypeError,
+        "gravity must be torch.float64, got torch.float32",
+    ),
+    ({"fibre_stiffness": [1.0]}, ValueError, "fibre_stiffness must have shape"),
+    ({"fibre_stiffness": [1.0, -1.0]}, ValueError, "fibre_stiffness must lie in"),
+    ({"fibre_stiffness": [1.0, NAN]}, ValueError, "fibre_stiffness must be finite"),
+    ({"fibre_stiffness": torch.ones(2)}, TypeError, "fibre_stiffness must be torch.float64"),
+    ({"youngs_modulus": None}, TypeError, "youngs_modulus"),
+    ({"gravity": None}, TypeError, "gravity"),
+]
+
+
+@pytest.mark.parametrize("overrides, error, message", BAD_PHYSICS, ids=lambda v: str(v)[:40])
+def test_physics_is_refused(overrides, error, message):
+    with pytest.raises(error, match=message):
+        MUSCULAR.physics(**overrides)
+
+
+X, V = STATE.x, STATE.v
+BAD_STATES = [
+    (
+        soft.State(X[:-1], V),
+        ValueError,
+        rf"state.x must have shape \(..., {NODES}, 3\), got \({NODES - 1}, 3\)",
+    ),
+    (soft.State(X.flatten(), V), ValueError, "state.x must have shape"),
+    (soft.State(X[:, :2], V), ValueError, "state.x must have shape"),
+    (soft.State(X.T, V), ValueError, "state.x must have shape"),
+    (soft.State(X, V[:-1]), ValueError, "state.v must have shape"),
+    (soft.State(X.expand(2, -1, -1), V), ValueError, "state.v must have shape"),
+    (
+        soft.State(X.float(), V),
+        TypeError,
+        r"state.x must be torch.float64, got torch.float32; convert with",
+    ),
+    (soft.State(X, V.float()), TypeError, "state.v must be torch.float64"),
+    (soft.State(X.to("meta"), V), TypeError, "state.x must be on the CPU, got device meta"),
+    (soft.State(X * NAN, V), ValueError, rf"state.x must be finite, got {3 * NODES} NaN"),
+    (soft.State(X, V + INF), ValueError, "state.v must be finite"),
+    (soft.State(X.numpy(), V), TypeError, "state.x must be a torch.Tensor, got ndarray"),
+    (soft.State(X, V, X[:-1], V), ValueError, "state.x_prev must have shape"),
+    (soft.State(X, V, X, V * NAN), ValueError, "state.v_prev must be finite"),
+    (X, TypeError, "state must be a State, got Tensor"),
+    (None, TypeError, "state must be a State, got NoneType"),
+]
+
+
+@pytest.mark.parametrize("integrator", ["implicit_euler", "bdf2", "semi_implicit_euler"])
+@pytest.mark.parametrize(
+    "state, error, message", BAD_STATES, ids=lambda v: str(v)[:40] if isinstance(v, str) else ""
+)
+def test_states_are_refused(state, error, message, integrator):
+    body = make(integrator=integrator)
+    with pytest.raises(error, match=message):
+        body(state)
+    with pytest.raises(error, match=message):
+        soft.rollout(body, state, 2)
+
+
+BAD_INPUTS = [
+    (
+        {"external_force": zeros(NODES, 2)},
+        ValueError,
+        rf"external_force must have shape \(..., {NODES}, 3\), got",
+    ),
+    (
+        {"external_force": zeros(2, NODES, 3)},
+        ValueError,
+        "external_force must broadcast to.*batch axes",
+    ),
+    ({"external_force": zeros(NODES, 3) * NAN}, ValueError, "external_force must be finite"),
+    (
+        {"external_force": zeros(NODES, 3, dtype=torch.float32)},
+        TypeError,
+        "external_force must be torch.float64",
+    ),
+    (
+        {"external_force": zeros(NODES, 3, device="meta")},
+        TypeError,
+        "external_force must be on the CPU",
+    ),
+    ({"external_force": 1.0}, TypeError, "external_force must be a torch.Tensor, got float"),
+    ({"dirichlet_target": zeros(4, 3)}, ValueError, "dirichlet_target must have shape"),
+    ({"dirichlet_target": zeros(3, NODES, 3)}, ValueError, "dirichlet_target must broadcast to"),
+    ({"dirichlet_target": zeros(NODES, 3) + INF}, ValueError, "dirichlet_target must be finite"),
+    ({"activation": zeros(3)}, ValueError, r"activation must have shape \(..., 2\), got \(3,\)"),
+    ({"activation": zeros(())}, ValueError, "activation must have shape"),
+    ({"activation": zeros(4, 2)}, ValueError, "activation must broadcast to"),
+    ({"activation": zeros(2) * NAN}, ValueError, "activation must be finite"),
+    ({"activation": torch.zeros(2)}, TypeError, "activation must be torch.float64"),
+    ({"activation": [1.0, 1.0]}, TypeError, "activation must be a torch.Tensor, got list"),
+    ({"physics": {"density": 1.0}}, TypeError, "physics must come from body.physics.*got dict"),
+    (
+        {"physics": soft_body(mesh.hex_box((3, 1, 1))).physics()},
+        ValueError,
+        "physics must be made by this body.*for 16 vertices and 3 elements, the body has 12 and 2",
+    ),
+]
+
+
+@pytest.mark.parametrize("inputs, error, message", BAD_INPUTS, ids=lambda v: str(v)[:40])
+def test_step_inputs_are_refused(inputs, error, message):
+    with pytest.raises(error, match=message):
+        MUSCULAR(STATE, **inputs)
+    with pytest.raises(error, match=message):
+        soft.rollout(MUSCULAR, STATE, 2, **inputs)
+    statics = {k: v for k, v in inputs.items() if "broadcast" not in message}
+    if statics:  # in statics the inputs' leading axes make the batch
+        with pytest.raises(error, match=message):
+            MUSCULAR.static_equilibrium(**statics)
+    elastic = {k: v for k, v in inputs.items() if k in ("activation", "physics")}
+    if elastic:
+        for function in (MUSCULAR.elastic_force, MUSCULAR.elastic_energy):
+            with pytest.raises(error, match=message):
+                function(X, **elastic)
+
+
+def test_inconsistent_batches_are_refused():
+    state = BODY.rest_state(2)
+    with pytest.raises(ValueError, match=r"external_force must broadcast to \(2, .*got \(3, "):
+        BODY(state, external_force=zeros(3, NODES, 3))
+    with pytest.raises(ValueError, match="activation must broadcast to"):
+        MUSCULAR(state, activation=zeros(3, 2) + 1.0)
+    with pytest.raises(ValueError, match="dirichlet_target must broadcast to"):
+        MUSCULAR.static_equilibrium(
+            external_force=zeros(2, NODES, 3), dirichlet_target=zeros(3, NODES, 3)
+        )
+    with pytest.raises(
+        ValueError, match="contraction muscles must be the same for the whole batch"
+    ):
+        MUSCULAR(state, activation=torch.tensor([[1.0, 0.5], [1.0, 0.6]], dtype=torch.float64))
+
+
+def test_activation_without_muscles_is_refused():
+    for call in (
+        lambda: BODY(STATE, activation=zeros(1)),
+        lambda: BODY.elastic_force(X, activation=zeros(1)),
+        lambda: BODY.static_equilibrium(activation=zeros(1)),
+    ):
+        with pytest.raises(ValueError, match="activation was given, but the body has no muscles"):
+            call()
+
+
+@pytest.mark.parametrize("function", [BODY.elastic_force, BODY.elastic_energy])
+@pytest.mark.parametrize(
+    "x, error, message",
+    [
+        (zeros(3, 3), ValueError, "x must have shape"),
+        (X.float(), TypeError, "x must be torch.float64"),
+        (X * NAN, ValueError, "x must be finite"),
+        (X.to("meta"), TypeError, "x must be on the CPU"),
+        (X.tolist(), TypeError, "x must be a torch.Tensor, got list"),
+    ],
+)
+def test_elastic_inputs_are_refused(function, x, error, message):
+    with pytest.raises(error, match=message):
+        function(x)
+
+
+def test_guesses_are_refused():
+    with pytest.raises(ValueError, match="guess must have shape"):
+        BODY.static_equilibrium(guess=zeros(3, 3))
+    with pytest.raises(TypeError, match=r"guess must be a torch.Tensor, got list"):
+        BODY.static_equilibrium(guess=[1.0])
+
+
+@pytest.mark.parametrize(
+    "arguments, error, message",
+    [
+        ({"num_steps": 0}, ValueError, r"num_steps must lie in \[1, inf\), got 0"),
+        ({"num_steps": -3}, ValueError, "num_steps must lie in"),
+        ({"num_steps": 2.0}, TypeError, "num_steps must be an int, got float"),
+        ({"num_steps": True}, TypeError, "num_steps must be an int, got bool"),
+        ({"num_steps": 2, "checkpoint_every": 0}, ValueError, "checkpoint_every must lie in"),
+        (
+            {"num_steps": 2, "checkpoint_every": 1.5},
+            TypeError,
+            "checkpoint_every must be an int, got float",
+        ),
+        (
+            {"num_steps": 2, "external_force": lambda k, s: zeros(2, 2)},
+            ValueError,
+            "external_force must have shape",
+        ),
+        ({"num_steps": 2, "keep": 3}, TypeError, "keep must be a function of a State, got int"),
+    ],
+)
+def test_rollouts_are_refused(arguments, error, message):
+    with pytest.raises(error, match=message):
+        soft.rollout(BODY, STATE, **arguments)
+
+
+BAD_OPTIONS = [
+    ({"method": "newton_cg"}, ValueError, "did you mean .*'newton_pcg'"),
+    ({"rtol": 0.0}, ValueError, r"rtol must lie in \(0, 1\), got 0"),
+    ({"rtol": 1.0}, ValueError, "rtol must lie in"),
+    ({"rtol": NAN}, ValueError, "rtol must lie in"),
+    ({"rtol": "1e-6"}, TypeError, "rtol must be a number, got str"),
+    ({"atol": -1.0}, ValueError, "atol must lie in"),
+    ({"adjoint_rtol": 2.0}, ValueError, "adjoint_rtol must lie in"),
+    ({"max_iters": 0}, ValueError, "max_iters must lie in"),
+    ({"max_iters": 10.0}, TypeError, "max_iters must be an int, got float"),
+    ({"adjoint_max_iters": 0}, ValueError, "adjoint_max_iters must lie in"),
+    ({"num_threads": 0}, ValueError, "num_threads must lie in"),
+    ({"num_threads": True}, TypeError, "num_threads must be an int, got bool"),
+    (
+        {"on_failure": "ignore"},
+        ValueError,
+        r"on_failure must be one of \['raise', 'warn'\], got 'ignore'",
+    ),
+    ({"max_iter": 10}, TypeError, "max_iter"),
+]
+
+
+@pytest.mark.parametrize("arguments, error, message", BAD_OPTIONS, ids=lambda v: str(v)[:40])
+def test_solver_options_are_refused(arguments, error, message):
+    with pytest.raises(error, match=message):
+        soft.SolverOptions(**arguments)
+
+
+def test_options_and_muscles_are_frozen():
+    with pytest.raises(AttributeError):
+        soft.SolverOptions().rtol = 1e-3
+    with pytest.raises(AttributeError):
+        two_muscles()[0].stiffness = 3.0
+
+
+BAD_MUSCLES = [
+    (
+        {"elements": torch.tensor([], dtype=torch.int64)},
+        ValueError,
+        "elements must name at least one",
+    ),
+    ({"elements": torch.tensor([0.0])}, TypeError, "elements must be torch.int64"),
+    ({"elements": torch.tensor([[0]])}, ValueError, r"elements must have shape \(num_fibres\)"),
+    ({"direction": [0.0, 0.0, 0.0]}, ValueError, "direction must not be zero"),
+    ({"direction": [1.0, 0.0]}, ValueError, "direction must have shape"),
+    ({"direction": [[1.0, 0.0, 0.0]] * 3}, ValueError, "direction must have shape"),
+    ({"direction": [NAN, 0.0, 0.0]}, ValueError, "direction must be finite"),
+    ({"stiffness": 0.0}, ValueError, "stiffness must lie in.*unit is Pa"),
+    ({"stiffness": -5.0}, ValueError, "stiffness must lie in"),
+    ({"stiffness": INF}, ValueError, "stiffness must lie in"),
+    ({"kind": "contract"}, ValueError, "did you mean 'contraction'"),
+]
+
+
+@pytest.mark.parametrize("arguments, error, message", BAD_MUSCLES, ids=lambda v: str(v)[:40])
+def test_muscles_are_refused(arguments, error, message):
+    good = {"elements": torch.tensor([0, 1]), "direction": [1.0, 0.0, 0.0], "stiffness": 2.0}
+    soft.Muscle(**good)
+    with pytest.raises(error, match=message):
+        soft.Muscle(**{**good, **arguments})
+
+
+def test_material_constants_are_refused():
+    one = torch.ones((), dtype=torch.float64)
+    with pytest.raises(ValueError, match="poissons_ratio must lie in"):
+        soft.lame_parameters(one, 0.5 * one)
+    with pytest.raises(ValueError, match="youngs_modulus must lie in"):
+        soft.lame_parameters(-one, 0.3 * one)
+    with pytest.raises(ValueError, match=r"poissons_ratio must lie in.*non-negative"):
+        soft.pd_weights(one, -0.3 * one)
+    with pytest.raises(ValueError, match="did you mean 'thesis'"):
+        soft.pd_weights(one, 0.3 * one, "thesys")
+
+
+def test_statics_that_nothing_holds_are_refused():
+    with pytest.raises(FactorizationError, match="needs Dirichlet nodes on every axis"):
+        make().static_equilibrium()
+
+
+def test_an_unstable_explicit_step_is_refused():
+    body = make(integrator="semi_implicit_euler", dt=10.0, youngs_modulus=1e9)
+    state = soft.State(X * 1.1, V)
+    with pytest.raises(DiffsimError, match="explicit step became unstable at dt = 10 s; reduce dt"):
+        soft.rollout(body, state, 100)
+
+
+def test_mutating_the_inputs_of_a_mesh_changes_nothing():
+    x = MESH.x_rest.clone()
+    m = mesh.HexMesh(x, MESH.hexes)
+    x.zero_()
+    assert torch.equal(m.x_rest, MESH.x_rest)
+
+
+@settings(max_examples=60, deadline=None)
+@given(value=st.floats())
+def test_any_poissons_ratio_is_used_or_refused(value):
+    """No number, NaN and infinity included, gets through to a silently wrong result."""
+    if 0.0 <= value < 0.5 - 1e-12:
+        assert MUSCULAR.physics(poissons_ratio=value).w_vol.isfinite().all()
+    elif not 0.0 <= value < 0.5:
+        with pytest.raises(ValueError, match="poissons_ratio must"):
+            MUSCULAR.physics(poissons_ratio=value)
+
+
+@settings(max_examples=60, deadline=None)
+@given(value=st.floats(), name=st.sampled_from(["youngs_modulus", "density"]))
+def test_any_positive_parameter_is_used_or_refused(value, name):
+    if value > 0.0 and math.isfinite(value):
+        MUSCULAR.physics(**{name: value})
+    else:
+        with pytest.raises(ValueError, match=f"{name} must"):
+            MUSCULAR.physics(**{name: value})
+
+
+@settings(max_examples=40, deadline=None)
+@given(shape=st.lists(st.integers(0, 4), max_size=4))
+def test_any_shape_of_force_is_used_or_refused(shape):
+    """Shapes end in (num_vertices, 3) and broadcast to the state, or raise ValueError."""
+    try:
+        end = BODY(STATE, external_force=zeros(tuple(shape)))
+    except ValueError as error:
+        assert "external_force must" in str(error)
+    else:
+        assert tuple(shape[-2:]) == (NODES, 3)
+        assert end.x.shape == X.shape
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    cells=st.tuples(*[st.integers(1, 3)] * 3),
+    kind=st.sampled_from(["hex", "tet"]),
+    batch=st.integers(1, 3),
+    method=st.sampled_from(["auto", "quasi_newton", "newton_cholesky"]),
+)
+def test_any_box_steps(cells, kind, batch, method):
+    """Sizes around the eight SIMD lanes: no lane of padding reaches a result."""
+    m = irregular_mesh(kind, cells, cells, 0.05)
+    body = soft_body(
+        m, fixed=torch.tensor([0]), solver=soft.SolverOptions(method=method, rtol=1e-9)
+    )
+    end = body(body.rest_state(batch))
+    assert end.x.shape == (batch, m.num_vertices, 3)
+    assert end.x.isfinite().all()
+    mass = body.physics().mass
+    assert float(mass.sum()) == pytest.approx(1.5 * float(body.nodal_volume.sum()))
+    one = body(body.rest_state())
+    torch.testing.assert_close(end.x, one.x.expand_as(end.x), rtol=0, atol=0)
+
+
+def test_empty_batches_are_used_or_refused():
+    state = soft.State(zeros(0, NODES, 3), zeros(0, NODES, 3))
+    try:
+        end = BODY(state)
+    except ValueError as error:
+        assert "batch" in str(error)
+    else:
+        assert end.x.shape == (0, NODES, 3)
+
+
+def test_ops_refuse_sizes_that_kernels_would_overrun():
+    """The ops are the door to compiled code: public functions check, but so do they."""
+    from diffsim import _ops_soft
+
+    physics, empty = BODY.physics(), zeros(0)
+    x, none = X[None].contiguous(), zeros(1, 0)
+    good = [x, physics.w_mu, physics.w_vol, empty, none, empty, empty, empty, empty, BODY.handle, 1]
+    _ops_soft.elastic_gradient(*good)
+    for k, bad in [
+        (0, x[:, 1:].contiguous()),
+        (1, physics.w_mu[1:]),
+        (2, zeros(ELEMENTS + 1)),
+        (3, zeros(1)),
+        (4, zeros(1, 3)),
+        (5, zeros(1)),
+        (7, x),
+    ]:
+        with pytest.raises(ValueError, match="must have shape"):
+            _ops_soft.elastic_gradient(*good[:k], bad, *good[k + 1 :])
+    with pytest.raises(RuntimeError, match="handle 0 is gone"):
+        _ops_soft.elastic_gradient(*good[:9], 0, 1)

@@ -1,0 +1,508 @@
+"""Is every gradient of a soft body exact? Central differences, float64, meshes of a few elements.
+
+Tolerance of gradcheck: the differences are over 2e-6; the solver stops at 1e-12 of the force scale,
+which is 1e-6 of a difference, and third derivatives add 1e-12. Entries are of order one: 2e-5.
+"""
+
+import pytest
+import torch
+
+from diffsim import _ops_soft, mesh, soft
+from tests.helpers import check_layer
+from tests.soft.cases import (
+    SHARP,
+    deformed,
+    irregular_mesh,
+    leaf,
+    noise,
+    rail_mask,
+    soft_body,
+    two_muscles,
+)
+
+pytestmark = pytest.mark.grad
+TOLERANCE = {"eps": 1e-6, "atol": 2e-5, "rtol": 2e-5}
+INTEGRATORS = ["implicit_euler", "bdf2", "implicit_midpoint", "semi_implicit_euler"]
+METHODS = ["auto", "quasi_newton", "newton_pcg", "newton_jacobi", "newton_cholesky"]
+STATE_INPUTS = ("x", "v", "external_force", "activation", "dirichlet_target")
+
+
+def all_inputs(m, per_element: bool = False, fixed: torch.Tensor | None = None) -> dict:
+    """A leaf for everything that claims a gradient, at a strongly deformed, moving state."""
+    x = deformed(m)
+    if fixed is not None:  # targets move, but not so far in one step that elements invert
+        x = torch.where(fixed, m.x_rest, x)
+    spread = 1.0 + 0.2 * noise(m.num_elements, seed=5).tanh() if per_element else torch.tensor(1.0)
+    values = {
+        "x": x,
+        "v": 0.3 * noise(m.num_vertices, 3, seed=2),
+        "external_force": 0.2 * noise(m.num_vertices, 3, seed=3),
+        "activation": [0.8, 0.3],
+        "dirichlet_target": m.x_rest + 0.1 * noise(m.num_vertices, 3, seed=4),
+        "youngs_modulus": 30.0 * spread,
+        "poissons_ratio": 0.3 * spread,
+        "density": 1.5 + 0.1 * noise(m.num_vertices, seed=6).tanh() if per_element else 1.5,
+        "gravity": [0.3, -0.2, -1.0],
+        "rayleigh_alpha": 0.4,
+        "rayleigh_beta": 0.02 * spread,
+        "attached_mass": 0.2 + 0.1 * noise(m.num_vertices, seed=7).tanh(),
+        "fibre_stiffness": [8.0, 6.0],
+    }
+    return {name: leaf(value) for name, value in values.items()}
+
+
+def layer_of(body, names, num_steps=2):
+    """The final state of a short rollout as a function of the named inputs."""
+
+    def layer(*args):
+        given = dict(zip(names, args, strict=True))
+        state = soft.State(
+            given.pop("x", body.x_rest), given.pop("v", torch.zeros_like(body.x_rest))
+        )
+        signals = {k: given.pop(k) for k in STATE_INPUTS[2:] if k in given}
+        physics = body.physics(**given)
+        for _ in range(num_steps):
+            state = soft.step(body, state, physics=physics, **signals)
+        return torch.cat([state.x.flatten(), 0.1 * state.v.flatten()])
+
+    return layer
+
+
+def recorded_ops(monkeypatch, function, *names):
+    """Runs ``function`` and returns [(op, args)] of its first call of each named op."""
+    calls = {}
+    for name in names:
+        op = getattr(_ops_soft, name)
+
+        def record(*args, _op=op, _name=name):
+            keep = not _name.endswith("_vjp")  # first order only: a _vjp has no gradient
+            calls.setdefault(_name, (_op, tuple(_detached(a, keep) for a in args)))
+            return _op(*args)
+
+        monkeypatch.setattr(_ops_soft, name, record)
+    function()
+    monkeypatch.undo()
+    return [calls[name] for name in names]
+
+
+def _detached(value, keep_grad):
+    if not torch.is_tensor(value):
+        return value
+    return value.detach().requires_grad_(keep_grad and value.requires_grad)
+
+
+@pytest.mark.parametrize("per_element", [False, True], ids=["scalar", "per_element"])
+@pytest.mark.parametrize("kind", ["hex", "tet"])
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_every_input(integrator, kind, per_element):
+    """Two steps (three for BDF2, whose third is the first with gradients of two old states)."""
+    m = irregular_mesh(kind, (2, 1, 1) if kind == "hex" else (1, 1, 1), (1.0, 1.0, 1.0))
+    fixed = rail_mask(m)
+    body = soft_body(
+        m,
+        fixed=fixed,
+        muscles=two_muscles(),
+        integrator=integrator,
+        dt=0.02 if integrator == "semi_implicit_euler" else 0.1,
+    )
+    inputs = all_inputs(m, per_element, fixed)
+    layer = layer_of(body, inputs, 3 if integrator == "bdf2" else 2)
+    args = tuple(inputs.values())
+    out = layer(*args)
+    grads = torch.autograd.grad(out, args, torch.linspace(1, 2, out.numel(), dtype=out.dtype))
+    for name, grad in zip(inputs, grads, strict=True):
+        assert grad.abs().max() > 1e-6, f"{name} has no gradient"
+    assert torch.autograd.gradcheck(layer, args, **TOLERANCE)
+
+
+@pytest.mark.parametrize("kind", ["hex", "tet"])
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method(method, kind):
+    m = irregular_mesh(kind, (1, 1, 1), (1.0, 1.0, 1.0))
+    body = soft_body(
+        m, fixed=torch.tensor([0, 1]), solver=soft.SolverOptions(method=method, **SHARP)
+    )
+    inputs = all_inputs(m)
+    names = ("x", "v", "external_force", "dirichlet_target", "youngs_modulus", "rayleigh_beta")
+    args = tuple(inputs[name] for name in names)
+    assert torch.autograd.gradcheck(layer_of(body, names), args, fast_mode=True, **TOLERANCE)
+
+
+def test_node_mass():
+    m = irregular_mesh("hex", (1, 1, 1), (1.0, 1.0, 1.0))
+    body = soft_body(m, node_mass=torch.ones(8, dtype=torch.float64))
+    node_mass = leaf(1.0 + 0.3 * noise(8, seed=3).tanh())
+    args = (leaf(deformed(m)), leaf(0.3 * noise(8, 3, seed=2)), node_mass)
+    assert torch.autograd.gradcheck(layer_of(body, ("x", "v", "node_mass")), args, **TOLERANCE)
+
+
+def test_thesis_volume_weight():
+    m = irregular_mesh("tet", (1, 1, 1), (1.0, 1.0, 1.0))
+    body = soft_body(m, volume_weight="thesis", fixed=torch.tensor([0, 1]))
+    names = ("x", "youngs_modulus", "poissons_ratio", "rayleigh_beta")
+    args = tuple(all_inputs(m)[name] for name in names)
+    assert torch.autograd.gradcheck(layer_of(body, names), args, **TOLERANCE)
+
+
+# Principal stretches of one tetrahedron, away from the kink s1 + s2 = 0 of the nearest rotation and
+# from s1 = s2 of a strongly expanded element (see test_at_the_kinks).
+STRETCHES = {
+    "rest": (1.0, 1.0, 1.0),
+    "two_equal": (1.3, 1.3, 0.6),
+    "thin": (1.5, 0.8, 1e-3),
+    "flat": (1.2, 0.9, 0.0),
+    "needle": (1.4, 1e-2, 1e-3),
+    "inverted": (1.3, 0.9, -0.4),
+    "inverted_needle": (1.1, 0.3, -0.05),
+    "expanded": (4.0, 3.0, 2.5),
+    "crushed": (0.05, 0.04, 0.02),
+}
+
+
+def one_tet(stretch, volume_weight="small_strain", **changes):
+    """One right-handed tetrahedron and its nodes under F = U diag(stretch) V^T."""
+    x = torch.tensor([[0, 0, 0], [1.0, 0.1, 0], [0.2, 0.9, 0.1], [0, 0.3, 1.1]]).double()
+    m = mesh.TetMesh(x, torch.tensor([[0, 1, 2, 3]]))
+    body = soft_body(m, gravity=(0.0, 0.0, 0.0), volume_weight=volume_weight, **changes)
+    rotations = [torch.linalg.qr(noise(3, 3, seed=k))[0] for k in (1, 2)]
+    u, v = (q * torch.linalg.det(q) for q in rotations)
+    deformation = u @ torch.diag(torch.tensor(stretch, dtype=torch.float64)) @ v.T
+    return body, x @ deformation.T
+
+
+@pytest.mark.parametrize("name", STRETCHES)
+def test_elastic_force_of_hard_elements(name):
+    body, x = one_tet(STRETCHES[name])
+    youngs_modulus, poissons_ratio = leaf(30.0), leaf(0.3)
+
+    def layer(x, youngs_modulus, poissons_ratio):
+        physics = body.physics(youngs_modulus=youngs_modulus, poissons_ratio=poissons_ratio)
+        return body.elastic_force(x, physics=physics)
+
+    # Curvature grows like 1 / (s1 + s2): the needle's third derivatives are 1e6, times eps^2 =
+    # 1e-14.
+    options = {"eps": 1e-7, "atol": 1e-4, "rtol": 1e-5}
+    args = (leaf(x), youngs_modulus, poissons_ratio)
+    assert torch.autograd.gradcheck(layer, args, **options)
+    # The force is the negative gradient of the energy, and the energy's gradient is the force.
+    assert torch.autograd.gradcheck(body.elastic_energy, (args[0],), **options)
+    (slope,) = torch.autograd.grad(body.elastic_energy(args[0]), args[0])
+    torch.testing.assert_close(slope, -layer(*args).detach(), rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("name", STRETCHES)
+@pytest.mark.parametrize("method", ["auto", "newton_cholesky", "quasi_newton"])
+def test_step_of_hard_elements(name, method):
+    """A step that starts from a hard element; light nodes, so that it stays one: h^2 E / m is
+    0.03."""
+    body, x = one_tet(STRETCHES[name], dt=0.01, solver=soft.SolverOptions(method=method, **SHARP))
+    names = ("x", "v", "youngs_modulus")
+    args = (leaf(x), leaf(0.1 * noise(4, 3)), leaf(30.0))
+    assert torch.autograd.gradcheck(
+        layer_of(body, names, 1), args, eps=1e-7, atol=2e-4, rtol=1e-5, fast_mode=True
+    )
+
+
+def energy_by_search(stretch, w_mu, w_vol):
+    """psi by brute force: the nearest determinant-one diagonal and the nearest rotation."""
+    s = torch.tensor(sorted(map(abs, stretch), reverse=True), dtype=torch.float64)
+    s[2] = s[2] * torch.tensor(stretch).double().sign().prod()
+    a, b = torch.meshgrid(*2 * [torch.linspace(-3, 3, 3001).double().exp()], indexing="ij")
+    volume = ((a - s[0]) ** 2 + (b - s[1]) ** 2 + (1 / (a * b) - s[2]) ** 2).min()
+    return 0.5 * w_mu * ((s - 1) ** 2).sum() + 0.5 * w_vol * volume
+
+
+@pytest.mark.parametrize(
+    "stretch", [(1.2, 0.5, -0.5), (0.7, 0.0, 0.0), (2.6, 2.6, 2.6), (3.0, 2.4, 2.4), (2, 2, 2)]
+)
+def test_at_the_kinks(stretch):
+    """Where the projection is not unique the energy has a concave kink: no derivative exists.
+
+    Two nearest rotations at s1 + s2 = 0; several nearest volume-preserving matrices at s1 = s2 of
+    an
+    element expanded beyond 2. What happens: energy and force are finite, the energy is right, and
+    the
+    force is that of one of the nearest points, so that -force . d bounds the energy's slope from
+    above
+    in every direction d. The tangent's entries are finite; along the kink's jump they are about
+    -1e12 E, so a step's adjoint there ends in an error or a vanishing component, not in NaN.
+    """
+    body, x = one_tet(stretch)
+    physics = body.physics()
+    volume = float(body.nodal_volume.sum())
+    w_mu, w_vol = float(physics.w_mu[0]), float(physics.w_vol[0])
+    expected = volume * energy_by_search(stretch, w_mu, w_vol)
+    # The search's grid is 0.2 %: quadratic near the minimum, 1e-5 of the energy.
+    torch.testing.assert_close(body.elastic_energy(x), expected, rtol=2e-5, atol=0)
+    x = leaf(x)
+    force = body.elastic_force(x)
+    assert force.isfinite().all()
+    step = 1e-5
+    for seed in range(20):
+        d = noise(4, 3, seed=seed)
+        rise = (body.elastic_energy(x + step * d) - body.elastic_energy(x)) / step
+        assert rise <= -(force * d).sum() + 1e3 * step  # 1e3: E times |d|^2, curvature from above
+    (hessian_times,) = torch.autograd.grad(force, x, noise(4, 3))
+    assert hessian_times.isfinite().all()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_step_from_the_kink(method):
+    """A step that starts exactly at the kink ends away from it, with an exact gradient."""
+    body, x = one_tet((1.2, 0.5, -0.5), solver=soft.SolverOptions(method=method, **SHARP))
+    v = leaf(noise(4, 3))
+    layer = layer_of(body, ("x", "v"), 1)
+    assert torch.autograd.gradcheck(lambda v: layer(x, v), (v,), **TOLERANCE)
+
+
+@pytest.mark.parametrize("kind", ["hex", "tet"])
+def test_static_equilibrium(kind):
+    m = irregular_mesh(kind, (1, 1, 1), (1.0, 1.0, 1.0))
+    body = soft_body(m, fixed=torch.tensor([0, 1, 2, 3]))
+    names = (
+        "external_force",
+        "dirichlet_target",
+        "youngs_modulus",
+        "poissons_ratio",
+        "density",
+        "gravity",
+        "attached_mass",
+    )
+    inputs = all_inputs(m)
+
+    def layer(external_force, dirichlet_target, *parameters):
+        physics = body.physics(**dict(zip(names[2:], parameters, strict=True)))
+        return body.static_equilibrium(
+            external_force=external_force, dirichlet_target=dirichlet_target, physics=physics
+        ).x
+
+    args = tuple(inputs[name] for name in names)
+    assert torch.autograd.gradcheck(layer, args, **TOLERANCE)
+
+
+def test_static_equilibrium_of_muscles():
+    m = irregular_mesh("hex", (2, 1, 1))
+    body = soft_body(m, fixed=torch.tensor([0, 1, 2, 3]), muscles=two_muscles())
+
+    def layer(activation, fibre_stiffness):
+        physics = body.physics(fibre_stiffness=fibre_stiffness)
+        return body.static_equilibrium(activation=activation, physics=physics).x
+
+    assert torch.autograd.gradcheck(layer, (leaf([0.8, 0.3]), leaf([8.0, 6.0])), **TOLERANCE)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize("block", [1, 2, 3, 7])
+def test_checkpoints_change_nothing(integrator, block):
+    m = irregular_mesh("tet", (1, 1, 1), (1.0, 1.0, 1.0))
+    body = soft_body(
+        m,
+        fixed=torch.tensor([0, 1]),
+        integrator=integrator,
+        dt=0.02 if integrator == "semi_implicit_euler" else 0.1,
+    )
+
+    def run(checkpoint_every):
+        inputs = {name: leaf(t.detach()) for name, t in all_inputs(m).items()}
+        force = inputs["external_force"]
+        physics = body.physics(
+            youngs_modulus=inputs["youngs_modulus"], rayleigh_beta=inputs["rayleigh_beta"]
+        )
+        trajectory = soft.rollout(
+            body,
+            soft.State(inputs["x"], inputs["v"]),
+            5,
+            external_force=lambda k, state: force * (1 + k) - 0.1 * state.v,
+            physics=physics,
+            checkpoint_every=checkpoint_every,
+        )
+        weights = noise(*trajectory.x.shape)
+        loss = (weights * trajectory.x).sum() + 0.1 * (trajectory.v**2).sum()
+        names = ("x", "v", "external_force", "youngs_modulus", "rayleigh_beta")
+        return trajectory, torch.autograd.grad(loss, [inputs[name] for name in names])
+
+    (plain, plain_grads), (saved, saved_grads) = run(None), run(block)
+    torch.testing.assert_close(saved.x, plain.x, rtol=0, atol=0)
+    torch.testing.assert_close(saved.final.v, plain.final.v, rtol=0, atol=0)
+    # The same numbers summed in another order: a few roundings.
+    for one, other in zip(plain_grads, saved_grads, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["hex", "tet"])
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_batch_equals_one_by_one(integrator, kind):
+    m = irregular_mesh(kind, (2, 1, 1) if kind == "hex" else (1, 1, 1), (1.0, 1.0, 1.0))
+    body = soft_body(
+        m,
+        fixed=rail_mask(m),
+        muscles=two_muscles()[:1],
+        integrator=integrator,
+        dt=0.02 if integrator == "semi_implicit_euler" else 0.1,
+    )
+    x = torch.stack([deformed(m, seed=k) for k in range(6)]).view(2, 3, -1, 3)
+    names = ("v", "external_force", "dirichlet_target")
+    varied = {n: 0.2 * noise(2, 3, m.num_vertices, 3, seed=k) for k, n in enumerate(names)}
+    varied["dirichlet_target"] = varied["dirichlet_target"] * 0.2 + m.x_rest
+    activation = 0.8 + 0.1 * noise(2, 3, 1)
+
+    def run(pick):
+        given = {k: leaf(pick(t)) for k, t in {**varied, "x": x, "activation": activation}.items()}
+        shared = {"youngs_modulus": leaf(30.0), "rayleigh_beta": leaf(0.01), "density": leaf(1.5)}
+        state = soft.State(given["x"], given["v"])
+        for _ in range(2):
+            state = body(
+                state,
+                external_force=given["external_force"],
+                activation=given["activation"],
+                dirichlet_target=given["dirichlet_target"],
+                physics=body.physics(**shared),
+            )
+        loss = (pick(noise(*x.shape)) * state.x).sum() + (pick(noise(*x.shape)) * state.v).sum()
+        loss.backward()
+        return state, {k: t.grad for k, t in given.items()}, {k: t.grad for k, t in shared.items()}
+
+    whole, own, total = run(lambda t: t)
+    singles = [run(lambda t, i=i, j=j: t[i, j]) for i in range(2) for j in range(3)]
+    for k, (state, grads, _) in enumerate(singles):
+        torch.testing.assert_close(whole.x[k // 3, k % 3], state.x, rtol=0, atol=0)
+        for name, grad in grads.items():
+            torch.testing.assert_close(own[name][k // 3, k % 3], grad, rtol=0, atol=0)
+    for name, grad in total.items():  # sums in another order
+        expected = sum(parts[name] for _, _, parts in singles)
+        torch.testing.assert_close(grad, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_equal_contraction_activations_share_their_gradient():
+    m = irregular_mesh("hex", (2, 1, 1))
+    body = soft_body(m, muscles=two_muscles())
+    x = deformed(m).expand(2, -1, -1)
+    one, rows = leaf([0.8, 0.3]), leaf([[0.8, 0.3], [0.8, 0.3]])
+    for activation in (one, rows):
+        state = body(soft.State(x, torch.zeros_like(x)), activation=activation)
+        (state.x * noise(2, *m.x_rest.shape)).sum().backward()
+    torch.testing.assert_close(rows.grad.sum(0), one.grad, rtol=1e-12, atol=1e-12)
+    assert rows.grad[0, 1] == rows.grad[1, 1]  # one value for all, so one share for each
+    with pytest.raises(ValueError, match="contraction muscles must be the same"):
+        body(
+            soft.State(x, torch.zeros_like(x)),
+            activation=torch.tensor([[1, 0.3], [1, 0.4]]).double(),
+        )
+    # What a length muscle does may differ.
+    body(
+        soft.State(x, torch.zeros_like(x)), activation=torch.tensor([[1, 0.3], [0.9, 0.3]]).double()
+    )
+
+
+def test_non_contiguous_inputs():
+    m = irregular_mesh("hex", (2, 1, 1))
+    body = soft_body(m, fixed=rail_mask(m), muscles=two_muscles())
+    plain = all_inputs(m)
+    strided = {}
+    for name, value in plain.items():
+        wide = torch.stack([value.detach(), torch.full_like(value, torch.nan)], dim=-1)[..., 0]
+        if value.ndim == 2:
+            wide = value.detach().T.contiguous().T
+        assert value.ndim == 0 or not wide.is_contiguous()
+        strided[name] = wide.requires_grad_()
+    results = []
+    for inputs in (plain, strided):
+        out = layer_of(body, inputs)(*inputs.values())
+        transposed = torch.linspace(1, 2, out.numel()).double().view(2, -1).T.reshape(-1)
+        results.append((out, *torch.autograd.grad(out, list(inputs.values()), transposed)))
+    for one, other in zip(*results, strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=0)
+
+
+def test_gradient_of_a_strided_cotangent():
+    m = irregular_mesh("hex", (1, 1, 1))
+    body = soft_body(m)
+    x = leaf(deformed(m))
+    for cotangent in (noise(3, 8).T, torch.ones(1, dtype=torch.float64).expand(8, 3) * 1.0):
+        out = body(soft.State(x, torch.zeros_like(x))).x
+        (strided,) = torch.autograd.grad(out, x, cotangent, retain_graph=True)
+        (plain,) = torch.autograd.grad(out, x, cotangent.contiguous())
+        torch.testing.assert_close(strided, plain, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("kind", ["hex", "tet"])
+def test_step_keeps_the_layer_contract(kind, monkeypatch):
+    m = irregular_mesh(kind, (2, 1, 1) if kind == "hex" else (1, 1, 1), (1.0, 1.0, 1.0))
+    fixed = rail_mask(m)
+    body = soft_body(m, fixed=fixed, muscles=two_muscles())
+    inputs = all_inputs(m, fixed=fixed)
+    args = tuple(inputs.values())
+    layer = layer_of(body, inputs, 1)
+    ops = recorded_ops(
+        monkeypatch, lambda: layer(*args).sum().backward(), "soft_step", "soft_step_vjp"
+    )
+    check_layer(layer, args, ops=ops, fast_mode=True, **TOLERANCE)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_every_integrator_compiles(integrator):
+    m = irregular_mesh("tet", (1, 1, 1), (1.0, 1.0, 1.0))
+    body = soft_body(
+        m, fixed=rail_mask(m), muscles=two_muscles()[:1], integrator=integrator, dt=0.02
+    )
+    names = ("x", "v", "external_force", "activation", "youngs_modulus", "rayleigh_beta")
+    args = [all_inputs(m)[name] for name in names]
+    args[3] = leaf([0.8])
+    layer = layer_of(body, names)
+    whole = torch.compile(layer, fullgraph=True, backend="aot_eager")
+    results = []
+    for function in (layer, whole):
+        out = function(*args)
+        results.append((out, *torch.autograd.grad(out, args, noise(out.numel()))))
+    for one, other in zip(*results, strict=True):
+        torch.testing.assert_close(one, other)
+
+
+def test_elastic_force_keeps_the_layer_contract(monkeypatch):
+    m = irregular_mesh("hex", (2, 1, 1))
+    body = soft_body(m, muscles=two_muscles())
+    args = (leaf(deformed(m)), leaf([0.8, 0.3]), leaf(30.0), leaf(0.3), leaf([8.0, 6.0]))
+
+    def layer(x, activation, youngs_modulus, poissons_ratio, fibre_stiffness):
+        physics = body.physics(
+            youngs_modulus=youngs_modulus,
+            poissons_ratio=poissons_ratio,
+            fibre_stiffness=fibre_stiffness,
+        )
+        return body.elastic_force(x, activation=activation, physics=physics)
+
+    ops = recorded_ops(
+        monkeypatch,
+        lambda: (layer(*args) * noise(m.num_vertices, 3)).sum().backward(),
+        "elastic_gradient",
+        "elastic_gradient_vjp",
+    )
+    check_layer(layer, args, ops=ops, **TOLERANCE)
+
+
+def test_elastic_energy_keeps_the_layer_contract():
+    m = irregular_mesh("tet", (1, 1, 1))
+    body = soft_body(m, muscles=two_muscles())
+    activation = torch.tensor([0.8, 0.3], dtype=torch.float64)
+    check_layer(
+        lambda x: body.elastic_energy(x, activation=activation),
+        (leaf(torch.stack([deformed(m), deformed(m, seed=8)])),),
+        ops=(),
+        **TOLERANCE,
+    )
+
+
+@pytest.mark.parametrize("integrator", ["implicit_euler", "semi_implicit_euler"])
+def test_a_second_derivative_raises(integrator):
+    """First order only: a second derivative is refused, not silently wrong."""
+    m = irregular_mesh("hex", (1, 1, 1))
+    body = soft_body(m, integrator=integrator, dt=0.02)
+    x = leaf(deformed(m))
+    state = body(soft.State(x, torch.zeros_like(x)))
+    with pytest.raises(RuntimeError):
+        (grad,) = torch.autograd.grad((state.x**2).sum(), x, create_graph=True)
+        torch.autograd.grad(grad.square().sum(), x)
+    for function in (body.elastic_energy, lambda x: (body.elastic_force(x) ** 2).sum()):
+        with pytest.raises(RuntimeError):
+            (grad,) = torch.autograd.grad(function(x), x, create_graph=True)
+            torch.autograd.grad(grad.square().sum(), x)
