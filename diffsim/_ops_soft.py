@@ -1,6 +1,6 @@
 """Soft-body ops: the implicit step, the elastic force, and their adjoints, as torch custom ops.
 
-Everything here has a leading batch axis and float64. The prepared C++ objects cannot be op arguments:
+Everything here has a leading batch axis and float64. Prepared C++ objects cannot be op arguments:
 ops carry an integer handle of the :class:`SoftContext` that owns them.
 """
 
@@ -38,8 +38,8 @@ _contexts: weakref.WeakValueDictionary[int, SoftContext] = weakref.WeakValueDict
 class SoftContext:
     """Prepared C++ objects of one mesh with its fibres and Dirichlet set.
 
-    The pattern (elements, sparsity, ordering) is made once. Constant systems are keyed by everything
-    that their content depends on; the last few are kept.
+    The pattern (elements, sparsity, ordering) is made once. Constant systems are keyed by all that
+    their content depends on; the last few are kept.
     """
 
     def __init__(
@@ -132,10 +132,10 @@ FIBRE_SHARE = 0.5
 def preconditioner_stiffness(
     w_mu: Tensor, w_vol: Tensor, fibre_stiffness: Tensor, damp_mu: Tensor, damp_lambda: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Stiffness of the constant matrix A = diag(inertia) + sum kappa G^T G: elements, fibres [Pa].
+    """Stiffness kappa of A = diag(inertia) + sum kappa G^T G, of elements and of fibres [Pa].
 
-    The volume term acts on one of nine directions of F; with its full weight (eq. 4.15) A is far too
-    stiff in the other eight.
+    The volume term acts on one of nine directions of F; with its full weight (eq. 4.15) A is far
+    too stiff in the other eight.
     """
     kappa = w_mu + VOLUME_SHARE * w_vol
     if damp_mu.numel():
@@ -247,7 +247,12 @@ def soft_step(
         stats.data_ptr(),
         num_threads,
     )
-    _report(stats, "implicit step", "halve dt, loosen rtol or raise max_iters", on_failure)
+    _report(
+        stats,
+        "implicit step",
+        "halve dt, raise max_iters, or loosen rtol (or set atol) where rounding forbids less",
+        on_failure,
+    )
     return x, stats
 
 
@@ -335,9 +340,7 @@ _GRADIENTS = {
 def _gradient_buffers(inputs: dict[str, Tensor], batch: int) -> dict[str, Tensor]:
     """Zeroed outputs; those of shared parameters get a batch axis, summed afterwards in order."""
     return {
-        name: inputs[name].new_zeros(
-            (batch, *inputs[name].shape) if shared else inputs[name].shape
-        )
+        name: inputs[name].new_zeros((batch, *inputs[name].shape) if shared else inputs[name].shape)
         for name, shared in _GRADIENTS.items()
         if name in inputs
     }
@@ -357,7 +360,7 @@ def _(grad_x, x, y, force, target, inertia, w_mu, w_vol, fs, act, dm, dl, xf, xv
 
 
 def _step_setup(ctx, inputs, output):
-    y, force, target, guess, inertia, *rest = inputs
+    y, force, target, _guess, inertia, *rest = inputs
     ctx.save_for_backward(output[0], y, force, target, inertia, *rest[:8])
     ctx.handle, ctx.method, *_, ctx.num_threads, ctx.on_failure, ctx.rtol, ctx.max_iters = rest[8:]
     ctx.owner = context(ctx.handle)  # the graph keeps the prepared solver, if its body is deleted

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from tests.helpers import check_layer
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from diffsim import _core, _ops_svd
 from diffsim.svd import polar3, svd3
+from tests.helpers import check_layer
 
 # Some 30 roundings of 1.1e-16 in random directions end below 2.5e-15 in the worst of 1e5 matrices;
 # 4e-15 leaves room for another compiler's order of operations and still sees one lost digit.

@@ -44,13 +44,12 @@ class SparseFactor {
 
 void bind_cholesky(nb::module_& m) {
   nb::class_<SparseFactor>(m, "SparseFactor")
-      .def(
-          "__init__",
-          [](SparseFactor* self, std::int64_t num_nodes, Address indptr, Address indices,
-             Address coords, int block, bool single) {
-            nb::gil_scoped_release release;
-            new (self) SparseFactor(num_nodes, indptr, indices, coords, block, single);
-          })
+      .def("__init__",
+           [](SparseFactor* self, std::int64_t num_nodes, Address indptr, Address indices,
+              Address coords, int block, bool single) {
+             nb::gil_scoped_release release;
+             new (self) SparseFactor(num_nodes, indptr, indices, coords, block, single);
+           })
       .def("refactor",
            [](SparseFactor& self, Address values, int num_threads) {
              std::pair<std::int64_t, double> failed;

@@ -70,11 +70,10 @@ void bind_prepared(nb::module_& m) {
   nb::class_<SoftPattern>(m, "SoftPattern")
       .def_prop_ro("num_nodes", [](const SoftPattern& p) { return p.model().num_nodes; })
       .def_prop_ro("num_blocks", [](const SoftPattern& p) { return p.model().num_blocks(); });
-  nb::class_<ConstantSystem>(m, "ConstantSystem")
-      .def_prop_ro("plan", [](const ConstantSystem& s) {
-        const SolverPlan& p = s.plan();
-        return nb::make_tuple(p.iterations, p.constant_cost, p.tangent_cost, p.factorize_cost);
-      });
+  nb::class_<ConstantSystem>(m, "ConstantSystem").def_prop_ro("plan", [](const ConstantSystem& s) {
+    const SolverPlan& p = s.plan();
+    return nb::make_tuple(p.iterations, p.constant_cost, p.tangent_cost, p.factorize_cost);
+  });
 
   m.def(
       "make_soft_pattern",
@@ -135,14 +134,15 @@ void bind_soft(nb::module_& m) {
   bind_arrays(m);
   bind_prepared(m);
 
-  static_assert(sizeof(StepStats) == 8 * sizeof(double), "Python reads stats as (batch, 8) doubles");
-  m.def("implicit_step", [](const ConstantSystem& system, const SoftArrays& arrays,
-                            const StepOptions& options, std::int64_t batch, Address x, Address stats,
-                            int num_threads) {
-    nb::gil_scoped_release release;
-    implicit_step_batch(system, arrays.inputs(), options, batch, out(x),
-                        reinterpret_cast<StepStats*>(stats), num_threads);
-  });
+  static_assert(sizeof(StepStats) == 8 * sizeof(double),
+                "Python reads stats as (batch, 8) doubles");
+  m.def("implicit_step",
+        [](const ConstantSystem& system, const SoftArrays& arrays, const StepOptions& options,
+           std::int64_t batch, Address x, Address stats, int num_threads) {
+          nb::gil_scoped_release release;
+          implicit_step_batch(system, arrays.inputs(), options, batch, out(x),
+                              reinterpret_cast<StepStats*>(stats), num_threads);
+        });
   m.def("implicit_step_adjoint", [](const ConstantSystem& system, const SoftArrays& arrays,
                                     const StepOptions& options, std::int64_t batch, Address x,
                                     Address grad_x, const SoftArrays& grads, Address stats,
@@ -157,13 +157,13 @@ void bind_soft(nb::module_& m) {
     elastic_gradient(pattern.model(), arrays.inputs(), in(x), out(gradient), out(energy),
                      num_threads);
   });
-  m.def("elastic_gradient_adjoint", [](const SoftPattern& pattern, const SoftArrays& arrays,
-                                       Address x, Address z, Address grad_x, const SoftArrays& grads,
-                                       int num_threads) {
-    nb::gil_scoped_release release;
-    elastic_gradient_adjoint(pattern.model(), arrays.inputs(), in(x), in(z), out(grad_x),
-                             grads.adjoint().parameters, num_threads);
-  });
+  m.def("elastic_gradient_adjoint",
+        [](const SoftPattern& pattern, const SoftArrays& arrays, Address x, Address z,
+           Address grad_x, const SoftArrays& grads, int num_threads) {
+          nb::gil_scoped_release release;
+          elastic_gradient_adjoint(pattern.model(), arrays.inputs(), in(x), in(z), out(grad_x),
+                                   grads.adjoint().parameters, num_threads);
+        });
 }
 
 }  // namespace diffsim

@@ -19,11 +19,11 @@ void bind_svd(nb::module_& m) {
     nb::gil_scoped_release release;
     batched_polar3(in(F), n, out(R), num_threads);
   });
-  m.def("polar3_vjp", [](Address F, Address R, Address grad_R, std::int64_t n, Address grad_F,
-                         int num_threads) {
-    nb::gil_scoped_release release;
-    batched_polar3_vjp(in(F), in(R), in(grad_R), n, out(grad_F), num_threads);
-  });
+  m.def("polar3_vjp",
+        [](Address F, Address R, Address grad_R, std::int64_t n, Address grad_F, int num_threads) {
+          nb::gil_scoped_release release;
+          batched_polar3_vjp(in(F), in(R), in(grad_R), n, out(grad_F), num_threads);
+        });
 }
 
 }  // namespace diffsim

@@ -40,8 +40,8 @@ class SoftBody(nn.Module):
     attached masses and Dirichlet conditions per node and axis. Not modelled here: contact,
     hydrodynamics, plasticity; rest positions carry no gradient.
 
-    Physical parameters may be numbers, tensors or ``nn.Parameter``; each can be replaced for one call
-    by ``body.physics(name=value)``, with gradient.
+    Physical parameters may be numbers, tensors or ``nn.Parameter``; each can be replaced for one
+    call by ``body.physics(name=value)``, with gradient.
 
     Args:
         mesh: Rest shape, :class:`~diffsim.mesh.HexMesh` or :class:`~diffsim.mesh.TetMesh` [m].
@@ -67,6 +67,10 @@ class SoftBody(nn.Module):
     Raises:
         TypeError, ValueError: an argument of wrong type, shape or range; the message names it.
     """
+
+    x_rest: Tensor
+    fixed: Tensor
+    nodal_volume: Tensor
 
     def __init__(
         self,

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
 from diffsim.soft.state import State
@@ -28,6 +29,8 @@ class Stage:
         y: Inertial position, (..., num_vertices, 3) [m].
         kappa: Velocity per displacement [1/s].
         x_velocity: Position that velocity is measured from, (..., num_vertices, 3) [m].
+            The frame of stiffness-proportional damping is y: it predicts the unknown to second
+            order, so that damping keeps the integrator's order.
         midpoint: The unknown is the position in the middle of the step.
     """
 
@@ -52,11 +55,17 @@ def make_stage(integrator: str, dt: float, state: State) -> Stage:
     return Stage(c=1.0 / h**2, y=x + h * v, kappa=1.0 / h, x_velocity=x, midpoint=midpoint)
 
 
-def finish_stage(integrator: str, stage: Stage, state: State, solution: Tensor) -> State:
-    """The state after a step, from the solution of its problem."""
+def finish_stage(
+    integrator: str, stage: Stage, state: State, solution: Tensor, fixed: Tensor
+) -> State:
+    """The state after a step, from the solution of its problem; fixed (num_vertices, 3) bool."""
     velocity = stage.kappa * (solution - stage.x_velocity)
     if stage.midpoint:
-        return State(2.0 * solution - state.x, 2.0 * velocity - state.v)
+        # Extrapolated, the velocity of a node with prescribed motion would alternate.
+        return State(
+            2.0 * solution - state.x,
+            torch.where(fixed, velocity, 2.0 * velocity - state.v),
+        )
     if integrator == "bdf2":
         return State(solution, velocity, state.x, state.v)
     return State(solution, velocity)

@@ -1,4 +1,4 @@
-"""Material constants: from Young's modulus and Poisson's ratio to the weights of the PD energies."""
+"""Material constants: from Young's modulus and Poisson's ratio to the PD energies' weights."""
 
 from __future__ import annotations
 

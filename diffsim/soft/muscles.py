@@ -83,8 +83,8 @@ class MuscleSet:
     def fibres(self, stiffness: Tensor, activation: Tensor) -> tuple[Tensor, Tensor]:
         """Stiffness (num_fibres,) and target stretch (..., num_fibres) of the fibres.
 
-        A contraction muscle is the length muscle of stiffness w (1 - r)^2 and target 0; its stiffness
-        would differ within a batch, so such muscles take one activation for the whole batch.
+        A contraction muscle is the length muscle of stiffness w (1 - r)^2 and target 0; its
+        stiffness would differ within a batch, so such muscles take one activation for all of it.
         """
         if not self.num_muscles:
             return stiffness, activation

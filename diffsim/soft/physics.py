@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from diffsim._check import require, require_range
-from diffsim.soft.materials import lame_parameters, pd_weights
+from diffsim.soft.materials import pd_weights
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,6 @@ class Physics:
 
     Attributes:
         w_mu, w_vol: Weights of the corotated and volume energies, (num_elements,) [Pa].
-        lame_mu, lame_lambda: Lame parameters, (num_elements,) [Pa].
         mass: Nodal masses, attached ones included, (num_vertices,) [kg].
         gravity: (3,) [m/s^2].
         rayleigh_alpha: Mass-proportional damping, scalar [1/s].
@@ -27,8 +26,6 @@ class Physics:
 
     w_mu: Tensor
     w_vol: Tensor
-    lame_mu: Tensor
-    lame_lambda: Tensor
     mass: Tensor
     gravity: Tensor
     rayleigh_alpha: Tensor
@@ -36,12 +33,16 @@ class Physics:
     fibre_stiffness: Tensor
 
     def damping(self, kappa: float) -> tuple[Tensor, Tensor]:
-        """Damping weights beta kappa 2 mu and beta kappa lambda, (num_elements,) [Pa], or empty."""
+        """Damping weights beta kappa 2 mu and beta kappa lambda, (num_elements,) [Pa], or empty.
+
+        mu and lambda are those that the elastic energy has at small strain, w_mu / 2 and w_vol / 3,
+        so that damping is beta K whatever the volume weight's convention.
+        """
         if self.rayleigh_beta is None:
             empty = torch.zeros(0, dtype=torch.float64)
             return empty, empty
         rate = self.rayleigh_beta * kappa
-        return rate * 2.0 * self.lame_mu, rate * self.lame_lambda
+        return rate * self.w_mu, rate * self.w_vol / 3.0
 
 
 def make_physics(
@@ -64,7 +65,6 @@ def make_physics(
     youngs_modulus = _per("youngs_modulus", youngs_modulus, num_elements, "num_elements")
     poissons_ratio = _per("poissons_ratio", poissons_ratio, num_elements, "num_elements")
     w_mu, w_vol = pd_weights(youngs_modulus, poissons_ratio, volume_weight)
-    lame_mu, lame_lambda = lame_parameters(youngs_modulus, poissons_ratio)
     num_vertices = nodal_volume.shape[0]
     if node_mass is None:
         density = _per("density", density, num_vertices, "num_vertices")
@@ -88,8 +88,6 @@ def make_physics(
     return Physics(
         w_mu=w_mu,
         w_vol=w_vol,
-        lame_mu=lame_mu,
-        lame_lambda=lame_lambda,
         mass=mass,
         gravity=gravity,
         rayleigh_alpha=rayleigh_alpha,
@@ -101,9 +99,7 @@ def make_physics(
 def require_physics(physics: Physics, num_vertices: int, num_elements: int) -> Physics:
     """Refuse what is no :class:`Physics`, or one of another body."""
     if not isinstance(physics, Physics):
-        raise TypeError(
-            f"physics must come from body.physics(...), got {type(physics).__name__}"
-        )
+        raise TypeError(f"physics must come from body.physics(...), got {type(physics).__name__}")
     size = (physics.mass.shape[0], physics.w_mu.shape[0])
     if size != (num_vertices, num_elements):
         raise ValueError(

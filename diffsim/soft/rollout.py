@@ -42,9 +42,9 @@ def rollout(
             signals in time [N].
         activation, dirichlet_target: The same, see :func:`diffsim.soft.step`.
         physics: Parameters from ``body.physics(...)``; None: the body's own.
-        checkpoint_every: Store the graph of that many steps at a time and recompute the rest in the
-            backward pass: memory of about num_steps / k + k states instead of all. Callables must then
-            be deterministic.
+        checkpoint_every: Store the graph of that many steps at a time and recompute the rest in
+            the backward pass: memory of about num_steps / k + k states instead of all. Callables
+            must then be deterministic.
         keep: Function of a state whose result is kept instead of x, for example marker positions.
 
     Returns:

@@ -31,7 +31,8 @@ def require_state(state: State) -> State:
     """Refuse what is no :class:`State`."""
     if not isinstance(state, State):
         raise TypeError(
-            f"state must be a State, got {type(state).__name__}; use State(x, v) or body.rest_state()"
+            f"state must be a State, got {type(state).__name__}; "
+            "use State(x, v) or body.rest_state()"
         )
     return state
 

@@ -30,15 +30,15 @@ def step(
     dirichlet_target: Tensor | None = None,
     physics: Physics | None = None,
 ) -> State:
-    """One time step of a soft body (thesis eqs. 4.1-4.5), differentiated by its adjoint (4.9, 4.10).
+    """One time step of a soft body (thesis eqs. 4.1-4.5) with its adjoint (eqs. 4.9, 4.10).
 
     Args:
         body: The body.
         state: x, v of shape (..., num_vertices, 3) [m], [m/s]; any leading batch axes.
         external_force: Nodal forces held over the step, broadcastable to x [N].
         activation: Muscle activations, broadcastable to (..., num_muscles) [-]; None: rest.
-        dirichlet_target: Positions at the step's end, broadcastable to x [m], read at fixed entries;
-            None: rest positions.
+        dirichlet_target: Positions at the step's end, broadcastable to x [m], read at fixed
+            entries; None: rest positions.
         physics: Parameters from ``body.physics(...)``; None: the body's own.
 
     Returns:
@@ -59,7 +59,7 @@ def step(
     if stage.midpoint:
         target = 0.5 * (x + target)
     solution = _implicit(body, stage, state.x, force, target, activation, physics)
-    return finish_stage(body.integrator, stage, state, solution)
+    return finish_stage(body.integrator, stage, state, solution, body.fixed)
 
 
 def _inputs(
@@ -122,7 +122,7 @@ def _implicit(
     inertia = (stage.c + alpha) * physics.mass
     y = (stage.c * stage.y + alpha * stage.x_velocity) / (stage.c + alpha)
     damp_mu, damp_lambda = physics.damping(stage.kappa)
-    frame = guess if damp_mu.numel() else None
+    frame = stage.y if damp_mu.numel() else None
     return solve(
         body,
         y=y,
@@ -160,7 +160,7 @@ def solve(
     shape = y.shape
     stiffness, stretch = body.muscles.fibres(physics.fibre_stiffness, activation)
     options = body.solver
-    x, stats = _ops_soft.soft_step(
+    x, _ = _ops_soft.soft_step(
         _flat(y),
         _flat(force),
         _flat(target),

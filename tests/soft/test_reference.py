@@ -15,7 +15,10 @@ SOLVER = soft.SolverOptions(method="newton_cholesky", rtol=1e-12, adjoint_rtol=1
 
 
 def load(name):
-    return {k: torch.from_numpy(v) for k, v in np.load(data_folder("soft_reference") / f"{name}.npz").items()}
+    return {
+        k: torch.from_numpy(v)
+        for k, v in np.load(data_folder("soft_reference") / f"{name}.npz").items()
+    }
 
 
 def close(actual, expected, tol=1e-9):

@@ -72,13 +72,12 @@ def test_order_in_time(integrator, kind):
 
 @pytest.mark.parametrize("integrator", ["implicit_euler", "bdf2", "implicit_midpoint"])
 def test_order_in_time_with_material_damping(integrator):
-    """The damping frame is that of the step's start: first order in h, whatever the integrator."""
+    """The damping frame is a second-order prediction, so the integrators keep their orders."""
+    order, steps = ORDERS[integrator]
     make = order_body("hex", rayleigh_beta=0.1)
-    steps = [0.02, 0.01, 0.005]
     exact = state_at(make, "implicit_midpoint", TIME / 512, TIME)
     error = [float((state_at(make, integrator, dt, TIME) - exact).norm()) for dt in steps]
-    print(integrator, error, observed_order(steps, error))
-    assert observed_order(steps, error) > 0.9
+    assert observed_order(steps, error) == pytest.approx(order, abs=0.15)
 
 
 # --- mesh size: a cantilever of 1 m x 0.1 m x 0.1 m ---------------------------------------------

@@ -443,3 +443,19 @@ def test_a_muscle_shortens_its_body(muscle_kind, kind):
             assert lengths[-1] == pytest.approx(30.0 / (30.0 + w), rel=1e-6)
     assert lengths[0] == pytest.approx(1.0, abs=1e-12)
     assert all(np.diff(lengths) < 0.0)
+
+
+@pytest.mark.parametrize("integrator", ["implicit_euler", "bdf2", "implicit_midpoint"])
+def test_nodes_carried_at_constant_speed_have_that_speed(integrator):
+    m = mesh.hex_box((1, 1, 1), (1.0, 1.0, 1.0))
+    body = soft_body(
+        m, dt=0.1, integrator=integrator, gravity=(0.0, 0.0, 0.0), fixed=torch.arange(8)
+    )
+    speed = torch.tensor([1.0, 0.0, -0.5], dtype=torch.float64)
+    state = body.rest_state()
+    for k in range(4):
+        state = body(state, dirichlet_target=m.x_rest + 0.1 * (k + 1) * speed)
+    # BDF2 takes two steps to forget that the nodes were at rest before.
+    if integrator != "bdf2":
+        torch.testing.assert_close(state.v, speed.expand(8, 3), atol=1e-12, rtol=0.0)
+    torch.testing.assert_close(state.x, m.x_rest + 0.4 * speed, atol=1e-12, rtol=0.0)

@@ -10,7 +10,7 @@
 namespace diffsim {
 namespace {
 
-constexpr int kGroup = 2 * kLanes;         // matrices per call of the lane kernels
+constexpr int kGroup = 2 * kLanes;            // matrices per call of the lane kernels
 constexpr std::int64_t kBlock = 32 * kGroup;  // matrices per task
 
 // Calls f(first, count) for groups of at most kGroup matrices, in parallel over fixed blocks.

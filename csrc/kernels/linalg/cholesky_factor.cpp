@@ -1,12 +1,11 @@
 // CholeskyFactor: multifrontal factorisation.
-#include "kernels/linalg/cholesky.h"
-
 #include <cmath>
 #include <cstring>
 #include <limits>
 #include <string>
 #include <vector>
 
+#include "kernels/linalg/cholesky.h"
 #include "kernels/linalg/cholesky_front.h"
 #include "kernels/linalg/cholesky_symbolic.h"
 
@@ -24,10 +23,10 @@ struct CholeskyFactor::Refactor {
   const double* values;
   double* factor;
   double* fronts;
-  float* rounded;                    // where L goes in float32, or nullptr
-  double relative_floor;             // smallest accepted pivot, relative to the diagonal entry
-  std::vector<double> floor;         // by elimination order
-  std::vector<FailedPivot> failed;   // by supernode
+  float* rounded;                   // where L goes in float32, or nullptr
+  double relative_floor;            // smallest accepted pivot, relative to the diagonal entry
+  std::vector<double> floor;        // by elimination order
+  std::vector<FailedPivot> failed;  // by supernode
 
   /// Adds the matrix's own entries and notes the smallest pivots to accept.
   void assemble(const CholeskySupernode& node, const Front& front) {
@@ -88,9 +87,14 @@ void CholeskyFactor::refactor(const double* values, ThreadPool& pool) {
   const double entries = static_cast<double>(sym.num_blocks) * sym.block * sym.block;
   const double floor = 4 * std::numeric_limits<double>::epsilon() * std::sqrt(entries);
   const bool round = precision_ == FactorPrecision::kFloat32;
-  Refactor work{sym, values, factor64_.resize(sym.factor_size), fronts_.resize(sym.fronts_size),
-                round ? factor32_.resize(sym.factor_size) : nullptr, floor,
-                std::vector<double>(sym.num_unknowns), {}};
+  Refactor work{sym,
+                values,
+                factor64_.resize(sym.factor_size),
+                fronts_.resize(sym.fronts_size),
+                round ? factor32_.resize(sym.factor_size) : nullptr,
+                floor,
+                std::vector<double>(sym.num_unknowns),
+                {}};
   work.failed.resize(sym.supernodes.size());
   pool.run(static_cast<std::int64_t>(sym.tasks.size()), [&](std::int64_t t) {
     for (const auto& [begin, end] : sym.tasks[t]) {

@@ -18,8 +18,11 @@ struct FailedPivot {
 class Front {
  public:
   Front(const CholeskySupernode& node, double* factor, double* fronts)
-      : node_(node), own_(factor + node.factor), update_(fronts + node.update),
-        panels_(node.panels()), tiles_(node.num_tiles()) {}
+      : node_(node),
+        own_(factor + node.factor),
+        update_(fronts + node.update),
+        panels_(node.panels()),
+        tiles_(node.num_tiles()) {}
 
   int panels() const { return panels_; }
   int tiles() const { return tiles_; }

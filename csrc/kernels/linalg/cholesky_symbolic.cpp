@@ -58,8 +58,8 @@ Graph checked_graph(std::int64_t num_nodes, const std::int64_t* indptr,
   }
   for (std::int64_t i = 0; i < num_nodes; ++i) {
     if (incoming[i] || hash[i]) {
-      refuse("the pattern is not symmetric: row " + std::to_string(i) +
-             " and column " + std::to_string(i) + " differ");
+      refuse("the pattern is not symmetric: row " + std::to_string(i) + " and column " +
+             std::to_string(i) + " differ");
     }
   }
   return g;

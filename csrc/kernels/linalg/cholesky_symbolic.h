@@ -30,12 +30,12 @@ struct CholeskySupernode {
   int num_cols = 0;  // own unknowns
   int num_rows = 0;  // unknowns below
   int parent = -1;
-  int task = -1;     // subtree task, -1 in the top of the tree
-  std::int64_t rows = 0;          // offset of its rows in `row_unknown` and `row_in_parent`
+  int task = -1;          // subtree task, -1 in the top of the tree
+  std::int64_t rows = 0;  // offset of its rows in `row_unknown` and `row_in_parent`
   std::int64_t children = 0, children_end = 0;  // range in `children`
   std::int64_t entries = 0, entries_end = 0;    // range in `entries`
-  std::int64_t factor = 0;        // offset of its panels in the factor
-  std::int64_t update = 0;        // offset of its update matrix among the fronts
+  std::int64_t factor = 0;                      // offset of its panels in the factor
+  std::int64_t update = 0;                      // offset of its update matrix among the fronts
   // In the workspace of a solve, in doubles per right-hand side: offsets of its own unknowns, of
   // the update vector for its parent, and of the local vector it works on.
   std::int64_t own = 0, message = 0, scratch = 0;
@@ -69,9 +69,9 @@ class CholeskySymbolic {
   int block = 1;
   std::vector<CholeskySupernode> supernodes;  // postorder
   std::vector<int> children;
-  std::vector<int> unknown;        // elimination order -> caller's numbering
-  std::vector<int> row_unknown;    // every supernode's rows in the caller's numbering
-  std::vector<int> row_in_parent;  // and as local indices of the parent (padding counted)
+  std::vector<int> unknown;               // elimination order -> caller's numbering
+  std::vector<int> row_unknown;           // every supernode's rows in the caller's numbering
+  std::vector<int> row_in_parent;         // and as local indices of the parent (padding counted)
   std::vector<int> row_offset_in_parent;  // (row / 8) * 64 + row % 8 of those
   std::vector<CholeskyEntry> entries;
 
@@ -80,8 +80,8 @@ class CholeskySymbolic {
   std::vector<CholeskyTask> tasks;
   std::vector<std::vector<int>> levels;
 
-  std::int64_t factor_size = 0;   // stored entries of L
-  std::int64_t fronts_size = 0;   // doubles for all update matrices alive at one time
+  std::int64_t factor_size = 0;     // stored entries of L
+  std::int64_t fronts_size = 0;     // doubles for all update matrices alive at one time
   std::int64_t workspace_size = 0;  // doubles per right-hand side of a solve
   std::int64_t nnz = 0;
   double flops = 0;

@@ -9,7 +9,7 @@ namespace diffsim {
 
 struct KrylovResult {
   int num_iters = 0;
-  double residual_norm = 0.0;       // |b - A x|
+  double residual_norm = 0.0;  // |b - A x|
   bool converged = false;
   bool negative_curvature = false;  // p' A p <= 0 was met: A is not positive definite
 };
@@ -67,8 +67,8 @@ KrylovResult conjugate_gradients(Apply&& apply, Precondition&& precondition, con
   }
 }
 
-/// MINRES (Paige and Saunders 1975) with a symmetric positive definite preconditioner: for A that is
-/// symmetric but indefinite. Starts from zero; stops on the true residual, checked every ten
+/// MINRES (Paige and Saunders 1975) with a symmetric positive definite preconditioner: for A that
+/// is symmetric but indefinite. Starts from zero; stops on the true residual, checked every ten
 /// iterations since the recurrence only knows the preconditioned norm.
 template <typename Apply, typename Precondition>
 KrylovResult minres(Apply&& apply, Precondition&& precondition, const Vector& b, Vector& x,
@@ -84,7 +84,8 @@ KrylovResult minres(Apply&& apply, Precondition&& precondition, const Vector& b,
   Vector r1 = b, r2 = b, y(n), v(n), w(n, 0.0), w1(n, 0.0), w2(n, 0.0), check(n);
   precondition(r1, y);
   const double beta1 = std::sqrt(ops.dot(r1, y));
-  double old_beta = 0.0, beta = beta1, dbar = 0.0, epsilon = 0.0, phibar = beta1, cs = -1.0, sn = 0.0;
+  double old_beta = 0.0, beta = beta1, dbar = 0.0, epsilon = 0.0, phibar = beta1, cs = -1.0,
+         sn = 0.0;
   while (result.num_iters < max_iters) {
     for (std::size_t i = 0; i < n; ++i) v[i] = y[i] / beta;
     apply(v, y);
@@ -102,8 +103,7 @@ KrylovResult minres(Apply&& apply, Precondition&& precondition, const Vector& b,
     const double gbar = sn * dbar - cs * alpha;
     epsilon = sn * beta;
     dbar = -cs * beta;
-    const double gamma =
-        std::max(std::hypot(gbar, beta), std::numeric_limits<double>::min());
+    const double gamma = std::max(std::hypot(gbar, beta), std::numeric_limits<double>::min());
     cs = gbar / gamma;
     sn = beta / gamma;
     const double phi = cs * phibar;

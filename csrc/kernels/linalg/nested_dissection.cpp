@@ -17,8 +17,12 @@ constexpr std::size_t kMaskSize = 512;  // leaf nodes and the neighbours around 
 class Dissector {
  public:
   Dissector(const Graph& graph, const double* coords)
-      : graph_(graph), coords_(coords), owner_(graph.num_nodes, 0), mark_(graph.num_nodes, -1),
-        finder_(graph), order_(graph.num_nodes) {}
+      : graph_(graph),
+        coords_(coords),
+        owner_(graph.num_nodes, 0),
+        mark_(graph.num_nodes, -1),
+        finder_(graph),
+        order_(graph.num_nodes) {}
 
   std::vector<int> run() {
     // A node coupled to almost everything would spoil every separator: eliminate it last.

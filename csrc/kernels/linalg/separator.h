@@ -34,8 +34,8 @@ class SeparatorFinder {
   Separation assemble(const Part& part, const std::vector<char>& in_separator) const;
 
   const Graph& graph_;
-  std::vector<int> local_;   // node -> index among the cut's end nodes, -1 elsewhere
-  std::vector<char> side_;   // node -> 0 left, 1 right (valid inside the part)
+  std::vector<int> local_;  // node -> index among the cut's end nodes, -1 elsewhere
+  std::vector<char> side_;  // node -> 0 left, 1 right (valid inside the part)
   // Bipartite graph of the cut: left vertices have edges to right vertices.
   std::vector<std::vector<int>> edges_;
   std::vector<int> match_left_, match_right_, visited_;

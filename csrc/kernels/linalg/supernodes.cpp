@@ -170,8 +170,8 @@ Supernodes find_supernodes(const Graph& graph, std::vector<int> order, int block
     position = inverse(order);
   }
   const std::vector<int> parent = elimination_tree(graph, order, position);
-  std::vector<Node> nodes = fundamental(graph, order, position, parent,
-                                        column_counts(graph, order, position, parent));
+  std::vector<Node> nodes =
+      fundamental(graph, order, position, parent, column_counts(graph, order, position, parent));
   amalgamate(nodes, block);
 
   std::vector<int> tree, number(nodes.size(), -1), original;

@@ -11,11 +11,11 @@ namespace diffsim {
 /// Columns of the factor, grouped into supernodes that share their row structure. Supernodes and
 /// columns are numbered in postorder: a subtree of the elimination tree is a contiguous range.
 struct Supernodes {
-  std::vector<int> order;              // order[k] = node eliminated k-th
-  std::vector<int> begin;              // (count + 1) first column of each supernode
-  std::vector<int> parent;             // (count) parent supernode, -1 for a root
+  std::vector<int> order;                // order[k] = node eliminated k-th
+  std::vector<int> begin;                // (count + 1) first column of each supernode
+  std::vector<int> parent;               // (count) parent supernode, -1 for a root
   std::vector<std::int64_t> rows_begin;  // (count + 1)
-  std::vector<int> rows;               // rows below each supernode's own columns, ascending
+  std::vector<int> rows;                 // rows below each supernode's own columns, ascending
 
   int count() const { return static_cast<int>(parent.size()); }
 };

@@ -37,8 +37,8 @@ DIFFSIM_INLINE void turn_quaternion(const T& x, T& w, T& vk, T& vp, T& vq) {
 
 // S <- J^T S J (1 + x^2)^2 with the rotation J that all but removes S_pq where active.
 template <class T, class M>
-DIFFSIM_INLINE void jacobi_turn(const M& active, T& Spp, T& Sqq, T& Skk, T& Spq, T& Skp,
-                                T& Skq, T& w, T& vk, T& vp, T& vq) {
+DIFFSIM_INLINE void jacobi_turn(const M& active, T& Spp, T& Sqq, T& Skk, T& Spq, T& Skp, T& Skq,
+                                T& w, T& vk, T& vp, T& vq) {
   // tan(2 theta) = a / d;  t = tan(theta), |t| <= 1
   const T d = Spp - Sqq, a = Spq + Spq;
   const T h = sqrt(d * d + a * a + 1e-300);
@@ -98,8 +98,7 @@ __attribute__((noinline)) void svd3_core(const T* F, T* U, T* sigma, T* V) {
   T A[9];
   for (int i = 0; i < 9; ++i) A[i] = F[i] * inv_scale;
   // 0, or NaN where an entry is NaN or infinite
-  const T poison =
-      (((A[0] + A[1]) + (A[2] + A[3])) + ((A[4] + A[5]) + (A[6] + A[7])) + A[8]) * 0.0;
+  const T poison = (((A[0] + A[1]) + (A[2] + A[3])) + ((A[4] + A[5]) + (A[6] + A[7])) + A[8]) * 0.0;
 
   T S00 = A[0] * A[0] + A[3] * A[3] + A[6] * A[6];
   T S11 = A[1] * A[1] + A[4] * A[4] + A[7] * A[7];
@@ -157,8 +156,7 @@ __attribute__((noinline)) void svd3_core(const T* F, T* U, T* sigma, T* V) {
   }
 
   // [r11 r12; 0 r22]: turn columns 1 and 2 until orthogonal, the larger first, then QR again
-  const auto repair =
-      greater(abs(r12), r00 * 1.1102230246251565e-16) | greater(abs(r22), r11);
+  const auto repair = greater(abs(r12), r00 * 1.1102230246251565e-16) | greater(abs(r22), r11);
   if (any(repair)) {
     const T d = (r11 - r12) * (r11 + r12) - r22 * r22, a = 2.0 * (r11 * r12);
     const T h = sqrt(d * d + a * a);

@@ -63,8 +63,7 @@ Vector with_dirichlet(const SoftModel& model, Vector values, const std::uint8_t*
   for (Index row = 0; row < model.num_nodes; ++row)
     for (Index k = model.row_start[at(row)]; k < model.row_start[at(row + 1)]; ++k) {
       const Index col = model.column[at(k)];
-      if (fixed[3 * row + axis] || fixed[3 * col + axis])
-        values[at(k)] = row == col ? scale : 0.0;
+      if (fixed[3 * row + axis] || fixed[3 * col + axis]) values[at(k)] = row == col ? scale : 0.0;
     }
   return values;
 }
@@ -112,7 +111,8 @@ ConstantSystem::ConstantSystem(std::shared_ptr<const SoftPattern> pattern,
       }
     if (shared) continue;
     factors_.push_back({{axis}, CholeskyFactor(pattern_->scalar())});
-    factors_.back().factor.refactor(with_dirichlet(model(), values, inputs.fixed, axis).data(), pool);
+    factors_.back().factor.refactor(with_dirichlet(model(), values, inputs.fixed, axis).data(),
+                                    pool);
   }
   plan_ = make_solver_plan(*this, inputs.parameters, pool);
 }

@@ -33,11 +33,11 @@ class SoftPattern {
 
 /// What A is made of and what the plan is for; everything the content depends on.
 struct ConstantSystemInputs {
-  const std::uint8_t* fixed = nullptr;   // (num_nodes, 3), 1 where Dirichlet
-  const double* inertia = nullptr;       // (num_nodes,) [N/m]
-  const double* kappa = nullptr;         // (num_elements,) [Pa]
-  const double* fibre_kappa = nullptr;   // (num_fibres,) [Pa]
-  SoftParameters parameters;             // of the energy; activation unused
+  const std::uint8_t* fixed = nullptr;  // (num_nodes, 3), 1 where Dirichlet
+  const double* inertia = nullptr;      // (num_nodes,) [N/m]
+  const double* kappa = nullptr;        // (num_elements,) [Pa]
+  const double* fibre_kappa = nullptr;  // (num_fibres,) [Pa]
+  SoftParameters parameters;            // of the energy; activation unused
 };
 
 /// Immutable once made; throws NotPositiveDefinite for a body that nothing holds.

@@ -1,11 +1,13 @@
 // Objective stiffness-proportional damping, eight samples at a time.
 //
-// Classical Rayleigh damping beta K v with the rest stiffness K also brakes rigid rotation once a body
-// has turned. Instead the strain *rate* is measured in the frame of the step's start, F_n:
-//   S = sym(F_n^T (F - F_v)),  D = d_mu/2 |S|^2 + d_lambda/2 tr(S)^2,  P = F_n (d_mu S + d_lambda tr(S) I)
+// Classical Rayleigh damping beta K v with the rest stiffness K also brakes rigid rotation once a
+// body has turned. Instead the strain *rate* is measured in the frame of a predicted configuration,
+// F_n (positions y of the step, or x itself in explicit steps):
+//   S = sym(F_n^T (F - F_v)),  D = d_mu/2 |S|^2 + d_lambda/2 tr(S)^2,  P = F_n (d_mu S + d_lambda
+//   tr(S) I)
 // where (F - F_v) * kappa is the integrator's velocity gradient and d_mu = beta kappa 2 mu,
-// d_lambda = beta kappa lambda [Pa]. At small strain this is exactly beta K v; a rigid rotation rate W
-// gives sym(F_n^T W F_n) = 0. D is quadratic in x: its matrix is constant during a step.
+// d_lambda = beta kappa lambda [Pa]. At small strain this is exactly beta K v; a rigid rotation
+// rate W gives sym(F_n^T W F_n) = 0. D is quadratic in x: its matrix is constant during a step.
 #pragma once
 
 #include "kernels/linalg/lanes.h"
@@ -62,8 +64,8 @@ inline void add_viscous_tangent(const Lane Fn[9], const Lane& d_mu, const Lane& 
   Lane FFt[9];
   for (int i = 0; i < 3; ++i)
     for (int k = 0; k < 3; ++k)
-      FFt[3 * i + k] = Fn[3 * i] * Fn[3 * k] + Fn[3 * i + 1] * Fn[3 * k + 1] +
-                       Fn[3 * i + 2] * Fn[3 * k + 2];
+      FFt[3 * i + k] =
+          Fn[3 * i] * Fn[3 * k] + Fn[3 * i + 1] * Fn[3 * k + 1] + Fn[3 * i + 2] * Fn[3 * k + 2];
   const Lane half = 0.5 * d_mu;
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j)

@@ -6,7 +6,8 @@
 namespace diffsim {
 namespace {
 
-std::vector<DampingFrame> frames_of(const SoftModel& model, const StepInputs& in, ThreadPool& pool) {
+std::vector<DampingFrame> frames_of(const SoftModel& model, const StepInputs& in,
+                                    ThreadPool& pool) {
   if (!in.parameters.damp_mu) return {};
   return damping_frames(model, in.x_frame, in.x_velocity, pool);
 }
@@ -17,8 +18,8 @@ void elastic_gradient(const SoftModel& model, const StepInputs& in, const double
                       double* gradient, double* energy, int num_threads) {
   ThreadPool pool(num_threads);
   ElasticityScratch scratch;
-  energy[0] = energy_gradient(model, in.parameters, frames_of(model, in, pool), x, gradient, scratch,
-                              pool);
+  energy[0] =
+      energy_gradient(model, in.parameters, frames_of(model, in, pool), x, gradient, scratch, pool);
 }
 
 void elastic_gradient_adjoint(const SoftModel& model, const StepInputs& in, const double* x,

@@ -79,8 +79,9 @@ double energy_gradient_of(const SoftModel& model, const SoftParameters& p,
     Lane F[9], P[9], m[3];
     deformation_gradient<Group>(fibre, g, x, F);
     fibre_directions<Group>(model, g, m);
-    const Lane psi = fibre_stress(fibre_state(F, m), Group::element_value(fibre, g, p.fibre_stiffness),
-                                  Group::element_value(fibre, g, p.activation), P);
+    const Lane psi =
+        fibre_stress(fibre_state(F, m), Group::element_value(fibre, g, p.fibre_stiffness),
+                     Group::element_value(fibre, g, p.activation), P);
     const auto& shape = Group::shape(fibre, g);
     scatter_stress(shape, P,
                    scratch.vectors.data() + model.fibre_vectors_start + g * fibre.vectors_size());
@@ -98,8 +99,7 @@ void element_matrix(const GroupShape<kNodes>& shape, const Lane H[81], Lane* K) 
   for (int b = 0; b < kNodes; ++b) {
     Lane g[3];
     for (int l = 0; l < 3; ++l) g[l] = shape.weight * shape.grad[b][l];
-    for (int n = 0; n < 27; ++n)
-      T[n] = H[3 * n] * g[0] + H[3 * n + 1] * g[1] + H[3 * n + 2] * g[2];
+    for (int n = 0; n < 27; ++n) T[n] = H[3 * n] * g[0] + H[3 * n + 1] * g[1] + H[3 * n + 2] * g[2];
     for (int a = 0; a <= b; ++a) {
       Lane* out = K + 9 * (b * (b + 1) / 2 + a);
       for (int i = 0; i < 3; ++i)
@@ -196,9 +196,8 @@ void tangent_of(const SoftModel& model, const SoftParameters& p,
     Lane F[9];
     deformation_gradient<Group>(solid, g, x, F);
     const PdProjection projection = project(F);
-    PrincipalTangent core =
-        pd_tangent_principal(projection, Group::element_value(solid, g, p.w_mu),
-                             Group::element_value(solid, g, p.w_vol));
+    PrincipalTangent core = pd_tangent_principal(projection, Group::element_value(solid, g, p.w_mu),
+                                                 Group::element_value(solid, g, p.w_vol));
     if (clamp) clamp_tangent(core);
     expand_tangent(projection, core, H);
     if (p.damp_mu)
@@ -265,38 +264,38 @@ void damping_adjoint(const SoftModel& model, const SoftParameters& p,
 
 template <typename Group>
 void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p,
-                          const std::vector<DampingFrame>& frames, const double* x,
-                          const double* z, const ParameterAdjoint& out,
-                          ElasticityScratch& scratch, ThreadPool& pool) {
+                          const std::vector<DampingFrame>& frames, const double* x, const double* z,
+                          const ParameterAdjoint& out, ElasticityScratch& scratch,
+                          ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
   const ElementBlock& fibre = model.fibre;
   for_groups(solid, pool, [&](Index g) {
-      Lane F[9], Z[9], P[9];
-      deformation_gradient<Group>(solid, g, x, F);
-      deformation_gradient<Group>(solid, g, z, Z);
-      const PdProjection projection = project(F);
-      const Lane weight = Group::shape(solid, g).weight;
-      // The stress is linear in the weights: its derivative is the stress of unit weights.
-      pd_stress(projection, broadcast(1.0), broadcast(0.0), P);
-      Group::add_element_value(solid, g, weight * contract(P, Z), out.w_mu);
-      pd_stress(projection, broadcast(0.0), broadcast(1.0), P);
-      Group::add_element_value(solid, g, weight * contract(P, Z), out.w_vol);
-    });
+    Lane F[9], Z[9], P[9];
+    deformation_gradient<Group>(solid, g, x, F);
+    deformation_gradient<Group>(solid, g, z, Z);
+    const PdProjection projection = project(F);
+    const Lane weight = Group::shape(solid, g).weight;
+    // The stress is linear in the weights: its derivative is the stress of unit weights.
+    pd_stress(projection, broadcast(1.0), broadcast(0.0), P);
+    Group::add_element_value(solid, g, weight * contract(P, Z), out.w_mu);
+    pd_stress(projection, broadcast(0.0), broadcast(1.0), P);
+    Group::add_element_value(solid, g, weight * contract(P, Z), out.w_vol);
+  });
   for_groups(fibre, pool, [&](Index g) {
-      Lane F[9], Z[9], m[3];
-      deformation_gradient<Group>(fibre, g, x, F);
-      deformation_gradient<Group>(fibre, g, z, Z);
-      fibre_directions<Group>(model, g, m);
-      const FibreState f = fibre_state(F, m);
-      Lane along = broadcast(0.0);  // e . Z m
-      for (int i = 0; i < 3; ++i)
-        along += f.unit[i] * (Z[3 * i] * m[0] + Z[3 * i + 1] * m[1] + Z[3 * i + 2] * m[2]);
-      const Lane weight = Group::shape(fibre, g).weight;
-      const Lane stiffness = Group::element_value(fibre, g, p.fibre_stiffness);
-      const Lane stretch = f.length - Group::element_value(fibre, g, p.activation);
-      Group::add_element_value(fibre, g, weight * stretch * along, out.fibre_stiffness);
-      Group::add_element_value(fibre, g, -weight * stiffness * along, out.activation);
-    });
+    Lane F[9], Z[9], m[3];
+    deformation_gradient<Group>(fibre, g, x, F);
+    deformation_gradient<Group>(fibre, g, z, Z);
+    fibre_directions<Group>(model, g, m);
+    const FibreState f = fibre_state(F, m);
+    Lane along = broadcast(0.0);  // e . Z m
+    for (int i = 0; i < 3; ++i)
+      along += f.unit[i] * (Z[3 * i] * m[0] + Z[3 * i + 1] * m[1] + Z[3 * i + 2] * m[2]);
+    const Lane weight = Group::shape(fibre, g).weight;
+    const Lane stiffness = Group::element_value(fibre, g, p.fibre_stiffness);
+    const Lane stretch = f.length - Group::element_value(fibre, g, p.activation);
+    Group::add_element_value(fibre, g, weight * stretch * along, out.fibre_stiffness);
+    Group::add_element_value(fibre, g, -weight * stiffness * along, out.activation);
+  });
   if (p.damp_mu) damping_adjoint<Group>(model, p, frames, x, z, out, scratch, pool);
 }
 

@@ -29,7 +29,7 @@ struct ElasticityScratch {
   std::vector<double> vectors, partial, blocks;
 };
 
-/// @param[in] x_frame     (num_nodes, 3) positions at the step's start, F_n [m]
+/// @param[in] x_frame     (num_nodes, 3) predicted positions, F_n [m]
 /// @param[in] x_velocity  (num_nodes, 3) positions that velocity is measured from, F_v [m]
 std::vector<DampingFrame> damping_frames(const SoftModel& model, const double* x_frame,
                                          const double* x_velocity, ThreadPool& pool);
@@ -45,7 +45,8 @@ void tangent(const SoftModel& model, const SoftParameters& parameters,
              const std::vector<DampingFrame>& frames, const double* x, bool clamp, double* values,
              ElasticityScratch& scratch, ThreadPool& pool);
 
-/// z . d(gradient)/dp for every parameter p of the energy, overwritten; the last four with damping only.
+/// z . d(gradient)/dp for every parameter p of the energy, overwritten; the last four with damping
+/// only.
 struct ParameterAdjoint {
   double* w_mu = nullptr;
   double* w_vol = nullptr;

@@ -1,7 +1,8 @@
 // Finite elements in SIMD order: the deformation gradient and its transpose, eight samples at once.
 //
-// A *sample* is one quadrature point of one element. Lanes hold eight samples: the 2x2x2 Gauss points
-// of one hexahedron, or one point each of eight tetrahedra. Such eight samples are a *group*.
+// A *sample* is one quadrature point of one element. Lanes hold eight samples: the 2x2x2 Gauss
+// points of one hexahedron, or one point each of eight tetrahedra. Such eight samples are a
+// *group*.
 #pragma once
 
 #include <cstdint>
@@ -32,15 +33,16 @@ struct GroupShape {
   Lane weight;
 };
 
-/// Some elements of a mesh, all of one kind: the solid itself, or the elements a muscle runs through.
+/// Some elements of a mesh, all of one kind: the solid itself, or the elements a muscle runs
+/// through.
 struct ElementBlock {
   bool is_hex = true;
   std::int64_t num_elements = 0;
   std::int64_t num_groups = 0;
-  std::vector<std::int64_t> nodes;                // (num_elements, 8 or 4)
-  std::vector<GroupShape<8>> hex_shape;           // one per congruence class
-  std::vector<std::int64_t> hex_class;            // (num_elements,)
-  std::vector<GroupShape<4>> tet_shape;           // (num_groups,); padding lanes weigh nothing
+  std::vector<std::int64_t> nodes;       // (num_elements, 8 or 4)
+  std::vector<GroupShape<8>> hex_shape;  // one per congruence class
+  std::vector<std::int64_t> hex_class;   // (num_elements,)
+  std::vector<GroupShape<4>> tet_shape;  // (num_groups,); padding lanes weigh nothing
 
   int nodes_per_element() const { return is_hex ? 8 : 4; }
   /// Doubles that one group needs to hold one 3-vector per node (and per lane, for tets).
@@ -120,8 +122,8 @@ inline void deformation_gradient(const ElementBlock& block, std::int64_t g, cons
     for (int i = 0; i < 9; ++i) F[i] += node[a][i / 3] * shape.grad[a][i % 3];
 }
 
-/// Nodal forces of a stress: f_a = sum over samples of weight P grad N_a [N], into the group's slice
-/// of a vectors buffer (see ElementBlock::vectors_size).
+/// Nodal forces of a stress: f_a = sum over samples of weight P grad N_a [N], into the group's
+/// slice of a vectors buffer (see ElementBlock::vectors_size).
 inline void scatter_stress(const GroupShape<8>& shape, const Lane P[9], double* out) {
   Lane Pw[9];
   for (int i = 0; i < 9; ++i) Pw[i] = P[i] * shape.weight;

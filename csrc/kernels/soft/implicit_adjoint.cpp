@@ -38,8 +38,9 @@ class AdjointSolver {
     else if (!factorize)
       result = conjugate(constant(), b, tolerance, max_iters, z);
     if (result.converged) return result;
-    // Indefinite (the step stopped at a saddle) or stalled: MINRES needs no sign. Its preconditioner
-    // must be positive definite: a factor of the clamped tangent, else the constant one.
+    // Indefinite (the step stopped at a saddle) or stalled: MINRES needs no sign. Its
+    // preconditioner must be positive definite: a factor of the clamped tangent, else the constant
+    // one.
     const int spent = result.num_iters;
     problem_.assemble(x_, true);
     const bool clamped = problem_.factorize();
@@ -64,8 +65,8 @@ bool wants_factor(const ConstantSystem& system, const StepOptions& options) {
 }  // namespace
 
 StepStats implicit_step_adjoint(const ConstantSystem& system, const StepInputs& inputs,
-                                const StepOptions& options, const double* x_in, const double* grad_x,
-                                const StepAdjoint& out, ThreadPool& pool) {
+                                const StepOptions& options, const double* x_in,
+                                const double* grad_x, const StepAdjoint& out, ThreadPool& pool) {
   StepProblem problem(system, inputs, pool);
   const std::size_t size = problem.size();
   const Vector x(x_in, x_in + size);
@@ -76,9 +77,9 @@ StepStats implicit_step_adjoint(const ConstantSystem& system, const StepInputs& 
   StepStats stats;
   stats.scale = problem.ops().norm(b);
   stats.tolerance = options.rtol * stats.scale + options.atol;
-  const KrylovResult solve =
-      AdjointSolver(problem, x).solve(options.method, wants_factor(system, options), b,
-                                      stats.tolerance, options.max_iters, z);
+  const KrylovResult solve = AdjointSolver(problem, x)
+                                 .solve(options.method, wants_factor(system, options), b,
+                                        stats.tolerance, options.max_iters, z);
   stats.residual_norm = solve.residual_norm;
   stats.num_iters = solve.num_iters;
   stats.converged = solve.converged ? 1.0 : 0.0;

@@ -8,9 +8,9 @@ namespace diffsim {
 namespace {
 
 /// Backtracks along d until the Armijo condition holds; updates x, value and gradient.
-/// Differences below rounding count as descent, else the last digits could not be reached. Near rest
-/// the energy w/2 (s - 1)^2 loses its digits to s - 1 long before its gradient does; there the slope
-/// decides instead (approximate Wolfe condition, Hager and Zhang 2005, eq. 4.1).
+/// Differences below rounding count as descent, else the last digits could not be reached. Near
+/// rest the energy w/2 (s - 1)^2 loses its digits to s - 1 long before its gradient does; there the
+/// slope decides instead (approximate Wolfe condition, Hager and Zhang 2005, eq. 4.1).
 bool line_search(StepProblem& problem, const Vector& d, double slope, Vector& x, double& value,
                  Vector& gradient) {
   const Vector start = x;
@@ -85,7 +85,8 @@ class Newton {
   }
 
   /// Forcing term by Eisenstat and Walker 1996, choice 2, never tighter than needed.
-  void direction(const Vector& x, const Vector& gradient, double norm, double tolerance, Vector& d) {
+  void direction(const Vector& x, const Vector& gradient, double norm, double tolerance,
+                 Vector& d) {
     problem_.assemble(x, clamp_);
     double forcing = 0.1;
     if (last_norm_ > 0.0) forcing = std::min(0.1, 0.9 * (norm / last_norm_) * (norm / last_norm_));
@@ -159,8 +160,8 @@ class Newton {
   KrylovScratch krylov_;
 };
 
-/// What rounding alone leaves of the gradient [N]: a relative error eps of the positions x appears in
-/// each node's force as eps |x| times the node's stiffness. No iteration gets below it.
+/// What rounding alone leaves of the gradient [N]: a relative error eps of the positions x appears
+/// in each node's force as eps |x| times the node's stiffness. No iteration gets below it.
 double rounding_floor(const ConstantSystem& system, const Vector& x) {
   double total = 0.0;
   for (std::size_t i = 0; i < x.size(); ++i) {
@@ -183,8 +184,8 @@ StepStats implicit_step(const ConstantSystem& system, const StepInputs& inputs,
   double value = problem.value_gradient(x, gradient);
   StepStats stats;
   stats.residual_norm = problem.ops().norm(gradient);
-  // A static problem without load has no force scale of its own: measure from the start, which may be
-  // rounding already.
+  // A static problem without load has no force scale of its own: measure from the start, which may
+  // be rounding already.
   const bool unloaded = !(problem.scale() > 0.0);
   stats.scale = unloaded ? stats.residual_norm : problem.scale();
   stats.tolerance = options.rtol * stats.scale + options.atol;

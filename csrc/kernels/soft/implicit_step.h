@@ -1,8 +1,10 @@
 // One implicit step of a soft body and its adjoint.
 //
 // Forward: x minimises over free unknowns, with x = target on fixed ones,
-//   g(x) = 1/2 (x - y)^T diag(inertia) (x - y) - force . x + E(x) + D(x)            (thesis eq. 4.5)
-// Backward (eq. 4.9, 4.10): with H = d^2 g/dx^2 on free unknowns, H z = dL/dx, and for any parameter p
+//   g(x) = 1/2 (x - y)^T diag(inertia) (x - y) - force . x + E(x) + D(x)            (thesis
+//   eq. 4.5)
+// Backward (eq. 4.9, 4.10): with H = d^2 g/dx^2 on free unknowns, H z = dL/dx, and for any
+// parameter p
 //   dL/dp = -z . d(grad g)/dp.
 // Every integrator of diffsim/soft is this problem with its own y, inertia and velocity frame.
 #pragma once
@@ -33,14 +35,14 @@ struct StepInputs {
 };
 
 struct StepStats {
-  double residual_norm = 0.0;  // |grad g| on free unknowns [N]
-  double tolerance = 0.0;      // what it had to reach [N]
-  double scale = 0.0;          // force scale that rtol refers to [N]
-  double num_iters = 0.0;      // outer iterations (adjoint: of the Krylov solve)
-  double num_solves = 0.0;     // solves with the constant factor
+  double residual_norm = 0.0;       // |grad g| on free unknowns [N]
+  double tolerance = 0.0;           // what it had to reach [N]
+  double scale = 0.0;               // force scale that rtol refers to [N]
+  double num_iters = 0.0;           // outer iterations (adjoint: of the Krylov solve)
+  double num_solves = 0.0;          // solves with the constant factor
   double num_factorizations = 0.0;  // of the 3x3-block tangent
-  double energy = 0.0;         // E + D at the answer [J]
-  double converged = 0.0;      // 1 or 0
+  double energy = 0.0;              // E + D at the answer [J]
+  double converged = 0.0;           // 1 or 0
 };
 
 /// @param[out] x (num_nodes, 3) [m]
@@ -61,7 +63,8 @@ StepStats implicit_step_adjoint(const ConstantSystem& system, const StepInputs& 
                                 const StepOptions& options, const double* x, const double* grad_x,
                                 const StepAdjoint& out, ThreadPool& pool);
 
-/// Pointers of batch item k: leading batch axes on states, forces and activations; parameters shared.
+/// Pointers of batch item k: leading batch axes on states, forces and activations; parameters
+/// shared.
 StepInputs batch_item(const StepInputs& inputs, const SoftModel& model, std::int64_t k);
 StepAdjoint batch_item(const StepAdjoint& adjoint, const SoftModel& model, std::int64_t k);
 

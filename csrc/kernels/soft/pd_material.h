@@ -46,8 +46,7 @@ inline void project_volume(PdProjection& p) {
     high = select(below, high, u);
     const Lane slope = t0 * t1 + u * q2 * (t1 / q0 + t0 / q1);
     const Lane newton = u - value / slope;
-    const Lane bisect =
-        select<Lane>(greater(high, broadcast(1e299)), 2.0 * u, 0.5 * (low + high));
+    const Lane bisect = select<Lane>(greater(high, broadcast(1e299)), 2.0 * u, 0.5 * (low + high));
     u = last ? newton : select(less(low, newton) & less(newton, high), newton, bisect);
   }
 }
@@ -66,7 +65,8 @@ inline void compose(const Lane U[9], const Lane d[3], const Lane V[9], Lane out[
     for (int j = 0; j < 3; ++j) Ud[3 * i + j] = U[3 * i + j] * d[j];
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j)
-      out[3 * i + j] = Ud[3 * i] * V[3 * j] + Ud[3 * i + 1] * V[3 * j + 1] + Ud[3 * i + 2] * V[3 * j + 2];
+      out[3 * i + j] =
+          Ud[3 * i] * V[3 * j] + Ud[3 * i + 1] * V[3 * j + 1] + Ud[3 * i + 2] * V[3 * j + 2];
 }
 
 /// P = U diag(w_mu (s - 1) + w_vol (s - t)) V^T [Pa]; returns psi [J/m^3].
@@ -127,7 +127,8 @@ inline void clamp_tangent(PrincipalTangent& c) {
     c.symmetric[k] = max(c.symmetric[k], zero);
     c.skew[k] = max(c.skew[k], zero);
   }
-  // B symmetric: B^T B = V s^2 V^T, so |B| = V |s| V^T and (B + |B|) / 2 drops negative eigenvalues.
+  // B symmetric: B^T B = V s^2 V^T, so |B| = V |s| V^T and (B + |B|) / 2 drops negative
+  // eigenvalues.
   Lane U[9], s[3], V[9], absolute[9];
   svd3(c.diagonal, U, s, V);
   for (int i = 0; i < 3; ++i) s[i] = abs(s[i]);

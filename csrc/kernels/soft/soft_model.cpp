@@ -107,7 +107,8 @@ std::vector<std::int32_t> make_slots(const SoftModel& model, const ElementBlock&
 void make_gather(SoftModel& model) {
   model.gather_stride = vector_stride(model.solid);
   model.fibre_vectors_start = model.solid.num_groups * model.solid.vectors_size();
-  model.vectors_size = model.fibre_vectors_start + model.fibre.num_groups * model.fibre.vectors_size();
+  model.vectors_size =
+      model.fibre_vectors_start + model.fibre.num_groups * model.fibre.vectors_size();
   model.gather_start.assign(at(model.num_nodes + 1), 0);
   for (const ElementBlock* block : {&model.solid, &model.fibre})
     for (Index node : block->nodes) ++model.gather_start[at(node + 1)];

@@ -23,16 +23,17 @@ struct MeshTables {
 };
 
 /// Immutable. Matrix pattern: node graph in CSR, diagonal included, columns ascending. Values of a
-/// 3x3-block matrix lie per row node as a *strip*: dense (3, strip width) row-major, the width being
-/// 3 * row length padded with zeros to whole lanes, so that products stream aligned vectors.
+/// 3x3-block matrix lie per row node as a *strip*: dense (3, strip width) row-major, the width
+/// being 3 * row length padded with zeros to whole lanes, so that products stream aligned vectors.
 struct SoftModel {
   std::int64_t num_nodes = 0;
   ElementBlock solid, fibre;
   std::vector<double> fibre_directions;  // (num_fibres, 3)
 
-  std::vector<std::int64_t> row_start, column;      // CSR node graph
-  std::vector<std::int64_t> diagonal;               // position of (i, i) in `column`
-  std::vector<std::int32_t> solid_slot, fibre_slot;  // (elements, N, N): place of node b in row of a
+  std::vector<std::int64_t> row_start, column;  // CSR node graph
+  std::vector<std::int64_t> diagonal;           // position of (i, i) in `column`
+  std::vector<std::int32_t> solid_slot,
+      fibre_slot;  // (elements, N, N): place of node b in row of a
 
   // Node -> its vectors in the buffer [solid vectors | fibre vectors].
   std::vector<std::int64_t> gather_start, gather_offset;

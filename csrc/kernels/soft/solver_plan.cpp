@@ -51,8 +51,9 @@ int probe(const ConstantSystem& system, const SoftParameters& parameters, int li
   problem.solve_constant(b, smooth);
   for (std::size_t i = 0; i < size; ++i) smooth[i] *= system.inertia()[i / 3];
   const Vector& rhs = problem.ops().norm(smooth) > 0.0 ? smooth : b;
-  const KrylovResult result = conjugate_gradients(
-      apply, constant, rhs, x, false, 1e-2 * problem.ops().norm(rhs), limit, scratch, problem.ops());
+  const KrylovResult result =
+      conjugate_gradients(apply, constant, rhs, x, false, 1e-2 * problem.ops().norm(rhs), limit,
+                          scratch, problem.ops());
   // Cut off where a factor would have paid already; by how much more is not worth finding out.
   return result.converged ? result.num_iters : 4 * limit;
 }
@@ -82,11 +83,13 @@ SolverPlan make_solver_plan(const ConstantSystem& system, const SoftParameters& 
   SolverPlan plan;
   const double matrix_bytes = 8.0 * static_cast<double>(system.model().values_size());
   const CholeskyFactor tangent(system.pattern().blocks());
-  plan.constant_cost = streaming_cost(matrix_bytes + 2.0 * static_cast<double>(system.factor_bytes()));
+  plan.constant_cost =
+      streaming_cost(matrix_bytes + 2.0 * static_cast<double>(system.factor_bytes()));
   plan.tangent_cost = streaming_cost(matrix_bytes + 2.0 * static_cast<double>(tangent.bytes()));
-  plan.factorize_cost = static_cast<double>(tangent.bytes()) > kMaxFactorBytes
-                            ? std::numeric_limits<double>::infinity()
-                            : tangent.flops() / kFlopsPerSecond + 2.0 * streaming_cost(matrix_bytes);
+  plan.factorize_cost =
+      static_cast<double>(tangent.bytes()) > kMaxFactorBytes
+          ? std::numeric_limits<double>::infinity()
+          : tangent.flops() / kFlopsPerSecond + 2.0 * streaming_cost(matrix_bytes);
   const int limit = static_cast<int>(
       std::min<double>(kMaxProbe, std::max(20.0, plan.factorize_cost / plan.constant_cost)));
   plan.iterations = probe(system, parameters, limit, pool);

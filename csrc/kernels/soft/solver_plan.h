@@ -14,10 +14,10 @@ class ConstantSystem;
 
 /// Costs in seconds on a model machine; only their ratios matter.
 struct SolverPlan {
-  double iterations = 0.0;        // of conjugate gradients at rest, to 1e-2
-  double constant_cost = 0.0;     // one iteration on the constant factor
-  double tangent_cost = 0.0;      // one iteration on a factor of the tangent
-  double factorize_cost = 0.0;    // of the tangent; infinite where memory forbids it
+  double iterations = 0.0;      // of conjugate gradients at rest, to 1e-2
+  double constant_cost = 0.0;   // one iteration on the constant factor
+  double tangent_cost = 0.0;    // one iteration on a factor of the tangent
+  double factorize_cost = 0.0;  // of the tangent; infinite where memory forbids it
 
   /// Whether a forward step (an adjoint) to relative tolerance rtol should factorise the tangent.
   bool factorize_step(double rtol) const;

@@ -71,9 +71,9 @@ void implicit_step_adjoint_batch(const ConstantSystem& system, const StepInputs&
                                  int num_threads) {
   const std::int64_t size = 3 * system.model().num_nodes;
   for_batch(batch, num_threads, [&](std::int64_t k, ThreadPool& pool) {
-    stats[k] = implicit_step_adjoint(system, batch_item(inputs, system.model(), k), options,
-                                     x + k * size, grad_x + k * size,
-                                     batch_item(out, system.model(), k), pool);
+    stats[k] =
+        implicit_step_adjoint(system, batch_item(inputs, system.model(), k), options, x + k * size,
+                              grad_x + k * size, batch_item(out, system.model(), k), pool);
   });
 }
 

@@ -12,8 +12,7 @@ double force_scale(const ConstantSystem& system, const StepInputs& in) {
   const double* inertia = system.inertia();
   double mean[3] = {0, 0, 0};
   for (std::int64_t i = 0; i < n; ++i)
-    for (int axis = 0; axis < 3; ++axis)
-      mean[axis] += in.y[3 * i + axis] / static_cast<double>(n);
+    for (int axis = 0; axis < 3; ++axis) mean[axis] += in.y[3 * i + axis] / static_cast<double>(n);
   double momentum = 0.0, force = 0.0;
   for (std::int64_t i = 0; i < n; ++i)
     for (int axis = 0; axis < 3; ++axis) {
@@ -58,7 +57,8 @@ double StepProblem::value_gradient(const Vector& x, Vector& gradient) {
 
 void StepProblem::assemble(const Vector& x, bool clamp) {
   values_.resize(at(system_.model().values_size()));
-  tangent(system_.model(), in_.parameters, frames_, x.data(), clamp, values_.data(), elastic_, pool_);
+  tangent(system_.model(), in_.parameters, frames_, x.data(), clamp, values_.data(), elastic_,
+          pool_);
 }
 
 void StepProblem::multiply_all(const Vector& in, Vector& out) {
@@ -99,15 +99,16 @@ void StepProblem::solve_jacobi(const Vector& r, Vector& z) const {
       const bool fixed = system_.fixed()[3 * i + a];
       b[a] = fixed ? 0.0 : r[at(3 * i + a)];
       for (int c = 0; c < 3; ++c)
-        block(a, c) = fixed || system_.fixed()[3 * i + c] ? (a == c ? 1.0 : 0.0)
-                                                          : strip[a * width + c] +
-                                                                (a == c ? system_.inertia()[i] : 0.0);
+        block(a, c) = fixed || system_.fixed()[3 * i + c]
+                          ? (a == c ? 1.0 : 0.0)
+                          : strip[a * width + c] + (a == c ? system_.inertia()[i] : 0.0);
     }
     // Jacobi preconditions by the diagonal where the block is not positive definite.
     const Eigen::LLT<Block> llt(block);
-    const Eigen::Vector3d zi = llt.info() == Eigen::Success
-                                   ? Eigen::Vector3d(llt.solve(b))
-                                   : Eigen::Vector3d(b.array() / block.diagonal().array().abs().max(1e-300));
+    const Eigen::Vector3d zi =
+        llt.info() == Eigen::Success
+            ? Eigen::Vector3d(llt.solve(b))
+            : Eigen::Vector3d(b.array() / block.diagonal().array().abs().max(1e-300));
     for (int a = 0; a < 3; ++a) z[at(3 * i + a)] = zi[a];
   }
 }

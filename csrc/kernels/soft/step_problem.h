@@ -1,4 +1,5 @@
-// The objective of one implicit step, its derivatives on free unknowns, and linear solves with them.
+// The objective of one implicit step, its derivatives on free unknowns, and linear solves with
+// them.
 #pragma once
 
 #include "kernels/linalg/krylov.h"
@@ -13,8 +14,8 @@ class StepProblem {
 
   std::size_t size() const { return size_; }
   VectorOps& ops() { return ops_; }
-  /// |inertia (y - mean y)| + |force| over free unknowns [N]: translation-invariant, and the norm that
-  /// published implementations call the right-hand side.
+  /// |inertia (y - mean y)| + |force| over free unknowns [N]: translation-invariant, and the norm
+  /// that published implementations call the right-hand side.
   double scale() const { return scale_; }
 
   /// g(x) [J], its gradient with fixed entries zeroed [N], and the magnitude of the terms summed.
