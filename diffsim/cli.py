@@ -48,14 +48,14 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
-def _demo(args: argparse.Namespace) -> int | None:
+def _demo(args: argparse.Namespace) -> None:
     if args.data is not None and not args.data.is_dir():
         raise ValueError(f"--data must be an existing folder, got {args.data}")
     # Imported only here: `diffsim info` must work where a demo's dependency is missing.
     from diffsim.demo import main as run_demo
 
-    return run_demo(
-        data=args.data or _paths.data_folder(),
+    run_demo(
+        data=args.data,
         out=args.out,
         quick=args.quick,
         resume=args.resume,

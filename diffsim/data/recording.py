@@ -20,6 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim._paths import data_candidates
+
 Array = NDArray[np.float64]
 
 _COORDINATE = re.compile(r"^(?P<marker>.+)_(?P<axis>[xyz])_m$")
@@ -191,7 +193,7 @@ def format_csv(recording: Recording) -> str:
 
 
 def find_dataset(name: str, data: str | Path | None = None) -> Path | None:
-    """Folder of a data set: under ``data``, else DIFFSIM_DATA, else ``../shared/data``.
+    """Folder of a data set: under ``data``, else DIFFSIM_DATA, else the folders of ``_paths``.
 
     Args:
         name: Folder name, such as ``silicone_beam``.
@@ -219,12 +221,8 @@ def find_dataset(name: str, data: str | Path | None = None) -> Path | None:
             f"{label}={base} must be the folder that holds {name}/metadata.yaml; it {state}"
             f"{_did_you_mean(name, has or [])}"
         )
-    package_root = Path(__file__).resolve().parents[2]
-    for base in (Path.cwd().parent, Path.cwd(), package_root.parent):
-        folder = base / "shared" / "data" / name
-        if (folder / "metadata.yaml").is_file():
-            return folder
-    return None
+    folders = (base / name for base in data_candidates())
+    return next((folder for folder in folders if (folder / "metadata.yaml").is_file()), None)
 
 
 def _columns(

@@ -68,7 +68,10 @@ class MuscleSet:
         empty = torch.zeros(0, dtype=torch.int64)
         self.elements = torch.cat([empty, *(m.elements for m in muscles)])
         self.directions = torch.cat(
-            [torch.zeros(0, 3, dtype=torch.float64), *(m.direction for m in muscles)]
+            [
+                torch.zeros(0, 3, dtype=torch.float64),
+                *(torch.as_tensor(m.direction) for m in muscles),
+            ]
         )
         self.owner = torch.cat(
             [empty, *(torch.full_like(m.elements, k) for k, m in enumerate(muscles))]

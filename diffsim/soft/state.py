@@ -24,7 +24,9 @@ class State(NamedTuple):
 
     def detach(self) -> State:
         """The same state without its history of gradients."""
-        return State(*(None if t is None else t.detach() for t in self))
+        x_prev = None if self.x_prev is None else self.x_prev.detach()
+        v_prev = None if self.v_prev is None else self.v_prev.detach()
+        return State(self.x.detach(), self.v.detach(), x_prev, v_prev)
 
 
 def require_state(state: State) -> State:

@@ -220,8 +220,10 @@ def _force(
 ) -> Tensor:
     """Elastic and, with a velocity, damping force."""
     stiffness, stretch = body.muscles.fibres(physics.fibre_stiffness, activation)
-    damped = v is not None and physics.rayleigh_beta is not None
-    damp_mu, damp_lambda = physics.damping(1.0) if damped else (_EMPTY, _EMPTY)
+    damp_mu, damp_lambda, frame, x_velocity = _EMPTY, _EMPTY, _EMPTY, _EMPTY
+    if v is not None and physics.rayleigh_beta is not None:
+        damp_mu, damp_lambda = physics.damping(1.0)
+        frame, x_velocity = _flat(x), _flat(x - v)
     gradient, _ = _ops_soft.elastic_gradient(
         _flat(x),
         physics.w_mu,
@@ -230,8 +232,8 @@ def _force(
         _flat(stretch, 1),
         damp_mu.contiguous(),
         damp_lambda.contiguous(),
-        _flat(x) if damped else _EMPTY,
-        _flat(x - v) if damped else _EMPTY,
+        frame,
+        x_velocity,
         body.handle,
         body.solver.num_threads,
     )
