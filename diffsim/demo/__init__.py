@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +68,8 @@ def main(
         write_json_atomic(out / "results.json", _without_curves(results))
         _write_page(study, results, models, plan, out)
     except KeyboardInterrupt:
-        workers.bar.write(f"stopped; finished stages are kept in {out}, go on with --resume")
+        text = f"stopped; finished stages are kept in {out}, go on with --resume"
+        workers.bar.write(text, file=sys.stderr)
         raise
     finally:
         workers.close()

@@ -12,8 +12,12 @@ from diffsim import demo
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The demo's flags."""
     parser.add_argument("--data", help="folder that holds silicone_beam/ (default: DIFFSIM_DATA)")
-    parser.add_argument("--out", default="runs/demo", help="folder to write to (default: runs/demo)")
-    parser.add_argument("--quick", action="store_true", help="coarse mesh, large steps: a first look")
+    parser.add_argument(
+        "--out", default="runs/demo", help="folder to write to (default: runs/demo)"
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="coarse mesh, large steps: a first look"
+    )
     parser.add_argument("--resume", action="store_true", help="reuse the finished stages in --out")
     parser.add_argument("--threads", type=int, help="simulations side by side (default: all cores)")
 

@@ -1,4 +1,4 @@
-"""The ladder: from published practice to the identified model, each rung held against all trials."""
+"""From published practice to the identified model, each rung held against all trials."""
 
 from __future__ import annotations
 

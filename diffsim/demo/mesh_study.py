@@ -44,7 +44,9 @@ def describe(bar: BeamGeometry, plan: Plan, workers: Workers) -> dict[str, Any]:
         return compute
 
     rows = workers.run([job(nu, cells) for nu, cells in cases])
-    mine = {tuple(r["cells"]): r["sag_m"] for r in rows if r["poissons_ratio"] == plan.poissons_ratio}
+    mine = {
+        tuple(r["cells"]): r["sag_m"] for r in rows if r["poissons_ratio"] == plan.poissons_ratio
+    }
     own, finest = mine[plan.cells], mine[plan.mesh_cells[-1]]
     theory = timoshenko_sag(bar, youngs_modulus, plan.poissons_ratio)
     return {

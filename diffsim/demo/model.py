@@ -171,7 +171,7 @@ class Beam:
             # The backward pass looks the body up: it has to live as long as the graph does.
             trajectory.x.register_hook(lambda grad, body=self.body: None)
         return Release(
-            time_s=np.arange(num_steps + 1) * self.setup.dt_s,
+            time_s=np.arange(num_steps + 1, dtype=np.float64) * self.setup.dt_s,
             tip_m=trajectory.x,
             nodes_m=torch.stack(nodes) if nodes else None,
         )

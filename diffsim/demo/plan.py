@@ -17,7 +17,7 @@ class Plan:
         cells: Mesh of all simulations. 20 x 4 x 4 takes about 3 ms a step; how stiff locking makes
             it is measured against the finest mesh below.
         poissons_ratio: Of all simulations but the published number. Trilinear elements lock as it
-            nears 0.5, while bending hardly depends on it (Timoshenko: 0.3 % between 0.45 and 0.499).
+            nears 0.5, while bending hardly depends on it (Timoshenko: 0.3 % from 0.45 to 0.499).
         published_dt_s: Step of the published practice.
         dt_s: Step of the better simulation (implicit midpoint: no numerical damping, frequency
             off by (w h)^2 / 12 = 0.1 %).
@@ -47,9 +47,7 @@ class Plan:
 
     def published(self) -> Setup:
         """Implicit Euler, 10 ms, the weight a constant force."""
-        return Setup(
-            cells=self.cells, poissons_ratio=self.poissons_ratio, dt_s=self.published_dt_s
-        )
+        return Setup(cells=self.cells, poissons_ratio=self.poissons_ratio, dt_s=self.published_dt_s)
 
     def better(self) -> Setup:
         """Implicit midpoint with small steps."""

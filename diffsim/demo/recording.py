@@ -19,9 +19,7 @@ ROLE = {"published": "published", "identified": "fitted", "mass": "third", "join
 ASIDE_M = 0.07  # beams stand side by side, so that they can be seen
 
 
-def write(
-    study: BeamStudy, results: Mapping[str, Any], models: Sequence[Rung], path: Path
-) -> Path:
+def write(study: BeamStudy, results: Mapping[str, Any], models: Sequence[Rung], path: Path) -> Path:
     """Write the ``.rrd``; every kept surface, and the markers of each case's second trial."""
     surfaces, points, plots = [], [], []
     for row, (case, trials) in enumerate(study.repeats().items()):
@@ -82,9 +80,7 @@ def write(
     )
 
 
-def _curve(
-    path: str, time_s: np.ndarray, value_m: np.ndarray, name: str, role: str
-) -> scene.Plot:
+def _curve(path: str, time_s: np.ndarray, value_m: np.ndarray, name: str, role: str) -> scene.Plot:
     return scene.Plot(
         path=path, time_s=time_s, value=1e3 * value_m, name=f"{name} [mm]", colour=COLOURS[role]
     )

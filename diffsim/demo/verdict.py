@@ -117,17 +117,17 @@ def _weight(study: BeamStudy, results: dict[str, Any]) -> str:
     force, mass, joint = (results["simulated"][m][loaded] for m in ("identified", "mass", "joint"))
     return (
         f"The weight is a mass, not a force. A constant force keeps the simulated beam at "
-        f"{force['frequency_Hz']:.2f} Hz, measured are {slow:.2f} Hz; the same {1e3 * weight:.0f} g "
-        f"as a mass give {mass['frequency_Hz']:.2f} Hz with nothing refitted. (The two measured "
-        f"frequencies alone ask for a modal tip mass of "
+        f"{force['frequency_Hz']:.2f} Hz, measured are {slow:.2f} Hz; the same "
+        f"{1e3 * weight:.0f} g as a mass give {mass['frequency_Hz']:.2f} Hz with nothing "
+        f"refitted. (The two measured frequencies alone ask for a modal tip mass of "
         f"{1e3 * moving_tip_mass(fast, slow, weight):.0f} g, a quarter of the bar is "
         f"{250 * study.geometry.mass_kg:.0f} g.) On {trial} the error falls from "
         f"{_mm(left(results, 'identified', trial))} to {_mm(left(results, 'mass', trial))} mm, and "
         f"to {_mm(left(results, 'joint', trial))} mm with damping fitted on both cases "
-        f"(ratio {joint['damping_ratio']:.3f}, measured "
-        f"{mean(results, loaded, 'damping_ratio'):.3f}). "
-        f"{left(results, 'joint', trial) / floor(results, loaded):.1f} times the floor is still "
-        "not explained."
+        f"(then {joint['damping_ratio']:.3f}, ring-down "
+        f"{mean(results, loaded, 'damping_ratio'):.3f}: it pays for something else, too). "
+        f"{left(results, 'joint', trial) / floor(results, loaded):.1f} times the floor remains "
+        "unexplained."
     )
 
 

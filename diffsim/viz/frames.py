@@ -41,5 +41,5 @@ def triangles(quads: NDArray[np.int64]) -> NDArray[np.int64]:
 def pack(**arrays: NDArray[Any]) -> bytes:
     """Arrays as the bytes of an ``.npz``."""
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
     return buffer.getvalue()
