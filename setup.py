@@ -4,8 +4,11 @@ One extension per instruction set keeps dispatch out of the kernels and rules ou
 function compiled for AVX-512 is picked by the linker on behalf of the baseline build.
 """
 
+import hashlib
 import os
 import platform
+import re
+import shutil
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -14,7 +17,7 @@ import nanobind
 from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
 
-ROOT = Path(__file__).parent
+ROOT = Path(__file__).resolve().parent
 # name -> compiler flags; diffsim/_core.py picks the best one the processor has.
 INSTRUCTION_SETS: dict[str, list[str]] = {"baseline": []}
 if platform.machine().lower() in ("x86_64", "amd64"):
@@ -37,6 +40,14 @@ def eigen_include() -> str:
         "Eigen headers not found: pip install cmeel-eigen, or set EIGEN3_INCLUDE_DIR to the "
         "folder that holds Eigen/Core"
     )
+
+
+def eigen_version() -> str:
+    """Version as the headers state it, such as '3.4.0'; Eigen 5 keeps it in another file."""
+    util = Path(eigen_include()) / "Eigen"
+    files = [util / "Version", util / "src/Core/util/Macros.h"]
+    text = "".join(p.read_text() for p in files if p.is_file())
+    return ".".join(re.findall(r"define EIGEN_(?:WORLD|MAJOR|MINOR|PATCH)_VERSION (\d+)", text))
 
 
 def extensions() -> list[Extension]:
@@ -66,16 +77,37 @@ def extensions() -> list[Extension]:
     ]
 
 
+NO_COMPILER = """{name!r} is missing: diffsim needs a C++17 compiler (GCC >= 11 or Clang >= 12).
+  Debian, Ubuntu:  sudo apt-get install g++ python3-dev
+  Fedora:          sudo dnf install gcc-c++ python3-devel
+  macOS:           xcode-select --install
+  or name one:     CXX=clang++ pip install .
+"""
+
+
 class BuildExt(build_ext):
-    """Compile every (instruction set, source) pair in parallel, and only what changed."""
+    """Compile every (instruction set, source) pair in parallel, and only what changed.
+
+    Objects are kept in build/objects/<key> (pip's own build folder is gone after each run); the key
+    holds all that changes an object besides the sources: compiler, flags, nanobind, Eigen, Python.
+    """
 
     def build_extensions(self) -> None:
         self.check_extensions_list(self.extensions)
+        if self.compiler.compiler_type != "unix":
+            raise SystemExit("diffsim builds with GCC or Clang on Linux and macOS (Windows: WSL)")
+        compiler = [*self.compiler.compiler_so, *getattr(self.compiler, "compiler_so_cxx", [])]
+        name = getattr(self.compiler, "compiler_so_cxx", self.compiler.compiler_so)[0]
+        if shutil.which(name) is None:
+            raise SystemExit(NO_COMPILER.format(name=name))
+        key = repr([compiler, nanobind.__version__, eigen_version(), sys.version])
+        self.objects = ROOT / "build" / "objects" / hashlib.sha256(key.encode()).hexdigest()[:12]
         jobs = [(ext, source) for ext in self.extensions for source in ext.sources]
         newest = max(Path(p).stat().st_mtime for p in [*self.extensions[0].depends, __file__])
         with ThreadPoolExecutor(max_workers=self.parallel or os.cpu_count()) as pool:
             objects = list(pool.map(lambda job: self._compile(*job, newest), jobs))
         for ext in self.extensions:
+            print(f"linking {ext.name}", flush=True)
             target = self.get_ext_fullpath(ext.name)
             Path(target).parent.mkdir(parents=True, exist_ok=True)
             self.compiler.link_shared_object(
@@ -86,11 +118,13 @@ class BuildExt(build_ext):
             )
 
     def _compile(self, ext: Extension, source: str, newest_header: float) -> str:
-        out = Path(self.build_temp) / ext.name
+        flags = repr([ext.extra_compile_args, ext.define_macros])
+        out = self.objects / f"{ext.name}-{hashlib.sha256(flags.encode()).hexdigest()[:8]}"
         obj = Path(self.compiler.object_filenames([source], output_dir=str(out))[0])
         changed = max(Path(source).stat().st_mtime, newest_header)
         if self.force or not obj.is_file() or obj.stat().st_mtime < changed:
-            print(f"compiling {source} for {ext.name}", flush=True)
+            sys.stdout.write(f"compiling {source} for {ext.name}\n")  # one write: threads
+            sys.stdout.flush()
             self.compiler.compile(
                 [source],
                 output_dir=str(out),

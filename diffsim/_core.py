@@ -6,14 +6,16 @@
 import importlib
 import os
 import platform
+from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from types import ModuleType
 
-# What each build needs of the processor, best first (the x86-64-v4 and -v3 levels).
+# What each build needs of the processor, best first: the x86-64-v4 and -v3 levels (abm is lzcnt).
+_V3 = {"avx", "avx2", "fma", "bmi1", "bmi2", "f16c", "movbe", "abm"}
 _NEEDS = {
-    "avx512": {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"},
-    "avx2": {"avx2", "fma", "bmi1", "bmi2", "f16c", "movbe"},
-    "baseline": set(),
+    "avx512": _V3 | {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"},
+    "avx2": _V3,
+    "baseline": set[str](),
 }
 
 
@@ -29,15 +31,20 @@ def _cpu_flags() -> set[str]:
     return set(flags.partition(":")[2].split())
 
 
-def available() -> list[str]:
-    """Instruction sets that are built and that this processor has, best first."""
-    flags = _cpu_flags()
+def built() -> list[str]:
+    """Instruction sets built for this Python (other Pythons' files may lie beside them)."""
     here = Path(__file__).parent
     return [
         name
-        for name, needs in _NEEDS.items()
-        if needs <= flags and any(here.glob(f"_core_{name}.*"))
+        for name in _NEEDS
+        if any((here / f"_core_{name}{suffix}").is_file() for suffix in EXTENSION_SUFFIXES)
     ]
+
+
+def available() -> list[str]:
+    """Instruction sets that are built and that this processor has, best first."""
+    flags = _cpu_flags()
+    return [name for name, needs in _NEEDS.items() if needs <= flags and name in built()]
 
 
 def load() -> ModuleType:

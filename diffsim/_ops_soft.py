@@ -78,20 +78,25 @@ class SoftContext:
         self._lock = threading.Lock()
         _contexts[self.handle] = self
 
-    def system(self, key: tuple[Tensor, Tensor, Tensor], num_threads: int) -> object:
-        """The constant system of (inertia, kappa, fibre_kappa), from the cache if its key is equal."""
+    def system(self, inertia: Tensor, parameters: dict[str, Tensor], num_threads: int) -> object:
+        """The constant system of these inertias and parameters, from the cache if all are equal."""
+        key = (inertia, *(parameters[name] for name in _SYSTEM_PARAMETERS))
         with self._lock:
             for known in self._systems:
                 if all(torch.equal(a, b) for a, b in zip(known, key, strict=True)):
                     self._systems.move_to_end(known)
                     return self._systems[known]
-        inertia, kappa, fibre_kappa = (k.contiguous().clone() for k in key)
+        key = tuple(k.contiguous().clone() for k in key)
+        inertia, *values = key
+        named = dict(zip(_SYSTEM_PARAMETERS, values, strict=True))
+        kappa, fibre_kappa = preconditioner_stiffness(**named)
         made, node, pivot = core.make_constant_system(
             self.pattern,
             fixed=self.fixed.data_ptr(),
             inertia=inertia.data_ptr(),
             kappa=kappa.data_ptr(),
             fibre_kappa=fibre_kappa.data_ptr(),
+            parameters=_pointers(**named),
             num_threads=num_threads,
         )
         if made is None:
@@ -103,7 +108,7 @@ class SoftContext:
                 value=pivot,
             )
         with self._lock:
-            self._systems[(inertia, kappa, fibre_kappa)] = made
+            self._systems[key] = made
             while len(self._systems) > _CACHED_SYSTEMS:
                 self._systems.popitem(last=False)
         return made
@@ -117,22 +122,25 @@ def context(handle: int) -> SoftContext:
     return found
 
 
+# What a constant system depends on, apart from the inertias.
+_SYSTEM_PARAMETERS = ("w_mu", "w_vol", "fibre_stiffness", "damp_mu", "damp_lambda")
+# Shares of the volume and fibre stiffness in the constant matrix, measured in benchmarks/soft.py.
+VOLUME_SHARE = 0.1
+FIBRE_SHARE = 0.5
+
+
 def preconditioner_stiffness(
-    w_mu: Tensor, w_vol: Tensor, damp_mu: Tensor, damp_lambda: Tensor
-) -> Tensor:
-    """Stiffness kappa of the constant matrix A = diag(inertia) + sum kappa G^T G, (num_elements,) [Pa].
+    w_mu: Tensor, w_vol: Tensor, fibre_stiffness: Tensor, damp_mu: Tensor, damp_lambda: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Stiffness of the constant matrix A = diag(inertia) + sum kappa G^T G: elements, fibres [Pa].
 
     The volume term acts on one of nine directions of F; with its full weight (eq. 4.15) A is far too
-    stiff in the other eight. Factors measured in benchmarks/soft.py.
+    stiff in the other eight.
     """
     kappa = w_mu + VOLUME_SHARE * w_vol
     if damp_mu.numel():
         kappa = kappa + 0.75 * damp_mu + 0.3 * damp_lambda
-    return kappa
-
-
-VOLUME_SHARE = 0.1
-FIBRE_SHARE = 0.5
+    return kappa, FIBRE_SHARE * fibre_stiffness
 
 
 def _pointers(**tensors: Tensor) -> object:
@@ -195,22 +203,22 @@ def soft_step(
 ) -> tuple[Tensor, Tensor]:
     """One implicit step of a batch; see csrc/kernels/soft/implicit_step.h. Returns x and stats."""
     ctx = context(handle)
-    kappa = preconditioner_stiffness(w_mu, w_vol, damp_mu, damp_lambda)
-    system = ctx.system((inertia, kappa, FIBRE_SHARE * fibre_stiffness), num_threads)
-    arrays = _pointers(
-        y=y,
-        force=force,
-        target=target,
-        guess=guess,
-        w_mu=w_mu,
-        w_vol=w_vol,
-        fibre_stiffness=fibre_stiffness,
-        activation=activation,
-        damp_mu=damp_mu,
-        damp_lambda=damp_lambda,
-        x_frame=x_frame,
-        x_velocity=x_velocity,
-    )
+    inputs = {
+        "y": y,
+        "force": force,
+        "target": target,
+        "guess": guess,
+        "w_mu": w_mu,
+        "w_vol": w_vol,
+        "fibre_stiffness": fibre_stiffness,
+        "activation": activation,
+        "damp_mu": damp_mu,
+        "damp_lambda": damp_lambda,
+        "x_frame": x_frame,
+        "x_velocity": x_velocity,
+    }
+    system = ctx.system(inertia, inputs, num_threads)
+    arrays = _pointers(**inputs)
     x = torch.empty_like(y)
     stats = torch.zeros(y.shape[0], len(STATS), dtype=torch.float64)
     core.implicit_step(
@@ -256,8 +264,6 @@ def soft_step_vjp(
 ) -> list[Tensor]:
     """Adjoint of :func:`soft_step`; gradients in the order of ``_GRADIENTS``, then stats."""
     ctx = context(handle)
-    kappa = preconditioner_stiffness(w_mu, w_vol, damp_mu, damp_lambda)
-    system = ctx.system((inertia, kappa, FIBRE_SHARE * fibre_stiffness), num_threads)
     inputs = {
         "y": y,
         "force": force,
@@ -271,6 +277,7 @@ def soft_step_vjp(
         "x_frame": x_frame,
         "x_velocity": x_velocity,
     }
+    system = ctx.system(inertia, inputs, num_threads)
     batch = y.shape[0]
     grads = _gradient_buffers({**inputs, "inertia": inertia}, batch)
     stats = torch.zeros(batch, len(STATS), dtype=torch.float64)

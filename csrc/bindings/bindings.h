@@ -16,6 +16,7 @@ using Address = std::uintptr_t;
 void bind_cholesky(nb::module_& m);
 void bind_cpu(nb::module_& m);
 void bind_soft(nb::module_& m);
+void bind_svd(nb::module_& m);
 
 inline const double* in(Address a) { return reinterpret_cast<const double*>(a); }
 inline double* out(Address a) { return reinterpret_cast<double*>(a); }

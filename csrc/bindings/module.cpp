@@ -9,4 +9,5 @@ DIFFSIM_EXPAND(DIFFSIM_MODULE, m) {
   diffsim::bind_cholesky(m);
   diffsim::bind_cpu(m);
   diffsim::bind_soft(m);
+  diffsim::bind_svd(m);
 }

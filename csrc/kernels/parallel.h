@@ -36,7 +36,9 @@ class ThreadPool {
       for (std::int64_t i = 0; i < num_tasks; ++i) f(i);
       return;
     }
-    call_ = [](void* object, std::int64_t i) { (*static_cast<std::remove_reference_t<F>*>(object))(i); };
+    call_ = [](void* object, std::int64_t i) {
+      (*static_cast<std::remove_reference_t<F>*>(object))(i);
+    };
     object_ = const_cast<void*>(static_cast<const void*>(&f));
     num_tasks_ = num_tasks;
     next_.store(0, std::memory_order_relaxed);

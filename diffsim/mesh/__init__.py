@@ -1,7 +1,12 @@
 """Volume meshes: make, load, voxelise, tetrahedralise, save, measure."""
 
+from diffsim.mesh import sdf
 from diffsim.mesh.box import hex_box, tet_box
 from diffsim.mesh.core import HexMesh, Mesh, TetMesh
+from diffsim.mesh.distance import SurfaceDistance
+from diffsim.mesh.files import load, load_arrays, load_surface, save
+from diffsim.mesh.from_surface import tetrahedralize, voxelize
+from diffsim.mesh.measure import Quality, element_size, element_volumes, quality, total_volume
 from diffsim.mesh.reference import HEX_FROM_VTK, VTK_FROM_HEX
 from diffsim.mesh.repair import (
     flip_inverted,
@@ -11,21 +16,64 @@ from diffsim.mesh.repair import (
     repair,
 )
 from diffsim.mesh.shape import ShapeGradients, nodal_volume, shape_gradients
+from diffsim.mesh.solids import (
+    hex_cylinder,
+    hex_sphere,
+    hex_torus,
+    tet_cylinder,
+    tet_sphere,
+    tet_torus,
+)
+from diffsim.mesh.stuffing import tet_from_sdf
+from diffsim.mesh.surface import (
+    Surface,
+    surface_quads,
+    surface_triangles,
+    surface_vertices,
+    to_trimesh,
+)
+from diffsim.mesh.voxels import hex_from_sdf
 
 __all__ = [
     "HEX_FROM_VTK",
     "VTK_FROM_HEX",
     "HexMesh",
     "Mesh",
+    "Quality",
     "ShapeGradients",
+    "Surface",
+    "SurfaceDistance",
     "TetMesh",
+    "element_size",
+    "element_volumes",
     "flip_inverted",
     "hex_box",
+    "hex_cylinder",
+    "hex_from_sdf",
+    "hex_sphere",
+    "hex_torus",
+    "load",
+    "load_arrays",
+    "load_surface",
     "merge_duplicate_nodes",
     "nodal_volume",
+    "quality",
     "remove_degenerate",
     "remove_unreferenced_nodes",
     "repair",
+    "save",
+    "sdf",
     "shape_gradients",
+    "surface_quads",
+    "surface_triangles",
+    "surface_vertices",
     "tet_box",
+    "tet_cylinder",
+    "tet_from_sdf",
+    "tet_sphere",
+    "tet_torus",
+    "tetrahedralize",
+    "to_trimesh",
+    "total_volume",
+    "voxelize",
 ]

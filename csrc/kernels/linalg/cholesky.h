@@ -21,7 +21,8 @@ class CholeskySymbolic;
 /// @param num_nodes  nodes of the graph; the matrix has num_nodes * block unknowns
 /// @param indptr     (num_nodes + 1) CSR row starts of the full symmetric pattern
 /// @param indices    (nnz) CSR columns, the diagonal included, no column twice in a row
-/// @param coords     (num_nodes, 3) node positions in any unit, or nullptr: dissection by graph
+/// @param coords     (num_nodes, 3) node positions in any unit, or nullptr: the graph alone, with
+///                   0-100 % more work on irregular meshes
 /// @param block      unknowns per node, 1 to 6
 /// @throws std::invalid_argument where the pattern lacks a diagonal entry, is not symmetric, or
 ///         has indices out of range

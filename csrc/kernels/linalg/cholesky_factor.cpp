@@ -38,7 +38,8 @@ struct CholeskyFactor::Refactor {
       // The stored block sits in the column's row of A: its transpose belongs below the diagonal.
       for (int b = 0; b < block; ++b) {
         for (int a = 0; a < block; ++a) {
-          if (entry.row + a >= entry.col + b) front.at(entry.row + a, entry.col + b) += value[b * block + a];
+          const int row = entry.row + a, col = entry.col + b;
+          if (row >= col) front.at(row, col) += value[b * block + a];
         }
       }
     }
@@ -54,7 +55,8 @@ struct CholeskyFactor::Refactor {
     assemble(node, front);
     for (std::int64_t c = node.children; c < node.children_end; ++c) {
       const CholeskySupernode& child = sym.supernodes[sym.children[c]];
-      front.add(Front(child, factor, fronts), sym.row_in_parent.data() + child.rows);
+      front.add(Front(child, factor, fronts), sym.row_in_parent.data() + child.rows,
+                sym.row_offset_in_parent.data() + child.rows);
     }
     failed[s] = front.factor(floor.data() + node.first, pool);
     if (rounded) {
@@ -81,9 +83,10 @@ CholeskyFactor::CholeskyFactor(std::shared_ptr<const CholeskySymbolic> symbolic,
 void CholeskyFactor::refactor(const double* values, ThreadPool& pool) {
   usable_ = false;
   const CholeskySymbolic& sym = *symbolic_;
-  // Rounding leaves the last pivot of a singular matrix at about eps sqrt(n) of its diagonal.
-  const double floor = 4 * std::numeric_limits<double>::epsilon() *
-                       std::sqrt(static_cast<double>(sym.num_unknowns) + 1);
+  // The last pivot of a singular matrix is the sum of all entries' rounding errors, weighted by the
+  // null vector: about eps sqrt(nnz) of its diagonal entry. Below a few times that it is noise.
+  const double entries = static_cast<double>(sym.num_blocks) * sym.block * sym.block;
+  const double floor = 4 * std::numeric_limits<double>::epsilon() * std::sqrt(entries);
   const bool round = precision_ == FactorPrecision::kFloat32;
   Refactor work{sym, values, factor64_.resize(sym.factor_size), fronts_.resize(sym.fronts_size),
                 round ? factor32_.resize(sym.factor_size) : nullptr, floor,
@@ -116,8 +119,8 @@ std::int64_t CholeskyFactor::num_unknowns() const { return symbolic_->num_unknow
 std::int64_t CholeskyFactor::nnz() const { return symbolic_->nnz; }
 double CholeskyFactor::flops() const { return symbolic_->flops; }
 std::int64_t CholeskyFactor::bytes() const {
-  const std::int64_t entry = precision_ == FactorPrecision::kFloat32 ? sizeof(float) : sizeof(double);
-  return symbolic_->factor_size * entry;
+  const bool single = precision_ == FactorPrecision::kFloat32;
+  return symbolic_->factor_size * (single ? sizeof(float) : sizeof(double));
 }
 
 }  // namespace diffsim

@@ -23,35 +23,55 @@ void Front::set_zero() const {
   std::memset(update_, 0, sizeof(double) * triangle_size(tiles_ - panels_));
 }
 
-void Front::add(const Front& child, const int* map) const {
+void Front::add(const Front& child, const int* map, const int* offset) const {
   const int rows = child.node_.num_rows;
   for (int c = 0; c < rows; ++c) {
-    const int col = map[c], p = col / kTile;
-    const int stride = width(p) * kTile;
+    const int col = map[c], p = col / kTile, stride = width(p) * kTile;
     double* const target = tile(p, p) + (col % kTile) * kTile - std::int64_t{p} * stride;
     const int source_panel = child.panels_ + c / kTile;
+    const int begin = c / kTile * kTile;  // row of the first source tile
     const double* source = child.tile(source_panel, source_panel) + (c % kTile) * kTile;
-    const int first = c / kTile * kTile;
-    for (int r = c; r < rows; ++r) {
-      const int row = map[r], offset = r - first;
-      target[(row / kTile) * stride + row % kTile] +=
-          source[(offset / kTile) * kTile * kTile + offset % kTile];
+    if (stride != kTile * kTile) {  // the narrow last panel
+      for (int r = c; r < rows; ++r) {
+        target[map[r] / kTile * stride + map[r] % kTile] +=
+            source[(r - begin) / kTile * kTile * kTile + r % kTile];
+      }
+      continue;
     }
+    for (int r = c; r < std::min(rows, begin + kTile); ++r) target[offset[r]] += source[r - begin];
+    int r = begin + kTile;
+    for (source += kTile * kTile; r + kTile <= rows; r += kTile, source += kTile * kTile) {
+      const int* o = offset + r;
+      if (o[kTile - 1] - o[0] == kTile - 1) {  // one whole tile onto another
+        for (int k = 0; k < kTile; ++k) target[o[0] + k] += source[k];
+      } else {
+        for (int k = 0; k < kTile; ++k) target[o[k]] += source[k];
+      }
+    }
+    for (int k = 0; r + k < rows; ++k) target[offset[r + k]] += source[k];
   }
 }
 
 void Front::multiply(int i, int count, int p, int q0, int q1) const {
-  const auto a = [&](int q) { return tile(i, q); };
-  const auto b = [&](int q) { return tile(p, q); };
-  const auto depth = [&](int q) { return node_.width(q); };
+  const int full = std::min(q1, node_.num_cols / kTile);
+  tiles::PanelRun run{};
+  run.num_full = std::max(0, full - q0);
+  run.step = std::ptrdiff_t{tiles_ - q0 - 1} * kTile * kTile;
+  run.left = tile(i, q0);
+  run.right = tile(p, q0);
+  if (full < q1) {
+    run.last_left = tile(i, q1 - 1);
+    run.last_right = tile(p, q1 - 1);
+    run.last_width = width(q1 - 1);
+  }
   double* c = tile(i, p);
   const int w = width(p);
   if (count == 1) {
-    tiles::multiply<1>(c, w, q0, q1, a, b, depth);
+    tiles::multiply<1>(c, w, run);
   } else if (count == 2) {
-    tiles::multiply<2>(c, w, q0, q1, a, b, depth);
+    tiles::multiply<2>(c, w, run);
   } else {
-    tiles::multiply<3>(c, w, q0, q1, a, b, depth);
+    tiles::multiply<3>(c, w, run);
   }
 }
 
@@ -112,7 +132,9 @@ FailedPivot Front::factor(const double* floor, ThreadPool* pool) const {
     const int groups = (tiles_ - p1 + tiles::kRowTiles - 1) / tiles::kRowTiles;
     const auto row = [&](std::int64_t g) { return p1 + static_cast<int>(g) * tiles::kRowTiles; };
     const auto count = [&](int i) { return std::min(tiles::kRowTiles, tiles_ - i); };
-    const auto solve = [&](std::int64_t g) { solve_rows(row(g), count(row(g)), p0, p1, diagonals); };
+    const auto solve = [&](std::int64_t g) {
+      solve_rows(row(g), count(row(g)), p0, p1, diagonals);
+    };
     const auto update = [&](std::int64_t g) { update_rows(row(g), count(row(g)), p0, p1); };
     if (pool) {
       pool->run(groups, solve);

@@ -34,9 +34,12 @@ class Front {
   }
 
   void set_zero() const;
-  /// Adds the update matrix of a child; `map` sends its rows to local rows here.
-  void add(const Front& child, const int* map) const;
-  /// Partial Cholesky: own panels become L (diagonal tiles inverted), the rest the Schur complement.
+  /// Adds the update matrix of a child.
+  /// @param map    (child's rows) local rows here
+  /// @param offset (child's rows) the same as offsets within a column of full panels
+  void add(const Front& child, const int* map, const int* offset) const;
+  /// Partial Cholesky: own panels become L (diagonal tiles inverted), the update matrix the Schur
+  /// complement.
   /// @param floor (num_cols) pivots must be above this
   /// @param pool  splits the rows, or nullptr
   FailedPivot factor(const double* floor, ThreadPool* pool) const;

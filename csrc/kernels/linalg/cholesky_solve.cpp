@@ -8,7 +8,15 @@
 
 namespace diffsim {
 
-/// One solve of NR right-hand sides; T is the type L is stored in.
+namespace {
+
+constexpr int kMaxGroups = 4;  // groups of three right-hand sides that one pass over L serves
+
+}  // namespace
+
+/// One pass over L for `groups` groups of NR right-hand sides; T is the type L is stored in. The
+/// groups take turns on each panel of L while it is in cache, so a column's result does not depend
+/// on how many there are.
 template <typename T>
 struct CholeskyFactor::Solver {
   const CholeskySymbolic& sym;
@@ -17,37 +25,47 @@ struct CholeskyFactor::Solver {
   double* x;
   std::int64_t num_rhs;  // row length of b and x
   double* workspace;
+  int groups;
 
   /// Forward: eliminates the supernode's unknowns from b and sends the rest to the parent.
   template <int NR>
   void forward(int s) const {
     const CholeskySupernode& node = sym.supernodes[s];
+    const int columns = NR * groups;
     const std::int64_t ld = std::int64_t{node.num_tiles()} * kTile;
     const std::int64_t own = std::int64_t{node.panels()} * kTile, below = ld - own;
-    double* const w = workspace + node.scratch * NR;
-    for (int r = 0; r < NR; ++r) {
-      double* target = w + r * ld;
+    double* const w = workspace + node.scratch * columns;
+    for (int g = 0; g < columns; g += NR) {
+      double* const target = w + g * ld;
       for (int i = 0; i < node.num_cols; ++i) {
-        target[i] = b[sym.unknown[node.first + i] * num_rhs + r];
+        const double* source = b + sym.unknown[node.first + i] * num_rhs + g;
+        for (int r = 0; r < NR; ++r) target[r * ld + i] = source[r];
       }
-      std::memset(target + node.num_cols, 0, sizeof(double) * (ld - node.num_cols));
+      for (int r = 0; r < NR; ++r) {
+        std::memset(target + r * ld + node.num_cols, 0, sizeof(double) * (ld - node.num_cols));
+      }
     }
     for (std::int64_t c = node.children; c < node.children_end; ++c) {
       const CholeskySupernode& child = sym.supernodes[sym.children[c]];
       const int* map = sym.row_in_parent.data() + child.rows;
       const std::int64_t length = std::int64_t{child.update_tiles()} * kTile;
-      const double* message = workspace + child.message * NR;
-      for (int i = 0; i < child.num_rows; ++i) {
-        for (int r = 0; r < NR; ++r) w[r * ld + map[i]] += message[r * length + i];
+      for (int g = 0; g < columns; g += NR) {
+        const double* message = workspace + child.message * columns + g * length;
+        double* const target = w + g * ld;
+        for (int i = 0; i < child.num_rows; ++i) {
+          for (int r = 0; r < NR; ++r) target[r * ld + map[i]] += message[r * length + i];
+        }
       }
     }
     for (int p = 0; p < node.panels(); ++p) {
-      panels::forward<NR>(factor + node.factor + node.panel(p), node.width(p),
-                          node.num_tiles() - p, w + p * kTile, ld);
+      const T* panel = factor + node.factor + node.panel(p);
+      for (int g = 0; g < columns; g += NR) {
+        panels::forward<NR>(panel, node.width(p), node.num_tiles() - p, w + g * ld + p * kTile, ld);
+      }
     }
-    for (int r = 0; r < NR; ++r) {
-      std::memcpy(workspace + node.own * NR + r * own, w + r * ld, sizeof(double) * own);
-      std::memcpy(workspace + node.message * NR + r * below, w + r * ld + own,
+    for (int r = 0; r < columns; ++r) {
+      std::memcpy(workspace + node.own * columns + r * own, w + r * ld, sizeof(double) * own);
+      std::memcpy(workspace + node.message * columns + r * below, w + r * ld + own,
                   sizeof(double) * below);
     }
   }
@@ -56,23 +74,35 @@ struct CholeskyFactor::Solver {
   template <int NR>
   void backward(int s) const {
     const CholeskySupernode& node = sym.supernodes[s];
+    const int columns = NR * groups;
     const std::int64_t ld = std::int64_t{node.num_tiles()} * kTile;
     const std::int64_t own = std::int64_t{node.panels()} * kTile;
-    double* const w = workspace + node.scratch * NR;
+    double* const w = workspace + node.scratch * columns;
     const int* rows = sym.row_unknown.data() + node.rows;
-    for (int r = 0; r < NR; ++r) {
-      std::memcpy(w + r * ld, workspace + node.own * NR + r * own, sizeof(double) * own);
-      for (int i = node.num_rows; i < ld - own; ++i) w[r * ld + own + i] = 0;
+    for (int r = 0; r < columns; ++r) {
+      std::memcpy(w + r * ld, workspace + node.own * columns + r * own, sizeof(double) * own);
+      for (std::int64_t i = own + node.num_rows; i < ld; ++i) w[r * ld + i] = 0;
     }
-    for (int i = 0; i < node.num_rows; ++i) {
-      for (int r = 0; r < NR; ++r) w[r * ld + own + i] = x[rows[i] * num_rhs + r];
+    for (int g = 0; g < columns; g += NR) {
+      double* const target = w + g * ld + own;
+      for (int i = 0; i < node.num_rows; ++i) {
+        const double* source = x + rows[i] * num_rhs + g;
+        for (int r = 0; r < NR; ++r) target[r * ld + i] = source[r];
+      }
     }
     for (int p = node.panels() - 1; p >= 0; --p) {
-      panels::backward<NR>(factor + node.factor + node.panel(p), node.width(p),
-                           node.num_tiles() - p, w + p * kTile, ld);
+      const T* panel = factor + node.factor + node.panel(p);
+      for (int g = 0; g < columns; g += NR) {
+        panels::backward<NR>(panel, node.width(p), node.num_tiles() - p, w + g * ld + p * kTile,
+                             ld);
+      }
     }
-    for (int i = 0; i < node.num_cols; ++i) {
-      for (int r = 0; r < NR; ++r) x[sym.unknown[node.first + i] * num_rhs + r] = w[r * ld + i];
+    for (int g = 0; g < columns; g += NR) {
+      const double* source = w + g * ld;
+      for (int i = 0; i < node.num_cols; ++i) {
+        double* target = x + sym.unknown[node.first + i] * num_rhs + g;
+        for (int r = 0; r < NR; ++r) target[r] = source[r * ld + i];
+      }
     }
   }
 
@@ -101,27 +131,32 @@ struct CholeskyFactor::Solver {
   }
 
   void run_all(ThreadPool& pool) {
-    std::int64_t left = num_rhs;
-    const auto advance = [&](int count) {
-      b += count;
-      x += count;
-      left -= count;
-    };
-    for (; left >= 6; advance(6)) run<6>(pool);
-    for (; left >= 3; advance(3)) run<3>(pool);
-    for (; left >= 1; advance(1)) run<1>(pool);
+    for (std::int64_t left = num_rhs; left > 0;) {
+      const int size = static_cast<int>(std::min<std::int64_t>(left, 3));
+      groups = static_cast<int>(std::clamp<std::int64_t>(left / 3, 1, kMaxGroups));
+      if (size == 3) {
+        run<3>(pool);
+      } else if (size == 2) {
+        run<2>(pool);
+      } else {
+        run<1>(pool);
+      }
+      b += size * groups;
+      x += size * groups;
+      left -= size * groups;
+    }
   }
 };
 
 void CholeskyFactor::solve(const double* b, double* x, int num_rhs, CholeskyWorkspace& ws,
                            ThreadPool& pool) const {
   if (!usable_) throw std::logic_error("CholeskyFactor::solve before a successful refactor");
-  const std::int64_t together = std::min(num_rhs, 6);
+  const std::int64_t together = std::min(num_rhs, 3 * kMaxGroups);
   double* workspace = ws.reserve(symbolic_->workspace_size * together);
   if (precision_ == FactorPrecision::kFloat32) {
-    Solver<float>{*symbolic_, factor32_.data(), b, x, num_rhs, workspace}.run_all(pool);
+    Solver<float>{*symbolic_, factor32_.data(), b, x, num_rhs, workspace, 1}.run_all(pool);
   } else {
-    Solver<double>{*symbolic_, factor64_.data(), b, x, num_rhs, workspace}.run_all(pool);
+    Solver<double>{*symbolic_, factor64_.data(), b, x, num_rhs, workspace, 1}.run_all(pool);
   }
 }
 

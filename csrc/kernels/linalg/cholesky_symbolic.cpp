@@ -40,7 +40,7 @@ Graph checked_graph(std::int64_t num_nodes, const std::int64_t* indptr,
     if (!diagonal) refuse("row " + std::to_string(i) + " stores no diagonal entry");
     g.begin[i + 1] = static_cast<std::int64_t>(g.neighbors.size());
   }
-  // Transposing visits rows in ascending order, so each row can be checked with one cursor.
+  // Structural symmetry: what row i names and what names row i agree in number and in hash.
   std::vector<int> mark(num_nodes, -1);
   std::vector<std::int64_t> incoming(num_nodes, 0), hash(num_nodes, 0);
   for (int i = 0; i < g.num_nodes; ++i) {
@@ -114,7 +114,9 @@ void map_indices(const Supernodes& nodes, const std::int64_t* indptr, const std:
   for (int s = 0; s < nodes.count(); ++s) {
     CholeskySupernode& node = sym.supernodes[s];
     // Local index of every node that this supernode knows.
-    for (int k = nodes.begin[s]; k < nodes.begin[s + 1]; ++k) local[k] = (k - nodes.begin[s]) * block;
+    for (int k = nodes.begin[s]; k < nodes.begin[s + 1]; ++k) {
+      local[k] = (k - nodes.begin[s]) * block;
+    }
     const int below = node.panels() * kTile;
     for (std::int64_t i = nodes.rows_begin[s]; i < nodes.rows_begin[s + 1]; ++i) {
       const std::int64_t row = i - nodes.rows_begin[s];
@@ -138,6 +140,9 @@ void map_indices(const Supernodes& nodes, const std::int64_t* indptr, const std:
       }
     }
     node.entries_end = static_cast<std::int64_t>(sym.entries.size());
+  }
+  for (int row : sym.row_in_parent) {
+    sym.row_offset_in_parent.push_back(row / kTile * kTile * kTile + row % kTile);
   }
 }
 

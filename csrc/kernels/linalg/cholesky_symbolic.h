@@ -72,6 +72,7 @@ class CholeskySymbolic {
   std::vector<int> unknown;        // elimination order -> caller's numbering
   std::vector<int> row_unknown;    // every supernode's rows in the caller's numbering
   std::vector<int> row_in_parent;  // and as local indices of the parent (padding counted)
+  std::vector<int> row_offset_in_parent;  // (row / 8) * 64 + row % 8 of those
   std::vector<CholeskyEntry> entries;
 
   // The schedule, which depends on the matrix alone and never on the number of threads: first all

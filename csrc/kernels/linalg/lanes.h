@@ -187,6 +187,14 @@ DIFFSIM_INLINE V keep(const MaskOf<V>& mask, const V& a) {
   return (V)(mask & (M)a);
 }
 
+/// The power of two at or below x and its inverse; x is normal, positive and below 2^1023.
+template <class V>
+DIFFSIM_INLINE void binary_scale(const V& x, V& scale, V& inverse) {
+  const MaskOf<V> exponent = (MaskOf<V>)x & INT64_C(0x7ff0000000000000);
+  scale = (V)exponent;
+  inverse = (V)(INT64_C(0x7fe0000000000000) - exponent);
+}
+
 namespace detail {
 template <class M>
 DIFFSIM_INLINE std::int64_t fold_or(const M& mask) {

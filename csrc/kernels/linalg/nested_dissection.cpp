@@ -11,8 +11,8 @@
 namespace diffsim {
 namespace {
 
-constexpr std::size_t kLeafSize = 64;    // parts up to here are ordered by minimum degree
-constexpr std::size_t kMaskSize = 512;   // leaf nodes and the neighbours around them
+constexpr std::size_t kLeafSize = 32;   // parts up to here are ordered by minimum degree
+constexpr std::size_t kMaskSize = 512;  // leaf nodes and the neighbours around them
 
 class Dissector {
  public:
@@ -24,7 +24,9 @@ class Dissector {
     // A node coupled to almost everything would spoil every separator: eliminate it last.
     const double dense = std::max(64.0, 10.0 * std::sqrt(double(graph_.num_nodes)));
     std::vector<int> rest, hubs;
-    for (int v = 0; v < graph_.num_nodes; ++v) (graph_.degree(v) > dense ? hubs : rest).push_back(v);
+    for (int v = 0; v < graph_.num_nodes; ++v) {
+      (graph_.degree(v) > dense ? hubs : rest).push_back(v);
+    }
     for (int v : hubs) owner_[v] = -1;
     std::copy(hubs.begin(), hubs.end(), order_.begin() + rest.size());
     work_.push_back({std::move(rest), 0, 0});
@@ -116,7 +118,6 @@ class Dissector {
         keys.emplace_back(n);
         for (std::size_t i = 0; i < n; ++i) keys.back()[i] = coords_[3 * item.nodes[i] + axis];
       }
-      return keys;
     }
     // Difference of the distances to two far-apart nodes, for up to three pairs of them.
     std::vector<double> nearest(n, 1e30);  // distance to the nearest node already used
@@ -143,7 +144,7 @@ class Dissector {
   /// Averages a key over neighbours a few times, which breaks the ties of integer distances.
   void smooth(const Item& item, std::vector<double>& key) {
     value_.resize(graph_.num_nodes);
-    for (int sweep = 0; sweep < 3; ++sweep) {
+    for (int sweep = 0; sweep < 12; ++sweep) {
       for (std::size_t i = 0; i < key.size(); ++i) value_[item.nodes[i]] = key[i];
       for (std::size_t i = 0; i < key.size(); ++i) {
         const int v = item.nodes[i];

@@ -45,19 +45,30 @@ template <int NR, int K, typename T>
 inline void subtract_dots(const T* tiles, std::int64_t stride, int num_tiles, const double* w,
                           std::int64_t ld, double* z) {
   using simd::Vec;
-  Vec sum[K][NR] = {};
+  Vec sum[NR][K] = {};
   for (int t = 0; t < num_tiles; ++t, tiles += stride, w += kRows) {
     for (int h = 0; h < kParts; ++h) {
       Vec x[NR];
       for (int r = 0; r < NR; ++r) x[r] = simd::load(w + r * ld + h * simd::kLanes);
       for (int k = 0; k < K; ++k) {
         const Vec l = simd::load(tiles + k * kRows + h * simd::kLanes);
-        for (int r = 0; r < NR; ++r) sum[k][r] += l * x[r];
+        for (int r = 0; r < NR; ++r) sum[r][k] += l * x[r];
       }
     }
   }
-  for (int k = 0; k < K; ++k) {
-    for (int r = 0; r < NR; ++r) z[r * ld + k] -= simd::sum(sum[k][r]);
+  for (int r = 0; r < NR; ++r) {
+    double* const target = z + r * ld;
+    if constexpr (K % simd::kLanes == 0) {
+      for (int k = 0; k < K; k += simd::kLanes) {
+        simd::store(target + k, simd::load(target + k) - simd::sum_each(sum[r] + k));
+      }
+    } else {
+      static_assert(K < simd::kLanes, "column groups are powers of two");
+      Vec padded[simd::kLanes] = {};
+      for (int k = 0; k < K; ++k) padded[k] = sum[r][k];
+      const Vec sums = simd::sum_each(padded);
+      for (int k = 0; k < K; ++k) target[k] -= sums[k];
+    }
   }
 }
 
@@ -99,27 +110,38 @@ inline void forward(const T* panel, int width, int num_tiles, double* w, std::in
   });
 }
 
+/// w's first tile z becomes D^-T z; `Full` panels have 8 columns.
+template <int NR, bool Full, typename T>
+inline void multiply_transposed(const T* inverse, int width, double* w, std::int64_t ld) {
+  using simd::Vec;
+  for (int r = 0; r < NR; ++r) {
+    double* const z = w + r * ld;
+    Vec dot[kRows];
+    for (int k = 0; k < kRows; ++k) {
+      dot[k] = Vec{};
+      if (!Full && k >= width) continue;
+      for (int h = 0; h < kRows; h += simd::kLanes) {
+        dot[k] += simd::load(inverse + k * kRows + h) * simd::load(z + h);
+      }
+    }
+    Vec x[kParts];
+    for (int h = 0; h < kParts; ++h) x[h] = simd::sum_each(dot + h * simd::kLanes);
+    for (int h = 0; h < kParts; ++h) simd::store(z + h * simd::kLanes, x[h]);
+  }
+}
+
 /// Backward substitution: w's first entries z become x = D^-T (z - L' x_below).
 template <int NR, typename T>
 inline void backward(const T* panel, int width, int num_tiles, double* w, std::int64_t ld) {
-  using simd::Vec;
   const std::int64_t stride = std::int64_t{width} * kRows;
   for_column_groups<NR>(width, [&](int k, auto count) {
     subtract_dots<NR, count()>(panel + stride + k * kRows, stride, num_tiles - 1, w + kRows, ld,
                                w + k);
   });
-  Vec z[NR][kParts];
-  for (int r = 0; r < NR; ++r) {
-    for (int h = 0; h < kParts; ++h) z[r][h] = simd::load(w + r * ld + h * simd::kLanes);
-  }
-  for (int k = 0; k < width; ++k) {
-    for (int r = 0; r < NR; ++r) {
-      Vec dot = {};
-      for (int h = 0; h < kParts; ++h) {
-        dot += simd::load(panel + k * kRows + h * simd::kLanes) * z[r][h];
-      }
-      w[r * ld + k] = simd::sum(dot);
-    }
+  if (width == kRows) {
+    multiply_transposed<NR, true>(panel, width, w, ld);
+  } else {
+    multiply_transposed<NR, false>(panel, width, w, ld);
   }
 }
 

@@ -14,10 +14,16 @@
 // infinity in a lane makes every output of that lane NaN.
 #pragma once
 
+#include "kernels/linalg/lane_pair.h"
 #include "kernels/linalg/lanes.h"
 
 namespace diffsim {
 namespace detail {
+
+template <class T>
+DIFFSIM_INLINE T constant(double value) {
+  return T{} + value;
+}
 
 // q <- q (1, x e_k): turn columns p and q by 2 atan(x), (k, p, q) cyclic.
 template <class T>
@@ -30,13 +36,13 @@ DIFFSIM_INLINE void turn_quaternion(const T& x, T& w, T& vk, T& vp, T& vq) {
 }
 
 // S <- J^T S J (1 + x^2)^2 with the rotation J that all but removes S_pq where active.
-template <class T>
-DIFFSIM_INLINE void jacobi_turn(const MaskOf<T>& active, T& Spp, T& Sqq, T& Skk, T& Spq, T& Skp,
+template <class T, class M>
+DIFFSIM_INLINE void jacobi_turn(const M& active, T& Spp, T& Sqq, T& Skk, T& Spq, T& Skp,
                                 T& Skq, T& w, T& vk, T& vp, T& vq) {
   // tan(2 theta) = a / d;  t = tan(theta), |t| <= 1
   const T d = Spp - Sqq, a = Spq + Spq;
-  const T h = sqrt<T>(d * d + a * a + 1e-300);
-  const T t = copysign<T>(broadcast<T>(1.0), d) * a / (abs<T>(d) + h);
+  const T h = sqrt(d * d + a * a + 1e-300);
+  const T t = copysign(constant<T>(1.0), d) * a / (abs(d) + h);
   // tan(theta/2) = t / (1 + sqrt(1 + t^2)); minimax in t^2, error 8e-6, exact as t -> 0, so that
   // the last sweeps still converge quadratically.
   const T u = t * t;
@@ -44,7 +50,7 @@ DIFFSIM_INLINE void jacobi_turn(const MaskOf<T>& active, T& Spp, T& Sqq, T& Skk,
   g = g * u + 0.059332480961567305;
   g = g * u - 0.1247162164218715;
   g = g * u + 0.5;
-  const T x = keep<T>(active, t * g);
+  const T x = keep(active, t * g);
   const T xx = x * x;
   const T n = 1.0 + xx, c = 1.0 - xx, s = x + x;
   const T cc = c * c, ss = s * s, cs = c * s, nn = n * n, cs2a = cs * a;
@@ -56,39 +62,39 @@ DIFFSIM_INLINE void jacobi_turn(const MaskOf<T>& active, T& Spp, T& Sqq, T& Skk,
   Sqq = ss * Spp0 + cc * Sqq - cs2a;
   Spq = (cc - ss) * Spq - cs * d;
   Skk = nn * Skk;
-  turn_quaternion<T>(x, w, vk, vp, vq);
+  turn_quaternion(x, w, vk, vp, vq);
 }
 
 // Swap columns p and q (one with its sign flipped) where the mask is set.
-template <class T>
-DIFFSIM_INLINE void swap_turn(const MaskOf<T>& swap, T& Spp, T& Sqq, T& w, T& vk, T& vp, T& vq) {
+template <class T, class M>
+DIFFSIM_INLINE void swap_turn(const M& swap, T& Spp, T& Sqq, T& w, T& vk, T& vp, T& vq) {
   const T Spp0 = Spp;
-  Spp = select<T>(swap, Sqq, Spp0);
-  Sqq = select<T>(swap, Spp0, Sqq);
-  turn_quaternion<T>(keep<T>(swap, broadcast<T>(1.0)), w, vk, vp, vq);
+  Spp = select(swap, Sqq, Spp0);
+  Sqq = select(swap, Spp0, Sqq);
+  turn_quaternion(keep(swap, constant<T>(1.0)), w, vk, vp, vq);
 }
 
-// c, s with c^2 + s^2 = 1 and (c x + s y, c y - s x) = (r, 0); identity where r would underflow.
+// c, s with c^2 + s^2 = 1 and (c x + s y, c y - s x) = (r, 0); 1, 0 and r = 0 where r^2 would
+// underflow (r below 1e-145, next to a largest entry in [1, 2)).
 template <class T>
 DIFFSIM_INLINE void givens(const T& x, const T& y, T& c, T& s, T& r) {
   const T rr = x * x + y * y;
-  const MaskOf<T> tiny = less<T>(rr, broadcast<T>(1e-290));
-  const T inv = 1.0 / sqrt<T>(rr);
-  c = select<T>(tiny, broadcast<T>(1.0), x * inv);
-  s = select<T>(tiny, T{}, y * inv);
-  r = c * x + s * y;
+  const auto tiny = less(rr, constant<T>(1e-290));
+  const T inv = 1.0 / sqrt(rr);
+  c = select(tiny, constant<T>(1.0), x * inv);
+  s = select(tiny, T{}, y * inv);
+  r = select(tiny, T{}, c * x + s * y);
 }
 
+// Out of line: it is large, and inlined into a caller's loop GCC spills more.
 template <class T>
-DIFFSIM_INLINE void svd3_core(const T* F, T* U, T* sigma, T* V) {
+__attribute__((noinline)) void svd3_core(const T* F, T* U, T* sigma, T* V) {
   // A power of two brings the largest entry into [1, 2).
-  T largest = broadcast<T>(2.2250738585072014e-308);
-  for (int i = 0; i < 9; ++i) largest = max<T>(abs<T>(F[i]), largest);
-  largest = min<T>(largest, broadcast<T>(4.49423283715579e307));
-  using M = MaskOf<T>;
-  const M exponent = (M)largest & INT64_C(0x7ff0000000000000);
-  const T scale = (T)exponent;
-  const T inv_scale = (T)(INT64_C(0x7fe0000000000000) - exponent);
+  T largest = constant<T>(2.2250738585072014e-308);
+  for (int i = 0; i < 9; ++i) largest = max(abs(F[i]), largest);
+  largest = min(largest, constant<T>(4.49423283715579e307));
+  T scale, inv_scale;
+  binary_scale(largest, scale, inv_scale);
   T A[9];
   for (int i = 0; i < 9; ++i) A[i] = F[i] * inv_scale;
   // 0, or NaN where an entry is NaN or infinite
@@ -101,20 +107,20 @@ DIFFSIM_INLINE void svd3_core(const T* F, T* U, T* sigma, T* V) {
   T S01 = A[0] * A[1] + A[3] * A[4] + A[6] * A[7];
   T S12 = A[1] * A[2] + A[4] * A[5] + A[7] * A[8];
   T S02 = A[0] * A[2] + A[3] * A[5] + A[6] * A[8];
-  T w = broadcast<T>(1.0), x{}, y{}, z{};
+  T w = constant<T>(1.0), x{}, y{}, z{};
   // Cyclic Jacobi needs 3 to 5 sweeps; the bound only guards against an endless loop.
   for (int sweep = 0; sweep < 12; ++sweep) {
     const T trace = S00 + S11 + S22;
     const T off = S01 * S01 + S12 * S12 + S02 * S02;
-    const M active = greater<T>(off, trace * trace * 1e-32);
+    const auto active = greater(off, trace * trace * 1e-32);
     if (!any(active)) break;
-    jacobi_turn<T>(active, S00, S11, S22, S01, S02, S12, w, z, x, y);
-    jacobi_turn<T>(active, S11, S22, S00, S12, S01, S02, w, x, y, z);
-    jacobi_turn<T>(active, S22, S00, S11, S02, S12, S01, w, y, z, x);
+    jacobi_turn(active, S00, S11, S22, S01, S02, S12, w, z, x, y);
+    jacobi_turn(active, S11, S22, S00, S12, S01, S02, w, x, y, z);
+    jacobi_turn(active, S22, S00, S11, S02, S12, S01, w, y, z, x);
   }
-  swap_turn<T>(less<T>(S00, S11), S00, S11, w, z, x, y);
-  swap_turn<T>(less<T>(S00, S22), S22, S00, w, y, z, x);
-  swap_turn<T>(less<T>(S11, S22), S11, S22, w, x, y, z);
+  swap_turn(less(S00, S11), S00, S11, w, z, x, y);
+  swap_turn(less(S00, S22), S22, S00, w, y, z, x);
+  swap_turn(less(S11, S22), S11, S22, w, x, y, z);
 
   const T two = 2.0 / (w * w + x * x + y * y + z * z);
   const T tx = two * x, ty = two * y, tz = two * z;
@@ -133,12 +139,12 @@ DIFFSIM_INLINE void svd3_core(const T* F, T* U, T* sigma, T* V) {
 
   // B = Q R; R_01 and R_02 are rounding
   T c1, s1, c2, s2, c3, s3, r, r00, r11;
-  givens<T>(B0[0], B0[1], c1, s1, r);
-  givens<T>(r, B0[2], c2, s2, r00);
+  givens(B0[0], B0[1], c1, s1, r);
+  givens(r, B0[2], c2, s2, r00);
   const T b10 = c1 * B1[0] + s1 * B1[1], b20 = c1 * B2[0] + s1 * B2[1];
   const T b11 = c1 * B1[1] - s1 * B1[0], b21 = c1 * B2[1] - s1 * B2[0];
   const T b12 = c2 * B1[2] - s2 * b10, b22 = c2 * B2[2] - s2 * b20;
-  givens<T>(b11, b12, c3, s3, r11);
+  givens(b11, b12, c3, s3, r11);
   T r12 = c3 * b21 + s3 * b22;
   T r22 = c3 * b22 - s3 * b21;
   const T U0[3] = {c2 * c1, c2 * s1, s2};
@@ -151,19 +157,19 @@ DIFFSIM_INLINE void svd3_core(const T* F, T* U, T* sigma, T* V) {
   }
 
   // [r11 r12; 0 r22]: turn columns 1 and 2 until orthogonal, the larger first, then QR again
-  const M repair =
-      greater<T>(abs<T>(r12), r00 * 1.1102230246251565e-16) | greater<T>(abs<T>(r22), r11);
+  const auto repair =
+      greater(abs(r12), r00 * 1.1102230246251565e-16) | greater(abs(r22), r11);
   if (any(repair)) {
     const T d = (r11 - r12) * (r11 + r12) - r22 * r22, a = 2.0 * (r11 * r12);
-    const T h = sqrt<T>(d * d + a * a);
-    const T along = h + abs<T>(d);
-    const M first = less<T>(T{}, d);
-    T cx = select<T>(first, along, abs<T>(a));
-    T sx = select<T>(first, a, copysign<T>(along, a));
+    const T h = sqrt(d * d + a * a);
+    const T along = h + abs(d);
+    const auto first = less(T{}, d);
+    T cx = select(first, along, abs(a));
+    T sx = select(first, a, copysign(along, a));
     T c, s, length;
-    givens<T>(cx, sx, c, s, length);
-    c = select<T>(repair, c, broadcast<T>(1.0));
-    s = keep<T>(repair, s);
+    givens(cx, sx, c, s, length);
+    c = select(repair, c, constant<T>(1.0));
+    s = keep(repair, s);
     for (int i = 0; i < 3; ++i) {
       const T v1 = V1[i];
       V1[i] = c * v1 + s * V2[i];
@@ -172,11 +178,11 @@ DIFFSIM_INLINE void svd3_core(const T* F, T* U, T* sigma, T* V) {
     const T p0 = c * r11 + s * r12, p1 = s * r22;
     const T q0 = c * r12 - s * r11, q1 = c * r22;
     T cl, sl, r1;
-    givens<T>(p0, p1, cl, sl, r1);
-    cl = select<T>(repair, cl, broadcast<T>(1.0));
-    sl = keep<T>(repair, sl);
-    r11 = select<T>(repair, r1, r11);
-    r22 = select<T>(repair, cl * q1 - sl * q0, r22);
+    givens(p0, p1, cl, sl, r1);
+    cl = select(repair, cl, constant<T>(1.0));
+    sl = keep(repair, sl);
+    r11 = select(repair, r1, r11);
+    r22 = select(repair, cl * q1 - sl * q0, r22);
     for (int i = 0; i < 3; ++i) {
       const T u1 = U1[i];
       U1[i] = cl * u1 + sl * U2[i];
@@ -185,10 +191,10 @@ DIFFSIM_INLINE void svd3_core(const T* F, T* U, T* sigma, T* V) {
   }
 
   // Equal values may come out an ulp apart in the wrong order.
-  const T hi = max<T>(r00, r11), lo = min<T>(r00, r11);
+  const T hi = max(r00, r11), lo = min(r00, r11);
   sigma[0] = hi * scale + poison;
   sigma[1] = lo * scale + poison;
-  sigma[2] = copysign<T>(min<T>(abs<T>(r22), lo), r22) * scale + poison;
+  sigma[2] = copysign(min(abs(r22), lo), r22) * scale + poison;
   for (int i = 0; i < 3; ++i) {
     U[3 * i] = U0[i] + poison;
     U[3 * i + 1] = U1[i] + poison;
@@ -201,46 +207,93 @@ DIFFSIM_INLINE void svd3_core(const T* F, T* U, T* sigma, T* V) {
 
 }  // namespace detail
 
-/// Singular value decomposition of eight matrices, F = U diag(s) V^T.
-/// @param[in]  F (3, 3) row-major, one matrix per lane
-/// @param[out] U (3, 3) rotation, det +1
-/// @param[out] s (3,) s0 >= s1 >= |s2|, sign(s2) = sign(det F)
-/// @param[out] V (3, 3) rotation, det +1
-/// Errors, relative to s0: about 1e-15, at any condition number and at scales 1e-300 to 1e300.
-inline void svd3(const Lane F[9], Lane U[9], Lane s[3], Lane V[9]) {
-  for (int part = 0; part < kParts; ++part) {
-    Native f[9], u[9], sigma[3], v[9];
-    for (int i = 0; i < 9; ++i) f[i] = split(F[i], part);
-    detail::svd3_core<Native>(f, u, sigma, v);
-    for (int i = 0; i < 9; ++i) join(U[i], part, u[i]);
-    for (int i = 0; i < 3; ++i) join(s[i], part, sigma[i]);
-    for (int i = 0; i < 9; ++i) join(V[i], part, v[i]);
-  }
+/// Singular value decomposition of kGroups times eight matrices, F = U diag(s) V^T.
+/// @param[in]  F (kGroups, 3, 3) row-major, one matrix per lane
+/// @param[out] U (kGroups, 3, 3) rotations, det +1
+/// @param[out] s (kGroups, 3) s0 >= s1 >= |s2|, sign(s2) = sign(det F)
+/// @param[out] V (kGroups, 3, 3) rotations, det +1
+/// Errors, relative to s0: about 1e-15, at any condition number and at scales 1e-300 to 1e300;
+/// values below 1e-145 s0 come out as zero.
+/// kGroups = 2 is faster per matrix with AVX-512, where one Lane is a single register.
+template <int kGroups = 1>
+inline void svd3(const Lane* F, Lane* U, Lane* s, Lane* V) {
+  detail::for_registers<kGroups>([&](auto at) {
+    using T = typename decltype(at)::T;
+    T f[9], u[9], sigma[3], v[9];
+    at.template get<9>(F, f);
+    detail::svd3_core<T>(f, u, sigma, v);
+    at.template set<9>(U, u);
+    at.template set<3>(s, sigma);
+    at.template set<9>(V, v);
+  });
 }
 
 namespace detail {
+
+// Newton's X <- (X + X^-T) / 2 from F itself, whose fixed point is the rotation to rounding. Only
+// for det F > 0 and singular values within some 60% of 1, as in a solid near rest: five steps at
+// most. Returns those lanes; NaN and overflow are not among them.
+template <class T>
+DIFFSIM_INLINE auto polar3_newton(const T* F, T* X) {
+  for (int i = 0; i < 9; ++i) X[i] = F[i];
+  auto near_rest = less(T{}, T{}), done = near_rest;
+  for (int step = 0; step < 8; ++step) {
+    T C[9];  // cofactors
+    for (int i = 0; i < 3; ++i) {
+      const int a = (i + 1) % 3 * 3, b = (i + 2) % 3 * 3;
+      for (int j = 0; j < 3; ++j) {
+        const int k = (j + 1) % 3, l = (j + 2) % 3;
+        C[3 * i + j] = X[a + k] * X[b + l] - X[a + l] * X[b + k];
+      }
+    }
+    const T det = X[0] * C[0] + X[1] * C[1] + X[2] * C[2];
+    const T half = 0.5 / det;
+    T change{};
+    for (int i = 0; i < 9; ++i) {
+      const T next = 0.5 * X[i] + half * C[i];
+      change = max(abs(next - X[i]), change);
+      X[i] = select(done, X[i], next);
+    }
+    if (step == 0) {
+      near_rest = greater(det, constant<T>(0.05)) & less(det, constant<T>(20.0)) &
+                  less(change, constant<T>(0.5));
+      if (!any(near_rest)) break;
+      done = ~near_rest;
+    }
+    done = done | less(change, constant<T>(5e-9));  // the next change is about change^2 / 2
+    if (all(done)) break;
+  }
+  return near_rest;
+}
+
 template <class T>
 DIFFSIM_INLINE void polar3_core(const T* F, T* R) {
+  const auto near_rest = polar3_newton(F, R);
+  if (all(near_rest)) return;
   T U[9], s[3], V[9];
   svd3_core<T>(F, U, s, V);
   for (int i = 0; i < 3; ++i) {
     for (int j = 0; j < 3; ++j) {
-      R[3 * i + j] = U[3 * i] * V[3 * j] + U[3 * i + 1] * V[3 * j + 1] + U[3 * i + 2] * V[3 * j + 2];
+      const T r = U[3 * i] * V[3 * j] + U[3 * i + 1] * V[3 * j + 1] + U[3 * i + 2] * V[3 * j + 2];
+      R[3 * i + j] = select(near_rest, R[3 * i + j], r);
     }
   }
 }
+
 }  // namespace detail
 
 /// The rotation nearest to F, R = U V^T with the proper rotations of svd3.
-/// @param[in]  F (3, 3) row-major, one matrix per lane
-/// @param[out] R (3, 3) rotation, det +1; one of several where s1 + s2 = 0
-inline void polar3(const Lane F[9], Lane R[9]) {
-  for (int part = 0; part < kParts; ++part) {
-    Native f[9], r[9];
-    for (int i = 0; i < 9; ++i) f[i] = split(F[i], part);
-    detail::polar3_core<Native>(f, r);
-    for (int i = 0; i < 9; ++i) join(R[i], part, r[i]);
-  }
+/// @param[in]  F (kGroups, 3, 3) row-major, one matrix per lane
+/// @param[out] R (kGroups, 3, 3) rotation, det +1; one of several where s1 + s2 = 0
+template <int kGroups = 1>
+inline void polar3(const Lane* F, Lane* R) {
+  detail::for_registers<kGroups>([&](auto at) {
+    using T = typename decltype(at)::T;
+    T f[9], r[9];
+    at.template get<9>(F, f);
+    detail::polar3_core<T>(f, r);
+    at.template set<9>(R, r);
+  });
 }
 
 }  // namespace diffsim

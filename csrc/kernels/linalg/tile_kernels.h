@@ -4,6 +4,7 @@
 #pragma once
 
 #include <cmath>
+#include <cstddef>
 
 #include "kernels/linalg/simd.h"
 
@@ -17,31 +18,52 @@ constexpr int kParts = kSize / simd::kLanes;  // registers per tile column
 constexpr int kRowTiles = simd::kLanes == 8 ? 3 : 1;
 constexpr int kColumns = simd::kLanes == 8 ? 8 : simd::kLanes;
 
-/// C_t -= sum_k A_t[:, k] B[:, k]' for `R` vertically adjacent tiles t, over panels [q0, q1).
+/// Panels of L with K columns in all, seen from two row tiles: where `multiply` finds its operands.
+struct PanelRun {
+  const double* left;   // tile of the first row group in the first panel
+  const double* right;  // tile of the other row in the same panel
+  std::ptrdiff_t step;  // from a full panel's tile to the next panel's; shrinks by one tile a panel
+  int num_full;         // panels with 8 columns
+  const double* last_left;  // tiles in the narrower last panel, where last_width > 0
+  const double* last_right;
+  int last_width;
+};
+
+/// sum[t] += A_t B' for one panel of `width` columns.
+template <int R, int C>
+inline void multiply_panel(const double* left, const double* right, int width,
+                           simd::Vec (&sum)[R][kParts][C]) {
+  const int stride = width * kSize;
+#pragma GCC unroll 8
+  for (int k = 0; k < width; ++k) {
+    for (int r = 0; r < R; ++r) {
+      for (int h = 0; h < kParts; ++h) {
+        const simd::Vec l = simd::load(left + r * stride + k * kSize + h * simd::kLanes);
+        for (int j = 0; j < C; ++j) sum[r][h][j] += l * right[k * kSize + j];
+      }
+    }
+  }
+}
+
+/// C_t -= A_t B' for `R` vertically adjacent tiles t.
 /// @param[in,out] c  first tile of C; the next one follows after 8 * width doubles
 /// @param width      columns of C that exist
-/// @param a, b       callables: panel q -> tile of the first row of A, tile of B
-/// @param depth      callable: panel q -> its number of columns (and tile stride / 8)
-template <int R, typename A, typename B, typename Depth>
-inline void multiply(double* c, int width, int q0, int q1, const A& a, const B& b,
-                     const Depth& depth) {
+template <int R>
+inline void multiply(double* c, int width, const PanelRun& run) {
   using simd::Vec;
   for (int first = 0; first < width; first += kColumns) {
     Vec sum[R][kParts][kColumns] = {};
-    for (int q = q0; q < q1; ++q) {
-      const double* left = a(q);
-      const double* right = b(q) + first;
-      const int columns = depth(q);
-      const int stride = columns * kSize;
-#pragma GCC unroll 2
-      for (int k = 0; k < columns; ++k) {
-        for (int r = 0; r < R; ++r) {
-          for (int h = 0; h < kParts; ++h) {
-            const Vec l = simd::load(left + r * stride + k * kSize + h * simd::kLanes);
-            for (int j = 0; j < kColumns; ++j) sum[r][h][j] += l * right[k * kSize + j];
-          }
-        }
-      }
+    const double* left = run.left;
+    const double* right = run.right + first;
+    std::ptrdiff_t step = run.step;
+    for (int q = 0; q < run.num_full; ++q) {
+      multiply_panel<R, kColumns>(left, right, kSize, sum);
+      left += step;
+      right += step;
+      step -= kSize * kSize;
+    }
+    if (run.last_width > 0) {
+      multiply_panel<R, kColumns>(run.last_left, run.last_right + first, run.last_width, sum);
     }
     for (int r = 0; r < R; ++r) {
       for (int j = 0; j < kColumns; ++j) {

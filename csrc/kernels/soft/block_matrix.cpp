@@ -17,38 +17,38 @@ void for_rows(const SoftModel& model, ThreadPool& pool, F&& f) {
   });
 }
 
-/// Three dot products of length n with one gathered vector; buffers are padded to whole lanes.
-void strip_times(const double* strip, const double* gathered, Index n, double out[3]) {
+/// Copies the 3-vectors of a row's columns side by side, padded with zeros to whole lanes.
+void gather_columns(const SoftModel& model, Index row, const double* x, double* out) {
+  const Index end = model.row_start[at(row + 1)];
+  for (Index k = model.row_start[at(row)]; k < end; ++k, out += 3) {
+    const double* from = x + 3 * model.column[at(k)];
+    out[0] = from[0], out[1] = from[1], out[2] = from[2];
+  }
+  for (int i = 0; i < kLanes; ++i) out[i] = 0.0;
+}
+
+/// Three dot products of the rows of a strip with one gathered vector.
+void strip_times(const double* strip, const double* gathered, Index width, double out[3]) {
   Lane total[3] = {};
-  Index k = 0;
-  for (; k + kLanes <= n; k += kLanes) {
+  for (Index k = 0; k < width; k += kLanes) {
     const Lane v = load(gathered + k);
-    for (int i = 0; i < 3; ++i) total[i] += load(strip + i * n + k) * v;
+    for (int i = 0; i < 3; ++i) total[i] += load(strip + i * width + k) * v;
   }
-  for (int i = 0; i < 3; ++i) {
-    out[i] = sum(total[i]);
-    for (Index j = k; j < n; ++j) out[i] += strip[i * n + j] * gathered[j];
-  }
+  for (int i = 0; i < 3; ++i) out[i] = sum(total[i]);
 }
 
 }  // namespace
 
 void block_multiply(const SoftModel& model, const double* values, const double* inertia,
                     const double* x, double* y, ThreadPool& pool) {
+  const Index buffer = model.max_strip_width + kLanes;
   pool.run((model.num_nodes + kRowsPerTask - 1) / kRowsPerTask, [&](Index task) {
-    std::vector<double> gathered;
+    std::vector<double> gathered(at(buffer));
     const Index last = std::min(model.num_nodes, (task + 1) * kRowsPerTask);
     for (Index i = task * kRowsPerTask; i < last; ++i) {
-      const Index begin = model.row_start[at(i)], end = model.row_start[at(i + 1)];
-      const Index n = 3 * (end - begin);
-      if (static_cast<Index>(gathered.size()) < n) gathered.resize(at(2 * n));
-      double* v = gathered.data();
-      for (Index k = begin; k < end; ++k, v += 3) {
-        const double* from = x + 3 * model.column[at(k)];
-        v[0] = from[0], v[1] = from[1], v[2] = from[2];
-      }
       double out[3];
-      strip_times(values + 9 * begin, gathered.data(), n, out);
+      gather_columns(model, i, x, gathered.data());
+      strip_times(values + model.strip_start[at(i)], gathered.data(), model.strip_width(i), out);
       for (int axis = 0; axis < 3; ++axis)
         y[3 * i + axis] = out[axis] + inertia[i] * x[3 * i + axis];
     }
@@ -60,7 +60,8 @@ void export_blocks(const SoftModel& model, const double* values, const double* i
                    ThreadPool& pool) {
   for_rows(model, pool, [&](Index row) {
     const Index begin = model.row_start[at(row)], end = model.row_start[at(row + 1)];
-    const Index width = 3 * (end - begin);
+    const Index width = model.strip_width(row);
+    const double* strip = values + model.strip_start[at(row)];
     for (Index k = begin; k < end; ++k) {
       const Index col = model.column[at(k)];
       double* block = blocks + 9 * k;
@@ -70,8 +71,8 @@ void export_blocks(const SoftModel& model, const double* values, const double* i
           if (fixed[3 * row + i] || fixed[3 * col + j])
             block[3 * i + j] = diagonal ? fixed_diagonal : 0.0;
           else
-            block[3 * i + j] = values[9 * begin + i * width + 3 * (k - begin) + j] +
-                               (diagonal ? inertia[row] : 0.0);
+            block[3 * i + j] =
+                strip[i * width + 3 * (k - begin) + j] + (diagonal ? inertia[row] : 0.0);
         }
     }
   });

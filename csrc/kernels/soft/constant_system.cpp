@@ -113,6 +113,13 @@ ConstantSystem::ConstantSystem(std::shared_ptr<const SoftPattern> pattern,
     factors_.push_back({{axis}, CholeskyFactor(pattern_->scalar())});
     factors_.back().factor.refactor(with_dirichlet(model(), values, inputs.fixed, axis).data(), pool);
   }
+  plan_ = make_solver_plan(*this, inputs.parameters, pool);
+}
+
+std::int64_t ConstantSystem::factor_bytes() const {
+  std::int64_t bytes = 0;
+  for (const AxisFactor& f : factors_) bytes += f.factor.bytes();
+  return bytes;
 }
 
 void ConstantSystem::solve(const Vector& r, Vector& z, Scratch& scratch, ThreadPool& pool) const {

@@ -10,6 +10,7 @@
 
 #include "kernels/linalg/cholesky.h"
 #include "kernels/soft/soft_model.h"
+#include "kernels/soft/solver_plan.h"
 #include "kernels/vector_ops.h"
 
 namespace diffsim {
@@ -19,6 +20,7 @@ class SoftPattern {
  public:
   SoftPattern(SoftModel model, const double* coords);
   const SoftModel& model() const { return model_; }
+  const double* coords() const { return coords_.data(); }  // (num_nodes, 3) rest positions [m]
   std::shared_ptr<const CholeskySymbolic> scalar() const;
   std::shared_ptr<const CholeskySymbolic> blocks() const;
 
@@ -29,12 +31,13 @@ class SoftPattern {
   mutable std::shared_ptr<const CholeskySymbolic> scalar_, blocks_;
 };
 
-/// What A is made of; everything the factor depends on.
+/// What A is made of and what the plan is for; everything the content depends on.
 struct ConstantSystemInputs {
   const std::uint8_t* fixed = nullptr;   // (num_nodes, 3), 1 where Dirichlet
   const double* inertia = nullptr;       // (num_nodes,) [N/m]
   const double* kappa = nullptr;         // (num_elements,) [Pa]
   const double* fibre_kappa = nullptr;   // (num_fibres,) [Pa]
+  SoftParameters parameters;             // of the energy; activation unused
 };
 
 /// Immutable once made; throws NotPositiveDefinite for a body that nothing holds.
@@ -54,6 +57,8 @@ class ConstantSystem {
   const SoftPattern& pattern() const { return *pattern_; }
   const std::uint8_t* fixed() const { return fixed_.data(); }
   const double* inertia() const { return inertia_.data(); }
+  const SolverPlan& plan() const { return plan_; }
+  std::int64_t factor_bytes() const;
 
   /// z = A^-1 r on free unknowns, zero on fixed ones; r is (num_nodes, 3), zero on fixed ones.
   void solve(const Vector& r, Vector& z, Scratch& scratch, ThreadPool& pool) const;
@@ -67,6 +72,7 @@ class ConstantSystem {
   std::vector<std::uint8_t> fixed_;
   Vector inertia_;
   std::vector<AxisFactor> factors_;
+  SolverPlan plan_;
 };
 
 }  // namespace diffsim

@@ -1,5 +1,6 @@
 #include "kernels/soft/elastic_force.h"
 
+#include "kernels/linalg/aligned_buffer.h"
 #include "kernels/soft/block_matrix.h"
 
 namespace diffsim {
@@ -26,7 +27,7 @@ void elastic_gradient_adjoint(const SoftModel& model, const StepInputs& in, cons
   ThreadPool pool(num_threads);
   ElasticityScratch scratch;
   const std::vector<DampingFrame> frames = frames_of(model, in, pool);
-  Vector values(static_cast<std::size_t>(9 * model.num_blocks()));
+  AlignedBuffer<double> values(static_cast<std::size_t>(model.values_size()));
   const Vector no_inertia(static_cast<std::size_t>(model.num_nodes), 0.0);
   tangent(model, in.parameters, frames, x, false, values.data(), scratch, pool);
   block_multiply(model, values.data(), no_inertia.data(), z, grad_x, pool);

@@ -143,9 +143,8 @@ void scatter_matrices(const SoftModel& model, const ElementBlock& block,
     const Index row_begin = model.num_nodes * part / parts;
     const Index row_end = model.num_nodes * (part + 1) / parts;
     const auto add = [&](Index row, std::int32_t slot, const double* k, bool transpose) {
-      const Index begin = model.row_start[at(row)];
-      const Index width = 3 * (model.row_start[at(row + 1)] - begin);
-      double* strip = values + 9 * begin + 3 * slot;
+      const Index width = model.strip_width(row);
+      double* strip = values + model.strip_start[at(row)] + 3 * slot;
       for (int i = 0; i < 3; ++i)
         for (int j = 0; j < 3; ++j)
           strip[i * width + j] += k[(transpose ? 3 * j + i : 3 * i + j) * stride];
@@ -213,7 +212,7 @@ void tangent_of(const SoftModel& model, const SoftParameters& p,
     fibre_tangent(fibre_state(F, m), Group::element_value(fibre, g, p.fibre_stiffness),
                   Group::element_value(fibre, g, p.activation), clamp, H);
   };
-  std::fill(values, values + 9 * model.num_blocks(), 0.0);
+  std::fill(values, values + model.values_size(), 0.0);
   assemble<Group>(model, solid, model.solid_slot, fill_solid, values, scratch, pool);
   assemble<Group>(model, fibre, model.fibre_slot, fill_fibre, values, scratch, pool);
 }

@@ -68,12 +68,18 @@ class QuasiNewton {
   std::deque<Pair> pairs_;
 };
 
-/// Newton directions by the chosen linear solver.
+/// Inexact Newton directions by conjugate gradients on one of three preconditioners.
 class Newton {
  public:
-  Newton(StepProblem& problem, StepMethod method) : problem_(problem), method_(method) {}
+  Newton(StepProblem& problem, const SolverPlan& plan, StepMethod method, double rtol)
+      : problem_(problem), plan_(plan), method_(method) {
+    if (method == StepMethod::kNewtonJacobi) preconditioner_ = Preconditioner::kJacobi;
+    if (method == StepMethod::kNewtonCholesky ||
+        (method == StepMethod::kAuto && plan.factorize_step(rtol)))
+      preconditioner_ = Preconditioner::kTangent;
+  }
 
-  /// Inexact Newton: forcing term by Eisenstat and Walker 1996, choice 2, never tighter than needed.
+  /// Forcing term by Eisenstat and Walker 1996, choice 2, never tighter than needed.
   void direction(const Vector& x, const Vector& gradient, double norm, double tolerance, Vector& d) {
     problem_.assemble(x, clamp_);
     double forcing = 0.1;
@@ -82,52 +88,68 @@ class Newton {
     forcing = std::max(forcing, std::min(0.5, 0.5 * tolerance / norm));
     Vector rhs = gradient;
     for (double& v : rhs) v = -v;
-    if (method_ == StepMethod::kNewtonCholesky) {
-      direct(x, rhs, d);
-    } else {
-      iterative(x, rhs, forcing * norm, d);
-    }
+    if (preconditioner_ == Preconditioner::kTangent) update_factor(x);
+    // The Cholesky baseline solves exactly; its factor is always fresh.
+    if (method_ == StepMethod::kNewtonCholesky && factor_usable_)
+      problem_.solve_factorized(rhs, d);
+    else
+      iterate(x, rhs, forcing * norm, d);
     if (problem_.ops().dot(d, gradient) < 0.0) return;
-    // Not a descent direction: the constant system is always one.
+    // Not a descent direction: that of the constant system always is one.
     clamp_ = true;
     problem_.solve_constant(rhs, d);
   }
 
  private:
-  void direct(const Vector& x, const Vector& rhs, Vector& d) {
-    if (!problem_.factorize()) {
-      clamp_ = true;
-      problem_.assemble(x, true);
-      if (!problem_.factorize()) {
-        problem_.solve_constant(rhs, d);
-        return;
-      }
-    }
-    problem_.solve_factorized(rhs, d);
+  enum class Preconditioner { kConstant, kJacobi, kTangent };
+
+  /// Factorises the tangent at x where there is no factor yet or the old one has served its time.
+  void update_factor(const Vector& x) {
+    if (factor_usable_ && method_ == StepMethod::kAuto && factor_age_ < plan_.refactor_after())
+      return;
+    factor_age_ = 0;
+    factor_usable_ = problem_.factorize();
+    if (factor_usable_ || clamp_) return;
+    clamp_ = true;
+    problem_.assemble(x, true);
+    factor_usable_ = problem_.factorize();
   }
 
-  void iterative(const Vector& x, const Vector& rhs, double tolerance, Vector& d) {
-    const auto apply = [this](const Vector& in, Vector& out) { problem_.multiply(in, out); };
-    const auto constant = [this](const Vector& in, Vector& out) { problem_.solve_constant(in, out); };
-    const auto jacobi = [this](const Vector& in, Vector& out) { problem_.solve_jacobi(in, out); };
-    const int limit = static_cast<int>(problem_.size());
-    const auto solve = [&] {
-      return method_ == StepMethod::kNewtonJacobi
-                 ? conjugate_gradients(apply, jacobi, rhs, d, false, tolerance, limit, krylov_,
-                                       problem_.ops())
-                 : conjugate_gradients(apply, constant, rhs, d, false, tolerance, limit, krylov_,
-                                       problem_.ops());
-    };
-    if (solve().negative_curvature && !clamp_) {
+  void iterate(const Vector& x, const Vector& rhs, double tolerance, Vector& d) {
+    KrylovResult result = solve(rhs, tolerance, d);
+    if (result.negative_curvature && !clamp_) {
       clamp_ = true;
       problem_.assemble(x, true);
-      solve();
+      result = solve(rhs, tolerance, d);
     }
+    if (preconditioner_ == Preconditioner::kTangent) factor_age_ += result.num_iters;
+    spent_ += result.num_iters;
+    if (method_ == StepMethod::kAuto && preconditioner_ == Preconditioner::kConstant &&
+        spent_ > plan_.patience())
+      preconditioner_ = Preconditioner::kTangent;
+  }
+
+  KrylovResult solve(const Vector& rhs, double tolerance, Vector& d) {
+    const bool tangent = preconditioner_ == Preconditioner::kTangent && factor_usable_;
+    const auto apply = [this](const Vector& in, Vector& out) { problem_.multiply(in, out); };
+    const auto precondition = [&](const Vector& in, Vector& out) {
+      if (tangent)
+        problem_.solve_factorized(in, out);
+      else if (preconditioner_ == Preconditioner::kJacobi)
+        problem_.solve_jacobi(in, out);
+      else
+        problem_.solve_constant(in, out);
+    };
+    return conjugate_gradients(apply, precondition, rhs, d, false, tolerance,
+                               static_cast<int>(problem_.size()), krylov_, problem_.ops());
   }
 
   StepProblem& problem_;
+  const SolverPlan& plan_;
   StepMethod method_;
-  bool clamp_ = false;
+  Preconditioner preconditioner_ = Preconditioner::kConstant;
+  bool clamp_ = false, factor_usable_ = false;
+  int factor_age_ = 0, spent_ = 0;
   double last_norm_ = 0.0;
   KrylovScratch krylov_;
 };
@@ -149,10 +171,9 @@ StepStats implicit_step(const ConstantSystem& system, const StepInputs& inputs,
   stats.scale = problem.scale() > 0.0 ? problem.scale() : stats.residual_norm;
   stats.tolerance = options.rtol * stats.scale + options.atol;
 
-  const StepMethod method =
-      options.method == StepMethod::kAuto ? StepMethod::kNewtonPcg : options.method;
+  const StepMethod method = options.method;
   QuasiNewton quasi_newton(problem);
-  Newton newton(problem, method);
+  Newton newton(problem, system.plan(), method, options.rtol);
   for (int iter = 0; std::isfinite(value); ++iter) {
     stats.num_iters = iter;
     stats.converged = stats.residual_norm <= stats.tolerance ? 1.0 : 0.0;

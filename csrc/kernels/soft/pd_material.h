@@ -23,32 +23,32 @@ struct PdProjection {
 
 /// Solves u t0 t1 = 1 by Newton inside a bracket; exact to rounding, any sign of det F.
 inline void project_volume(PdProjection& p) {
-  const Lane one = broadcast(1.0), zero = broadcast(0.0);
-  const double half = 0.5;
+  const Lane one = broadcast(1.0), zero = broadcast(0.0), tiny = broadcast(1e-12);
   const Lane d0 = (p.s[0] - p.s[2]) * (p.s[0] + p.s[2]);
   const Lane d1 = (p.s[1] - p.s[2]) * (p.s[1] + p.s[2]);
   Lane low = zero, high = broadcast(1e300);
   Lane u = max(p.s[2], broadcast(0.3));
-  for (int iter = 0; iter < 60; ++iter) {
+  bool last = false;
+  for (int iter = 0;; ++iter) {
     const Lane q2 = 2.0 * u - p.s[2];
-    const Lane q0 = max(sqrt(max(d0 + q2 * q2, zero)), broadcast(1e-12));
-    const Lane q1 = max(sqrt(max(d1 + q2 * q2, zero)), broadcast(1e-12));
-    const Lane t0 = half * (p.s[0] + q0), t1 = half * (p.s[1] + q1);
-    const Lane value = u * t0 * t1 - one;
+    const Lane q0 = max(sqrt(max(d0 + q2 * q2, zero)), tiny);
+    const Lane q1 = max(sqrt(max(d1 + q2 * q2, zero)), tiny);
+    const Lane t0 = 0.5 * (p.s[0] + q0), t1 = 0.5 * (p.s[1] + q1);
     p.t[0] = t0, p.t[1] = t1, p.t[2] = u;
     p.q[0] = q0, p.q[1] = q1, p.q[2] = q2;
-    if (all(less(abs(value), broadcast(2e-15)))) return;
+    if (last || iter == 60) return;
+    const Lane value = u * t0 * t1 - one;
+    // Newton squares the error: from 1e-8 the next iterate is exact to rounding. NaN is not
+    // greater, so it does not hold up the other lanes.
+    last = !any(greater(abs(value), broadcast(1e-8)));
     const LaneMask below = less(value, zero);
     low = select(below, u, low);
     high = select(below, high, u);
     const Lane slope = t0 * t1 + u * q2 * (t1 / q0 + t0 / q1);
     const Lane newton = u - value / slope;
-    const LaneMask inside = less(low, newton) & less(newton, high);
-    const Lane bisect = select<Lane>(less(broadcast(1e299), high), 2.0 * u, half * (low + high));
-    const Lane next = select(inside, newton, bisect);
-    // A lane that no longer moves is done; NaN (not less, not greater) must not hold up the others.
-    if (!any(less(next, u) | less(u, next))) return;
-    u = next;
+    const Lane bisect =
+        select<Lane>(greater(high, broadcast(1e299)), 2.0 * u, 0.5 * (low + high));
+    u = last ? newton : select(less(low, newton) & less(newton, high), newton, bisect);
   }
 }
 

@@ -23,7 +23,8 @@ struct MeshTables {
 };
 
 /// Immutable. Matrix pattern: node graph in CSR, diagonal included, columns ascending. Values of a
-/// 3x3-block matrix lie per row node as a dense (3, 3 * row length) row-major strip.
+/// 3x3-block matrix lie per row node as a *strip*: dense (3, strip width) row-major, the width being
+/// 3 * row length padded with zeros to whole lanes, so that products stream aligned vectors.
 struct SoftModel {
   std::int64_t num_nodes = 0;
   ElementBlock solid, fibre;
@@ -38,7 +39,15 @@ struct SoftModel {
   std::int64_t gather_stride = 1;
   std::int64_t fibre_vectors_start = 0, vectors_size = 0;
 
+  std::vector<std::int64_t> strip_start;  // (num_nodes + 1) offsets of the strips
+  std::int64_t max_strip_width = 0;
+
   std::int64_t num_blocks() const { return static_cast<std::int64_t>(column.size()); }
+  std::int64_t values_size() const { return strip_start.back(); }
+  std::int64_t strip_width(std::int64_t row) const {
+    const std::size_t i = static_cast<std::size_t>(row);
+    return (strip_start[i + 1] - strip_start[i]) / 3;
+  }
 };
 
 SoftModel make_soft_model(const MeshTables& tables);

@@ -57,7 +57,7 @@ double StepProblem::value_gradient(const Vector& x, Vector& gradient) {
 }
 
 void StepProblem::assemble(const Vector& x, bool clamp) {
-  values_.resize(at(9 * system_.model().num_blocks()));
+  values_.resize(at(system_.model().values_size()));
   tangent(system_.model(), in_.parameters, frames_, x.data(), clamp, values_.data(), elastic_, pool_);
 }
 
@@ -81,13 +81,18 @@ void StepProblem::solve_constant(const Vector& r, Vector& z) {
   system_.solve(r, z, constant_, pool_);
 }
 
+const double* StepProblem::diagonal_block(std::int64_t i) const {
+  const SoftModel& model = system_.model();
+  return values_.data() + model.strip_start[at(i)] +
+         3 * (model.diagonal[at(i)] - model.row_start[at(i)]);
+}
+
 void StepProblem::solve_jacobi(const Vector& r, Vector& z) const {
   const SoftModel& model = system_.model();
   using Block = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
   for (std::int64_t i = 0; i < model.num_nodes; ++i) {
-    const std::int64_t begin = model.row_start[at(i)];
-    const std::int64_t width = 3 * (model.row_start[at(i + 1)] - begin);
-    const double* strip = values_.data() + 9 * begin + 3 * (model.diagonal[at(i)] - begin);
+    const std::int64_t width = model.strip_width(i);
+    const double* strip = diagonal_block(i);
     Block block;
     Eigen::Vector3d b;
     for (int a = 0; a < 3; ++a) {
@@ -112,10 +117,7 @@ bool StepProblem::factorize() {
   blocks_.resize(at(9 * model.num_blocks()));
   double diagonal = 0.0;
   for (std::int64_t i = 0; i < model.num_nodes; ++i) diagonal += system_.inertia()[i];
-  for (std::int64_t i = 0; i < model.num_nodes; ++i) {
-    const std::int64_t begin = model.row_start[at(i)];
-    diagonal += values_[at(9 * begin + 3 * (model.diagonal[at(i)] - begin))];
-  }
+  for (std::int64_t i = 0; i < model.num_nodes; ++i) diagonal += diagonal_block(i)[0];
   export_blocks(model, values_.data(), system_.inertia(), system_.fixed(),
                 diagonal / static_cast<double>(model.num_nodes), blocks_.data(), pool_);
   if (factor_.empty()) factor_.emplace_back(system_.pattern().blocks());

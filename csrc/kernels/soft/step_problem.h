@@ -42,6 +42,9 @@ class StepProblem {
   int num_factorizations = 0;
 
  private:
+  /// Upper left entry of the diagonal block of node i in its strip.
+  const double* diagonal_block(std::int64_t i) const;
+
   const ConstantSystem& system_;
   const StepInputs& in_;
   ThreadPool& pool_;
@@ -52,7 +55,7 @@ class StepProblem {
   ElasticityScratch elastic_;
   ConstantSystem::Scratch constant_;
   CholeskyWorkspace cholesky_;
-  Vector values_, blocks_;
+  AlignedBuffer<double> values_, blocks_;
   std::vector<CholeskyFactor> factor_;  // none or one
 };
 

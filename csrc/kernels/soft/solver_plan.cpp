@@ -1,0 +1,96 @@
+#include "kernels/soft/solver_plan.h"
+
+#include <cmath>
+#include <limits>
+
+#include "kernels/soft/step_problem.h"
+
+namespace diffsim {
+namespace {
+
+// A 2-core cloud machine (AMD EPYC, Zen 5); see benchmarks/soft.py.
+constexpr double kCacheBytesPerSecond = 5e10, kMemoryBytesPerSecond = 2.5e10, kCacheBytes = 6.4e7;
+constexpr double kFlopsPerSecond = 6e10 * kNativeBytes / 64.0;
+// A factor of the tangent above this is not worth its memory (its work arrays need as much again).
+constexpr double kMaxFactorBytes = 4e9;
+constexpr int kMaxProbe = 400;
+
+double streaming_cost(double bytes) {
+  return bytes / (bytes < kCacheBytes ? kCacheBytesPerSecond : kMemoryBytesPerSecond);
+}
+
+double decades(double rtol) { return std::max(1.0, -std::log10(rtol)); }
+
+/// Iterations to 1e-2 at rest, for a smooth right-hand side.
+int probe(const ConstantSystem& system, const SoftParameters& parameters, int limit,
+          ThreadPool& pool) {
+  const SoftModel& model = system.model();
+  const std::size_t size = static_cast<std::size_t>(3 * model.num_nodes);
+  const Vector rest(system.pattern().coords(), system.pattern().coords() + size);
+  const Vector zero(size, 0.0);
+  const Vector one(static_cast<std::size_t>(model.fibre.num_elements), 1.0);
+  StepInputs inputs;
+  inputs.parameters = parameters;
+  inputs.parameters.activation = one.data();
+  inputs.y = inputs.target = inputs.guess = inputs.x_frame = inputs.x_velocity = rest.data();
+  inputs.force = zero.data();
+  StepProblem problem(system, inputs, pool);
+  problem.assemble(rest, false);
+  Vector b(size), x;
+  std::uint64_t random = 1;
+  for (double& v : b) {
+    random = random * 6364136223846793005u + 1442695040888963407u;  // Knuth's MMIX generator
+    v = static_cast<double>(random >> 11) * 0x1p-53 - 0.5;
+  }
+  problem.zero_fixed(b);
+  KrylovScratch scratch;
+  const auto apply = [&](const Vector& in, Vector& out) { problem.multiply(in, out); };
+  const auto constant = [&](const Vector& in, Vector& out) { problem.solve_constant(in, out); };
+  // b is rough; a smooth right-hand side is what steps have.
+  Vector smooth;
+  problem.solve_constant(b, smooth);
+  for (std::size_t i = 0; i < size; ++i) smooth[i] *= system.inertia()[i / 3];
+  const Vector& rhs = problem.ops().norm(smooth) > 0.0 ? smooth : b;
+  const KrylovResult result = conjugate_gradients(
+      apply, constant, rhs, x, false, 1e-2 * problem.ops().norm(rhs), limit, scratch, problem.ops());
+  // Cut off where a factor would have paid already; by how much more is not worth finding out.
+  return result.converged ? result.num_iters : 4 * limit;
+}
+
+}  // namespace
+
+bool SolverPlan::factorize_step(double rtol) const {
+  const double total = 0.5 * iterations * decades(rtol);  // over all Newton iterations of a step
+  return total * constant_cost > factorize_cost + 12.0 * tangent_cost;
+}
+
+bool SolverPlan::factorize_adjoint(double rtol) const {
+  const double total = iterations * (0.6 + 0.22 * decades(rtol));
+  return total * constant_cost > factorize_cost + 2.0 * tangent_cost;
+}
+
+int SolverPlan::patience() const {
+  return static_cast<int>(std::min(2.0 * factorize_cost / constant_cost + 50.0, 1e9));
+}
+
+int SolverPlan::refactor_after() const {
+  return static_cast<int>(std::min(factorize_cost / tangent_cost + 5.0, 1e9));
+}
+
+SolverPlan make_solver_plan(const ConstantSystem& system, const SoftParameters& parameters,
+                            ThreadPool& pool) {
+  SolverPlan plan;
+  const double matrix_bytes = 8.0 * static_cast<double>(system.model().values_size());
+  const CholeskyFactor tangent(system.pattern().blocks());
+  plan.constant_cost = streaming_cost(matrix_bytes + 2.0 * static_cast<double>(system.factor_bytes()));
+  plan.tangent_cost = streaming_cost(matrix_bytes + 2.0 * static_cast<double>(tangent.bytes()));
+  plan.factorize_cost = static_cast<double>(tangent.bytes()) > kMaxFactorBytes
+                            ? std::numeric_limits<double>::infinity()
+                            : tangent.flops() / kFlopsPerSecond + 2.0 * streaming_cost(matrix_bytes);
+  const int limit = static_cast<int>(
+      std::min<double>(kMaxProbe, std::max(20.0, plan.factorize_cost / plan.constant_cost)));
+  plan.iterations = probe(system, parameters, limit, pool);
+  return plan;
+}
+
+}  // namespace diffsim

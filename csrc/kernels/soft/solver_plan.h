@@ -1,0 +1,35 @@
+// Which preconditioner a step should start with, decided once per constant system.
+//
+// Conjugate gradients on the constant factor cost little per iteration but need more of them as the
+// material nears incompressibility; a factor of the tangent costs much once and then needs few. The
+// plan measures the iterations at rest and weighs them by a model of the two costs. It depends on
+// the system alone, never on clocks or history, so results are reproducible.
+#pragma once
+
+#include "kernels/soft/elasticity.h"
+
+namespace diffsim {
+
+class ConstantSystem;
+
+/// Costs in seconds on a model machine; only their ratios matter.
+struct SolverPlan {
+  double iterations = 0.0;        // of conjugate gradients at rest, to 1e-2
+  double constant_cost = 0.0;     // one iteration on the constant factor
+  double tangent_cost = 0.0;      // one iteration on a factor of the tangent
+  double factorize_cost = 0.0;    // of the tangent; infinite where memory forbids it
+
+  /// Whether a forward step (an adjoint) to relative tolerance rtol should factorise the tangent.
+  bool factorize_step(double rtol) const;
+  bool factorize_adjoint(double rtol) const;
+  /// Iterations on the constant factor after which a factor of the tangent would have been cheaper.
+  int patience() const;
+  /// Iterations on an old factor of the tangent after which a new one is worth making.
+  int refactor_after() const;
+};
+
+/// @param[in] parameters  the system's; activation is ignored (fibres at rest)
+SolverPlan make_solver_plan(const ConstantSystem& system, const SoftParameters& parameters,
+                            ThreadPool& pool);
+
+}  // namespace diffsim

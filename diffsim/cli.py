@@ -1,0 +1,124 @@
+"""The ``diffsim`` command: ``diffsim demo`` and ``diffsim info``."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import os
+import platform
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from diffsim import __version__, _paths
+from diffsim.errors import DiffsimError
+
+EXIT_MISTAKE = 2  # what argparse uses too
+EXIT_INTERRUPTED = 130  # 128 + SIGINT
+
+
+def _positive(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"must be 1 or more, got {value}")
+    return value
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line, as ``diffsim --help`` shows it."""
+    top = argparse.ArgumentParser(
+        prog="diffsim", description="Design robots through differentiable simulation."
+    )
+    top.add_argument("--version", action="version", version=f"diffsim {__version__}")
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    demo = commands.add_parser("demo", parents=[common], help="run the tour of all systems")
+    demo.add_argument("--data", type=Path, help="folder of the measured data (else DIFFSIM_DATA)")
+    demo.add_argument("--out", type=Path, default=Path("runs/demo"), help="default: %(default)s")
+    demo.add_argument("--quick", action="store_true", help="fewer steps, smaller meshes")
+    demo.add_argument("--resume", action="store_true", help="go on with what --out holds")
+    demo.add_argument("--threads", type=_positive, default=os.cpu_count() or 1, metavar="N")
+    demo.set_defaults(run=_demo)
+
+    info = commands.add_parser("info", parents=[common], help="versions, processor, data folder")
+    info.set_defaults(run=_info)
+    return top
+
+
+def _demo(args: argparse.Namespace) -> int | None:
+    if args.data is not None and not args.data.is_dir():
+        raise ValueError(f"--data must be an existing folder, got {args.data}")
+    # Imported only here: `diffsim info` must work where a demo's dependency is missing.
+    from diffsim.demo import main as run_demo
+
+    return run_demo(
+        data=args.data or _paths.data_folder(),
+        out=args.out,
+        quick=args.quick,
+        resume=args.resume,
+        threads=args.threads,
+    )
+
+
+def _info(_args: argparse.Namespace) -> None:
+    rows = [("diffsim", __version__), ("python", platform.python_version())]
+    for name in ("torch", "numpy", "scipy"):
+        try:
+            rows.append((name, importlib.metadata.version(name)))
+        except importlib.metadata.PackageNotFoundError:
+            rows.append((name, "missing"))
+    rows.append(("system", f"{platform.system()} {platform.machine()}"))
+    try:
+        from diffsim import _core
+
+        rows.append(("instruction set", _core.core.instruction_set))
+        rows.append(("available here", ", ".join(_core.available())))
+    except ImportError as err:
+        rows.append(("compiled core", f"not loaded: {err}"))
+    rows.append(("processors", str(os.cpu_count())))
+    rows.append(("package", str(Path(__file__).parent)))
+    found = _paths.data_folder()
+    rows.append(("data", str(found) if found else "not found (set DIFFSIM_DATA)"))
+    rows += [("  looked for in", str(path)) for path in _paths.data_candidates()]
+    for name, value in rows:
+        print(f"{name:<16} {value}")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        argv: Arguments without the program's name; None takes the process's own.
+
+    Returns:
+        Exit status: 0, 2 after a user's or a numerical error, 130 after Ctrl-C.
+    """
+    args = parser().parse_args(argv)
+    try:
+        status = args.run(args) or 0
+        sys.stdout.flush()
+        return status
+    except KeyboardInterrupt:
+        print("\ninterrupted; finished work is kept", file=sys.stderr)
+        if args.command == "demo":
+            again = list(sys.argv[1:] if argv is None else argv)
+            again += [] if args.resume else ["--resume"]
+            print(f"go on with: diffsim {shlex.join(again)}", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:  # `diffsim info | head`: nobody reads on
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_MISTAKE
+    except (DiffsimError, ValueError, ImportError, OSError) as err:
+        if args.debug:
+            raise
+        message = " ".join(str(err).split())
+        print(f"diffsim: {type(err).__name__}: {message}", file=sys.stderr)
+        print("(--debug shows where it came from)", file=sys.stderr)
+        return EXIT_MISTAKE
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

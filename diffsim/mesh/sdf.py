@@ -1,0 +1,154 @@
+"""Solids as signed distance: callables (N, 3) [m] -> (N,) [m], negative inside.
+
+Primitives and rigid motions give the exact distance; union, intersection and difference give the
+exact surface and, away from it, a bound. All work on torch tensors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from diffsim._check import require_number
+
+Sdf = Callable[[Tensor], Tensor]
+Vector = Sequence[float] | Tensor
+
+
+def sphere(radius: float, center: Vector = (0.0, 0.0, 0.0)) -> Sdf:
+    """Ball of a radius [m]."""
+    radius = require_number("radius", radius, above=0.0)
+    c = _vector("center", center)
+    return lambda x: (x - c).norm(dim=1) - radius
+
+
+def box(size: Vector, center: Vector = (0.0, 0.0, 0.0)) -> Sdf:
+    """Axis-aligned box with edge lengths ``size`` [m]."""
+    half = 0.5 * _vector("size", size)
+    if not bool((half > 0).all()):
+        raise ValueError(f"size must be positive, got {tuple((2 * half).tolist())}")
+    c = _vector("center", center)
+
+    def distance(x: Tensor) -> Tensor:
+        q = (x - c).abs() - half
+        return q.clamp(min=0.0).norm(dim=1) + q.max(dim=1).values.clamp(max=0.0)
+
+    return distance
+
+
+def cylinder(radius: float, height: float, center: Vector = (0.0, 0.0, 0.0)) -> Sdf:
+    """Cylinder along z, radius and full height [m]."""
+    radius = require_number("radius", radius, above=0.0)
+    half = 0.5 * require_number("height", height, above=0.0)
+    c = _vector("center", center)
+
+    def distance(x: Tensor) -> Tensor:
+        y = x - c
+        q = torch.stack([y[:, :2].norm(dim=1) - radius, y[:, 2].abs() - half], dim=1)
+        return q.clamp(min=0.0).norm(dim=1) + q.max(dim=1).values.clamp(max=0.0)
+
+    return distance
+
+
+def capsule(start: Vector, end: Vector, radius: float) -> Sdf:
+    """All points within ``radius`` [m] of the segment from ``start`` to ``end``."""
+    radius = require_number("radius", radius, above=0.0)
+    a, b = _vector("start", start), _vector("end", end)
+    if bool((a == b).all()):
+        raise ValueError("start and end of a capsule must differ; use sphere")
+
+    def distance(x: Tensor) -> Tensor:
+        t = ((x - a) @ (b - a) / (b - a).dot(b - a)).clamp(0.0, 1.0)
+        return (x - a - t[:, None] * (b - a)).norm(dim=1) - radius
+
+    return distance
+
+
+def torus(major_radius: float, minor_radius: float, center: Vector = (0.0, 0.0, 0.0)) -> Sdf:
+    """Ring around the z axis: circle of ``major_radius``, tube of ``minor_radius`` [m]."""
+    minor = require_number("minor_radius", minor_radius, above=0.0)
+    major = require_number("major_radius", major_radius, above=minor)
+    c = _vector("center", center)
+
+    def distance(x: Tensor) -> Tensor:
+        y = x - c
+        return torch.hypot(torch.hypot(y[:, 0], y[:, 1]) - major, y[:, 2]) - minor
+
+    return distance
+
+
+def plane(normal: Vector, offset: float = 0.0) -> Sdf:
+    """Half space n.x <= offset [m], n the normalised outward normal."""
+    n = _vector("normal", normal)
+    if not float(n.norm()) > 0:
+        raise ValueError("normal must not be zero")
+    n = n / n.norm()
+    offset = require_number("offset", offset)
+    return lambda x: x @ n - offset
+
+
+def union(*shapes: Sdf) -> Sdf:
+    """Points in any of the shapes."""
+    _some(shapes)
+    return lambda x: torch.stack([s(x) for s in shapes]).min(dim=0).values
+
+
+def intersection(*shapes: Sdf) -> Sdf:
+    """Points in all of the shapes."""
+    _some(shapes)
+    return lambda x: torch.stack([s(x) for s in shapes]).max(dim=0).values
+
+
+def difference(shape: Sdf, *cutters: Sdf) -> Sdf:
+    """Points in ``shape`` but in none of the cutters."""
+    _some(cutters)
+    return lambda x: torch.stack([shape(x), *(-c(x) for c in cutters)]).max(dim=0).values
+
+
+def translate(shape: Sdf, by: Vector) -> Sdf:
+    """The shape moved by a vector [m]."""
+    offset = _vector("by", by)
+    return lambda x: shape(x - offset)
+
+
+def rotate(shape: Sdf, axis: Vector, angle: float) -> Sdf:
+    """The shape turned about an axis through the origin by an angle [rad], right-handed."""
+    a = _vector("axis", axis)
+    if not float(a.norm()) > 0:
+        raise ValueError("axis must not be zero")
+    kx, ky, kz = (a / a.norm()).tolist()
+    cross = torch.tensor([[0.0, -kz, ky], [kz, 0.0, -kx], [-ky, kx, 0.0]], dtype=torch.float64)
+    angle = require_number("angle", angle)
+    turn = (  # Rodrigues: R = I + sin K + (1 - cos) K K
+        torch.eye(3, dtype=torch.float64)
+        + math.sin(angle) * cross
+        + (1.0 - math.cos(angle)) * cross @ cross
+    )
+    return lambda x: shape(x @ turn)  # rows: R' x
+
+
+def offset(shape: Sdf, by: float) -> Sdf:
+    """The shape grown (by > 0) or shrunk by a distance [m]; grown edges become round."""
+    by = require_number("by", by)
+    return lambda x: shape(x) - by
+
+
+def shell(shape: Sdf, thickness: float) -> Sdf:
+    """The points within half a thickness [m] of the shape's surface."""
+    half = 0.5 * require_number("thickness", thickness, above=0.0)
+    return lambda x: shape(x).abs() - half
+
+
+def _vector(name: str, value: Vector) -> Tensor:
+    v = torch.as_tensor(value, dtype=torch.float64)
+    if v.shape != (3,) or not bool(torch.isfinite(v).all()):
+        raise ValueError(f"{name} must be three finite numbers, got {value}")
+    return v
+
+
+def _some(shapes: Sequence[Sdf]) -> None:
+    if not shapes:
+        raise ValueError("at least one shape is needed, got none")

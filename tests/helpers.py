@@ -1,0 +1,41 @@
+"""The contract that every differentiable layer keeps; called once for each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+
+def check_layer(
+    layer: Callable[..., Tensor],
+    args: Sequence[Any],
+    *,
+    ops: Sequence[tuple[Any, tuple[Any, ...]]],
+    **gradcheck_options: Any,
+) -> None:
+    """Check a layer's ops, that its gradient is not zero and is right, and that it compiles.
+
+    Args:
+        layer: Function of ``args`` that returns one tensor.
+        args: Its arguments; those to be checked require gradients.
+        ops: The custom ops behind it with arguments for each, ``(op, op_args)``.
+        **gradcheck_options: Passed to ``torch.autograd.gradcheck`` (``eps``, ``atol``, ...).
+    """
+    for op, op_args in ops:  # schema, fake kernel, aliasing
+        torch.library.opcheck(op, op_args)
+    out = layer(*args)
+    # not all ones: internal forces sum to zero, and so would their gradient
+    cotangent = torch.linspace(1, 2, out.numel(), dtype=out.dtype).view_as(out)
+    inputs = [a for a in args if isinstance(a, Tensor) and a.requires_grad]
+    assert inputs, "no argument requires a gradient"
+    grads = torch.autograd.grad(out, inputs, cotangent)
+    assert all(g.abs().max() > 0 for g in grads)  # or gradcheck proves nothing
+    assert torch.autograd.gradcheck(layer, args, **gradcheck_options)
+    whole = torch.compile(layer, fullgraph=True, backend="aot_eager")
+    compiled = whole(*args)
+    torch.testing.assert_close(compiled, out)
+    compiled_grads = torch.autograd.grad(compiled, inputs, cotangent)
+    torch.testing.assert_close(compiled_grads, grads)

@@ -1,0 +1,39 @@
+"""The compiled core: what was built can be loaded, and DIFFSIM_ISA chooses among it."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from diffsim import _core
+
+
+def _load(isa):
+    code = "from diffsim._core import core; print(core.instruction_set)"
+    env = {**os.environ, "DIFFSIM_ISA": isa}
+    return subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
+
+
+@pytest.mark.parametrize("isa", _core.available())
+def test_every_available_core_loads(isa):
+    done = _load(isa)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == isa  # it was compiled for what its name says
+
+
+def test_unknown_instruction_set_lists_the_choices():
+    done = _load("sse9")
+    assert done.returncode != 0
+    assert f"DIFFSIM_ISA='sse9' is not available here; choose from {_core.available()}" in (
+        done.stderr
+    )
+
+
+def test_an_old_processor_gets_the_baseline(monkeypatch):
+    monkeypatch.setattr(_core, "_cpu_flags", set)
+    assert _core.available() == [name for name in _core.built() if name == "baseline"]
+
+
+def test_each_level_contains_the_one_below():
+    assert _core._NEEDS["baseline"] < _core._NEEDS["avx2"] < _core._NEEDS["avx512"]
