@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,20 @@ VIRTUAL_BANNER = (
 )
 
 
-def main(
+def main(**options: Any) -> int:
+    """``diffsim demo``: :func:`run`, then the verdict and where to look, printed; returns 0."""
+    results = run(**options)
+    if results["is_virtual"]:
+        print(f"\n{VIRTUAL_BANNER}")
+    for sentence in results["verdict"]:
+        print(f"\n{sentence}")
+    print(f"\npage       {results['files']['page']}\nnumbers    {results['files']['numbers']}")
+    if results["files"]["rerun"]:
+        print(f"recording  {results['files']['rerun']} (open with: rerun FILE)")
+    return 0
+
+
+def run(
     data: str | Path | None = None,
     out: str | Path = "runs/demo",
     quick: bool = False,
@@ -67,10 +79,6 @@ def main(
         results["files"] = _write_extras(study, results, models, out)
         write_json_atomic(out / "results.json", _without_curves(results))
         _write_page(study, results, models, plan, out)
-    except KeyboardInterrupt:
-        text = f"stopped; finished stages are kept in {out}, go on with --resume"
-        workers.bar.write(text, file=sys.stderr)
-        raise
     finally:
         workers.close()
     return results
@@ -212,7 +220,12 @@ def _write_extras(
         scene = str(recording.write(study, results, models, out / "beam.rrd"))
     except ImportError:
         scene = None
-    return {"picture": str(figure), "rerun": scene}
+    return {
+        "page": str(out / "report.html"),
+        "numbers": str(out / "results.json"),
+        "picture": str(figure),
+        "rerun": scene,
+    }
 
 
 def _write_page(

@@ -31,5 +31,5 @@ def virtual_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[st
     out = tmp_path_factory.mktemp("demo") / "run"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("diffsim.demo.find_dataset", lambda *_: None)
-        results = demo.main(out=out, plan=TINY, threads=2)
+        results = demo.run(out=out, plan=TINY, threads=2)
     return out, results

@@ -15,9 +15,8 @@ import pytest
 pytest.importorskip("matplotlib", reason="the demo's page needs diffsim-robot[viz]")
 pytest.importorskip("jinja2", reason="the demo's page needs diffsim-robot[viz]")
 
-from diffsim import demo
+from diffsim import cli, demo
 from diffsim.data import find_dataset
-from diffsim.demo.__main__ import main as command
 from diffsim.demo.numerics import euler_damping_ratio
 from tests.demo.conftest import TINY
 
@@ -122,10 +121,10 @@ def test_resume_reuses_every_stage_and_gives_the_same_numbers(virtual_run, monke
 
     monkeypatch.setattr("diffsim.demo.ladder.simulate", forbidden)
     monkeypatch.setattr("diffsim.demo.fitting.fit_motion", forbidden)
-    again = demo.main(out=out, plan=TINY, resume=True, threads=1)
+    again = demo.run(out=out, plan=TINY, resume=True, threads=1)
     assert again["verdict"] == first["verdict"]
     with pytest.raises(AssertionError, match="computed again"):  # another plan is another key
-        demo.main(out=out, plan=replace(TINY, dt_s=4e-3), resume=True, threads=1)
+        demo.run(out=out, plan=replace(TINY, dt_s=4e-3), resume=True, threads=1)
 
 
 def test_ctrl_c_keeps_finished_stages(virtual_run, tmp_path, monkeypatch, capsys):
@@ -136,16 +135,26 @@ def test_ctrl_c_keeps_finished_stages(virtual_run, tmp_path, monkeypatch, capsys
         raise KeyboardInterrupt
 
     monkeypatch.setattr("diffsim.demo.numerics.describe", interrupted)
-    assert command(["--quick", "--out", str(tmp_path / "run"), "--threads", "1"]) == 130
+    command = ["demo", "--quick", "--out", str(tmp_path / "run"), "--threads", "1"]
+    assert cli.main(command) == 130
     stages = {path.stem for path in (tmp_path / "run" / "stages").glob("*.json")}
     assert stages == {"measured", "mesh", "sag_fit"}
     assert "--resume" in capsys.readouterr().err
     assert not (tmp_path / "run" / "report.html").exists()
 
 
+def test_command_prints_the_verdict(virtual_run, monkeypatch, capsys):
+    out, results = virtual_run
+    monkeypatch.setattr("diffsim.demo.run", lambda **_: results)
+    demo.main(quick=True)
+    told = capsys.readouterr().out
+    assert "VIRTUAL DATA" in told and str(out / "report.html") in told
+    assert all(sentence in told for sentence in results["verdict"])
+
+
 def test_wrong_data_folder_does_not_fall_back_to_virtual(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"data=.*must be the folder that holds"):
-        demo.main(data=tmp_path / "nowhere", out=tmp_path / "run")
+        demo.run(data=tmp_path / "nowhere", out=tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
@@ -154,7 +163,7 @@ def test_measured_beam(tmp_path):
     folder = find_dataset("silicone_beam")
     if folder is None:
         pytest.skip("no measured data: set DIFFSIM_DATA to the folder that holds silicone_beam/")
-    results = demo.main(out=tmp_path / "run", quick=True, threads=os.cpu_count())
+    results = demo.run(out=tmp_path / "run", quick=True, threads=os.cpu_count())
     assert not results["is_virtual"]
     assert results["simulated"]["identified"]["gravity"]["frequency_Hz"] == pytest.approx(
         7.73, abs=0.08
