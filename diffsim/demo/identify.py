@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -71,6 +72,10 @@ class Fit:
     num_evaluations: int
 
 
+class _Enough(Exception):
+    """The number of evaluations is used up."""
+
+
 def fit(
     residuals: Residual | Sequence[Residual],
     unknowns: Mapping[str, Unknown],
@@ -109,6 +114,8 @@ def fit(
 
     def evaluate(scaled: Array) -> tuple[float, Array]:
         nonlocal scale
+        if len(history) >= max_evaluations:
+            raise _Enough  # L-BFGS-B looks at its own limit only between line searches
         parts = run([partial(one, residual, scaled.copy()) for residual in trials])
         cost = sum(part[0] for part in parts)
         gradient = np.sum([part[1] for part in parts], axis=0)
@@ -121,14 +128,16 @@ def fit(
 
     start = np.log([u.start for u in unknowns.values()]) / unit
     bounds = [(np.log(u.low) / u.step, np.log(u.high) / u.step) for u in unknowns.values()]
-    optimize.minimize(
-        evaluate,
-        start,
-        jac=True,
-        method="L-BFGS-B",
-        bounds=bounds,
-        options={"maxfun": max_evaluations, "ftol": rtol, "gtol": 1e-7},
-    )
+    with contextlib.suppress(_Enough):
+        optimize.minimize(
+            evaluate,
+            start,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=bounds,
+            # a line search that needs more than a few trials is down in the solver's tolerance
+            options={"maxls": 4, "ftol": rtol, "gtol": 1e-7},
+        )
     best = min(history, key=lambda step: step["rms"])
     value = {name: best[name] for name in names}
     std, correlation = _uncertainty(trials, value, run)
