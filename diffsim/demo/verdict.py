@@ -84,8 +84,8 @@ def _numerical_damping(study: BeamStudy, results: dict[str, Any]) -> str:
         f"{euler_damping_ratio(omega, dt):.2f} at the measured frequency); measured is "
         f"{measured:.3f}. BDF2 at the same step gives "
         f"{rows['bdf2', dt]['damping_ratio']:.3f}, implicit midpoint at {1e3 * small:g} ms "
-        f"{abs(rows['implicit_midpoint', small]['damping_ratio']):.4f}. Identify damping only "
-        "with one of those."
+        f"{abs(rows['implicit_midpoint', small]['damping_ratio']):.4f}. Identify damping "
+        "only with an integrator and a step whose own damping is far below the rubber's."
     )
 
 
