@@ -19,10 +19,10 @@ demo's report):
   moves with the tip. A constant force, as published, cannot change the frequency. Sideways the
   tip keeps swinging at 8 Hz, and slowly at about 1.1 Hz, as a pendulum of 0.2 m would pull it:
   the weight hangs on something limp.
-- *The string goes slack at release.* The unloaded tip falls away from the weight, which
-  falls freely: the loaded tip pauses about 45 ms after release, 10 mm down, where free fall
-  catches up.
-- *The rubber creeps* by 4-6 % of the sag per decade of time. The level about which the beam
+- *The string probably goes slack at release* (an interpretation: no sensor is on it). The loaded
+  tip pauses about 45 ms after release, 10 mm down, where a weight that falls freely would catch
+  up with the tip.
+- *The rubber creeps* by 3.5-4.7 % of the sag per decade of time. The level about which the beam
   swings 0.1 s after release is 10 % above the one it reaches after 4 s, so "the static sag" and
   "the frequency" give Young's moduli 6-10 % apart with any elastic model.
 - *Held straight is not unloaded.* The tip turns by 5.0-5.1 degrees (gravity) between held and
@@ -37,8 +37,8 @@ demo's report):
   jump by up to 0.9 mm when half hidden. Taken as rigid motion this is about 1 % of the sag and
   not above what the jumps would fake; it is reported, not removed.
 - *Damping depends on amplitude*: without weight 0.055 falling to 0.047; with it 0.051 *rising*
-  to 0.12 below 0.5 mm while the frequency rises from 4.3 to 4.7 Hz: dry friction where the weight
-  hangs.
+  to 0.12 below 0.5 mm while the frequency rises from 4.3 to 4.7 Hz, as dry friction where the
+  weight hangs would do; other causes are not excluded.
 """
 
 from __future__ import annotations

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,16 +15,32 @@ from scipy import optimize
 from torch import Tensor
 
 Array = NDArray[np.float64]
+Residual = Callable[[Mapping[str, Tensor]], Tensor]
+Run = Callable[[Sequence[Callable[[], Any]]], list[Any]]
+
+
+def in_turn(jobs: Sequence[Callable[[], Any]]) -> list[Any]:
+    """Results of the jobs, one after the other."""
+    return [job() for job in jobs]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Unknown:
-    """A positive parameter: where to start and what to believe possible, in its unit."""
+    """A positive parameter: where to start and what to believe possible, in its unit.
+
+    Attributes:
+        start, low, high: In its unit.
+        unit: For reports.
+        step: Relative change that moves the simulation about as much as a ``step`` of the other
+            unknowns does; also the largest first step. An oscillation is ten times as sensitive
+            to stiffness (a phase, which grows with time) as to damping.
+    """
 
     start: float
     low: float
     high: float
     unit: str
+    step: float = 0.1
 
     def __post_init__(self) -> None:
         if not 0 < self.low <= self.start <= self.high:
@@ -53,57 +72,75 @@ class Fit:
     num_evaluations: int
 
 
+class _Enough(Exception):
+    """The number of evaluations is used up."""
+
+
 def fit(
-    residual: Callable[[Mapping[str, Tensor]], Tensor],
+    residuals: Residual | Sequence[Residual],
     unknowns: Mapping[str, Unknown],
     *,
     max_evaluations: int = 30,
     rtol: float = 1e-5,
     on_step: Callable[[dict[str, float]], None] | None = None,
+    run: Run = in_turn,
 ) -> Fit:
     """Least squares over log parameters.
 
     Args:
-        residual: Parameters (0-d float64 tensors) -> residuals of any shape, differentiable.
+        residuals: Parameters (0-d float64 tensors) -> residuals of any shape, differentiable; or
+            several such functions, one per trial: the cost is the mean of their mean squares.
         unknowns: What to fit.
         max_evaluations: Of simulation and gradient.
         rtol: Stop when the cost falls by less than this share.
         on_step: Called after every evaluation, for a progress bar.
+        run: Runs independent jobs, perhaps side by side; their order does not matter.
     """
-    # L-BFGS's first step has length one at most: in units of 10 % it cannot leap to a bound,
-    # from where an oscillation is out of phase and the cost is full of side minima.
-    unit = 0.1
+    # L-BFGS's first step has length one at most: in units of a few per cent it cannot leap to a
+    # bound, from where an oscillation is out of phase and the cost is full of side minima.
+    unit = np.array([unknown.step for unknown in unknowns.values()])
+    trials = [residuals] if callable(residuals) else list(residuals)
     names = list(unknowns)
     history: list[dict[str, float]] = []
     scale = 0.0
 
+    def one(residual: Residual, scaled: Array) -> tuple[float, Array]:
+        leaf = torch.tensor(scaled, dtype=torch.float64, requires_grad=True)
+        values = (torch.from_numpy(unit) * leaf).exp()
+        r = residual({name: values[i] for i, name in enumerate(names)})
+        cost = 0.5 * r.pow(2).mean() / len(trials)
+        (gradient,) = torch.autograd.grad(cost, leaf)
+        return float(cost.detach()), gradient.numpy()
+
     def evaluate(scaled: Array) -> tuple[float, Array]:
         nonlocal scale
-        leaf = torch.tensor(scaled, dtype=torch.float64, requires_grad=True)
-        values = (unit * leaf).exp()
-        r = residual({name: values[i] for i, name in enumerate(names)})
-        cost = 0.5 * r.pow(2).mean()
-        (gradient,) = torch.autograd.grad(cost, leaf)
-        scale = scale or max(float(cost.detach()), 1e-300)  # of order one for L-BFGS
-        step = {name: float(values[i].detach()) for i, name in enumerate(names)}
-        history.append({**step, "rms": float(np.sqrt(2.0 * float(cost.detach())))})
+        if len(history) >= max_evaluations:
+            raise _Enough  # L-BFGS-B looks at its own limit only between line searches
+        parts = run([partial(one, residual, scaled.copy()) for residual in trials])
+        cost = sum(part[0] for part in parts)
+        gradient = np.sum([part[1] for part in parts], axis=0)
+        scale = scale or max(cost, 1e-300)  # of order one for L-BFGS
+        step = {name: float(np.exp(unit[i] * scaled[i])) for i, name in enumerate(names)}
+        history.append({**step, "rms": float(np.sqrt(2.0 * cost))})
         if on_step is not None:
             on_step(history[-1])
-        return float(cost.detach()) / scale, gradient.numpy() / scale
+        return cost / scale, gradient / scale
 
     start = np.log([u.start for u in unknowns.values()]) / unit
-    bounds = [(np.log(u.low) / unit, np.log(u.high) / unit) for u in unknowns.values()]
-    optimize.minimize(
-        evaluate,
-        start,
-        jac=True,
-        method="L-BFGS-B",
-        bounds=bounds,
-        options={"maxfun": max_evaluations, "ftol": rtol, "gtol": 1e-7},
-    )
+    bounds = [(np.log(u.low) / u.step, np.log(u.high) / u.step) for u in unknowns.values()]
+    with contextlib.suppress(_Enough):
+        optimize.minimize(
+            evaluate,
+            start,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=bounds,
+            # a line search that needs more than a few trials is down in the solver's tolerance
+            options={"maxls": 4, "ftol": rtol, "gtol": 1e-7},
+        )
     best = min(history, key=lambda step: step["rms"])
     value = {name: best[name] for name in names}
-    std, correlation = _uncertainty(residual, value)
+    std, correlation = _uncertainty(trials, value, run)
     return Fit(
         value=value,
         std=std,
@@ -120,19 +157,23 @@ def fit(
 
 
 def _uncertainty(
-    residual: Callable[[Mapping[str, Tensor]], Tensor], value: dict[str, float]
+    trials: Sequence[Residual], value: dict[str, float], run: Run
 ) -> tuple[dict[str, float], Array]:
     """From J'J; columns of J by central differences of 1 % in each parameter."""
     names, step = list(value), 0.01
 
-    def at(changed: str, factor: float) -> Array:
+    def at(residual: Residual, changed: str, factor: float) -> Array:
         p = {n: value[n] * (factor if n == changed else 1.0) for n in names}
         with torch.no_grad():
             r = residual({n: torch.tensor(v, dtype=torch.float64) for n, v in p.items()})
         return r.numpy().ravel()
 
-    columns = [(at(n, np.exp(step)) - at(n, np.exp(-step))) / (2 * step) for n in names]
-    left = at(names[0], 1.0)
+    points = [(names[0], 1.0)] + [(n, np.exp(sign * step)) for n in names for sign in (1, -1)]
+    parts = run([partial(at, residual, *point) for point in points for residual in trials])
+    count = len(trials)
+    rows = [np.concatenate(parts[i * count : (i + 1) * count]) for i in range(len(points))]
+    left = rows[0]
+    columns = [(rows[1 + 2 * i] - rows[2 + 2 * i]) / (2 * step) for i in range(len(names))]
     jacobian = np.column_stack(columns)
     variance = float(left @ left) / max(len(left) - len(names), 1)
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * variance

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import diffsim
 from diffsim._files import to_plain, write_json_atomic
 
 Result = dict[str, Any]
@@ -30,11 +31,26 @@ class Stages:
         self.reused: list[str] = []
         self._key = _digest(settings)
 
-    def run(self, name: str, compute: Callable[[], Result], **inputs: Any) -> Result:
-        """The result of a stage: read back if it is finished, else computed and kept."""
+    def run(
+        self,
+        name: str,
+        compute: Callable[[], Result],
+        *,
+        valid: Callable[[Result], bool] = lambda result: True,
+        **inputs: Any,
+    ) -> Result:
+        """The result of a stage: read back if it is finished, else computed and kept.
+
+        Args:
+            name: Of the file.
+            compute: Makes the result.
+            valid: Whether a kept result can still be used (files it names exist, say).
+            **inputs: What this stage depends on beyond the settings and the stages before.
+        """
         path = self.folder / f"{name}.json"
         self._key = _digest({"before": self._key, "name": name, "inputs": inputs})
-        if self.resume and (kept := _read(path)) is not None and kept.get("key") == self._key:
+        kept = _read(path) if self.resume else None
+        if kept is not None and kept.get("key") == self._key and valid(kept["result"]):
             self.reused.append(name)
             return kept["result"]
         result = to_plain(compute())
@@ -48,6 +64,12 @@ def file_digest(paths: list[Path]) -> str:
     for path in paths:
         digest.update(path.read_bytes())
     return digest.hexdigest()
+
+
+def code_digest() -> str:
+    """SHA-256 of the package as installed: sources and compiled parts."""
+    root = Path(diffsim.__file__).parent
+    return file_digest(sorted(p for p in root.rglob("*") if p.suffix in (".py", ".so", ".j2")))
 
 
 def _read(path: Path) -> Result | None:

@@ -155,20 +155,23 @@ def bars(
     ylabel: str,
     reference: Sequence[float] | None = None,
     reference_label: str = "",
+    log: bool = False,
 ) -> Figure:
     """Grouped bars with values on top; ``reference`` draws a level across each group.
 
     Args:
         groups: Names on the axis.
         series: (label, one value per group, role or colour); NaN leaves a gap.
+        log: Logarithmic axis.
     """
-    figure, ax = new_figure(height=3.2)
+    figure, ax = new_figure(height=3.4)
     width = 0.8 / max(len(series), 1)
     at = np.arange(len(groups))
     for i, (label, values, role) in enumerate(series):
         x = at + (i - (len(series) - 1) / 2) * width
         drawn = ax.bar(x, values, width * 0.92, label=label, color=COLOURS.get(role, role))
-        ax.bar_label(drawn, fmt="%.3g", padding=2, fontsize=8, color=SOFT)
+        texts = ["" if np.isnan(v) else f"{v:.2g}" for v in values]
+        ax.bar_label(drawn, texts, padding=2, fontsize=7.5, color=SOFT)
     if reference is not None:
         for i, value in enumerate(reference):
             label = reference_label if i == 0 else "_"
@@ -176,8 +179,14 @@ def bars(
     ax.set_xticks(at, groups)
     ax.set_ylabel(ylabel, color=SOFT)
     ax.grid(False, axis="x")
+    if log:
+        ax.set_yscale("log")
+        ax.yaxis.set_major_formatter("{x:g}")
     ax.margins(y=0.14)
-    ax.legend(frameon=False, fontsize=8.5, labelcolor=INK)
+    ax.legend(
+        frameon=False, fontsize=8.5, labelcolor=INK, ncols=4, loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+    )  # fmt: skip
     return figure
 
 

@@ -58,3 +58,19 @@ def test_says_when_the_data_do_not_determine_a_parameter():
 def test_impossible_bounds_are_refused():
     with pytest.raises(ValueError, match=r"0 < low <= start <= high, got 0, 1, 2"):
         Unknown(start=1.0, low=0.0, high=2.0, unit="s")
+
+
+def test_the_number_of_simulations_is_kept():
+    target = measured(2e-5)
+    found = fit(lambda p: oscillator(p) - target, UNKNOWNS, max_evaluations=3)
+    assert found.num_evaluations == len(found.history) == 3
+
+
+def test_several_trials_count_alike():
+    target = measured(2e-5)
+    one = fit(lambda p: oscillator(p) - target, UNKNOWNS)
+    two = fit([lambda p: oscillator(p) - target] * 2, UNKNOWNS)
+    for name, value in one.value.items():
+        assert two.value[name] == pytest.approx(value, rel=1e-9)
+        # the same residuals twice: twice the samples, so 1 / sqrt(2) of the deviation
+        assert two.std[name] == pytest.approx(one.std[name] / 2**0.5, rel=0.01)

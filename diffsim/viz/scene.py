@@ -1,0 +1,149 @@
+"""Rerun recordings (``.rrd``): moving surfaces, markers and curves on one clock."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.viz._require import optional
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MovingSurface:
+    """A triangulated surface over time.
+
+    Attributes:
+        path: Entity path, such as ``gravity/identified``.
+        time_s: (T,) [s].
+        nodes_m: (T, N, 3) [m].
+        triangles: (F, 3).
+        colour: ``#rrggbb``.
+    """
+
+    path: str
+    time_s: Array
+    nodes_m: NDArray[np.float32]
+    triangles: NDArray[np.int64]
+    colour: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class MovingPoints:
+    """Points over time, (T, N, 3) [m]."""
+
+    path: str
+    time_s: Array
+    points_m: Array
+    colour: str
+    radius_m: float = 0.0015
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plot:
+    """One curve over time."""
+
+    path: str
+    time_s: Array
+    value: Array
+    name: str
+    colour: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """Everything of one recording; ``note`` is a text that opens beside it."""
+
+    title: str
+    note: str
+    surfaces: Sequence[MovingSurface] = ()
+    points: Sequence[MovingPoints] = ()
+    plots: Sequence[Plot] = field(default_factory=tuple)
+
+
+def write(scene: Scene, path: str | Path) -> Path:
+    """Write the recording, in place of an older one only when it is whole.
+
+    Raises:
+        ImportError: rerun-sdk is not installed.
+    """
+    rr = optional("rerun", purpose="an .rrd recording")
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".rrd.tmp")
+    os.close(handle)
+    try:
+        stream = rr.RecordingStream(f"diffsim {scene.title}")
+        stream.save(temporary)
+        stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        stream.log("note", rr.TextDocument(scene.note, media_type="text/markdown"), static=True)
+        for surface in scene.surfaces:
+            _surface(rr, stream, surface)
+        for points in scene.points:
+            _points(rr, stream, points)
+        for plot in scene.plots:
+            _plot(rr, stream, plot)
+        stream.flush()
+        stream.disconnect()
+        del stream
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+    return path
+
+
+def _rgb(colour: str) -> list[int]:
+    return [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+
+
+def _surface(rr, stream, surface: MovingSurface) -> None:
+    colour = _rgb(surface.colour)
+    for t, nodes in zip(surface.time_s, surface.nodes_m, strict=True):
+        stream.set_time("time_since_release", duration=float(t))
+        stream.log(
+            surface.path,
+            rr.Mesh3D(
+                vertex_positions=nodes,
+                triangle_indices=surface.triangles,
+                vertex_normals=_normals(nodes, surface.triangles),
+                albedo_factor=[*colour, 255],
+            ),
+        )
+
+
+def _normals(nodes: NDArray[np.float32], triangles: NDArray[np.int64]) -> NDArray[np.float32]:
+    a, b, c = (nodes[triangles[:, i]] for i in range(3))
+    face = np.cross(b - a, c - a)
+    normal = np.zeros_like(nodes)
+    for i in range(3):
+        np.add.at(normal, triangles[:, i], face)
+    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+
+
+def _points(rr, stream, points: MovingPoints) -> None:
+    for t, places in zip(points.time_s, points.points_m, strict=True):
+        stream.set_time("time_since_release", duration=float(t))
+        stream.log(
+            points.path,
+            rr.Points3D(places, colors=[_rgb(points.colour)], radii=[points.radius_m]),
+        )
+
+
+def _plot(rr, stream, plot: Plot) -> None:
+    stream.log(
+        plot.path, rr.SeriesLines(colors=[_rgb(plot.colour)], names=[plot.name]), static=True
+    )
+    stream.send_columns(
+        plot.path,
+        indexes=[rr.TimeColumn("time_since_release", duration=plot.time_s)],
+        columns=rr.Scalars.columns(scalars=plot.value),
+    )
