@@ -35,11 +35,10 @@ def test_demo_receives_every_option(fake_demo, tmp_path):
     ]
 
 
-def test_demo_defaults(fake_demo, monkeypatch, tmp_path):
-    monkeypatch.setenv("DIFFSIM_DATA", str(tmp_path))
+def test_demo_defaults(fake_demo):
     assert cli.main(["demo"]) == 0
     (call,) = fake_demo.calls
-    assert call["data"] == tmp_path
+    assert call["data"] is None  # the demo then looks in the folders of diffsim._paths
     assert call["out"] == Path("runs/demo")
     assert not call["quick"] and not call["resume"] and call["threads"] >= 1
 

@@ -167,9 +167,6 @@ class Beam:
             physics=self._physics(parameters),
             keep=keep,
         )
-        if trajectory.x.requires_grad:
-            # The backward pass looks the body up: it has to live as long as the graph does.
-            trajectory.x.register_hook(lambda grad, body=self.body: None)
         return Release(
             time_s=np.arange(num_steps + 1, dtype=np.float64) * self.setup.dt_s,
             tip_m=trajectory.x,
