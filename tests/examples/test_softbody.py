@@ -1,0 +1,25 @@
+"""Do the stories end as told?"""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.example
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
+
+def story(path):
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_muscle_arm_reaches_its_target(tmp_path):
+    picture = tmp_path / "arm.png"
+    numbers = story(EXAMPLES / "softbody/muscle_arm.py").main(cells=3, plot=str(picture))
+    assert numbers["start_mm"] > 50.0
+    assert numbers["static_mm"] < 0.1  # the two claims of the story's docstring
+    assert numbers["after_3_s_mm"] < 1.0
+    assert picture.stat().st_size > 10_000
