@@ -427,3 +427,19 @@ def test_loading_a_state_dict_keeps_the_boundary_conditions():
     state = soft.State(deformed(m), torch.zeros_like(m.x_rest))
     torch.testing.assert_close(free(state).x, expected(state).x, rtol=0, atol=0)
     assert bool((free.fixed == expected.fixed).all())
+
+
+def test_prepared_objects_die_with_their_body():
+    def use(backward):
+        body = soft_body(mesh.hex_box((2, 1, 1)), fixed=torch.arange(4))
+        x = body.x_rest.clone().requires_grad_(backward)
+        state = body(soft.State(x, torch.zeros_like(x)))
+        if backward:
+            state.x.sum().backward()
+
+    gc.collect()
+    before = len(_ops_soft._contexts)
+    for backward in (False, True):
+        use(backward)
+        gc.collect()
+        assert len(_ops_soft._contexts) == before
