@@ -12,6 +12,7 @@ import threading
 import warnings
 import weakref
 from collections import OrderedDict
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -177,6 +178,15 @@ def _options(method: str, rtol: float, atol: float, max_iters: int) -> object:
     return options
 
 
+listeners: list[Callable[[str, Tensor], None]] = []
+"""Called with ("step" or "adjoint", stats) after every solve; see diffsim.soft.record_stats."""
+
+
+def _notify(kind: str, stats: Tensor) -> None:
+    for listen in listeners:
+        listen(kind, stats)
+
+
 def _report(stats: Tensor, what: str, hint: str, on_failure: str) -> None:
     failed = stats[:, 7] == 0
     if not bool(failed.any()):
@@ -247,6 +257,7 @@ def soft_step(
         stats.data_ptr(),
         num_threads,
     )
+    _notify("step", stats)
     _report(
         stats,
         "implicit step",
@@ -316,6 +327,7 @@ def soft_step_vjp(
         stats.data_ptr(),
         num_threads,
     )
+    _notify("adjoint", stats)
     _report(stats, "adjoint solve", "loosen adjoint_rtol or raise max_iters", on_failure)
     return [*_sum_shared(grads), stats]
 

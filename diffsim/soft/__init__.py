@@ -8,12 +8,14 @@ from diffsim.soft.physics import Physics
 from diffsim.soft.rollout import rollout
 from diffsim.soft.state import State, Trajectory
 from diffsim.soft.statics import static_equilibrium
+from diffsim.soft.stats import SolveStats, record_stats
 from diffsim.soft.step import elastic_energy, elastic_force, step
 
 __all__ = [
     "Muscle",
     "Physics",
     "SoftBody",
+    "SolveStats",
     "SolverOptions",
     "State",
     "Trajectory",
@@ -21,6 +23,7 @@ __all__ = [
     "elastic_force",
     "lame_parameters",
     "pd_weights",
+    "record_stats",
     "rollout",
     "static_equilibrium",
     "step",

@@ -1,0 +1,125 @@
+"""How the weights of the constant matrix were chosen: iterations over VOLUME_SHARE and FIBRE_SHARE.
+
+The constant matrix takes the volume and fibre terms with a share of their weight
+(diffsim/_ops_soft.py, ``preconditioner_stiffness``); 1 is thesis eq. 4.15.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+
+from benchmarks.harness import Part
+from benchmarks.soft_cantilever import options
+from benchmarks.soft_scenes import cantilever, one_pass
+from diffsim import _ops_soft, soft
+
+MUSCLE_STIFFNESS = 2e6  # [Pa], twice the body's Young's modulus
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What is measured.
+
+    Attributes:
+        cells: Cells along x, y, z.
+        num_steps: Steps of 10 ms.
+        kinds: Element kinds.
+        poissons_ratios: Of the body.
+        volume_weights: Conventions of the volume energy.
+        shares: Values of VOLUME_SHARE and of FIBRE_SHARE.
+        rtol: Tolerance of step and adjoint.
+        methods: Solvers that use the constant matrix.
+    """
+
+    cells: Sequence[int] = (16, 4, 4)
+    num_steps: int = 5
+    kinds: Sequence[str] = ("hex", "tet")
+    poissons_ratios: Sequence[float] = (0.3, 0.45, 0.49)
+    volume_weights: Sequence[str] = ("thesis", "small_strain")
+    shares: Sequence[float] = (0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 1.0)
+    rtol: float = 1e-4
+    methods: Sequence[str] = ("newton_pcg", "quasi_newton")
+
+
+def parts(plan: Plan) -> list[Part]:
+    """One part per material and element kind, and one per kind for a muscle's fibres."""
+    found = []
+    for kind in plan.kinds:
+        for ratio in plan.poissons_ratios:
+            for weight in plan.volume_weights:
+                label = f"accuracy/VOLUME_SHARE, {kind}, nu {ratio}, {weight}"
+                case = {"poissons_ratio": ratio, "volume_weight": weight}
+                found.append(
+                    Part(
+                        label,
+                        {**asdict(plan), "kind": kind, **case},
+                        lambda results, say, kind=kind, case=case: sweep(
+                            plan, "VOLUME_SHARE", kind, case, say
+                        ),
+                    )
+                )
+        found.append(
+            Part(
+                f"accuracy/FIBRE_SHARE, {kind}",
+                {**asdict(plan), "kind": kind, "muscle": MUSCLE_STIFFNESS},
+                lambda results, say, kind=kind: sweep(plan, "FIBRE_SHARE", kind, {}, say),
+            )
+        )
+    return found
+
+
+def sweep(
+    plan: Plan, name: str, kind: str, case: dict[str, Any], say: Callable[[str], None]
+) -> list[dict[str, Any]]:
+    """Iterations per step and adjoint for every share; one row per share and method."""
+    make = muscular if name == "FIBRE_SHARE" else cantilever
+    rows = []
+    for share in plan.shares:
+        body = make(kind, plan.cells, **case)  # anew: a body keeps its constant matrix
+        for method in plan.methods:
+            say(f"{share:g}, {method}")
+            body.solver = options(method, plan.rtol)
+            with preconditioner_share(name, share):
+                run = one_pass(body, plan.num_steps)
+            counts = run.counts()
+            rows.append(
+                {
+                    "name": name,
+                    "share": share,
+                    "chosen": share == getattr(_ops_soft, name),
+                    "kind": kind,
+                    "method": method,
+                    **case,
+                    "step_solves": counts["step_solves"],
+                    "step_iters": counts["step_iters"],
+                    "adjoint_solves": counts["adjoint_solves"],
+                    "converged": run.converged,
+                    "loss": run.loss,
+                }
+            )
+    return rows
+
+
+def muscular(kind: str, cells: Sequence[int]) -> soft.SoftBody:
+    """The beam with a muscle along its lower half, at its rest length."""
+    body = cantilever(kind, cells)
+    centres = body.x_rest[body.mesh.elements].mean(1)
+    lower = torch.nonzero(centres[:, 2] < centres[:, 2].mean()).flatten()
+    muscle = soft.Muscle(elements=lower, direction=(1.0, 0.0, 0.0), stiffness=MUSCLE_STIFFNESS)
+    return cantilever(kind, cells, muscles=[muscle])
+
+
+@contextmanager
+def preconditioner_share(name: str, value: float) -> Iterator[None]:
+    """Set a weight of the constant matrix, for bodies that have not made theirs yet."""
+    before = getattr(_ops_soft, name)  # AttributeError: the solver no longer has this constant
+    setattr(_ops_soft, name, value)
+    try:
+        yield
+    finally:
+        setattr(_ops_soft, name, before)

@@ -1,0 +1,215 @@
+"""Implicit against explicit time stepping: smoothness of the loss, time and memory (fig. 4-3)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from benchmarks import soft_worker
+from benchmarks.harness import Part, run_child
+from benchmarks.soft_cantilever import options
+from benchmarks.soft_scenes import LENGTH, cantilever, one_pass, twisted, weighted_loss
+from diffsim import soft
+from diffsim.errors import DiffsimError
+
+Array = NDArray[np.float64]
+STABILITY = "explicit/stable step"
+# The last one tells what the motion itself is like: its step is far below what stability asks for.
+EXPLICIT, FINE = "semi_implicit_euler", "semi_implicit_euler, dt / 4"
+INTEGRATORS = ("implicit_euler", "bdf2", "implicit_midpoint", EXPLICIT, FINE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What is measured.
+
+    Attributes:
+        cells: Cells along x, y, z.
+        duration: Simulated time [s].
+        dt: Step of the implicit integrators [s].
+        directions: Random directions around the initial positions.
+        samples: Points along a direction, odd.
+        reach: Largest change of a coordinate, of the beam's length [-].
+        rtol: Tolerance of implicit steps: tight, so that what is seen is not the solver's noise.
+        integrators: Compared; explicit ones take their own step.
+        seconds: Passes for timing are repeated for this long [s].
+    """
+
+    cells: Sequence[int] = (12, 3, 3)
+    duration: float = 0.2
+    dt: float = 1e-2
+    directions: int = 16
+    samples: int = 21
+    reach: float = 0.003
+    rtol: float = 1e-6
+    integrators: Sequence[str] = INTEGRATORS
+    seconds: float = 3.0
+
+
+def parts(plan: Plan) -> list[Part]:
+    """The stable step; then, per integrator, the loss around x0, and time and memory."""
+    settings = asdict(plan)
+    found = [Part(STABILITY, settings, lambda results, say: stable_step(plan, say))]
+    for name in plan.integrators:
+        found.append(
+            Part(
+                f"explicit/landscape, {name}",
+                settings,
+                lambda results, say, name=name: landscape(plan, name, results[STABILITY], say),
+            )
+        )
+    for name in ("implicit_euler", EXPLICIT):
+        for checkpoints in (False, True):
+            found.append(
+                Part(
+                    f"explicit/memory, {name}{', checkpoints' if checkpoints else ''}",
+                    settings,
+                    lambda results, say, name=name, checkpoints=checkpoints: cost(
+                        plan, name, checkpoints, results[STABILITY]
+                    ),
+                )
+            )
+    return found
+
+
+def explicit_pass(plan: Plan, num_steps: int) -> tuple[float, float]:
+    """Loss and gradient norm of the explicit integrator; infinite where it is unstable."""
+    body = cantilever("hex", plan.cells, dt=plan.duration / num_steps, integrator=EXPLICIT)
+    try:
+        run = one_pass(body, num_steps)
+    except DiffsimError:
+        return math.inf, math.inf
+    size = float(run.grad.norm())
+    return run.loss, size if math.isfinite(size) else math.inf
+
+
+def stable_step(plan: Plan, say: Callable[[str], None]) -> dict[str, Any]:
+    """Largest stable explicit step: the fewest steps whose loss and gradient are not blown up.
+
+    Blown up: more than ten times those of a step four times smaller than linear theory asks for
+    (an unstable mode grows by orders of magnitude within a few steps, so ten is not critical).
+    """
+    frequency = largest_frequency(plan)
+    linear = 2.0 / frequency
+    safe = math.ceil(plan.duration / linear * 4)
+    reference = explicit_pass(plan, safe)
+
+    def stable(num_steps: int) -> bool:
+        say(f"{num_steps} steps")
+        found = explicit_pass(plan, num_steps)
+        return all(abs(a) <= 10 * abs(b) for a, b in zip(found, reference, strict=True))
+
+    low, high = math.ceil(plan.duration / linear / 4), safe
+    while high - low > max(1, high // 100):
+        middle = (low + high) // 2
+        low, high = (low, middle) if stable(middle) else (middle, high)
+    return {
+        "num_steps": high,
+        "dt_s": plan.duration / high,
+        "dt_linear_s": linear,
+        "largest_angular_frequency_rad_s": frequency,
+        "reference_num_steps": safe,
+        "reference_loss": reference[0],
+        "reference_grad_norm": reference[1],
+    }
+
+
+def largest_frequency(plan: Plan, iterations: int = 200) -> float:
+    """Largest angular frequency about the rest shape [rad/s], by the power method."""
+    body = cantilever("hex", plan.cells)
+    free, mass = ~body.fixed, body.physics().mass[:, None]
+    x = body.x_rest.clone().requires_grad_()
+    force = body.elastic_force(x)
+    mode = torch.randn(x.shape, generator=torch.Generator().manual_seed(0), dtype=x.dtype) * free
+    squared = 0.0
+    for _ in range(iterations):
+        (product,) = torch.autograd.grad(force, x, mode, retain_graph=True)
+        mode = -product / mass * free
+        squared = float(mode.norm())
+        mode = mode / squared
+    return math.sqrt(squared)
+
+
+def landscape(
+    plan: Plan, integrator: str, stability: dict[str, Any], say: Callable[[str], None]
+) -> dict[str, Any]:
+    """Loss and gradient norm along random directions, (directions, samples).
+
+    All samples of a direction are one batch. As in the published code, every coordinate of a
+    direction is uniform in +-reach times the beam's length; held nodes stay.
+    """
+    num_steps = steps_of(plan, integrator, stability)
+    name, _, _ = integrator.partition(",")
+    body = cantilever("hex", plan.cells, dt=plan.duration / num_steps, integrator=name)
+    body.solver = options("auto", plan.rtol)
+    rng = np.random.default_rng(0)
+    alphas = torch.linspace(-1.0, 1.0, plan.samples, dtype=torch.float64)
+    losses, sizes = [], []
+    for k in range(plan.directions):
+        say(f"direction {k + 1}/{plan.directions}, {num_steps} steps")
+        direction = torch.from_numpy(rng.uniform(-1.0, 1.0, body.x_rest.shape)) * ~body.fixed
+        shift = alphas[:, None, None] * plan.reach * LENGTH * direction
+        x = (twisted(body) + shift).requires_grad_()
+        v = torch.zeros_like(x, requires_grad=True)
+        loss = weighted_loss(soft.rollout(body, soft.State(x, v), num_steps).final)
+        grads = torch.autograd.grad(loss.sum(), (x, v))
+        losses.append(loss.tolist())
+        sizes.append(torch.sqrt(sum(g.square().sum((1, 2)) for g in grads)).tolist())
+    return {
+        "integrator": integrator,
+        "dt_s": plan.duration / num_steps,
+        "num_steps": num_steps,
+        "alpha": (plan.reach * alphas).tolist(),
+        "loss": losses,
+        "grad_norm": sizes,
+        "loss_smoothness": smoothness(np.array(losses)),
+        "grad_norm_smoothness": smoothness(np.array(sizes)),
+    }
+
+
+def smoothness(values: Array) -> dict[str, float]:
+    """How rough values (directions, samples) are, relative to the value in the middle [-].
+
+    ``change_mean``, ``change_std``: of the relative change at the ends; ``roughness``: standard
+    deviation of second differences (zero for straight lines); ``roughness_of_change``: the same
+    over that of first differences, so that a steep but smooth slope counts as smooth.
+    """
+    relative = values / values[:, values.shape[1] // 2, None] - 1.0
+    first, second = np.diff(relative, axis=1), np.diff(relative, n=2, axis=1)
+    ends = relative[:, [0, -1]]
+    return {
+        "change_mean": float(ends.mean()),
+        "change_std": float(ends.std()),
+        "roughness": float(second.std()),
+        "roughness_of_change": float(second.std() / first.std()),
+    }
+
+
+def steps_of(plan: Plan, integrator: str, stability: dict[str, Any]) -> int:
+    """Steps of an integrator for the plan's duration."""
+    if integrator in (EXPLICIT, FINE):
+        return int(stability["num_steps"]) * (4 if integrator == FINE else 1)
+    return round(plan.duration / plan.dt)
+
+
+def cost(
+    plan: Plan, integrator: str, checkpoints: bool, stability: dict[str, Any]
+) -> dict[str, Any]:
+    """Time and memory of one rollout with gradient, in a process of its own."""
+    num_steps = steps_of(plan, integrator, stability)
+    settings = {
+        "cells": plan.cells,
+        "integrator": integrator,
+        "dt": plan.duration / num_steps,
+        "num_steps": num_steps,
+        "rtol": plan.rtol,
+        "checkpoint_every": math.isqrt(num_steps - 1) + 1 if checkpoints else None,
+        "seconds": plan.seconds,
+    }
+    return {**settings, **run_child(soft_worker.rollout_memory, settings, timeout=600.0)}

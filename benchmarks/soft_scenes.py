@@ -1,0 +1,147 @@
+"""The cantilever of thesis 4.1.5, its loss, and one timed forward and backward pass."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from benchmarks.harness import Seconds, timed
+from diffsim import mesh, soft
+from diffsim.errors import ConvergenceWarning
+
+LENGTH, WIDTH = 0.32, 0.08  # [m]
+MATERIAL: dict[str, Any] = {
+    "youngs_modulus": 1e6,
+    "poissons_ratio": 0.45,
+    "density": 1e3,
+    "volume_weight": "thesis",
+}
+
+
+def cantilever(
+    kind: str = "hex",
+    cells: Sequence[int] = (32, 8, 8),
+    *,
+    dt: float = 1e-2,
+    solver: soft.SolverOptions | None = None,
+    **options: Any,
+) -> soft.SoftBody:
+    """A beam of 0.32 x 0.08 x 0.08 m along x, held at x = 0; 32 x 8 x 8 cells are 8,019 DoF.
+
+    Args:
+        kind: ``hex``, or ``tet`` for six tetrahedra in every cell.
+        cells: Cells along x, y, z.
+        dt: Time step [s].
+        solver: Solver options.
+        **options: More arguments of :class:`diffsim.soft.SoftBody`, before those of MATERIAL.
+    """
+    make = {"hex": mesh.hex_box, "tet": mesh.tet_box}[kind]
+    box = make(cells, (LENGTH, WIDTH, WIDTH))
+    held = box.x_rest[:, 0] == 0
+    return soft.SoftBody(box, dt=dt, fixed=held, solver=solver, **{**MATERIAL, **options})
+
+
+def twisted(body: soft.SoftBody) -> Tensor:
+    """Rest positions turned about the beam's axis, from 0 at x = 0 to 90 degrees at the end [m]."""
+    x, y, z = body.x_rest.unbind(-1)
+    angle = (math.pi / 2) * x / LENGTH
+    y, z = y - WIDTH / 2, z - WIDTH / 2
+    return torch.stack(
+        [
+            x,
+            WIDTH / 2 + y * torch.cos(angle) - z * torch.sin(angle),
+            WIDTH / 2 + y * torch.sin(angle) + z * torch.cos(angle),
+        ],
+        dim=-1,
+    )
+
+
+def loss_weights(num_vertices: int, seed: int = 0) -> tuple[Tensor, Tensor]:
+    """Standard normal weights of positions [1/m] and velocities [s/m], (num_vertices, 3)."""
+    generator = torch.Generator().manual_seed(seed)
+    both = torch.randn(2, num_vertices, 3, generator=generator, dtype=torch.float64)
+    return both[0], both[1]
+
+
+def weighted_loss(state: soft.State) -> Tensor:
+    """Random weighted sum of final positions and velocities; one per batch item [-]."""
+    weight_x, weight_v = loss_weights(state.x.shape[-2])
+    return (state.x * weight_x + state.v * weight_v).sum((-2, -1))
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One rollout and its gradient.
+
+    Attributes:
+        loss: Of the final state [-].
+        grad: Gradient to initial positions and velocities, (2, num_vertices, 3) [1/m, s/m].
+        forward, backward: Times.
+        steps, adjoints: Statistics of the solves, in order of execution.
+    """
+
+    loss: float
+    grad: Tensor
+    forward: Seconds
+    backward: Seconds
+    steps: list[soft.SolveStats]
+    adjoints: list[soft.SolveStats]
+
+    @property
+    def total(self) -> float:
+        """Wall time of forward and backward [s]."""
+        return self.forward.wall + self.backward.wall
+
+    @property
+    def converged(self) -> bool:
+        """Every solve met its tolerance."""
+        return all(bool((s.converged == 1).all()) for s in (*self.steps, *self.adjoints))
+
+    def counts(self) -> dict[str, float]:
+        """Iterations, solves with the constant factor and factorisations, mean per step."""
+        names = ("num_iters", "num_solves", "num_factorizations")
+        return {
+            f"{kind}_{name.removeprefix('num_')}": mean([float(getattr(s, name)) for s in solves])
+            for kind, solves in (("step", self.steps), ("adjoint", self.adjoints))
+            for name in names
+        }
+
+
+def mean(values: Sequence[float]) -> float:
+    """Mean, 0 of nothing (an explicit step solves nothing)."""
+    return sum(values) / len(values) if values else 0.0
+
+
+def rollout_loss(
+    body: soft.SoftBody, num_steps: int, *, checkpoint_every: int | None = None
+) -> tuple[Tensor, tuple[Tensor, Tensor]]:
+    """Loss of a rollout from the twisted shape at rest, and the initial x and v it depends on."""
+    x = twisted(body).requires_grad_()
+    v = torch.zeros_like(x, requires_grad=True)
+    end = soft.rollout(body, soft.State(x, v), num_steps, checkpoint_every=checkpoint_every).final
+    return weighted_loss(end), (x, v)
+
+
+def one_pass(body: soft.SoftBody, num_steps: int, *, checkpoint_every: int | None = None) -> Pass:
+    """Forward and backward of ``rollout_loss``, timed."""
+    with warnings.catch_warnings(), soft.record_stats() as solves:
+        warnings.simplefilter("ignore", ConvergenceWarning)  # Pass.converged tells
+        (loss, (x, v)), forward_time = timed(
+            lambda: rollout_loss(body, num_steps, checkpoint_every=checkpoint_every)
+        )
+        _, backward_time = timed(loss.backward)
+    assert x.grad is not None and v.grad is not None
+    return Pass(
+        loss=float(loss.detach()),
+        grad=torch.stack([x.grad, v.grad]),
+        forward=forward_time,
+        backward=backward_time,
+        steps=[s for s in solves if s.kind == "step"],
+        adjoints=[s for s in solves if s.kind == "adjoint"],
+    )

@@ -1,0 +1,60 @@
+"""What the solver did: residuals, iterations, solves and factorisations, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import NamedTuple
+
+from torch import Tensor
+
+from diffsim import _ops_soft
+
+
+class SolveStats(NamedTuple):
+    """One implicit step or one adjoint solve; every tensor is (batch,) float64.
+
+    Attributes:
+        kind: ``step`` (also static equilibria) or ``adjoint``.
+        residual_norm: Norm of the last residual; step: [N], adjoint: unit of dL/dx.
+        tolerance: Norm it had to reach, same unit.
+        scale: Norm that ``rtol`` refers to, same unit.
+        num_iters: Outer iterations; adjoint: Krylov iterations.
+        num_solves: Solves with the constant factor.
+        num_factorizations: Factorisations of the tangent.
+        energy: Elastic energy at the answer [J]; adjoint: 0.
+        converged: 1 where the residual met its tolerance, else 0.
+    """
+
+    kind: str
+    residual_norm: Tensor
+    tolerance: Tensor
+    scale: Tensor
+    num_iters: Tensor
+    num_solves: Tensor
+    num_factorizations: Tensor
+    energy: Tensor
+    converged: Tensor
+
+
+@contextmanager
+def record_stats() -> Iterator[list[SolveStats]]:
+    """Collect the statistics of every solve inside the ``with`` block, in order of execution.
+
+    Steps that checkpointing computes twice are listed twice; explicit steps solve nothing.
+
+    with soft.record_stats() as solves:
+        final = body(state)
+        loss(final).backward()
+    print([s.num_iters.item() for s in solves if s.kind == "adjoint"])
+    """
+    solves: list[SolveStats] = []
+
+    def listen(kind: str, stats: Tensor) -> None:
+        solves.append(SolveStats(kind, *stats.clone().unbind(1)))
+
+    _ops_soft.listeners.append(listen)
+    try:
+        yield solves
+    finally:
+        _ops_soft.listeners.remove(listen)
