@@ -44,10 +44,9 @@ def code_fingerprint() -> str:
     """Digest of the package's Python files and its loaded binary: what results depend on."""
     digest = hashlib.sha256(Path(core.__file__).read_bytes())
     package = Path(diffsim.__file__).parent
-    for folder in ("soft", "mesh"):
-        for path in sorted((package / folder).glob("*.py")):
+    for pattern in ("soft/*.py", "mesh/*.py", "_ops_*.py", "_soft_context.py"):
+        for path in sorted(package.glob(pattern)):
             digest.update(path.read_bytes())
-    digest.update((package / "_ops_soft.py").read_bytes())
     return digest.hexdigest()[:16]
 
 

@@ -1,6 +1,7 @@
 """Soft bodies by projective dynamics, forward and backward (thesis 4.1)."""
 
 from diffsim.soft.body import SoftBody
+from diffsim.soft.forces import elastic_energy, elastic_force
 from diffsim.soft.materials import lame_parameters, pd_weights
 from diffsim.soft.muscles import Muscle
 from diffsim.soft.options import SolverOptions
@@ -9,7 +10,7 @@ from diffsim.soft.rollout import rollout
 from diffsim.soft.state import State, Trajectory
 from diffsim.soft.statics import static_equilibrium
 from diffsim.soft.stats import SolveStats, record_stats
-from diffsim.soft.step import elastic_energy, elastic_force, step
+from diffsim.soft.step import step
 
 __all__ = [
     "Muscle",

@@ -8,8 +8,9 @@ import torch
 from torch import Tensor, nn
 
 from diffsim._check import require, require_choice, require_indices, require_number
-from diffsim._ops_soft import SoftContext
+from diffsim._soft_context import SoftContext
 from diffsim.mesh import HexMesh, TetMesh, nodal_volume, shape_gradients
+from diffsim.soft.forces import elastic_energy, elastic_force
 from diffsim.soft.integrators import INTEGRATORS
 from diffsim.soft.materials import VOLUME_WEIGHTS
 from diffsim.soft.muscles import Muscle, MuscleSet
@@ -17,7 +18,7 @@ from diffsim.soft.options import SolverOptions
 from diffsim.soft.physics import Physics, make_physics
 from diffsim.soft.state import State
 from diffsim.soft.statics import static_equilibrium
-from diffsim.soft.step import elastic_energy, elastic_force, step
+from diffsim.soft.step import step
 
 _Value = float | Sequence[float] | Tensor | nn.Parameter
 _PARAMETERS = (

@@ -8,9 +8,10 @@ import torch
 from torch import Tensor
 
 from diffsim._check import require
+from diffsim.soft.inputs import check_inputs
 from diffsim.soft.physics import Physics
 from diffsim.soft.state import State
-from diffsim.soft.step import _inputs, solve
+from diffsim.soft.step import solve
 
 if TYPE_CHECKING:
     from diffsim.soft.body import SoftBody
@@ -54,7 +55,7 @@ def static_equilibrium(
         if activation.ndim + 1 > start.ndim:
             start = start.expand(*activation.shape[:-1], *start.shape[-2:])
     state = State(start, torch.zeros_like(start))
-    x, force, target, activation = _inputs(
+    x, force, target, activation = check_inputs(
         body, state, external_force, activation, dirichlet_target, physics
     )
     x = solve(

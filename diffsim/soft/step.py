@@ -1,24 +1,22 @@
-"""One time step as a function, and the elastic force and energy by themselves."""
+"""One time step as a function."""
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from diffsim import _ops_soft
-from diffsim._check import require
 from diffsim.errors import DiffsimError
+from diffsim.soft.forces import elastic_gradient
+from diffsim.soft.inputs import EMPTY, check_inputs, flat
 from diffsim.soft.integrators import EXPLICIT, Stage, finish_stage, make_stage
-from diffsim.soft.physics import Physics, require_physics
-from diffsim.soft.state import State, require_state
+from diffsim.soft.physics import Physics
+from diffsim.soft.state import State
 
 if TYPE_CHECKING:
     from diffsim.soft.body import SoftBody
-
-_EMPTY = torch.zeros(0, dtype=torch.float64)
 
 
 def step(
@@ -50,7 +48,7 @@ def step(
         ConvergenceError: the solver stopped above its tolerance (see ``body.solver.on_failure``).
     """
     physics = body.physics() if physics is None else physics
-    x, force, target, activation = _inputs(
+    x, force, target, activation = check_inputs(
         body, state, external_force, activation, dirichlet_target, physics
     )
     if body.integrator in EXPLICIT:
@@ -60,52 +58,6 @@ def step(
         target = 0.5 * (x + target)
     solution = _implicit(body, stage, state.x, force, target, activation, physics)
     return finish_stage(body.integrator, stage, state, solution, body.fixed)
-
-
-def _inputs(
-    body: SoftBody,
-    state: State,
-    external_force: Tensor | None,
-    activation: Tensor | None,
-    dirichlet_target: Tensor | None,
-    physics: Physics,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Checked and broadcast x, total force, Dirichlet target, activation."""
-    num_vertices = body.mesh.num_vertices
-    require_physics(physics, num_vertices, body.mesh.num_elements)
-    require_state(state)
-    x = require("state.x", state.x, ("...", num_vertices, 3))
-    require("state.v", state.v, tuple(x.shape))
-    for name in ("x_prev", "v_prev"):
-        value = getattr(state, name)
-        if value is not None:
-            require(f"state.{name}", value, tuple(x.shape))
-    force = physics.mass[:, None] * physics.gravity
-    if external_force is not None:
-        force = force + require("external_force", external_force, ("...", num_vertices, 3))
-    force = _broadcast("external_force", force, x.shape)
-    if dirichlet_target is None:
-        target = body.x_rest.expand(x.shape)
-    else:
-        target = require("dirichlet_target", dirichlet_target, ("...", num_vertices, 3))
-        target = _broadcast("dirichlet_target", target, x.shape)
-    count = body.muscles.num_muscles
-    if activation is None:
-        activation = body.muscles.rest_activation
-    elif not count:
-        raise ValueError("activation was given, but the body has no muscles")
-    activation = require("activation", activation, ("...", count))
-    return x, force, target, _broadcast("activation", activation, (*x.shape[:-2], count))
-
-
-def _broadcast(name: str, value: Tensor, shape: tuple[int, ...]) -> Tensor:
-    try:
-        return value.expand(shape)
-    except RuntimeError as err:
-        raise ValueError(
-            f"{name} must broadcast to {tuple(shape)}, got {tuple(value.shape)}; its leading axes "
-            "must match the state's batch axes"
-        ) from err
 
 
 def _implicit(
@@ -148,7 +100,7 @@ def solve(
     inertia: Tensor,
     activation: Tensor,
     physics: Physics,
-    damping: tuple[Tensor, Tensor] = (_EMPTY, _EMPTY),
+    damping: tuple[Tensor, Tensor] = (EMPTY, EMPTY),
     x_frame: Tensor | None = None,
     x_velocity: Tensor | None = None,
 ) -> Tensor:
@@ -161,18 +113,18 @@ def solve(
     stiffness, stretch = body.muscles.fibres(physics.fibre_stiffness, activation)
     options = body.solver
     x, _ = _ops_soft.soft_step(
-        _flat(y),
-        _flat(force),
-        _flat(target),
-        _flat(guess.detach()),
+        flat(y),
+        flat(force),
+        flat(target),
+        flat(guess.detach()),
         inertia.contiguous(),
         physics.w_mu,
         physics.w_vol,
         stiffness.contiguous(),
-        _flat(stretch, 1),
+        flat(stretch, 1),
         *(d.contiguous() for d in damping),
-        _EMPTY if x_frame is None else _flat(x_frame),
-        _EMPTY if x_velocity is None else _flat(x_velocity),
+        EMPTY if x_frame is None else flat(x_frame),
+        EMPTY if x_velocity is None else flat(x_velocity),
         body.handle,
         options.method,
         options.rtol,
@@ -186,12 +138,6 @@ def solve(
     return x.reshape(shape)
 
 
-def _flat(value: Tensor, trailing: int = 2) -> Tensor:
-    """(batch, ...) with one leading axis, contiguous."""
-    batch = math.prod(value.shape[: value.ndim - trailing])
-    return value.reshape(batch, *value.shape[value.ndim - trailing :]).contiguous()
-
-
 def _explicit_step(
     body: SoftBody,
     state: State,
@@ -202,9 +148,9 @@ def _explicit_step(
     physics: Physics,
 ) -> State:
     """Semi-implicit Euler: v1 = v + h a(x, v), x1 = x + h v1; stable for h below 2 / w_max only."""
-    elastic = _force(body, x, state.v, activation, physics)
+    gradient, _ = elastic_gradient(body, x, state.v, activation, physics)
     mass = physics.mass[:, None]
-    v = state.v + body.dt * ((elastic + force) / mass - physics.rayleigh_alpha * state.v)
+    v = state.v + body.dt * ((force - gradient) / mass - physics.rayleigh_alpha * state.v)
     v = torch.where(body.fixed, (target - x) / body.dt, v)
     x = x + body.dt * v
     if not torch.compiler.is_compiling() and not bool(torch.isfinite(x).all()):
@@ -213,89 +159,3 @@ def _explicit_step(
             "2 / largest angular frequency) or use an implicit integrator"
         )
     return State(x, v)
-
-
-def _force(
-    body: SoftBody, x: Tensor, v: Tensor | None, activation: Tensor, physics: Physics
-) -> Tensor:
-    """Elastic and, with a velocity, damping force."""
-    stiffness, stretch = body.muscles.fibres(physics.fibre_stiffness, activation)
-    damp_mu, damp_lambda, frame, x_velocity = _EMPTY, _EMPTY, _EMPTY, _EMPTY
-    if v is not None and physics.rayleigh_beta is not None:
-        damp_mu, damp_lambda = physics.damping(1.0)
-        frame, x_velocity = _flat(x), _flat(x - v)
-    gradient, _ = _ops_soft.elastic_gradient(
-        _flat(x),
-        physics.w_mu,
-        physics.w_vol,
-        stiffness.contiguous(),
-        _flat(stretch, 1),
-        damp_mu.contiguous(),
-        damp_lambda.contiguous(),
-        frame,
-        x_velocity,
-        body.handle,
-        body.solver.num_threads,
-    )
-    return -gradient.reshape(x.shape)
-
-
-def elastic_force(
-    body: SoftBody,
-    x: Tensor,
-    *,
-    activation: Tensor | None = None,
-    physics: Physics | None = None,
-) -> Tensor:
-    """Elastic and muscle force -dE/dx (thesis eq. 4.16).
-
-    Args:
-        body: The body.
-        x: Positions, (..., num_vertices, 3) [m].
-        activation: Muscle activations, broadcastable to (..., num_muscles); None: rest.
-        physics: Parameters; None: the body's own.
-
-    Returns:
-        Forces, shape of x [N]. Gradients: x, activation, physics; first order.
-    """
-    physics = body.physics() if physics is None else physics
-    x = require("x", x, ("...", body.mesh.num_vertices, 3))
-    state = State(x, torch.zeros_like(x))
-    x, _, _, activation = _inputs(body, state, None, activation, None, physics)
-    return _force(body, x, None, activation, physics)
-
-
-def elastic_energy(
-    body: SoftBody,
-    x: Tensor,
-    *,
-    activation: Tensor | None = None,
-    physics: Physics | None = None,
-) -> Tensor:
-    """Elastic and muscle energy.
-
-    Args:
-        As in :func:`elastic_force`.
-
-    Returns:
-        Energies, (...) [J]. Gradient: x only (parameters are treated as constants).
-    """
-    physics = body.physics() if physics is None else physics
-    x = require("x", x, ("...", body.mesh.num_vertices, 3))
-    state = State(x, torch.zeros_like(x))
-    x, _, _, activation = _inputs(body, state, None, activation, None, physics)
-    stiffness, stretch = body.muscles.fibres(physics.fibre_stiffness, activation)
-    _, energy = _ops_soft.elastic_gradient(
-        _flat(x),
-        physics.w_mu.detach(),
-        physics.w_vol.detach(),
-        stiffness.detach().contiguous(),
-        _flat(stretch.detach(), 1),
-        _EMPTY,
-        _EMPTY,
-        _EMPTY,
-        _EMPTY,
-        body.handle,
-        body.solver.num_threads,
-    )
-    return energy.reshape(x.shape[:-2])

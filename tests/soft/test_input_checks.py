@@ -490,12 +490,12 @@ def test_empty_batches_are_used_or_refused():
 
 def test_ops_refuse_sizes_that_kernels_would_overrun():
     """The ops are the door to compiled code: public functions check, but so do they."""
-    from diffsim import _ops_soft
+    from diffsim import _ops_elastic
 
     physics, empty = BODY.physics(), zeros(0)
     x, none = X[None].contiguous(), zeros(1, 0)
     good = [x, physics.w_mu, physics.w_vol, empty, none, empty, empty, empty, empty, BODY.handle, 1]
-    _ops_soft.elastic_gradient(*good)
+    _ops_elastic.elastic_gradient(*good)
     for k, bad in [
         (0, x[:, 1:].contiguous()),
         (1, physics.w_mu[1:]),
@@ -506,6 +506,6 @@ def test_ops_refuse_sizes_that_kernels_would_overrun():
         (7, x),
     ]:
         with pytest.raises(ValueError, match="must have shape"):
-            _ops_soft.elastic_gradient(*good[:k], bad, *good[k + 1 :])
+            _ops_elastic.elastic_gradient(*good[:k], bad, *good[k + 1 :])
     with pytest.raises(RuntimeError, match="handle 0 is gone"):
-        _ops_soft.elastic_gradient(*good[:9], 0, 1)
+        _ops_elastic.elastic_gradient(*good[:9], 0, 1)

@@ -9,7 +9,7 @@ import warnings
 import pytest
 import torch
 
-from diffsim import _ops_soft, mesh, soft
+from diffsim import _ops_soft, _soft_context, mesh, soft
 from diffsim.errors import ConvergenceError, ConvergenceWarning, DiffsimError, FactorizationError
 from tests.soft.cases import SHARP, deformed, irregular_mesh, leaf, noise, soft_body, two_muscles
 
@@ -438,8 +438,8 @@ def test_prepared_objects_die_with_their_body():
             state.x.sum().backward()
 
     gc.collect()
-    before = len(_ops_soft._contexts)
+    before = len(_soft_context.contexts)
     for backward in (False, True):
         use(backward)
         gc.collect()
-        assert len(_ops_soft._contexts) == before
+        assert len(_soft_context.contexts) == before

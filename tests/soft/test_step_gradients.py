@@ -7,7 +7,7 @@ which is 1e-6 of a difference, and third derivatives add 1e-12. Entries are of o
 import pytest
 import torch
 
-from diffsim import _ops_soft, mesh, soft
+from diffsim import _ops_elastic, _ops_soft, mesh, soft
 from tests.helpers import check_layer
 from tests.soft.cases import (
     SHARP,
@@ -72,14 +72,15 @@ def recorded_ops(monkeypatch, function, *names):
     """Runs ``function`` and returns [(op, args)] of its first call of each named op."""
     calls = {}
     for name in names:
-        op = getattr(_ops_soft, name)
+        module = _ops_elastic if name.startswith("elastic") else _ops_soft
+        op = getattr(module, name)
 
         def record(*args, _op=op, _name=name):
             keep = not _name.endswith("_vjp")  # first order only: a _vjp has no gradient
             calls.setdefault(_name, (_op, tuple(_detached(a, keep) for a in args)))
             return _op(*args)
 
-        monkeypatch.setattr(_ops_soft, name, record)
+        monkeypatch.setattr(module, name, record)
     function()
     monkeypatch.undo()
     return [calls[name] for name in names]

@@ -1,17 +1,11 @@
 // One SIMD register of doubles, as wide as this binary's instruction set has.
 #pragma once
 
-#include <cstddef>
+#include "kernels/linalg/lanes.h"
 
 namespace diffsim::simd {
 
-#if defined(__AVX512F__)
-constexpr int kLanes = 8;
-#elif defined(__AVX__)
-constexpr int kLanes = 4;
-#else
-constexpr int kLanes = 2;
-#endif
+constexpr int kLanes = kNativeLanes;
 
 typedef double Vec __attribute__((vector_size(kLanes * sizeof(double)), may_alias));
 typedef float FloatVec __attribute__((vector_size(kLanes * sizeof(float)), may_alias));
