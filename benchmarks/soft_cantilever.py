@@ -114,15 +114,8 @@ def row(runs: list[Pass], reference: dict[str, Any]) -> dict[str, Any]:
     """Times with their spread; loss and gradient against the reference."""
     grad = torch.tensor(reference["grad"], dtype=torch.float64)
     last = runs[-1]
-    found: dict[str, Any] = {
-        f"{phase}_{clock}_s": spread([getattr(getattr(run, phase), clock) for run in runs])
-        for phase in ("forward", "backward")
-        for clock in ("wall", "cpu")
-    }
-    for k, clock in enumerate(("wall", "cpu")):
-        found[f"net_{clock}_s"] = spread([run.forward[k] + run.backward[k] for run in runs])
     return {
-        **found,
+        **phase_times(runs),
         "loss": last.loss,
         "grad_norm": float(last.grad.norm()),
         "loss_error": abs(last.loss - reference["loss"]) / abs(reference["loss"]),
@@ -131,3 +124,14 @@ def row(runs: list[Pass], reference: dict[str, Any]) -> dict[str, Any]:
         "converged": last.converged,
         **last.counts(),
     }
+
+
+def phase_times(runs: list[Pass], per: int = 1) -> dict[str, dict[str, float]]:
+    """Spread of wall and CPU seconds of forward, backward and both, divided by ``per``."""
+    found = {}
+    for k, clock in enumerate(("wall", "cpu")):
+        both = [(run.forward[k] / per, run.backward[k] / per) for run in runs]
+        found[f"forward_{clock}_s"] = spread([forward for forward, _ in both])
+        found[f"backward_{clock}_s"] = spread([backward for _, backward in both])
+        found[f"net_{clock}_s"] = spread([sum(pair) for pair in both])
+    return found
