@@ -47,10 +47,10 @@ def cantilever(
     return soft.SoftBody(box, dt=dt, fixed=held, solver=solver, **{**MATERIAL, **options})
 
 
-def twisted(body: soft.SoftBody) -> Tensor:
-    """Rest positions turned about the beam's axis, from 0 at x = 0 to 90 degrees at the end [m]."""
+def twisted(body: soft.SoftBody, degrees: float = 90.0) -> Tensor:
+    """Rest positions turned about the axis, from 0 at x = 0 to ``degrees`` at the end [m]."""
     x, y, z = body.x_rest.unbind(-1)
-    angle = (math.pi / 2) * x / LENGTH
+    angle = math.radians(degrees) * x / LENGTH
     y, z = y - WIDTH / 2, z - WIDTH / 2
     return torch.stack(
         [
@@ -119,22 +119,27 @@ def mean(values: Sequence[float]) -> float:
 
 
 def rollout_loss(
-    body: soft.SoftBody, num_steps: int, *, checkpoint_every: int | None = None
+    body: soft.SoftBody, num_steps: int, *, degrees: float = 90.0, **options: Any
 ) -> tuple[Tensor, tuple[Tensor, Tensor]]:
-    """Loss of a rollout from the twisted shape at rest, and the initial x and v it depends on."""
-    x = twisted(body).requires_grad_()
+    """Loss of a rollout from the twisted shape at rest, and the initial x and v it depends on.
+
+    Args:
+        body: The beam.
+        num_steps: Number of steps.
+        degrees: Twist of the initial shape.
+        **options: More arguments of :func:`diffsim.soft.rollout`.
+    """
+    x = twisted(body, degrees).requires_grad_()
     v = torch.zeros_like(x, requires_grad=True)
-    end = soft.rollout(body, soft.State(x, v), num_steps, checkpoint_every=checkpoint_every).final
+    end = soft.rollout(body, soft.State(x, v), num_steps, **options).final
     return weighted_loss(end), (x, v)
 
 
-def one_pass(body: soft.SoftBody, num_steps: int, *, checkpoint_every: int | None = None) -> Pass:
-    """Forward and backward of ``rollout_loss``, timed."""
+def one_pass(body: soft.SoftBody, num_steps: int, **options: Any) -> Pass:
+    """Forward and backward of :func:`rollout_loss`, timed."""
     with warnings.catch_warnings(), soft.record_stats() as solves:
         warnings.simplefilter("ignore", ConvergenceWarning)  # Pass.converged tells
-        (loss, (x, v)), forward_time = timed(
-            lambda: rollout_loss(body, num_steps, checkpoint_every=checkpoint_every)
-        )
+        (loss, (x, v)), forward_time = timed(lambda: rollout_loss(body, num_steps, **options))
         _, backward_time = timed(loss.backward)
     assert x.grad is not None and v.grad is not None
     return Pass(

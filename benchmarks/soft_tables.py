@@ -149,8 +149,8 @@ def scaling(stage: dict[str, Any]) -> list[str]:
             )
         )
     lines = [
-        "Wall time per step of 10 ms from the twisted shape. Memory is the peak of forward and "
-        "backward above that of the imported package, the mesh included.",
+        "Wall time per step of 10 ms from a slightly twisted shape. Memory is the peak of forward "
+        "and backward above that of the imported package, the mesh included.",
         "",
         *table(header, rows),
     ]

@@ -36,19 +36,21 @@ def warm_up_torch() -> None:
 
 def _scaling(settings: dict[str, Any]) -> dict[str, Any]:
     start = reset_peak_memory()
-    num_steps, seconds = settings["num_steps"], settings["seconds"]
+    num_steps, seconds, degrees = (settings[k] for k in ("num_steps", "seconds", "degrees"))
     body, prepare = timed(lambda: cantilever(settings["kind"], settings["cells"]))
     still = body.physics(gravity=(0.0, 0.0, 0.0))
     with torch.no_grad():
         # A step that starts at its answer costs a factorisation where that is new, little else.
         first, second = (timed(lambda: body(body.rest_state(), physics=still))[1] for _ in "12")
     body.solver = options(settings["method"], 0.5, settings["threads"])
-    one_pass(body, 1)  # loose, not counted: the tangent's pattern is analysed when first needed
+    one_pass(
+        body, 1, degrees=degrees
+    )  # loose, not counted: the tangent's pattern is analysed when first needed
     body.solver = options(settings["method"], settings["rtol"], settings["threads"])
-    passes = [one_pass(body, num_steps)]
+    passes = [one_pass(body, num_steps, degrees=degrees)]
     peak = memory("VmHWM") - start
     while sum(p.total for p in passes) < seconds and len(passes) < 20:
-        passes.append(one_pass(body, num_steps))
+        passes.append(one_pass(body, num_steps, degrees=degrees))
     heavier = body.physics(gravity=(0.0, 0.0, 0.0), density=1001.0)
     with torch.no_grad():
         _, other = timed(lambda: body(body.rest_state(), physics=heavier))
