@@ -301,6 +301,9 @@ def explicit(stage: dict[str, Any], *, curves: int = 5) -> Figure:
             all_of_them.fill_between(
                 alpha, mean - std, mean + std, color=colour, alpha=0.22, linewidth=0
             )
+    for ax in axes.flat:
+        # Explicit gradients can grow without bound where a step is barely stable.
+        ax.set_yscale("symlog", linthresh=1.0)
     for ax in axes[1]:
         ax.set_xlabel(
             "largest change of a coordinate [% of the beam's length]", color=SOFT, fontsize=9
