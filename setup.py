@@ -68,7 +68,11 @@ def extensions() -> list[Extension]:
                 *(str(nb / part) for part in ("include", "src", "ext/robin_map/include")),
                 eigen_include(),
             ],
-            define_macros=[("DIFFSIM_MODULE", f"_core_{name}"), ("NB_COMPACT_ASSERTIONS", None)],
+            define_macros=[
+                ("DIFFSIM_MODULE", f"_core_{name}"),
+                ("NB_DOMAIN", f"diffsim_{name}"),
+                ("NB_COMPACT_ASSERTIONS", None),
+            ],
             extra_compile_args=[*flags, *arch],
             extra_link_args=["-pthread"],
             language="c++",

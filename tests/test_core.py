@@ -37,3 +37,13 @@ def test_an_old_processor_gets_the_baseline(monkeypatch):
 
 def test_each_level_contains_the_one_below():
     assert _core._NEEDS["baseline"] < _core._NEEDS["avx2"] < _core._NEEDS["avx512"]
+
+
+def test_cores_of_all_instruction_sets_share_a_process():
+    """Documentation tools import every module; a second core must not abort the interpreter."""
+    code = (
+        "import importlib; from diffsim import _core\n"
+        "for name in _core.available(): importlib.import_module(f'diffsim._core_{name}')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
