@@ -103,6 +103,11 @@ class Pass:
         """Every solve met its tolerance."""
         return all(bool((s.converged == 1).all()) for s in (*self.steps, *self.adjoints))
 
+    @property
+    def factorized(self) -> bool:
+        """Some solve factorised its tangent."""
+        return any(bool((s.num_factorizations > 0).any()) for s in (*self.steps, *self.adjoints))
+
     def counts(self) -> dict[str, float]:
         """Iterations, solves with the constant factor and factorisations, mean per step."""
         names = ("num_iters", "num_solves", "num_factorizations")

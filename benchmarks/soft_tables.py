@@ -134,6 +134,7 @@ def scaling(stage: dict[str, Any]) -> list[str]:
     for r in stage["rows"]:
         if "skipped" in r:
             skipped.append(f"- {r['kind']}, {r['num_dof']:,} DoF, {r['method']}: {r['skipped']}")
+        if "forward_wall_s" not in r:
             continue
         rows.append(
             (
@@ -150,7 +151,8 @@ def scaling(stage: dict[str, Any]) -> list[str]:
         )
     lines = [
         "Wall time per step of 10 ms from a slightly twisted shape. Memory is the peak of forward "
-        "and backward above that of the imported package, the mesh included.",
+        "and backward above that of the imported package, the mesh included. newton_pcg is "
+        "listed where auto did something else.",
         "",
         *table(header, rows),
     ]
@@ -214,11 +216,12 @@ def explicit(stage: dict[str, Any]) -> list[str]:
     ]
     cells = []
     for r in stage["landscapes"]:
-        row = [r["integrator"], f"{r['dt_s'] * 1e3:.3g}"]
+        loss = r["loss"][0][len(r["alpha"]) // 2]
+        row = [r["integrator"], f"{r['dt_s'] * 1e3:.3g}", number(r["energy_kept"]), number(loss)]
         for name in ("loss", "grad_norm"):
             m = r[f"{name}_smoothness"]
             row += [
-                f"{100 * m['change_mean']:.2f} ± {100 * m['change_std']:.2f}",
+                f"{number(100 * m['change_mean'])} ± {number(100 * m['change_std'])}",
                 number(m["roughness"]),
                 number(m["roughness_of_change"]),
             ]
@@ -226,6 +229,8 @@ def explicit(stage: dict[str, Any]) -> list[str]:
     header = (
         "integrator",
         "dt [ms]",
+        "energy kept",
+        "loss at x0",
         "loss change [%]",
         "roughness",
         "of change",
@@ -236,6 +241,7 @@ def explicit(stage: dict[str, Any]) -> list[str]:
     lines += table(header, cells)
     lines += [
         "",
+        "Energy kept: mechanical energy at the end over that at the start, 1 for the exact motion. "
         "Change: relative change at the ends of all directions, mean ± standard deviation. "
         "Roughness: standard deviation of second differences of the relative change; of change: "
         "over that of first differences.",

@@ -59,6 +59,7 @@ def _scaling(settings: dict[str, Any]) -> dict[str, Any]:
         "pass_s": spread([run.total for run in passes])["median"],
         "num_elements": body.mesh.num_elements,
         "converged": passes[-1].converged,
+        "factorized": passes[-1].factorized,
         **passes[-1].counts(),
         "prepare_mesh_s": prepare.wall,
         "analyse_and_factor_s": first.wall - second.wall,
