@@ -14,6 +14,8 @@ from torch import Tensor
 
 from diffsim._core import core
 from diffsim._soft_context import (
+    STEP_GRADIENTS,
+    STEP_INPUTS,
     context,
     gradient_buffers,
     pointers,
@@ -33,9 +35,11 @@ STATS = (
     "energy",
     "converged",
 )
+STEP_HINT = "halve dt, raise max_iters, or loosen rtol (or set atol) where rounding forbids less"
+ADJOINT_HINT = "loosen adjoint_rtol or raise max_iters"
 
 
-def _options(method: str, rtol: float, atol: float, max_iters: int) -> object:
+def step_options(method: str, rtol: float, atol: float, max_iters: int) -> object:
     options = core.StepOptions()
     options.method = getattr(core.StepMethod, method)
     options.rtol, options.atol, options.max_iters = rtol, atol, max_iters
@@ -46,12 +50,12 @@ listeners: list[Callable[[str, Tensor], None]] = []
 """Called with ("step" or "adjoint", stats) after every solve; see diffsim.soft.record_stats."""
 
 
-def _notify(kind: str, stats: Tensor) -> None:
+def notify(kind: str, stats: Tensor) -> None:
     for listen in listeners:
         listen(kind, stats)
 
 
-def _report(stats: Tensor, what: str, hint: str, on_failure: str) -> None:
+def report_failure(stats: Tensor, what: str, hint: str, on_failure: str) -> None:
     failed = stats[:, 7] == 0
     if not bool(failed.any()):
         return
@@ -69,19 +73,7 @@ def _report(stats: Tensor, what: str, hint: str, on_failure: str) -> None:
 
 @torch.library.custom_op("diffsim::soft_step", mutates_args=())
 def soft_step(
-    y: Tensor,
-    force: Tensor,
-    target: Tensor,
-    guess: Tensor,
-    inertia: Tensor,
-    w_mu: Tensor,
-    w_vol: Tensor,
-    fibre_stiffness: Tensor,
-    activation: Tensor,
-    damp_mu: Tensor,
-    damp_lambda: Tensor,
-    x_frame: Tensor,
-    x_velocity: Tensor,
+    inputs: list[Tensor],
     handle: int,
     method: str,
     rtol: float,
@@ -92,66 +84,41 @@ def soft_step(
     adjoint_rtol: float,
     adjoint_max_iters: int,
 ) -> tuple[Tensor, Tensor]:
-    """One implicit step of a batch; see csrc/kernels/soft/implicit_step.h. Returns x and stats."""
+    """One implicit step of a batch; see csrc/kernels/soft/implicit_step.h. Returns x and stats.
+
+    ``inputs`` are those of ``STEP_INPUTS``, in that order.
+    """
     ctx = context(handle)
-    inputs = {
-        "y": y,
-        "force": force,
-        "target": target,
-        "guess": guess,
-        "w_mu": w_mu,
-        "w_vol": w_vol,
-        "fibre_stiffness": fibre_stiffness,
-        "activation": activation,
-        "damp_mu": damp_mu,
-        "damp_lambda": damp_lambda,
-        "x_frame": x_frame,
-        "x_velocity": x_velocity,
-    }
-    require_sizes(ctx, y.shape[0], {**inputs, "inertia": inertia})
-    system = ctx.system(inertia, inputs, num_threads)
+    named = dict(zip(STEP_INPUTS, inputs, strict=True))
+    y = named["y"]
+    require_sizes(ctx, y.shape[0], named)
+    system = ctx.system(named, num_threads)
     x = torch.empty_like(y)
     stats = torch.zeros(y.shape[0], len(STATS), dtype=torch.float64)
     core.implicit_step(
         system,
-        pointers(**inputs),
-        _options(method, rtol, atol, max_iters),
+        pointers(**named),
+        step_options(method, rtol, atol, max_iters),
         y.shape[0],
         x.data_ptr(),
         stats.data_ptr(),
         num_threads,
     )
-    _notify("step", stats)
-    _report(
-        stats,
-        "implicit step",
-        "halve dt, raise max_iters, or loosen rtol (or set atol) where rounding forbids less",
-        on_failure,
-    )
+    notify("step", stats)
+    report_failure(stats, "implicit step", STEP_HINT, on_failure)
     return x, stats
 
 
 @soft_step.register_fake
-def _(y, *args):
-    return torch.empty_like(y), y.new_empty(y.shape[0], len(STATS))
+def _(inputs, *args):
+    return torch.empty_like(inputs[0]), inputs[0].new_empty(inputs[0].shape[0], len(STATS))
 
 
 @torch.library.custom_op("diffsim::soft_step_vjp", mutates_args=())
 def soft_step_vjp(
     grad_x: Tensor,
     x: Tensor,
-    y: Tensor,
-    force: Tensor,
-    target: Tensor,
-    inertia: Tensor,
-    w_mu: Tensor,
-    w_vol: Tensor,
-    fibre_stiffness: Tensor,
-    activation: Tensor,
-    damp_mu: Tensor,
-    damp_lambda: Tensor,
-    x_frame: Tensor,
-    x_velocity: Tensor,
+    inputs: list[Tensor],
     handle: int,
     method: str,
     rtol: float,
@@ -159,31 +126,19 @@ def soft_step_vjp(
     num_threads: int,
     on_failure: str,
 ) -> list[Tensor]:
-    """Adjoint of :func:`soft_step`; gradients in the order of ``_GRADIENTS``, then stats."""
+    """Adjoint of :func:`soft_step`; gradients of ``STEP_GRADIENTS`` in order, then stats."""
     ctx = context(handle)
-    inputs = {
-        "y": y,
-        "force": force,
-        "target": target,
-        "w_mu": w_mu,
-        "w_vol": w_vol,
-        "fibre_stiffness": fibre_stiffness,
-        "activation": activation,
-        "damp_mu": damp_mu,
-        "damp_lambda": damp_lambda,
-        "x_frame": x_frame,
-        "x_velocity": x_velocity,
-    }
-    batch = y.shape[0]
+    named = dict(zip(STEP_INPUTS, inputs, strict=True))
+    batch = x.shape[0]
     grad_x = grad_x.contiguous()
-    require_sizes(ctx, batch, {**inputs, "inertia": inertia, "x": x, "grad_x": grad_x})
-    system = ctx.system(inertia, inputs, num_threads)
-    grads = gradient_buffers({**inputs, "inertia": inertia}, batch)
+    require_sizes(ctx, batch, {**named, "x": x, "grad_x": grad_x})
+    system = ctx.system(named, num_threads)
+    grads = gradient_buffers(named, STEP_GRADIENTS, batch)
     stats = torch.zeros(batch, len(STATS), dtype=torch.float64)
     core.implicit_step_adjoint(
         system,
-        pointers(**inputs),
-        _options(method, rtol, 0.0, max_iters),
+        pointers(**named),
+        step_options(method, rtol, 0.0, max_iters),
         batch,
         x.data_ptr(),
         grad_x.data_ptr(),
@@ -191,45 +146,35 @@ def soft_step_vjp(
         stats.data_ptr(),
         num_threads,
     )
-    _notify("adjoint", stats)
-    _report(stats, "adjoint solve", "loosen adjoint_rtol or raise max_iters", on_failure)
+    notify("adjoint", stats)
+    report_failure(stats, "adjoint solve", ADJOINT_HINT, on_failure)
     return [*sum_shared(grads), stats]
 
 
 @soft_step_vjp.register_fake
-def _(grad_x, x, y, force, target, inertia, w_mu, w_vol, fs, act, dm, dl, xf, xv, *args):
-    like = [y, force, target, inertia, w_mu, w_vol, fs, act, dm, dl, xf, xv]
-    return [*(torch.empty_like(t) for t in like), y.new_empty(y.shape[0], len(STATS))]
+def _(grad_x, x, inputs, *args):
+    like = [t for name, t in zip(STEP_INPUTS, inputs, strict=True) if name in STEP_GRADIENTS]
+    return [*(torch.empty_like(t) for t in like), x.new_empty(x.shape[0], len(STATS))]
 
 
 def _step_setup(ctx, inputs, output):
-    y, force, target, _guess, inertia, *rest = inputs
-    ctx.save_for_backward(output[0], y, force, target, inertia, *rest[:8])
-    ctx.handle, ctx.method, *_, ctx.num_threads, ctx.on_failure, ctx.rtol, ctx.max_iters = rest[8:]
+    tensors, ctx.handle, ctx.method, *_, ctx.num_threads, ctx.on_failure, ctx.rtol, ctx.iters = (
+        inputs
+    )
+    ctx.save_for_backward(output[0], *tensors)
     ctx.owner = context(ctx.handle)  # the graph keeps the prepared solver, if its body is deleted
     ctx.mark_non_differentiable(output[1])
 
 
 def _step_backward(ctx, grad_x, _grad_stats):
     # H z = dL/dx, then dL/dp = -z . d(grad g)/dp (thesis eqs. 4.9, 4.10): one solve for all inputs.
-    x, y, force, target, inertia, *rest = ctx.saved_tensors
+    x, *tensors = ctx.saved_tensors
     *grads, _stats = soft_step_vjp(
-        grad_x,
-        x,
-        y,
-        force,
-        target,
-        inertia,
-        *rest,
-        ctx.handle,
-        ctx.method,
-        ctx.rtol,
-        ctx.max_iters,
-        ctx.num_threads,
+        grad_x, x, tensors, ctx.handle, ctx.method, ctx.rtol, ctx.iters, ctx.num_threads,
         ctx.on_failure,
-    )
-    g_y, g_force, g_target, *others = grads
-    return g_y, g_force, g_target, None, *others, *([None] * 9)
+    )  # fmt: skip
+    named = dict(zip(STEP_GRADIENTS, grads, strict=True))
+    return [named.get(name) for name in STEP_INPUTS], *([None] * 9)
 
 
 soft_step.register_autograd(_step_backward, setup_context=_step_setup)

@@ -18,6 +18,21 @@ from diffsim._core import core
 from diffsim.errors import FactorizationError
 
 _CACHED_SYSTEMS = 4
+# Parameters of the elastic energy, as both soft ops take them.
+ENERGY_INPUTS = (
+    "w_mu",
+    "w_vol",
+    "fibre_stiffness",
+    "activation",
+    "damp_mu",
+    "damp_lambda",
+    "x_frame",
+    "x_velocity",
+)
+STEP_INPUTS = ("y", "force", "target", "guess", "inertia", *ENERGY_INPUTS)
+STEP_GRADIENTS = tuple(name for name in STEP_INPUTS if name != "guess")
+# Inputs without a batch axis.
+_SHARED = ("inertia", "w_mu", "w_vol", "fibre_stiffness", "damp_mu", "damp_lambda")
 _handles = itertools.count(1)
 contexts: weakref.WeakValueDictionary[int, SoftContext] = weakref.WeakValueDictionary()
 
@@ -65,9 +80,9 @@ class SoftContext:
         self._lock = threading.Lock()
         contexts[self.handle] = self
 
-    def system(self, inertia: Tensor, parameters: dict[str, Tensor], num_threads: int) -> object:
-        """The constant system of these inertias and parameters, from the cache if all are equal."""
-        key = (inertia, *(parameters[name] for name in _SYSTEM_PARAMETERS))
+    def system(self, inputs: dict[str, Tensor], num_threads: int) -> object:
+        """The constant system of these inputs, from the cache where all it depends on is equal."""
+        key = (inputs["inertia"], *(inputs[name] for name in _SYSTEM_PARAMETERS))
         with self._lock:
             for known in self._systems:
                 if all(torch.equal(a, b) for a, b in zip(known, key, strict=True)):
@@ -157,34 +172,20 @@ def pointers(**tensors: Tensor) -> object:
     return arrays
 
 
-# Inputs with a gradient, and whether they are shared by the batch.
-_GRADIENTS = {
-    "y": False,
-    "force": False,
-    "target": False,
-    "inertia": True,
-    "w_mu": True,
-    "w_vol": True,
-    "fibre_stiffness": True,
-    "activation": False,
-    "damp_mu": True,
-    "damp_lambda": True,
-    "x_frame": False,
-    "x_velocity": False,
-}
-
-
-def gradient_buffers(inputs: dict[str, Tensor], batch: int) -> dict[str, Tensor]:
+def gradient_buffers(
+    inputs: dict[str, Tensor], names: tuple[str, ...], batch: int
+) -> dict[str, Tensor]:
     """Zeroed outputs; those of shared parameters get a batch axis, summed afterwards in order."""
     return {
-        name: inputs[name].new_zeros((batch, *inputs[name].shape) if shared else inputs[name].shape)
-        for name, shared in _GRADIENTS.items()
-        if name in inputs
+        name: inputs[name].new_zeros(
+            (batch, *inputs[name].shape) if name in _SHARED else inputs[name].shape
+        )
+        for name in names
     }
 
 
 def sum_shared(grads: dict[str, Tensor]) -> list[Tensor]:
     return [
-        (g[0].clone() if g.shape[0] == 1 else g.sum(0)) if _GRADIENTS[name] else g
+        (g[0].clone() if g.shape[0] == 1 else g.sum(0)) if name in _SHARED else g
         for name, g in grads.items()
     ]

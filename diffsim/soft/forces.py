@@ -32,14 +32,16 @@ def elastic_gradient(
         frame, x_velocity = flat(x), flat(x - v)
     gradient, energy = _ops_elastic.elastic_gradient(
         flat(x),
-        physics.w_mu,
-        physics.w_vol,
-        stiffness.contiguous(),
-        flat(stretch, 1),
-        damp_mu.contiguous(),
-        damp_lambda.contiguous(),
-        frame,
-        x_velocity,
+        [
+            physics.w_mu,
+            physics.w_vol,
+            stiffness.contiguous(),
+            flat(stretch, 1),
+            damp_mu.contiguous(),
+            damp_lambda.contiguous(),
+            frame,
+            x_velocity,
+        ],
         body.handle,
         body.solver.num_threads,
     )

@@ -112,7 +112,7 @@ def solve(
     shape = y.shape
     stiffness, stretch = body.muscles.fibres(physics.fibre_stiffness, activation)
     options = body.solver
-    x, _ = _ops_soft.soft_step(
+    inputs = [
         flat(y),
         flat(force),
         flat(target),
@@ -125,6 +125,9 @@ def solve(
         *(d.contiguous() for d in damping),
         EMPTY if x_frame is None else flat(x_frame),
         EMPTY if x_velocity is None else flat(x_velocity),
+    ]
+    x, _ = _ops_soft.soft_step(
+        inputs,
         body.handle,
         options.method,
         options.rtol,

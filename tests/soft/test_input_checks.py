@@ -494,18 +494,20 @@ def test_ops_refuse_sizes_that_kernels_would_overrun():
 
     physics, empty = BODY.physics(), zeros(0)
     x, none = X[None].contiguous(), zeros(1, 0)
-    good = [x, physics.w_mu, physics.w_vol, empty, none, empty, empty, empty, empty, BODY.handle, 1]
-    _ops_elastic.elastic_gradient(*good)
+    good = [physics.w_mu, physics.w_vol, empty, none, empty, empty, empty, empty]
+    _ops_elastic.elastic_gradient(x, good, BODY.handle, 1)
+    with pytest.raises(ValueError, match="must have shape"):
+        _ops_elastic.elastic_gradient(x[:, 1:].contiguous(), good, BODY.handle, 1)
     for k, bad in [
-        (0, x[:, 1:].contiguous()),
-        (1, physics.w_mu[1:]),
-        (2, zeros(ELEMENTS + 1)),
-        (3, zeros(1)),
-        (4, zeros(1, 3)),
-        (5, zeros(1)),
-        (7, x),
+        (0, physics.w_mu[1:]),
+        (1, zeros(ELEMENTS + 1)),
+        (2, zeros(1)),
+        (3, zeros(1, 3)),
+        (4, zeros(1)),
+        (6, x),
     ]:
         with pytest.raises(ValueError, match="must have shape"):
-            _ops_elastic.elastic_gradient(*good[:k], bad, *good[k + 1 :])
+            inputs = [*good[:k], bad, *good[k + 1 :]]
+            _ops_elastic.elastic_gradient(x, inputs, BODY.handle, 1)
     with pytest.raises(RuntimeError, match="handle 0 is gone"):
-        _ops_elastic.elastic_gradient(*good[:9], 0, 1)
+        _ops_elastic.elastic_gradient(x, good, 0, 1)

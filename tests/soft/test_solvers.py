@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from diffsim import _ops_soft, _soft_context, mesh, soft
+from diffsim._soft_context import STEP_GRADIENTS, STEP_INPUTS
 from diffsim.errors import ConvergenceError, ConvergenceWarning, DiffsimError, FactorizationError
 from tests.soft.cases import SHARP, deformed, irregular_mesh, leaf, noise, soft_body, two_muscles
 
@@ -275,29 +276,14 @@ def test_the_adjoint_at_an_indefinite_point_solves_its_system_or_raises(method, 
     b = noise(1, *x.shape)
     empty = torch.zeros(0, dtype=torch.float64)
     zeros = torch.zeros_like(b)
+    inputs = {"y": zeros, "force": zeros, "target": zeros, "guess": zeros, "inertia": inertia}
+    inputs |= {"w_mu": physics.w_mu, "w_vol": physics.w_vol}
+    inputs["activation"] = torch.zeros(1, 0, dtype=torch.float64)
+    values = [inputs.get(name, empty) for name in STEP_INPUTS]
     grads = _ops_soft.soft_step_vjp(
-        b,
-        x[None],
-        zeros,
-        zeros,
-        zeros,
-        inertia,
-        physics.w_mu,
-        physics.w_vol,
-        empty,
-        torch.zeros(1, 0, dtype=torch.float64),
-        empty,
-        empty,
-        empty,
-        empty,
-        body.handle,
-        method,
-        1e-10,
-        2000,
-        1,
-        "raise",
+        b, x[None], values, body.handle, method, 1e-10, 2000, 1, "raise"
     )
-    z = grads[1].flatten()
+    z = grads[STEP_GRADIENTS.index("force")].flatten()
     expected = torch.linalg.solve(block, b.flatten()[free])
     # 1e-10 of |b| over the smallest eigenvalue.
     smallest = float(eigenvalues.abs().min())

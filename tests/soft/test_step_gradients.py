@@ -87,6 +87,8 @@ def recorded_ops(monkeypatch, function, *names):
 
 
 def _detached(value, keep_grad):
+    if isinstance(value, list):
+        return [_detached(v, keep_grad) for v in value]
     if not torch.is_tensor(value):
         return value
     return value.detach().requires_grad_(keep_grad and value.requires_grad)
