@@ -34,6 +34,10 @@ STATS = (
     "num_factorizations",
     "energy",
     "converged",
+    "num_contacts",
+    "num_slipping",
+    "num_set_changes",
+    "num_cycles",
 )
 STEP_HINT = "halve dt, raise max_iters, or loosen rtol (or set atol) where rounding forbids less"
 ADJOINT_HINT = "loosen adjoint_rtol or raise max_iters"

@@ -14,6 +14,7 @@ namespace nb = nanobind;
 using Address = std::uintptr_t;
 
 void bind_cholesky(nb::module_& m);
+void bind_contact(nb::module_& m);
 void bind_cpu(nb::module_& m);
 void bind_soft(nb::module_& m);
 void bind_svd(nb::module_& m);

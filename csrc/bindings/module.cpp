@@ -10,6 +10,7 @@ DIFFSIM_EXPAND(DIFFSIM_MODULE, m) {
   // prepared objects that outlive their body.
   nanobind::set_leak_warnings(false);
   diffsim::bind_cholesky(m);
+  diffsim::bind_contact(m);
   diffsim::bind_cpu(m);
   diffsim::bind_soft(m);
   diffsim::bind_svd(m);

@@ -2,39 +2,11 @@
 #include <nanobind/stl/shared_ptr.h>
 
 #include "bindings/bindings.h"
+#include "bindings/soft_arrays.h"
 #include "kernels/soft/elastic_force.h"
 
 namespace diffsim {
 namespace {
-
-/// Addresses that Python fills by name; zero means absent.
-struct SoftArrays {
-  Address w_mu = 0, w_vol = 0, fibre_stiffness = 0, activation = 0, damp_mu = 0, damp_lambda = 0;
-  Address y = 0, force = 0, target = 0, guess = 0, inertia = 0, x_frame = 0, x_velocity = 0;
-
-  StepInputs inputs() const {
-    StepInputs in;
-    in.parameters = {diffsim::in(w_mu),       diffsim::in(w_vol),   diffsim::in(fibre_stiffness),
-                     diffsim::in(activation), diffsim::in(damp_mu), diffsim::in(damp_lambda)};
-    in.y = diffsim::in(y);
-    in.force = diffsim::in(force);
-    in.target = diffsim::in(target);
-    in.guess = diffsim::in(guess);
-    in.x_frame = diffsim::in(x_frame);
-    in.x_velocity = diffsim::in(x_velocity);
-    return in;
-  }
-  StepAdjoint adjoint() const {
-    StepAdjoint grads;
-    grads.y = out(y);
-    grads.force = out(force);
-    grads.target = out(target);
-    grads.inertia = out(inertia);
-    grads.parameters = {out(w_mu),    out(w_vol),       out(fibre_stiffness), out(activation),
-                        out(damp_mu), out(damp_lambda), out(x_frame),         out(x_velocity)};
-    return grads;
-  }
-};
 
 void bind_arrays(nb::module_& m) {
   nb::class_<SoftArrays>(m, "SoftArrays")
@@ -134,8 +106,8 @@ void bind_soft(nb::module_& m) {
   bind_arrays(m);
   bind_prepared(m);
 
-  static_assert(sizeof(StepStats) == 8 * sizeof(double),
-                "Python reads stats as (batch, 8) doubles");
+  static_assert(sizeof(StepStats) == 12 * sizeof(double),
+                "Python reads stats as (batch, 12) doubles");
   m.def("implicit_step",
         [](const ConstantSystem& system, const SoftArrays& arrays, const StepOptions& options,
            std::int64_t batch, Address x, Address stats, int num_threads) {

@@ -24,6 +24,10 @@ class SolveStats(NamedTuple):
         num_factorizations: Factorisations of the tangent.
         energy: Elastic energy at the answer [J]; adjoint: 0.
         converged: 1 where the residual met its tolerance, else 0.
+        num_contacts: Nodes in contact at the answer; 0 without obstacles, as the following.
+        num_slipping: How many of these slip.
+        num_set_changes: Iterations that changed the status of a contact.
+        num_cycles: Times that the statuses came round again and were resolved.
     """
 
     kind: str
@@ -35,6 +39,10 @@ class SolveStats(NamedTuple):
     num_factorizations: Tensor
     energy: Tensor
     converged: Tensor
+    num_contacts: Tensor
+    num_slipping: Tensor
+    num_set_changes: Tensor
+    num_cycles: Tensor
 
 
 @contextmanager

@@ -125,4 +125,80 @@ KrylovResult minres(Apply&& apply, Precondition&& precondition, const Vector& b,
   return result;
 }
 
+/// Restarted GMRES (Saad and Schultz 1986), preconditioned from the right, for any A; starts from
+/// zero. The residual norm is that of b - A x itself.
+template <typename Apply, typename Precondition>
+KrylovResult gmres(Apply&& apply, Precondition&& precondition, const Vector& b, Vector& x,
+                   double tolerance, int max_iters, VectorOps& ops) {
+  constexpr int kRestart = 60;
+  const std::size_t n = b.size();
+  KrylovResult result;
+  x.assign(n, 0.0);
+  Vector r = b, z(n), combined(n);
+  std::vector<Vector> basis(1, r);
+  std::vector<double> H(kRestart * (kRestart + 1)), cs(kRestart), sn(kRestart), g(kRestart + 1);
+  const auto h = [&](int i, int j) -> double& {
+    return H[static_cast<std::size_t>(j * (kRestart + 1) + i)];
+  };
+  while (true) {
+    const double beta = ops.norm(r);
+    result.residual_norm = beta;
+    result.converged = beta <= tolerance;
+    if (result.converged || result.num_iters >= max_iters || !std::isfinite(beta)) return result;
+    basis[0] = r;
+    for (double& v : basis[0]) v /= beta;
+    std::fill(g.begin(), g.end(), 0.0);
+    g[0] = beta;
+    int k = 0;
+    for (; k < kRestart && result.num_iters < max_iters; ++k) {
+      const std::size_t j = static_cast<std::size_t>(k);
+      precondition(basis[j], z);
+      if (basis.size() == j + 1) basis.emplace_back(n);
+      apply(z, basis[j + 1]);
+      Vector& w = basis[j + 1];
+      for (int i = 0; i <= k; ++i) {
+        h(i, k) = ops.dot(basis[static_cast<std::size_t>(i)], w);
+        ops.add(-h(i, k), basis[static_cast<std::size_t>(i)], w);
+      }
+      const double next = ops.norm(w);
+      for (int i = 0; i < k; ++i) {  // the earlier rotations
+        const std::size_t u = static_cast<std::size_t>(i);
+        const double a = h(i, k), c = h(i + 1, k);
+        h(i, k) = cs[u] * a + sn[u] * c;
+        h(i + 1, k) = cs[u] * c - sn[u] * a;
+      }
+      const double length = std::max(std::hypot(h(k, k), next), std::numeric_limits<double>::min());
+      cs[j] = h(k, k) / length;
+      sn[j] = next / length;
+      h(k, k) = length;
+      g[j + 1] = -sn[j] * g[j];
+      g[j] *= cs[j];
+      ++result.num_iters;
+      if (std::abs(g[j + 1]) <= 0.5 * tolerance || next <= 1e-15 * beta) {
+        ++k;
+        break;
+      }
+      for (double& v : w) v /= next;
+    }
+    for (int i = k - 1; i >= 0; --i) {  // back substitution
+      double& v = g[static_cast<std::size_t>(i)];
+      for (int j = i + 1; j < k; ++j) v -= h(i, j) * g[static_cast<std::size_t>(j)];
+      v /= h(i, i);
+    }
+    std::fill(combined.begin(), combined.end(), 0.0);
+    for (int i = 0; i < k; ++i)
+      ops.add(g[static_cast<std::size_t>(i)], basis[static_cast<std::size_t>(i)], combined);
+    precondition(combined, z);
+    ops.add(1.0, z, x);
+    apply(x, r);
+    for (std::size_t i = 0; i < n; ++i) r[i] = b[i] - r[i];
+    // A restart that gains nothing will gain nothing next time either.
+    if (k == 0 || ops.norm(r) > 0.999 * beta) {
+      result.residual_norm = ops.norm(r);
+      result.converged = result.residual_norm <= tolerance;
+      return result;
+    }
+  }
+}
+
 }  // namespace diffsim

@@ -99,7 +99,8 @@ ConstantSystem::ConstantSystem(std::shared_ptr<const SoftPattern> pattern,
                                const ConstantSystemInputs& inputs, ThreadPool& pool)
     : pattern_(std::move(pattern)),
       fixed_(inputs.fixed, inputs.fixed + 3 * model().num_nodes),
-      inertia_(inputs.inertia, inputs.inertia + model().num_nodes) {
+      inertia_(inputs.inertia, inputs.inertia + model().num_nodes),
+      inverse_columns_(*this) {
   const Vector values = scalar_matrix(model(), inputs);
   for (Index d : model().diagonal) diagonal_.push_back(values[at(d)]);
   for (int axis = 0; axis < 3; ++axis) {
@@ -121,6 +122,13 @@ std::int64_t ConstantSystem::factor_bytes() const {
   std::int64_t bytes = 0;
   for (const AxisFactor& f : factors_) bytes += f.factor.bytes();
   return bytes;
+}
+
+int ConstantSystem::factor_of_axis(int axis) const {
+  for (std::size_t f = 0; f < factors_.size(); ++f)
+    for (int a : factors_[f].axes)
+      if (a == axis) return static_cast<int>(f);
+  return 0;
 }
 
 void ConstantSystem::solve(const Vector& r, Vector& z, Scratch& scratch, ThreadPool& pool) const {

@@ -9,6 +9,7 @@
 #include <mutex>
 
 #include "kernels/linalg/cholesky.h"
+#include "kernels/soft/inverse_columns.h"
 #include "kernels/soft/soft_model.h"
 #include "kernels/soft/solver_plan.h"
 #include "kernels/vector_ops.h"
@@ -64,6 +65,12 @@ class ConstantSystem {
   /// z = A^-1 r on free unknowns, zero on fixed ones; r is (num_nodes, 3), zero on fixed ones.
   void solve(const Vector& r, Vector& z, Scratch& scratch, ThreadPool& pool) const;
 
+  /// Scalar factors: axes with equal Dirichlet sets share one.
+  int num_factors() const { return static_cast<int>(factors_.size()); }
+  const CholeskyFactor& factor(int f) const { return factors_[static_cast<std::size_t>(f)].factor; }
+  int factor_of_axis(int axis) const;
+  InverseColumns& inverse_columns() const { return inverse_columns_; }
+
  private:
   struct AxisFactor {
     std::vector<int> axes;
@@ -74,6 +81,7 @@ class ConstantSystem {
   Vector inertia_, diagonal_;
   std::vector<AxisFactor> factors_;
   SolverPlan plan_;
+  mutable InverseColumns inverse_columns_;
 };
 
 }  // namespace diffsim

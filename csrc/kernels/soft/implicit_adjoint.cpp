@@ -86,12 +86,22 @@ StepStats implicit_step_adjoint(const ConstantSystem& system, const StepInputs& 
   stats.num_solves = problem.num_solves;
   stats.num_factorizations = problem.num_factorizations;
 
+  // What is left at fixed unknowns: dL/dx - H z.
   problem.multiply_all(z, reaction);
+  Vector e(grad_x, grad_x + size);
+  problem.ops().add(-1.0, reaction, e);
+  step_input_gradients(system, inputs, x, z, e, out, pool);
+  return stats;
+}
+
+void step_input_gradients(const ConstantSystem& system, const StepInputs& inputs, const Vector& x,
+                          const Vector& z, const Vector& e, const StepAdjoint& out,
+                          ThreadPool& pool) {
   const double* inertia = system.inertia();
-  for (std::size_t i = 0; i < size; ++i) {
+  for (std::size_t i = 0; i < x.size(); ++i) {
     out.y[i] = inertia[i / 3] * z[i];
     out.force[i] = z[i];
-    out.target[i] = system.fixed()[i] ? grad_x[i] - reaction[i] : 0.0;
+    out.target[i] = system.fixed()[i] ? e[i] : 0.0;
     if (i % 3 == 0) out.inertia[i / 3] = 0.0;
     out.inertia[i / 3] -= z[i] * (x[i] - inputs.y[i]);
   }
@@ -119,7 +129,6 @@ StepStats implicit_step_adjoint(const ConstantSystem& system, const StepInputs& 
     negate(p.x_frame, 3 * system.model().num_nodes);
     negate(p.x_velocity, 3 * system.model().num_nodes);
   }
-  return stats;
 }
 
 }  // namespace diffsim

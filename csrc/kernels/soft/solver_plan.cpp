@@ -15,12 +15,6 @@ constexpr double kFlopsPerSecond = 6e10 * kNativeBytes / 64.0;
 constexpr double kMaxFactorBytes = 4e9;
 constexpr int kMaxProbe = 400;
 
-double streaming_cost(double bytes) {
-  return bytes / (bytes < kCacheBytes ? kCacheBytesPerSecond : kMemoryBytesPerSecond);
-}
-
-double decades(double rtol) { return std::max(1.0, -std::log10(rtol)); }
-
 /// Iterations to 1e-2 at rest, for a smooth right-hand side.
 int probe(const ConstantSystem& system, const SoftParameters& parameters, int limit,
           ThreadPool& pool) {
@@ -60,6 +54,14 @@ int probe(const ConstantSystem& system, const SoftParameters& parameters, int li
 
 }  // namespace
 
+double streaming_cost(double bytes) {
+  return bytes / (bytes < kCacheBytes ? kCacheBytesPerSecond : kMemoryBytesPerSecond);
+}
+
+double flop_cost(double flops) { return flops / kFlopsPerSecond; }
+
+double decades(double rtol) { return std::max(1.0, -std::log10(rtol)); }
+
 bool SolverPlan::factorize_step(double rtol) const {
   const double total = 0.5 * iterations * decades(rtol);  // over all Newton iterations of a step
   return total * constant_cost > factorize_cost + 12.0 * tangent_cost;
@@ -89,7 +91,7 @@ SolverPlan make_solver_plan(const ConstantSystem& system, const SoftParameters& 
   plan.factorize_cost =
       static_cast<double>(tangent.bytes()) > kMaxFactorBytes
           ? std::numeric_limits<double>::infinity()
-          : tangent.flops() / kFlopsPerSecond + 2.0 * streaming_cost(matrix_bytes);
+          : flop_cost(tangent.flops()) + 2.0 * streaming_cost(matrix_bytes);
   const int limit = static_cast<int>(
       std::min<double>(kMaxProbe, std::max(20.0, plan.factorize_cost / plan.constant_cost)));
   plan.iterations = probe(system, parameters, limit, pool);

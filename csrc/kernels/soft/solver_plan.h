@@ -28,6 +28,12 @@ struct SolverPlan {
   int refactor_after() const;
 };
 
+/// Modelled seconds to stream bytes, and to do arithmetic in blocked kernels.
+double streaming_cost(double bytes);
+double flop_cost(double flops);
+/// Decimal digits that a relative tolerance asks for, at least one.
+double decades(double rtol);
+
 /// @param[in] parameters  the system's; activation is ignored (fibres at rest)
 SolverPlan make_solver_plan(const ConstantSystem& system, const SoftParameters& parameters,
                             ThreadPool& pool);

@@ -1,29 +1,7 @@
+#include "kernels/soft/batch.h"
 #include "kernels/soft/implicit_step.h"
 
 namespace diffsim {
-namespace {
-
-template <typename T>
-T* offset(T* base, std::int64_t k, std::int64_t stride) {
-  return base ? base + k * stride : nullptr;
-}
-
-/// One item gets all threads inside the step; several are dealt out, one thread each.
-template <typename F>
-void for_batch(std::int64_t batch, int num_threads, F&& f) {
-  ThreadPool pool(num_threads);
-  if (batch == 1) {
-    f(0, pool);
-    return;
-  }
-  pool.run(batch, [&](std::int64_t k) {
-    ThreadPool alone(1);
-    f(k, alone);
-  });
-}
-
-}  // namespace
-
 StepInputs batch_item(const StepInputs& in, const SoftModel& model, std::int64_t k) {
   const std::int64_t size = 3 * model.num_nodes;
   StepInputs item = in;

@@ -113,7 +113,7 @@ void StepProblem::solve_jacobi(const Vector& r, Vector& z) const {
   }
 }
 
-bool StepProblem::factorize() {
+bool StepProblem::factorize(const std::function<void(double*)>& edit) {
   const SoftModel& model = system_.model();
   blocks_.resize(at(9 * model.num_blocks()));
   double diagonal = 0.0;
@@ -121,6 +121,7 @@ bool StepProblem::factorize() {
   for (std::int64_t i = 0; i < model.num_nodes; ++i) diagonal += diagonal_block(i)[0];
   export_blocks(model, values_.data(), system_.inertia(), system_.fixed(),
                 diagonal / static_cast<double>(model.num_nodes), blocks_.data(), pool_);
+  if (edit) edit(blocks_.data());
   if (factor_.empty()) factor_.emplace_back(system_.pattern().blocks());
   ++num_factorizations;
   try {

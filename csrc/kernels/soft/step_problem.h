@@ -2,6 +2,8 @@
 // them.
 #pragma once
 
+#include <functional>
+
 #include "kernels/linalg/krylov.h"
 #include "kernels/soft/block_matrix.h"
 #include "kernels/soft/implicit_step.h"
@@ -36,7 +38,8 @@ class StepProblem {
   /// z = (3x3 diagonal blocks of H)^-1 r.
   void solve_jacobi(const Vector& r, Vector& z) const;
   /// Factorises H; false where it is not positive definite.
-  bool factorize();
+  /// @param[in] edit  changes the (num_blocks, 3, 3) blocks first, if not empty
+  bool factorize(const std::function<void(double*)>& edit = {});
   void solve_factorized(const Vector& r, Vector& z);
 
   int num_solves = 0;

@@ -1,0 +1,61 @@
+// Contact: the implicit step with non-penetration and Coulomb friction, and its adjoint.
+#include "kernels/contact/contact_step.h"
+
+#include <nanobind/stl/shared_ptr.h>
+
+#include "bindings/bindings.h"
+#include "bindings/soft_arrays.h"
+
+namespace diffsim {
+namespace {
+
+/// Addresses that Python fills by name; zero means absent.
+struct ContactArrays {
+  std::int64_t num_contacts = 0;
+  Address node = 0, normal = 0, reference = 0, offset = 0, friction = 0, force_guess = 0;
+
+  ContactInputs inputs() const {
+    return {num_contacts,      in_index(node),         in(normal),         in(reference),
+            diffsim::in(offset), diffsim::in(friction), in(force_guess)};
+  }
+  ContactAdjoint adjoint() const {
+    return {out(normal), out(reference), out(offset), out(friction)};
+  }
+};
+
+}  // namespace
+
+void bind_contact(nb::module_& m) {
+  nb::class_<ContactArrays>(m, "ContactArrays")
+      .def(nb::init<>())
+      .def_rw("num_contacts", &ContactArrays::num_contacts)
+      .def_rw("node", &ContactArrays::node)
+      .def_rw("normal", &ContactArrays::normal)
+      .def_rw("reference", &ContactArrays::reference)
+      .def_rw("offset", &ContactArrays::offset)
+      .def_rw("friction", &ContactArrays::friction)
+      .def_rw("force_guess", &ContactArrays::force_guess);
+
+  m.def("contact_step", [](const ConstantSystem& system, const SoftArrays& arrays,
+                           const ContactArrays& contacts, const StepOptions& options,
+                           bool cache_columns, std::int64_t batch, Address x, Address force,
+                           Address status, Address stats, int num_threads) {
+    nb::gil_scoped_release release;
+    contact_step_batch(system, arrays.inputs(), contacts.inputs(), options, {cache_columns}, batch,
+                       out(x), out(force), out_index(status), reinterpret_cast<StepStats*>(stats),
+                       num_threads);
+  });
+  m.def("contact_step_adjoint",
+        [](const ConstantSystem& system, const SoftArrays& arrays, const ContactArrays& contacts,
+           const StepOptions& options, bool cache_columns, std::int64_t batch, Address x,
+           Address status, Address grad_x, Address grad_force, const SoftArrays& grads,
+           const ContactArrays& contact_grads, Address stats, int num_threads) {
+          nb::gil_scoped_release release;
+          contact_step_adjoint_batch(system, arrays.inputs(), contacts.inputs(), options,
+                                     {cache_columns}, batch, in(x), in_index(status), in(grad_x),
+                                     in(grad_force), grads.adjoint(), contact_grads.adjoint(),
+                                     reinterpret_cast<StepStats*>(stats), num_threads);
+        });
+}
+
+}  // namespace diffsim

@@ -1,0 +1,254 @@
+#include "kernels/contact/contact_step.h"
+
+#include "kernels/contact/contact_relaxation.h"
+#include "kernels/contact/contact_solve.h"
+#include "kernels/contact/contact_status.h"
+
+namespace diffsim {
+namespace {
+
+class ContactNewton {
+ public:
+  ContactNewton(const ConstantSystem& system, const StepInputs& inputs,
+                const ContactInputs& contacts, const StepOptions& options,
+                const ContactOptions& contact_options, ThreadPool& pool)
+      : system_(system),
+        in_(inputs),
+        options_(options),
+        problem_(system, inputs, pool),
+        space_(contacts),
+        statuses_(space_, system.diagonal()),
+        solve_(problem_, system, space_, options.method, options.rtol,
+               contact_options.cache_columns, pool) {}
+
+  StepStats run(double* x_out, double* force, std::int64_t* status) {
+    start();
+    StepStats stats;
+    stats.scale = problem_.scale() > 0.0 ? problem_.scale() : problem_.ops().norm(gradient_);
+    stats.tolerance = options_.rtol * stats.scale + options_.atol;
+    tolerance_ = stats.tolerance;
+    statuses_.set_tolerances(stats.tolerance, 1e-12 * radius());
+    guess_statuses();
+    bool moved = false;  // whether x satisfies the constraints of the statuses as they are
+    for (int iter = 0; std::isfinite(value_); ++iter) {
+      const bool changed = iter > 0 && statuses_.update(x_, gradient_);
+      if (changed) {
+        moved = false;
+        solve_.statuses_changed();
+      }
+      if (statuses_.needs_resolution() && relax()) {
+        moved = false;
+        continue;
+      }
+      statuses_.update_slip(x_, gradient_);
+      Vector residual = gradient_;
+      space_.reduce(residual);
+      stats.residual_norm = problem_.ops().norm(residual);
+      stats.num_iters = iter;
+      stats.converged = moved && stats.residual_norm <= tolerance_ ? 1.0 : 0.0;
+      if (stats.converged != 0.0 || iter == options_.max_iters) break;
+      const bool descended = newton_step(stats.residual_norm);
+      stalled_ = moved && !descended ? stalled_ + 1 : 0;
+      moved = true;
+      if (stalled_ > 5) {  // rounding decides from here on
+        stats.num_iters = iter + 1;
+        break;
+      }
+    }
+    if (!std::isfinite(value_)) stats.residual_norm = value_;
+    finish(stats, x_out, force, status);
+    return stats;
+  }
+
+ private:
+  void start() {
+    x_.assign(in_.guess, in_.guess + problem_.size());
+    for (std::size_t i = 0; i < x_.size(); ++i)
+      if (system_.fixed()[i]) x_[i] = in_.target[i];
+    value_ = problem_.value_gradient(x_, gradient_);
+  }
+
+  /// Half the body's extent: the length that rounding is measured by.
+  double radius() const {
+    double low[3] = {1e300, 1e300, 1e300}, high[3] = {-1e300, -1e300, -1e300}, largest = 0.0;
+    for (std::size_t i = 0; i < x_.size(); ++i) {
+      low[i % 3] = std::min(low[i % 3], x_[i]);
+      high[i % 3] = std::max(high[i % 3], x_[i]);
+      largest = std::max(largest, std::abs(x_[i]));
+    }
+    double extent = 0.0;
+    for (int a = 0; a < 3; ++a) extent = std::max(extent, 0.5 * (high[a] - low[a]));
+    return std::max(extent, 1e-3 * largest);
+  }
+
+  void guess_statuses() {
+    Vector free(in_.y, in_.y + x_.size());
+    for (std::size_t i = 0; i < free.size(); ++i) {
+      const double inertia = system_.inertia()[i / 3];
+      if (inertia > 0.0) free[i] += in_.force[i] / inertia;
+    }
+    statuses_.guess(free);
+    statuses_.remember();
+  }
+
+  /// Statuses cycle: solve the linearised contact problem as a whole.
+  bool relax() {
+    std::vector<std::size_t> near;
+    for (std::size_t k = 0; k < space_.size(); ++k)
+      if (touched_[k] || space_.status[k] != ContactStatus::kSeparate || space_.gap(k, x_) < 0.0)
+        near.push_back(k);
+    if (near.size() > kMaxRelaxed) return false;
+    Vector x = x_;
+    if (!relax_contacts(problem_, space_, near, gradient_, x)) return false;
+    x_ = x;
+    value_ = problem_.value_gradient(x_, gradient_);
+    solve_.statuses_changed();
+    return true;
+  }
+
+  /// Solves for the free unknowns and moves x; false where no step lowers the merit.
+  bool newton_step(double residual_norm) {
+    for (std::size_t k = 0; k < space_.size(); ++k)
+      if (space_.status[k] != ContactStatus::kSeparate) touched_[k] = true;
+    problem_.assemble(x_, clamp_);
+    solve_.matrix_changed();
+    Vector onto, rhs, q;
+    space_.correction(x_, onto);
+    problem_.multiply(onto, rhs);
+    for (std::size_t i = 0; i < rhs.size(); ++i) rhs[i] = -(rhs[i] + gradient_[i]);
+    space_.reduce(rhs);
+    const double size = problem_.ops().norm(rhs);
+    const double forcing = forcing_term(residual_norm, size);
+    solve_linear(rhs, forcing * size, q);
+    return search(onto, q);
+  }
+
+  double forcing_term(double residual_norm, double rhs_norm) {
+    double forcing = 0.1;
+    if (last_norm_ > 0.0) {
+      const double ratio = residual_norm / last_norm_;
+      forcing = std::min(0.1, 0.9 * ratio * ratio);
+    }
+    last_norm_ = residual_norm;
+    return std::max(forcing, std::min(0.5, 0.3 * tolerance_ / std::max(rhs_norm, 1e-300)));
+  }
+
+  void solve_linear(const Vector& rhs, double tolerance, Vector& q) {
+    const int limit = static_cast<int>(std::min<std::size_t>(problem_.size(), 2000));
+    KrylovResult result = solve_.solve(rhs, tolerance, limit, q);
+    if (result.negative_curvature && !clamp_) {
+      clamp_ = true;
+      problem_.assemble(x_, true);
+      solve_.matrix_changed();
+      result = solve_.solve(rhs, tolerance, limit, q);
+    }
+    if (!result.converged && options_.method == StepMethod::kAuto) {
+      solve_.use_tangent();
+      solve_.statuses_changed();
+      solve_.solve(rhs, tolerance, limit, q);
+    }
+  }
+
+  /// g plus what friction would dissipate if the normal forces were those predicted (Tresca): its
+  /// minimum on the constraints is where the Newton step goes.
+  double merit(const Vector& x, double value, const Vector& limits) const {
+    double u[3];
+    for (std::size_t k = 0; k < space_.size(); ++k)
+      if (limits[k] > 0.0) value += limits[k] * space_.slip(k, x, u);
+    return value;
+  }
+
+  Vector friction_limits(const Vector& onto, const Vector& q) {
+    Vector limits(space_.size(), 0.0), step = onto, change;
+    if (!space_.any_sliding_friction()) return limits;
+    problem_.ops().add(1.0, q, step);
+    problem_.multiply(step, change);
+    for (std::size_t k = 0; k < space_.size(); ++k)
+      if (space_.status[k] == ContactStatus::kSlip)
+        limits[k] = space_.inputs().friction[k] *
+                    std::max(0.0, space_.normal_part(k, gradient_) + space_.normal_part(k, change));
+    return limits;
+  }
+
+  bool search(const Vector& onto, const Vector& q) {
+    const Vector limits = friction_limits(onto, q);
+    const bool corrected =
+        std::any_of(onto.begin(), onto.end(), [](double v) { return v != 0.0; });
+    Vector start = x_;
+    if (corrected) {
+      problem_.ops().add(1.0, onto, start);
+      value_ = problem_.value_gradient(start, gradient_);
+    }
+    const double before = merit(start, value_, limits);
+    const double slope = merit_slope(q, limits);
+    const double rounding = 1e-14 * problem_.magnitude();
+    for (double step = 1.0; step > 1e-9; step *= 0.5) {
+      x_ = start;
+      problem_.ops().add(step, q, x_);
+      value_ = problem_.value_gradient(x_, gradient_);
+      const double after = merit(x_, value_, limits);
+      if (!std::isfinite(after)) continue;
+      if (after <= before + 1e-4 * step * std::min(slope, 0.0) + rounding) return true;
+      // Near the answer the energy has no digits left, but its slope has.
+      if (after <= before + 1e-6 * problem_.magnitude() &&
+          std::abs(merit_slope(q, limits)) <= 0.9 * std::abs(slope))
+        return true;
+    }
+    x_ = start;
+    value_ = problem_.value_gradient(x_, gradient_);
+    clamp_ = true;
+    return false;
+  }
+
+  double merit_slope(const Vector& q, const Vector& limits) {
+    double slope = problem_.ops().dot(gradient_, q);
+    for (std::size_t k = 0; k < space_.size(); ++k)
+      for (std::size_t i = 0; limits[k] > 0.0 && i < 3; ++i)
+        slope += limits[k] * space_.direction[3 * k + i] * q[3 * space_.node(k) + i];
+    return slope;
+  }
+
+  void finish(StepStats& stats, double* x_out, double* force, std::int64_t* status) {
+    stats.num_solves = problem_.num_solves;
+    stats.num_factorizations = problem_.num_factorizations;
+    stats.energy = problem_.elastic_energy();
+    stats.num_set_changes = statuses_.num_changes();
+    stats.num_cycles = statuses_.num_cycles();
+    for (std::size_t k = 0; k < space_.size(); ++k) {
+      const ContactStatus s = space_.status[k];
+      status[k] = static_cast<std::int64_t>(s);
+      stats.num_contacts += s != ContactStatus::kSeparate;
+      stats.num_slipping += s == ContactStatus::kSlip;
+      for (std::size_t i = 0; i < 3; ++i)
+        force[3 * k + i] = s == ContactStatus::kSeparate ? 0.0 : gradient_[3 * space_.node(k) + i];
+    }
+    std::copy(x_.begin(), x_.end(), x_out);
+  }
+
+  // The dense operator of the fallback has (3 k)^2 entries.
+  static constexpr std::size_t kMaxRelaxed = 1500;
+  const ConstantSystem& system_;
+  const StepInputs& in_;
+  const StepOptions& options_;
+  StepProblem problem_;
+  ContactSpace space_;
+  ContactStatuses statuses_;
+  ContactSolve solve_;
+  Vector x_, gradient_;
+  std::vector<bool> touched_ = std::vector<bool>(space_.size(), false);
+  double value_ = 0.0, tolerance_ = 0.0, last_norm_ = 0.0;
+  bool clamp_ = false;
+  int stalled_ = 0;
+};
+
+}  // namespace
+
+StepStats contact_step(const ConstantSystem& system, const StepInputs& inputs,
+                       const ContactInputs& contacts, const StepOptions& options,
+                       const ContactOptions& contact_options, double* x, double* force,
+                       std::int64_t* status, ThreadPool& pool) {
+  return ContactNewton(system, inputs, contacts, options, contact_options, pool)
+      .run(x, force, status);
+}
+
+}  // namespace diffsim
