@@ -6,6 +6,9 @@ namespace {
 // Largest stiffness of a slip's direction beside the node's own: keeps Newton's matrix in range
 // where a node all but sticks.
 constexpr double kMaxSlipStiffness = 1e6;
+// Infinite friction leaves cases without an answer: a node that is pulled off where it sticks, but
+// let go slides into the obstacle. From its second release in a step it is held, pulled or not.
+constexpr int kMaxReleases = 2;
 
 double norm3(const double* v) { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); }
 
@@ -55,8 +58,9 @@ ContactStatuses::Proposal ContactStatuses::propose(std::size_t k, const Vector& 
     return {first_touch(k, -gap, slip), -stiffness * gap};
   }
   const double pressing = space_.normal_part(k, r);
-  if (pressing < -force_tolerance_) return {ContactStatus::kSeparate, -pressing};
   const double friction = space_.inputs().friction[k];
+  if (std::isinf(friction) && releases_[k] >= kMaxReleases) return {now, 0.0};
+  if (pressing < -force_tolerance_) return {ContactStatus::kSeparate, -pressing};
   if (std::isinf(friction)) return {now, 0.0};
   const double limit = friction * std::max(pressing, 0.0);
   double trial[3];
@@ -70,6 +74,11 @@ ContactStatuses::Proposal ContactStatuses::propose(std::size_t k, const Vector& 
   return {now, 0.0};
 }
 
+void ContactStatuses::take(std::size_t k, ContactStatus status) {
+  if (status == ContactStatus::kSeparate) ++releases_[k];
+  space_.status[k] = status;
+}
+
 bool ContactStatuses::update(const Vector& x, const Vector& r) {
   std::size_t worst = space_.size();
   double violation = 0.0;
@@ -79,13 +88,36 @@ bool ContactStatuses::update(const Vector& x, const Vector& r) {
     if (proposal.status == space_.status[k]) continue;
     changed = true;
     if (!cautious_) {
-      space_.status[k] = proposal.status;
+      take(k, proposal.status);
     } else if (proposal.violation > violation) {
       violation = proposal.violation;
       worst = k;
     }
   }
-  if (cautious_ && worst < space_.size()) space_.status[worst] = propose(worst, x, r).status;
+  if (cautious_ && worst < space_.size()) take(worst, propose(worst, x, r).status);
+  if (changed) {
+    ++num_changes_;
+    remember();
+  }
+  return changed;
+}
+
+bool ContactStatuses::stop_reversed(const Vector& x, const Vector& q) {
+  bool changed = false;
+  for (std::size_t k = 0; k < space_.size(); ++k) {
+    if (space_.status[k] != ContactStatus::kSlip || !(space_.inputs().friction[k] > 0.0)) continue;
+    const double* t = space_.direction.data() + 3 * k;
+    double u[3], before = 0.0, step = 0.0;
+    space_.slip(k, x, u);
+    for (std::size_t i = 0; i < 3; ++i) {
+      before += t[i] * u[i];
+      step += t[i] * q[3 * space_.node(k) + i];
+    }
+    if (step >= 0.0 || before + step >= 0.0) continue;
+    space_.status[k] = ContactStatus::kStick;
+    space_.slip_stiffness[k] = 0.0;
+    changed = true;
+  }
   if (changed) {
     ++num_changes_;
     remember();

@@ -11,7 +11,7 @@ class ContactStatuses {
  public:
   /// @param[in] stiffness  (num_nodes,) [N/m], weighs displacements against forces
   ContactStatuses(ContactSpace& space, const double* stiffness)
-      : space_(space), stiffness_(stiffness) {}
+      : space_(space), stiffness_(stiffness), releases_(space.size(), 0) {}
 
   /// Smallest force and length that count [N], [m].
   void set_tolerances(double force, double length) {
@@ -22,6 +22,8 @@ class ContactStatuses {
   void guess(const Vector& x_free);
   /// Takes new statuses from x and the contact forces r = grad g; true where any changed.
   bool update(const Vector& x, const Vector& r);
+  /// Lets nodes stick that a Newton step q would make slip against their direction; true where any.
+  bool stop_reversed(const Vector& x, const Vector& q);
   /// Slip directions and the stiffness of their change, for the statuses as they are.
   void update_slip(const Vector& x, const Vector& r);
 
@@ -42,8 +44,11 @@ class ContactStatuses {
   Proposal propose(std::size_t k, const Vector& x, const Vector& r) const;
   ContactStatus first_touch(std::size_t k, double depth, double slip) const;
 
+  void take(std::size_t k, ContactStatus status);
+
   ContactSpace& space_;
   const double* stiffness_;
+  std::vector<int> releases_;
   double force_tolerance_ = 0.0, length_tolerance_ = 0.0;
   bool cautious_ = false, unresolved_ = false;
   int num_changes_ = 0, num_cycles_ = 0;

@@ -1,4 +1,6 @@
 #include "kernels/contact/contact_step.h"
+#include <cstdio>
+#include <cstdlib>
 
 #include "kernels/contact/contact_relaxation.h"
 #include "kernels/contact/contact_solve.h"
@@ -36,7 +38,7 @@ class ContactNewton {
         moved = false;
         solve_.statuses_changed();
       }
-      if (statuses_.needs_resolution() && relax()) {
+      if (iter < options_.max_iters && statuses_.needs_resolution() && relax()) {
         moved = false;
         continue;
       }
@@ -48,6 +50,7 @@ class ContactNewton {
       stats.converged = moved && stats.residual_norm <= tolerance_ ? 1.0 : 0.0;
       if (stats.converged != 0.0 || iter == options_.max_iters) break;
       const bool descended = newton_step(stats.residual_norm);
+      if (getenv("CDBG")) {int a=0,b=0; for (auto v: space_.status){a+=v==ContactStatus::kStick;b+=v==ContactStatus::kSlip;} fprintf(stderr,"it %d changed %d moved %d res %.3e stick %d slip %d desc %d step %.2e gm %d conv %d clamp %d value %.6e slope %.2e\n",iter,changed,moved,stats.residual_norm,a,b,descended,dbg_step,dbg_it,dbg_conv,clamp_,value_,dbg_slope);}
       stalled_ = moved && !descended ? stalled_ + 1 : 0;
       moved = true;
       if (stalled_ > 5) {  // rounding decides from here on
@@ -97,7 +100,9 @@ class ContactNewton {
     for (std::size_t k = 0; k < space_.size(); ++k)
       if (touched_[k] || space_.status[k] != ContactStatus::kSeparate || space_.gap(k, x_) < 0.0)
         near.push_back(k);
-    if (near.size() > kMaxRelaxed) return false;
+    // Infinite friction may leave no answer to relax to; see kMaxReleases.
+    const auto sticky = [&](std::size_t k) { return std::isinf(space_.inputs().friction[k]); };
+    if (near.size() > kMaxRelaxed || std::any_of(near.begin(), near.end(), sticky)) return false;
     Vector x = x_;
     if (!relax_contacts(problem_, space_, near, gradient_, x)) return false;
     x_ = x;
@@ -112,30 +117,43 @@ class ContactNewton {
       if (space_.status[k] != ContactStatus::kSeparate) touched_[k] = true;
     problem_.assemble(x_, clamp_);
     solve_.matrix_changed();
-    Vector onto, rhs, q;
+    Vector onto, q;
+    const double forcing = forcing_term(residual_norm);
+    // Friction that would push a node backwards stops it instead.
+    for (int trial = 0; trial < 5; ++trial) {
+      direction(forcing, onto, q);
+      if (!statuses_.stop_reversed(x_, q)) break;
+      solve_.statuses_changed();
+    }
+    return search(onto, q);
+  }
+
+  /// Newton's direction on the statuses as they are: onto the constraints, then within them.
+  void direction(double forcing, Vector& onto, Vector& q) {
+    Vector rhs;
     space_.correction(x_, onto);
     problem_.multiply(onto, rhs);
     for (std::size_t i = 0; i < rhs.size(); ++i) rhs[i] = -(rhs[i] + gradient_[i]);
     space_.reduce(rhs);
     const double size = problem_.ops().norm(rhs);
-    const double forcing = forcing_term(residual_norm, size);
-    solve_linear(rhs, forcing * size, q);
-    return search(onto, q);
+    solve_linear(rhs, std::max(forcing * size, std::min(0.5 * size, 0.3 * tolerance_)), q);
   }
 
-  double forcing_term(double residual_norm, double rhs_norm) {
+  /// Relative accuracy of the linear solve (Eisenstat and Walker 1996, choice 2).
+  double forcing_term(double residual_norm) {
     double forcing = 0.1;
     if (last_norm_ > 0.0) {
       const double ratio = residual_norm / last_norm_;
       forcing = std::min(0.1, 0.9 * ratio * ratio);
     }
     last_norm_ = residual_norm;
-    return std::max(forcing, std::min(0.5, 0.3 * tolerance_ / std::max(rhs_norm, 1e-300)));
+    return forcing;
   }
 
   void solve_linear(const Vector& rhs, double tolerance, Vector& q) {
     const int limit = static_cast<int>(std::min<std::size_t>(problem_.size(), 2000));
     KrylovResult result = solve_.solve(rhs, tolerance, limit, q);
+    dbg_it=result.num_iters; dbg_conv=result.converged;
     if (result.negative_curvature && !clamp_) {
       clamp_ = true;
       problem_.assemble(x_, true);
@@ -183,7 +201,7 @@ class ContactNewton {
     const double slope = merit_slope(q, limits);
     const double rounding = 1e-14 * problem_.magnitude();
     for (double step = 1.0; step > 1e-9; step *= 0.5) {
-      x_ = start;
+      x_ = start; dbg_step=step; dbg_slope=slope;
       problem_.ops().add(step, q, x_);
       value_ = problem_.value_gradient(x_, gradient_);
       const double after = merit(x_, value_, limits);
@@ -194,8 +212,14 @@ class ContactNewton {
           std::abs(merit_slope(q, limits)) <= 0.9 * std::abs(slope))
         return true;
     }
+    // No descent: the statuses are not those of an answer. A whole step changes them.
     x_ = start;
+    if (clamp_) problem_.ops().add(1.0, q, x_);
     value_ = problem_.value_gradient(x_, gradient_);
+    if (!std::isfinite(value_)) {
+      x_ = start;
+      value_ = problem_.value_gradient(x_, gradient_);
+    }
     clamp_ = true;
     return false;
   }
@@ -239,6 +263,7 @@ class ContactNewton {
   double value_ = 0.0, tolerance_ = 0.0, last_norm_ = 0.0;
   bool clamp_ = false;
   int stalled_ = 0;
+  int dbg_it=0,dbg_conv=0; double dbg_step=0,dbg_slope=0;
 };
 
 }  // namespace
