@@ -2,6 +2,8 @@
 
 from diffsim.soft.body import SoftBody
 from diffsim.soft.forces import elastic_energy, elastic_force
+from diffsim.soft.hydrodynamics import Hydrodynamics, HydroForces
+from diffsim.soft.immersion import added_mass, buoyancy
 from diffsim.soft.materials import lame_parameters, pd_weights
 from diffsim.soft.muscles import Muscle
 from diffsim.soft.options import SolverOptions
@@ -13,6 +15,8 @@ from diffsim.soft.stats import SolveStats, record_stats
 from diffsim.soft.step import step
 
 __all__ = [
+    "HydroForces",
+    "Hydrodynamics",
     "Muscle",
     "Physics",
     "SoftBody",
@@ -20,6 +24,8 @@ __all__ = [
     "SolverOptions",
     "State",
     "Trajectory",
+    "added_mass",
+    "buoyancy",
     "elastic_energy",
     "elastic_force",
     "lame_parameters",
