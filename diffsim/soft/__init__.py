@@ -1,5 +1,11 @@
 """Soft bodies by projective dynamics, forward and backward (thesis 4.1)."""
 
+from diffsim.soft.actuators import (
+    ActuatorDynamics,
+    ActuatorState,
+    FirstOrderLag,
+    RateLimit,
+)
 from diffsim.soft.body import SoftBody
 from diffsim.soft.forces import elastic_energy, elastic_force
 from diffsim.soft.hydrodynamics import Hydrodynamics, HydroForces
@@ -15,10 +21,14 @@ from diffsim.soft.stats import SolveStats, record_stats
 from diffsim.soft.step import step
 
 __all__ = [
+    "ActuatorDynamics",
+    "ActuatorState",
+    "FirstOrderLag",
     "HydroForces",
     "Hydrodynamics",
     "Muscle",
     "Physics",
+    "RateLimit",
     "SoftBody",
     "SolveStats",
     "SolverOptions",
