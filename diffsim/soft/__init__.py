@@ -19,6 +19,7 @@ from diffsim.soft.state import State, Trajectory
 from diffsim.soft.statics import static_equilibrium
 from diffsim.soft.stats import SolveStats, record_stats
 from diffsim.soft.step import step
+from diffsim.soft.tendons import Tendon
 
 __all__ = [
     "ActuatorDynamics",
@@ -33,6 +34,7 @@ __all__ = [
     "SolveStats",
     "SolverOptions",
     "State",
+    "Tendon",
     "Trajectory",
     "added_mass",
     "buoyancy",
