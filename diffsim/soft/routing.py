@@ -59,9 +59,8 @@ def route(mesh: HexMesh | TetMesh, path: Array) -> Route:
     length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
     _refuse_outside(outside, length)
     pieces = np.concatenate(lengths)
-    return Route(
-        np.concatenate(elements), np.concatenate(directions), pieces * length / pieces.sum()
-    )
+    pieces *= length / pieces.sum()  # what rounding left out
+    return Route(np.concatenate(elements), np.concatenate(directions), pieces)
 
 
 def _refuse_outside(outside: list[tuple[float, Array]], length: float) -> None:

@@ -144,6 +144,7 @@ def test_gradient_is_continuous_across_the_rate_limit_of_a_lag():
         assert max(at) - min(at) < 1e-6
     assert slope(0.1 * rate * lag) == pytest.approx(1 - math.exp(-DT / lag))
     assert slope(2 * rate * (lag + DT)) == 0.0
+    assert slope(1e6) == 0.0  # where an exponential left to itself would overflow
 
 
 @pytest.mark.grad

@@ -80,6 +80,9 @@ def test_a_path_along_a_shared_face_is_shared():
     found = route(m, np.array([[0.25, 1.0, 1.0], [0.75, 1.0, 1.0]]))  # an edge of four cells
     assert sorted(found.elements.tolist()) == [0, 1, 2, 3]
     np.testing.assert_allclose(found.length, 0.125, rtol=1e-12)
+    on = route(m, np.array([[0.25, 1.0, 1.0], [0.75, 1.0, 1.0], [0.75, 0.5, 0.5]]))  # into cell 0
+    assert on.elements[4:].tolist() == [0]
+    np.testing.assert_allclose(on.length, [0.125] * 4 + [0.5**0.5], rtol=1e-12)
     on_surface = route(m, np.array([[0.2, 0.0, 0.5], [1.6, 0.0, 0.5]]))
     np.testing.assert_allclose(on_surface.length, [0.8, 0.6], rtol=1e-9)
 
