@@ -1,7 +1,15 @@
 """Soft bodies by projective dynamics, forward and backward (thesis 4.1)."""
 
+from diffsim.soft.actuators import (
+    ActuatorDynamics,
+    ActuatorState,
+    FirstOrderLag,
+    RateLimit,
+)
 from diffsim.soft.body import SoftBody
 from diffsim.soft.forces import elastic_energy, elastic_force
+from diffsim.soft.hydrodynamics import Hydrodynamics, HydroForces
+from diffsim.soft.immersion import added_mass, buoyancy
 from diffsim.soft.materials import lame_parameters, pd_weights
 from diffsim.soft.muscles import Muscle
 from diffsim.soft.options import SolverOptions
@@ -11,15 +19,25 @@ from diffsim.soft.state import State, Trajectory
 from diffsim.soft.statics import static_equilibrium
 from diffsim.soft.stats import SolveStats, record_stats
 from diffsim.soft.step import step
+from diffsim.soft.tendons import Tendon
 
 __all__ = [
+    "ActuatorDynamics",
+    "ActuatorState",
+    "FirstOrderLag",
+    "HydroForces",
+    "Hydrodynamics",
     "Muscle",
     "Physics",
+    "RateLimit",
     "SoftBody",
     "SolveStats",
     "SolverOptions",
     "State",
+    "Tendon",
     "Trajectory",
+    "added_mass",
+    "buoyancy",
     "elastic_energy",
     "elastic_force",
     "lame_parameters",

@@ -15,12 +15,12 @@ from diffsim.soft.integrators import INTEGRATORS
 from diffsim.soft.materials import VOLUME_WEIGHTS
 from diffsim.soft.muscles import Muscle, MuscleSet
 from diffsim.soft.options import SolverOptions
+from diffsim.soft.parameters import Value, as_tensor, hold
 from diffsim.soft.physics import Physics, make_physics
 from diffsim.soft.state import State
 from diffsim.soft.statics import static_equilibrium
 from diffsim.soft.step import step
 
-_Value = float | Sequence[float] | Tensor | nn.Parameter
 _PARAMETERS = (
     "youngs_modulus",
     "poissons_ratio",
@@ -29,6 +29,7 @@ _PARAMETERS = (
     "rayleigh_alpha",
     "rayleigh_beta",
     "attached_mass",
+    "added_mass",
     "node_mass",
     "fibre_stiffness",
 )
@@ -38,8 +39,9 @@ class SoftBody(nn.Module):
     """Elastic solid on a hexahedral or tetrahedral mesh; calling it takes one time step.
 
     Corotated and volume energies (thesis eq. 4.12) with muscle fibres, gravity, Rayleigh damping,
-    attached masses and Dirichlet conditions per node and axis. Not modelled here: contact,
-    hydrodynamics, plasticity; rest positions carry no gradient.
+    attached and added masses and Dirichlet conditions per node and axis. Water acts through
+    ``external_force`` (:class:`~diffsim.soft.Hydrodynamics`). Not modelled here: contact,
+    plasticity; rest positions carry no gradient.
 
     Physical parameters may be numbers, tensors or ``nn.Parameter``; each can be replaced for one
     call by ``body.physics(name=value)``, with gradient.
@@ -60,6 +62,8 @@ class SoftBody(nn.Module):
         rayleigh_beta: Stiffness-proportional damping, scalar or (num_elements,) [s]; see
             csrc/kernels/soft/damping.h for its objective form. A number 0 switches it off.
         attached_mass: Point masses on nodes, (num_vertices,) [kg]; they weigh and are inert.
+        added_mass: Inertia without weight, of surrounding water say, (num_vertices,) [kg]; see
+            :func:`~diffsim.soft.added_mass`.
         node_mass: Nodal masses instead of ``density`` times nodal volume, (num_vertices,) [kg].
         volume_weight: ``small_strain`` (E, nu in = E, nu out) or ``thesis``, see
             :func:`~diffsim.soft.materials.pd_weights`.
@@ -78,16 +82,17 @@ class SoftBody(nn.Module):
         mesh: HexMesh | TetMesh,
         *,
         dt: float,
-        youngs_modulus: _Value,
-        poissons_ratio: _Value,
-        density: _Value = 1000.0,
+        youngs_modulus: Value,
+        poissons_ratio: Value,
+        density: Value = 1000.0,
         integrator: str = "implicit_euler",
         fixed: Tensor | None = None,
         muscles: Sequence[Muscle] = (),
-        gravity: _Value = (0.0, 0.0, -9.81),
-        rayleigh_alpha: _Value = 0.0,
-        rayleigh_beta: _Value = 0.0,
+        gravity: Value = (0.0, 0.0, -9.81),
+        rayleigh_alpha: Value = 0.0,
+        rayleigh_beta: Value = 0.0,
         attached_mass: Tensor | None = None,
+        added_mass: Tensor | None = None,
         node_mass: Tensor | None = None,
         volume_weight: str = "small_strain",
         solver: SolverOptions | None = None,
@@ -116,14 +121,12 @@ class SoftBody(nn.Module):
             # A plain zero means "no damping", which needs no damping terms at all.
             "rayleigh_beta": None if _is_zero(rayleigh_beta) else rayleigh_beta,
             "attached_mass": attached_mass,
+            "added_mass": added_mass,
             "node_mass": node_mass,
             "fibre_stiffness": self.muscles.stiffness,
         }
         for name, value in given.items():
-            if isinstance(value, nn.Parameter):
-                self.register_parameter(name, value)
-            else:
-                self.register_buffer(name, None if value is None else _as_tensor(name, value))
+            hold(self, name, value)
         self.physics()  # refuse bad parameters now, not at the first step
         self._context = self._make_context()
 
@@ -153,13 +156,13 @@ class SoftBody(nn.Module):
         """Handle of the prepared solver, as the ops take it."""
         return self._context.handle
 
-    def physics(self, **overrides: _Value) -> Physics:
+    def physics(self, **overrides: Value) -> Physics:
         """The body's parameters, some replaced; give the result to :meth:`forward` or ``rollout``.
 
         Args:
             **overrides: Any of youngs_modulus, poissons_ratio, density, gravity, rayleigh_alpha,
-                rayleigh_beta, attached_mass, node_mass, fibre_stiffness, as in the constructor
-                (fibre_stiffness: (num_muscles,) [Pa]).
+                rayleigh_beta, attached_mass, added_mass, node_mass, fibre_stiffness, as in the
+                constructor (fibre_stiffness: (num_muscles,) [Pa], see :class:`Muscle`).
 
         Returns:
             :class:`~diffsim.soft.Physics`. Gradients: all overrides.
@@ -167,7 +170,7 @@ class SoftBody(nn.Module):
         values = {name: getattr(self, name) for name in _PARAMETERS}
         for name, value in overrides.items():
             require_choice("physics override", name, _PARAMETERS)
-            values[name] = None if value is None else _as_tensor(name, value)
+            values[name] = None if value is None else as_tensor(name, value)
         return make_physics(
             num_elements=self.mesh.num_elements,
             num_muscles=self.muscles.num_muscles,
@@ -226,18 +229,6 @@ class SoftBody(nn.Module):
 
 def _is_zero(value: object) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and value == 0
-
-
-def _as_tensor(name: str, value: _Value) -> Tensor:
-    if isinstance(value, Tensor):
-        return value
-    try:
-        return torch.tensor(value, dtype=torch.float64)
-    except (TypeError, ValueError) as err:
-        raise TypeError(
-            f"{name} must be a number, a sequence of numbers or a torch.Tensor, got "
-            f"{type(value).__name__}"
-        ) from err
 
 
 def _dirichlet_mask(fixed: Tensor | None, num_vertices: int) -> Tensor:

@@ -36,25 +36,26 @@ def check_inputs(
         value = getattr(state, name)
         if value is not None:
             require(f"state.{name}", value, tuple(x.shape))
-    force = physics.mass[:, None] * physics.gravity
+    force = physics.weighing_mass[:, None] * physics.gravity
     if external_force is not None:
         force = force + require("external_force", external_force, ("...", num_vertices, 3))
-    force = _broadcast("external_force", force, x.shape)
+    force = broadcast("external_force", force, x.shape)
     if dirichlet_target is None:
         target = body.x_rest.expand(x.shape)
     else:
         target = require("dirichlet_target", dirichlet_target, ("...", num_vertices, 3))
-        target = _broadcast("dirichlet_target", target, x.shape)
+        target = broadcast("dirichlet_target", target, x.shape)
     count = body.muscles.num_muscles
     if activation is None:
         activation = body.muscles.rest_activation
     elif not count:
         raise ValueError("activation was given, but the body has no muscles")
     activation = require("activation", activation, ("...", count))
-    return x, force, target, _broadcast("activation", activation, (*x.shape[:-2], count))
+    return x, force, target, broadcast("activation", activation, (*x.shape[:-2], count))
 
 
-def _broadcast(name: str, value: Tensor, shape: tuple[int, ...]) -> Tensor:
+def broadcast(name: str, value: Tensor, shape: tuple[int, ...]) -> Tensor:
+    """``value`` expanded to ``shape``, or an error that names it."""
     try:
         return value.expand(shape)
     except RuntimeError as err:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from diffsim._check import require, require_choice, require_indices, require_number
+from diffsim._check import require, require_choice, require_indices, require_number, require_range
 
 KINDS = ("length", "contraction")
 
@@ -27,12 +27,15 @@ class Muscle:
         direction: Fibre direction m in the rest shape, (3,) or (num_fibres, 3); normalised here.
         stiffness: w [Pa], > 0.
         kind: what the activation means.
+        weights: Factor on ``stiffness`` of each fibre, (num_fibres,) > 0; None: ones. With weights
+            in 1/m^2 the stiffness is a force, see :class:`~diffsim.soft.Tendon`.
     """
 
     elements: Tensor
     direction: Tensor | Sequence[float]
     stiffness: float
     kind: str = "length"
+    weights: Tensor | None = None
 
     def __post_init__(self) -> None:
         elements = require("elements", torch.as_tensor(self.elements), ("num_fibres",), torch.int64)
@@ -47,6 +50,11 @@ class Muscle:
             raise ValueError("direction must not be zero")
         require_number("stiffness", self.stiffness, above=0.0, hint="unit is Pa")
         require_choice("kind", self.kind, KINDS)
+        weights = torch.ones(elements.numel(), dtype=torch.float64)
+        if self.weights is not None:
+            weights = require("weights", self.weights, (elements.numel(),))
+            require_range("weights", weights, above=0.0)
+        object.__setattr__(self, "weights", weights)
         object.__setattr__(self, "elements", elements)
         object.__setattr__(self, "direction", (direction / norm).contiguous())
 
@@ -76,6 +84,9 @@ class MuscleSet:
         self.owner = torch.cat(
             [empty, *(torch.full_like(m.elements, k) for k, m in enumerate(muscles))]
         )
+        self.weights = torch.cat(
+            [torch.zeros(0, dtype=torch.float64), *(torch.as_tensor(m.weights) for m in muscles)]
+        )
         self.stiffness = torch.tensor([float(m.stiffness) for m in muscles], dtype=torch.float64)
         self.contraction = torch.tensor([m.kind == "contraction" for m in muscles])
         self.has_contraction = any(m.kind == "contraction" for m in muscles)
@@ -96,7 +107,7 @@ class MuscleSet:
             slack = torch.where(self.contraction, (1.0 - shared) ** 2, torch.ones_like(stiffness))
             stiffness = stiffness * slack
             activation = torch.where(self.contraction, torch.zeros_like(activation), activation)
-        return stiffness[self.owner], activation[..., self.owner]
+        return stiffness[self.owner] * self.weights, activation[..., self.owner]
 
 
 def _shared_activation(activation: Tensor, which: Tensor) -> Tensor:

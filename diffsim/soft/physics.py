@@ -17,9 +17,10 @@ class Physics:
 
     Attributes:
         w_mu, w_vol: Weights of the corotated and volume energies, (num_elements,) [Pa].
-        mass: Nodal masses, attached ones included, (num_vertices,) [kg].
+        mass: Nodal inertia, attached and added masses included, (num_vertices,) [kg].
+        weighing_mass: What gravity acts on: ``mass`` without added mass, (num_vertices,) [kg].
         gravity: (3,) [m/s^2].
-        rayleigh_alpha: Mass-proportional damping, scalar [1/s].
+        rayleigh_alpha: Damping proportional to ``mass``, scalar [1/s].
         rayleigh_beta: Stiffness-proportional damping, scalar or (num_elements,) [s]; None: none.
         fibre_stiffness: Of each muscle, (num_muscles,) [Pa].
     """
@@ -27,6 +28,7 @@ class Physics:
     w_mu: Tensor
     w_vol: Tensor
     mass: Tensor
+    weighing_mass: Tensor
     gravity: Tensor
     rayleigh_alpha: Tensor
     rayleigh_beta: Tensor | None
@@ -58,6 +60,7 @@ def make_physics(
     rayleigh_alpha: Tensor,
     rayleigh_beta: Tensor | None,
     attached_mass: Tensor | None,
+    added_mass: Tensor | None,
     node_mass: Tensor | None,
     fibre_stiffness: Tensor,
 ) -> Physics:
@@ -77,6 +80,11 @@ def make_physics(
         attached_mass = require("attached_mass", attached_mass, (num_vertices,))
         _range("attached_mass", attached_mass, at_least=0.0, hint="unit is kg")
         mass = mass + attached_mass
+    weighing_mass = mass
+    if added_mass is not None:
+        added_mass = require("added_mass", added_mass, (num_vertices,))
+        _range("added_mass", added_mass, at_least=0.0, hint="unit is kg")
+        mass = mass + added_mass
     gravity = require("gravity", gravity, (3,))
     rayleigh_alpha = require("rayleigh_alpha", rayleigh_alpha, ())
     _range("rayleigh_alpha", rayleigh_alpha, at_least=0.0, hint="unit is 1/s")
@@ -89,6 +97,7 @@ def make_physics(
         w_mu=w_mu,
         w_vol=w_vol,
         mass=mass,
+        weighing_mass=weighing_mass,
         gravity=gravity,
         rayleigh_alpha=rayleigh_alpha,
         rayleigh_beta=rayleigh_beta,

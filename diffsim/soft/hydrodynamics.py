@@ -1,0 +1,252 @@
+"""Drag and thrust of water on the surface of a soft body."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from diffsim._check import require, require_choice, require_number, require_range
+from diffsim.mesh import HexMesh, TetMesh, surface_quads, surface_triangles
+from diffsim.soft.inputs import broadcast
+from diffsim.soft.parameters import Value, as_tensor, hold
+
+LIMITS = ("isotropic", "component")
+DRAG_COEFFICIENTS = (0.05, 0.05, 1.85, 2.05)
+THRUST_COEFFICIENTS = (-0.8, -0.5, 0.1, 2.5)
+# Corner triples whose triangles cover a face twice (quad, in both of its triangulations) or once.
+_TRIANGLES = {4: ((0, 1, 2), (0, 2, 3), (0, 1, 3), (3, 1, 2)), 3: ((0, 1, 2),)}
+
+
+class HydroForces(NamedTuple):
+    """What :meth:`Hydrodynamics.evaluate` returns.
+
+    Attributes:
+        forces: Nodal forces after limiting, (..., num_vertices, 3) [N].
+        limited: Nodes on which ``max_force`` acted, (..., num_vertices) bool.
+    """
+
+    forces: Tensor
+    limited: Tensor
+
+
+class Hydrodynamics(nn.Module):
+    """Drag and thrust on the surface of a mesh (thesis eqs. 5.3, 5.4).
+
+    Each boundary face (hexahedra: quad, tetrahedra: triangle) that the water meets carries
+
+        f_d = 1/2 rho A C_d(alpha) |v_rel| v_rel,   f_t = -1/2 rho A C_t(alpha) |v_rel|^2 n,
+
+    shared equally by its vertices: A area, n outward unit normal, v_rel the water's velocity minus
+    the mean of the vertices', alpha = asin(-n.v_rel / |v_rel|) in (0, pi/2] the angle of attack
+    (pi/2: head-on). Faces with n.v_rel >= 0 carry none.
+
+    The coefficients are cubic Bezier curves B(P, t) = (1-t)^3 P0 + 3 (1-t)^2 t P1 + 3 (1-t) t^2 P2
+    + t^3 P3 in the ordinates of four control points, evenly spaced in t as in the published code:
+
+    * C_d(alpha) = B(drag_coefficients, 2 alpha / pi): P0 is the edge-on, P3 the head-on value;
+    * C_t(alpha) = B(thrust_coefficients, 1/2 + alpha / pi): the curve spans alpha in
+      [-pi/2, pi/2], only its half alpha > 0 is used, and P3 is the head-on value.
+
+    Smooth but for three places, where the gradient is one-sided or zero: a face turning edge-on
+    (the force jumps by 1/2 rho A |v|^2 (C_d(0) v_rel/|v_rel| - C_t(0) n)), flow exactly head-on
+    (alpha has a kink; the gradient's part through alpha is 0 there) and the force limit. At
+    v_rel = 0 the force and its gradient are 0. Not modelled: water that remembers (wakes), one
+    face sheltering another, shear on faces seen edge-on; for the water's inertia see
+    :func:`~diffsim.soft.added_mass`.
+
+    The force is held over a step (explicit), which is stable while
+    dt rho A (C_d + C_t) |v_rel| / mass of the face's nodes stays below about 1; light bodies need
+    small steps or their added mass.
+
+    Args:
+        mesh: The mesh whose boundary meets the water.
+        density: Of the water, scalar [kg/m^3], > 0.
+        water_velocity: (3,) or with batch axes (..., 3) [m/s]; replaceable in each call.
+        drag_coefficients: Ordinates of C_d, (4,) [-]. Numbers become an ``nn.Parameter``, a tensor
+            is used as it is.
+        thrust_coefficients: Ordinates of C_t, (4,) [-]. Defaults of both: Min et al. 2019.
+        max_force: Greatest force on a node [N]; None: no limit. It guards explicit stepping.
+        limit: ``isotropic`` scales the node's force vector to that length; ``component`` clamps
+            each component as published, which depends on the frame and turns the force.
+        warn: Warn once per object when the limit first acts.
+
+    Example::
+
+        hydro = Hydrodynamics(body.mesh)
+        rollout(body, state, n, external_force=lambda k, s: hydro(s.x, s.v))
+
+    Reference: Min et al. 2019, "SoftCon"; Du et al. 2021 (DiffPD and "Underwater Soft Robot
+    Modeling").
+    """
+
+    faces: Tensor
+    density: Tensor
+    water_velocity: Tensor
+    drag_coefficients: Tensor
+    thrust_coefficients: Tensor
+
+    def __init__(
+        self,
+        mesh: HexMesh | TetMesh,
+        *,
+        density: Value = 1000.0,
+        water_velocity: Value = (0.0, 0.0, 0.0),
+        drag_coefficients: Value = DRAG_COEFFICIENTS,
+        thrust_coefficients: Value = THRUST_COEFFICIENTS,
+        max_force: float | None = None,
+        limit: str = "isotropic",
+        warn: bool = True,
+    ):
+        super().__init__()
+        if not isinstance(mesh, (HexMesh, TetMesh)):
+            raise TypeError(f"mesh must be a HexMesh or TetMesh, got {type(mesh).__name__}")
+        self.mesh = mesh
+        surface = surface_quads(mesh) if isinstance(mesh, HexMesh) else surface_triangles(mesh)
+        self.register_buffer("faces", surface.faces, persistent=False)
+        hold(self, "density", density)
+        hold(self, "water_velocity", water_velocity)
+        hold(self, "drag_coefficients", _trainable("drag_coefficients", drag_coefficients))
+        hold(self, "thrust_coefficients", _trainable("thrust_coefficients", thrust_coefficients))
+        self.max_force = max_force
+        if max_force is not None:
+            self.max_force = require_number("max_force", max_force, above=0.0, hint="unit is N")
+        self.limit = require_choice("limit", limit, LIMITS)
+        self.warn = bool(warn)
+        self._warned = False
+        self._check_parameters()
+
+    def forward(self, x: Tensor, v: Tensor, *, water_velocity: Tensor | None = None) -> Tensor:
+        """Nodal forces.
+
+        Args:
+            x: Positions, (..., num_vertices, 3) [m].
+            v: Velocities, same shape [m/s].
+            water_velocity: (..., 3) [m/s], broadcast over batch axes; None: the module's.
+
+        Returns:
+            Forces, shape of x [N]. Gradients: x, v, water_velocity, density, both coefficients.
+        """
+        return self.evaluate(x, v, water_velocity=water_velocity).forces
+
+    def evaluate(
+        self, x: Tensor, v: Tensor, *, water_velocity: Tensor | None = None
+    ) -> HydroForces:
+        """Forces as in :meth:`forward`, and the nodes on which the limit acted."""
+        x = require("x", x, ("...", self.mesh.num_vertices, 3))
+        v = require("v", v, tuple(x.shape))
+        self._check_parameters()
+        water = self.water_velocity
+        if water_velocity is not None:
+            water = require("water_velocity", water_velocity, ("...", 3))
+        water = broadcast("water_velocity", water, (*x.shape[:-2], 3))
+        per_face = self._face_forces(self._at_corners(x), self._at_corners(v), water)
+        corners = self.faces.shape[1]
+        shares = (per_face / corners).repeat_interleave(corners, dim=-2)
+        forces = torch.zeros_like(x).index_add(-2, self.faces.flatten(), shares)
+        return self._limited(forces)
+
+    def drag_coefficient(self, alpha: Tensor) -> Tensor:
+        """C_d at angles of attack in [0, pi/2] [rad], any shape."""
+        return _bezier(self.drag_coefficients, alpha / (0.5 * math.pi))
+
+    def thrust_coefficient(self, alpha: Tensor) -> Tensor:
+        """C_t at angles of attack in [-pi/2, pi/2] [rad], any shape."""
+        return _bezier(self.thrust_coefficients, alpha / math.pi + 0.5)
+
+    def extra_repr(self) -> str:
+        """What ``print(hydro)`` shows."""
+        limit = "no limit" if self.max_force is None else f"{self.limit} limit {self.max_force:g} N"
+        return f"{self.faces.shape[0]} faces, density {self.density.item():g} kg/m^3, {limit}"
+
+    def _check_parameters(self) -> None:
+        require("density", self.density, ())
+        require("water_velocity", self.water_velocity, ("...", 3))
+        require("drag_coefficients", self.drag_coefficients, (4,))
+        require("thrust_coefficients", self.thrust_coefficients, (4,))
+        if not torch.compiler.is_compiling():
+            require_range("density", self.density, above=0.0, hint="unit is kg/m^3")
+
+    def _at_corners(self, nodal: Tensor) -> Tensor:
+        """(..., num_vertices, 3) -> (..., num_faces, corners, 3)."""
+        picked = nodal.index_select(-2, self.faces.flatten())  # faster than advanced indexing
+        return picked.reshape(*nodal.shape[:-2], *self.faces.shape, 3)
+
+    def _face_forces(self, x: Tensor, v: Tensor, water: Tensor) -> Tensor:
+        """Of faces with corners x, v (..., num_faces, corners, 3), forces (..., num_faces, 3)."""
+        area, normal = _area_and_normal(x)
+        v_rel = water[..., None, :] - v.mean(-2)
+        speed = _norm(v_rel)
+        head_on = -(normal * v_rel).sum(-1)
+        wet = head_on > 0.0
+        # asin(head_on / speed) without its infinite slope at head-on flow
+        along = _norm(v_rel + head_on[..., None] * normal)
+        alpha = torch.atan2(torch.where(wet, head_on, 1.0), torch.where(wet, along, 0.0))
+        pressure = torch.where(wet, 0.5 * self.density * area, 0.0)
+        drag = (pressure * self.drag_coefficient(alpha) * speed)[..., None] * v_rel
+        thrust = (pressure * self.thrust_coefficient(alpha) * speed**2)[..., None] * normal
+        return drag - thrust
+
+    def _limited(self, forces: Tensor) -> HydroForces:
+        if self.max_force is None:
+            nodes = torch.zeros(forces.shape[:-1], dtype=torch.bool)
+            return HydroForces(forces, nodes)
+        if self.limit == "component":
+            limited = (forces.abs() > self.max_force).any(-1)
+            result = forces.clamp(-self.max_force, self.max_force)
+        else:
+            length = _norm(forces)
+            limited = length > self.max_force
+            scale = self.max_force / torch.where(limited, length, self.max_force)
+            result = torch.where(limited[..., None], scale[..., None] * forces, forces)
+        if self.warn and not self._warned and not torch.compiler.is_compiling():
+            self._warn_once(forces.detach(), limited)
+        return HydroForces(result, limited)
+
+    def _warn_once(self, forces: Tensor, limited: Tensor) -> None:
+        count = int(limited.sum())
+        if not count:
+            return
+        self._warned = True
+        warnings.warn(
+            f"hydrodynamic forces on {count} of {limited.numel()} nodes were limited to max_force "
+            f"= {self.max_force:g} N ({self.limit}); the largest would be "
+            f"{float(forces.norm(dim=-1).max()):.4g} N. Said once; evaluate() tells which nodes, "
+            "warn=False silences",
+            RuntimeWarning,
+            stacklevel=4,
+        )
+
+
+def _trainable(name: str, value: Value) -> Tensor:
+    return value if isinstance(value, Tensor) else nn.Parameter(as_tensor(name, value))
+
+
+def _bezier(ordinates: Tensor, t: Tensor) -> Tensor:
+    """Cubic Bezier curve through ordinates (4,) at t in [0, 1]."""
+    p0, p1, p2, p3 = ordinates
+    s = 1.0 - t
+    return s**3 * p0 + 3.0 * s**2 * t * p1 + 3.0 * s * t**2 * p2 + t**3 * p3
+
+
+def _area_and_normal(x: Tensor) -> tuple[Tensor, Tensor]:
+    """Area (..., F) and unit normal (..., F, 3) of faces with corners (..., F, 3 or 4, 3).
+
+    A quad's area is the mean over its two triangulations, its normal that of their summed area
+    vectors; a collapsed face has normal 0.
+    """
+    corners = torch.tensor(_TRIANGLES[x.shape[-2]])
+    p0, p1, p2 = (x.index_select(-2, corners[:, c]) for c in range(3))
+    vectors = torch.linalg.cross(p1 - p0, p2 - p1)  # twice the triangles' area vectors
+    area = _norm(vectors).sum(-1) / (2.0 if x.shape[-2] == 3 else 4.0)
+    total = vectors.sum(-2)
+    length = _norm(total)
+    return area, total / torch.where(length > 0.0, length, 1.0)[..., None]
+
+
+def _norm(vectors: Tensor) -> Tensor:
+    """|v| over the last axis, with gradient 0 at v = 0."""
+    return torch.linalg.vector_norm(vectors, dim=-1)
