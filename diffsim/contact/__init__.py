@@ -1,6 +1,7 @@
 """Contact: obstacles as signed distance, detection, penalty forces, body against body."""
 
 from diffsim.contact.balls import ball_force
+from diffsim.contact.bodies import BodyContact
 from diffsim.contact.clear import check_clear
 from diffsim.contact.detect import ContactPlanes, detect
 from diffsim.contact.height_field import HeightField
@@ -10,6 +11,7 @@ from diffsim.contact.penalty import penalty_force
 from diffsim.contact.shapes import Box, Capsule, Custom, Plane, Shape, Sphere, Trough
 
 __all__ = [
+    "BodyContact",
     "Box",
     "Capsule",
     "ContactPlanes",

@@ -25,6 +25,21 @@ def test_normal_is_the_gradient_of_the_distance(kind):
     torch.testing.assert_close(normal.norm(dim=-1), torch.ones(40).double(), rtol=0, atol=1e-14)
 
 
+@pytest.mark.property
+@pytest.mark.parametrize("kind", KINDS)
+def test_on_the_surface_distance_vanishes_and_its_gradient_is_the_normal(kind):
+    make, parameters = SHAPES[kind]
+    shape, x = make(*parameters), points(60)
+    phi, normal = shape.distance_normal(x)
+    inside = (phi < 0) & (phi > -0.1)  # closest to a face, not to an edge or a corner
+    foot = (x - phi[:, None] * normal)[inside].requires_grad_()
+    again, outwards = shape.distance_normal(foot)
+    (slope,) = torch.autograd.grad(again.sum(), foot)
+    assert len(foot) and again.abs().max() < 1e-14
+    torch.testing.assert_close(slope, outwards, rtol=0, atol=1e-12)
+    torch.testing.assert_close(outwards, normal[inside], rtol=0, atol=1e-9)
+
+
 @pytest.mark.grad
 @pytest.mark.parametrize("kind", KINDS)
 def test_gradients_to_points_and_parameters(kind):
