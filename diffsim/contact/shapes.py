@@ -14,7 +14,7 @@ from diffsim.contact._values import Number, Vector, direction, dot, scalar, vect
 from diffsim.mesh.sdf import Sdf
 
 Pair = tuple[Tensor, Tensor]
-_X, _Z = (torch.tensor(v, dtype=torch.float64) for v in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+_Z = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 
 
 class Shape:
