@@ -6,6 +6,8 @@ The sign is that of the angle-weighted pseudonormal at the closest point: Baeren
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -14,6 +16,26 @@ from diffsim.mesh.reference import Array, IntArray
 
 _CHUNK = 20_000
 _MAX_PIECES = 400_000
+_FEW_PAIRS = 500_000
+"""Up to so many pairs of points and triangles, comparing all is faster than a tree."""
+
+
+class Nearest(NamedTuple):
+    """The closest feature of a surface for each point.
+
+    Attributes:
+        face: Triangle, (N,) int64.
+        feature: Its corner 0..2, edge 01, 12, 20 as 3..5, or 6 for its inside, (N,) int64.
+        sign: -1 inside the surface, 1 outside, (N,).
+        distance: Not signed, (N,) [m].
+        normal: Pseudonormal of the feature, not normalised, (N, 3).
+    """
+
+    face: IntArray
+    feature: IntArray
+    sign: Array
+    distance: Array
+    normal: Array
 
 
 class SurfaceDistance:
@@ -21,27 +43,70 @@ class SurfaceDistance:
 
     def __init__(self, surface: SurfaceLike):
         """Take a watertight trimesh or the path of a surface file."""
-        self.x, self.faces = closed_surface(surface)
+        self._prepare(*closed_surface(surface))
+
+    @classmethod
+    def of_triangles(cls, x: Array, faces: IntArray) -> SurfaceDistance:
+        """For vertices (V, 3) [m] and triangles (F, 3) known to be closed and oriented outwards."""
+        made = cls.__new__(cls)
+        made._prepare(x, faces)
+        return made
+
+    def _prepare(self, x: Array, faces: IntArray) -> None:
+        self.x, self.faces = x, faces
         corners = self.x[self.faces]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(normal, axis=1, keepdims=True)
         self._normal = normal / np.where(length > 0, length, 1.0)
         self._set_pseudonormals(corners)
-        pieces, parent = _pieces(corners)
+        self._center = corners.mean(axis=1)
+        self._radius = np.linalg.norm(corners - self._center[:, None], axis=2).max(axis=1)
+        self._tree: cKDTree | None = None  # made for the first large search
+
+    def _plant(self) -> cKDTree:
+        pieces, self._parent = _pieces(self.x[self.faces])
         centers = pieces.mean(axis=1)
         self._reach = float(np.linalg.norm(pieces - centers[:, None], axis=2).max())
-        self._parent = parent
-        self._tree = cKDTree(centers)
+        return cKDTree(centers)
 
     def __call__(self, points: Array) -> Array:
         """Signed distance of points, (N, 3) [m] -> (N,) [m]."""
-        points = np.asarray(points, np.float64)
-        out = np.empty(len(points))
-        for start in range(0, len(points), _CHUNK):
-            out[start : start + _CHUNK] = self._distance(points[start : start + _CHUNK])
-        return out
+        near = self.nearest(points)
+        return near.sign * near.distance
 
-    def _distance(self, points: Array) -> Array:
+    def nearest(self, points: Array) -> Nearest:
+        """The closest feature of the surface for points (N, 3) [m]."""
+        points = np.asarray(points, np.float64)
+        starts = range(0, max(len(points), 1), _CHUNK)
+        parts = [self._nearest(points[start : start + _CHUNK]) for start in starts]
+        return Nearest(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+    def _nearest(self, points: Array) -> Nearest:
+        if not len(points):
+            none, empty = np.empty(0, np.int64), np.empty(0)
+            return Nearest(none, none, empty, empty, np.empty((0, 3)))
+        few = len(points) * len(self.faces) <= _FEW_PAIRS
+        point, face = self._compare(points) if few else self._search(points)
+        closest, feature = _closest(points[point], self.x[self.faces[face]])
+        away = points[point] - closest
+        squared = (away * away).sum(axis=1)
+        order = np.lexsort((squared, point))
+        best = order[np.unique(point[order], return_index=True)[1]]
+        normal = self._pseudonormal[face[best], feature[best]]
+        sign = np.where((away[best] * normal).sum(axis=1) < 0, -1.0, 1.0)
+        return Nearest(face[best], feature[best], sign, np.sqrt(squared[best]), normal)
+
+    def _compare(self, points: Array) -> tuple[IntArray, IntArray]:
+        """Pairs (point, face) that can be closest, by a bounding sphere of every triangle."""
+        away = np.linalg.norm(points[:, None] - self._center, axis=2)
+        farthest = (away + self._radius).min(axis=1, keepdims=True)
+        point, face = np.nonzero(away - self._radius <= farthest * (1.0 + 1e-12))
+        return point, face
+
+    def _search(self, points: Array) -> tuple[IntArray, IntArray]:
+        """The same by a tree of pieces of triangles."""
+        if self._tree is None:
+            self._tree = self._plant()
         _, nearest = self._tree.query(points)
         guess, _ = _closest(points, self.x[self.faces[self._parent[nearest]]])
         near = np.linalg.norm(points - guess, axis=1)
@@ -53,15 +118,7 @@ class SurfaceDistance:
         point = np.repeat(np.arange(len(points)), count)
         piece = np.concatenate([np.asarray(f, np.int64) for f in found])
         pairs = np.unique(point * len(self.faces) + self._parent[piece])
-        point, face = pairs // len(self.faces), pairs % len(self.faces)
-        closest, feature = _closest(points[point], self.x[self.faces[face]])
-        away = points[point] - closest
-        squared = (away * away).sum(axis=1)
-        order = np.lexsort((squared, point))
-        best = order[np.unique(point[order], return_index=True)[1]]
-        normal = self._pseudonormal[face[best], feature[best]]
-        sign = np.where((away[best] * normal).sum(axis=1) < 0, -1.0, 1.0)
-        return sign * np.sqrt(squared[best])
+        return pairs // len(self.faces), pairs % len(self.faces)
 
     def _set_pseudonormals(self, corners: Array) -> None:
         """Normals of the seven features of each triangle: corners, edges 01 12 20, inside."""

@@ -1,0 +1,66 @@
+"""Numbers and vectors at the boundary: checked, turned into tensors, their gradients kept."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from diffsim._check import require, require_number, require_range
+
+Number = float | Tensor
+Vector = Sequence[float] | Tensor
+
+
+def scalar(name: str, value: Number, *, hint: str = "", **limits: float) -> Tensor:
+    """A finite number or () tensor within limits as a float64 tensor; gradients are kept."""
+    if isinstance(value, Tensor):
+        return require_range(name, require(name, value, ()), hint=hint, **limits)
+    return torch.tensor(require_number(name, value, hint=hint, **limits), dtype=torch.float64)
+
+
+def vector(name: str, value: Vector) -> Tensor:
+    """Three finite numbers or a (3,) tensor as a float64 tensor; gradients are kept."""
+    if isinstance(value, Tensor):
+        return require(name, value, (3,))
+    try:
+        v = torch.tensor([float(number) for number in value], dtype=torch.float64)
+    except (TypeError, ValueError):
+        v = torch.empty(0, dtype=torch.float64)
+    if v.shape != (3,) or not bool(torch.isfinite(v).all()):
+        raise ValueError(f"{name} must be three finite numbers, got {value!r}")
+    return v
+
+
+def friction_coefficient(value: Number) -> Tensor:
+    """A coefficient >= 0; ``math.inf`` means that touching nodes stick."""
+    if isinstance(value, Tensor):
+        mu = require("friction", value, (), finite=False)
+    elif isinstance(value, (int, float)) and not isinstance(value, bool):
+        mu = torch.tensor(float(value), dtype=torch.float64)
+    else:
+        raise TypeError(f"friction must be a number, got {type(value).__name__}")
+    if math.isnan(float(mu.detach())) or float(mu.detach()) < 0:
+        raise ValueError(
+            f"friction must lie in [0, inf], got {float(mu.detach()):g}; "
+            "0 slides freely, math.inf sticks"
+        )
+    return mu
+
+
+def direction(v: Tensor, fallback: Tensor, tiny: float = 1e-150) -> tuple[Tensor, Tensor]:
+    """Length and unit vector of v (..., 3); where shorter than ``tiny``: 0 and ``fallback``.
+
+    There, both are constants: their gradients are zero, never NaN.
+    """
+    short = (v.detach().abs().amax(-1, keepdim=True)) <= tiny
+    safe = torch.where(short, fallback, v)
+    length = safe.norm(dim=-1, keepdim=True)
+    return torch.where(short, 0.0, length)[..., 0], safe / length
+
+
+def dot(a: Tensor, b: Tensor) -> Tensor:
+    """Inner product over the last axis."""
+    return (a * b).sum(-1)

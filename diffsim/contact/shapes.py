@@ -1,0 +1,261 @@
+"""Solids in their own frame: signed distance and normal, both differentiable once.
+
+``phi`` is negative inside, ``normal`` is the gradient of phi (unit, outwards). Where phi has a
+kink (medial axis, on an edge) one of the adjoining normals is returned, and its gradient there.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from diffsim._check import require
+from diffsim.contact._values import Number, Vector, direction, dot, scalar, vector
+from diffsim.mesh.sdf import Sdf
+
+Pair = tuple[Tensor, Tensor]
+_Z = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+
+
+class Shape:
+    """What all shapes share; subclasses give ``_solid``.
+
+    Args:
+        inside_out: Swap solid and void: a sphere becomes a spherical container.
+    """
+
+    can_tunnel = True
+    """Whether a straight path can enter and come out on another side (False for a half space)."""
+    _solid_is_convex = False
+
+    def __init__(self, inside_out: bool = False):
+        self.inside_out = bool(inside_out)
+
+    @property
+    def convex(self) -> bool:
+        """Whether the solid is convex, so that phi is convex along every straight path."""
+        return self._solid_is_convex and not self.inside_out
+
+    def distance_normal(self, x: Tensor) -> Pair:
+        """Signed distance and outward unit normal.
+
+        Args:
+            x: Points in the shape's frame, (..., 3) [m].
+
+        Returns:
+            phi, (...) [m], negative inside, and the normal, (..., 3). Gradients: x and the
+            shape's parameters; first order.
+        """
+        return self.evaluate(require("x", x, ("...", 3)))
+
+    def evaluate(self, x: Tensor) -> Pair:
+        """``distance_normal`` of points that are checked already."""
+        phi, normal = self._solid(x)
+        return (-phi, -normal) if self.inside_out else (phi, normal)
+
+    def _solid(self, x: Tensor) -> Pair:
+        raise NotImplementedError
+
+
+class Plane(Shape):
+    """Half space n.x <= offset, n the normalised ``normal``; exact everywhere.
+
+    Args:
+        normal: Outward normal of any length > 0, (3,).
+        offset: Distance of the surface from the origin along the unit normal [m].
+    """
+
+    can_tunnel = False
+    _solid_is_convex = True
+
+    def __init__(self, normal: Vector, offset: Number = 0.0, *, inside_out: bool = False):
+        super().__init__(inside_out)
+        n = vector("normal", normal)
+        if not float(n.detach().norm()) > 0:
+            raise ValueError("normal must not be zero; (0, 0, 1) is a floor")
+        self.normal, self.offset = n / n.norm(), scalar("offset", offset)
+
+    def _solid(self, x: Tensor) -> Pair:
+        return x @ self.normal - self.offset, self.normal.expand_as(x)
+
+
+class Sphere(Shape):
+    """Ball about the origin. At its centre: normal +z, gradients zero.
+
+    Args:
+        radius: [m], > 0.
+    """
+
+    _solid_is_convex = True
+
+    def __init__(self, radius: Number, *, inside_out: bool = False):
+        super().__init__(inside_out)
+        self.radius = scalar("radius", radius, above=0.0)
+
+    def _solid(self, x: Tensor) -> Pair:
+        length, normal = direction(x, _Z)
+        return length - self.radius, normal
+
+
+class Capsule(Shape):
+    """Points within ``radius`` of a segment. On the segment: one normal across it, gradients zero.
+
+    Args:
+        start, end: Ends of the segment, (3,) [m]; they must differ.
+        radius: [m], > 0.
+    """
+
+    _solid_is_convex = True
+
+    def __init__(self, start: Vector, end: Vector, radius: Number, *, inside_out: bool = False):
+        super().__init__(inside_out)
+        self.start, self.end = vector("start", start), vector("end", end)
+        self.radius = scalar("radius", radius, above=0.0)
+        along = (self.end - self.start).detach()
+        if not float(along.norm()) > 0:
+            raise ValueError("start and end of a capsule must differ; use Sphere")
+        least = torch.nn.functional.one_hot(along.abs().argmin(), 3).to(along)
+        self._across = torch.linalg.cross(along, least)
+
+    def _solid(self, x: Tensor) -> Pair:
+        along = self.end - self.start
+        t = (((x - self.start) @ along) / dot(along, along)).clamp(0.0, 1.0)
+        away = x - self.start - t[..., None] * along
+        length, normal = direction(away, self._across)
+        return length - self.radius, normal
+
+
+class Box(Shape):
+    """Box about the origin, edges along the axes; exact inside and outside.
+
+    Outside, near edges and corners, the normal turns from one face to the next (rounded); inside
+    and on the surface it is that of the nearest face, the first axis where two are equally near.
+
+    Args:
+        size: Edge lengths, (3,) [m], > 0.
+    """
+
+    _solid_is_convex = True
+
+    def __init__(self, size: Vector, *, inside_out: bool = False):
+        super().__init__(inside_out)
+        self.size = vector("size", size)
+        if not bool((self.size > 0).all()):
+            raise ValueError(f"size must be positive, got {tuple(self.size.tolist())}")
+
+    def _solid(self, x: Tensor) -> Pair:
+        side = torch.where(x.detach() < 0, -1.0, 1.0)
+        beyond = side * x - 0.5 * self.size
+        deepest = beyond.detach().argmax(-1, keepdim=True)
+        face = torch.zeros_like(x).scatter(-1, deepest, 1.0)
+        inside = beyond.gather(-1, deepest)[..., 0]
+        length, outwards = direction(beyond.clamp(min=0.0), face)
+        within = inside.detach() <= 0
+        phi = torch.where(within, inside, length)
+        return phi, side * torch.where(within[..., None], face, outwards)
+
+
+class Trough(Shape):
+    """One-sided sheet: the inside of a cylinder's arc, solid behind it.
+
+    Within the arc phi = radius - distance from the axis; elsewhere there is no obstacle and phi is
+    the distance to the arc's nearer rim (so behind the sheet it jumps at the rim). On the axis:
+    normal -``start``, gradients zero.
+
+    Args:
+        radius: [m], > 0.
+        angle: Opening of the arc [rad], in (0, 2 pi).
+        axis: Axis of the cylinder through the origin, (3,).
+        start: Direction of the arc's first rim, (3,), perpendicular to ``axis``; the arc goes
+            right-handed about ``axis``.
+    """
+
+    def __init__(
+        self,
+        radius: Number,
+        angle: float,
+        *,
+        axis: Vector = (0.0, 1.0, 0.0),
+        start: Vector = (0.0, 0.0, -1.0),
+        inside_out: bool = False,
+    ):
+        super().__init__(inside_out)
+        self.radius = scalar("radius", radius, above=0.0)
+        self.angle = scalar("angle", angle, above=0.0, below=2.0 * torch.pi, hint="unit is rad")
+        a, s = vector("axis", axis), vector("start", start)
+        if not (float(a.detach().norm()) > 0 and float(s.detach().norm()) > 0):
+            raise ValueError("axis and start must not be zero")
+        self.axis, self.start = a / a.norm(), s / s.norm()
+        if abs(float(dot(self.axis, self.start).detach())) > 1e-9:
+            raise ValueError(
+                "start must be perpendicular to axis, got cosine "
+                f"{float(dot(self.axis, self.start).detach()):.3g}"
+            )
+
+    def _solid(self, x: Tensor) -> Pair:
+        across = x - (x @ self.axis)[..., None] * self.axis
+        length, outwards = direction(across, self.start)
+        side = torch.linalg.cross(self.axis, self.start)
+        angle = torch.atan2(across.detach() @ side.detach(), across.detach() @ self.start.detach())
+        angle = torch.where(angle < 0, angle + 2.0 * torch.pi, angle)
+        opening = self.angle.detach()
+        after = (2.0 * torch.pi + opening) / 2.0  # from here on the first rim is nearer
+        rim = torch.where((angle < after)[..., None], self._rim(side), self.radius * self.start)
+        to_rim, from_rim = direction(across - rim, self.start)
+        within = (angle > 0) & (angle < opening)
+        return (
+            torch.where(within, self.radius - length, to_rim),
+            torch.where(within[..., None], -outwards, from_rim),
+        )
+
+    def _rim(self, side: Tensor) -> Tensor:
+        return self.radius * (torch.cos(self.angle) * self.start + torch.sin(self.angle) * side)
+
+
+class Custom(Shape):
+    """Any signed-distance function of ``diffsim.mesh.sdf``'s kind; its normal by autograd.
+
+    The normal is the function's normalised gradient, so it is a unit vector even where phi is
+    only a bound. Where the gradient vanishes: normal +z, gradients zero.
+
+    Args:
+        sdf: Callable (N, 3) [m] -> (N,) [m] in torch, negative inside, twice differentiable
+            almost everywhere; tensors that it holds get gradients.
+    """
+
+    def __init__(self, sdf: Sdf, *, inside_out: bool = False):
+        super().__init__(inside_out)
+        if not callable(sdf):
+            raise TypeError(f"sdf must be callable, got {type(sdf).__name__}")
+        self.sdf = sdf
+
+    def _solid(self, x: Tensor) -> Pair:
+        flat = x.reshape(-1, 3)
+        keep = torch.is_grad_enabled()
+        with torch.enable_grad():
+            # evaluated twice: a kink that spoils the normal's gradient must not spoil that of phi
+            phi = self._distance(_guarded(flat))
+            leaf = _guarded(flat)
+            (slope,) = torch.autograd.grad(self._distance(leaf).sum(), leaf, create_graph=keep)
+        normal = direction(slope, _Z, tiny=1e-12)[1]
+        if not keep:
+            phi, normal = phi.detach(), normal.detach()
+        return phi.reshape(x.shape[:-1]), normal.reshape(x.shape)
+
+    def _distance(self, x: Tensor) -> Tensor:
+        phi = self.sdf(x)
+        if not isinstance(phi, Tensor) or phi.shape != (len(x),):
+            got = tuple(phi.shape) if isinstance(phi, Tensor) else type(phi).__name__
+            raise ValueError(f"sdf must return one distance per point, ({len(x)},), got {got}")
+        return phi
+
+
+def _guarded(x: Tensor) -> Tensor:
+    """A copy of x, part of its graph, to which gradients that are not finite flow back as zero."""
+    copy = x.clone() if x.requires_grad else x.detach().requires_grad_()
+    copy.register_hook(_finite)
+    return copy
+
+
+def _finite(grad: Tensor | None) -> Tensor | None:
+    return None if grad is None else torch.nan_to_num(grad, nan=0.0, posinf=0.0, neginf=0.0)
