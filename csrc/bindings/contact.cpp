@@ -1,10 +1,9 @@
 // Contact: the implicit step with non-penetration and Coulomb friction, and its adjoint.
-#include "kernels/contact/contact_step.h"
-
 #include <nanobind/stl/shared_ptr.h>
 
 #include "bindings/bindings.h"
 #include "bindings/soft_arrays.h"
+#include "kernels/contact/contact_step.h"
 
 namespace diffsim {
 namespace {
@@ -15,7 +14,7 @@ struct ContactArrays {
   Address node = 0, normal = 0, reference = 0, offset = 0, friction = 0, force_guess = 0;
 
   ContactInputs inputs() const {
-    return {num_contacts,      in_index(node),         in(normal),         in(reference),
+    return {num_contacts,        in_index(node),        in(normal),     in(reference),
             diffsim::in(offset), diffsim::in(friction), in(force_guess)};
   }
   ContactAdjoint adjoint() const {
@@ -36,15 +35,15 @@ void bind_contact(nb::module_& m) {
       .def_rw("friction", &ContactArrays::friction)
       .def_rw("force_guess", &ContactArrays::force_guess);
 
-  m.def("contact_step", [](const ConstantSystem& system, const SoftArrays& arrays,
-                           const ContactArrays& contacts, const StepOptions& options,
-                           bool cache_columns, std::int64_t batch, Address x, Address force,
-                           Address status, Address stats, int num_threads) {
-    nb::gil_scoped_release release;
-    contact_step_batch(system, arrays.inputs(), contacts.inputs(), options, {cache_columns}, batch,
-                       out(x), out(force), out_index(status), reinterpret_cast<StepStats*>(stats),
-                       num_threads);
-  });
+  m.def("contact_step",
+        [](const ConstantSystem& system, const SoftArrays& arrays, const ContactArrays& contacts,
+           const StepOptions& options, bool cache_columns, std::int64_t batch, Address x,
+           Address force, Address status, Address stats, int num_threads) {
+          nb::gil_scoped_release release;
+          contact_step_batch(system, arrays.inputs(), contacts.inputs(), options, {cache_columns},
+                             batch, out(x), out(force), out_index(status),
+                             reinterpret_cast<StepStats*>(stats), num_threads);
+        });
   m.def("contact_step_adjoint",
         [](const ConstantSystem& system, const SoftArrays& arrays, const ContactArrays& contacts,
            const StepOptions& options, bool cache_columns, std::int64_t batch, Address x,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -9,7 +10,8 @@ from torch import Tensor, nn
 
 from diffsim._check import require, require_choice, require_indices, require_number
 from diffsim._soft_context import SoftContext
-from diffsim.mesh import HexMesh, TetMesh, nodal_volume, shape_gradients
+from diffsim.contact import Obstacle
+from diffsim.mesh import HexMesh, TetMesh, nodal_volume, shape_gradients, surface_vertices
 from diffsim.soft.forces import elastic_energy, elastic_force
 from diffsim.soft.integrators import INTEGRATORS
 from diffsim.soft.materials import VOLUME_WEIGHTS
@@ -65,6 +67,10 @@ class SoftBody(nn.Module):
         added_mass: Inertia without weight, of surrounding water say, (num_vertices,) [kg]; see
             :func:`~diffsim.soft.added_mass`.
         node_mass: Nodal masses instead of ``density`` times nodal volume, (num_vertices,) [kg].
+        contact_nodes: Nodes that touch obstacles, (k,) int64; None: all surface nodes without
+            Dirichlet conditions.
+        max_depenetration_speed: Nodes that start inside an obstacle are pushed out no faster
+            [m/s].
         volume_weight: ``small_strain`` (E, nu in = E, nu out) or ``thesis``, see
             :func:`~diffsim.soft.materials.pd_weights`.
         solver: :class:`~diffsim.soft.SolverOptions`.
@@ -75,6 +81,7 @@ class SoftBody(nn.Module):
 
     x_rest: Tensor
     fixed: Tensor
+    contact_nodes: Tensor
     nodal_volume: Tensor
 
     def __init__(
@@ -94,6 +101,8 @@ class SoftBody(nn.Module):
         attached_mass: Tensor | None = None,
         added_mass: Tensor | None = None,
         node_mass: Tensor | None = None,
+        contact_nodes: Tensor | None = None,
+        max_depenetration_speed: float = math.inf,
         volume_weight: str = "small_strain",
         solver: SolverOptions | None = None,
     ):
@@ -111,6 +120,10 @@ class SoftBody(nn.Module):
         # Not in the state_dict: loading one would change them behind the prepared solver's back.
         self.register_buffer("x_rest", mesh.x_rest, persistent=False)
         self.register_buffer("fixed", _dirichlet_mask(fixed, mesh.num_vertices), persistent=False)
+        self.register_buffer(
+            "contact_nodes", _contact_nodes(contact_nodes, mesh, self.fixed), persistent=False
+        )
+        self.max_depenetration_speed = _depenetration_speed(max_depenetration_speed)
         self.register_buffer("nodal_volume", nodal_volume(mesh), persistent=False)
         given = {
             "youngs_modulus": youngs_modulus,
@@ -193,6 +206,7 @@ class SoftBody(nn.Module):
         external_force: Tensor | None = None,
         activation: Tensor | None = None,
         dirichlet_target: Tensor | None = None,
+        obstacles: Sequence[Obstacle] | Obstacle | None = None,
         physics: Physics | None = None,
     ) -> State:
         """One time step; see :func:`diffsim.soft.step`."""
@@ -202,6 +216,7 @@ class SoftBody(nn.Module):
             external_force=external_force,
             activation=activation,
             dirichlet_target=dirichlet_target,
+            obstacles=obstacles,
             physics=physics,
         )
 
@@ -245,3 +260,27 @@ def _dirichlet_mask(fixed: Tensor | None, num_vertices: int) -> Tensor:
     nodes = require("fixed", fixed, ("k",), torch.int64)
     mask[require_indices("fixed", nodes, num_vertices, "vertices")] = True
     return mask
+
+
+def _contact_nodes(given: Tensor | None, mesh: HexMesh | TetMesh, fixed: Tensor) -> Tensor:
+    """(k,) int64; nodes with Dirichlet conditions follow these, not obstacles."""
+    held = fixed.any(1)
+    if given is None:
+        surface = surface_vertices(mesh)
+        return surface[~held[surface]]
+    nodes = require("contact_nodes", given, ("k",), torch.int64)
+    require_indices("contact_nodes", nodes, mesh.num_vertices, "vertices")
+    if len(nodes.unique()) < len(nodes):
+        raise ValueError("contact_nodes must not name a node twice; use contact_nodes.unique()")
+    if bool(held[nodes].any()):
+        raise ValueError(
+            f"contact_nodes must have no Dirichlet condition, got {int(held[nodes].sum())} fixed "
+            f"ones, first node {int(nodes[held[nodes]][0])}; leave them out"
+        )
+    return nodes
+
+
+def _depenetration_speed(value: float) -> float:
+    if value == math.inf:
+        return value
+    return require_number("max_depenetration_speed", value, above=0.0, hint="unit is m/s")

@@ -18,6 +18,8 @@ from diffsim.soft.state import State
 IMPLICIT = ("implicit_euler", "bdf2", "implicit_midpoint")
 EXPLICIT = ("semi_implicit_euler",)
 INTEGRATORS = IMPLICIT + EXPLICIT
+# The unknown must be the position at the end of the step, where non-penetration holds.
+WITH_CONTACT = ("implicit_euler", "bdf2")
 
 
 @dataclass(frozen=True)

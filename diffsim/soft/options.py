@@ -25,6 +25,8 @@ class SolverOptions:
         adjoint_rtol: |H z - dL/dx| must fall below ``adjoint_rtol * |dL/dx|``; None: rtol [-].
         max_iters: Largest number of outer iterations [-].
         adjoint_max_iters: Largest number of Krylov iterations of the adjoint [-].
+        cache_columns: With obstacles: keep columns of the constant matrix's inverse from step to
+            step (thesis Alg. 5). False only to measure what that is worth.
         num_threads: Threads of one step; a batch deals its items out to them [-].
         on_failure: ``raise`` :class:`~diffsim.errors.ConvergenceError`, or ``warn``.
     """
@@ -35,6 +37,7 @@ class SolverOptions:
     adjoint_rtol: float | None = None
     max_iters: int = 500
     adjoint_max_iters: int = 5000
+    cache_columns: bool = True
     num_threads: int = 1
     on_failure: str = "raise"
 
@@ -44,6 +47,10 @@ class SolverOptions:
         require_number("atol", self.atol, at_least=0.0)
         if self.adjoint_rtol is not None:
             require_number("adjoint_rtol", self.adjoint_rtol, above=0.0, below=1.0)
+        if not isinstance(self.cache_columns, bool):
+            raise TypeError(
+                f"cache_columns must be True or False, got {type(self.cache_columns).__name__}"
+            )
         for name in ("max_iters", "adjoint_max_iters", "num_threads"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int):

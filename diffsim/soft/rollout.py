@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import torch
@@ -10,6 +10,8 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from diffsim._check import require_number
+from diffsim.contact import Obstacle, check_clear
+from diffsim.contact.obstacle import require_obstacles
 from diffsim.soft.physics import Physics
 from diffsim.soft.state import State, Trajectory, require_state
 from diffsim.soft.step import step
@@ -17,6 +19,7 @@ from diffsim.soft.step import step
 if TYPE_CHECKING:
     from diffsim.soft.body import SoftBody
 
+Obstacles = Sequence[Obstacle] | Obstacle | Callable[[int, State], Sequence[Obstacle]] | None
 Signal = Tensor | Callable[[int, State], Tensor] | None
 
 
@@ -28,6 +31,7 @@ def rollout(
     external_force: Signal = None,
     activation: Signal = None,
     dirichlet_target: Signal = None,
+    obstacles: Obstacles = None,
     physics: Physics | None = None,
     checkpoint_every: int | None = None,
     keep: Callable[[State], Tensor] | None = None,
@@ -41,6 +45,8 @@ def rollout(
         external_force: One tensor for all steps, or ``f(step, state)`` for closed loops and for
             signals in time [N].
         activation, dirichlet_target: The same, see :func:`diffsim.soft.step`.
+        obstacles: Obstacles at their poses at the start, which then move by their velocities; or
+            ``f(step, state)`` that returns those of a step at the step's start.
         physics: Parameters from ``body.physics(...)``; None: the body's own.
         checkpoint_every: Store the graph of that many steps at a time and recompute the rest in
             the backward pass: memory of about num_steps / k + k states instead of all. Callables
@@ -63,6 +69,7 @@ def rollout(
         raise TypeError(f"keep must be a function of a State, got {type(keep).__name__}")
     require_state(state)
     physics = body.physics() if physics is None else physics
+    at_step = _obstacles_at(body, obstacles, state)
 
     def advance(first: int, count: int, start: State) -> tuple[list[Tensor], list[Tensor], State]:
         xs, vs = [], []
@@ -74,6 +81,7 @@ def rollout(
                 external_force=_at(external_force, k, now),
                 activation=_at(activation, k, now),
                 dirichlet_target=_at(dirichlet_target, k, now),
+                obstacles=at_step(k, now),
                 physics=physics,
             )
             xs.append(now.x if keep is None else keep(now))
@@ -95,3 +103,23 @@ def rollout(
 
 def _at(signal: Signal, k: int, state: State) -> Tensor | None:
     return signal(k, state) if callable(signal) and not isinstance(signal, Tensor) else signal
+
+
+def _obstacles_at(
+    body: SoftBody, obstacles: Obstacles, start: State
+) -> Callable[[int, State], Sequence[Obstacle] | None]:
+    """Obstacles of step k; refuses a start in the middle of one."""
+    if obstacles is None:
+        return lambda k, state: None
+    if callable(obstacles):
+        first, signal = obstacles(0, start), obstacles
+    else:
+        first = require_obstacles(obstacles)
+
+        def signal(k: int, state: State) -> Sequence[Obstacle]:
+            return [obstacle.after(k * body.dt) for obstacle in first]
+
+    if not torch.compiler.is_compiling():
+        for x in start.x.detach().reshape(-1, *start.x.shape[-2:]):
+            check_clear(first, body.mesh, x)
+    return signal

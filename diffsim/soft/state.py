@@ -15,18 +15,20 @@ class State(NamedTuple):
         v: Velocities, same shape [m/s].
         x_prev: Positions one step earlier, or None (then BDF2 starts with implicit Euler).
         v_prev: Velocities one step earlier, or None.
+        contact_force: Forces of obstacles on the nodes in the step that led here, shape of x [N],
+            or None where there were no obstacles. The next step starts its search from them.
     """
 
     x: Tensor
     v: Tensor
     x_prev: Tensor | None = None
     v_prev: Tensor | None = None
+    contact_force: Tensor | None = None
 
     def detach(self) -> State:
         """The same state without its history of gradients."""
-        x_prev = None if self.x_prev is None else self.x_prev.detach()
-        v_prev = None if self.v_prev is None else self.v_prev.detach()
-        return State(self.x.detach(), self.v.detach(), x_prev, v_prev)
+        cut = {k: v.detach() for k, v in self._asdict().items() if v is not None}
+        return State(**cut)
 
 
 def require_state(state: State) -> State:

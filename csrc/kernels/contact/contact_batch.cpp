@@ -38,10 +38,9 @@ void contact_step_adjoint_batch(const ConstantSystem& system, const StepInputs& 
                                 int num_threads) {
   const std::int64_t size = 3 * system.model().num_nodes, count = contacts.num_contacts;
   for_batch(batch, num_threads, [&](std::int64_t k, ThreadPool& pool) {
-    const ContactAdjoint item{offset(contact_out.normal, k, 3 * count),
-                              offset(contact_out.reference, k, 3 * count),
-                              offset(contact_out.offset, k, count),
-                              offset(contact_out.friction, k, count)};
+    const ContactAdjoint item{
+        offset(contact_out.normal, k, 3 * count), offset(contact_out.reference, k, 3 * count),
+        offset(contact_out.offset, k, count), offset(contact_out.friction, k, count)};
     stats[k] = contact_step_adjoint(
         system, batch_item(inputs, system.model(), k), batch_item(contacts, k), options,
         contact_options, x + k * size, status + k * count, grad_x + k * size,

@@ -55,10 +55,10 @@ void ContactPreconditioner::make_rows() {
     const double stiffness = space_.slip_stiffness[k];
     if (stiffness > 0.1 * system_.diagonal()[active_[i]]) {
       const double* t = space_.direction.data() + 3 * k;
-      groups_[group].rows.push_back({i,
-                                     {n[1] * t[2] - n[2] * t[1], n[2] * t[0] - n[0] * t[2],
-                                      n[0] * t[1] - n[1] * t[0]},
-                                     1.0 / stiffness});
+      groups_[group].rows.push_back(
+          {i,
+           {n[1] * t[2] - n[2] * t[1], n[2] * t[0] - n[0] * t[2], n[0] * t[1] - n[1] * t[0]},
+           1.0 / stiffness});
     }
   }
 }
@@ -109,8 +109,7 @@ bool ContactPreconditioner::prepare_tangent() {
     double* P = projector.data() + 9 * space_.node(k);
     const double* n = space_.normal(k);
     for (int i = 0; i < 9; ++i)
-      P[i] = space_.status[k] == ContactStatus::kStick ? 0.0
-                                                       : (i % 4 == 0) - n[i / 3] * n[i % 3];
+      P[i] = space_.status[k] == ContactStatus::kStick ? 0.0 : (i % 4 == 0) - n[i / 3] * n[i % 3];
   }
   std::vector<double> sliding(at(model.num_nodes), 0.0);
   std::vector<const double*> slide_direction(at(model.num_nodes), nullptr);
@@ -186,20 +185,18 @@ void ContactPreconditioner::apply(const Vector& r, Vector& z) {
     for (Eigen::Index j = 0; j < size; ++j) {
       const Row& row = group.rows[at(j)];
       for (std::size_t a = 0; a < 3; ++a)
-        multiplier_[3 * row.active + a] += group.axes == 3
-                                               ? l(j, static_cast<Eigen::Index>(a))
-                                               : l(j, 0) * row.direction[a];
+        multiplier_[3 * row.active + a] +=
+            group.axes == 3 ? l(j, static_cast<Eigen::Index>(a)) : l(j, 0) * row.direction[a];
     }
   }
-  const double by_columns = 8.0 * static_cast<double>(system_.model().num_nodes) *
-                            static_cast<double>(active_.size());
+  const double by_columns =
+      8.0 * static_cast<double>(system_.model().num_nodes) * static_cast<double>(active_.size());
   if (by_columns < 2.0 * static_cast<double>(system_.factor_bytes())) {
     subtract_columns(z);
   } else {
     second_ = r;
     for (std::size_t i = 0; i < active_.size(); ++i)
-      for (std::size_t a = 0; a < 3; ++a)
-        second_[3 * at(active_[i]) + a] -= multiplier_[3 * i + a];
+      for (std::size_t a = 0; a < 3; ++a) second_[3 * at(active_[i]) + a] -= multiplier_[3 * i + a];
     problem_.solve_constant(second_, z);
   }
   space_.project(z);  // rounding

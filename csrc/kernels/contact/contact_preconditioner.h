@@ -2,15 +2,14 @@
 //
 // On the constant factor: with J the directions that contact takes away,
 //   z = A^-1 (r - J^T l),   (J A^-1 J^T) l = J A^-1 r,
-// is the exact inverse of A on what is left; J A^-1 J^T needs only entries of (A^-1)_CC (thesis eqs.
-// 4.32-4.39, Alg. 5, at half the rank). On a factor of the tangent: the blocks of H are projected
-// before they are factorised, which costs a factorisation for each new contact set, whatever its
-// size.
+// is the exact inverse of A on what is left; J A^-1 J^T needs only entries of (A^-1)_CC (thesis
+// eqs. 4.32-4.39, Alg. 5, at half the rank). On a factor of the tangent: the blocks of H are
+// projected before they are factorised, which costs a factorisation for each new contact set,
+// whatever its size.
 #pragma once
 
-#include <memory>
-
 #include <Eigen/Dense>
+#include <memory>
 
 #include "kernels/contact/contact_space.h"
 #include "kernels/soft/step_problem.h"
@@ -23,7 +22,10 @@ class ContactPreconditioner {
   ///                       every contact set (only to measure what keeping them is worth)
   ContactPreconditioner(StepProblem& problem, const ConstantSystem& system,
                         const ContactSpace& space, bool cache_columns, ThreadPool& pool)
-      : problem_(problem), system_(system), space_(space), cache_columns_(cache_columns),
+      : problem_(problem),
+        system_(system),
+        space_(space),
+        cache_columns_(cache_columns),
         pool_(pool) {}
 
   /// Takes over the space's statuses on the constant factor.

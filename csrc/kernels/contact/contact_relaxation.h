@@ -1,5 +1,5 @@
-// Frictional contact on a linearised body by nonlinear Gauss-Seidel on the Delassus operator: slower
-// than the semismooth Newton iteration, but it does not cycle. Used where that one does.
+// Frictional contact on a linearised body by nonlinear Gauss-Seidel on the Delassus operator:
+// slower than the semismooth Newton iteration, but it does not cycle. Used where that one does.
 #pragma once
 
 #include <vector>

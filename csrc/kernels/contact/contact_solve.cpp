@@ -24,12 +24,11 @@ void ContactSolve::choose() {
 
 void ContactSolve::prepare() {
   choose();
-  const bool old_factor = preconditioner_.on_tangent() && stale_matrix_ &&
-                          (method_ == StepMethod::kNewtonCholesky ||
-                           age_ >= system_.plan().refactor_after());
+  const bool old_factor =
+      preconditioner_.on_tangent() && stale_matrix_ &&
+      (method_ == StepMethod::kNewtonCholesky || age_ >= system_.plan().refactor_after());
   if (kind_ == Kind::kConstant && stale_statuses_) preconditioner_.prepare_constant();
-  if (kind_ == Kind::kTangent &&
-      (stale_statuses_ || old_factor || !preconditioner_.on_tangent())) {
+  if (kind_ == Kind::kTangent && (stale_statuses_ || old_factor || !preconditioner_.on_tangent())) {
     age_ = 0;
     if (!preconditioner_.prepare_tangent()) preconditioner_.prepare_constant();
   }

@@ -25,12 +25,12 @@ enum class ContactStatus : std::int64_t { kSeparate = 0, kStick = 1, kSlip = 2 }
 /// Contacts of one step; all arrays belong to the caller.
 struct ContactInputs {
   std::int64_t num_contacts = 0;
-  const std::int64_t* node = nullptr;    // (num_contacts,), no node twice, free on all axes
-  const double* normal = nullptr;        // (num_contacts, 3), unit, out of the obstacle
-  const double* reference = nullptr;     // (num_contacts, 3) [m]
-  const double* offset = nullptr;        // (num_contacts,) [m]
-  const double* friction = nullptr;      // (num_contacts,) [-]; infinity never slips
-  const double* force_guess = nullptr;   // (num_contacts, 3) [N], zero where unknown
+  const std::int64_t* node = nullptr;   // (num_contacts,), no node twice, free on all axes
+  const double* normal = nullptr;       // (num_contacts, 3), unit, out of the obstacle
+  const double* reference = nullptr;    // (num_contacts, 3) [m]
+  const double* offset = nullptr;       // (num_contacts,) [m]
+  const double* friction = nullptr;     // (num_contacts,) [-]; infinity never slips
+  const double* force_guess = nullptr;  // (num_contacts, 3) [N], zero where unknown
 };
 
 class ContactSpace {

@@ -1,6 +1,4 @@
 #include "kernels/contact/contact_step.h"
-#include <cstdio>
-#include <cstdlib>
 
 #include "kernels/contact/contact_relaxation.h"
 #include "kernels/contact/contact_solve.h"
@@ -50,7 +48,6 @@ class ContactNewton {
       stats.converged = moved && stats.residual_norm <= tolerance_ ? 1.0 : 0.0;
       if (stats.converged != 0.0 || iter == options_.max_iters) break;
       const bool descended = newton_step(stats.residual_norm);
-      if (getenv("CDBG")) {int a=0,b=0; for (auto v: space_.status){a+=v==ContactStatus::kStick;b+=v==ContactStatus::kSlip;} fprintf(stderr,"it %d changed %d moved %d res %.3e stick %d slip %d desc %d step %.2e gm %d conv %d clamp %d value %.6e slope %.2e\n",iter,changed,moved,stats.residual_norm,a,b,descended,dbg_step,dbg_it,dbg_conv,clamp_,value_,dbg_slope);}
       stalled_ = moved && !descended ? stalled_ + 1 : 0;
       moved = true;
       if (stalled_ > 5) {  // rounding decides from here on
@@ -153,7 +150,6 @@ class ContactNewton {
   void solve_linear(const Vector& rhs, double tolerance, Vector& q) {
     const int limit = static_cast<int>(std::min<std::size_t>(problem_.size(), 2000));
     KrylovResult result = solve_.solve(rhs, tolerance, limit, q);
-    dbg_it=result.num_iters; dbg_conv=result.converged;
     if (result.negative_curvature && !clamp_) {
       clamp_ = true;
       problem_.assemble(x_, true);
@@ -190,8 +186,7 @@ class ContactNewton {
 
   bool search(const Vector& onto, const Vector& q) {
     const Vector limits = friction_limits(onto, q);
-    const bool corrected =
-        std::any_of(onto.begin(), onto.end(), [](double v) { return v != 0.0; });
+    const bool corrected = std::any_of(onto.begin(), onto.end(), [](double v) { return v != 0.0; });
     Vector start = x_;
     if (corrected) {
       problem_.ops().add(1.0, onto, start);
@@ -201,7 +196,7 @@ class ContactNewton {
     const double slope = merit_slope(q, limits);
     const double rounding = 1e-14 * problem_.magnitude();
     for (double step = 1.0; step > 1e-9; step *= 0.5) {
-      x_ = start; dbg_step=step; dbg_slope=slope;
+      x_ = start;
       problem_.ops().add(step, q, x_);
       value_ = problem_.value_gradient(x_, gradient_);
       const double after = merit(x_, value_, limits);
@@ -263,7 +258,6 @@ class ContactNewton {
   double value_ = 0.0, tolerance_ = 0.0, last_norm_ = 0.0;
   bool clamp_ = false;
   int stalled_ = 0;
-  int dbg_it=0,dbg_conv=0; double dbg_step=0,dbg_slope=0;
 };
 
 }  // namespace

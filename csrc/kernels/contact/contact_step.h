@@ -1,9 +1,10 @@
 // One implicit step of a soft body in contact, and its adjoint.
 //
-// Forward: grad g(x) = r (thesis eq. 4.25) where r vanishes but at nodes in contact, and each contact
-// separates, sticks or slips (contact_space.h). Semismooth Newton: each iteration takes the statuses
-// from the trial force r - rho (slip, gap) (Alart and Curnier 1991; Hintermueller, Ito and Kunisch
-// 2002), and solves for the free unknowns. The statuses found are exact; no penalty, no smoothing.
+// Forward: grad g(x) = r (thesis eq. 4.25) where r vanishes but at nodes in contact, and each
+// contact separates, sticks or slips (contact_space.h). Semismooth Newton: each iteration takes the
+// statuses from the trial force r - rho (slip, gap) (Alart and Curnier 1991; Hintermueller, Ito and
+// Kunisch 2002), and solves for the free unknowns. The statuses found are exact; no penalty, no
+// smoothing.
 #pragma once
 
 #include "kernels/contact/contact_space.h"

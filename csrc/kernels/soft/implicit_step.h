@@ -43,10 +43,10 @@ struct StepStats {
   double num_factorizations = 0.0;  // of the 3x3-block tangent
   double energy = 0.0;              // E + D at the answer [J]
   double converged = 0.0;           // 1 or 0
-  double num_contacts = 0.0;        // nodes in contact at the answer; this and the next: contact only
-  double num_slipping = 0.0;        // of these, how many slip
-  double num_set_changes = 0.0;     // iterations that changed a contact's status
-  double num_cycles = 0.0;          // times that statuses came round again and had to be resolved
+  double num_contacts = 0.0;     // nodes in contact at the answer; this and the next: contact only
+  double num_slipping = 0.0;     // of these, how many slip
+  double num_set_changes = 0.0;  // iterations that changed a contact's status
+  double num_cycles = 0.0;       // times that statuses came round again and had to be resolved
 };
 
 /// @param[out] x (num_nodes, 3) [m]

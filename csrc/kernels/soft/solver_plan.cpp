@@ -88,10 +88,9 @@ SolverPlan make_solver_plan(const ConstantSystem& system, const SoftParameters& 
   plan.constant_cost =
       streaming_cost(matrix_bytes + 2.0 * static_cast<double>(system.factor_bytes()));
   plan.tangent_cost = streaming_cost(matrix_bytes + 2.0 * static_cast<double>(tangent.bytes()));
-  plan.factorize_cost =
-      static_cast<double>(tangent.bytes()) > kMaxFactorBytes
-          ? std::numeric_limits<double>::infinity()
-          : flop_cost(tangent.flops()) + 2.0 * streaming_cost(matrix_bytes);
+  plan.factorize_cost = static_cast<double>(tangent.bytes()) > kMaxFactorBytes
+                            ? std::numeric_limits<double>::infinity()
+                            : flop_cost(tangent.flops()) + 2.0 * streaming_cost(matrix_bytes);
   const int limit = static_cast<int>(
       std::min<double>(kMaxProbe, std::max(20.0, plan.factorize_cost / plan.constant_cost)));
   plan.iterations = probe(system, parameters, limit, pool);
