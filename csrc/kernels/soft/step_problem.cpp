@@ -76,6 +76,14 @@ void StepProblem::zero_fixed(Vector& v) const {
     if (system_.fixed()[i]) v[i] = 0.0;
 }
 
+void StepProblem::parameter_adjoint(const Vector& x, const Vector& z,
+                                    const ParameterAdjoint& out) {
+  Vector minus_z(z);
+  for (double& v : minus_z) v = -v;
+  diffsim::parameter_adjoint(system_.model(), in_.parameters, frames_, x.data(), minus_z.data(),
+                             out, elastic_, pool_);
+}
+
 void StepProblem::solve_constant(const Vector& r, Vector& z) {
   ++num_solves;
   system_.solve(r, z, constant_, pool_);

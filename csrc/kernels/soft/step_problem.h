@@ -30,6 +30,8 @@ class StepProblem {
   /// The same without zeroing: forces that fixed unknowns feel.
   void multiply_all(const Vector& in, Vector& out);
   void zero_fixed(Vector& v) const;
+  /// -z . d(grad g)/dp for every parameter p of the energy, overwritten (eq. 4.10).
+  void parameter_adjoint(const Vector& x, const Vector& z, const ParameterAdjoint& out);
 
   /// z = A^-1 r.
   void solve_constant(const Vector& r, Vector& z);
