@@ -10,12 +10,14 @@ namespace {
 /// Addresses that Python fills by name; zero means absent.
 struct SoftArrays {
   Address w_mu = 0, w_vol = 0, fibre_stiffness = 0, activation = 0, damp_mu = 0, damp_lambda = 0;
+  Address pressure = 0;
   Address y = 0, force = 0, target = 0, guess = 0, inertia = 0, x_frame = 0, x_velocity = 0;
 
   StepInputs inputs() const {
     StepInputs in;
     in.parameters = {diffsim::in(w_mu),       diffsim::in(w_vol),   diffsim::in(fibre_stiffness),
-                     diffsim::in(activation), diffsim::in(damp_mu), diffsim::in(damp_lambda)};
+                     diffsim::in(activation), diffsim::in(damp_mu), diffsim::in(damp_lambda),
+                     diffsim::in(pressure)};
     in.y = diffsim::in(y);
     in.force = diffsim::in(force);
     in.target = diffsim::in(target);
@@ -30,8 +32,9 @@ struct SoftArrays {
     grads.force = out(force);
     grads.target = out(target);
     grads.inertia = out(inertia);
-    grads.parameters = {out(w_mu),    out(w_vol),       out(fibre_stiffness), out(activation),
-                        out(damp_mu), out(damp_lambda), out(x_frame),         out(x_velocity)};
+    grads.parameters = {out(w_mu),       out(w_vol),      out(fibre_stiffness),
+                        out(activation), out(damp_mu),    out(damp_lambda),
+                        out(x_frame),    out(x_velocity), out(pressure)};
     return grads;
   }
 };
@@ -45,6 +48,7 @@ void bind_arrays(nb::module_& m) {
       .def_rw("activation", &SoftArrays::activation)
       .def_rw("damp_mu", &SoftArrays::damp_mu)
       .def_rw("damp_lambda", &SoftArrays::damp_lambda)
+      .def_rw("pressure", &SoftArrays::pressure)
       .def_rw("y", &SoftArrays::y)
       .def_rw("force", &SoftArrays::force)
       .def_rw("target", &SoftArrays::target)
@@ -78,8 +82,11 @@ void bind_prepared(nb::module_& m) {
   m.def(
       "make_soft_pattern",
       [](bool is_hex, std::int64_t num_nodes, std::int64_t num_elements, std::int64_t num_classes,
-         std::int64_t num_fibres, Address elements, Address grad, Address weight, Address class_idx,
-         Address coords, Address fibre_elements, Address fibre_directions) {
+         std::int64_t num_fibres, std::int64_t num_chambers, std::int64_t num_lids,
+         Address elements, Address grad, Address weight, Address class_idx, Address coords,
+         Address fibre_elements, Address fibre_directions, Address fibre_pull_only,
+         Address chamber_start, Address chamber_faces, Address lid_chamber, Address lid_start,
+         Address lid_nodes) {
         nb::gil_scoped_release release;
         MeshTables t;
         t.is_hex = is_hex;
@@ -94,12 +101,22 @@ void bind_prepared(nb::module_& m) {
         t.coords = in(coords);
         t.fibre_elements = in_index(fibre_elements);
         t.fibre_directions = in(fibre_directions);
+        t.fibre_pull_only = in(fibre_pull_only);
+        t.chambers = {num_chambers,
+                      num_lids,
+                      in_index(chamber_start),
+                      in_index(chamber_faces),
+                      in_index(lid_chamber),
+                      in_index(lid_start),
+                      in_index(lid_nodes)};
         return std::make_shared<SoftPattern>(make_soft_model(t), t.coords);
       },
       nb::kw_only(), nb::arg("is_hex"), nb::arg("num_nodes"), nb::arg("num_elements"),
-      nb::arg("num_classes"), nb::arg("num_fibres"), nb::arg("elements"), nb::arg("grad"),
-      nb::arg("weight"), nb::arg("class_idx"), nb::arg("coords"), nb::arg("fibre_elements"),
-      nb::arg("fibre_directions"));
+      nb::arg("num_classes"), nb::arg("num_fibres"), nb::arg("num_chambers"), nb::arg("num_lids"),
+      nb::arg("elements"), nb::arg("grad"), nb::arg("weight"), nb::arg("class_idx"),
+      nb::arg("coords"), nb::arg("fibre_elements"), nb::arg("fibre_directions"),
+      nb::arg("fibre_pull_only"), nb::arg("chamber_start"), nb::arg("chamber_faces"),
+      nb::arg("lid_chamber"), nb::arg("lid_start"), nb::arg("lid_nodes"));
 
   m.def(
       "make_constant_system",

@@ -1,6 +1,7 @@
 """Soft bodies by projective dynamics, forward and backward (thesis 4.1)."""
 
 from diffsim.soft.body import SoftBody
+from diffsim.soft.chambers import PressureChamber, sealed_pressure
 from diffsim.soft.forces import elastic_energy, elastic_force
 from diffsim.soft.materials import lame_parameters, pd_weights
 from diffsim.soft.muscles import Muscle
@@ -15,6 +16,7 @@ from diffsim.soft.step import step
 __all__ = [
     "Muscle",
     "Physics",
+    "PressureChamber",
     "SoftBody",
     "SolveStats",
     "SolverOptions",
@@ -26,6 +28,7 @@ __all__ = [
     "pd_weights",
     "record_stats",
     "rollout",
+    "sealed_pressure",
     "static_equilibrium",
     "step",
 ]

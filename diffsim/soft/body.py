@@ -1,4 +1,4 @@
-"""A soft body: mesh, material, muscles and boundary conditions, stepped as a PyTorch layer."""
+"""A soft body: mesh, material, actuators and boundary conditions, stepped as a PyTorch layer."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from diffsim._check import require, require_choice, require_indices, require_number
 from diffsim._soft_context import SoftContext
 from diffsim.mesh import HexMesh, TetMesh, nodal_volume, shape_gradients
+from diffsim.soft.chambers import ChamberSet, PressureChamber
 from diffsim.soft.forces import elastic_energy, elastic_force
 from diffsim.soft.integrators import INTEGRATORS
 from diffsim.soft.materials import VOLUME_WEIGHTS
@@ -37,9 +38,9 @@ _PARAMETERS = (
 class SoftBody(nn.Module):
     """Elastic solid on a hexahedral or tetrahedral mesh; calling it takes one time step.
 
-    Corotated and volume energies (thesis eq. 4.12) with muscle fibres, gravity, Rayleigh damping,
-    attached masses and Dirichlet conditions per node and axis. Not modelled here: contact,
-    hydrodynamics, plasticity; rest positions carry no gradient.
+    Corotated and volume energies (thesis eq. 4.12) with muscle fibres, tendons, pneumatic
+    chambers, gravity, Rayleigh damping, attached masses and Dirichlet conditions per node and
+    axis. Not modelled here: contact, hydrodynamics, plasticity; rest positions carry no gradient.
 
     Physical parameters may be numbers, tensors or ``nn.Parameter``; each can be replaced for one
     call by ``body.physics(name=value)``, with gradient.
@@ -54,7 +55,8 @@ class SoftBody(nn.Module):
             (explicit).
         fixed: Dirichlet set: node indices (k,) int64 (all axes), a mask (num_vertices,) or one per
             axis (num_vertices, 3) bool; None: free.
-        muscles: Muscles, each driven by one activation.
+        muscles: Muscles and tendons, each driven by one activation.
+        chambers: Pneumatic chambers, each driven by one pressure.
         gravity: (3,) [m/s^2].
         rayleigh_alpha: Mass-proportional damping, scalar [1/s].
         rayleigh_beta: Stiffness-proportional damping, scalar or (num_elements,) [s]; see
@@ -84,6 +86,7 @@ class SoftBody(nn.Module):
         integrator: str = "implicit_euler",
         fixed: Tensor | None = None,
         muscles: Sequence[Muscle] = (),
+        chambers: Sequence[PressureChamber] = (),
         gravity: _Value = (0.0, 0.0, -9.81),
         rayleigh_alpha: _Value = 0.0,
         rayleigh_beta: _Value = 0.0,
@@ -103,6 +106,7 @@ class SoftBody(nn.Module):
             raise TypeError(f"solver must be a SolverOptions, got {type(solver).__name__}")
         self.solver = solver or SolverOptions()
         self.muscles = MuscleSet(muscles, mesh.num_elements)
+        self.chambers = ChamberSet(chambers, mesh)
         # Not in the state_dict: loading one would change them behind the prepared solver's back.
         self.register_buffer("x_rest", mesh.x_rest, persistent=False)
         self.register_buffer("fixed", _dirichlet_mask(fixed, mesh.num_vertices), persistent=False)
@@ -138,6 +142,8 @@ class SoftBody(nn.Module):
             x_rest=self.mesh.x_rest,
             fibre_elements=self.muscles.elements,
             fibre_directions=self.muscles.directions,
+            fibre_pull_only=self.muscles.pull_only,
+            chambers=self.chambers,
             fixed=self.fixed,
         )
 
@@ -189,6 +195,7 @@ class SoftBody(nn.Module):
         *,
         external_force: Tensor | None = None,
         activation: Tensor | None = None,
+        pressure: Tensor | None = None,
         dirichlet_target: Tensor | None = None,
         physics: Physics | None = None,
     ) -> State:
@@ -198,6 +205,7 @@ class SoftBody(nn.Module):
             state,
             external_force=external_force,
             activation=activation,
+            pressure=pressure,
             dirichlet_target=dirichlet_target,
             physics=physics,
         )
@@ -207,11 +215,11 @@ class SoftBody(nn.Module):
         return static_equilibrium(self, **inputs)
 
     def elastic_force(self, x: Tensor, **inputs) -> Tensor:
-        """-dE/dx; see :func:`diffsim.soft.elastic_force`."""
+        """-d(E - p V)/dx; see :func:`diffsim.soft.elastic_force`."""
         return elastic_force(self, x, **inputs)
 
     def elastic_energy(self, x: Tensor, **inputs) -> Tensor:
-        """E(x); see :func:`diffsim.soft.elastic_energy`."""
+        """E(x) - p V(x); see :func:`diffsim.soft.elastic_energy`."""
         return elastic_energy(self, x, **inputs)
 
     def extra_repr(self) -> str:
@@ -219,7 +227,8 @@ class SoftBody(nn.Module):
         return (
             f"{self.mesh.kind} mesh, {self.mesh.num_elements} elements, "
             f"{3 * self.mesh.num_vertices} DoF ({int(self.fixed.sum())} fixed), "
-            f"{self.muscles.num_muscles} muscles, {self.integrator}, dt = {self.dt:g} s, "
+            f"{self.muscles.num_muscles} muscles, {self.chambers.num_chambers} chambers, "
+            f"{self.integrator}, dt = {self.dt:g} s, "
             f"solver {self.solver.method}"
         )
 

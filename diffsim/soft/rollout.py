@@ -27,6 +27,7 @@ def rollout(
     *,
     external_force: Signal = None,
     activation: Signal = None,
+    pressure: Signal = None,
     dirichlet_target: Signal = None,
     physics: Physics | None = None,
     checkpoint_every: int | None = None,
@@ -40,7 +41,7 @@ def rollout(
         num_steps: Number of steps, >= 1.
         external_force: One tensor for all steps, or ``f(step, state)`` for closed loops and for
             signals in time [N].
-        activation, dirichlet_target: The same, see :func:`diffsim.soft.step`.
+        activation, pressure, dirichlet_target: The same, see :func:`diffsim.soft.step`.
         physics: Parameters from ``body.physics(...)``; None: the body's own.
         checkpoint_every: Store the graph of that many steps at a time and recompute the rest in
             the backward pass: memory of about num_steps / k + k states instead of all. Callables
@@ -73,6 +74,7 @@ def rollout(
                 now,
                 external_force=_at(external_force, k, now),
                 activation=_at(activation, k, now),
+                pressure=_at(pressure, k, now),
                 dirichlet_target=_at(dirichlet_target, k, now),
                 physics=physics,
             )

@@ -25,6 +25,7 @@ def step(
     *,
     external_force: Tensor | None = None,
     activation: Tensor | None = None,
+    pressure: Tensor | None = None,
     dirichlet_target: Tensor | None = None,
     physics: Physics | None = None,
 ) -> State:
@@ -35,28 +36,30 @@ def step(
         state: x, v of shape (..., num_vertices, 3) [m], [m/s]; any leading batch axes.
         external_force: Nodal forces held over the step, broadcastable to x [N].
         activation: Muscle activations, broadcastable to (..., num_muscles) [-]; None: rest.
+        pressure: Gauge pressures of the chambers, held over the step, broadcastable to
+            (..., num_chambers) [Pa]; None: zero.
         dirichlet_target: Positions at the step's end, broadcastable to x [m], read at fixed
             entries; None: rest positions.
         physics: Parameters from ``body.physics(...)``; None: the body's own.
 
     Returns:
-        The next state. Gradients: state, external_force, activation, dirichlet_target and every
-        parameter in ``physics``; first order.
+        The next state. Gradients: state, external_force, activation, pressure, dirichlet_target
+        and every parameter in ``physics``; first order.
 
     Raises:
         TypeError, ValueError: wrong shape, dtype or non-finite input.
         ConvergenceError: the solver stopped above its tolerance (see ``body.solver.on_failure``).
     """
     physics = body.physics() if physics is None else physics
-    x, force, target, activation = check_inputs(
-        body, state, external_force, activation, dirichlet_target, physics
+    x, force, target, activation, pressure = check_inputs(
+        body, state, external_force, activation, pressure, dirichlet_target, physics
     )
     if body.integrator in EXPLICIT:
-        return _explicit_step(body, state, x, force, target, activation, physics)
+        return _explicit_step(body, state, x, force, target, activation, pressure, physics)
     stage = make_stage(body.integrator, body.dt, state)
     if stage.midpoint:
         target = 0.5 * (x + target)
-    solution = _implicit(body, stage, state.x, force, target, activation, physics)
+    solution = _implicit(body, stage, state.x, force, target, activation, pressure, physics)
     return finish_stage(body.integrator, stage, state, solution, body.fixed)
 
 
@@ -67,6 +70,7 @@ def _implicit(
     force: Tensor,
     target: Tensor,
     activation: Tensor,
+    pressure: Tensor,
     physics: Physics,
 ) -> Tensor:
     """Solve the stage's problem; mass-proportional damping joins the inertia term."""
@@ -83,6 +87,7 @@ def _implicit(
         guess=guess,
         inertia=inertia,
         activation=activation,
+        pressure=pressure,
         physics=physics,
         damping=(damp_mu, damp_lambda),
         x_frame=frame,
@@ -99,12 +104,13 @@ def solve(
     guess: Tensor,
     inertia: Tensor,
     activation: Tensor,
+    pressure: Tensor,
     physics: Physics,
     damping: tuple[Tensor, Tensor] = (EMPTY, EMPTY),
     x_frame: Tensor | None = None,
     x_velocity: Tensor | None = None,
 ) -> Tensor:
-    """argmin 1/2 |x - y|^2_inertia - force.x + E(x) + D(x), x = target where fixed.
+    """argmin 1/2 |x - y|^2_inertia - force.x + E(x) + D(x) - p V(x), x = target where fixed.
 
     The layer under every integrator and under statics; see csrc/kernels/soft/implicit_step.h. All
     states (..., num_vertices, 3), inertia (num_vertices,) [N/m].
@@ -125,6 +131,7 @@ def solve(
         *(d.contiguous() for d in damping),
         EMPTY if x_frame is None else flat(x_frame),
         EMPTY if x_velocity is None else flat(x_velocity),
+        flat(pressure, 1),
     ]
     x, _ = _ops_soft.soft_step(
         inputs,
@@ -148,10 +155,11 @@ def _explicit_step(
     force: Tensor,
     target: Tensor,
     activation: Tensor,
+    pressure: Tensor,
     physics: Physics,
 ) -> State:
     """Semi-implicit Euler: v1 = v + h a(x, v), x1 = x + h v1; stable for h below 2 / w_max only."""
-    gradient, _ = elastic_gradient(body, x, state.v, activation, physics)
+    gradient, _ = elastic_gradient(body, x, state.v, activation, pressure, physics)
     mass = physics.mass[:, None]
     v = state.v + body.dt * ((force - gradient) / mass - physics.rayleigh_alpha * state.v)
     v = torch.where(body.fixed, (target - x) / body.dt, v)
