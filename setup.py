@@ -56,7 +56,14 @@ def extensions() -> list[Extension]:
     headers = sorted(str(p.relative_to(ROOT)) for p in (ROOT / "csrc").rglob("*.h"))
     flags = [
         *("-std=c++17", "-O3", "-g0", "-DNDEBUG", "-fvisibility=hidden", "-fno-strict-aliasing"),
-        *("-fno-math-errno", "-fno-trapping-math", "-Wall", "-Wextra", "-Wno-psabi", "-Wno-maybe-uninitialized"),
+        *(
+            "-fno-math-errno",
+            "-fno-trapping-math",
+            "-Wall",
+            "-Wextra",
+            "-Wno-psabi",
+            "-Wno-maybe-uninitialized",
+        ),
     ]
     return [
         Extension(

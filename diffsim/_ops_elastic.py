@@ -1,4 +1,4 @@
-"""The elastic and damping force of a soft body and its adjoint, as torch custom ops.
+"""The elastic, damping and pressure force of a soft body and its adjoint, as torch custom ops.
 
 Everything here has a leading batch axis and float64.
 """
@@ -23,7 +23,7 @@ from diffsim._soft_context import (
 def elastic_gradient(
     x: Tensor, inputs: list[Tensor], handle: int, num_threads: int
 ) -> tuple[Tensor, Tensor]:
-    """Gradient of the elastic (and damping) energy [N] and the energy [J], per batch item.
+    """Gradient of elastic, damping and pressure energy [N], and the energy [J], per batch item.
 
     ``inputs`` are those of ``ENERGY_INPUTS``, in that order.
     """
@@ -45,7 +45,7 @@ def elastic_gradient(
 
 
 def _item(k: int, named: dict[str, Tensor]) -> object:
-    batched = ("activation", "x_frame", "x_velocity")
+    batched = ("activation", "x_frame", "x_velocity", "pressure")
     return pointers(**{n: t[k] if n in batched and t.numel() else t for n, t in named.items()})
 
 

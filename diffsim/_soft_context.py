@@ -10,6 +10,7 @@ import itertools
 import threading
 import weakref
 from collections import OrderedDict
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -28,6 +29,7 @@ ENERGY_INPUTS = (
     "damp_lambda",
     "x_frame",
     "x_velocity",
+    "pressure",
 )
 STEP_INPUTS = ("y", "force", "target", "guess", "inertia", *ENERGY_INPUTS)
 STEP_GRADIENTS = tuple(name for name in STEP_INPUTS if name != "guess")
@@ -37,8 +39,20 @@ _handles = itertools.count(1)
 contexts: weakref.WeakValueDictionary[int, SoftContext] = weakref.WeakValueDictionary()
 
 
+class ChamberArrays(Protocol):
+    """Chambers as kernels read them; :class:`diffsim.soft.chambers.ChamberSet` is one."""
+
+    num_chambers: int
+    num_lids: int
+    start: Tensor
+    faces: Tensor
+    lid_chamber: Tensor
+    lid_start: Tensor
+    lid_nodes: Tensor
+
+
 class SoftContext:
-    """Prepared C++ objects of one mesh with its fibres and Dirichlet set.
+    """Prepared C++ objects of one mesh with its fibres, chambers and Dirichlet set.
 
     The pattern (elements, sparsity, ordering) is made once. Constant systems are keyed by all that
     their content depends on; the last few are kept.
@@ -55,12 +69,15 @@ class SoftContext:
         x_rest: Tensor,
         fibre_elements: Tensor,
         fibre_directions: Tensor,
+        fibre_pull_only: Tensor,
+        chambers: ChamberArrays,
         fixed: Tensor,
     ):
         self.handle = next(_handles)
         self.num_vertices = x_rest.shape[0]
         self.num_elements = elements.shape[0]
         self.num_fibres = fibre_elements.shape[0]
+        self.num_chambers = chambers.num_chambers
         self.fixed = fixed.to(torch.uint8).contiguous()
         self.pattern = core.make_soft_pattern(
             is_hex=is_hex,
@@ -68,6 +85,8 @@ class SoftContext:
             num_elements=self.num_elements,
             num_classes=grad.shape[0],
             num_fibres=self.num_fibres,
+            num_chambers=self.num_chambers,
+            num_lids=chambers.num_lids,
             elements=elements.data_ptr(),
             grad=grad.data_ptr(),
             weight=weight.data_ptr(),
@@ -75,6 +94,12 @@ class SoftContext:
             coords=x_rest.data_ptr(),
             fibre_elements=fibre_elements.data_ptr(),
             fibre_directions=fibre_directions.data_ptr(),
+            fibre_pull_only=fibre_pull_only.data_ptr(),
+            chamber_start=chambers.start.data_ptr(),
+            chamber_faces=chambers.faces.data_ptr(),
+            lid_chamber=chambers.lid_chamber.data_ptr(),
+            lid_start=chambers.lid_start.data_ptr(),
+            lid_nodes=chambers.lid_nodes.data_ptr(),
         )
         self._systems: OrderedDict[tuple[Tensor, ...], object] = OrderedDict()
         self._lock = threading.Lock()
@@ -149,6 +174,7 @@ def require_sizes(ctx: SoftContext, batch: int, tensors: dict[str, Tensor]) -> N
     """Kernels read whole arrays: refuse any other size before they do."""
     expected = {
         "activation": (batch, ctx.num_fibres),
+        "pressure": (batch, ctx.num_chambers),
         "fibre_stiffness": (ctx.num_fibres,),
         "inertia": (ctx.num_vertices,),
         **dict.fromkeys(("w_mu", "w_vol", "damp_mu", "damp_lambda"), (ctx.num_elements,)),

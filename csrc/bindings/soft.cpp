@@ -17,6 +17,7 @@ void bind_arrays(nb::module_& m) {
       .def_rw("activation", &SoftArrays::activation)
       .def_rw("damp_mu", &SoftArrays::damp_mu)
       .def_rw("damp_lambda", &SoftArrays::damp_lambda)
+      .def_rw("pressure", &SoftArrays::pressure)
       .def_rw("y", &SoftArrays::y)
       .def_rw("force", &SoftArrays::force)
       .def_rw("target", &SoftArrays::target)
@@ -50,8 +51,11 @@ void bind_prepared(nb::module_& m) {
   m.def(
       "make_soft_pattern",
       [](bool is_hex, std::int64_t num_nodes, std::int64_t num_elements, std::int64_t num_classes,
-         std::int64_t num_fibres, Address elements, Address grad, Address weight, Address class_idx,
-         Address coords, Address fibre_elements, Address fibre_directions) {
+         std::int64_t num_fibres, std::int64_t num_chambers, std::int64_t num_lids,
+         Address elements, Address grad, Address weight, Address class_idx, Address coords,
+         Address fibre_elements, Address fibre_directions, Address fibre_pull_only,
+         Address chamber_start, Address chamber_faces, Address lid_chamber, Address lid_start,
+         Address lid_nodes) {
         nb::gil_scoped_release release;
         MeshTables t;
         t.is_hex = is_hex;
@@ -66,12 +70,22 @@ void bind_prepared(nb::module_& m) {
         t.coords = in(coords);
         t.fibre_elements = in_index(fibre_elements);
         t.fibre_directions = in(fibre_directions);
+        t.fibre_pull_only = in(fibre_pull_only);
+        t.chambers = {num_chambers,
+                      num_lids,
+                      in_index(chamber_start),
+                      in_index(chamber_faces),
+                      in_index(lid_chamber),
+                      in_index(lid_start),
+                      in_index(lid_nodes)};
         return std::make_shared<SoftPattern>(make_soft_model(t), t.coords);
       },
       nb::kw_only(), nb::arg("is_hex"), nb::arg("num_nodes"), nb::arg("num_elements"),
-      nb::arg("num_classes"), nb::arg("num_fibres"), nb::arg("elements"), nb::arg("grad"),
-      nb::arg("weight"), nb::arg("class_idx"), nb::arg("coords"), nb::arg("fibre_elements"),
-      nb::arg("fibre_directions"));
+      nb::arg("num_classes"), nb::arg("num_fibres"), nb::arg("num_chambers"), nb::arg("num_lids"),
+      nb::arg("elements"), nb::arg("grad"), nb::arg("weight"), nb::arg("class_idx"),
+      nb::arg("coords"), nb::arg("fibre_elements"), nb::arg("fibre_directions"),
+      nb::arg("fibre_pull_only"), nb::arg("chamber_start"), nb::arg("chamber_faces"),
+      nb::arg("lid_chamber"), nb::arg("lid_start"), nb::arg("lid_nodes"));
 
   m.def(
       "make_constant_system",

@@ -9,12 +9,14 @@ namespace diffsim {
 /// Addresses that Python fills by name; zero means absent.
 struct SoftArrays {
   Address w_mu = 0, w_vol = 0, fibre_stiffness = 0, activation = 0, damp_mu = 0, damp_lambda = 0;
+  Address pressure = 0;
   Address y = 0, force = 0, target = 0, guess = 0, inertia = 0, x_frame = 0, x_velocity = 0;
 
   StepInputs inputs() const {
     StepInputs in;
     in.parameters = {diffsim::in(w_mu),       diffsim::in(w_vol),   diffsim::in(fibre_stiffness),
-                     diffsim::in(activation), diffsim::in(damp_mu), diffsim::in(damp_lambda)};
+                     diffsim::in(activation), diffsim::in(damp_mu), diffsim::in(damp_lambda),
+                     diffsim::in(pressure)};
     in.y = diffsim::in(y);
     in.force = diffsim::in(force);
     in.target = diffsim::in(target);
@@ -29,8 +31,9 @@ struct SoftArrays {
     grads.force = out(force);
     grads.target = out(target);
     grads.inertia = out(inertia);
-    grads.parameters = {out(w_mu),    out(w_vol),       out(fibre_stiffness), out(activation),
-                        out(damp_mu), out(damp_lambda), out(x_frame),         out(x_velocity)};
+    grads.parameters = {out(w_mu),       out(w_vol),      out(fibre_stiffness),
+                        out(activation), out(damp_mu),    out(damp_lambda),
+                        out(x_frame),    out(x_velocity), out(pressure)};
     return grads;
   }
 };

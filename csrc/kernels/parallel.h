@@ -44,10 +44,11 @@ class ThreadPool {
     object_ = const_cast<void*>(static_cast<const void*>(&f));
     num_tasks_ = num_tasks;
     next_.store(0, std::memory_order_relaxed);
-    busy_.store(static_cast<int>(workers_.size()), std::memory_order_relaxed);
+    open_.store(true);  // sequentially consistent, see work()
     announce();
     drain();
-    for (int spin = 0; busy_.load(std::memory_order_acquire) != 0; ++spin) pause(spin);
+    open_.store(false);
+    for (int spin = 0; active_.load() != 0; ++spin) pause(spin);
   }
 
  private:
@@ -65,10 +66,14 @@ class ThreadPool {
         else
           sleep(seen);
       }
-      ++seen;
+      seen = generation_.load();  // those slept through are over
       if (stop_.load(std::memory_order_acquire)) return;
-      drain();
-      busy_.fetch_sub(1, std::memory_order_release);
+      // Whoever enters before looking is either seen by the caller, who closes before looking and
+      // then waits, or sees that the generation is closed (both sides sequentially consistent). The
+      // caller need not wait for workers that the system has not let run yet.
+      active_.fetch_add(1);
+      if (open_.load()) drain();
+      active_.fetch_sub(1);
     }
   }
 
@@ -106,7 +111,8 @@ class ThreadPool {
   void* object_ = nullptr;
   std::int64_t num_tasks_ = 0;
   std::atomic<std::int64_t> next_{0};
-  std::atomic<int> busy_{0};
+  std::atomic<bool> open_{false};
+  std::atomic<int> active_{0};
   std::atomic<std::uint64_t> generation_{0};
   std::atomic<bool> stop_{false};
   std::atomic<int> sleepers_{0};

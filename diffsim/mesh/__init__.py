@@ -2,6 +2,7 @@
 
 from diffsim.mesh import sdf
 from diffsim.mesh.box import hex_box, tet_box
+from diffsim.mesh.cavities import cavities
 from diffsim.mesh.core import HexMesh, Mesh, TetMesh
 from diffsim.mesh.distance import SurfaceDistance
 from diffsim.mesh.files import load, load_arrays, load_surface, save
@@ -44,6 +45,7 @@ __all__ = [
     "Surface",
     "SurfaceDistance",
     "TetMesh",
+    "cavities",
     "element_size",
     "element_volumes",
     "flip_inverted",

@@ -7,6 +7,7 @@ from diffsim.soft.actuators import (
     RateLimit,
 )
 from diffsim.soft.body import SoftBody
+from diffsim.soft.chambers import PressureChamber, sealed_pressure
 from diffsim.soft.forces import elastic_energy, elastic_force
 from diffsim.soft.hydrodynamics import Hydrodynamics, HydroForces
 from diffsim.soft.immersion import added_mass, buoyancy
@@ -29,6 +30,7 @@ __all__ = [
     "Hydrodynamics",
     "Muscle",
     "Physics",
+    "PressureChamber",
     "RateLimit",
     "SoftBody",
     "SolveStats",
@@ -44,6 +46,7 @@ __all__ = [
     "pd_weights",
     "record_stats",
     "rollout",
+    "sealed_pressure",
     "static_equilibrium",
     "step",
 ]

@@ -1,4 +1,4 @@
-"""A soft body: mesh, material, muscles and boundary conditions, stepped as a PyTorch layer."""
+"""A soft body: mesh, material, actuators and boundary conditions, stepped as a PyTorch layer."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from diffsim._check import require, require_choice, require_indices, require_num
 from diffsim._soft_context import SoftContext
 from diffsim.contact import Obstacle
 from diffsim.mesh import HexMesh, TetMesh, nodal_volume, shape_gradients, surface_vertices
+from diffsim.soft.chambers import ChamberSet, PressureChamber
 from diffsim.soft.forces import elastic_energy, elastic_force
 from diffsim.soft.integrators import INTEGRATORS
 from diffsim.soft.materials import VOLUME_WEIGHTS
@@ -40,10 +41,11 @@ _PARAMETERS = (
 class SoftBody(nn.Module):
     """Elastic solid on a hexahedral or tetrahedral mesh; calling it takes one time step.
 
-    Corotated and volume energies (thesis eq. 4.12) with muscle fibres, gravity, Rayleigh damping,
-    attached and added masses and Dirichlet conditions per node and axis. Water acts through
-    ``external_force`` (:class:`~diffsim.soft.Hydrodynamics`). Not modelled here: contact,
-    plasticity; rest positions carry no gradient.
+    Corotated and volume energies (thesis eq. 4.12) with muscle fibres, tendons, pneumatic
+    chambers, gravity, Rayleigh damping, attached and added masses and Dirichlet conditions per node
+    and axis. Obstacles are given step by step; water acts through ``external_force``
+    (:class:`~diffsim.soft.Hydrodynamics`). Not modelled here: plasticity; rest positions carry no
+    gradient.
 
     Physical parameters may be numbers, tensors or ``nn.Parameter``; each can be replaced for one
     call by ``body.physics(name=value)``, with gradient.
@@ -58,7 +60,8 @@ class SoftBody(nn.Module):
             (explicit).
         fixed: Dirichlet set: node indices (k,) int64 (all axes), a mask (num_vertices,) or one per
             axis (num_vertices, 3) bool; None: free.
-        muscles: Muscles, each driven by one activation.
+        muscles: Muscles and tendons, each driven by one activation.
+        chambers: Pneumatic chambers, each driven by one pressure.
         gravity: (3,) [m/s^2].
         rayleigh_alpha: Mass-proportional damping, scalar [1/s].
         rayleigh_beta: Stiffness-proportional damping, scalar or (num_elements,) [s]; see
@@ -95,6 +98,7 @@ class SoftBody(nn.Module):
         integrator: str = "implicit_euler",
         fixed: Tensor | None = None,
         muscles: Sequence[Muscle] = (),
+        chambers: Sequence[PressureChamber] = (),
         gravity: Value = (0.0, 0.0, -9.81),
         rayleigh_alpha: Value = 0.0,
         rayleigh_beta: Value = 0.0,
@@ -117,6 +121,7 @@ class SoftBody(nn.Module):
             raise TypeError(f"solver must be a SolverOptions, got {type(solver).__name__}")
         self.solver = solver or SolverOptions()
         self.muscles = MuscleSet(muscles, mesh.num_elements)
+        self.chambers = ChamberSet(chambers, mesh)
         # Not in the state_dict: loading one would change them behind the prepared solver's back.
         self.register_buffer("x_rest", mesh.x_rest, persistent=False)
         self.register_buffer("fixed", _dirichlet_mask(fixed, mesh.num_vertices), persistent=False)
@@ -154,6 +159,8 @@ class SoftBody(nn.Module):
             x_rest=self.mesh.x_rest,
             fibre_elements=self.muscles.elements,
             fibre_directions=self.muscles.directions,
+            fibre_pull_only=self.muscles.pull_only,
+            chambers=self.chambers,
             fixed=self.fixed,
         )
 
@@ -205,6 +212,7 @@ class SoftBody(nn.Module):
         *,
         external_force: Tensor | None = None,
         activation: Tensor | None = None,
+        pressure: Tensor | None = None,
         dirichlet_target: Tensor | None = None,
         obstacles: Sequence[Obstacle] | Obstacle | None = None,
         physics: Physics | None = None,
@@ -215,6 +223,7 @@ class SoftBody(nn.Module):
             state,
             external_force=external_force,
             activation=activation,
+            pressure=pressure,
             dirichlet_target=dirichlet_target,
             obstacles=obstacles,
             physics=physics,
@@ -225,11 +234,11 @@ class SoftBody(nn.Module):
         return static_equilibrium(self, **inputs)
 
     def elastic_force(self, x: Tensor, **inputs) -> Tensor:
-        """-dE/dx; see :func:`diffsim.soft.elastic_force`."""
+        """-d(E - p V)/dx; see :func:`diffsim.soft.elastic_force`."""
         return elastic_force(self, x, **inputs)
 
     def elastic_energy(self, x: Tensor, **inputs) -> Tensor:
-        """E(x); see :func:`diffsim.soft.elastic_energy`."""
+        """E(x) - p V(x); see :func:`diffsim.soft.elastic_energy`."""
         return elastic_energy(self, x, **inputs)
 
     def extra_repr(self) -> str:
@@ -237,7 +246,8 @@ class SoftBody(nn.Module):
         return (
             f"{self.mesh.kind} mesh, {self.mesh.num_elements} elements, "
             f"{3 * self.mesh.num_vertices} DoF ({int(self.fixed.sum())} fixed), "
-            f"{self.muscles.num_muscles} muscles, {self.integrator}, dt = {self.dt:g} s, "
+            f"{self.muscles.num_muscles} muscles, {self.chambers.num_chambers} chambers, "
+            f"{self.integrator}, dt = {self.dt:g} s, "
             f"solver {self.solver.method}"
         )
 

@@ -1,4 +1,4 @@
-"""Elastic, muscle and damping forces, and the elastic energy."""
+"""Elastic, muscle, pressure and damping forces, and their energy."""
 
 from __future__ import annotations
 
@@ -19,9 +19,14 @@ if TYPE_CHECKING:
 
 
 def elastic_gradient(
-    body: SoftBody, x: Tensor, v: Tensor | None, activation: Tensor, physics: Physics
+    body: SoftBody,
+    x: Tensor,
+    v: Tensor | None,
+    activation: Tensor,
+    pressure: Tensor,
+    physics: Physics,
 ) -> tuple[Tensor, Tensor]:
-    """Gradient of the elastic energy, with damping where v is given [N], and the energy [J].
+    """Gradient of the energy, with damping where v is given [N], and the energy [J].
 
     The arguments are checked already; the energy's gradient is right in x alone.
     """
@@ -41,6 +46,7 @@ def elastic_gradient(
             damp_lambda.contiguous(),
             frame,
             x_velocity,
+            flat(pressure, 1),
         ],
         body.handle,
         body.solver.num_threads,
@@ -53,20 +59,23 @@ def elastic_force(
     x: Tensor,
     *,
     activation: Tensor | None = None,
+    pressure: Tensor | None = None,
     physics: Physics | None = None,
 ) -> Tensor:
-    """Elastic and muscle force -dE/dx (thesis eq. 4.16).
+    """Elastic, muscle and pressure force -d(E - p V)/dx (thesis eq. 4.16).
 
     Args:
         body: The body.
         x: Positions, (..., num_vertices, 3) [m].
         activation: Muscle activations, broadcastable to (..., num_muscles); None: rest.
+        pressure: Gauge pressures of the chambers, broadcastable to (..., num_chambers) [Pa];
+            None: zero.
         physics: Parameters; None: the body's own.
 
     Returns:
-        Forces, shape of x [N]. Gradients: x, activation, physics; first order.
+        Forces, shape of x [N]. Gradients: x, activation, pressure, physics; first order.
     """
-    return -elastic_gradient(body, *_checked(body, x, activation, physics))[0]
+    return -elastic_gradient(body, *_checked(body, x, activation, pressure, physics))[0]
 
 
 def elastic_energy(
@@ -74,9 +83,10 @@ def elastic_energy(
     x: Tensor,
     *,
     activation: Tensor | None = None,
+    pressure: Tensor | None = None,
     physics: Physics | None = None,
 ) -> Tensor:
-    """Elastic and muscle energy.
+    """Elastic and muscle energy, less the work p V of the chambers' pressures.
 
     Args:
         As in :func:`elastic_force`.
@@ -84,21 +94,27 @@ def elastic_energy(
     Returns:
         Energies, (...) [J]. Gradient: x only (parameters are treated as constants).
     """
-    x, v, activation, physics = _checked(body, x, activation, physics)
+    x, v, activation, pressure, physics = _checked(body, x, activation, pressure, physics)
     constants = replace(
         physics,
         w_mu=physics.w_mu.detach(),
         w_vol=physics.w_vol.detach(),
         fibre_stiffness=physics.fibre_stiffness.detach(),
     )
-    return elastic_gradient(body, x, v, activation.detach(), constants)[1]
+    return elastic_gradient(body, x, v, activation.detach(), pressure.detach(), constants)[1]
 
 
 def _checked(
-    body: SoftBody, x: Tensor, activation: Tensor | None, physics: Physics | None
-) -> tuple[Tensor, None, Tensor, Physics]:
+    body: SoftBody,
+    x: Tensor,
+    activation: Tensor | None,
+    pressure: Tensor | None,
+    physics: Physics | None,
+) -> tuple[Tensor, None, Tensor, Tensor, Physics]:
     physics = body.physics() if physics is None else physics
     x = require("x", x, ("...", body.mesh.num_vertices, 3))
     state = State(x, torch.zeros_like(x))
-    x, _, _, activation = check_inputs(body, state, None, activation, None, physics)
-    return x, None, activation, physics
+    x, _, _, activation, pressure = check_inputs(
+        body, state, None, activation, pressure, None, physics
+    )
+    return x, None, activation, pressure, physics

@@ -23,10 +23,11 @@ def check_inputs(
     state: State,
     external_force: Tensor | None,
     activation: Tensor | None,
+    pressure: Tensor | None,
     dirichlet_target: Tensor | None,
     physics: Physics,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Checked and broadcast x, total force, Dirichlet target, activation."""
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Checked and broadcast x, total force, Dirichlet target, activation, pressure."""
     num_vertices = body.mesh.num_vertices
     require_physics(physics, num_vertices, body.mesh.num_elements)
     require_state(state)
@@ -51,7 +52,14 @@ def check_inputs(
     elif not count:
         raise ValueError("activation was given, but the body has no muscles")
     activation = require("activation", activation, ("...", count))
-    return x, force, target, broadcast("activation", activation, (*x.shape[:-2], count))
+    activation = broadcast("activation", activation, (*x.shape[:-2], count))
+    count = body.chambers.num_chambers
+    if pressure is None:
+        pressure = x.new_zeros(count)
+    elif not count:
+        raise ValueError("pressure was given, but the body has no chambers")
+    pressure = require("pressure", pressure, ("...", count))
+    return x, force, target, activation, broadcast("pressure", pressure, (*x.shape[:-2], count))
 
 
 def broadcast(name: str, value: Tensor, shape: tuple[int, ...]) -> Tensor:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from diffsim._check import require, require_choice, require_indices, require_number, require_range
 
-KINDS = ("length", "contraction")
+KINDS = ("length", "contraction", "tendon")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -21,6 +21,9 @@ class Muscle:
       contracts (Min et al. 2019; the published DiffPD code).
     * ``kind="contraction"``: psi = w/2 |(1 - r) F m|^2, activation r in [0, 1] (thesis 4.1.6): the
       fibre always pulls, least at r = 1.
+    * ``kind="tendon"``: psi = w/2 max(0, |F m| - a)^2, activation a = commanded length over rest
+      length: pulls when longer than commanded, is slack when shorter, and never pushes. Slack, it
+      has no force and no gradient; just taut (within 1e-12), the derivatives of the taut side.
 
     Attributes:
         elements: Element indices, (num_fibres,) int64.
@@ -60,7 +63,7 @@ class Muscle:
 
     @property
     def rest_activation(self) -> float:
-        """The activation without force (``length``) or with the least (``contraction``)."""
+        """The activation without force at rest, or with the least (``contraction``)."""
         return 1.0
 
 
@@ -89,6 +92,10 @@ class MuscleSet:
         )
         self.stiffness = torch.tensor([float(m.stiffness) for m in muscles], dtype=torch.float64)
         self.contraction = torch.tensor([m.kind == "contraction" for m in muscles])
+        # Per fibre, 1 where it cannot push; part of the prepared model, as directions are.
+        self.pull_only = torch.tensor([m.kind == "tendon" for m in muscles], dtype=torch.float64)[
+            self.owner
+        ]
         self.has_contraction = any(m.kind == "contraction" for m in muscles)
         self.rest_activation = torch.tensor(
             [m.rest_activation for m in muscles], dtype=torch.float64

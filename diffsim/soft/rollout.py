@@ -30,6 +30,7 @@ def rollout(
     *,
     external_force: Signal = None,
     activation: Signal = None,
+    pressure: Signal = None,
     dirichlet_target: Signal = None,
     obstacles: Obstacles = None,
     physics: Physics | None = None,
@@ -44,7 +45,7 @@ def rollout(
         num_steps: Number of steps, >= 1.
         external_force: One tensor for all steps, or ``f(step, state)`` for closed loops and for
             signals in time [N].
-        activation, dirichlet_target: The same, see :func:`diffsim.soft.step`.
+        activation, pressure, dirichlet_target: The same, see :func:`diffsim.soft.step`.
         obstacles: Obstacles at their poses at the start, which then move by their velocities; or
             ``f(step, state)`` that returns those of a step at the step's start.
         physics: Parameters from ``body.physics(...)``; None: the body's own.
@@ -80,6 +81,7 @@ def rollout(
                 now,
                 external_force=_at(external_force, k, now),
                 activation=_at(activation, k, now),
+                pressure=_at(pressure, k, now),
                 dirichlet_target=_at(dirichlet_target, k, now),
                 obstacles=at_step(k, now),
                 physics=physics,

@@ -10,8 +10,8 @@ from torch import Tensor
 from diffsim._check import require
 from diffsim.soft.inputs import check_inputs
 from diffsim.soft.physics import Physics
+from diffsim.soft.problem import Problem, solve
 from diffsim.soft.state import State
-from diffsim.soft.step import solve
 
 if TYPE_CHECKING:
     from diffsim.soft.body import SoftBody
@@ -23,19 +23,24 @@ def static_equilibrium(
     guess: Tensor | None = None,
     external_force: Tensor | None = None,
     activation: Tensor | None = None,
+    pressure: Tensor | None = None,
     dirichlet_target: Tensor | None = None,
     physics: Physics | None = None,
 ) -> State:
-    """Positions where elastic, muscle, gravity and external forces balance: a minimum of energy.
+    """Positions where all forces balance: a minimum of energy.
+
+    Elastic and muscle forces, gravity, external forces and pressures of chambers.
 
     Args:
         body: The body; its Dirichlet set must hold it on every axis.
         guess: Start of the iteration, (..., num_vertices, 3) [m]; None: rest. Which of several
             equilibria is found depends on it; no gradient.
-        external_force, activation, dirichlet_target, physics: As in :func:`diffsim.soft.step`.
+        external_force, activation, pressure, dirichlet_target, physics: As in
+            :func:`diffsim.soft.step`.
 
     Returns:
-        The state, v = 0. Gradients: external_force, activation, dirichlet_target, physics.
+        The state, v = 0. Gradients: external_force, activation, pressure, dirichlet_target,
+        physics.
 
     Raises:
         FactorizationError: nothing holds the body.
@@ -50,22 +55,25 @@ def static_equilibrium(
         require(name, given, nodal)
         if given.ndim > start.ndim:
             start = start.expand(*given.shape[:-2], *start.shape[-2:])
-    if activation is not None:
-        require("activation", activation, ("...", "num_muscles"))
-        if activation.ndim + 1 > start.ndim:
-            start = start.expand(*activation.shape[:-1], *start.shape[-2:])
+    for name, given in (("activation", activation), ("pressure", pressure)):
+        if given is None:
+            continue
+        require(name, given, ("...", f"num_{'muscles' if name == 'activation' else 'chambers'}"))
+        if given.ndim + 1 > start.ndim:
+            start = start.expand(*given.shape[:-1], *start.shape[-2:])
     state = State(start, torch.zeros_like(start))
-    x, force, target, activation = check_inputs(
-        body, state, external_force, activation, dirichlet_target, physics
+    x, force, target, activation, pressure = check_inputs(
+        body, state, external_force, activation, pressure, dirichlet_target, physics
     )
-    x = solve(
-        body,
+    problem = Problem(
         y=x.detach(),
         force=force,
         target=target,
         guess=x,
         inertia=torch.zeros_like(physics.mass),
         activation=activation,
+        pressure=pressure,
         physics=physics,
     )
+    x = solve(body, problem)
     return State(x, torch.zeros_like(x))

@@ -35,8 +35,8 @@ class Tendon(nn.Module):
         mesh: The body's mesh, hexahedral or tetrahedral.
         path: Corners of the polyline in the rest shape, (k, 3), k >= 2 [m].
         axial_stiffness: EA, force per unit strain [N], > 0.
-        slack: Whether the cable goes slack instead of pushing. Not available yet: either way it
-            pushes when the command is longer than it is.
+        slack: A cable, slack where the command is longer than it is; False: a rod, which then
+            pushes.
 
     Attributes:
         rest_length: Length of the path [m].
@@ -57,7 +57,7 @@ class Tendon(nn.Module):
         path: Tensor | Sequence[Sequence[float]],
         *,
         axial_stiffness: float,
-        slack: bool = False,
+        slack: bool = True,
     ):
         super().__init__()
         if not isinstance(mesh, (HexMesh, TetMesh)):
@@ -76,12 +76,11 @@ class Tendon(nn.Module):
         direction = torch.from_numpy(found.direction)
         self.rest_length = float(length.sum())
         self.slack = bool(slack)
-        kind = {False: "length", True: "length"}[self.slack]  # True: "tendon" once that kind exists
         self.muscle = Muscle(
             elements=elements,
             direction=direction,
             stiffness=self.axial_stiffness,
-            kind=kind,
+            kind="tendon" if self.slack else "length",
             weights=length / element_volumes(mesh)[elements],
         )
         shape = shape_gradients(mesh)

@@ -494,7 +494,7 @@ def test_ops_refuse_sizes_that_kernels_would_overrun():
 
     physics, empty = BODY.physics(), zeros(0)
     x, none = X[None].contiguous(), zeros(1, 0)
-    good = [physics.w_mu, physics.w_vol, empty, none, empty, empty, empty, empty]
+    good = [physics.w_mu, physics.w_vol, empty, none, empty, empty, empty, empty, none]
     _ops_elastic.elastic_gradient(x, good, BODY.handle, 1)
     with pytest.raises(ValueError, match="must have shape"):
         _ops_elastic.elastic_gradient(x[:, 1:].contiguous(), good, BODY.handle, 1)
@@ -505,6 +505,7 @@ def test_ops_refuse_sizes_that_kernels_would_overrun():
         (3, zeros(1, 3)),
         (4, zeros(1)),
         (6, x),
+        (8, zeros(1, 1)),
     ]:
         with pytest.raises(ValueError, match="must have shape"):
             inputs = [*good[:k], bad, *good[k + 1 :]]

@@ -278,7 +278,7 @@ def test_the_adjoint_at_an_indefinite_point_solves_its_system_or_raises(method, 
     zeros = torch.zeros_like(b)
     inputs = {"y": zeros, "force": zeros, "target": zeros, "guess": zeros, "inertia": inertia}
     inputs |= {"w_mu": physics.w_mu, "w_vol": physics.w_vol}
-    inputs["activation"] = torch.zeros(1, 0, dtype=torch.float64)
+    inputs["activation"] = inputs["pressure"] = torch.zeros(1, 0, dtype=torch.float64)
     values = [inputs.get(name, empty) for name in STEP_INPUTS]
     grads = _ops_soft.soft_step_vjp(
         b, x[None], values, body.handle, method, 1e-10, 2000, 1, "raise"

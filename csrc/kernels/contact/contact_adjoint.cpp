@@ -118,7 +118,7 @@ StepStats contact_step_adjoint(const ConstantSystem& system, const StepInputs& i
   problem.ops().add(-1.0, product, e);
   contact_gradients(space, x, r, e, p, contact_out);
   problem.ops().add(-1.0, c, z);
-  step_input_gradients(system, inputs, x, z, e, out, pool);
+  problem.input_gradients(x, z, e, out);
   return stats;
 }
 

@@ -16,6 +16,17 @@ constexpr int kParts = kRows / simd::kLanes;  // registers per tile column
 // Registers that one pass may fill with multipliers or partial sums.
 constexpr int kRegisters = simd::kLanes == 8 ? 24 : 12;
 
+// How far ahead of its use a panel is asked for [bytes]; panels follow one another in memory.
+constexpr int kAhead = 2048;
+
+/// Asks for the K columns of a tile `kAhead` further on.
+template <int K, typename T>
+inline void prefetch_columns(const T* tile) {
+  constexpr int kLine = 64 / static_cast<int>(sizeof(T));  // entries of a cache line
+  for (int i = 0; i < K * kRows; i += kLine)
+    __builtin_prefetch(tile + i + kAhead / static_cast<int>(sizeof(T)));
+}
+
 /// w[tiles] -= L[tiles, K columns] z
 /// @param tiles  first tile, at the first of the K columns; tiles are `stride` apart
 /// @param z      (NR, K) values, right-hand side r at z + r * ld
@@ -28,6 +39,7 @@ inline void subtract_columns(const T* tiles, std::int64_t stride, int num_tiles,
     for (int r = 0; r < NR; ++r) factor[k][r] = simd::broadcast(z[r * ld + k]);
   }
   for (int t = 0; t < num_tiles; ++t, tiles += stride, w += kRows) {
+    prefetch_columns<K>(tiles);
     for (int h = 0; h < kParts; ++h) {
       Vec sum[NR];
       for (int r = 0; r < NR; ++r) sum[r] = simd::load(w + r * ld + h * simd::kLanes);
@@ -47,6 +59,7 @@ inline void subtract_dots(const T* tiles, std::int64_t stride, int num_tiles, co
   using simd::Vec;
   Vec sum[NR][K] = {};
   for (int t = 0; t < num_tiles; ++t, tiles += stride, w += kRows) {
+    prefetch_columns<K>(tiles);
     for (int h = 0; h < kParts; ++h) {
       Vec x[NR];
       for (int r = 0; r < NR; ++r) x[r] = simd::load(w + r * ld + h * simd::kLanes);

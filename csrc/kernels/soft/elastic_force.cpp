@@ -2,6 +2,7 @@
 
 #include "kernels/linalg/aligned_buffer.h"
 #include "kernels/soft/block_matrix.h"
+#include "kernels/soft/pressure.h"
 
 namespace diffsim {
 namespace {
@@ -20,6 +21,7 @@ void elastic_gradient(const SoftModel& model, const StepInputs& in, const double
   ElasticityScratch scratch;
   energy[0] =
       energy_gradient(model, in.parameters, frames_of(model, in, pool), x, gradient, scratch, pool);
+  energy[0] += add_pressure_gradient(model, in.parameters.pressure, x, gradient, pool);
 }
 
 void elastic_gradient_adjoint(const SoftModel& model, const StepInputs& in, const double* x,
@@ -31,8 +33,10 @@ void elastic_gradient_adjoint(const SoftModel& model, const StepInputs& in, cons
   AlignedBuffer<double> values(static_cast<std::size_t>(model.values_size()));
   const Vector no_inertia(static_cast<std::size_t>(model.num_nodes), 0.0);
   tangent(model, in.parameters, frames, x, false, values.data(), scratch, pool);
+  add_pressure_tangent(model, in.parameters.pressure, x, values.data(), pool);
   block_multiply(model, values.data(), no_inertia.data(), z, grad_x, pool);
   parameter_adjoint(model, in.parameters, frames, x, z, out, scratch, pool);
+  pressure_adjoint(model, x, z, out.pressure, pool);
 }
 
 }  // namespace diffsim

@@ -18,6 +18,15 @@ constexpr Index kChunk = 512;
 
 Index num_tasks(Index count, Index size) { return (count + size - 1) / size; }
 
+/// What the fibres of a group pull with: a tendon's stiffness is zero where it is slack.
+template <typename Group>
+FibrePull fibre_pull(const SoftModel& model, const SoftParameters& p, Index g,
+                     const FibreState& f) {
+  return fibre_pull(f, Group::element_value(model.fibre, g, p.fibre_stiffness),
+                    Group::element_value(model.fibre, g, p.activation),
+                    Group::element_value(model.fibre, g, model.fibre_pull_only.data()));
+}
+
 template <typename Group>
 void fibre_directions(const SoftModel& model, Index g, Lane m[3]) {
   for (int i = 0; i < 3; ++i)
@@ -79,9 +88,8 @@ double energy_gradient_of(const SoftModel& model, const SoftParameters& p,
     Lane F[9], P[9], m[3];
     deformation_gradient<Group>(fibre, g, x, F);
     fibre_directions<Group>(model, g, m);
-    const Lane psi =
-        fibre_stress(fibre_state(F, m), Group::element_value(fibre, g, p.fibre_stiffness),
-                     Group::element_value(fibre, g, p.activation), P);
+    const FibreState f = fibre_state(F, m);
+    const Lane psi = fibre_stress(f, fibre_pull<Group>(model, p, g, f), P);
     const auto& shape = Group::shape(fibre, g);
     scatter_stress(shape, P,
                    scratch.vectors.data() + model.fibre_vectors_start + g * fibre.vectors_size());
@@ -208,8 +216,8 @@ void tangent_of(const SoftModel& model, const SoftParameters& p,
     Lane F[9], m[3];
     deformation_gradient<Group>(fibre, g, x, F);
     fibre_directions<Group>(model, g, m);
-    fibre_tangent(fibre_state(F, m), Group::element_value(fibre, g, p.fibre_stiffness),
-                  Group::element_value(fibre, g, p.activation), clamp, H);
+    const FibreState f = fibre_state(F, m);
+    fibre_tangent(f, fibre_pull<Group>(model, p, g, f), clamp, H);
   };
   std::fill(values, values + model.values_size(), 0.0);
   assemble<Group>(model, solid, model.solid_slot, fill_solid, values, scratch, pool);
@@ -291,10 +299,9 @@ void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p,
     for (int i = 0; i < 3; ++i)
       along += f.unit[i] * (Z[3 * i] * m[0] + Z[3 * i + 1] * m[1] + Z[3 * i + 2] * m[2]);
     const Lane weight = Group::shape(fibre, g).weight;
-    const Lane stiffness = Group::element_value(fibre, g, p.fibre_stiffness);
-    const Lane stretch = f.length - Group::element_value(fibre, g, p.activation);
-    Group::add_element_value(fibre, g, weight * stretch * along, out.fibre_stiffness);
-    Group::add_element_value(fibre, g, -weight * stiffness * along, out.activation);
+    const FibrePull pull = fibre_pull<Group>(model, p, g, f);
+    Group::add_element_value(fibre, g, weight * pull.stretch * along, out.fibre_stiffness);
+    Group::add_element_value(fibre, g, -weight * pull.stiffness * along, out.activation);
   });
   if (p.damp_mu) damping_adjoint<Group>(model, p, frames, x, z, out, scratch, pool);
 }

@@ -17,6 +17,7 @@ struct SoftParameters {
   const double* activation = nullptr;       // (num_fibres,) target stretch [-]
   const double* damp_mu = nullptr;          // (num_elements,) beta kappa 2 mu [Pa]; null: undamped
   const double* damp_lambda = nullptr;      // (num_elements,) beta kappa lambda [Pa]
+  const double* pressure = nullptr;         // (num_chambers,) gauge pressure [Pa], see pressure.h
 };
 
 /// Deformation gradients of the frames that damping refers to (see damping.h), one entry a group.
@@ -56,6 +57,7 @@ struct ParameterAdjoint {
   double* damp_lambda = nullptr;
   double* x_frame = nullptr;     // (num_nodes, 3)
   double* x_velocity = nullptr;  // (num_nodes, 3)
+  double* pressure = nullptr;    // (num_chambers,), by pressure_adjoint
 };
 void parameter_adjoint(const SoftModel& model, const SoftParameters& parameters,
                        const std::vector<DampingFrame>& frames, const double* x, const double* z,

@@ -90,45 +90,8 @@ StepStats implicit_step_adjoint(const ConstantSystem& system, const StepInputs& 
   problem.multiply_all(z, reaction);
   Vector e(grad_x, grad_x + size);
   problem.ops().add(-1.0, reaction, e);
-  step_input_gradients(system, inputs, x, z, e, out, pool);
+  problem.input_gradients(x, z, e, out);
   return stats;
-}
-
-void step_input_gradients(const ConstantSystem& system, const StepInputs& inputs, const Vector& x,
-                          const Vector& z, const Vector& e, const StepAdjoint& out,
-                          ThreadPool& pool) {
-  const double* inertia = system.inertia();
-  for (std::size_t i = 0; i < x.size(); ++i) {
-    out.y[i] = inertia[i / 3] * z[i];
-    out.force[i] = z[i];
-    out.target[i] = system.fixed()[i] ? e[i] : 0.0;
-    if (i % 3 == 0) out.inertia[i / 3] = 0.0;
-    out.inertia[i / 3] -= z[i] * (x[i] - inputs.y[i]);
-  }
-
-  ElasticityScratch scratch;
-  std::vector<DampingFrame> frames;
-  if (inputs.parameters.damp_mu)
-    frames = damping_frames(system.model(), inputs.x_frame, inputs.x_velocity, pool);
-  parameter_adjoint(system.model(), inputs.parameters, frames, x.data(), z.data(), out.parameters,
-                    scratch, pool);
-  const auto negate = [](double* values, std::int64_t count) {
-    if (values)
-      for (std::int64_t i = 0; i < count; ++i) values[i] = -values[i];
-  };
-  const ParameterAdjoint& p = out.parameters;
-  const std::int64_t elements = system.model().solid.num_elements;
-  const std::int64_t fibres = system.model().fibre.num_elements;
-  negate(p.w_mu, elements);
-  negate(p.w_vol, elements);
-  negate(p.fibre_stiffness, fibres);
-  negate(p.activation, fibres);
-  if (inputs.parameters.damp_mu) {
-    negate(p.damp_mu, elements);
-    negate(p.damp_lambda, elements);
-    negate(p.x_frame, 3 * system.model().num_nodes);
-    negate(p.x_velocity, 3 * system.model().num_nodes);
-  }
 }
 
 }  // namespace diffsim

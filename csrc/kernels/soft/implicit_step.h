@@ -1,8 +1,8 @@
 // One implicit step of a soft body and its adjoint.
 //
 // Forward: x minimises over free unknowns, with x = target on fixed ones,
-//   g(x) = 1/2 (x - y)^T diag(inertia) (x - y) - force . x + E(x) + D(x)            (thesis
-//   eq. 4.5)
+//   g(x) = 1/2 (x - y)^T diag(inertia) (x - y) - force . x + E(x) + D(x) - p V(x)   (thesis
+//   eq. 4.5, with the chambers of pressure.h)
 // Backward (eq. 4.9, 4.10): with H = d^2 g/dx^2 on free unknowns, H z = dL/dx, and for any
 // parameter p
 //   dL/dp = -z . d(grad g)/dp.
@@ -67,15 +67,8 @@ StepStats implicit_step_adjoint(const ConstantSystem& system, const StepInputs& 
                                 const StepOptions& options, const double* x, const double* grad_x,
                                 const StepAdjoint& out, ThreadPool& pool);
 
-/// -z . d(grad g)/dp for every input p, and the Dirichlet targets' gradient.
-/// @param[in] z  (num_nodes, 3) adjoint
-/// @param[in] e  (num_nodes, 3) dL/dx - H z
-void step_input_gradients(const ConstantSystem& system, const StepInputs& inputs, const Vector& x,
-                          const Vector& z, const Vector& e, const StepAdjoint& out,
-                          ThreadPool& pool);
-
-/// Pointers of batch item k: leading batch axes on states, forces and activations; parameters
-/// shared.
+/// Pointers of batch item k: leading batch axes on states, forces, activations and pressures;
+/// parameters shared.
 StepInputs batch_item(const StepInputs& inputs, const SoftModel& model, std::int64_t k);
 StepAdjoint batch_item(const StepAdjoint& adjoint, const SoftModel& model, std::int64_t k);
 

@@ -184,22 +184,38 @@ inline FibreState fibre_state(const Lane F[9], const Lane m[3]) {
   return f;
 }
 
-inline Lane fibre_stress(const FibreState& f, const Lane& w, const Lane& activation, Lane P[9]) {
-  const Lane stretch = f.length - activation;
-  for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 3; ++j) P[3 * i + j] = w * stretch * f.unit[i] * f.direction[j];
-  return 0.5 * w * stretch * stretch;
+/// psi = w/2 stretch^2 with stretch = |l| - a; a fibre that only pulls (a tendon) has
+/// w/2 max(0, stretch)^2, whose slope is continuous and whose curvature jumps at stretch = 0.
+struct FibrePull {
+  Lane stiffness;  // w, and zero where slack
+  Lane stretch;    // |l| - a, and zero where slack
+};
+
+/// At the kink the taut side's derivatives are taken, within rounding too: at rest with a = 1 the
+/// sign of |l| - a is noise, and a command there should have a gradient.
+inline FibrePull fibre_pull(const FibreState& f, const Lane& w, const Lane& activation,
+                            const Lane& pull_only) {
+  const Lane zero = broadcast(0.0), stretch = f.length - activation;
+  const LaneMask one_sided = greater(pull_only, zero);
+  const Lane taut = select(less(stretch, broadcast(-1e-12)), zero, w);
+  return {select(one_sided, taut, w), select(one_sided, max(stretch, zero), stretch)};
 }
 
-/// dP_ij/dF_kl = C_ik m_j m_l with C = w ((1 - a/|l|) (I - e e^T) + e e^T), e = l/|l|.
-inline void fibre_tangent(const FibreState& f, const Lane& w, const Lane& activation, bool clamp,
-                          Lane H[81]) {
-  Lane across = 1.0 - activation / f.length;
+inline Lane fibre_stress(const FibreState& f, const FibrePull& pull, Lane P[9]) {
+  const Lane tension = pull.stiffness * pull.stretch;
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) P[3 * i + j] = tension * f.unit[i] * f.direction[j];
+  return 0.5 * tension * pull.stretch;
+}
+
+/// dP_ij/dF_kl = C_ik m_j m_l with C = w (stretch/|l| (I - e e^T) + e e^T), e = l/|l|.
+inline void fibre_tangent(const FibreState& f, const FibrePull& pull, bool clamp, Lane H[81]) {
+  Lane across = pull.stretch / f.length;
   if (clamp) across = max(across, broadcast(0.0));
   Lane C[9];
   for (int i = 0; i < 9; ++i)
-    C[i] = w * ((1.0 - across) * f.unit[i / 3] * f.unit[i % 3] +
-                (i % 4 == 0 ? across : broadcast(0.0)));
+    C[i] = pull.stiffness * ((1.0 - across) * f.unit[i / 3] * f.unit[i % 3] +
+                             (i % 4 == 0 ? across : broadcast(0.0)));
   for (int a = 0; a < 9; ++a)
     for (int b = 0; b < 9; ++b)
       H[9 * a + b] = C[3 * (a / 3) + b / 3] * f.direction[a % 3] * f.direction[b % 3];

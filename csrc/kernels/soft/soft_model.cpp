@@ -55,8 +55,8 @@ ElementBlock make_block(const MeshTables& t, const Index* subset, Index count) {
   return block;
 }
 
-/// CSR graph of nodes that share an element.
-void make_graph(SoftModel& model) {
+/// CSR graph of nodes that share an element or the rim of a chamber.
+void make_graph(SoftModel& model, const ChamberTables& chambers) {
   const int n = model.solid.nodes_per_element();
   std::vector<Index> start(at(model.num_nodes + 1), 0), elements_of;
   const std::vector<Index>& nodes = model.solid.nodes;
@@ -67,6 +67,11 @@ void make_graph(SoftModel& model) {
   for (std::size_t k = 0; k < nodes.size(); ++k)
     elements_of[at(fill[at(nodes[k])]++)] = static_cast<Index>(k) / n;
 
+  std::vector<std::vector<Index>> lids_of(at(model.num_nodes));
+  for (Index lid = 0; lid < chambers.num_lids; ++lid)
+    for (Index k = chambers.lid_start[lid]; k < chambers.lid_start[lid + 1]; ++k)
+      lids_of[at(chambers.lid_nodes[k])].push_back(lid);
+
   model.row_start.assign(1, 0);
   model.strip_start.assign(1, 0);
   std::vector<Index> row;
@@ -76,6 +81,9 @@ void make_graph(SoftModel& model) {
       const Index* node = nodes.data() + elements_of[at(k)] * n;
       row.insert(row.end(), node, node + n);
     }
+    for (Index lid : lids_of[at(i)])
+      row.insert(row.end(), chambers.lid_nodes + chambers.lid_start[lid],
+                 chambers.lid_nodes + chambers.lid_start[lid + 1]);
     std::sort(row.begin(), row.end());
     row.erase(std::unique(row.begin(), row.end()), row.end());
     const auto diagonal = std::lower_bound(row.begin(), row.end(), i) - row.begin();
@@ -134,10 +142,12 @@ SoftModel make_soft_model(const MeshTables& t) {
   model.solid = make_block(t, nullptr, t.num_elements);
   model.fibre = make_block(t, t.fibre_elements, t.num_fibres);
   model.fibre_directions.assign(t.fibre_directions, t.fibre_directions + 3 * t.num_fibres);
-  make_graph(model);
+  model.fibre_pull_only.assign(t.fibre_pull_only, t.fibre_pull_only + t.num_fibres);
+  make_graph(model, t.chambers);
   model.solid_slot = make_slots(model, model.solid);
   model.fibre_slot = make_slots(model, model.fibre);
   make_gather(model);
+  model.chambers = make_chambers(t.chambers, model);
   return model;
 }
 

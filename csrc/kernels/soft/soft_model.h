@@ -1,9 +1,11 @@
-// What never changes about a soft body: elements, muscle fibres, and the sparsity they imply.
+// What never changes about a soft body: elements, muscle fibres, chambers, and the sparsity they
+// imply.
 #pragma once
 
 #include <cstdint>
 #include <vector>
 
+#include "kernels/soft/chambers.h"
 #include "kernels/soft/element_block.h"
 
 namespace diffsim {
@@ -20,6 +22,8 @@ struct MeshTables {
   std::int64_t num_fibres = 0;
   const std::int64_t* fibre_elements = nullptr;  // (num_fibres,)
   const double* fibre_directions = nullptr;      // (num_fibres, 3), unit
+  const double* fibre_pull_only = nullptr;       // (num_fibres,) 1 where slack below its target
+  ChamberTables chambers;
 };
 
 /// Immutable. Matrix pattern: node graph in CSR, diagonal included, columns ascending. Values of a
@@ -29,6 +33,8 @@ struct SoftModel {
   std::int64_t num_nodes = 0;
   ElementBlock solid, fibre;
   std::vector<double> fibre_directions;  // (num_fibres, 3)
+  std::vector<double> fibre_pull_only;   // (num_fibres,) 1 or 0
+  Chambers chambers;
 
   std::vector<std::int64_t> row_start, column;  // CSR node graph
   std::vector<std::int64_t> diagonal;           // position of (i, i) in `column`

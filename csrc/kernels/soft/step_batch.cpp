@@ -6,6 +6,7 @@ StepInputs batch_item(const StepInputs& in, const SoftModel& model, std::int64_t
   const std::int64_t size = 3 * model.num_nodes;
   StepInputs item = in;
   item.parameters.activation = offset(in.parameters.activation, k, model.fibre.num_elements);
+  item.parameters.pressure = offset(in.parameters.pressure, k, model.chambers.num_chambers);
   item.y = offset(in.y, k, size);
   item.force = offset(in.force, k, size);
   item.target = offset(in.target, k, size);
@@ -31,6 +32,7 @@ StepAdjoint batch_item(const StepAdjoint& out, const SoftModel& model, std::int6
   item.parameters.damp_lambda = offset(out.parameters.damp_lambda, k, elements);
   item.parameters.x_frame = offset(out.parameters.x_frame, k, size);
   item.parameters.x_velocity = offset(out.parameters.x_velocity, k, size);
+  item.parameters.pressure = offset(out.parameters.pressure, k, model.chambers.num_chambers);
   return item;
 }
 

@@ -2,6 +2,8 @@
 
 #include <Eigen/Dense>
 
+#include "kernels/soft/pressure.h"
+
 namespace diffsim {
 namespace {
 
@@ -41,6 +43,8 @@ double StepProblem::value_gradient(const Vector& x, Vector& gradient) {
   gradient.resize(size_);
   energy_ = energy_gradient(system_.model(), in_.parameters, frames_, x.data(), gradient.data(),
                             elastic_, pool_);
+  const double inflation = add_pressure_gradient(system_.model(), in_.parameters.pressure, x.data(),
+                                                 gradient.data(), pool_);
   double kinetic = 0.0, work = 0.0;
   for (std::size_t i = 0; i < size_; ++i) {
     const double m = system_.inertia()[i / 3], step = x[i] - in_.y[i];
@@ -51,14 +55,17 @@ double StepProblem::value_gradient(const Vector& x, Vector& gradient) {
     gradient[i] += m * step - in_.force[i];
   }
   zero_fixed(gradient);
-  magnitude_ = kinetic + std::abs(work) + energy_;
-  return kinetic - work + energy_;
+  magnitude_ = kinetic + std::abs(work) + energy_ + std::abs(inflation);
+  return kinetic - work + energy_ + inflation;
 }
 
 void StepProblem::assemble(const Vector& x, bool clamp) {
   values_.resize(at(system_.model().values_size()));
   tangent(system_.model(), in_.parameters, frames_, x.data(), clamp, values_.data(), elastic_,
           pool_);
+  // Clamped, the matrix must be definite, which the geometric stiffness of a pressure is not.
+  if (!clamp)
+    add_pressure_tangent(system_.model(), in_.parameters.pressure, x.data(), values_.data(), pool_);
 }
 
 void StepProblem::multiply_all(const Vector& in, Vector& out) {
@@ -74,6 +81,23 @@ void StepProblem::multiply(const Vector& in, Vector& out) {
 void StepProblem::zero_fixed(Vector& v) const {
   for (std::size_t i = 0; i < size_; ++i)
     if (system_.fixed()[i]) v[i] = 0.0;
+}
+
+void StepProblem::input_gradients(const Vector& x, const Vector& z, const Vector& rest,
+                                  const StepAdjoint& out) {
+  const double* inertia = system_.inertia();
+  for (std::size_t i = 0; i < size_; ++i) {
+    out.y[i] = inertia[i / 3] * z[i];
+    out.force[i] = z[i];
+    out.target[i] = system_.fixed()[i] ? rest[i] : 0.0;
+    if (i % 3 == 0) out.inertia[i / 3] = 0.0;
+    out.inertia[i / 3] -= z[i] * (x[i] - in_.y[i]);
+  }
+  Vector minus_z(z);
+  for (double& v : minus_z) v = -v;
+  parameter_adjoint(system_.model(), in_.parameters, frames_, x.data(), minus_z.data(),
+                    out.parameters, elastic_, pool_);
+  pressure_adjoint(system_.model(), x.data(), minus_z.data(), out.parameters.pressure, pool_);
 }
 
 void StepProblem::solve_constant(const Vector& r, Vector& z) {

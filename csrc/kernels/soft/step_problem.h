@@ -32,6 +32,10 @@ class StepProblem {
   /// The same without zeroing: forces that fixed unknowns feel.
   void multiply_all(const Vector& in, Vector& out);
   void zero_fixed(Vector& v) const;
+  /// -z . d(grad g)/dp for every input p, overwritten (eq. 4.10), and the targets' gradient.
+  /// @param[in] rest  dL/dx - H z, read at fixed unknowns
+  void input_gradients(const Vector& x, const Vector& z, const Vector& rest,
+                       const StepAdjoint& out);
 
   /// z = A^-1 r.
   void solve_constant(const Vector& r, Vector& z);

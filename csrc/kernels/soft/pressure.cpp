@@ -1,0 +1,173 @@
+#include "kernels/soft/pressure.h"
+
+#include <algorithm>
+
+namespace diffsim {
+namespace {
+
+using Index = std::int64_t;
+std::size_t at(Index i) { return static_cast<std::size_t>(i); }
+constexpr Index kNodesPerTask = 64;
+
+struct Vec3 {
+  double v[3];
+};
+Vec3 minus(const Vec3& a, const Vec3& b) {
+  return {{a.v[0] - b.v[0], a.v[1] - b.v[1], a.v[2] - b.v[2]}};
+}
+Vec3 cross(const Vec3& a, const Vec3& b) {
+  return {{a.v[1] * b.v[2] - a.v[2] * b.v[1], a.v[2] * b.v[0] - a.v[0] * b.v[2],
+           a.v[0] * b.v[1] - a.v[1] * b.v[0]}};
+}
+double dot(const Vec3& a, const Vec3& b) {
+  return a.v[0] * b.v[0] + a.v[1] * b.v[1] + a.v[2] * b.v[2];
+}
+void add(double scale, const Vec3& a, double* out) {
+  for (int i = 0; i < 3; ++i) out[i] += scale * a.v[i];
+}
+
+/// Points of all chambers relative to one node of each: volumes do not change, and far from the
+/// origin nothing cancels.
+class Points {
+ public:
+  Points(const SoftModel& model, const double* x) : model_(model), x_(x) {
+    const Chambers& all = model.chambers;
+    for (Index c = 0; c < all.num_chambers; ++c)
+      origin_.push_back(node(all.triangles[at(3 * all.start[at(c)])]));
+    for (Index lid = 0; lid < all.num_lids; ++lid) {
+      const Index first = all.lid_start[at(lid)], last = all.lid_start[at(lid + 1)];
+      Vec3 mean{{0.0, 0.0, 0.0}};
+      for (Index k = first; k < last; ++k)
+        add(1.0 / static_cast<double>(last - first),
+            (*this)(all.lid_chamber[at(lid)], all.lid_nodes[at(k)]), mean.v);
+      centre_.push_back(mean);
+    }
+  }
+  Vec3 operator()(Index chamber, Index point) const {
+    if (point >= model_.num_nodes) return centre_[at(point - model_.num_nodes)];
+    return minus(node(point), origin_[at(chamber)]);
+  }
+  /// The node after (step = 1) or before (-1) place k of a lid's rim.
+  Vec3 rim(Index lid, Index place, Index step) const {
+    const Chambers& all = model_.chambers;
+    const Index first = all.lid_start[at(lid)], size = all.lid_start[at(lid + 1)] - first;
+    return (*this)(all.lid_chamber[at(lid)],
+                   all.lid_nodes[at(first + (place + step + size) % size)]);
+  }
+
+ private:
+  Vec3 node(Index i) const { return {{x_[3 * i], x_[3 * i + 1], x_[3 * i + 2]}}; }
+  const SoftModel& model_;
+  const double* x_;
+  std::vector<Vec3> origin_, centre_;
+};
+
+bool absent(const SoftModel& model, const double* pressure) {
+  const Index count = model.chambers.num_chambers;
+  return pressure == nullptr ||
+         std::all_of(pressure, pressure + count, [](double p) { return p == 0.0; });
+}
+
+/// Calls f(k) for all k in chambers.nodes.
+template <typename F>
+void for_chamber_nodes(const Chambers& all, ThreadPool& pool, F&& f) {
+  const Index count = static_cast<Index>(all.nodes.size());
+  pool.run((count + kNodesPerTask - 1) / kNodesPerTask, [&](Index task) {
+    const Index last = std::min(count, (task + 1) * kNodesPerTask);
+    for (Index k = task * kNodesPerTask; k < last; ++k) f(k);
+  });
+}
+
+/// Adds scale [a]x, the matrix of a x ., at a block of a strip.
+void add_skew(double scale, const Vec3& a, double* block, Index width) {
+  const double x = scale * a.v[0], y = scale * a.v[1], z = scale * a.v[2];
+  block[1] -= z, block[2] += y;
+  block[width] += z, block[width + 2] -= x;
+  block[2 * width] -= y, block[2 * width + 1] += x;
+}
+
+}  // namespace
+
+double add_pressure_gradient(const SoftModel& model, const double* pressure, const double* x,
+                             double* gradient, ThreadPool& pool) {
+  if (absent(model, pressure)) return 0.0;
+  const Chambers& all = model.chambers;
+  const Points points(model, x);
+  // d/dx_a of p/6 x_a . (x_b x x_c), and the same for the lids' centres.
+  std::vector<Vec3> centre(at(all.num_lids), Vec3{{0.0, 0.0, 0.0}});
+  double energy = 0.0;
+  for (Index c = 0; c < all.num_chambers; ++c)
+    for (Index k = all.start[at(c)]; k < all.start[at(c + 1)]; ++k) {
+      const Index* t = all.triangles.data() + 3 * k;
+      const Vec3 area = cross(points(c, t[0]), points(c, t[1]));
+      energy += pressure[c] / 6.0 * dot(area, points(c, t[2]));
+      if (t[2] >= model.num_nodes)  // a lid: its triangles end at the centre
+        add(pressure[c] / 6.0, area, centre[at(t[2] - model.num_nodes)].v);
+    }
+  for_chamber_nodes(all, pool, [&](Index k) {
+    double* out = gradient + 3 * all.nodes[at(k)];
+    for (Index i = all.corner_start[at(k)]; i < all.corner_start[at(k + 1)]; ++i) {
+      const Chambers::Corner& corner = all.corners[at(i)];
+      add(pressure[corner.chamber] / 6.0,
+          cross(points(corner.chamber, corner.next), points(corner.chamber, corner.previous)), out);
+    }
+    for (Index i = all.rim_start[at(k)]; i < all.rim_start[at(k + 1)]; ++i) {
+      const Chambers::RimCorner& rim = all.rims[at(i)];
+      add(1.0 / static_cast<double>(rim.slots.size()), centre[at(rim.lid)], out);
+    }
+  });
+  return energy;
+}
+
+void add_pressure_tangent(const SoftModel& model, const double* pressure, const double* x,
+                          double* values, ThreadPool& pool) {
+  if (absent(model, pressure)) return;
+  const Chambers& all = model.chambers;
+  const Points points(model, x);
+  for_chamber_nodes(all, pool, [&](Index k) {
+    const Index row = all.nodes[at(k)], width = model.strip_width(row);
+    double* strip = values + model.strip_start[at(row)];
+    // d(x_b x x_c) = -[x_c]x dx_b + [x_b]x dx_c
+    for (Index i = all.corner_start[at(k)]; i < all.corner_start[at(k + 1)]; ++i) {
+      const Chambers::Corner& corner = all.corners[at(i)];
+      const double scale = pressure[corner.chamber] / 6.0;
+      if (corner.slot_next >= 0)
+        add_skew(-scale, points(corner.chamber, corner.previous), strip + 3 * corner.slot_next,
+                 width);
+      if (corner.slot_previous >= 0)
+        add_skew(scale, points(corner.chamber, corner.next), strip + 3 * corner.slot_previous,
+                 width);
+    }
+    // Through the lid's centre, the mean of n nodes: d^2E/(dx_i dcentre) = p/6 [d_i]x with
+    // d_i = x_next - x_previous, so nodes i, j of the rim share p/(6 n) [d_i - d_j]x.
+    for (Index i = all.rim_start[at(k)]; i < all.rim_start[at(k + 1)]; ++i) {
+      const Chambers::RimCorner& rim = all.rims[at(i)];
+      const Index size = static_cast<Index>(rim.slots.size());
+      const double scale =
+          pressure[all.lid_chamber[at(rim.lid)]] / (6.0 * static_cast<double>(size));
+      const Vec3 own = minus(points.rim(rim.lid, rim.place, 1), points.rim(rim.lid, rim.place, -1));
+      for (Index j = 0; j < size; ++j) {
+        const Vec3 other = minus(points.rim(rim.lid, j, 1), points.rim(rim.lid, j, -1));
+        add_skew(scale, minus(own, other), strip + 3 * rim.slots[at(j)], width);
+      }
+    }
+  });
+}
+
+void pressure_adjoint(const SoftModel& model, const double* x, const double* z, double* out,
+                      ThreadPool& pool) {
+  const Chambers& all = model.chambers;
+  if (out == nullptr || all.num_chambers == 0) return;
+  const Points points(model, x), along(model, z);  // z as if positions: shifts cancel there too
+  pool.run(all.num_chambers, [&](Index c) {
+    double total = 0.0;
+    for (Index k = all.start[at(c)]; k < all.start[at(c + 1)]; ++k)
+      for (int a = 0; a < 3; ++a) {
+        const Index* t = all.triangles.data() + 3 * k;
+        total += dot(along(c, t[a]), cross(points(c, t[(a + 1) % 3]), points(c, t[(a + 2) % 3])));
+      }
+    out[c] = total / 6.0;
+  });
+}
+
+}  // namespace diffsim

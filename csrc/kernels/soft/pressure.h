@@ -1,0 +1,29 @@
+// Pressure in pneumatic chambers: energy -sum p V(x), its gradient, tangent, and adjoint.
+//
+//   V = -1/6 sum over triangles of x_a . (x_b x x_c)
+// since normals point into the cavity (chambers.h). Positive gauge pressure pushes the walls apart.
+// V is trilinear and its surface closed, so the force is a potential one that sums to zero, with a
+// symmetric, indefinite geometric stiffness. The energy is unbounded below: a pressure that the
+// material cannot hold inflates the body without limit.
+#pragma once
+
+#include "kernels/parallel.h"
+#include "kernels/soft/soft_model.h"
+
+namespace diffsim {
+
+/// Adds the gradient of -sum p V [N].
+/// @param[in] pressure  (num_chambers,) gauge pressures [Pa]; null: none
+/// @return -sum p V [J]
+double add_pressure_gradient(const SoftModel& model, const double* pressure, const double* x,
+                             double* gradient, ThreadPool& pool);
+
+/// Adds the geometric stiffness, d^2(-sum p V)/dx^2 [N/m], in the model's strip layout.
+void add_pressure_tangent(const SoftModel& model, const double* pressure, const double* x,
+                          double* values, ThreadPool& pool);
+
+/// z . d(gradient)/dp per chamber, overwritten, (num_chambers,); nothing for null `out`.
+void pressure_adjoint(const SoftModel& model, const double* x, const double* z, double* out,
+                      ThreadPool& pool);
+
+}  // namespace diffsim
