@@ -1,8 +1,8 @@
-"""Soft bodies by projective dynamics, forward and backward (thesis 4.1)."""
+"""Soft bodies, projective-dynamics and hyperelastic, forward and backward (thesis 4.1)."""
 
 from diffsim.soft.body import SoftBody
 from diffsim.soft.forces import elastic_energy, elastic_force
-from diffsim.soft.materials import lame_parameters, pd_weights
+from diffsim.soft.materials import MATERIALS, lame_parameters, pd_weights
 from diffsim.soft.muscles import Muscle
 from diffsim.soft.options import SolverOptions
 from diffsim.soft.physics import Physics
@@ -13,6 +13,7 @@ from diffsim.soft.stats import SolveStats, record_stats
 from diffsim.soft.step import step
 
 __all__ = [
+    "MATERIALS",
     "Muscle",
     "Physics",
     "SoftBody",

@@ -21,6 +21,7 @@ bool line_search(StepProblem& problem, const Vector& d, double slope, Vector& x,
     x = start;
     problem.ops().add(step, d, x);
     value = problem.value_gradient(x, gradient);
+    if (!std::isfinite(value)) continue;  // beyond the reach of the energy: inverted, or overflow
     if (value <= start_value + 1e-4 * step * slope + rounding) return true;
     if (value <= start_value + 1e-6 * problem.magnitude() &&
         std::abs(problem.ops().dot(gradient, d)) <= -0.9 * slope)
