@@ -164,7 +164,8 @@ def report(results: dict[str, Any]) -> str:
         f"Machine: {about}.",
         "",
         "CPU seconds per step of one thread, median over the repetitions (count in brackets);",
-        f"ratios are medians of pairs with `{BASELINE}` in the same repetition (below 1: faster than the direct solver).",
+        f"ratios are medians of pairs with `{BASELINE}` in the same repetition (below 1: faster",
+        "than the direct solver).",
         "",
         "| mesh | DoF | material | rtol | method | forward s | ratio | backward s | ratio "
         "| Newton its | adjoint its | factors fwd, bwd | gradient apart |",
