@@ -7,9 +7,9 @@ back through all steps. The thesis found no speed-up of the backward pass over a
 this material. There is no contact: limbs may pass through each other.
 
 Expected: `auto` and `newton_cholesky` end in the same shape and gradient. Measured with --compare
-on two shared cores, CPU seconds per step: forward 1.63 against 3.10, backward 0.87 against 0.71. On
+on two shared cores, CPU seconds per step: forward 1.47 against 2.45, backward 0.79 against 0.63. On
 this slender creature the direct solve still wins backward; docs/benchmarks.md has a compact beam,
-where it does not. Running time: 3.5 minutes of CPU with --compare, seconds with --small.
+where it does not. Running time: 3 minutes of CPU with --compare, seconds with --small.
 
     python examples/softbody/twisting_armadillo.py --compare --plot runs/armadillo.png
 """
