@@ -15,6 +15,7 @@ from diffsim._soft_context import (
     gradient_buffers,
     pointers,
     require_sizes,
+    require_upright,
     sum_shared,
 )
 
@@ -41,6 +42,7 @@ def elastic_gradient(
             energy[k].data_ptr(),
             num_threads,
         )
+    require_upright(ctx, energy, x)
     return gradient, energy
 
 

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from diffsim._core import core
-from diffsim.errors import FactorizationError
+from diffsim.errors import FactorizationError, InvertedElementError
 
 _CACHED_SYSTEMS = 4
 # Parameters of the elastic energy, as both soft ops take them.
@@ -35,6 +35,7 @@ STEP_INPUTS = ("y", "force", "target", "guess", "inertia", *ENERGY_INPUTS)
 STEP_GRADIENTS = tuple(name for name in STEP_INPUTS if name != "guess")
 # Inputs without a batch axis.
 _SHARED = ("inertia", "w_mu", "w_vol", "fibre_stiffness", "damp_mu", "damp_lambda")
+MATERIALS = ("pd", "corotated", "stable_neo_hookean", "neo_hookean", "stvk")
 _handles = itertools.count(1)
 contexts: weakref.WeakValueDictionary[int, SoftContext] = weakref.WeakValueDictionary()
 
@@ -52,7 +53,7 @@ class ChamberArrays(Protocol):
 
 
 class SoftContext:
-    """Prepared C++ objects of one mesh with its fibres, chambers and Dirichlet set.
+    """Prepared C++ objects of one mesh with its material law, fibres, chambers and Dirichlet set.
 
     The pattern (elements, sparsity, ordering) is made once. Constant systems are keyed by all that
     their content depends on; the last few are kept.
@@ -62,6 +63,7 @@ class SoftContext:
         self,
         *,
         is_hex: bool,
+        material: str,
         elements: Tensor,
         grad: Tensor,
         weight: Tensor,
@@ -74,6 +76,7 @@ class SoftContext:
         fixed: Tensor,
     ):
         self.handle = next(_handles)
+        self.material = material
         self.num_vertices = x_rest.shape[0]
         self.num_elements = elements.shape[0]
         self.num_fibres = fibre_elements.shape[0]
@@ -81,6 +84,7 @@ class SoftContext:
         self.fixed = fixed.to(torch.uint8).contiguous()
         self.pattern = core.make_soft_pattern(
             is_hex=is_hex,
+            material=getattr(core.Material, material),
             num_nodes=self.num_vertices,
             num_elements=self.num_elements,
             num_classes=grad.shape[0],
@@ -116,7 +120,7 @@ class SoftContext:
         key = tuple(k.contiguous().clone() for k in key)
         inertia, *values = key
         named = dict(zip(_SYSTEM_PARAMETERS, values, strict=True))
-        kappa, fibre_kappa = preconditioner_stiffness(**named)
+        kappa, fibre_kappa = preconditioner_stiffness(self.material, **named)
         made, node, pivot = core.make_constant_system(
             self.pattern,
             fixed=self.fixed.data_ptr(),
@@ -157,17 +161,43 @@ FIBRE_SHARE = 0.5
 
 
 def preconditioner_stiffness(
-    w_mu: Tensor, w_vol: Tensor, fibre_stiffness: Tensor, damp_mu: Tensor, damp_lambda: Tensor
+    material: str,
+    w_mu: Tensor,
+    w_vol: Tensor,
+    fibre_stiffness: Tensor,
+    damp_mu: Tensor,
+    damp_lambda: Tensor,
 ) -> tuple[Tensor, Tensor]:
     """Stiffness kappa of A = diag(inertia) + sum kappa G^T G, of elements and of fibres [Pa].
 
     The volume term acts on one of nine directions of F; with its full weight (eq. 4.15) A is far
-    too stiff in the other eight.
+    too stiff in the other eight. All materials are alike at small strain, where PD's w_vol stands
+    for 3 lambda.
     """
-    kappa = w_mu + VOLUME_SHARE * w_vol
+    kappa = w_mu + VOLUME_SHARE * 3.0 * small_strain_lambda(material, w_vol)
     if damp_mu.numel():
         kappa = kappa + 0.75 * damp_mu + 0.3 * damp_lambda
     return kappa, FIBRE_SHARE * fibre_stiffness
+
+
+def small_strain_lambda(material: str, w_vol: Tensor) -> Tensor:
+    """First Lame parameter that a solid of volume parameter ``w_vol`` has at small strain [Pa]."""
+    return w_vol / 3.0 if material == "pd" else w_vol
+
+
+def require_upright(ctx: SoftContext, energy: Tensor, x: Tensor) -> None:
+    """Refuse positions (batch, V, 3) [m] at which the textbook neo-Hookean energy is infinite."""
+    if ctx.material != "neo_hookean" or bool(torch.isfinite(energy).all()):
+        return
+    item = int(torch.nonzero(~torch.isfinite(energy))[0, 0])
+    count = core.count_inverted(ctx.pattern, x[item].contiguous().data_ptr())
+    if count:
+        raise InvertedElementError(
+            f"{count} of {ctx.num_elements} elements are inverted, where the neo_hookean energy is "
+            "infinite; start from a state without inverted elements, move Dirichlet nodes and step "
+            "in time by less, or use material='stable_neo_hookean'",
+            num_inverted=count,
+        )
 
 
 def require_sizes(ctx: SoftContext, batch: int, tensors: dict[str, Tensor]) -> None:

@@ -41,6 +41,18 @@ class FactorizationError(DiffsimError):
         self.value = value
 
 
+class InvertedElementError(DiffsimError):
+    """Elements are turned inside out where the material's energy is infinite.
+
+    Attributes:
+        num_inverted: How many.
+    """
+
+    def __init__(self, message: str, *, num_inverted: int):
+        super().__init__(message)
+        self.num_inverted = num_inverted
+
+
 class MeshError(ValueError):
     """A mesh that cannot be simulated; the message names the elements or nodes.
 

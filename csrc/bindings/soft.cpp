@@ -40,6 +40,12 @@ void bind_arrays(nb::module_& m) {
 }
 
 void bind_prepared(nb::module_& m) {
+  nb::enum_<Material>(m, "Material")
+      .value("pd", Material::kPd)
+      .value("corotated", Material::kCorotated)
+      .value("stable_neo_hookean", Material::kStableNeoHookean)
+      .value("neo_hookean", Material::kNeoHookean)
+      .value("stvk", Material::kStvk);
   nb::class_<SoftPattern>(m, "SoftPattern")
       .def_prop_ro("num_nodes", [](const SoftPattern& p) { return p.model().num_nodes; })
       .def_prop_ro("num_blocks", [](const SoftPattern& p) { return p.model().num_blocks(); });
@@ -50,15 +56,16 @@ void bind_prepared(nb::module_& m) {
 
   m.def(
       "make_soft_pattern",
-      [](bool is_hex, std::int64_t num_nodes, std::int64_t num_elements, std::int64_t num_classes,
-         std::int64_t num_fibres, std::int64_t num_chambers, std::int64_t num_lids,
-         Address elements, Address grad, Address weight, Address class_idx, Address coords,
-         Address fibre_elements, Address fibre_directions, Address fibre_pull_only,
+      [](bool is_hex, Material material, std::int64_t num_nodes, std::int64_t num_elements,
+         std::int64_t num_classes, std::int64_t num_fibres, std::int64_t num_chambers,
+         std::int64_t num_lids, Address elements, Address grad, Address weight, Address class_idx,
+         Address coords, Address fibre_elements, Address fibre_directions, Address fibre_pull_only,
          Address chamber_start, Address chamber_faces, Address lid_chamber, Address lid_start,
          Address lid_nodes) {
         nb::gil_scoped_release release;
         MeshTables t;
         t.is_hex = is_hex;
+        t.material = material;
         t.num_nodes = num_nodes;
         t.num_elements = num_elements;
         t.num_classes = num_classes;
@@ -80,12 +87,12 @@ void bind_prepared(nb::module_& m) {
                       in_index(lid_nodes)};
         return std::make_shared<SoftPattern>(make_soft_model(t), t.coords);
       },
-      nb::kw_only(), nb::arg("is_hex"), nb::arg("num_nodes"), nb::arg("num_elements"),
-      nb::arg("num_classes"), nb::arg("num_fibres"), nb::arg("num_chambers"), nb::arg("num_lids"),
-      nb::arg("elements"), nb::arg("grad"), nb::arg("weight"), nb::arg("class_idx"),
-      nb::arg("coords"), nb::arg("fibre_elements"), nb::arg("fibre_directions"),
-      nb::arg("fibre_pull_only"), nb::arg("chamber_start"), nb::arg("chamber_faces"),
-      nb::arg("lid_chamber"), nb::arg("lid_start"), nb::arg("lid_nodes"));
+      nb::kw_only(), nb::arg("is_hex"), nb::arg("material"), nb::arg("num_nodes"),
+      nb::arg("num_elements"), nb::arg("num_classes"), nb::arg("num_fibres"),
+      nb::arg("num_chambers"), nb::arg("num_lids"), nb::arg("elements"), nb::arg("grad"),
+      nb::arg("weight"), nb::arg("class_idx"), nb::arg("coords"), nb::arg("fibre_elements"),
+      nb::arg("fibre_directions"), nb::arg("fibre_pull_only"), nb::arg("chamber_start"),
+      nb::arg("chamber_faces"), nb::arg("lid_chamber"), nb::arg("lid_start"), nb::arg("lid_nodes"));
 
   m.def(
       "make_constant_system",
@@ -142,6 +149,10 @@ void bind_soft(nb::module_& m) {
     nb::gil_scoped_release release;
     elastic_gradient(pattern.model(), arrays.inputs(), in(x), out(gradient), out(energy),
                      num_threads);
+  });
+  m.def("count_inverted", [](const SoftPattern& pattern, Address x) {
+    nb::gil_scoped_release release;
+    return count_inverted(pattern.model(), in(x));
   });
   m.def("elastic_gradient_adjoint",
         [](const SoftPattern& pattern, const SoftArrays& arrays, Address x, Address z,

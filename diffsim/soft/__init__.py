@@ -1,4 +1,4 @@
-"""Soft bodies by projective dynamics, forward and backward (thesis 4.1)."""
+"""Soft bodies, projective-dynamics and hyperelastic, forward and backward (thesis 4.1)."""
 
 from diffsim.soft.actuators import (
     ActuatorDynamics,
@@ -11,7 +11,7 @@ from diffsim.soft.chambers import PressureChamber, sealed_pressure
 from diffsim.soft.forces import elastic_energy, elastic_force
 from diffsim.soft.hydrodynamics import Hydrodynamics, HydroForces
 from diffsim.soft.immersion import added_mass, buoyancy
-from diffsim.soft.materials import lame_parameters, pd_weights
+from diffsim.soft.materials import MATERIALS, lame_parameters, pd_weights
 from diffsim.soft.muscles import Muscle
 from diffsim.soft.options import SolverOptions
 from diffsim.soft.physics import Physics
@@ -23,6 +23,7 @@ from diffsim.soft.step import step
 from diffsim.soft.tendons import Tendon
 
 __all__ = [
+    "MATERIALS",
     "ActuatorDynamics",
     "ActuatorState",
     "FirstOrderLag",

@@ -15,7 +15,7 @@ from diffsim.mesh import HexMesh, TetMesh, nodal_volume, shape_gradients, surfac
 from diffsim.soft.chambers import ChamberSet, PressureChamber
 from diffsim.soft.forces import elastic_energy, elastic_force
 from diffsim.soft.integrators import INTEGRATORS
-from diffsim.soft.materials import VOLUME_WEIGHTS
+from diffsim.soft.materials import MATERIALS, VOLUME_WEIGHTS
 from diffsim.soft.muscles import Muscle, MuscleSet
 from diffsim.soft.options import SolverOptions
 from diffsim.soft.parameters import Value, as_tensor, hold
@@ -41,11 +41,11 @@ _PARAMETERS = (
 class SoftBody(nn.Module):
     """Elastic solid on a hexahedral or tetrahedral mesh; calling it takes one time step.
 
-    Corotated and volume energies (thesis eq. 4.12) with muscle fibres, tendons, pneumatic
+    One of five materials (:mod:`diffsim.soft.materials`) with muscle fibres, tendons, pneumatic
     chambers, gravity, Rayleigh damping, attached and added masses and Dirichlet conditions per node
     and axis. Obstacles are given step by step; water acts through ``external_force``
-    (:class:`~diffsim.soft.Hydrodynamics`). Not modelled here: plasticity; rest positions carry no
-    gradient.
+    (:class:`~diffsim.soft.Hydrodynamics`). Not modelled here: plasticity, anisotropic solids; rest
+    positions carry no gradient.
 
     Physical parameters may be numbers, tensors or ``nn.Parameter``; each can be replaced for one
     call by ``body.physics(name=value)``, with gradient.
@@ -54,7 +54,9 @@ class SoftBody(nn.Module):
         mesh: Rest shape, :class:`~diffsim.mesh.HexMesh` or :class:`~diffsim.mesh.TetMesh` [m].
         dt: Time step [s].
         youngs_modulus: Scalar or (num_elements,) [Pa], > 0.
-        poissons_ratio: Scalar or (num_elements,) [-], in [0, 0.5).
+        poissons_ratio: Scalar or (num_elements,) [-], in (-1, 0.5); for ``pd`` in [0, 0.5).
+        material: Energy of the solid: ``pd`` (projective dynamics, corotated and volume energies,
+            thesis eq. 4.12), ``corotated``, ``stable_neo_hookean``, ``neo_hookean`` or ``stvk``.
         density: Scalar or (num_vertices,) [kg/m^3], > 0.
         integrator: ``implicit_euler``, ``bdf2``, ``implicit_midpoint`` or ``semi_implicit_euler``
             (explicit).
@@ -74,7 +76,7 @@ class SoftBody(nn.Module):
             Dirichlet conditions.
         max_depenetration_speed: Nodes that start inside an obstacle are pushed out no faster
             [m/s].
-        volume_weight: ``small_strain`` (E, nu in = E, nu out) or ``thesis``, see
+        volume_weight: Of ``pd``: ``small_strain`` (E, nu in = E, nu out) or ``thesis``, see
             :func:`~diffsim.soft.materials.pd_weights`.
         solver: :class:`~diffsim.soft.SolverOptions`.
 
@@ -94,6 +96,7 @@ class SoftBody(nn.Module):
         dt: float,
         youngs_modulus: Value,
         poissons_ratio: Value,
+        material: str = "pd",
         density: Value = 1000.0,
         integrator: str = "implicit_euler",
         fixed: Tensor | None = None,
@@ -116,6 +119,7 @@ class SoftBody(nn.Module):
         self.mesh = mesh
         self.dt = require_number("dt", dt, above=0.0, hint="unit is s")
         self.integrator = require_choice("integrator", integrator, INTEGRATORS)
+        self.material = require_choice("material", material, MATERIALS)
         self.volume_weight = require_choice("volume_weight", volume_weight, VOLUME_WEIGHTS)
         if solver is not None and not isinstance(solver, SolverOptions):
             raise TypeError(f"solver must be a SolverOptions, got {type(solver).__name__}")
@@ -152,6 +156,7 @@ class SoftBody(nn.Module):
         shape = shape_gradients(self.mesh)
         return SoftContext(
             is_hex=self.mesh.kind == "hex",
+            material=self.material,
             elements=self.mesh.elements,
             grad=shape.grad,
             weight=shape.weight,
@@ -195,6 +200,7 @@ class SoftBody(nn.Module):
             num_elements=self.mesh.num_elements,
             num_muscles=self.muscles.num_muscles,
             nodal_volume=self.nodal_volume,
+            material=self.material,
             volume_weight=self.volume_weight,
             **values,
         )
@@ -246,6 +252,7 @@ class SoftBody(nn.Module):
         return (
             f"{self.mesh.kind} mesh, {self.mesh.num_elements} elements, "
             f"{3 * self.mesh.num_vertices} DoF ({int(self.fixed.sum())} fixed), "
+            f"material {self.material}, "
             f"{self.muscles.num_muscles} muscles, {self.chambers.num_chambers} chambers, "
             f"{self.integrator}, dt = {self.dt:g} s, "
             f"solver {self.solver.method}"

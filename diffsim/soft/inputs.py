@@ -29,7 +29,7 @@ def check_inputs(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Checked and broadcast x, total force, Dirichlet target, activation, pressure."""
     num_vertices = body.mesh.num_vertices
-    require_physics(physics, num_vertices, body.mesh.num_elements)
+    require_physics(physics, num_vertices, body.mesh.num_elements, body.material)
     require_state(state)
     x = require("state.x", state.x, ("...", num_vertices, 3))
     require("state.v", state.v, tuple(x.shape))

@@ -1,4 +1,24 @@
-"""Material constants: from Young's modulus and Poisson's ratio to the PD energies' weights."""
+"""Materials of the solid, and their constants from Young's modulus and Poisson's ratio.
+
+With F = R S the polar decomposition, s the principal stretches, J = det F, I = |F|^2,
+E = (F'F - 1)/2, mu = lame_mu, lambda = lame_lambda, the energy densities psi(F) [J/m^3] are:
+
+* ``"pd"``: projective dynamics, w_mu/2 |F - R|^2 + w_vol/2 |F - B|^2, B the nearest matrix of
+  determinant one (thesis eq. 4.12). Needs nu >= 0.
+* ``"corotated"``: mu |S - 1|^2 + lambda/2 tr(S - 1)^2. Finite for inverted elements; volume costs
+  little where it vanishes.
+* ``"stable_neo_hookean"``: m/2 (I - 3) - m/2 ln((I + 1)/4) - mu (J - 1) + l/2 (J - 1)^2 with
+  m = 4/3 mu and l = lambda + 5/6 mu (Smith, de Goes, Kim 2018, "Stable Neo-Hookean Flesh
+  Simulation", eqs. 13-16, less a constant). Smooth and finite for inverted elements.
+* ``"neo_hookean"``: mu/2 (I - 3) - mu ln J + lambda/2 (ln J)^2, infinite where J <= 0: inverted
+  elements are refused. For nu < 0 the last term is negative and wins as J -> 0: no barrier.
+* ``"stvk"``: St. Venant-Kirchhoff, mu |E|^2 + lambda/2 tr(E)^2. Gives way under strong
+  compression (a stretch below 0.58 softens) and does not resist inversion.
+
+All follow linear elasticity at small strain with the constants given (E, nu in = E, nu out), vanish
+at rest, and are linear in the element parameters that the kernels read: w_mu = 2 mu and
+w_vol = lambda (pd: 3 lambda, see :func:`pd_weights`).
+"""
 
 from __future__ import annotations
 
@@ -6,6 +26,7 @@ import torch
 from torch import Tensor
 
 from diffsim._check import require_choice, require_range
+from diffsim._soft_context import MATERIALS
 
 VOLUME_WEIGHTS = ("small_strain", "thesis")
 
@@ -31,6 +52,35 @@ def lame_parameters(youngs_modulus: Tensor, poissons_ratio: Tensor) -> tuple[Ten
         youngs_modulus * poissons_ratio / ((1.0 + poissons_ratio) * (1.0 - 2.0 * poissons_ratio))
     )
     return mu, lame_lambda
+
+
+def material_weights(
+    material: str,
+    youngs_modulus: Tensor,
+    poissons_ratio: Tensor,
+    volume_weight: str = "small_strain",
+) -> tuple[Tensor, Tensor]:
+    """Element parameters of a material, as the kernels read them (see this module's docstring).
+
+    Args:
+        material: One of ``MATERIALS``.
+        youngs_modulus: E, (num_elements,) or scalar [Pa], > 0.
+        poissons_ratio: nu, same [-], in (-1, 0.5); pd: [0, 0.5).
+        volume_weight: Convention of pd, see :func:`pd_weights`; other materials have only one.
+
+    Returns:
+        (w_mu, w_vol) [Pa]. Gradients: both constants.
+    """
+    require_choice("material", material, MATERIALS)
+    if material == "pd":
+        return pd_weights(youngs_modulus, poissons_ratio, volume_weight)
+    if require_choice("volume_weight", volume_weight, VOLUME_WEIGHTS) != "small_strain":
+        raise ValueError(
+            f"volume_weight must be 'small_strain' for material={material!r}, got "
+            f"{volume_weight!r}, a convention of material='pd'"
+        )
+    mu, lame_lambda = lame_parameters(youngs_modulus, poissons_ratio)
+    return 2.0 * mu, lame_lambda
 
 
 def pd_weights(
@@ -63,7 +113,8 @@ def pd_weights(
             "poissons_ratio",
             poissons_ratio,
             at_least=0.0,
-            hint="the projective-dynamics volume energy needs a non-negative weight",
+            hint="the projective-dynamics volume energy needs a non-negative weight; other "
+            "materials, such as 'stable_neo_hookean', take nu in (-1, 0.5)",
         )
     return 2.0 * mu, (3.0 if volume_weight == "small_strain" else 1.0) * lame_lambda
 

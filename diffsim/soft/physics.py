@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from diffsim._check import require, require_range
-from diffsim.soft.materials import pd_weights
+from diffsim._soft_context import small_strain_lambda
+from diffsim.soft.materials import material_weights
 
 
 @dataclass(frozen=True)
@@ -16,7 +17,8 @@ class Physics:
     """Per-element and per-node parameters; every tensor may carry a gradient.
 
     Attributes:
-        w_mu, w_vol: Weights of the corotated and volume energies, (num_elements,) [Pa].
+        material: Energy of the solid, see :mod:`diffsim.soft.materials`.
+        w_mu, w_vol: Its parameters 2 mu and lambda (pd: volume weight), (num_elements,) [Pa].
         mass: Nodal inertia, attached and added masses included, (num_vertices,) [kg].
         weighing_mass: What gravity acts on: ``mass`` without added mass, (num_vertices,) [kg].
         gravity: (3,) [m/s^2].
@@ -25,6 +27,7 @@ class Physics:
         fibre_stiffness: Of each muscle, (num_muscles,) [Pa].
     """
 
+    material: str
     w_mu: Tensor
     w_vol: Tensor
     mass: Tensor
@@ -37,14 +40,14 @@ class Physics:
     def damping(self, kappa: float) -> tuple[Tensor, Tensor]:
         """Damping weights beta kappa 2 mu and beta kappa lambda, (num_elements,) [Pa], or empty.
 
-        mu and lambda are those that the elastic energy has at small strain, w_mu / 2 and w_vol / 3,
-        so that damping is beta K whatever the volume weight's convention.
+        mu and lambda are those that the elastic energy has at small strain, so that damping is
+        beta K whatever the material and the volume weight's convention.
         """
         if self.rayleigh_beta is None:
             empty = torch.zeros(0, dtype=torch.float64)
             return empty, empty
         rate = self.rayleigh_beta * kappa
-        return rate * self.w_mu, rate * self.w_vol / 3.0
+        return rate * self.w_mu, rate * small_strain_lambda(self.material, self.w_vol)
 
 
 def make_physics(
@@ -52,6 +55,7 @@ def make_physics(
     num_elements: int,
     num_muscles: int,
     nodal_volume: Tensor,
+    material: str,
     volume_weight: str,
     youngs_modulus: Tensor,
     poissons_ratio: Tensor,
@@ -67,7 +71,7 @@ def make_physics(
     """Check ranges and expand scalars to elements and nodes (see :class:`Physics`)."""
     youngs_modulus = _per("youngs_modulus", youngs_modulus, num_elements, "num_elements")
     poissons_ratio = _per("poissons_ratio", poissons_ratio, num_elements, "num_elements")
-    w_mu, w_vol = pd_weights(youngs_modulus, poissons_ratio, volume_weight)
+    w_mu, w_vol = material_weights(material, youngs_modulus, poissons_ratio, volume_weight)
     num_vertices = nodal_volume.shape[0]
     if node_mass is None:
         density = _per("density", density, num_vertices, "num_vertices")
@@ -94,6 +98,7 @@ def make_physics(
     fibre_stiffness = require("fibre_stiffness", fibre_stiffness, (num_muscles,))
     _range("fibre_stiffness", fibre_stiffness, above=0.0, hint="unit is Pa")
     return Physics(
+        material=material,
         w_mu=w_mu,
         w_vol=w_vol,
         mass=mass,
@@ -105,7 +110,9 @@ def make_physics(
     )
 
 
-def require_physics(physics: Physics, num_vertices: int, num_elements: int) -> Physics:
+def require_physics(
+    physics: Physics, num_vertices: int, num_elements: int, material: str
+) -> Physics:
     """Refuse what is no :class:`Physics`, or one of another body."""
     if not isinstance(physics, Physics):
         raise TypeError(f"physics must come from body.physics(...), got {type(physics).__name__}")
@@ -114,6 +121,11 @@ def require_physics(physics: Physics, num_vertices: int, num_elements: int) -> P
         raise ValueError(
             f"physics must be made by this body's physics(...): it is for {size[0]} vertices and "
             f"{size[1]} elements, the body has {num_vertices} and {num_elements}"
+        )
+    if physics.material != material:
+        raise ValueError(
+            f"physics must be made by this body's physics(...): it is for material "
+            f"{physics.material!r}, the body has {material!r}"
         )
     return physics
 

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from diffsim import mesh
+
 pytestmark = pytest.mark.example
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
@@ -34,3 +36,29 @@ def test_swimmer_learns_to_swim(tmp_path):
     assert abs(numbers["before_mm_per_s"]) < 1.0
     assert numbers["after_mm_per_s"] > 3.0
     assert picture.stat().st_size > 10_000
+
+
+def test_twisting_armadillo_ends_alike_by_both_solvers(tmp_path):
+    picture = tmp_path / "armadillo.png"
+    module = story(EXAMPLES / "softbody/twisting_armadillo.py")
+    numbers = module.main(
+        **{**module.SMALL, "frames": 3},
+        rtol=1e-8,
+        methods=("auto", "newton_cholesky"),
+        plot=str(picture),
+    )
+    assert numbers["num_dof"] > 1000
+    assert numbers["newton_cholesky.largest_difference_mm"] < 1e-3
+    for name in ("hand_mm", "hand_per_degree_mm", "hand_per_modulus_mm"):
+        auto, direct = numbers[f"auto.{name}"], numbers[f"newton_cholesky.{name}"]
+        assert abs(auto - direct) < 1e-5 * (1e-3 + abs(direct))
+    assert picture.stat().st_size > 10_000
+
+
+def test_twisting_armadillo_takes_a_users_mesh(tmp_path):
+    module = story(EXAMPLES / "softbody/twisting_armadillo.py")
+    file = tmp_path / "body.msh"
+    mesh.save(module.make_mesh(0.06, None), file)
+    numbers = module.main(file=str(file), frames=1, degrees=90.0)
+    assert numbers["num_dof"] > 300
+    assert abs(numbers["auto.hand_mm"]) > 50.0

@@ -3,7 +3,7 @@
 #include <algorithm>
 
 #include "kernels/soft/damping.h"
-#include "kernels/soft/pd_material.h"
+#include "kernels/soft/material.h"
 
 namespace diffsim {
 namespace {
@@ -59,7 +59,7 @@ void for_groups(const ElementBlock& block, ThreadPool& pool, F&& f) {
   });
 }
 
-template <typename Group>
+template <typename Group, typename M>
 double energy_gradient_of(const SoftModel& model, const SoftParameters& p,
                           const std::vector<DampingFrame>& frames, const double* x,
                           ElasticityScratch& scratch, ThreadPool& pool) {
@@ -70,8 +70,8 @@ double energy_gradient_of(const SoftModel& model, const SoftParameters& p,
   for_groups(solid, pool, [&](Index g) {
     Lane F[9], P[9];
     deformation_gradient<Group>(solid, g, x, F);
-    const PdProjection projection = project(F);
-    Lane psi = pd_stress(projection, Group::element_value(solid, g, p.w_mu),
+    const typename M::Sample sample(F);
+    Lane psi = stress<M>(sample, Group::element_value(solid, g, p.w_mu),
                          Group::element_value(solid, g, p.w_vol), P);
     if (p.damp_mu) {
       Lane delta[9];
@@ -194,7 +194,7 @@ void assemble(const SoftModel& model, const ElementBlock& block,
   }
 }
 
-template <typename Group>
+template <typename Group, typename M>
 void tangent_of(const SoftModel& model, const SoftParameters& p,
                 const std::vector<DampingFrame>& frames, const double* x, bool clamp,
                 double* values, ElasticityScratch& scratch, ThreadPool& pool) {
@@ -203,11 +203,11 @@ void tangent_of(const SoftModel& model, const SoftParameters& p,
   const auto fill_solid = [&](Index g, Lane H[81]) {
     Lane F[9];
     deformation_gradient<Group>(solid, g, x, F);
-    const PdProjection projection = project(F);
-    PrincipalTangent core = pd_tangent_principal(projection, Group::element_value(solid, g, p.w_mu),
-                                                 Group::element_value(solid, g, p.w_vol));
+    const typename M::Sample sample(F);
+    PrincipalTangent core = M::tangent(sample, Group::element_value(solid, g, p.w_mu),
+                                       Group::element_value(solid, g, p.w_vol));
     if (clamp) clamp_tangent(core);
-    expand_tangent(projection, core, H);
+    expand_tangent(sample, core, H);
     if (p.damp_mu)
       add_viscous_tangent(frames[at(g)].Fn, Group::element_value(solid, g, p.damp_mu),
                           Group::element_value(solid, g, p.damp_lambda), H);
@@ -270,7 +270,7 @@ void damping_adjoint(const SoftModel& model, const SoftParameters& p,
   }
 }
 
-template <typename Group>
+template <typename Group, typename M>
 void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p,
                           const std::vector<DampingFrame>& frames, const double* x, const double* z,
                           const ParameterAdjoint& out, ElasticityScratch& scratch,
@@ -281,12 +281,12 @@ void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p,
     Lane F[9], Z[9], P[9];
     deformation_gradient<Group>(solid, g, x, F);
     deformation_gradient<Group>(solid, g, z, Z);
-    const PdProjection projection = project(F);
+    const typename M::Sample sample(F);
     const Lane weight = Group::shape(solid, g).weight;
     // The stress is linear in the weights: its derivative is the stress of unit weights.
-    pd_stress(projection, broadcast(1.0), broadcast(0.0), P);
+    stress<M>(sample, broadcast(1.0), broadcast(0.0), P);
     Group::add_element_value(solid, g, weight * contract(P, Z), out.w_mu);
-    pd_stress(projection, broadcast(0.0), broadcast(1.0), P);
+    stress<M>(sample, broadcast(0.0), broadcast(1.0), P);
     Group::add_element_value(solid, g, weight * contract(P, Z), out.w_vol);
   });
   for_groups(fibre, pool, [&](Index g) {
@@ -304,6 +304,14 @@ void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p,
     Group::add_element_value(fibre, g, -weight * pull.stiffness * along, out.activation);
   });
   if (p.damp_mu) damping_adjoint<Group>(model, p, frames, x, z, out, scratch, pool);
+}
+
+/// Calls f(group, material) with the types of a model.
+template <typename F>
+decltype(auto) with_types(const SoftModel& model, F&& f) {
+  return with_material(model.material, [&](auto material) -> decltype(auto) {
+    return model.solid.is_hex ? f(HexGroup{}, material) : f(TetGroup{}, material);
+  });
 }
 
 }  // namespace
@@ -325,9 +333,10 @@ std::vector<DampingFrame> damping_frames(const SoftModel& model, const double* x
 double energy_gradient(const SoftModel& model, const SoftParameters& p,
                        const std::vector<DampingFrame>& frames, const double* x, double* gradient,
                        ElasticityScratch& scratch, ThreadPool& pool) {
-  const double energy = model.solid.is_hex
-                            ? energy_gradient_of<HexGroup>(model, p, frames, x, scratch, pool)
-                            : energy_gradient_of<TetGroup>(model, p, frames, x, scratch, pool);
+  const double energy = with_types(model, [&](auto group, auto material) {
+    return energy_gradient_of<decltype(group), decltype(material)>(model, p, frames, x, scratch,
+                                                                   pool);
+  });
   gather_vectors(model, scratch.vectors.data(), gradient, pool);
   return energy;
 }
@@ -335,10 +344,10 @@ double energy_gradient(const SoftModel& model, const SoftParameters& p,
 void tangent(const SoftModel& model, const SoftParameters& p,
              const std::vector<DampingFrame>& frames, const double* x, bool clamp, double* values,
              ElasticityScratch& scratch, ThreadPool& pool) {
-  if (model.solid.is_hex)
-    tangent_of<HexGroup>(model, p, frames, x, clamp, values, scratch, pool);
-  else
-    tangent_of<TetGroup>(model, p, frames, x, clamp, values, scratch, pool);
+  with_types(model, [&](auto group, auto material) {
+    tangent_of<decltype(group), decltype(material)>(model, p, frames, x, clamp, values, scratch,
+                                                    pool);
+  });
 }
 
 void parameter_adjoint(const SoftModel& model, const SoftParameters& p,
@@ -354,10 +363,27 @@ void parameter_adjoint(const SoftModel& model, const SoftParameters& p,
     clear(out.damp_lambda, model.solid.num_elements);
   }
   scratch.vectors.resize(at(model.vectors_size));
-  if (model.solid.is_hex)
-    parameter_adjoint_of<HexGroup>(model, p, frames, x, z, out, scratch, pool);
-  else
-    parameter_adjoint_of<TetGroup>(model, p, frames, x, z, out, scratch, pool);
+  with_types(model, [&](auto group, auto material) {
+    parameter_adjoint_of<decltype(group), decltype(material)>(model, p, frames, x, z, out, scratch,
+                                                              pool);
+  });
+}
+
+std::int64_t count_inverted(const SoftModel& model, const double* x) {
+  std::vector<double> bad(at(model.solid.num_elements), 0.0);
+  const auto count = [&](auto group) {
+    using Group = decltype(group);
+    for (Index g = 0; g < model.solid.num_groups; ++g) {
+      Lane F[9];
+      deformation_gradient<Group>(model.solid, g, x, F);
+      const Lane det = F[0] * (F[4] * F[8] - F[5] * F[7]) + F[1] * (F[5] * F[6] - F[3] * F[8]) +
+                       F[2] * (F[3] * F[7] - F[4] * F[6]);
+      const Lane inverted = select<Lane>(less(broadcast(0.0), det), broadcast(0.0), broadcast(1.0));
+      Group::add_element_value(model.solid, g, inverted, bad.data());
+    }
+  };
+  model.solid.is_hex ? count(HexGroup{}) : count(TetGroup{});
+  return std::count_if(bad.begin(), bad.end(), [](double n) { return n > 0.0; });
 }
 
 }  // namespace diffsim

@@ -11,8 +11,8 @@ namespace diffsim {
 
 /// Parameters of the energy; all arrays belong to the caller.
 struct SoftParameters {
-  const double* w_mu = nullptr;             // (num_elements,) corotated weight, 2 mu [Pa]
-  const double* w_vol = nullptr;            // (num_elements,) volume weight [Pa]
+  const double* w_mu = nullptr;             // (num_elements,) 2 mu [Pa]
+  const double* w_vol = nullptr;            // (num_elements,) PD: volume weight; else lambda [Pa]
   const double* fibre_stiffness = nullptr;  // (num_fibres,) [Pa]
   const double* activation = nullptr;       // (num_fibres,) target stretch [-]
   const double* damp_mu = nullptr;          // (num_elements,) beta kappa 2 mu [Pa]; null: undamped
@@ -62,5 +62,8 @@ struct ParameterAdjoint {
 void parameter_adjoint(const SoftModel& model, const SoftParameters& parameters,
                        const std::vector<DampingFrame>& frames, const double* x, const double* z,
                        const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool);
+
+/// Elements that have a sample with det F <= 0 (or NaN) at x.
+std::int64_t count_inverted(const SoftModel& model, const double* x);
 
 }  // namespace diffsim

@@ -21,6 +21,7 @@ bool line_search(StepProblem& problem, const Vector& d, double slope, Vector& x,
     x = start;
     problem.ops().add(step, d, x);
     value = problem.value_gradient(x, gradient);
+    if (!std::isfinite(value)) continue;  // beyond the reach of the energy: inverted, or overflow
     if (value <= start_value + 1e-4 * step * slope + rounding) return true;
     if (value <= start_value + 1e-6 * problem.magnitude() &&
         std::abs(problem.ops().dot(gradient, d)) <= -0.9 * slope)
@@ -171,6 +172,46 @@ double rounding_floor(const ConstantSystem& system, const Vector& x) {
   return 2.0 * std::numeric_limits<double>::epsilon() * std::sqrt(total);
 }
 
+/// Moves fixed unknowns from the guess to their targets while free ones follow by the linearised
+/// problem, in as many pieces as the energy needs to stay finite. For energies with a barrier:
+/// prescribed motion alone may invert the elements beside it. False where no such path is found.
+bool follow_targets(StepProblem& problem, const ConstantSystem& system, const StepInputs& inputs,
+                    Vector& x) {
+  constexpr int kPieces = 30;
+  constexpr double kLeastPart = 1.0 / 64.0, kAccuracy = 1e-3;
+  const Vector arrived = x;
+  x.assign(inputs.guess, inputs.guess + problem.size());
+  KrylovScratch scratch;
+  const auto apply = [&](const Vector& in, Vector& out) { problem.multiply(in, out); };
+  const auto constant = [&](const Vector& in, Vector& out) { problem.solve_constant(in, out); };
+  Vector move, rhs, d, gradient;
+  for (int piece = 0; piece < kPieces; ++piece) {
+    if (!std::isfinite(problem.value_gradient(x, gradient))) break;
+    move.assign(x.size(), 0.0);
+    for (std::size_t i = 0; i < x.size(); ++i)
+      if (system.fixed()[i]) move[i] = inputs.target[i] - x[i];
+    problem.assemble(x, true);
+    problem.multiply(move, rhs);
+    for (double& v : rhs) v = -v;
+    conjugate_gradients(apply, constant, rhs, d, false, kAccuracy * problem.ops().norm(rhs),
+                        static_cast<int>(x.size()), scratch, problem.ops());
+    problem.ops().add(1.0, move, d);
+    const Vector start = x;
+    for (double part = 1.0; part >= kLeastPart; part *= 0.5) {
+      x = start;
+      problem.ops().add(part, d, x);
+      if (part == 1.0)
+        for (std::size_t i = 0; i < x.size(); ++i)
+          if (system.fixed()[i]) x[i] = inputs.target[i];
+      if (!std::isfinite(problem.value_gradient(x, gradient))) continue;
+      if (part == 1.0) return true;
+      break;
+    }
+  }
+  x = arrived;
+  return false;
+}
+
 }  // namespace
 
 StepStats implicit_step(const ConstantSystem& system, const StepInputs& inputs,
@@ -182,6 +223,10 @@ StepStats implicit_step(const ConstantSystem& system, const StepInputs& inputs,
 
   Vector gradient, d, x_old, g_old;
   double value = problem.value_gradient(x, gradient);
+  if (!std::isfinite(value)) {
+    follow_targets(problem, system, inputs, x);
+    value = problem.value_gradient(x, gradient);
+  }
   StepStats stats;
   stats.residual_norm = problem.ops().norm(gradient);
   // A static problem without load has no force scale of its own: measure from the start, which may

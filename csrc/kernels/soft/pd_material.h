@@ -10,32 +10,35 @@
 // Fibre:  psi(F) = w/2 (|F m| - a)^2, unit direction m, activation a = target stretch.
 #pragma once
 
-#include "kernels/linalg/lanes.h"
-#include "kernels/linalg/svd3.h"
+#include "kernels/soft/principal.h"
 
 namespace diffsim {
 
 /// Principal stretches s, targets t of the volume projection and q = 2t - s.
-struct PdProjection {
-  Lane U[9], s[3], V[9];
+struct PdProjection : PrincipalFrame {
   Lane t[3], q[3];
+
+  explicit PdProjection(const Lane F[9]) : PrincipalFrame(principal_frame(F)) { project_volume(); }
+
+ private:
+  void project_volume();
 };
 
 /// Solves u t0 t1 = 1 by Newton inside a bracket; exact to rounding, any sign of det F.
-inline void project_volume(PdProjection& p) {
+inline void PdProjection::project_volume() {
   const Lane one = broadcast(1.0), zero = broadcast(0.0), tiny = broadcast(1e-12);
-  const Lane d0 = (p.s[0] - p.s[2]) * (p.s[0] + p.s[2]);
-  const Lane d1 = (p.s[1] - p.s[2]) * (p.s[1] + p.s[2]);
+  const Lane d0 = (s[0] - s[2]) * (s[0] + s[2]);
+  const Lane d1 = (s[1] - s[2]) * (s[1] + s[2]);
   Lane low = zero, high = broadcast(1e300);
-  Lane u = max(p.s[2], broadcast(0.3));
+  Lane u = max(s[2], broadcast(0.3));
   bool last = false;
   for (int iter = 0;; ++iter) {
-    const Lane q2 = 2.0 * u - p.s[2];
+    const Lane q2 = 2.0 * u - s[2];
     const Lane q0 = max(sqrt(max(d0 + q2 * q2, zero)), tiny);
     const Lane q1 = max(sqrt(max(d1 + q2 * q2, zero)), tiny);
-    const Lane t0 = 0.5 * (p.s[0] + q0), t1 = 0.5 * (p.s[1] + q1);
-    p.t[0] = t0, p.t[1] = t1, p.t[2] = u;
-    p.q[0] = q0, p.q[1] = q1, p.q[2] = q2;
+    const Lane t0 = 0.5 * (s[0] + q0), t1 = 0.5 * (s[1] + q1);
+    t[0] = t0, t[1] = t1, t[2] = u;
+    q[0] = q0, q[1] = q1, q[2] = q2;
     if (last || iter == 60) return;
     const Lane value = u * t0 * t1 - one;
     // Newton squares the error: from 1e-8 the next iterate is exact to rounding. NaN is not
@@ -51,27 +54,8 @@ inline void project_volume(PdProjection& p) {
   }
 }
 
-inline PdProjection project(const Lane F[9]) {
-  PdProjection p;
-  svd3(F, p.U, p.s, p.V);
-  project_volume(p);
-  return p;
-}
-
-/// out = U diag(d) V^T.
-inline void compose(const Lane U[9], const Lane d[3], const Lane V[9], Lane out[9]) {
-  Lane Ud[9];
-  for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 3; ++j) Ud[3 * i + j] = U[3 * i + j] * d[j];
-  for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 3; ++j)
-      out[3 * i + j] =
-          Ud[3 * i] * V[3 * j] + Ud[3 * i + 1] * V[3 * j + 1] + Ud[3 * i + 2] * V[3 * j + 2];
-}
-
-/// P = U diag(w_mu (s - 1) + w_vol (s - t)) V^T [Pa]; returns psi [J/m^3].
-inline Lane pd_stress(const PdProjection& p, const Lane& w_mu, const Lane& w_vol, Lane P[9]) {
-  Lane d[3];
+/// Principal stresses w_mu (s - 1) + w_vol (s - t) [Pa]; returns psi [J/m^3].
+inline Lane pd_stress(const PdProjection& p, const Lane& w_mu, const Lane& w_vol, Lane d[3]) {
   Lane corotated = broadcast(0.0), volume = broadcast(0.0);
   for (int i = 0; i < 3; ++i) {
     const Lane a = p.s[i] - 1.0, b = p.s[i] - p.t[i];
@@ -79,17 +63,8 @@ inline Lane pd_stress(const PdProjection& p, const Lane& w_mu, const Lane& w_vol
     corotated += a * a;
     volume += b * b;
   }
-  compose(p.U, d, p.V, P);
   return 0.5 * (w_mu * corotated + w_vol * volume);
 }
-
-/// dP/dF in principal axes: dP = U core(U^T dF V) V^T. The core couples the diagonal entries by
-/// `diagonal`, and each off-diagonal pair (i, j) by a symmetric and a skew coefficient.
-struct PrincipalTangent {
-  Lane diagonal[9];
-  Lane symmetric[3], skew[3];  // pairs (0,1), (0,2), (1,2)
-};
-inline constexpr int kPair[3][2] = {{0, 1}, {0, 2}, {1, 2}};
 
 inline PrincipalTangent pd_tangent_principal(const PdProjection& p, const Lane& w_mu,
                                              const Lane& w_vol) {
@@ -120,52 +95,16 @@ inline PrincipalTangent pd_tangent_principal(const PdProjection& p, const Lane& 
   return c;
 }
 
-/// Nearest positive semidefinite core: Newton's definiteness fix.
-inline void clamp_tangent(PrincipalTangent& c) {
-  const Lane zero = broadcast(0.0);
-  for (int k = 0; k < 3; ++k) {
-    c.symmetric[k] = max(c.symmetric[k], zero);
-    c.skew[k] = max(c.skew[k], zero);
+/// The solid as a material policy, see material.h.
+struct PdMaterial {
+  using Sample = PdProjection;
+  static Lane stress(const Sample& p, const Lane& w_mu, const Lane& w_vol, Lane d[3]) {
+    return pd_stress(p, w_mu, w_vol, d);
   }
-  // B symmetric: B^T B = V s^2 V^T, so |B| = V |s| V^T and (B + |B|) / 2 drops negative
-  // eigenvalues.
-  Lane U[9], s[3], V[9], absolute[9];
-  svd3(c.diagonal, U, s, V);
-  for (int i = 0; i < 3; ++i) s[i] = abs(s[i]);
-  compose(V, s, V, absolute);
-  for (int i = 0; i < 9; ++i) c.diagonal[i] = 0.5 * (c.diagonal[i] + absolute[i]);
-}
-
-/// H[9 a + b] = dP_a / dF_b, symmetric, from its principal form.
-inline void expand_tangent(const PdProjection& p, const PrincipalTangent& c, Lane H[81]) {
-  Lane d[3][9];  // u_i v_i^T
-  for (int i = 0; i < 3; ++i)
-    for (int k = 0; k < 9; ++k) d[i][k] = p.U[3 * (k / 3) + i] * p.V[3 * (k % 3) + i];
-  Lane e[3][9];
-  for (int i = 0; i < 3; ++i)
-    for (int k = 0; k < 9; ++k)
-      e[i][k] = c.diagonal[3 * i] * d[0][k] + c.diagonal[3 * i + 1] * d[1][k] +
-                c.diagonal[3 * i + 2] * d[2][k];
-  for (int a = 0; a < 9; ++a)
-    for (int b = a; b < 9; ++b)
-      H[9 * a + b] = d[0][a] * e[0][b] + d[1][a] * e[1][b] + d[2][a] * e[2][b];
-  for (int k = 0; k < 3; ++k) {
-    const int i = kPair[k][0], j = kPair[k][1];
-    Lane sym[9], skw[9], sym_c[9], skw_c[9];
-    for (int n = 0; n < 9; ++n) {
-      const Lane ij = p.U[3 * (n / 3) + i] * p.V[3 * (n % 3) + j];
-      const Lane ji = p.U[3 * (n / 3) + j] * p.V[3 * (n % 3) + i];
-      sym[n] = ij + ji;
-      skw[n] = ij - ji;
-      sym_c[n] = 0.5 * c.symmetric[k] * sym[n];
-      skw_c[n] = 0.5 * c.skew[k] * skw[n];
-    }
-    for (int a = 0; a < 9; ++a)
-      for (int b = a; b < 9; ++b) H[9 * a + b] += sym_c[a] * sym[b] + skw_c[a] * skw[b];
+  static PrincipalTangent tangent(const Sample& p, const Lane& w_mu, const Lane& w_vol) {
+    return pd_tangent_principal(p, w_mu, w_vol);
   }
-  for (int a = 1; a < 9; ++a)
-    for (int b = 0; b < a; ++b) H[9 * a + b] = H[9 * b + a];
-}
+};
 
 /// Fibre of direction m: l = F m, P = w (1 - a/|l|) l m^T; returns psi.
 struct FibreState {

@@ -139,6 +139,7 @@ void make_gather(SoftModel& model) {
 SoftModel make_soft_model(const MeshTables& t) {
   SoftModel model;
   model.num_nodes = t.num_nodes;
+  model.material = t.material;
   model.solid = make_block(t, nullptr, t.num_elements);
   model.fibre = make_block(t, t.fibre_elements, t.num_fibres);
   model.fibre_directions.assign(t.fibre_directions, t.fibre_directions + 3 * t.num_fibres);

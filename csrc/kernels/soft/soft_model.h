@@ -1,5 +1,5 @@
-// What never changes about a soft body: elements, muscle fibres, chambers, and the sparsity they
-// imply.
+// What never changes about a soft body: elements, material law, muscle fibres, chambers, and the
+// sparsity they imply.
 #pragma once
 
 #include <cstdint>
@@ -10,9 +10,13 @@
 
 namespace diffsim {
 
+/// Energy density of the solid; see pd_material.h and hyperelastic.h.
+enum class Material { kPd, kCorotated, kStableNeoHookean, kNeoHookean, kStvk };
+
 /// Shape-function tables as Python computes them (diffsim/mesh/shape.py).
 struct MeshTables {
   bool is_hex = true;
+  Material material = Material::kPd;
   std::int64_t num_nodes = 0, num_elements = 0, num_classes = 0;
   const std::int64_t* elements = nullptr;   // (num_elements, N)
   const double* grad = nullptr;             // (num_classes, Q, N, 3) [1/m]
@@ -31,6 +35,7 @@ struct MeshTables {
 /// being 3 * row length padded with zeros to whole lanes, so that products stream aligned vectors.
 struct SoftModel {
   std::int64_t num_nodes = 0;
+  Material material = Material::kPd;
   ElementBlock solid, fibre;
   std::vector<double> fibre_directions;  // (num_fibres, 3)
   std::vector<double> fibre_pull_only;   // (num_fibres,) 1 or 0
