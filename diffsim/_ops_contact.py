@@ -24,6 +24,7 @@ from diffsim._soft_context import (
     gradient_buffers,
     pointers,
     require_sizes,
+    require_upright,
     sum_shared,
 )
 
@@ -109,6 +110,7 @@ def contact_step(
         num_threads,
     )
     notify("step", stats)
+    require_upright(ctx, stats[:, STATS.index("energy")], x)  # x is the start where that failed
     report_failure(stats, "implicit step in contact", STEP_HINT, on_failure)
     return x, force, status, stats
 
