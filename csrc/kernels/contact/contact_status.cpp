@@ -1,5 +1,7 @@
 #include "kernels/contact/contact_status.h"
 
+#include <limits>
+
 namespace diffsim {
 namespace {
 
@@ -140,6 +142,13 @@ bool ContactStatuses::needs_resolution() {
   return needed;
 }
 
+double ContactStatuses::rounding(std::size_t k, const Vector& x) const {
+  double largest = 0.0;
+  for (std::size_t i = 0; i < 3; ++i)
+    largest = std::max(largest, std::abs(x[3 * space_.node(k) + i]));
+  return 4.0 * std::numeric_limits<double>::epsilon() * largest;
+}
+
 void ContactStatuses::update_slip(const Vector& x, const Vector& r) {
   for (std::size_t k = 0; k < space_.size(); ++k) {
     space_.slip_stiffness[k] = 0.0;
@@ -149,17 +158,21 @@ void ContactStatuses::update_slip(const Vector& x, const Vector& r) {
     double u[3];
     const double slip = space_.slip(k, x, u);
     double* t = space_.direction.data() + 3 * k;
-    if (slip > length_tolerance_) {
+    const double limit = space_.inputs().friction[k] * std::max(pressing, 0.0);
+    // A slip of a few roundings of x has no direction that friction could be computed from.
+    const bool vague = slip * force_tolerance_ <= limit * rounding(k, x);
+    if (slip > length_tolerance_ && !vague) {
       for (int i = 0; i < 3; ++i) t[i] = u[i] / slip;
     } else {  // about to slip: against the force that holds it
       double against[3];
       for (std::size_t i = 0; i < 3; ++i)
-        against[i] = stiffness * u[i] + pressing * space_.normal(k)[i] - r[3 * space_.node(k) + i];
+        against[i] = pressing * space_.normal(k)[i] - r[3 * space_.node(k) + i];
+      if (!vague || norm3(against) == 0.0)
+        for (int i = 0; i < 3; ++i) against[i] += stiffness * u[i];
       const double force = norm3(against);
       if (force > 0.0)
         for (int i = 0; i < 3; ++i) t[i] = against[i] / force;
     }
-    const double limit = space_.inputs().friction[k] * std::max(pressing, 0.0);
     if (limit > 0.0)
       space_.slip_stiffness[k] =
           std::min(limit / std::max(slip, 1e-300), kMaxSlipStiffness * stiffness);
