@@ -77,7 +77,7 @@ class Violations(NamedTuple):
         pull: Negative normal force.
         both: min(gap, r_N) over nodes: complementarity.
         cone: |r_T| - mu r_N.
-        slip: Friction of slipping nodes, |r_T + mu r_N t|; counts less below a slip of 1e-6 lengths.
+        slip: Friction of slipping nodes, |r_T + mu r_N t|; counts less below 1e-6 lengths of slip.
         num_contacts: Nodes with a contact force.
         num_slipping: Of these, nodes on the edge of the cone.
     """
@@ -116,7 +116,7 @@ def violations(body, before, after, obstacles, external=None, **inputs) -> Viola
     force = after.contact_force
     assert force is not None
     free = ~body.fixed
-    scale_force = float(force.abs().max()) or float((body.physics().mass.max() / h**2))
+    scale_force = float(force.abs().max()) or float(body.physics().mass.max() / h**2)
     size = float((before.x.max(0).values - before.x.min(0).values).max())
     others = torch.ones(len(r), dtype=torch.bool)
     others[nodes] = False
