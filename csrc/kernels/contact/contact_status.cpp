@@ -1,13 +1,8 @@
 #include "kernels/contact/contact_status.h"
 
-#include <limits>
-
 namespace diffsim {
 namespace {
 
-// Largest stiffness of a slip's direction beside the node's own: keeps Newton's matrix in range
-// where a node all but sticks.
-constexpr double kMaxSlipStiffness = 1e6;
 // Infinite friction leaves cases without an answer: a node that is pulled off where it sticks, but
 // let go slides into the obstacle. From its second release in a step it is held, pulled or not.
 constexpr int kMaxReleases = 2;
@@ -142,13 +137,6 @@ bool ContactStatuses::needs_resolution() {
   return needed;
 }
 
-double ContactStatuses::rounding(std::size_t k, const Vector& x) const {
-  double largest = 0.0;
-  for (std::size_t i = 0; i < 3; ++i)
-    largest = std::max(largest, std::abs(x[3 * space_.node(k) + i]));
-  return 4.0 * std::numeric_limits<double>::epsilon() * largest;
-}
-
 void ContactStatuses::update_slip(const Vector& x, const Vector& r) {
   for (std::size_t k = 0; k < space_.size(); ++k) {
     space_.slip_stiffness[k] = 0.0;
@@ -160,7 +148,7 @@ void ContactStatuses::update_slip(const Vector& x, const Vector& r) {
     double* t = space_.direction.data() + 3 * k;
     const double limit = space_.inputs().friction[k] * std::max(pressing, 0.0);
     // A slip of a few roundings of x has no direction that friction could be computed from.
-    const bool vague = slip * force_tolerance_ <= limit * rounding(k, x);
+    const bool vague = slip * force_tolerance_ <= limit * space_.rounding(k, x);
     if (slip > length_tolerance_ && !vague) {
       for (int i = 0; i < 3; ++i) t[i] = u[i] / slip;
     } else {  // about to slip: against the force that holds it

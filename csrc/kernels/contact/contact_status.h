@@ -44,9 +44,6 @@ class ContactStatuses {
   Proposal propose(std::size_t k, const Vector& x, const Vector& r) const;
   ContactStatus first_touch(std::size_t k, double depth, double slip) const;
 
-  /// What rounding leaves undetermined of the node's position [m].
-  double rounding(std::size_t k, const Vector& x) const;
-
   void take(std::size_t k, ContactStatus status);
 
   ContactSpace& space_;

@@ -1,5 +1,7 @@
 #include "kernels/contact/contact_step.h"
 
+#include <limits>
+
 #include "kernels/contact/contact_relaxation.h"
 #include "kernels/contact/contact_solve.h"
 #include "kernels/contact/contact_status.h"
@@ -48,9 +50,10 @@ class ContactNewton {
       stats.converged = moved && stats.residual_norm <= tolerance_ ? 1.0 : 0.0;
       if (stats.converged != 0.0 || iter == options_.max_iters) break;
       const bool descended = newton_step(stats.residual_norm);
-      stalled_ = moved && !descended ? stalled_ + 1 : 0;
+      stalled_ =
+          moved && (!descended || !improves(stats.residual_norm, changed)) ? stalled_ + 1 : 0;
       moved = true;
-      if (stalled_ > 5) {  // rounding decides from here on
+      if (stalled_ > kMaxStalled) {  // rounding decides from here on
         stats.num_iters = iter + 1;
         break;
       }
@@ -61,6 +64,13 @@ class ContactNewton {
   }
 
  private:
+  /// Whether the residual is the least with these statuses.
+  bool improves(double residual_norm, bool changed) {
+    const bool better = changed || residual_norm < 0.99 * least_norm_;
+    if (better) least_norm_ = residual_norm;
+    return better;
+  }
+
   void start() {
     x_.assign(in_.guess, in_.guess + problem_.size());
     for (std::size_t i = 0; i < x_.size(); ++i)
@@ -266,6 +276,7 @@ class ContactNewton {
 
   // The dense operator of the fallback has (3 k)^2 entries.
   static constexpr std::size_t kMaxRelaxed = 1500;
+  static constexpr int kMaxStalled = 20;
   static constexpr int kMaxDoublings = 5;
   const ConstantSystem& system_;
   const StepInputs& in_;
@@ -277,6 +288,7 @@ class ContactNewton {
   Vector x_, gradient_;
   std::vector<bool> touched_ = std::vector<bool>(space_.size(), false);
   double value_ = 0.0, tolerance_ = 0.0, last_norm_ = 0.0;
+  double least_norm_ = std::numeric_limits<double>::infinity();
   bool clamp_ = false;
   int stalled_ = 0, num_relaxed_ = 0;
 };
