@@ -53,7 +53,7 @@ class ContactNewton {
       stalled_ =
           moved && (!descended || !improves(stats.residual_norm, changed)) ? stalled_ + 1 : 0;
       moved = true;
-      if (stalled_ > kMaxStalled) {  // rounding decides from here on
+      if (stalled_ > (descended ? kMaxStalled : 5)) {  // rounding decides from here on
         stats.num_iters = iter + 1;
         break;
       }
@@ -64,9 +64,15 @@ class ContactNewton {
   }
 
  private:
-  /// Whether the residual is the least with these statuses.
+  /// Whether the residual is the least with these statuses, or above what rounding leaves of it.
   bool improves(double residual_norm, bool changed) {
-    const bool better = changed || residual_norm < 0.99 * least_norm_;
+    double rounding = 0.0;
+    for (std::size_t i = 0; i < x_.size(); ++i) {
+      const double f = system_.diagonal()[i / 3] * x_[i];
+      rounding += f * f;
+    }
+    rounding = 2.0 * std::numeric_limits<double>::epsilon() * std::sqrt(rounding);
+    const bool better = changed || residual_norm > rounding || residual_norm < 0.99 * least_norm_;
     if (better) least_norm_ = residual_norm;
     return better;
   }
