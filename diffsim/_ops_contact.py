@@ -149,9 +149,14 @@ def contact_step_vjp(
     named = dict(zip(STEP_INPUTS, inputs, strict=True))
     planes = dict(zip(CONTACT_INPUTS, contacts, strict=True))
     batch, count = x.shape[0], nodes.shape[0]
-    grad_x, grad_force = grad_x.contiguous(), grad_force.contiguous()
+    grad_x, grad_force, status = grad_x.contiguous(), grad_force.contiguous(), status.contiguous()
     require_sizes(ctx, batch, {**named, "x": x, "grad_x": grad_x})
     _require_contacts(ctx.num_vertices, batch, nodes, {**planes, "grad_force": grad_force})
+    if tuple(status.shape) != (batch, count) or status.dtype != torch.int64:
+        raise ValueError(
+            f"status must be int64 of shape {(batch, count)}, got {status.dtype} of shape "
+            f"{tuple(status.shape)}"
+        )
     grads = gradient_buffers(named, STEP_GRADIENTS, batch)
     contact_grads = {name: torch.zeros_like(planes[name]) for name in CONTACT_GRADIENTS}
     stats = torch.zeros(batch, len(STATS), dtype=torch.float64)

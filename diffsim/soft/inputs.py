@@ -33,7 +33,7 @@ def check_inputs(
     require_state(state)
     x = require("state.x", state.x, ("...", num_vertices, 3))
     require("state.v", state.v, tuple(x.shape))
-    for name in ("x_prev", "v_prev"):
+    for name in ("x_prev", "v_prev", "contact_force"):
         value = getattr(state, name)
         if value is not None:
             require(f"state.{name}", value, tuple(x.shape))

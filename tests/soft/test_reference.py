@@ -18,6 +18,7 @@ def load(name):
     return {
         k: torch.from_numpy(v)
         for k, v in np.load(data_folder("soft_reference") / f"{name}.npz").items()
+        if v.dtype.kind != "U"
     }
 
 

@@ -1,3 +1,5 @@
+#include <limits>
+
 #include "kernels/contact/contact_solve.h"
 #include "kernels/contact/contact_step.h"
 
@@ -5,7 +7,9 @@ namespace diffsim {
 namespace {
 
 /// The forward step's statuses, with slip directions and stiffnesses from its answer.
-void restore(ContactSpace& space, const std::int64_t* status, const Vector& x, const Vector& r) {
+/// @param[in] stiffness  (num_nodes,) [N/m]
+void restore(ContactSpace& space, const std::int64_t* status, const Vector& x, const Vector& r,
+             const double* stiffness) {
   for (std::size_t k = 0; k < space.size(); ++k) {
     space.status[k] = static_cast<ContactStatus>(status[k]);
     if (space.status[k] != ContactStatus::kSlip) continue;
@@ -13,12 +17,14 @@ void restore(ContactSpace& space, const std::int64_t* status, const Vector& x, c
     const double slip = space.slip(k, x, u);
     const double friction = space.inputs().friction[k];
     if (friction == 0.0) continue;
-    if (slip == 0.0) {  // on the verge of slipping: the sticking side's derivative
+    if (slip <= space.rounding(k, x)) {  // on the verge of slipping: the sticking side's derivative
       space.status[k] = ContactStatus::kStick;
       continue;
     }
     for (std::size_t i = 0; i < 3; ++i) space.direction[3 * k + i] = u[i] / slip;
     space.slip_stiffness[k] = friction * std::max(0.0, space.normal_part(k, r)) / slip;
+    if (space.slip_stiffness[k] > kMaxSlipStiffness * stiffness[space.node(k)])
+      space.slip_stiffness[k] = std::numeric_limits<double>::infinity();
   }
 }
 
@@ -46,12 +52,17 @@ void contact_gradients(const ContactSpace& space, const Vector& x, const Vector&
       }
       continue;
     }
-    double sliding = 0.0;  // t . p
-    for (std::size_t i = 0; i < 3; ++i) sliding += t[i] * p[at + i];
+    double sliding = 0.0, forward = 0.0;  // t . p, t . e
+    for (std::size_t i = 0; i < 3; ++i) {
+      sliding += t[i] * p[at + i];
+      forward += t[i] * e[at + i];
+    }
     const double pressing = space.normal_part(k, r);
     out.friction[k] = -sliding * pressing;
     for (std::size_t i = 0; i < 3; ++i) {
-      const double turn = space.slip_stiffness[k] * (p[at + i] - sliding * t[i]);
+      // D p, which on a rail is what holds the node on it
+      const double turn = space.on_rail(k) ? e[at + i] - along * n[i] - forward * t[i]
+                                           : space.slip_stiffness[k] * (p[at + i] - sliding * t[i]);
       reference[i] = along * n[i] + turn;
       normal[i] = -along * (x[at + i] - space.inputs().reference[3 * k + i]) +
                   pressing * p[at + i] - friction * sliding * r[at + i] + offset * turn;
@@ -72,7 +83,7 @@ StepStats contact_step_adjoint(const ConstantSystem& system, const StepInputs& i
   Vector r;
   problem.value_gradient(x, r);
   ContactSpace space(contacts);
-  restore(space, status, x, r);
+  restore(space, status, x, r, system.diagonal());
   problem.assemble(x, false);
 
   // The forces r = grad g at nodes in contact are outputs as well: c is their cotangent.

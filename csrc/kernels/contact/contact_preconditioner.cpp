@@ -110,11 +110,13 @@ bool ContactPreconditioner::prepare_tangent() {
     const double* n = space_.normal(k);
     for (int i = 0; i < 9; ++i)
       P[i] = space_.status[k] == ContactStatus::kStick ? 0.0 : (i % 4 == 0) - n[i / 3] * n[i % 3];
+    const double* t = space_.direction.data() + 3 * k;
+    for (int i = 0; space_.on_rail(k) && i < 9; ++i) P[i] = t[i / 3] * t[i % 3];
   }
   std::vector<double> sliding(at(model.num_nodes), 0.0);
   std::vector<const double*> slide_direction(at(model.num_nodes), nullptr);
   for (std::size_t k = 0; k < space_.size(); ++k)
-    if (space_.status[k] == ContactStatus::kSlip) {
+    if (space_.status[k] == ContactStatus::kSlip && !space_.on_rail(k)) {
       sliding[space_.node(k)] = space_.slip_stiffness[k];
       slide_direction[space_.node(k)] = space_.direction.data() + 3 * k;
     }

@@ -47,7 +47,8 @@ Vec3 solve_one(const Mat3& W, const Vec3& w, const Vec3& n, double offset, doubl
 }  // namespace
 
 bool relax_contacts(StepProblem& problem, ContactSpace& space,
-                    const std::vector<std::size_t>& contacts, const Vector& gradient, Vector& x) {
+                    const std::vector<std::size_t>& contacts, const Vector& gradient, Vector& x,
+                    Vector& limits) {
   problem.assemble(x, true);
   if (!problem.factorize()) return false;
   const ContactInputs& in = space.inputs();
@@ -90,6 +91,7 @@ bool relax_contacts(StepProblem& problem, ContactSpace& space,
   }
   Vector load(problem.size(), 0.0);
   std::fill(space.status.begin(), space.status.end(), ContactStatus::kSeparate);
+  limits.assign(space.size(), 0.0);
   for (Eigen::Index j = 0; j < m; ++j) {
     const std::size_t k = contacts[static_cast<std::size_t>(j)];
     const Vec3 f = force.segment<3>(3 * j), n = Eigen::Map<const Vec3>(space.normal(k));
@@ -97,7 +99,8 @@ bool relax_contacts(StepProblem& problem, ContactSpace& space,
       load[3 * space.node(k) + a] = f(static_cast<Eigen::Index>(a));
     if (f.isZero(0.0)) continue;
     const double pressing = n.dot(f);
-    const bool slips = (f - pressing * n).norm() >= (1.0 - 1e-9) * in.friction[k] * pressing;
+    limits[k] = in.friction[k] * pressing;
+    const bool slips = (f - pressing * n).norm() >= (1.0 - 1e-9) * limits[k];
     space.status[k] = slips ? ContactStatus::kSlip : ContactStatus::kStick;
   }
   problem.solve_factorized(load, step);

@@ -1,5 +1,7 @@
 #include "kernels/contact/contact_space.h"
 
+#include <limits>
+
 namespace diffsim {
 namespace {
 
@@ -9,6 +11,12 @@ double dot3(const double* a, const double* b) { return a[0] * b[0] + a[1] * b[1]
 void tangential(const double* n, double* v) {
   const double along = dot3(n, v);
   for (int i = 0; i < 3; ++i) v[i] -= along * n[i];
+}
+
+/// v <- t t^T v.
+void along_direction(const double* t, double* v) {
+  const double along = dot3(t, v);
+  for (int i = 0; i < 3; ++i) v[i] = along * t[i];
 }
 
 }  // namespace
@@ -26,6 +34,12 @@ double ContactSpace::slip(std::size_t k, const Vector& x, double u[3]) const {
   return std::sqrt(dot3(u, u));
 }
 
+double ContactSpace::rounding(std::size_t k, const Vector& x) const {
+  double largest = 0.0;
+  for (std::size_t i = 0; i < 3; ++i) largest = std::max(largest, std::abs(x[3 * node(k) + i]));
+  return 4.0 * std::numeric_limits<double>::epsilon() * largest;
+}
+
 double ContactSpace::normal_part(std::size_t k, const Vector& r) const {
   return dot3(normal(k), r.data() + 3 * node(k));
 }
@@ -40,11 +54,17 @@ bool ContactSpace::any_sliding_friction() const {
   return false;
 }
 
+bool ContactSpace::on_rail(std::size_t k) const {
+  return status[k] == ContactStatus::kSlip && std::isinf(slip_stiffness[k]);
+}
+
 void ContactSpace::project(Vector& v) const {
   for (std::size_t k = 0; k < size(); ++k) {
     double* at = v.data() + 3 * node(k);
     if (status[k] == ContactStatus::kStick)
       std::fill(at, at + 3, 0.0);
+    else if (on_rail(k))
+      along_direction(direction.data() + 3 * k, at);
     else if (status[k] == ContactStatus::kSlip)
       tangential(normal(k), at);
   }
@@ -58,6 +78,7 @@ void ContactSpace::reduce(Vector& r) const {
     } else if (status[k] == ContactStatus::kSlip) {
       const double friction = in_.friction[k] * dot3(normal(k), at);
       tangential(normal(k), at);
+      if (on_rail(k)) along_direction(direction.data() + 3 * k, at);
       for (std::size_t i = 0; i < 3; ++i) at[i] += friction * direction[3 * k + i];
     }
   }
@@ -74,7 +95,7 @@ void ContactSpace::expand(Vector& p) const {
 
 void ContactSpace::add_slip_stiffness(const Vector& v, Vector& out) const {
   for (std::size_t k = 0; k < size(); ++k) {
-    if (status[k] != ContactStatus::kSlip || slip_stiffness[k] == 0.0) continue;
+    if (status[k] != ContactStatus::kSlip || slip_stiffness[k] == 0.0 || on_rail(k)) continue;
     const double* t = direction.data() + 3 * k;
     double across[3];
     std::copy_n(v.data() + 3 * node(k), 3, across);

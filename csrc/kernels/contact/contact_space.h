@@ -22,6 +22,10 @@ namespace diffsim {
 
 enum class ContactStatus : std::int64_t { kSeparate = 0, kStick = 1, kSlip = 2 };
 
+// Largest stiffness of a slip's direction beside the node's own: keeps Newton's matrix in range
+// where a node all but sticks.
+constexpr double kMaxSlipStiffness = 1e6;
+
 /// Contacts of one step; all arrays belong to the caller.
 struct ContactInputs {
   std::int64_t num_contacts = 0;
@@ -49,6 +53,8 @@ class ContactSpace {
   double gap(std::size_t k, const Vector& x) const;
   /// Slip displacement u [m]; returns |u|.
   double slip(std::size_t k, const Vector& x, double u[3]) const;
+  /// What rounding leaves undetermined of the node's position [m].
+  double rounding(std::size_t k, const Vector& x) const;
   /// n . r.
   double normal_part(std::size_t k, const Vector& r) const;
 
@@ -64,6 +70,8 @@ class ContactSpace {
   void expand(Vector& p) const;
   /// out += D v.
   void add_slip_stiffness(const Vector& v, Vector& out) const;
+  /// Whether the node may only move along t.
+  bool on_rail(std::size_t k) const;
   /// Displacement that puts x on the constraints: zero at all nodes but those in contact.
   void correction(const Vector& x, Vector& dx) const;
 
@@ -73,7 +81,7 @@ class ContactSpace {
  public:
   std::vector<ContactStatus> status;  // (num_contacts,)
   Vector direction;                   // (num_contacts, 3) t where slipping
-  Vector slip_stiffness;              // (num_contacts,) mu r_N / |u| [N/m]
+  Vector slip_stiffness;              // (num_contacts,) mu r_N / |u| [N/m]; infinite: t is held
 };
 
 }  // namespace diffsim

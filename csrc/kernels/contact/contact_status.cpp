@@ -3,9 +3,6 @@
 namespace diffsim {
 namespace {
 
-// Largest stiffness of a slip's direction beside the node's own: keeps Newton's matrix in range
-// where a node all but sticks.
-constexpr double kMaxSlipStiffness = 1e6;
 // Infinite friction leaves cases without an answer: a node that is pulled off where it sticks, but
 // let go slides into the obstacle. From its second release in a step it is held, pulled or not.
 constexpr int kMaxReleases = 2;
@@ -149,17 +146,21 @@ void ContactStatuses::update_slip(const Vector& x, const Vector& r) {
     double u[3];
     const double slip = space_.slip(k, x, u);
     double* t = space_.direction.data() + 3 * k;
-    if (slip > length_tolerance_) {
+    const double limit = space_.inputs().friction[k] * std::max(pressing, 0.0);
+    // A slip of a few roundings of x has no direction that friction could be computed from.
+    const bool vague = slip * force_tolerance_ <= limit * space_.rounding(k, x);
+    if (slip > length_tolerance_ && !vague) {
       for (int i = 0; i < 3; ++i) t[i] = u[i] / slip;
     } else {  // about to slip: against the force that holds it
       double against[3];
       for (std::size_t i = 0; i < 3; ++i)
-        against[i] = stiffness * u[i] + pressing * space_.normal(k)[i] - r[3 * space_.node(k) + i];
+        against[i] = pressing * space_.normal(k)[i] - r[3 * space_.node(k) + i];
+      if (!vague || norm3(against) == 0.0)
+        for (int i = 0; i < 3; ++i) against[i] += stiffness * u[i];
       const double force = norm3(against);
       if (force > 0.0)
         for (int i = 0; i < 3; ++i) t[i] = against[i] / force;
     }
-    const double limit = space_.inputs().friction[k] * std::max(pressing, 0.0);
     if (limit > 0.0)
       space_.slip_stiffness[k] =
           std::min(limit / std::max(slip, 1e-300), kMaxSlipStiffness * stiffness);

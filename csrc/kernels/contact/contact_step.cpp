@@ -1,5 +1,7 @@
 #include "kernels/contact/contact_step.h"
 
+#include <limits>
+
 #include "kernels/contact/contact_relaxation.h"
 #include "kernels/contact/contact_solve.h"
 #include "kernels/contact/contact_status.h"
@@ -48,9 +50,10 @@ class ContactNewton {
       stats.converged = moved && stats.residual_norm <= tolerance_ ? 1.0 : 0.0;
       if (stats.converged != 0.0 || iter == options_.max_iters) break;
       const bool descended = newton_step(stats.residual_norm);
-      stalled_ = moved && !descended ? stalled_ + 1 : 0;
+      stalled_ =
+          moved && (!descended || !improves(stats.residual_norm, changed)) ? stalled_ + 1 : 0;
       moved = true;
-      if (stalled_ > 5) {  // rounding decides from here on
+      if (stalled_ > (descended ? kMaxStalled : 5)) {  // rounding decides from here on
         stats.num_iters = iter + 1;
         break;
       }
@@ -61,6 +64,19 @@ class ContactNewton {
   }
 
  private:
+  /// Whether the residual is the least with these statuses, or above what rounding leaves of it.
+  bool improves(double residual_norm, bool changed) {
+    double rounding = 0.0;
+    for (std::size_t i = 0; i < x_.size(); ++i) {
+      const double f = system_.diagonal()[i / 3] * x_[i];
+      rounding += f * f;
+    }
+    rounding = 2.0 * std::numeric_limits<double>::epsilon() * std::sqrt(rounding);
+    const bool better = changed || residual_norm > rounding || residual_norm < 0.99 * least_norm_;
+    if (better) least_norm_ = residual_norm;
+    return better;
+  }
+
   void start() {
     x_.assign(in_.guess, in_.guess + problem_.size());
     for (std::size_t i = 0; i < x_.size(); ++i)
@@ -100,12 +116,32 @@ class ContactNewton {
     // Infinite friction may leave no answer to relax to; see kMaxReleases.
     const auto sticky = [&](std::size_t k) { return std::isinf(space_.inputs().friction[k]); };
     if (near.size() > kMaxRelaxed || std::any_of(near.begin(), near.end(), sticky)) return false;
-    Vector x = x_;
-    if (!relax_contacts(problem_, space_, near, gradient_, x)) return false;
-    x_ = x;
-    value_ = problem_.value_gradient(x_, gradient_);
+    // Each time round, more linearisations before Newton takes over again.
+    const int rounds = 1 << std::min(num_relaxed_, kMaxDoublings);
+    num_relaxed_ += 2;
+    for (int round = 0; round < rounds; ++round) {
+      const std::vector<ContactStatus> before = space_.status;
+      Vector step = x_, limits;
+      if (!relax_contacts(problem_, space_, near, gradient_, step, limits)) return round > 0;
+      problem_.ops().add(-1.0, x_, step);
+      take_relaxed(step, limits, round > 0);
+      if (round > 0 && space_.status == before) break;
+    }
     solve_.statuses_changed();
     return true;
+  }
+
+  /// Moves x along `step` as far as lowers the merit (the first step only has to reach the half
+  /// spaces, which later ones do not leave: these are convex).
+  void take_relaxed(const Vector& step, const Vector& limits, bool search) {
+    const Vector start = x_;
+    const double before = merit(x_, value_, limits);
+    for (double length = 1.0; length > 1e-3; length *= 0.5) {
+      x_ = start;
+      problem_.ops().add(length, step, x_);
+      value_ = problem_.value_gradient(x_, gradient_);
+      if (std::isfinite(value_) && (!search || merit(x_, value_, limits) <= before)) return;
+    }
   }
 
   /// Solves for the free unknowns and moves x; false where no step lowers the merit.
@@ -246,6 +282,8 @@ class ContactNewton {
 
   // The dense operator of the fallback has (3 k)^2 entries.
   static constexpr std::size_t kMaxRelaxed = 1500;
+  static constexpr int kMaxStalled = 20;
+  static constexpr int kMaxDoublings = 5;
   const ConstantSystem& system_;
   const StepInputs& in_;
   const StepOptions& options_;
@@ -256,8 +294,9 @@ class ContactNewton {
   Vector x_, gradient_;
   std::vector<bool> touched_ = std::vector<bool>(space_.size(), false);
   double value_ = 0.0, tolerance_ = 0.0, last_norm_ = 0.0;
+  double least_norm_ = std::numeric_limits<double>::infinity();
   bool clamp_ = false;
-  int stalled_ = 0;
+  int stalled_ = 0, num_relaxed_ = 0;
 };
 
 }  // namespace

@@ -1,0 +1,279 @@
+"""Is every gradient of a step in contact exact? Central differences, float64, a few elements.
+
+Statuses must not change within the differences of 1e-6: scenes are generic, and each test says
+which statuses it has. Tolerances as in tests/soft/test_step_gradients.py.
+"""
+
+import math
+
+import pytest
+import torch
+
+from diffsim import _ops_contact, contact, soft
+from tests.helpers import check_layer
+from tests.soft.cases import SHARP, irregular_mesh, leaf, noise, soft_body, two_muscles
+
+pytestmark = pytest.mark.grad
+TOLERANCE = {"eps": 1e-6, "atol": 2e-5, "rtol": 2e-5}
+OBSTACLE = (
+    "friction", "restitution", "position", "rotation", "velocity", "angular_velocity", "radius",
+)  # fmt: skip
+STATUS = {"separate": 0, "stick": 1, "slip": 2}
+
+
+def inputs_of(m, mode: str) -> dict:
+    """A body that meets a big, moving, turning capsule from above, as ``mode`` says.
+
+    The lower face is flat but for noise, at z of about 0 where the capsule has its top.
+    """
+    speed = {"stick": 0.02, "slip": 3.0, "mixed": 0.4, "separate": 0.1, "bounce": 0.4}[mode]
+    friction = {"stick": 30.0, "slip": 0.1, "mixed": 0.25, "separate": 0.5, "bounce": 0.3}[mode]
+    v = torch.zeros(m.num_vertices, 3, dtype=torch.float64)
+    v[:, 0] = speed
+    v[:, 1] = 0.4 * speed
+    v[:, 2] = {"separate": 1.0, "bounce": -3.0}.get(mode, -2.0)
+    x = m.x_rest.clone()
+    x[:, 2] += 0.3 if mode == "separate" else 0.02
+    bounce = {"restitution": 0.6} if mode == "bounce" else {}
+    return {
+        "x": x,
+        "v": v + 0.02 * noise(m.num_vertices, 3, seed=2),
+        "external_force": 0.1 * noise(m.num_vertices, 3, seed=3),
+        "youngs_modulus": 30.0,
+        "poissons_ratio": 0.3,
+        "density": 1.5,
+        "gravity": [0.1, -0.05, -2.0],
+        "friction": friction,
+        "position": [0.45, 0.55, -3.0],
+        "rotation": [0.1, 0.2, -0.1],
+        "velocity": [0.02, -0.03, 0.05],
+        "angular_velocity": [0.01, 0.02, 0.03] if mode == "stick" else [0.05, -0.04, 0.1],
+        "radius": 3.0,
+        **bounce,
+    }
+
+
+def obstacle_of(given: dict) -> contact.Obstacle:
+    own = {name: given.pop(name) for name in OBSTACLE if name in given}
+    values = {"friction": math.inf, "position": (0.45, 0.55, -3.0), **own}
+    return contact.capsule((-0.5, 0.1, 0.0), (0.4, 0.0, 0.0), values.pop("radius", 3.0), **values)
+
+
+def layer_of(body, names, num_steps=1, forces=True):
+    """Final x, v and the sum of weighted contact forces of the steps."""
+
+    def layer(*args):
+        given = dict(zip(names, args, strict=True))
+        obstacle = obstacle_of(given)
+        state = soft.State(
+            given.pop("x", body.x_rest), given.pop("v", torch.zeros_like(body.x_rest))
+        )
+        signals = {k: given.pop(k) for k in ("external_force", "activation") if k in given}
+        physics = body.physics(**given)
+        total = torch.zeros_like(state.x)
+        for k in range(num_steps):
+            state = soft.step(body, state, physics=physics, obstacles=obstacle, **signals)
+            total = total + (1.0 + 0.3 * k) * state.contact_force
+            obstacle = obstacle.after(body.dt)
+        out = [state.x.flatten(), 0.1 * state.v.flatten()]
+        return torch.cat([*out, 0.1 * total.flatten()] if forces else out)
+
+    return layer
+
+
+def statuses(function, monkeypatch) -> list[torch.Tensor]:
+    """Statuses of every contact step that ``function`` takes."""
+    seen = []
+    op = _ops_contact.contact_step
+
+    def spy(*args):
+        out = op(*args)
+        seen.append(out[2])
+        return out
+
+    monkeypatch.setattr(_ops_contact, "contact_step", spy)
+    function()
+    monkeypatch.undo()
+    return seen
+
+
+def irregular(kind: str):
+    return irregular_mesh(kind, (2, 1, 1) if kind == "hex" else (1, 1, 1), (1.0, 1.0, 1.0), 0.04)
+
+
+@pytest.mark.parametrize("integrator", ["implicit_euler", "bdf2"])
+@pytest.mark.parametrize("kind", ["hex", "tet"])
+@pytest.mark.parametrize("mode", ["stick", "slip", "mixed", "separate", "bounce"])
+def test_every_input_through_a_rollout(mode, kind, integrator, monkeypatch):
+    m = irregular(kind)
+    body = soft_body(m, dt=0.05, integrator=integrator)
+    inputs = {k: leaf(v) for k, v in inputs_of(m, mode).items()}
+    layer, args = layer_of(body, inputs, 3), tuple(inputs.values())
+    found = torch.cat([s.flatten() for s in statuses(lambda: layer(*args), monkeypatch)])
+    counts = {name: int((found == value).sum()) for name, value in STATUS.items()}
+    if mode == "stick":
+        assert counts["stick"] > 3 and counts["slip"] == 0
+    elif mode == "slip":
+        assert counts["slip"] > 3 and counts["stick"] == 0
+    elif mode == "mixed":
+        assert counts["slip"] > 0 and counts["stick"] > 0
+    elif mode == "separate":
+        assert counts["slip"] + counts["stick"] == 0
+    out = layer(*args)
+    grads = torch.autograd.grad(
+        out, args, torch.linspace(1, 2, out.numel(), dtype=out.dtype), allow_unused=True
+    )
+    # A bounce that sets off from where the node started does not know how thick the capsule is.
+    silent = {"separate": {*OBSTACLE}, "stick": {"friction"}, "bounce": {"radius"}}.get(mode, set())
+    for name, grad in zip(inputs, grads, strict=True):
+        alive = grad is not None and bool(grad.abs().max() > 1e-7)
+        assert alive == (name not in silent), f"{name}: gradient {'found' if alive else 'lost'}"
+    assert torch.autograd.gradcheck(layer, args, fast_mode=True, **TOLERANCE)
+
+
+@pytest.mark.parametrize("mode", ["stick", "slip", "mixed"])
+def test_every_entry_of_one_step(mode):
+    """The full Jacobian, not a projection of it."""
+    m = irregular("tet")
+    body = soft_body(m, dt=0.05)
+    inputs = {k: leaf(v) for k, v in inputs_of(m, mode).items()}
+    assert torch.autograd.gradcheck(layer_of(body, inputs), tuple(inputs.values()), **TOLERANCE)
+
+
+METHODS = ["auto", "newton_pcg", "newton_cholesky", "newton_jacobi"]
+
+
+@pytest.mark.parametrize("cache_columns", [True, False])
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method(method, cache_columns):
+    m = irregular("hex")
+    options = soft.SolverOptions(method=method, cache_columns=cache_columns, **SHARP)
+    body = soft_body(m, dt=0.05, solver=options)
+    names = ("x", "v", "youngs_modulus", "friction", "position", "radius")
+    inputs = inputs_of(m, "mixed")
+    args = tuple(leaf(inputs[name]) for name in names)
+    layer = layer_of(body, names, 2)
+    assert torch.autograd.gradcheck(layer, args, fast_mode=True, **TOLERANCE)
+    usual = layer_of(soft_body(m, dt=0.05), names, 2)
+    torch.testing.assert_close(layer(*args), usual(*args), rtol=0, atol=1e-10)
+
+
+def test_infinite_friction():
+    m = irregular("hex")
+    body = soft_body(m, dt=0.05)
+    inputs = inputs_of(m, "stick")
+    names = [n for n in inputs if n != "friction"]
+    args = tuple(leaf(inputs[name]) for name in names)
+    layer = layer_of(body, names, 2)
+    assert torch.autograd.gradcheck(layer, args, fast_mode=True, **TOLERANCE)
+
+
+@pytest.mark.parametrize("integrator", ["implicit_euler", "bdf2"])
+def test_damping_muscles_and_dirichlet_nodes(integrator):
+    m = irregular_mesh("hex", (2, 1, 1), (1.0, 1.0, 1.0), 0.04)
+    held = m.x_rest[:, 2] > 0.5
+    fixed = held[:, None] & torch.tensor([True, False, True])  # rails along y
+    body = soft_body(m, dt=0.05, fixed=fixed, muscles=two_muscles(), integrator=integrator)
+    inputs = inputs_of(m, "slip")
+    inputs["v"][held] = 0.0
+    inputs |= {
+        "activation": [0.8, 0.3],
+        "rayleigh_alpha": 0.4,
+        "rayleigh_beta": 0.02,
+        "fibre_stiffness": [8.0, 6.0],
+    }
+    inputs["x"] = torch.where(fixed, m.x_rest, inputs["x"])
+    args = tuple(leaf(v) for v in inputs.values())
+    layer = layer_of(body, inputs, 3)
+    state = soft.State(inputs["x"], inputs["v"])
+    force = body(state, obstacles=obstacle_of(dict(inputs))).contact_force
+    assert 0 < int((force.abs().amax(1) > 0).sum()) <= int((~held).sum())
+    assert torch.autograd.gradcheck(layer, args, fast_mode=True, **TOLERANCE)
+
+
+def test_batch_of_two_and_strided_inputs():
+    m = irregular("hex")
+    body = soft_body(m, dt=0.05)
+    some, other = inputs_of(m, "stick"), inputs_of(m, "slip")
+    x = torch.stack([some["x"], other["x"]], -1)  # the batch axis last: not contiguous below
+    v = torch.stack([some["v"], other["v"]], -1)
+    external = 0.1 * noise(3, m.num_vertices, seed=3)
+
+    def layer(x, v, external, friction, radius):
+        given = {"friction": friction, "radius": radius}
+        state = soft.State(x.permute(2, 0, 1), v.permute(2, 0, 1))
+        end = body(state, obstacles=obstacle_of(given), external_force=external.T)
+        return torch.cat([end.x.flatten(), end.v.flatten(), end.contact_force.flatten()])
+
+    args = (leaf(x), leaf(v), leaf(external), leaf(0.3), leaf(3.0))
+    assert torch.autograd.gradcheck(layer, args, fast_mode=True, **TOLERANCE)
+    whole = layer(*args).detach()
+    for k in range(2):
+        single = layer(*(a[..., k : k + 1] if i < 2 else a for i, a in enumerate(args)))
+        assert torch.equal(single, whole.reshape(3, 2, -1)[:, k].reshape(-1))
+
+
+def recorded(monkeypatch, function):
+    """[(op, args)] of the first contact step and its adjoint that ``function`` takes."""
+    calls = {}
+    for name in ("contact_step", "contact_step_vjp"):
+        op = getattr(_ops_contact, name)
+
+        def record(*args, _op=op, _name=name):
+            calls.setdefault(_name, (_op, tuple(_detached(a, _name) for a in args)))
+            return _op(*args)
+
+        monkeypatch.setattr(_ops_contact, name, record)
+    function()
+    monkeypatch.undo()
+    return list(calls.values())
+
+
+def _detached(value, name):
+    if isinstance(value, list):
+        return [_detached(v, name) for v in value]
+    if not torch.is_tensor(value):
+        return value
+    keep = value.requires_grad and not name.endswith("_vjp")  # a _vjp has no gradient of its own
+    return value.detach().requires_grad_(keep)
+
+
+def test_contract_of_the_op(monkeypatch):
+    """opcheck, gradcheck and torch.compile of the layer under the step.
+
+    Detection chooses rows by value (which obstacle, which entry), so the step as a whole breaks the
+    graph of torch.compile; the op below it compiles.
+    """
+    m = irregular("tet")
+    body = soft_body(m, dt=0.05)
+    inputs = {k: leaf(v) for k, v in inputs_of(m, "mixed").items()}
+    step = layer_of(body, inputs)
+    ops = recorded(monkeypatch, lambda: step(*inputs.values()).sum().backward())
+    assert len(ops) == 2
+    _, (tensors, contacts, *rest) = ops[0]
+
+    def layer(y, force, normal, reference, offset, friction):
+        given = [y, force, *tensors[2:]]
+        unit = normal / normal.norm(dim=-1, keepdim=True)  # the kernel takes unit normals
+        planes = [unit, reference, offset, friction, contacts[-1]]
+        x, contact_force, *_ = _ops_contact.contact_step(given, planes, *rest)
+        return torch.cat([x.flatten(), contact_force.flatten()])
+
+    args = tuple(leaf(t.detach()) for t in (tensors[0], tensors[1], *contacts[:4]))
+    tensors[:] = [t.detach() for t in tensors]
+    check_layer(layer, args, ops=ops, **TOLERANCE)
+
+
+def test_checkpointed_rollout_has_the_same_gradient():
+    m = irregular("hex")
+    body = soft_body(m, dt=0.05)
+    inputs = inputs_of(m, "mixed")
+    grads = []
+    for every in (None, 2):
+        x, v, mu = leaf(inputs["x"]), leaf(inputs["v"]), leaf(0.25)
+        ball = obstacle_of({**inputs, "friction": mu})
+        end = soft.rollout(body, soft.State(x, v), 5, obstacles=ball, checkpoint_every=every).final
+        loss = (end.x * noise(*x.shape, seed=8)).sum() + end.contact_force.square().sum()
+        grads.append(torch.autograd.grad(loss, (x, v, mu)))
+    for plain, again in zip(*grads, strict=True):
+        assert torch.equal(plain, again)

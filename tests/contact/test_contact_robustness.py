@@ -1,0 +1,182 @@
+"""Hard cases end in the contact law or in a clear error: far, deep, fast, stiff, crowded."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from diffsim import contact, mesh, soft
+from diffsim.errors import ConvergenceError, DiffsimError
+from tests.contact.scenes import moving, slab, violations
+from tests.soft.cases import leaf
+
+pytestmark = pytest.mark.property
+GOOD = {"solver": soft.SolverOptions(rtol=1e-8)}
+
+
+def checked_step(body, state, obstacles, tolerance=1e-5):
+    after = body(state, obstacles=obstacles)
+    found = violations(body, state, after, obstacles)
+    assert found.worst < tolerance, found
+    return after, found
+
+
+@pytest.mark.parametrize("kind", ["hex", "tet"])
+def test_far_obstacles_change_nothing(kind):
+    body = slab(kind, integrator="bdf2")
+    start = moving(body, (0.3, 0.1, 1.0), spin=(1.0, 0.0, 2.0))
+    near, alone = start, start
+    for _ in range(3):
+        near = body(near, obstacles=[contact.floor(-5.0, friction=0.5), contact.sphere(0.1)])
+        alone = body(alone)
+        # Both stop at 1e-12 of the force scale, from the same guess but by different solvers.
+        torch.testing.assert_close(near.x, alone.x, rtol=0, atol=1e-11)
+        assert not near.contact_force.any()
+    x = leaf(start.x)
+    grads = [
+        torch.autograd.grad((body(start._replace(x=x), obstacles=o).x ** 3).sum(), x)[0]
+        for o in (contact.floor(-5.0), None)
+    ]
+    torch.testing.assert_close(*grads, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.4, math.inf])
+def test_all_nodes_in_contact(mu):
+    """A sheet of one layer between a floor and a ceiling that press on both its faces."""
+    body = slab("tet", (4, 4, 1), (1.0, 1.0, 0.1), **GOOD)
+    press = [contact.floor(0.002, friction=mu), contact.plane((0, 0, -1), -0.098, friction=mu)]
+    state = moving(body, (0.2, 0.1, 0.0))
+    _, found = checked_step(body, state, press)
+    assert found.num_contacts == body.mesh.num_vertices
+    x = leaf(state.x)
+    (grad,) = torch.autograd.grad(
+        (body(state._replace(x=x), obstacles=press).x ** 2).sum(), x, allow_unused=True
+    )
+    assert grad is None or bool(grad.isfinite().all())
+
+
+def test_nodes_that_start_inside():
+    floor = contact.floor(0.2, friction=0.3)  # 0.2 m above the lower face
+    fast, slow = slab(**GOOD), slab(max_depenetration_speed=0.5, **GOOD)
+    out, _ = checked_step(fast, fast.rest_state(), floor)
+    assert float(out.x[:, 2].min()) == pytest.approx(0.2, abs=1e-9)
+    out, _ = checked_step(slow, slow.rest_state(), floor)
+    assert float(out.x[:, 2].min()) == pytest.approx(0.5 * slow.dt, abs=1e-9)
+    state = slow.rest_state()
+    for _ in range(8):
+        state, _ = checked_step(slow, state, floor)
+    assert float(state.x[:, 2].min()) >= 0.2 - 1e-9
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"dt": 1.0},
+        {"dt": 1e-5},
+        {"youngs_modulus": 1e-3},
+        {"youngs_modulus": 1e9, "solver": soft.SolverOptions(rtol=1e-4)},
+        {"poissons_ratio": 0.4999},
+        {"density": 1e-6},
+    ],
+    ids=str,
+)
+def test_extreme_constants(changes, friction):
+    body = slab("hex", **{**GOOD, **changes})
+    # fall by a tenth of the body's height in a step
+    state = moving(body, (0.05 / body.dt, 0.0, -0.05 / body.dt))
+    tolerance = 1e-2 if "youngs_modulus" in changes and changes["youngs_modulus"] > 1e8 else 1e-5
+    checked_step(body, state, contact.floor(friction=friction), tolerance)
+
+
+@pytest.mark.parametrize("kind", ["hex", "tet"])
+def test_stiff_and_soft_elements_side_by_side(kind):
+    m = (mesh.hex_box if kind == "hex" else mesh.tet_box)((2, 2, 2), (1.0, 1.0, 1.0))
+    youngs = torch.where(torch.arange(m.num_elements) % 2 == 0, 1.0, 1e4).double()
+    body = slab(kind, (2, 2, 2), (1.0, 1.0, 1.0), youngs_modulus=youngs, **GOOD)
+    state = moving(body, (0.5, 0.2, -1.0), spin=(0.3, 0.2, 1.0))
+    for _ in range(3):
+        state, _ = checked_step(body, state, contact.floor(friction=0.4))
+
+
+def test_inverted_elements_at_the_start():
+    """A slab turned inside out through the floor: the law or a clear error, never half of it."""
+    body = slab("tet", **GOOD)
+    x = body.x_rest.clone()
+    x[:, 2] = 0.3 - 0.5 * x[:, 2]
+    start = soft.State(x, torch.zeros_like(x))
+    try:
+        checked_step(body, start, contact.floor(friction=0.3))
+    except DiffsimError as err:
+        assert "implicit step in contact stopped" in str(err)
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.3])
+def test_many_contacts_switch_to_the_tangent(mu):
+    """A sheet lying flat: every node of one face, half of all, is in contact."""
+
+    def run(method):
+        options = soft.SolverOptions(method=method, rtol=1e-9, adjoint_rtol=1e-9)
+        body = slab("hex", (14, 14, 1), (1.4, 1.4, 0.1), solver=options)
+        x = leaf(body.x_rest)
+        state = moving(body, (0.3, 0.1, -0.2))._replace(x=x)
+        with soft.record_stats() as solves:
+            end = body(state, obstacles=contact.floor(friction=mu))
+            (grad,) = torch.autograd.grad((end.x[:, 2] * end.x[:, 0]).sum() + end.v[0, 0], x)
+        return end.x.detach(), end.contact_force.detach(), grad, solves
+
+    *tangent, direct = run("newton_cholesky")
+    *auto, chosen = run("auto")
+    *constant, iterated = run("newton_pcg")
+    assert int(direct[0].num_factorizations) > 0 and int(iterated[0].num_factorizations) == 0
+    assert int(chosen[0].num_contacts) > 200
+    assert int(chosen[0].num_factorizations) > 0
+    for one in (auto, constant):
+        for a, b in zip(one, tangent, strict=True):
+            assert float((a - b).abs().max()) < 1e-6 * float(b.abs().max())
+
+
+def test_cycling_statuses_are_resolved():
+    """Spinning slabs at the edge of the cone: in some steps statuses come round again."""
+    cycles = 0
+    for seed in range(6):
+        body = slab("hex", (3, 3, 1), youngs_modulus=1e4, **GOOD)
+        state = moving(body, (0.2, 0.1, -1.0), spin=(0.5, 1.0, 3.0), wobble=0.5, seed=seed)
+        for _ in range(4):
+            with soft.record_stats() as solves:
+                state, _ = checked_step(body, state, contact.floor(friction=0.7))
+            cycles += int(solves[0].num_cycles)
+    assert cycles > 0
+
+
+unit = st.floats(-1.0, 1.0)
+
+
+@settings(
+    max_examples=25, deadline=None, derandomize=True,
+    suppress_health_check=[HealthCheck.too_slow],
+)  # fmt: skip
+@given(
+    kind=st.sampled_from(["hex", "tet"]),
+    integrator=st.sampled_from(["implicit_euler", "bdf2"]),
+    log_youngs=st.floats(0.0, 6.0),
+    log_dt=st.floats(-3.0, -1.0),
+    mu=st.sampled_from([0.0, 0.01, 0.2, 0.7, 2.0]),
+    restitution=st.sampled_from([0.0, 0.5, 1.0]),
+    velocity=st.tuples(unit, unit, unit),
+    tilt=st.tuples(unit, unit),
+)
+def test_random_scenes(kind, integrator, log_youngs, log_dt, mu, restitution, velocity, tilt):
+    """The law holds, or an error says that the solve stopped (3 of 500 wilder scenes)."""
+    body = slab(kind, dt=10**log_dt, youngs_modulus=10**log_youngs, integrator=integrator, **GOOD)
+    normal = (0.3 * tilt[0], 0.3 * tilt[1], 1.0)
+    obstacle = contact.plane(normal, -0.2, friction=mu, restitution=restitution)
+    state = moving(body, tuple(2.0 * v for v in velocity), spin=(1.0, 0.5, 0.2))
+    for _ in range(3):
+        try:
+            state, _ = checked_step(body, state, obstacle, 1e-4)
+        except ConvergenceError as err:
+            assert err.residual_norm > err.tolerance
+            return
