@@ -11,7 +11,6 @@ from torch import Tensor
 from diffsim import _ops_contact
 from diffsim.contact import ContactPlanes, Obstacle, detect
 from diffsim.soft.inputs import flat
-from diffsim.soft.integrators import Stage
 from diffsim.soft.problem import Problem, solver_arguments
 from diffsim.soft.state import State
 
@@ -20,28 +19,28 @@ if TYPE_CHECKING:
 
 
 def contact_planes(
-    body: SoftBody, obstacles: Sequence[Obstacle], stage: Stage, state: State
+    body: SoftBody, obstacles: Sequence[Obstacle], x: Tensor, y: Tensor
 ) -> ContactPlanes:
-    """Half spaces of the body's contact nodes for one step, linearised at the inertial positions.
-
-    ``reference`` is where a node would have the obstacle's velocity: the integrator's velocity is
-    kappa (x - x_velocity), so the obstacle's displacement over the step counts by 1 / (kappa dt).
-    """
+    """Half spaces of the contact nodes for a step from x to about y, (..., num_vertices, 3) [m]."""
     nodes = body.contact_nodes
-    start = state.x[..., nodes, :]
-    planes = detect(
+    return detect(
         obstacles,
-        start,
-        stage.y[..., nodes, :],
+        x[..., nodes, :],
+        y[..., nodes, :],
         body.dt,
         max_depenetration_speed=body.max_depenetration_speed,
     )
-    if body.integrator == "implicit_euler":
-        return planes
-    base = stage.x_velocity[..., nodes, :]
-    reference = base + (planes.reference - start) / (stage.kappa * body.dt)
-    shift = (planes.normal * (planes.reference - reference)).sum(-1)
-    return planes._replace(reference=reference, offset=planes.offset + shift)
+
+
+def in_contact(state: State) -> bool:
+    """Whether obstacles acted in the step that led to a state."""
+    return state.contact_force is not None and bool((state.contact_force != 0.0).any())
+
+
+def enters(body: SoftBody, planes: ContactPlanes, x: Tensor) -> bool:
+    """Whether any contact node lies outside its half space at x."""
+    away = x[..., body.contact_nodes, :] - planes.reference
+    return bool(((planes.normal * away).sum(-1) < planes.offset).any())
 
 
 def solve_in_contact(

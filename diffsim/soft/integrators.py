@@ -18,7 +18,7 @@ from diffsim.soft.state import State
 IMPLICIT = ("implicit_euler", "bdf2", "implicit_midpoint")
 EXPLICIT = ("semi_implicit_euler",)
 INTEGRATORS = IMPLICIT + EXPLICIT
-# The unknown must be the position at the end of the step, where non-penetration holds.
+# Non-penetration holds at the end of the step, so that must be the unknown; see soft/step.py.
 WITH_CONTACT = ("implicit_euler", "bdf2")
 
 

@@ -109,7 +109,8 @@ def test_every_input_through_a_rollout(mode, kind, integrator, monkeypatch):
     body = soft_body(m, dt=0.05, integrator=integrator)
     inputs = {k: leaf(v) for k, v in inputs_of(m, mode).items()}
     layer, args = layer_of(body, inputs, 3), tuple(inputs.values())
-    found = torch.cat([s.flatten() for s in statuses(lambda: layer(*args), monkeypatch)])
+    met = [s.flatten() for s in statuses(lambda: layer(*args), monkeypatch)]
+    found = torch.cat(met) if met else torch.zeros(0)  # in free flight BDF2 solves without contact
     counts = {name: int((found == value).sum()) for name, value in STATUS.items()}
     if mode == "stick":
         assert counts["stick"] > 3 and counts["slip"] == 0

@@ -11,7 +11,7 @@ import torch
 
 from diffsim import _ops_contact, contact, soft
 from diffsim.soft.integrators import make_stage
-from diffsim.soft.step import solver_arguments
+from diffsim.soft.problem import solver_arguments
 from tests.contact.scenes import violations
 from tests.soft.test_reference import close, load, make_mesh, reference_mass
 
@@ -72,6 +72,7 @@ def held_step(body, data, state, active, physics):
         empty,
         empty,
         empty,
+        torch.zeros(1, 0, dtype=torch.float64),
     ]
     guess = torch.where(active[nodes][:, None], 1.0, 0.0) * normal
     contacts = [
