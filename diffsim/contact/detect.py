@@ -89,15 +89,11 @@ def detect(
     start, end = start.reshape(-1, 3), end.reshape(-1, 3)
     moved = [obstacle.after(dt) for obstacle in many]
     choice, entry = _choose(many, moved, start, end, continuous)
-    parts, order = [], []
-    for k, (obstacle, later) in enumerate(zip(many, moved, strict=True)):
-        own = torch.nonzero(choice == k).flatten()
-        order.append(own)
-        parts.append(_planes(obstacle, later, dt, start[own], end[own], entry[own], push))
-    back = torch.argsort(torch.cat(order))
-    normal, reference, offset, friction, restitution, distance = (
-        torch.cat(column)[back] for column in zip(*parts, strict=True)
-    )
+    if len(many) == 1:
+        columns = _planes(many[0], moved[0], dt, start, end, entry, push)
+    else:
+        columns = _planes_by_obstacle(many, moved, dt, start, end, choice, entry, push)
+    normal, reference, offset, friction, restitution, distance = columns
     return ContactPlanes(
         normal.reshape(*shape, 3),
         reference.reshape(*shape, 3),
@@ -107,6 +103,26 @@ def detect(
         choice.reshape(shape),
         distance.reshape(shape),
     )
+
+
+def _planes_by_obstacle(
+    many: list[Obstacle],
+    moved: list[Obstacle],
+    dt: float,
+    start: Tensor,
+    end: Tensor,
+    choice: Tensor,
+    entry: Tensor,
+    push: float,
+) -> tuple[Tensor, ...]:
+    """:func:`_planes` of each obstacle's own points, in the points' order."""
+    parts, order = [], []
+    for k, (obstacle, later) in enumerate(zip(many, moved, strict=True)):
+        own = torch.nonzero(choice == k).flatten()
+        order.append(own)
+        parts.append(_planes(obstacle, later, dt, start[own], end[own], entry[own], push))
+    back = torch.argsort(torch.cat(order))
+    return tuple(torch.cat(column)[back] for column in zip(*parts, strict=True))
 
 
 @torch.no_grad()
@@ -123,6 +139,8 @@ def _choose(
             entries.append(first_entry(obstacle.shape, y0, y1, phi, normal))
         else:
             entries.append(torch.full_like(phi, math.inf))
+    if len(obstacles) == 1:
+        return torch.zeros(len(end), dtype=torch.int64), entries[0]
     entry, first = torch.stack(entries).min(0)
     choice = torch.where(entry.isfinite(), first, torch.stack(depths).argmin(0))
     return choice, entry

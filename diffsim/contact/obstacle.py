@@ -100,12 +100,16 @@ class Obstacle:
 
     def after(self, dt: float) -> Obstacle:
         """The obstacle ``dt`` [s] later; velocity and angular velocity are held."""
-        turn = rotation_matrix(self.angular_velocity * dt)
+        turns = not _is_still(self.angular_velocity)
+        if not turns and _is_still(self.velocity):
+            return self
         moved = object.__new__(Obstacle)
         moved._set(
             shape=self.shape,
             position=self.position + self.velocity * dt,
-            rotation=turn @ self.rotation,
+            rotation=rotation_matrix(self.angular_velocity * dt) @ self.rotation
+            if turns
+            else self.rotation,
             velocity=self.velocity,
             angular_velocity=self.angular_velocity,
             friction=self.friction,
@@ -121,8 +125,10 @@ class Obstacle:
 
     def displacement(self, x: Tensor, dt: float) -> Tensor:
         """How far the obstacle's material now at x (..., 3) [m] moves in ``dt``, (..., 3) [m]."""
-        turned = turn_offset(self.angular_velocity * dt, x - self.position)
-        return self.velocity * dt + turned
+        straight = (self.velocity * dt).expand_as(x)
+        if _is_still(self.angular_velocity):
+            return straight
+        return straight + turn_offset(self.angular_velocity * dt, x - self.position)
 
     def label(self, index: int) -> str:
         """How messages call it."""
@@ -171,6 +177,11 @@ def capsule(start: Vector, end: Vector, radius: Number, **options) -> Obstacle:
 def box(size: Vector, **options) -> Obstacle:
     """Box, see :class:`Box`; options as in :class:`Obstacle`."""
     return Obstacle(Box(size), **options)
+
+
+def _is_still(velocity: Tensor) -> bool:
+    """Whether a velocity is zero and wants no gradient: then motion need not be computed."""
+    return not velocity.requires_grad and not bool(velocity.any())
 
 
 def _rotation(value: Vector) -> Tensor:

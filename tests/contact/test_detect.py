@@ -264,3 +264,13 @@ def test_heights_of_terrain_get_gradients():
 def test_bad_input_is_refused(call, error, message):
     with pytest.raises(error, match=message):
         call(points(3))
+
+
+@pytest.mark.property
+@pytest.mark.parametrize("make", [contact.floor, lambda: contact.sphere(0.4, friction=0.2)])
+def test_one_obstacle_alone_gives_what_it_gives_beside_a_far_one(make):
+    start, end = points(30), points(30, seed=5)
+    alone = contact.detect([make()], start, end, DT)
+    far = contact.sphere(0.1, position=(0.0, 0.0, 50.0))
+    for one, two in zip(alone, contact.detect([make(), far], start, end, DT), strict=True):
+        assert torch.equal(one, two)

@@ -143,3 +143,15 @@ def test_check_clear_names_the_obstacle_the_count_and_the_depth():
     with pytest.raises(ValueError, match=r"obstacle 0 \(Plane\) starts inside"):
         contact.check_clear([contact.floor(0.1)], m, m.x_rest)
     contact.check_clear([contact.floor(0.1)], m, m.x_rest, tolerance=0.1)
+
+
+def test_an_obstacle_at_rest_stays_itself_but_keeps_the_gradient_of_its_motion():
+    still = contact.sphere(0.4, position=(0.1, 0.2, 0.3))
+    assert still.after(0.1) is still
+    assert not bool(still.displacement(tensor((1.0, 0.0, 0.0)), 0.1).any())
+    velocity = torch.zeros(3, dtype=torch.float64, requires_grad=True)
+    spin = torch.zeros(3, dtype=torch.float64, requires_grad=True)
+    moving = contact.sphere(0.4, velocity=velocity, angular_velocity=spin)
+    (moving.after(0.1).position[0] + moving.displacement(tensor((1.0, 0, 0)), 0.1)[0, 1]).backward()
+    torch.testing.assert_close(velocity.grad, tensor(0.1, 0.1, 0.0))
+    torch.testing.assert_close(spin.grad, tensor(0.0, 0.0, 0.1))
