@@ -100,6 +100,8 @@ class Obstacle:
 
     def after(self, dt: float) -> Obstacle:
         """The obstacle ``dt`` [s] later; velocity and angular velocity are held."""
+        if not self.moves:
+            return self
         turn = rotation_matrix(self.angular_velocity * dt)
         moved = object.__new__(Obstacle)
         moved._set(
@@ -113,6 +115,12 @@ class Obstacle:
             name=self.name,
         )
         return moved
+
+    @property
+    def moves(self) -> bool:
+        """Whether it has a velocity, or one that gradients are wanted to."""
+        both = (self.velocity, self.angular_velocity)
+        return any(w.requires_grad or bool(w.any()) for w in both)
 
     def point_velocity(self, x: Tensor) -> Tensor:
         """Velocity of the obstacle's material at world points (..., 3) [m] -> (..., 3) [m/s]."""
