@@ -153,7 +153,8 @@ def _nearest_planes(
             entries.append(none if own_entry is None else own_entry)
         entry, first = torch.stack(entries).min(0)
         choice = torch.where(entry.isfinite(), first, torch.stack(depths).argmin(0))
-    parts, order = [], []
+    parts: list[tuple[Tensor, ...]] = []
+    order: list[Tensor] = []
     for k, (obstacle, later) in enumerate(zip(many, moved, strict=True)):
         own = torch.nonzero(choice == k).flatten()
         if not len(own) and (parts or k + 1 < len(many)):
