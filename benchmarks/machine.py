@@ -44,7 +44,7 @@ def code_fingerprint() -> str:
     """Digest of the package's Python files and its loaded binary: what results depend on."""
     digest = hashlib.sha256(Path(core.__file__).read_bytes())
     package = Path(diffsim.__file__).parent
-    for pattern in ("soft/*.py", "mesh/*.py", "_ops_*.py", "_soft_context.py"):
+    for pattern in ("soft/*.py", "contact/*.py", "mesh/*.py", "_ops_*.py", "_soft_context.py"):
         for path in sorted(package.glob(pattern)):
             digest.update(path.read_bytes())
     return digest.hexdigest()[:16]

@@ -12,6 +12,7 @@ from torch import Tensor
 from diffsim._check import require, require_number
 from diffsim.contact._values import dot
 from diffsim.contact.obstacle import Obstacle, require_obstacles
+from diffsim.contact.shapes import Shape
 from diffsim.contact.sweep import first_entry
 
 
@@ -88,11 +89,14 @@ def detect(
     shape = start.shape[:-1]
     start, end = start.reshape(-1, 3), end.reshape(-1, 3)
     moved = [obstacle.after(dt) for obstacle in many]
-    choice, entry = _choose(many, moved, start, end, continuous)
+    columns: Sequence[Tensor]
     if len(many) == 1:
-        columns = _planes(many[0], moved[0], dt, start, end, entry, push)
+        choice = torch.zeros(len(start), dtype=torch.int64)
+        paths = _Paths.of(many[0], moved[0], start, end)
+        entry = paths.entry(many[0].shape, continuous)
+        columns = _planes(many[0], moved[0], dt, paths, entry, push)
     else:
-        columns = _planes_by_obstacle(many, moved, dt, start, end, choice, entry, push)
+        choice, columns = _nearest_planes(many, moved, dt, start, end, push, continuous)
     normal, reference, offset, friction, restitution, distance = columns
     return ContactPlanes(
         normal.reshape(*shape, 3),
@@ -105,80 +109,98 @@ def detect(
     )
 
 
-def _planes_by_obstacle(
+class _Paths(NamedTuple):
+    """Points before and after a step: in the world and in an obstacle's frame, and how deep."""
+
+    start: Tensor
+    end: Tensor
+    y0: Tensor
+    y1: Tensor
+    phi0: Tensor
+    phi1: Tensor
+    normal1: Tensor
+
+    @classmethod
+    def of(cls, obstacle: Obstacle, later: Obstacle, start: Tensor, end: Tensor) -> _Paths:
+        y0, y1 = obstacle.to_local(start), later.to_local(end)
+        return cls(start, end, y0, y1, obstacle.shape.evaluate(y0)[0], *obstacle.shape.evaluate(y1))
+
+    def entry(self, shape: Shape, continuous: bool) -> Tensor | None:
+        """Where in [0, 1] each path enters (inf: not used); None: no path does."""
+        if not (continuous and shape.can_tunnel):
+            return None
+        entry = first_entry(shape, *(t.detach() for t in self[2:]))
+        return entry if bool(entry.isfinite().any()) else None
+
+
+def _nearest_planes(
     many: list[Obstacle],
     moved: list[Obstacle],
     dt: float,
     start: Tensor,
     end: Tensor,
-    choice: Tensor,
-    entry: Tensor,
     push: float,
-) -> tuple[Tensor, ...]:
-    """:func:`_planes` of each obstacle's own points, in the points' order."""
-    parts, order = [], []
+    continuous: bool,
+) -> tuple[Tensor, Sequence[Tensor]]:
+    """Index of each point's obstacle, and its half space."""
+    with torch.no_grad():
+        depths, entries = [], []
+        for obstacle, later in zip(many, moved, strict=True):
+            paths = _Paths.of(obstacle, later, start, end)
+            own_entry = paths.entry(obstacle.shape, continuous)
+            depths.append(paths.phi1)
+            none = torch.full_like(paths.phi1, math.inf)
+            entries.append(none if own_entry is None else own_entry)
+        entry, first = torch.stack(entries).min(0)
+        choice = torch.where(entry.isfinite(), first, torch.stack(depths).argmin(0))
+    parts: list[tuple[Tensor, ...]] = []
+    order: list[Tensor] = []
     for k, (obstacle, later) in enumerate(zip(many, moved, strict=True)):
         own = torch.nonzero(choice == k).flatten()
+        if not len(own) and (parts or k + 1 < len(many)):
+            continue
         order.append(own)
-        parts.append(_planes(obstacle, later, dt, start[own], end[own], entry[own], push))
+        paths = _Paths.of(obstacle, later, start[own], end[own])
+        used = entry[own] if bool(entry[own].isfinite().any()) else None
+        parts.append(_planes(obstacle, later, dt, paths, used, push))
     back = torch.argsort(torch.cat(order))
-    return tuple(torch.cat(column)[back] for column in zip(*parts, strict=True))
-
-
-@torch.no_grad()
-def _choose(
-    obstacles: list[Obstacle], moved: list[Obstacle], start: Tensor, end: Tensor, continuous: bool
-) -> tuple[Tensor, Tensor]:
-    """Index of each point's obstacle, and where in [0, 1] its path enters it (inf: not used)."""
-    depths, entries = [], []
-    for obstacle, later in zip(obstacles, moved, strict=True):
-        y0, y1 = obstacle.to_local(start), later.to_local(end)
-        phi, normal = obstacle.shape.evaluate(y1)
-        depths.append(phi)
-        if continuous and obstacle.shape.can_tunnel:
-            entries.append(first_entry(obstacle.shape, y0, y1, phi, normal))
-        else:
-            entries.append(torch.full_like(phi, math.inf))
-    if len(obstacles) == 1:
-        return torch.zeros(len(end), dtype=torch.int64), entries[0]
-    entry, first = torch.stack(entries).min(0)
-    choice = torch.where(entry.isfinite(), first, torch.stack(depths).argmin(0))
-    return choice, entry
+    return choice, [torch.cat(column)[back] for column in zip(*parts, strict=True)]
 
 
 def _planes(
     obstacle: Obstacle,
     later: Obstacle,
     dt: float,
-    start: Tensor,
-    end: Tensor,
-    entry: Tensor,
+    paths: _Paths,
+    entry: Tensor | None,
     push: float,
 ) -> tuple[Tensor, ...]:
-    y0, y1 = obstacle.to_local(start), later.to_local(end)
-    distance, _ = obstacle.shape.evaluate(y0)
-    entered = entry.isfinite()
-    q = y1
-    if bool(entered.any()):
+    start, end, y0, y1, distance, phi, normal = paths
+    at = end
+    if entry is not None:
+        entered = entry.isfinite()
         path = y1 - y0
         t = torch.where(entered, entry, 1.0)
-        phi, normal = obstacle.shape.evaluate(y0 + t[:, None] * path)
+        phi_t, normal_t = obstacle.shape.evaluate(y0 + t[:, None] * path)
         # one Newton step with the slope held: exact derivative of the entry's place
         sharp = entered & (distance.detach() >= 0)
-        rate = torch.where(sharp, dot(normal, path).detach(), -1.0)
-        t = torch.where(sharp, t - phi / rate, t)
+        rate = torch.where(sharp, dot(normal_t, path).detach(), -1.0)
+        t = torch.where(sharp, t - phi_t / rate, t)
         q = torch.where(entered[:, None], y0 + t[:, None] * path, y1)
-    phi, normal = obstacle.shape.evaluate(q)
+        phi, normal = obstacle.shape.evaluate(q)
+        at = torch.where(entered[:, None], later.to_world(q), end)
     normal = normal @ later.rotation.T
-    reference = start + obstacle.displacement(start, dt)
-    at = torch.where(entered[:, None], later.to_world(q), end)
+    reference = start + obstacle.displacement(start, dt) if obstacle.moves else start
     offset = dot(normal, at - reference) - phi
     if math.isfinite(push):
         offset = torch.where(distance.detach() < 0, offset.clamp(max=push), offset)
-    approach = dot(normal, end - reference)
-    bounce = -obstacle.restitution * approach
-    hits = (entered | (phi.detach() < 0)) & (approach.detach() < 0) & (bounce.detach() > 0)
-    offset = torch.where(hits, torch.maximum(offset, bounce), offset)
+    if obstacle.restitution.requires_grad or bool(obstacle.restitution > 0):
+        approach = dot(normal, end - reference)
+        bounce = -obstacle.restitution * approach
+        inside = phi.detach() < 0
+        hits = (inside if entry is None else inside | entered) & (approach.detach() < 0)
+        hits = hits & (bounce.detach() > 0)
+        offset = torch.where(hits, torch.maximum(offset, bounce), offset)
     return (
         normal,
         reference,

@@ -100,16 +100,14 @@ class Obstacle:
 
     def after(self, dt: float) -> Obstacle:
         """The obstacle ``dt`` [s] later; velocity and angular velocity are held."""
-        turns = not _is_still(self.angular_velocity)
-        if not turns and _is_still(self.velocity):
+        if not self.moves:
             return self
+        turn = rotation_matrix(self.angular_velocity * dt)
         moved = object.__new__(Obstacle)
         moved._set(
             shape=self.shape,
             position=self.position + self.velocity * dt,
-            rotation=rotation_matrix(self.angular_velocity * dt) @ self.rotation
-            if turns
-            else self.rotation,
+            rotation=turn @ self.rotation,
             velocity=self.velocity,
             angular_velocity=self.angular_velocity,
             friction=self.friction,
@@ -118,6 +116,12 @@ class Obstacle:
         )
         return moved
 
+    @property
+    def moves(self) -> bool:
+        """Whether it has a velocity, or one that gradients are wanted to."""
+        both = (self.velocity, self.angular_velocity)
+        return any(w.requires_grad or bool(w.any()) for w in both)
+
     def point_velocity(self, x: Tensor) -> Tensor:
         """Velocity of the obstacle's material at world points (..., 3) [m] -> (..., 3) [m/s]."""
         w = self.angular_velocity.expand_as(x)
@@ -125,10 +129,8 @@ class Obstacle:
 
     def displacement(self, x: Tensor, dt: float) -> Tensor:
         """How far the obstacle's material now at x (..., 3) [m] moves in ``dt``, (..., 3) [m]."""
-        straight = (self.velocity * dt).expand_as(x)
-        if _is_still(self.angular_velocity):
-            return straight
-        return straight + turn_offset(self.angular_velocity * dt, x - self.position)
+        turned = turn_offset(self.angular_velocity * dt, x - self.position)
+        return self.velocity * dt + turned
 
     def label(self, index: int) -> str:
         """How messages call it."""
@@ -137,11 +139,6 @@ class Obstacle:
 
 def require_obstacles(obstacles: Sequence[Obstacle] | Obstacle) -> list[Obstacle]:
     """One obstacle or several as a list; refuse anything else."""
-    if not isinstance(obstacles, (Obstacle, Sequence)):
-        raise TypeError(
-            f"obstacles must be an Obstacle or a sequence of them, got {type(obstacles).__name__}; "
-            "use contact.Obstacle(shape)"
-        )
     many = [obstacles] if isinstance(obstacles, Obstacle) else list(obstacles)
     for k, obstacle in enumerate(many):
         if not isinstance(obstacle, Obstacle):
@@ -177,11 +174,6 @@ def capsule(start: Vector, end: Vector, radius: Number, **options) -> Obstacle:
 def box(size: Vector, **options) -> Obstacle:
     """Box, see :class:`Box`; options as in :class:`Obstacle`."""
     return Obstacle(Box(size), **options)
-
-
-def _is_still(velocity: Tensor) -> bool:
-    """Whether a velocity is zero and wants no gradient: then motion need not be computed."""
-    return not velocity.requires_grad and not bool(velocity.any())
 
 
 def _rotation(value: Vector) -> Tensor:

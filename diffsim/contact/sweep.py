@@ -20,7 +20,12 @@ _MAX_ITERS = 200
 
 @torch.no_grad()
 def first_entry(
-    shape: Shape, y0: Tensor, y1: Tensor, end_distance: Tensor, end_normal: Tensor
+    shape: Shape,
+    y0: Tensor,
+    y1: Tensor,
+    start_distance: Tensor,
+    end_distance: Tensor,
+    end_normal: Tensor,
 ) -> Tensor:
     """Parameter in [0, 1] where paths enter a shape that they leave on another side.
 
@@ -31,6 +36,7 @@ def first_entry(
     Args:
         shape: The shape; its phi must not exceed the distance.
         y0, y1: Ends of the paths in the shape's frame, (N, 3) [m].
+        start_distance: phi at y0, (N,) [m].
         end_distance, end_normal: phi and normal at y1, (N,) [m], (N, 3).
 
     Returns:
@@ -39,9 +45,10 @@ def first_entry(
     """
     entry = torch.full_like(end_distance, math.inf)
     length = (y1 - y0).norm(dim=-1)
-    phi0, _ = shape.evaluate(y0)
     # phi falls no faster than the path goes: too far to touch and come back
-    rows = torch.nonzero((length > 0) & (phi0 + end_distance.clamp(min=0.0) <= length)).flatten()
+    rows = torch.nonzero(
+        (length > 0) & (start_distance + end_distance.clamp(min=0.0) <= length)
+    ).flatten()
     t = torch.zeros(len(rows), dtype=y0.dtype)
     for _ in range(_MAX_ITERS):
         if not len(rows):

@@ -1,5 +1,7 @@
 #include "kernels/contact/contact_solve.h"
 
+#include <limits>
+
 namespace diffsim {
 
 ContactSolve::ContactSolve(StepProblem& problem, const ConstantSystem& system,
@@ -16,9 +18,16 @@ void ContactSolve::choose() {
   if (method_ == StepMethod::kNewtonJacobi) kind_ = Kind::kJacobi;
   if (method_ == StepMethod::kNewtonCholesky) kind_ = Kind::kTangent;
   if (method_ != StepMethod::kAuto || kind_ == Kind::kTangent) return;
-  const double iterations = 0.5 * system_.plan().iterations * decades(rtol_);
-  if (preconditioner_.constant_cost(iterations) > preconditioner_.tangent_cost() ||
-      spent_ > system_.plan().patience())
+  const SolverPlan& plan = system_.plan();
+  const double digits = 0.5 * decades(rtol_);
+  const double constant = preconditioner_.constant_cost(digits * plan.iterations);
+  // Diagonal blocks know nothing of the stiffness that friction adds across the slip.
+  const double jacobi = space_.any_sliding_friction()
+                            ? std::numeric_limits<double>::infinity()
+                            : digits * plan.jacobi_iterations * plan.jacobi_cost;
+  kind_ = jacobi < constant ? Kind::kJacobi : Kind::kConstant;
+  if (std::min(constant, jacobi) > preconditioner_.tangent_cost() ||
+      spent_ > plan.patience(kind_ == Kind::kJacobi ? plan.jacobi_cost : plan.constant_cost))
     kind_ = Kind::kTangent;
 }
 

@@ -77,11 +77,35 @@ class ContactNewton {
     return better;
   }
 
+  /// Starts from the guess or from the inertial positions y, whichever has less energy.
   void start() {
-    x_.assign(in_.guess, in_.guess + problem_.size());
-    for (std::size_t i = 0; i < x_.size(); ++i)
-      if (system_.fixed()[i]) x_[i] = in_.target[i];
-    value_ = problem_.value_gradient(x_, gradient_);
+    const Vector guess = with_targets(in_.guess);
+    x_ = with_targets(in_.y);
+    double inertial = 0.0, work = 0.0;
+    for (std::size_t i = 0; i < guess.size(); ++i) {
+      if (system_.fixed()[i]) continue;
+      const double d = guess[i] - in_.y[i];
+      inertial += 0.5 * system_.inertia()[i / 3] * d * d;
+      work += in_.force[i] * d;
+    }
+    if (inertial > 0.0) {
+      value_ = problem_.value_gradient(x_, gradient_);
+      // Elastic energy is not negative: the guess has at least this much.
+      if (value_ <= inertial - work) return;
+    }
+    Vector gradient;
+    const double value = problem_.value_gradient(guess, gradient);
+    if (inertial > 0.0 && (value_ <= value || !std::isfinite(value))) return;
+    x_ = guess;
+    value_ = value;
+    gradient_ = gradient;
+  }
+
+  Vector with_targets(const double* positions) const {
+    Vector x(positions, positions + problem_.size());
+    for (std::size_t i = 0; i < x.size(); ++i)
+      if (system_.fixed()[i]) x[i] = in_.target[i];
+    return x;
   }
 
   /// Half the body's extent: the length that rounding is measured by.
@@ -151,18 +175,20 @@ class ContactNewton {
     problem_.assemble(x_, clamp_);
     solve_.matrix_changed();
     Vector onto, q;
+    double rhs_norm = 0.0;
     const double forcing = forcing_term(residual_norm);
     // Friction that would push a node backwards stops it instead.
     for (int trial = 0; trial < 5; ++trial) {
-      direction(forcing, onto, q);
+      rhs_norm = direction(forcing, onto, q);
       if (!statuses_.stop_reversed(x_, q)) break;
       solve_.statuses_changed();
     }
-    return search(onto, q);
+    return search(onto, q, rhs_norm);
   }
 
   /// Newton's direction on the statuses as they are: onto the constraints, then within them.
-  void direction(double forcing, Vector& onto, Vector& q) {
+  /// Returns the norm of what is left to solve on them [N].
+  double direction(double forcing, Vector& onto, Vector& q) {
     Vector rhs;
     space_.correction(x_, onto);
     problem_.multiply(onto, rhs);
@@ -170,6 +196,7 @@ class ContactNewton {
     space_.reduce(rhs);
     const double size = problem_.ops().norm(rhs);
     solve_linear(rhs, std::max(forcing * size, std::min(0.5 * size, 0.3 * tolerance_)), q);
+    return size;
   }
 
   /// Relative accuracy of the linear solve (Eisenstat and Walker 1996, choice 2).
@@ -220,12 +247,21 @@ class ContactNewton {
     return limits;
   }
 
-  bool search(const Vector& onto, const Vector& q) {
-    const Vector limits = friction_limits(onto, q);
+  bool search(const Vector& onto, const Vector& q, double rhs_norm) {
     const bool corrected = std::any_of(onto.begin(), onto.end(), [](double v) { return v != 0.0; });
+    const Vector limits = friction_limits(onto, q);
     Vector start = x_;
     if (corrected) {
       problem_.ops().add(1.0, onto, start);
+      // Most often the whole step is good: then nothing need be known of where it starts.
+      if (!clamp_ && !space_.any_sliding_friction()) {
+        x_ = start;
+        problem_.ops().add(1.0, q, x_);
+        value_ = problem_.value_gradient(x_, gradient_);
+        Vector residual = gradient_;
+        space_.reduce(residual);
+        if (std::isfinite(value_) && problem_.ops().norm(residual) <= 0.3 * rhs_norm) return true;
+      }
       value_ = problem_.value_gradient(start, gradient_);
     }
     const double before = merit(start, value_, limits);

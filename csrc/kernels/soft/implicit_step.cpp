@@ -132,7 +132,7 @@ class Newton {
     if (preconditioner_ == Preconditioner::kTangent) factor_age_ += result.num_iters;
     spent_ += result.num_iters;
     if (method_ == StepMethod::kAuto && preconditioner_ == Preconditioner::kConstant &&
-        spent_ > plan_.patience())
+        spent_ > plan_.patience(plan_.constant_cost))
       preconditioner_ = Preconditioner::kTangent;
   }
 

@@ -15,9 +15,13 @@ constexpr double kFlopsPerSecond = 6e10 * kNativeBytes / 64.0;
 constexpr double kMaxFactorBytes = 4e9;
 constexpr int kMaxProbe = 400;
 
-/// Iterations to 1e-2 at rest, for a smooth right-hand side.
-int probe(const ConstantSystem& system, const SoftParameters& parameters, int limit,
-          ThreadPool& pool) {
+struct Probe {
+  int constant, jacobi;
+};
+
+/// Iterations to 1e-2 at rest, for a smooth right-hand side, on either preconditioner.
+Probe probe(const ConstantSystem& system, const SoftParameters& parameters, int limit,
+            int jacobi_limit, ThreadPool& pool) {
   const SoftModel& model = system.model();
   const std::size_t size = static_cast<std::size_t>(3 * model.num_nodes);
   const Vector rest(system.pattern().coords(), system.pattern().coords() + size);
@@ -45,11 +49,15 @@ int probe(const ConstantSystem& system, const SoftParameters& parameters, int li
   problem.solve_constant(b, smooth);
   for (std::size_t i = 0; i < size; ++i) smooth[i] *= system.inertia()[i / 3];
   const Vector& rhs = problem.ops().norm(smooth) > 0.0 ? smooth : b;
-  const KrylovResult result =
-      conjugate_gradients(apply, constant, rhs, x, false, 1e-2 * problem.ops().norm(rhs), limit,
-                          scratch, problem.ops());
+  const auto jacobi = [&](const Vector& in, Vector& out) { problem.solve_jacobi(in, out); };
   // Cut off where a factor would have paid already; by how much more is not worth finding out.
-  return result.converged ? result.num_iters : 4 * limit;
+  const auto count = [&](const auto& preconditioner, int most) {
+    const KrylovResult result =
+        conjugate_gradients(apply, preconditioner, rhs, x, false, 1e-2 * problem.ops().norm(rhs),
+                            most, scratch, problem.ops());
+    return result.converged ? result.num_iters : 4 * most;
+  };
+  return {count(constant, limit), count(jacobi, jacobi_limit)};
 }
 
 }  // namespace
@@ -72,8 +80,8 @@ bool SolverPlan::factorize_adjoint(double rtol) const {
   return total * constant_cost > factorize_cost + 2.0 * tangent_cost;
 }
 
-int SolverPlan::patience() const {
-  return static_cast<int>(std::min(2.0 * factorize_cost / constant_cost + 50.0, 1e9));
+int SolverPlan::patience(double cost) const {
+  return static_cast<int>(std::min(2.0 * factorize_cost / cost + 50.0, 1e9));
 }
 
 int SolverPlan::refactor_after() const {
@@ -91,9 +99,15 @@ SolverPlan make_solver_plan(const ConstantSystem& system, const SoftParameters& 
   plan.factorize_cost = static_cast<double>(tangent.bytes()) > kMaxFactorBytes
                             ? std::numeric_limits<double>::infinity()
                             : flop_cost(tangent.flops()) + 2.0 * streaming_cost(matrix_bytes);
-  const int limit = static_cast<int>(
-      std::min<double>(kMaxProbe, std::max(20.0, plan.factorize_cost / plan.constant_cost)));
-  plan.iterations = probe(system, parameters, limit, pool);
+  plan.jacobi_cost = streaming_cost(matrix_bytes);
+  const auto limit = [&](double cost) {
+    return static_cast<int>(
+        std::min<double>(kMaxProbe, std::max(20.0, plan.factorize_cost / cost)));
+  };
+  const Probe found =
+      probe(system, parameters, limit(plan.constant_cost), limit(plan.jacobi_cost), pool);
+  plan.iterations = found.constant;
+  plan.jacobi_iterations = found.jacobi;
   return plan;
 }
 

@@ -14,16 +14,18 @@ class ConstantSystem;
 
 /// Costs in seconds on a model machine; only their ratios matter.
 struct SolverPlan {
-  double iterations = 0.0;      // of conjugate gradients at rest, to 1e-2
-  double constant_cost = 0.0;   // one iteration on the constant factor
-  double tangent_cost = 0.0;    // one iteration on a factor of the tangent
-  double factorize_cost = 0.0;  // of the tangent; infinite where memory forbids it
+  double iterations = 0.0;         // of conjugate gradients at rest, to 1e-2
+  double constant_cost = 0.0;      // one iteration on the constant factor
+  double tangent_cost = 0.0;       // one iteration on a factor of the tangent
+  double factorize_cost = 0.0;     // of the tangent; infinite where memory forbids it
+  double jacobi_iterations = 0.0;  // as `iterations`, preconditioned by 3x3 diagonal blocks
+  double jacobi_cost = 0.0;        // one of these
 
   /// Whether a forward step (an adjoint) to relative tolerance rtol should factorise the tangent.
   bool factorize_step(double rtol) const;
   bool factorize_adjoint(double rtol) const;
-  /// Iterations on the constant factor after which a factor of the tangent would have been cheaper.
-  int patience() const;
+  /// Iterations at this cost after which a factor of the tangent would have been cheaper.
+  int patience(double cost) const;
   /// Iterations on an old factor of the tangent after which a new one is worth making.
   int refactor_after() const;
 };

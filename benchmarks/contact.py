@@ -1,0 +1,137 @@
+"""Contact: solvers over tolerance (thesis fig. 4-5) and contact share (Table 4.1), and friction.
+
+From the repository's root, on a machine that does nothing else:
+
+python -m benchmarks.contact                   both stages, about 6 minutes
+python -m benchmarks.contact --quick           small sizes, under a minute
+python -m benchmarks.contact --resume          go on after an interruption
+
+Stages: ``rolling`` (a sphere that rolls on a plane: solvers over tolerance, friction), ``napkin``
+(a sheet on a ball: solvers over mesh size and share of nodes in contact). One thread, CPU time.
+Written to ``--out``: report.md with tables and figures, results.json with every number, parts/
+with the finished pieces.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from benchmarks import contact_napkin, contact_rolling
+from benchmarks.contact_plots import draw_figures
+from benchmarks.contact_tables import report
+from benchmarks.harness import Part, Store
+from benchmarks.machine import code_fingerprint, machine
+from diffsim._files import write_json_atomic, write_text_atomic
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """Settings of both stages."""
+
+    rolling: contact_rolling.Plan = field(default_factory=contact_rolling.Plan)
+    napkin: contact_napkin.Plan = field(default_factory=contact_napkin.Plan)
+
+
+STAGES: dict[str, Callable[[Plan], list[Part]]] = {
+    "rolling": lambda plan: contact_rolling.parts(plan.rolling),
+    "napkin": lambda plan: contact_napkin.parts(plan.napkin),
+}
+
+FULL = Plan()
+QUICK = Plan(
+    rolling=contact_rolling.Plan(
+        spacing=0.02, voxels=6, num_steps=10, rtols=(1e-2, 1e-4, 1e-6), reference_rtol=1e-9
+    ),
+    napkin=contact_napkin.Plan(cells=(10, 20), samples=2, span=4, friction_cells=10),
+)
+
+
+def collect(results: dict[str, Any]) -> dict[str, Any]:
+    """Results of parts, sorted by stage; what has not run is absent."""
+
+    def of(prefix: str) -> list[Any]:
+        return [r for name, r in results.items() if name.startswith(prefix)]
+
+    found: dict[str, Any] = {}
+    if contact_rolling.REFERENCE in results:
+        reference = dict(results[contact_rolling.REFERENCE])
+        reference.pop("grad")
+        rows = [row for part in of("rolling/rtol") for row in part]
+        found["rolling"] = {"reference": reference, "rows": rows}
+        found["rolling"]["voxels"] = results.get("voxels/methods")
+        found["rolling"]["friction"] = results.get("friction/cases", [])
+    if cases := [*of("napkin/"), *of("sliding/")]:
+        found["napkin"] = {"cases": cases}
+    return found
+
+
+def run(plan: Plan, out: Path, *, stages: Sequence[str], resume: bool) -> dict[str, Any]:
+    """Measure the stages and write the report; an interruption keeps what is finished.
+
+    Returns:
+        What results.json holds.
+
+    Raises:
+        KeyboardInterrupt: after the report of the finished parts has been written.
+    """
+    torch.set_num_threads(1)
+    about = machine()
+    store = Store(out / "parts", code_fingerprint(), resume)
+    try:
+        store.run([part for name in stages for part in STAGES[name](plan)])
+    finally:
+        results = {
+            "machine": {**about, "load_average_at_end": os.getloadavg()[0]},
+            "plan": {name: asdict(getattr(plan, name)) for name in stages},
+            **collect(store.results),
+        }
+        write_json_atomic(out / "results.json", results)
+        figures = draw_figures(results, out)
+        write_text_atomic(out / "report.md", report(results, figures))
+    return results
+
+
+def parse(argv: Sequence[str] | None = None) -> tuple[Plan, argparse.Namespace]:
+    """The plan that command-line arguments ask for."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.contact",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--out", type=Path, default=Path("runs/bench_contact"))
+    parser.add_argument("--stages", nargs="+", choices=list(STAGES), default=list(STAGES))
+    parser.add_argument("--quick", action="store_true", help="small sizes, under a minute")
+    parser.add_argument("--resume", action="store_true", help="keep finished parts")
+    parser.add_argument("--repetitions", type=int, help="passes per solver of stage rolling")
+    args = parser.parse_args(argv)
+    plan = QUICK if args.quick else FULL
+    if args.repetitions is not None:
+        if args.repetitions < 1:
+            parser.error(f"--repetitions must be at least 1, got {args.repetitions}")
+        plan = replace(plan, rolling=replace(plan.rolling, repetitions=args.repetitions))
+    return plan, args
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    plan, args = parse(argv)
+    try:
+        run(plan, args.out, stages=args.stages, resume=args.resume)
+    except KeyboardInterrupt:
+        print(
+            f"\ninterrupted; finished parts are in {args.out}, go on with --resume", file=sys.stderr
+        )
+        return 130
+    print(f"report: {args.out / 'report.md'}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
