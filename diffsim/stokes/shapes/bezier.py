@@ -108,7 +108,7 @@ class BezierCurve2d(Shape):
         p = points.detach()
         tau = closest(chain, p, rays)
         foot = self._foot(chain, tau, rays is not None)
-        normal = self._normal(chain, tau, p - foot.detach())
+        normal = self._normal(chain, tau, p - foot.detach(), rays)
         return signed_distance(points, foot, self._side(chain) * normal)
 
     def _on_curve(self, curve: Tensor, t: Tensor) -> Tensor:
@@ -167,9 +167,12 @@ class BezierCurve2d(Shape):
             raise ValueError("the loop encloses no area: inside and outside are not defined")
         return 1.0 if (area > 0) == (self.fluid == "inside") else -1.0
 
-    def _normal(self, chain: Chain, tau: Tensor, away: Tensor) -> Tensor:
+    def _normal(self, chain: Chain, tau: Tensor, away: Tensor, rays: Tensor | None) -> Tensor:
         """Unit normals (N, 2) on the left side, such that away.normal is the signed distance."""
         tangent = chain.tangent(tau)
+        if rays is not None:
+            tangent[tau <= 0] = -chain.size * rays[0]
+            tangent[tau >= chain.num_curves] = chain.size * rays[1]
         length, distance = tangent.norm(dim=1), away.norm(dim=1)
         smooth = length > 1e-7 * chain.size
         tangent = tangent / torch.where(smooth, length, 1.0)[:, None]
@@ -187,7 +190,8 @@ class BezierCurve2d(Shape):
     def _between(chain: Chain, tau: Tensor) -> Tensor:
         """Mean direction (N, 2) of the curve before and after a corner, cusp or end."""
         sides = [chain.tangent(tau + aside) for aside in (-_ASIDE, _ASIDE)]
-        before, after = (v / v.norm(dim=1, keepdim=True).clamp(min=1e-300) for v in sides)
+        least = 1e-14 * chain.size  # slower than this is standing still: the other side decides
+        before, after = (v / v.norm(dim=1, keepdim=True).clamp(min=least) for v in sides)
         mean = before + after
         length = mean.norm(dim=1, keepdim=True)
         back = length < 1e-9  # the curve returns the way it came: no side, take the way on

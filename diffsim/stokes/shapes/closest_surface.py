@@ -68,6 +68,9 @@ class Samples:
         u, v = (b.samples(n, reach) for b, n in zip(patch.bases, per_span, strict=True))
         u = u[(u >= patch.low[0]) & (u <= patch.high[0])]
         v = v[(v >= patch.low[1]) & (v <= patch.high[1])]
+        rows = patch.derivatives(torch.cartesian_prod(u, v), 1)[0].reshape(len(u), len(v), 3)
+        spread = (rows - rows[:1]).norm(dim=2).amax(0)
+        v = v[spread > 1e-9 * float(spread.max())]  # at a pole any u would do: start beside it
         self.shape = (len(u), len(v))
         self.periodic = [b.periodic for b in patch.bases]
         self.uv = torch.cartesian_prod(u, v).reshape(-1, 2)

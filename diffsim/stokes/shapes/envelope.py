@@ -6,7 +6,6 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 
 class SignedDistance(torch.autograd.Function):
@@ -24,14 +23,15 @@ class SignedDistance(torch.autograd.Function):
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Tensor, ...], output: Tensor) -> None:
-        ctx.save_for_backward(inputs[2])
+        ctx.save_for_backward(*inputs)
         ctx.save_for_forward(inputs[2])
 
     @staticmethod
-    @once_differentiable
     def backward(ctx: Any, grad_phi: Tensor) -> tuple[Tensor, Tensor, None]:
-        (normal,) = ctx.saved_tensors
+        p, q, normal = ctx.saved_tensors
         along = grad_phi[:, None] * normal
+        if torch.is_grad_enabled():
+            along = _FirstOrder.apply(along, p, q)
         return along, -along, None
 
     @staticmethod
@@ -40,6 +40,25 @@ class SignedDistance(torch.autograd.Function):
         zero = torch.zeros_like(normal)
         motion = (zero if dp is None else dp) - (zero if dq is None else dq)
         return (motion * normal).sum(-1)
+
+
+class _FirstOrder(torch.autograd.Function):
+    """The identity; whoever differentiates the gradient again is told that it cannot be."""
+
+    @staticmethod
+    def forward(along: Tensor, p: Tensor, q: Tensor) -> Tensor:
+        return along.clone()
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Tensor, ...], output: Tensor) -> None:
+        pass
+
+    @staticmethod
+    def backward(ctx: Any, _: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        raise RuntimeError(
+            "second derivatives of this level set are not available; differentiate it once, "
+            "without create_graph=True"
+        )
 
 
 def signed_distance(p: Tensor, q: Tensor, normal: Tensor) -> Tensor:

@@ -91,7 +91,7 @@ class NurbsSurface(Shape):
         if min(samples) < 2:
             raise ValueError(f"samples must be at least 2 per span, got {samples}")
         self.samples = samples
-        self._patch()
+        self._side(self._patch())
 
     def point(self, uv: Tensor) -> Tensor:
         """Points (N, 3) of the surface, uv (N, 2) in [0, 1]; gradients: shape."""
@@ -159,7 +159,8 @@ class NurbsSurface(Shape):
         rings = s.reshape(_SAMPLES, _SAMPLES, 3)
         away = (rings - rings.mean(0)).reshape(-1, 3)
         flux = (away * torch.linalg.cross(su, sv)).sum(1)
-        if float(flux.sum().abs()) <= 1e-9 * float(flux.abs().sum()):
+        scale = (away.norm(dim=1) * su.norm(dim=1) * sv.norm(dim=1)).sum()
+        if float(flux.sum().abs()) <= 1e-9 * float(scale):
             raise ValueError("the surface encloses nothing: inside and outside are not defined")
         front_is_outside = float(flux.sum()) > 0
         return 1.0 if front_is_outside == (self.fluid == "outside") else -1.0
