@@ -73,9 +73,10 @@ def closest(chain: Chain, p: Tensor, rays: Tensor | None) -> Tensor:
     Returns:
         Parameter; the smallest one of those equally near (to 1e-13 of the chain's size).
     """
+    if len(p) == 0:
+        return p.new_zeros(0)
     parts = _Parts(chain)
-    found = [_closest(chain, parts, q, rays) for q in p.split(_CHUNK)]
-    return torch.cat(found) if found else p.new_zeros(0)
+    return torch.cat([_closest(chain, parts, q, rays) for q in p.split(_CHUNK)])
 
 
 class _Parts:

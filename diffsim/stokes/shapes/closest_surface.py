@@ -30,12 +30,14 @@ class Patch:
         homogeneous: (nu, nv, 4), w x, w y, w z, w.
         bases: Of u and v.
         low, high: Range of (u, v), (2,); infinite where periodic.
+        size: Length scale [m].
     """
 
     homogeneous: Tensor
     bases: tuple[SplineBasis, SplineBasis]
     low: Tensor
     high: Tensor
+    size: float
 
     def derivatives(self, uv: Tensor, order: int) -> list[Tensor]:
         """S, S_u, S_v and for order 2 S_uu, S_uv, S_vv; (N, 3) each, uv (N, 2)."""

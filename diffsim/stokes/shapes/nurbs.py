@@ -134,7 +134,7 @@ class NurbsSurface(Shape):
         w = require_range("weights", w.detach(), above=0.0)[:, :, None]
         range_ = [self._range(w, k) for k in (0, 1)]
         low, high = (torch.tensor(r, dtype=torch.float64) for r in zip(*range_, strict=True))
-        return Patch(torch.cat([w * x, w], 2), self.bases, low, high)
+        return Patch(torch.cat([w * x, w], 2), self.bases, low, high, extent)
 
     def _range(self, w: Tensor, axis: int) -> tuple[float, float]:
         """Parameters allowed; beyond an end only as far as the weights stay well above zero."""
@@ -170,10 +170,9 @@ class NurbsSurface(Shape):
         _, su, sv = patch.derivatives(uv, 1)
         front = torch.linalg.cross(su, sv)
         area, distance = front.norm(dim=1), away.norm(dim=1)
-        size = float(su.norm(dim=1).max() * sv.norm(dim=1).max()) if len(uv) else 1.0
-        smooth = area > 1e-7 * size
+        smooth = area > 1e-7 * patch.size**2
         front = front / torch.where(smooth, area, 1.0)[:, None]
-        length = float((patch.homogeneous[..., :3] / patch.homogeneous[..., 3:]).std())
+        length = patch.size
         along = (away * front).sum(1)
         edge = ~smooth | ((along.abs() < 0.99 * distance) & (distance > 1e-10 * length))
         if bool(edge.any()):
@@ -195,8 +194,7 @@ class NurbsSurface(Shape):
                 beside = uv + _ASIDE * torch.tensor([du, dv], dtype=torch.float64)
                 beside = torch.maximum(torch.minimum(beside, patch.high), patch.low)
                 total += _unit_normal(patch, beside)
-        tip = pole <= 1e-7 * (float(pole.max()) if len(pole) else 1.0)
-        tip |= pole <= 1e-9
+        tip = pole <= 1e-9 * patch.size
         if bool(tip.any()) and patch.bases[0].periodic:
             where, around = torch.nonzero(tip)[:, 0], torch.arange(16, dtype=torch.float64) / 16
             inwards = torch.where(uv[where, 1] < 0.5, _ASIDE, -_ASIDE)
