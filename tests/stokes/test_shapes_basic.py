@@ -23,6 +23,7 @@ from diffsim.stokes.shapes import (
     Sphere,
     Translate,
     Union,
+    grid_nodes,
 )
 
 F64 = torch.float64
@@ -82,6 +83,10 @@ def test_motions_and_extrusion_are_identities():
     outline = BezierCurve2d(tensor([[-1, 0.2], [0, -0.5], [0.3, 0.9], [1, 0.1]]))
     for axis, across in (("x", [1, 2]), ("y", [0, 2]), ("z", [0, 1])):
         torch.testing.assert_close(Extrude(outline, axis)(POINTS), outline(POINTS[:, across]))
+        tracked = POINTS.clone().requires_grad_()  # takes the other way through Extrude
+        torch.testing.assert_close(Extrude(outline, axis)(tracked), outline(POINTS[:, across]))
+    nodes = grid_nodes((4, 5, 6), 0.3, (-0.6, -0.7, 0.0))
+    torch.testing.assert_close(Extrude(outline)(nodes), outline(nodes[..., :2]))
     body = Extrude(outline) & Sphere(0.4, (0.1, 0.2, 0.3))
     torch.testing.assert_close(Rotate(body, 2 * math.pi, axis=(1, 1, 0))(POINTS), body(POINTS))
     there = Rotate(body, 0.6, axis=(1, 1, 0), center=(0.1, 0, 0.2))

@@ -111,6 +111,24 @@ def test_sphere_with_poles_is_exact(fluid):
 
 
 @pytest.mark.reference
+def test_spindle_with_a_sharp_rim_and_sharp_poles_is_exact():
+    x, w = revolved(tensor([[0, 0], [0.3, 0.5], [0, 1.0]]), torch.ones(3, dtype=F64))
+    spindle = NurbsSurface(
+        x, weights=w, degree=(2, 1), knots=(_KNOTS, None), ends="stop", fluid="outside"
+    )
+    p = (random(5, 1000, 3) - 0.5) * tensor([1.4, 1.4, 2.0]) + tensor([0, 0, 0.5])
+    r, z = torch.hypot(p[:, 0], p[:, 1]), p[:, 2]
+    from_tip = torch.stack([r, torch.minimum(z, 1.0 - z)], 1)  # its halves mirror each other
+    side = tensor([0.3, 0.5])
+    t = (from_tip @ side / (side @ side)).clamp(0.0, 1.0)
+    distance = (from_tip - t[:, None] * side).norm(dim=1)
+    inside = (r < 0.6 * from_tip[:, 1]) & (from_tip[:, 1] > 0)
+    # 1e-11: feet on the rim are held 1e-12 of the parameter beside it
+    want = torch.where(inside, -distance, distance)
+    torch.testing.assert_close(spindle(p), want, atol=1e-11, rtol=0)
+
+
+@pytest.mark.reference
 def test_torus_is_exact():
     profile = tensor([1.0, 0.0]) + 0.4 * tensor(_SQUARE)
     x, w = revolved(profile, tensor(_ROUND))

@@ -1,7 +1,7 @@
 """Closest points on a tensor-product spline surface: nearest samples, then Newton from each sheet.
 
 f(u, v) = |S(u, v) - p|^2 / 2; Newton with the absolute eigenvalues of its Hessian, steps shortened
-until f falls, parameters held in their range.
+until f falls, parameters held in their range and, at first, within a piece without kinks.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ _NEIGHBOURS = (8, 24)  # samples looked at for other sheets that are as near: cl
 _CLOSE_BY = 4.0  # sample spacings
 _MAX_SHEETS = 3
 _LEAST = 1e-5  # eigenvalue taken for the Hessian where it is singular (centres of curvature)
+_BESIDE = 1e-12  # parameter distance at which feet on a kink are held, on either side of it
+_MAX_PIECES = 6  # entered one after the other, over their kinks
 _CHUNK = 16384  # points at a time, so that temporaries stay in the cache
 
 
@@ -38,6 +40,24 @@ class Patch:
     low: Tensor
     high: Tensor
     size: float
+
+    def piece(self, uv: Tensor) -> tuple[Tensor, Tensor]:
+        """Range (N, 2) each, low and high, of the piece without kinks in which uv (N, 2) lie."""
+        low, high = self.low.expand_as(uv).clone(), self.high.expand_as(uv).clone()
+        for k, basis in enumerate(self.bases):
+            if not basis.kinks:
+                continue
+            kinks = torch.tensor(basis.kinks, dtype=torch.float64)
+            if basis.periodic:
+                turns = uv[:, k].floor()
+                kinks = torch.cat([kinks[-1:] - 1.0, kinks, kinks[:1] + 1.0])
+            else:
+                turns = torch.zeros(len(uv), dtype=torch.float64)
+            after = torch.searchsorted(kinks, (uv[:, k] - turns).contiguous(), right=True)
+            least = torch.cat([self.low[k : k + 1], kinks + _BESIDE])[after] + turns
+            most = torch.cat([kinks - _BESIDE, self.high[k : k + 1]])[after] + turns
+            low[:, k], high[:, k] = least, most
+        return low, high
 
     def derivatives(self, uv: Tensor, order: int) -> list[Tensor]:
         """S, S_u, S_v and for order 2 S_uu, S_uv, S_vv; (N, 3) each, uv (N, 2)."""
@@ -126,7 +146,7 @@ def closest(patch: Patch, samples: Samples, p: Tensor, band: float | None) -> tu
 
 def _refined(patch: Patch, samples: Samples, p: Tensor, num: int) -> tuple[Tensor, Tensor]:
     _, index = samples.nearest(p, min(num, len(samples.points)))
-    uv, f, slope = _descend(patch, samples, samples.uv[index[:, 0]], p)
+    uv, f, slope = _descend_over(patch, samples, samples.uv[index[:, 0]], p)
     seen = [index[:, 0]]
     for _ in range(_MAX_SHEETS - 1):
         exists, sample = samples.other_sheet(index, seen)
@@ -134,11 +154,44 @@ def _refined(patch: Patch, samples: Samples, p: Tensor, num: int) -> tuple[Tenso
         other = torch.nonzero(exists)[:, 0]
         if len(other) == 0:
             break
-        uv2, f2, slope2 = _descend(patch, samples, samples.uv[sample[other]], p[other])
+        uv2, f2, slope2 = _descend_over(patch, samples, samples.uv[sample[other]], p[other])
         better = f2 < f[other]
         which = other[better]
         uv[which], f[which], slope[which] = uv2[better], f2[better], slope2[better]
     return uv, slope
+
+
+def _descend_over(
+    patch: Patch, samples: Samples, uv: Tensor, p: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """:func:`_descend` that goes on beyond a kink at which it was held."""
+    if not any(basis.kinks for basis in patch.bases):
+        return _descend(patch, samples, uv, p)
+    low, high = patch.piece(uv)
+    start = torch.maximum(torch.minimum(uv, high), low)
+    uv, f, slope = _descend(patch, samples, start, p)
+    todo = torch.arange(len(p))
+    for _ in range(_MAX_PIECES):
+        moved = torch.zeros(len(p), dtype=torch.bool)
+        for k, basis in enumerate(patch.bases):
+            if not basis.kinks:
+                continue
+            here = uv[todo]
+            low, high = patch.piece(here)
+            side = (here >= high)[:, k].to(here) - (here <= low)[:, k].to(here)
+            over = here.clone()
+            over[:, k] += 2.5 * _BESIDE * side
+            inner = (over[:, k] > patch.low[k]) & (over[:, k] < patch.high[k]) & (side != 0)
+            who = todo[inner]
+            uv2, f2, slope2 = _descend(patch, samples, over[inner], p[who])
+            better = f2 < f[who] * (1.0 - 1e-11)
+            which = who[better]
+            uv[which], f[which], slope[which] = uv2[better], f2[better], slope2[better]
+            moved[which] = True
+        todo = torch.nonzero(moved)[:, 0]
+        if len(todo) == 0:
+            break
+    return uv, f, slope
 
 
 def _descend(
@@ -148,6 +201,7 @@ def _descend(
     uv, f_out = uv.clone(), torch.zeros(len(p), dtype=torch.float64)
     slope_out = torch.zeros(len(p), dtype=torch.float64)
     todo, x, q = torch.arange(len(p)), uv.clone(), p
+    low, high = patch.piece(uv)
     s, su, sv, suu, suv, svv = patch.derivatives(x, 2)
     for iteration in range(_MAX_ITERS):
         e = s - q
@@ -155,13 +209,13 @@ def _descend(
         gradient = torch.stack([_dot(e, su), _dot(e, sv)], 1)
         gauss = torch.stack([_dot(su, su), _dot(su, sv), _dot(sv, sv)], 1)
         bend = torch.stack([_dot(e, suu), _dot(e, suv), _dot(e, svv)], 1)
-        held = ((x <= patch.low) & (gradient > 0)) | ((x >= patch.high) & (gradient < 0))
+        held = ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0))
         step = _newton_step(gradient, gauss, bend, held)
         most = (step.abs() / (4.0 * samples.spacing)).amax(1, keepdim=True).clamp(min=1.0)
         step = step / most
         steep = (gradient.abs() * ~held) / gauss[:, ::2].sqrt().clamp(min=1e-300)
         slope = steep.amax(1) / (2.0 * f).sqrt().clamp(min=1e-300)
-        trial = torch.maximum(torch.minimum(x + step, patch.high), patch.low)
+        trial = torch.maximum(torch.minimum(x + step, high), low)
         values = patch.derivatives(trial, 2)
         f_new = 0.5 * ((values[0] - q) ** 2).sum(1)
         falls = -_dot(gradient, step)  # to first order
@@ -172,7 +226,7 @@ def _descend(
                 break
             shrink[bad] *= 0.25
             part = x[bad] + shrink[bad, None] * step[bad]
-            trial[bad] = torch.maximum(torch.minimum(part, patch.high), patch.low)
+            trial[bad] = torch.maximum(torch.minimum(part, high[bad]), low[bad])
             redone = patch.derivatives(trial[bad], 2)
             for old, new in zip(values, redone, strict=True):
                 old[bad] = new
@@ -192,6 +246,7 @@ def _descend(
         if not bool(keep.any()):
             break
         todo, x, q = todo[keep], trial[keep], q[keep]
+        low, high = low[keep], high[keep]
         s, su, sv, suu, suv, svv = (d[keep] for d in values)
     return uv, f_out, slope_out
 

@@ -48,6 +48,9 @@ class SplineBasis:
         spans = [s for s in spans if full[s + 1] > full[s]]
         self.breaks = torch.tensor([full[s] for s in spans] + [full[spans[-1] + 1]])
         self.breaks = self.breaks.to(torch.float64)
+        repeated = [k for k in set(full[spans].tolist()) if (full == k).sum() >= degree]
+        self.kinks = sorted(k for k in repeated if periodic or 0.0 < k < 1.0)
+        """Parameters at which the derivative may jump (knots repeated ``degree`` times)."""
         self._coefficients = torch.tensor(np.stack([_span(full, s, degree) for s in spans]))
         active = torch.tensor(spans)[:, None] - degree + torch.arange(degree + 1)
         self._active = active % num

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -101,4 +102,10 @@ class Extrude(Shape):
         self.across = [i for i in range(3) if i != along]
 
     def level(self, points: Tensor) -> Tensor:
-        return self.shape.level(points[:, self.across])
+        flat = points[:, self.across].contiguous()
+        if flat.requires_grad:
+            return self.shape.level(flat)
+        # the nodes of a grid lie above each other: each place in the plane once
+        as_complex = flat.detach().numpy().view(np.complex128)[:, 0]
+        _, first, column = np.unique(as_complex, return_index=True, return_inverse=True)
+        return self.shape.level(flat[torch.from_numpy(first)])[torch.from_numpy(column)]
