@@ -166,6 +166,16 @@ def test_distance_is_that_of_dense_sampling(rational):
 
 
 @pytest.mark.reference
+def test_between_two_sheets_the_nearer_one_is_found():
+    # a flat tunnel, coarsely sampled: the nearest sample is often on the farther sheet
+    points = tunnel_points(14) * tensor([1.0, 0.3, 1.0])
+    surface = BSplineSurface(points, ends="stop", samples=(6, 12))
+    p = tensor([0.3, 0.006, 0.5]) * random(15, 150, 3) + tensor([0.35, 0.147, 0.0])
+    want = sampled_distance(surface, p, 0.0, 1.0)
+    torch.testing.assert_close(surface(p), want, atol=1e-8, rtol=0)
+
+
+@pytest.mark.reference
 def test_tangent_ends_against_dense_sampling():
     surface = BSplineSurface(tunnel_points(3))
     p = tensor([1.0, 1.0, 0.8]) * random(13, 40, 3) - tensor([0.0, 0.0, 0.15])
