@@ -1,0 +1,1 @@
+"""Stokes flow in embedded geometry: shapes, flow layer, devices (thesis 4.2)."""

@@ -1,0 +1,139 @@
+"""What all level sets of the flow share.
+
+Sign: phi > 0 in the FLUID, phi < 0 in the solid (the thesis, 4.2.5, has it the other way round).
+A solid given as a signed distance of ``diffsim.mesh.sdf`` (negative inside the solid) fits as is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor, nn
+
+from diffsim._check import require, require_choice, require_number
+from diffsim.contact._values import Number, scalar
+
+LevelSet = Callable[[Tensor], Tensor]
+Vector = Sequence[float] | Tensor
+
+__all__ = ["Custom", "LevelSet", "Number", "Shape", "Vector", "outwards", "scalar", "vector"]
+
+
+class Shape(nn.Module):
+    """A level set: phi > 0 in the fluid, < 0 in the solid; subclasses give ``level``.
+
+    Parameters may be numbers, tensors (part of the caller's graph) or ``nn.Parameter`` (then found
+    by ``shape.parameters()``). Gradients: points and all parameters, first order, reverse and
+    forward mode.
+
+    Attributes:
+        dim: Dimension of the points, 2 or 3; None where any will do.
+    """
+
+    dim: int | None = None
+
+    def forward(self, points: Tensor) -> Tensor:
+        """Level set at points.
+
+        Args:
+            points: (..., d) float64 [m].
+
+        Returns:
+            phi, (...) [m], > 0 in the fluid, < 0 in the solid.
+
+        Raises:
+            ValueError: wrong dimension, NaN, or parameters that give no finite phi.
+        """
+        flat = require("points", points, ("...", "d" if self.dim is None else self.dim))
+        flat = flat.reshape(-1, flat.shape[-1])
+        phi = self.level(flat)
+        if not bool(torch.isfinite(phi.detach()).all()):
+            raise ValueError(
+                f"{type(self).__name__} gives no finite phi at {_first_bad(flat, phi)}; "
+                "look for NaN in its parameters"
+            )
+        return phi.reshape(points.shape[:-1])
+
+    def level(self, points: Tensor) -> Tensor:
+        """phi (N,) at points (N, d) that are checked already."""
+        raise NotImplementedError
+
+    def __or__(self, other: LevelSet) -> Shape:
+        """Fluid where either has fluid."""
+        from diffsim.stokes.shapes.combine import Union
+
+        return Union(self, other)
+
+    def __and__(self, other: LevelSet) -> Shape:
+        """Fluid where both have fluid."""
+        from diffsim.stokes.shapes.combine import Intersection
+
+        return Intersection(self, other)
+
+    def __invert__(self) -> Shape:
+        """Fluid and solid swapped."""
+        from diffsim.stokes.shapes.combine import Complement
+
+        return Complement(self)
+
+
+class Custom(Shape):
+    """Any level set: a function or ``nn.Module``, phi > 0 in the fluid.
+
+    phi need not be a distance, but its slope should be near 1 m/m at the interface, and not zero.
+
+    Args:
+        level_set: Callable (N, d) [m] -> (N,) [m] in torch; tensors that it holds get gradients.
+        dim: Dimension of its points, 2 or 3; None takes both.
+    """
+
+    def __init__(self, level_set: LevelSet, *, dim: int | None = None):
+        super().__init__()
+        if not callable(level_set):
+            raise TypeError(f"level_set must be callable, got {type(level_set).__name__}")
+        if dim not in (None, 2, 3):
+            raise ValueError(f"dim must be 2, 3 or None, got {dim}")
+        self.level_set, self.dim = level_set, dim
+
+    def level(self, points: Tensor) -> Tensor:
+        phi = self.level_set(points)
+        if not isinstance(phi, Tensor) or phi.shape != (len(points),):
+            got = tuple(phi.shape) if isinstance(phi, Tensor) else type(phi).__name__
+            raise ValueError(
+                f"level_set must return one value per point, ({len(points)},), got {got}"
+            )
+        return phi
+
+
+def as_shape(name: str, shape: LevelSet) -> Shape:
+    """A shape, or a callable wrapped into one."""
+    if isinstance(shape, Shape):
+        return shape
+    if not callable(shape):
+        raise TypeError(f"{name} must be a shape or a callable, got {type(shape).__name__}")
+    return Custom(shape)
+
+
+def vector(name: str, value: Vector, dims: tuple[int, ...]) -> Tensor:
+    """Finite numbers or a tensor of one of the lengths as float64 tensor; gradients are kept."""
+    if isinstance(value, Tensor):
+        v = require(name, value, ("d",))
+    else:
+        try:
+            numbers = [require_number(name, float(number)) for number in value]
+            v = torch.tensor(numbers, dtype=torch.float64)
+        except TypeError:
+            v = torch.empty(0, dtype=torch.float64)
+    if len(v) not in dims:
+        raise ValueError(f"{name} must be {' or '.join(map(str, dims))} numbers, got {value!r}")
+    return v
+
+
+def outwards(fluid: str) -> float:
+    """1 where the fluid is outside of a closed shape, -1 where it is inside."""
+    return 1.0 if require_choice("fluid", fluid, ("inside", "outside")) == "outside" else -1.0
+
+
+def _first_bad(points: Tensor, phi: Tensor) -> tuple[float, ...]:
+    return tuple(points.detach()[~torch.isfinite(phi.detach())][0].tolist())

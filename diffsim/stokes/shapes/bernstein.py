@@ -1,0 +1,134 @@
+"""Polynomials in Bernstein form on [0, 1]: coefficients on the last axis unless said otherwise."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+_MAX_DEPTH = 26  # of bisection by sign changes: intervals of 1e-8
+_NOISE = 4e-16  # coefficients below this, relative to the largest, count as zero
+_MAX_STEPS = 80
+
+
+def binomials(degree: int) -> Tensor:
+    """C(n, 0), ..., C(n, n)."""
+    return torch.tensor([math.comb(degree, k) for k in range(degree + 1)], dtype=torch.float64)
+
+
+def basis(t: Tensor, degree: int) -> Tensor:
+    """C(n, k) t^k (1 - t)^(n - k), (..., n + 1)."""
+    k = torch.arange(degree + 1, dtype=torch.float64)
+    t = t[..., None]
+    return binomials(degree) * t**k * (1.0 - t) ** (degree - k)
+
+
+def product(a: Tensor, b: Tensor) -> Tensor:
+    """Coefficients (..., m + n + 1) of the product of two polynomials."""
+    m, n = a.shape[-1] - 1, b.shape[-1] - 1
+    scaled_a, scaled_b = a * binomials(m), b * binomials(n)
+    shape = torch.broadcast_shapes(a.shape[:-1], b.shape[:-1])
+    out = torch.zeros(*shape, m + n + 1, dtype=torch.float64)
+    for i in range(m + 1):
+        out[..., i : i + n + 1] += scaled_a[..., i : i + 1] * scaled_b
+    return out / binomials(m + n)
+
+
+def derivative(a: Tensor) -> Tensor:
+    """Coefficients (..., n) of the derivative."""
+    return (a.shape[-1] - 1) * (a[..., 1:] - a[..., :-1])
+
+
+def restriction(degree: int, start: float, end: float) -> Tensor:
+    """Matrix (n + 1, n + 1) from coefficients on [0, 1] to those on [start, end] (blossoming)."""
+    rows = []
+    for k in range(degree + 1):
+        row = torch.eye(degree + 1, dtype=torch.float64)
+        for level in range(degree):
+            t = end if level < k else start
+            row = (1.0 - t) * row[:-1] + t * row[1:]
+        rows.append(row[0])
+    return torch.stack(rows)
+
+
+def value_and_slope(a: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
+    """Values and derivatives (N,) of polynomials a (N, n + 1), n > 0, at t (N,); de Casteljau."""
+    t = t[:, None]
+    degree = a.shape[1] - 1
+    for _ in range(degree - 1):
+        a = (1.0 - t) * a[:, :-1] + t * a[:, 1:]
+    return ((1.0 - t) * a[:, :1] + t * a[:, 1:])[:, 0], degree * (a[:, 1] - a[:, 0])
+
+
+def rising_roots(a: Tensor) -> tuple[Tensor, Tensor]:
+    """All roots inside (0, 1) where the polynomials a (N, n + 1) go from minus to plus.
+
+    Intervals are bisected until the coefficients change sign once (Descartes: exactly one root)
+    or not at all. Roots that cannot be told apart at a width of 1e-8 are returned as one.
+
+    Returns:
+        Rows (M,) and roots (M,), in no particular order.
+    """
+    degree = a.shape[1] - 1
+    left, right = restriction(degree, 0.0, 0.5), restriction(degree, 0.5, 1.0)
+    noise = _NOISE * a.abs().amax(1)
+    row, start = torch.arange(len(a)), torch.zeros(len(a), dtype=torch.float64)
+    rows, roots = [], []
+    for depth in range(_MAX_DEPTH + 1):
+        if len(row) == 0:
+            break
+        width = 0.5**depth
+        changes, first = _sign_changes(a, noise)
+        one = (changes == 1) & (first < 0)
+        rows.append(row[one])
+        roots.append(start[one] + width * _single_root(a[one]))
+        many = changes > 1
+        flat = first == 0
+        stuck = flat | (many if depth == _MAX_DEPTH else torch.zeros_like(many))
+        rows.append(row[stuck])
+        roots.append(start[stuck] + 0.5 * width)
+        if depth == _MAX_DEPTH:
+            break
+        a, noise, row, start = a[many], noise[many], row[many], start[many]
+        low, high = a @ left.T, a @ right.T
+        middle = high[:, 0].abs() <= noise  # a root at the cut is in neither half
+        rows.append(row[middle])
+        roots.append(start[middle] + 0.5 * width)
+        a, noise, row = torch.cat([low, high]), noise.repeat(2), row.repeat(2)
+        start = torch.cat([start, start + 0.5 * width])
+    return torch.cat(rows), torch.cat(roots)
+
+
+def _sign_changes(a: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
+    """Number of sign changes and first sign that is not zero (0 where all are)."""
+    sign = torch.where(a.abs() <= noise[:, None], 0.0, a.sign())
+    last = torch.zeros(len(a), dtype=torch.float64)
+    first, changes = last.clone(), torch.zeros(len(a), dtype=torch.int64)
+    for k in range(a.shape[1]):
+        s = sign[:, k]
+        changes += s * last < 0
+        first = torch.where(first == 0, s, first)
+        last = torch.where(s == 0, last, s)
+    return changes, first
+
+
+def _single_root(a: Tensor) -> Tensor:
+    """The root of polynomials that rise through zero once in [0, 1]: Newton within a bracket."""
+    low, high = torch.zeros(len(a), dtype=torch.float64), torch.ones(len(a), dtype=torch.float64)
+    t = 0.5 * (low + high)
+    todo = torch.arange(len(a))
+    for _ in range(_MAX_STEPS):
+        if len(todo) == 0:
+            break
+        now = t[todo]
+        value, slope = value_and_slope(a[todo], now)
+        low[todo] = torch.where(value <= 0, now, low[todo])
+        high[todo] = torch.where(value >= 0, now, high[todo])
+        step = now - value / torch.where(slope == 0, 1.0, slope)
+        inside = (slope > 0) & (step > low[todo]) & (step < high[todo])
+        new = torch.where(inside, step, 0.5 * (low[todo] + high[todo]))
+        new = torch.where(value == 0, now, new)
+        t[todo] = new
+        todo = todo[(new - now).abs() > 4e-16]
+    return t

@@ -1,0 +1,198 @@
+"""Walls in the plane: signed distance to Bezier curves, phi > 0 in the fluid, < 0 in the solid."""
+
+from __future__ import annotations
+
+import warnings
+
+import torch
+from torch import Tensor
+
+from diffsim._check import require, require_choice, require_range
+from diffsim.stokes.shapes.base import Shape
+from diffsim.stokes.shapes.bernstein import basis
+from diffsim.stokes.shapes.closest_curve import Chain, closest
+from diffsim.stokes.shapes.crossing import crossing
+from diffsim.stokes.shapes.envelope import signed_distance
+
+_ASIDE = 1e-5  # parameter distance at which the tangents beside a corner are taken
+_DRAWN = 32  # chords per curve where the chain is drawn
+
+
+class BezierCurve2d(Shape):
+    """Signed distance to a Bezier curve or a chain of them, of any degree, rational if weighted.
+
+    phi > 0 on the fluid's side. An open curve goes on along its end tangents without end, so that
+    it parts the whole plane; only where these rays meet the curve again is the side not defined.
+    The distance is global: all local minima are found. At corners and cusps the side is the one
+    that the curve's two directions agree on. Where several points are equally near (medial axis),
+    gradients are those of the one with the smallest parameter. On the curve, gradients are those
+    of its normal. thesis 4.2.5, "Signed-distance functions for parametric shapes".
+
+    Args:
+        control_points: (k, 2) float64 [m].
+        fluid: "left" or "right", seen in the direction of travel; for closed ones also "inside" or
+            "outside".
+        weights: (k,) > 0 for rational curves.
+        degree: Degree of the curves of a chain, neighbours sharing one control point: k = degree x
+            num_curves + 1 (open) or degree x num_curves (closed: the last curve ends at the first
+            point). None: a single curve.
+        closed: Whether the chain returns to its first control point (which is not repeated).
+        ends: "tangent" as above, or "stop": an open curve ends, phi is the distance to it, with the
+            sign of the end tangent's side (it jumps across the tangent behind the end).
+
+    Raises:
+        ValueError: wrong counts, NaN, all control points at one place, a loop without area.
+    """
+
+    dim = 2
+
+    def __init__(
+        self,
+        control_points: Tensor,
+        *,
+        fluid: str = "left",
+        weights: Tensor | None = None,
+        degree: int | None = None,
+        closed: bool = False,
+        ends: str = "tangent",
+    ):
+        super().__init__()
+        self.control_points = require("control_points", control_points, ("k", 2))
+        num = len(control_points)
+        self.degree = (num if closed else num - 1) if degree is None else int(degree)
+        self.closed = bool(closed)
+        if self.degree < 1 or num < 2 or (num - (0 if closed else 1)) % self.degree != 0:
+            need = "degree x n" if closed else "degree x n + 1"
+            raise ValueError(
+                f"control_points must be {need} (n >= 1) for degree {self.degree}, got {num}"
+            )
+        self.weights = None
+        if weights is not None:
+            self.weights = require_range("weights", require("weights", weights, (num,)), above=0.0)
+        sides = ("left", "right", "inside", "outside") if closed else ("left", "right")
+        self.fluid = require_choice("fluid", fluid, sides)
+        self.ends = require_choice("ends", ends, ("tangent", "stop"))
+        num_curves = (num - (0 if closed else 1)) // self.degree
+        start = self.degree * torch.arange(num_curves)[:, None]
+        self._index = (start + torch.arange(self.degree + 1)) % num  # (num_curves, degree + 1)
+        drawn = self.polyline().detach()
+        self._side(self._chain())
+        place = crossing(drawn)
+        if place is not None:
+            warnings.warn(
+                f"the curve crosses itself near ({place[0]:.4g}, {place[1]:.4g}) m; the fluid's "
+                "side is that of the nearest branch",
+                stacklevel=2,
+            )
+
+    def point(self, tau: Tensor) -> Tensor:
+        """Points (N, 2) of the curve; tau (N,) in [0, num_curves]. Gradients: shape."""
+        curve, t = self._chain().split(tau)
+        return self._on_curve(curve, t)
+
+    def polyline(self, chords: int = _DRAWN) -> Tensor:
+        """Points along the curve for pictures, (num_curves x chords + 1, 2)."""
+        num = len(self._index) * chords
+        tau = torch.arange(num + 1, dtype=torch.float64) / chords
+        curve = (tau.long()).clamp(max=len(self._index) - 1)
+        return self._on_curve(curve, tau - curve)
+
+    def closest(self, points: Tensor) -> Tensor:
+        """Parameters tau (N,) of the closest points; beyond the ends -s and num_curves + s [m]."""
+        chain = self._chain()
+        return closest(chain, require("points", points, ("N", 2)).detach(), self._rays(chain))
+
+    def level(self, points: Tensor) -> Tensor:
+        chain = self._chain()
+        rays = self._rays(chain)
+        p = points.detach()
+        tau = closest(chain, p, rays)
+        foot = self._foot(chain, tau, rays is not None)
+        normal = self._normal(chain, tau, p - foot.detach(), rays)
+        return signed_distance(points, foot, self._side(chain) * normal)
+
+    def _on_curve(self, curve: Tensor, t: Tensor) -> Tensor:
+        """Points with gradient to control points and weights."""
+        b = basis(t, self.degree)
+        index = self._index[curve]
+        if self.weights is not None:
+            b = b * self.weights[index]
+            b = b / b.sum(1, keepdim=True)
+        if len(self._index) == 1:
+            return b @ self.control_points[self._index[0]]
+        return (b[:, :, None] * self.control_points[index]).sum(1)
+
+    def _foot(self, chain: Chain, tau: Tensor, rays: bool) -> Tensor:
+        foot = self._on_curve(*chain.split(tau))
+        if not rays:
+            return foot
+        before, after = (-tau).clamp(min=0.0), (tau - chain.num_curves).clamp(min=0.0)
+        first, last = self._end_direction(False), self._end_direction(True)
+        return foot + before[:, None] * first + after[:, None] * last
+
+    def _end_direction(self, at_end: bool) -> Tensor:
+        """Unit vector (2,) out of an open curve's end: away from the next distinct point."""
+        points = self.control_points if at_end else self.control_points.flip(0)
+        away = points[-1] - points[:-1]
+        distinct = torch.nonzero(away.detach().norm(dim=1) > 1e-12 * self._size())[-1, 0]
+        return away[distinct] / away[distinct].norm()
+
+    def _rays(self, chain: Chain) -> Tensor | None:
+        if chain.closed or self.ends == "stop":
+            return None
+        return torch.stack([self._end_direction(False), self._end_direction(True)]).detach()
+
+    def _size(self) -> float:
+        p = self.control_points.detach()
+        return float((p.amax(0) - p.amin(0)).max())
+
+    def _chain(self) -> Chain:
+        p = require("control_points", self.control_points.detach(), ("k", 2))
+        size = self._size()
+        if not size > 1e-12 * float(p.abs().max()):
+            raise ValueError(f"control_points must not all be at one place, {p[0].tolist()}")
+        w = torch.ones(len(p), dtype=torch.float64) if self.weights is None else self.weights
+        w = require_range("weights", w.detach(), above=0.0)[:, None]
+        return Chain(torch.cat([w * p, w], 1)[self._index], self.closed, size)
+
+    def _side(self, chain: Chain) -> float:
+        """1 where the fluid is on the left."""
+        if self.fluid in ("left", "right"):
+            return 1.0 if self.fluid == "left" else -1.0
+        x = chain.point(torch.arange(chain.num_curves * _DRAWN, dtype=torch.float64) / _DRAWN)
+        x = x - x.mean(0)
+        following = x.roll(-1, 0)
+        area = 0.5 * float((x[:, 0] * following[:, 1] - x[:, 1] * following[:, 0]).sum())
+        if abs(area) < 1e-12 * chain.size**2:
+            raise ValueError("the loop encloses no area: inside and outside are not defined")
+        return 1.0 if (area > 0) == (self.fluid == "inside") else -1.0
+
+    def _normal(self, chain: Chain, tau: Tensor, away: Tensor, rays: Tensor | None) -> Tensor:
+        """Unit normals (N, 2) on the left side, such that away.normal is the signed distance."""
+        tangent = chain.tangent(tau)
+        if rays is not None:
+            tangent[tau <= 0] = -chain.size * rays[0]
+            tangent[tau >= chain.num_curves] = chain.size * rays[1]
+        length, distance = tangent.norm(dim=1), away.norm(dim=1)
+        smooth = length > 1e-7 * chain.size
+        tangent = tangent / torch.where(smooth, length, 1.0)[:, None]
+        along = (away * tangent).sum(1).abs()
+        corner = ~smooth | ((along > 1e-6 * distance) & (distance > 1e-10 * chain.size))
+        if bool(corner.any()):
+            tangent[corner] = self._between(chain, tau[corner])
+        left = torch.stack([-tangent[:, 1], tangent[:, 0]], 1)
+        sign = torch.where((left * away).sum(1) < 0, -1.0, 1.0)
+        far = corner & (distance > 1e-10 * chain.size)
+        straight = (sign / torch.where(far, distance, 1.0))[:, None] * away
+        return torch.where(far[:, None], straight, left)
+
+    @staticmethod
+    def _between(chain: Chain, tau: Tensor) -> Tensor:
+        """Mean direction (N, 2) of the curve before and after a corner, cusp or end."""
+        sides = [chain.tangent(tau + aside) for aside in (-_ASIDE, _ASIDE)]
+        least = 1e-14 * chain.size  # slower than this is standing still: the other side decides
+        before, after = (v / v.norm(dim=1, keepdim=True).clamp(min=least) for v in sides)
+        mean = before + after
+        length = mean.norm(dim=1, keepdim=True)
+        back = length < 1e-9  # the curve returns the way it came: no side, take the way on
+        return torch.where(back, after, mean / torch.where(back, 1.0, length))

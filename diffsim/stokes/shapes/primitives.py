@@ -1,0 +1,89 @@
+"""Plane, sphere (circle) and box (rectangle): exact distances, phi > 0 in the fluid."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from diffsim.contact._values import direction
+from diffsim.stokes.shapes.base import Number, Shape, Vector, outwards, scalar, vector
+
+
+class Plane(Shape):
+    """Half space of fluid n.x > offset, n the normalised ``normal``, in 2D or 3D.
+
+    Args:
+        normal: Points into the fluid, any length > 0, (d,).
+        offset: Distance of the wall from the origin along the unit normal [m].
+    """
+
+    def __init__(self, normal: Vector, offset: Number = 0.0):
+        super().__init__()
+        self.normal, self.offset = vector("normal", normal, (2, 3)), scalar("offset", offset)
+        self.dim = len(self.normal)
+        self._unit()
+
+    def _unit(self) -> Tensor:
+        length = self.normal.norm()
+        if not float(length.detach()) > 0:
+            raise ValueError("normal must not be zero; (0, 0, 1) is a floor with fluid above")
+        return self.normal / length
+
+    def level(self, points: Tensor) -> Tensor:
+        return points @ self._unit() - self.offset
+
+
+class Sphere(Shape):
+    """Ball (3D) or disc (2D), solid with the fluid outside unless told otherwise.
+
+    thesis 4.2.5: phi = r - |c - x| for fluid inside. At the centre the gradient to the points and
+    to the centre is zero.
+
+    Args:
+        radius: [m], > 0.
+        center: (2,) or (3,) [m].
+        fluid: "outside" or "inside".
+    """
+
+    def __init__(self, radius: Number, center: Vector = (0.0, 0.0, 0.0), *, fluid: str = "outside"):
+        super().__init__()
+        self.radius = scalar("radius", radius, above=0.0)
+        self.center = vector("center", center, (2, 3))
+        self.sign, self.dim = outwards(fluid), len(self.center)
+
+    def level(self, points: Tensor) -> Tensor:
+        up = torch.eye(len(self.center), dtype=torch.float64)[-1]
+        length, _ = direction(points - self.center, up)
+        return self.sign * (length - self.radius)
+
+
+class Box(Shape):
+    """Box (3D) or rectangle (2D), edges along the axes; exact inside and outside.
+
+    Gradients: outside those of the nearest point; inside and on the surface those of the nearest
+    face, the first axis where two are equally near, the positive side on a plane of symmetry.
+
+    Args:
+        size: Edge lengths, (2,) or (3,) [m], > 0.
+        center: (d,) [m]; the origin if None.
+        fluid: "outside" or "inside".
+    """
+
+    def __init__(self, size: Vector, center: Vector | None = None, *, fluid: str = "outside"):
+        super().__init__()
+        self.size = vector("size", size, (2, 3))
+        if not bool((self.size > 0).all()):
+            raise ValueError(f"size must be positive, got {tuple(self.size.tolist())}")
+        self.dim = len(self.size)
+        self.center = vector("center", [0.0] * self.dim if center is None else center, (self.dim,))
+        self.sign = outwards(fluid)
+
+    def level(self, points: Tensor) -> Tensor:
+        away = points - self.center
+        side = torch.where(away.detach() < 0, -1.0, 1.0)
+        beyond = side * away - 0.5 * self.size
+        deepest = beyond.detach().argmax(-1, keepdim=True)
+        inside = beyond.gather(-1, deepest)[..., 0]
+        face = torch.zeros_like(beyond.detach()).scatter(-1, deepest, 1.0)
+        length, _ = direction(beyond.clamp(min=0.0), face)
+        return self.sign * torch.where(inside.detach() <= 0, inside, length)
