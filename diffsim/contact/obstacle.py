@@ -139,6 +139,11 @@ class Obstacle:
 
 def require_obstacles(obstacles: Sequence[Obstacle] | Obstacle) -> list[Obstacle]:
     """One obstacle or several as a list; refuse anything else."""
+    if not isinstance(obstacles, (Obstacle, Sequence)):
+        raise TypeError(
+            f"obstacles must be an Obstacle or a sequence of them, got {type(obstacles).__name__}; "
+            "use contact.Obstacle(shape)"
+        )
     many = [obstacles] if isinstance(obstacles, Obstacle) else list(obstacles)
     for k, obstacle in enumerate(many):
         if not isinstance(obstacle, Obstacle):

@@ -9,7 +9,7 @@ namespace diffsim {
 namespace {
 
 // A 2-core cloud machine (AMD EPYC, Zen 5); see benchmarks/soft.py.
-constexpr double kCacheBytesPerSecond = 5e10, kMemoryBytesPerSecond = 2.5e10, kCacheBytes = 6.4e7;
+constexpr double kCacheBytesPerSecond = 5e10, kMemoryBytesPerSecond = 2.5e10, kCacheBytes = 3.2e7;
 constexpr double kFlopsPerSecond = 6e10 * kNativeBytes / 64.0;
 // A factor of the tangent above this is not worth its memory (its work arrays need as much again).
 constexpr double kMaxFactorBytes = 4e9;
