@@ -7,9 +7,10 @@ back through all steps. The thesis found no speed-up of the backward pass over a
 this material. There is no contact: limbs may pass through each other.
 
 Expected: `auto` and `newton_cholesky` end in the same shape and gradient. Measured with --compare
-on two shared cores, CPU seconds per step: forward 1.47 against 2.45, backward 0.79 against 0.63. On
-this slender creature the direct solve still wins backward; docs/benchmarks.md has a compact beam,
-where it does not. Running time: 3 minutes of CPU with --compare, seconds with --small.
+on two busy cores, CPU seconds per step: forward 1.47 against 2.53, backward 0.70 against 0.64. On
+this slender creature `auto` factorises backward, as the direct solve does; docs/benchmarks.md has a
+compact beam, where conjugate gradients win. Running time: 3 minutes of CPU with --compare, seconds
+with --small.
 
     python examples/softbody/twisting_armadillo.py --compare --plot runs/armadillo.png
 """
