@@ -45,6 +45,7 @@ void bind_stokes(nb::module_& m) {
       .def_rw("slip", &FlowOptions::slip)
       .def_rw("beta", &FlowOptions::beta)
       .def_rw("gamma", &FlowOptions::gamma)
+      .def_rw("theta", &FlowOptions::theta)
       .def_rw("ghost_delta", &FlowOptions::ghost_delta)
       .def_rw("volume_delta", &FlowOptions::volume_delta)
       .def_rw("open_epsilon", &FlowOptions::open_epsilon)

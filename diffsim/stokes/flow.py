@@ -52,7 +52,10 @@ class StokesFlow(nn.Module):
         num_threads: Worker threads; results do not depend on them.
 
     Gradients: phi, inlet velocities, viscosity, wall velocity, body force, traction; first order.
-    Not modelled: inertia, time, free surfaces, surface tension, shapes thinner than a cell (warns).
+    Not modelled: inertia, time, free surfaces, surface tension, shapes thinner than a cell (warns;
+    with "no_separation" a slit much thinner than a cell may raise FactorizationError). Slip along
+    curved walls converges with first order only: the walls are flat facets. Read velocities
+    where phi > 0: those beyond the wall appear and vanish with the cells that need them.
 
     Example:
         >>> flow = StokesFlow(grid, [Inlet("x-"), Open("x+")], viscosity=1e-3)
@@ -224,7 +227,8 @@ class StokesFlow(nn.Module):
             if shaped.ndim != 3 or shaped.shape[1] not in (1, count):
                 raise ValueError(
                     f"inlet {name!r} must have shape ({self.grid.dim},), "
-                    f"({count}, {self.grid.dim}) or (cases, 1 or {count}, {self.grid.dim}), got {tuple(value.shape)}"
+                    f"({count}, {self.grid.dim}) or (cases, 1 or {count}, {self.grid.dim}), "
+                    f"got {tuple(value.shape)}"
                 )
             values[name] = shaped
         return values

@@ -79,6 +79,17 @@ def test_random_shapes_stay_positive_definite():
                 assert float(field.velocity.abs().max()) < 50.0
 
 
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.property
+@pytest.mark.parametrize("gap", [0.0, 1e-6, 1e-3, 0.02])
+def test_a_ball_that_touches_the_box_leaves_a_film(gap):
+    # a film between wall and box has no neighbour for the ghost penalty
+    grid = stokes.Grid((10, 10, 4), 0.1)
+    phi = (grid.nodes - tensor(0.5, 0.3 + gap, 0.2)).norm(dim=-1) - 0.3
+    flow = stokes.StokesFlow(grid, [stokes.Inlet("x-"), stokes.Open("x+")])
+    assert bool(torch.isfinite(flow(phi, tensor(1.0, 0.0, 0.0)).velocity).all())
+
+
 def test_field_samples_between_nodes():
     field = channel(8).solve()[1]
     node = field.grid.nodes[3, 4]

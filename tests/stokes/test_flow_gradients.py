@@ -137,7 +137,9 @@ def test_path_through_corners(dim, wall):
             assert abs(ahead - behind) < 1e-4 * abs(value)
             assert min(up, down) - size < found < max(up, down) + size
         else:
-            assert abs(found - 0.5 * (up + down)) < 1e-3 * size + 1e-5 * abs(found)
+            # in 3D the slope is continuous at a corner, but bends sharply
+            bend = abs(up - down) if offset == 0.0 else 0.0
+            assert abs(found - 0.5 * (up + down)) < 1e-3 * size + 1e-5 * abs(found) + bend
 
 
 @pytest.mark.grad

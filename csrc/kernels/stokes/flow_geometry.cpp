@@ -30,7 +30,8 @@ FlowGeometry<D>::FlowGeometry(const StokesGrid<D>& grid, const double* phi, Thre
   }
 
   cell_colours_.resize(1 << D);
-  for (Colours& colours : ghost_colours_) colours.resize(3 << (D - 1));
+  for (auto& kinds : penalty_faces_)
+    for (Colours& colours : kinds) colours.resize(3 << (D - 1));
   unknown_node_.assign(u(grid.num_nodes), -1);
   for (std::int64_t cell = 0; cell < grid.num_cells; ++cell) {
     if (!active(cell)) continue;
@@ -43,13 +44,19 @@ FlowGeometry<D>::FlowGeometry(const StokesGrid<D>& grid, const double* phi, Thre
     for (int a = 0; a < D; ++a) colour = 2 * colour + static_cast<int>(at[a] % 2);
     cell_colours_[u(colour)].push_back(cell);
     for (int axis = 0; axis < D; ++axis) {
-      if (at[axis] + 1 == grid_.cells[axis]) continue;
-      const std::int64_t next = cell + grid_.cell_stride[axis];
-      if (!active(next) || (!cut(cell) && !cut(next))) continue;
-      int ghost = static_cast<int>(at[axis] % 3);  // three layers of nodes
+      int face = static_cast<int>(at[axis] % 3);  // three layers of nodes
       for (int a = 0; a < D; ++a)
-        if (a != axis) ghost = 2 * ghost + static_cast<int>(at[a] % 2);
-      ghost_colours_[axis][u(ghost)].push_back(cell);
+        if (a != axis) face = 2 * face + static_cast<int>(at[a] % 2);
+      const auto add = [&](FaceKind kind) {
+        penalty_faces_[axis][static_cast<int>(kind)][u(face)].push_back(cell);
+      };
+      if (cut(cell) && at[axis] == 0) add(FaceKind::kLow);
+      if (at[axis] + 1 == grid_.cells[axis]) {
+        if (cut(cell)) add(FaceKind::kHigh);
+        continue;
+      }
+      const std::int64_t next = cell + grid_.cell_stride[axis];
+      if (active(next) && (cut(cell) || cut(next))) add(FaceKind::kInner);
     }
   }
   for (std::int64_t node = 0; node < grid.num_nodes; ++node) {

@@ -11,24 +11,52 @@
 
 namespace diffsim {
 
-/// Weight of the jump of the normal derivative over the face between cells A and B:
-///   (a_A + a_B) / 2  (1 - x) (1 + delta) / (x + delta),   x = f_A f_B,
+/// A penalty on faces: weight * eta / h * int_face (S v).(S z), S a stencil across the face.
+struct FaceTerm {
+  double weight = 0.0;
+  double by_fraction[2] = {0.0, 0.0};  // of the cell on the lower and on the higher side
+  double by_aperture = 0.0;            // fluid share of the face, seen from either side
+  double stencil[3] = {0.0, 0.0, 0.0};
+};
+
+/// Where a face lies: between two cells, or on the box's low or high side.
+enum class FaceKind { kInner, kLow, kHigh };
+
+/// Ghost penalty on the jump of the normal derivative between cells A and B:
+///   weight gamma (a_A + a_B) / 2  (1 - x) (1 + delta) / (x + delta),   x = f_A f_B,
 /// f fluid fraction of a cell, a fluid share of the face. It vanishes where both cells are full,
 /// and with the face's fluid share, so that cells become full, cut and empty continuously. The area
 /// of the wall in a cell is at most that of the cell's faces that are fluid: the penalty holds
 /// every wall term down. It grows where a cell is nearly empty: such a cell takes its neighbour's
 /// velocity, extrapolated, and a wall that passes from one cell to the next changes next to
 /// nothing.
-struct GhostWeight {
-  double value, by_fraction_product, by_aperture;  // by_aperture: of either side
-  GhostWeight(double x, double aperture_a, double aperture_b, double delta) {
-    const double mean = 0.5 * (aperture_a + aperture_b);
-    const double s = (1.0 - x) * (1.0 + delta) / (x + delta);
-    value = mean * s;
-    by_aperture = 0.5 * s;
-    by_fraction_product = -mean * (1.0 + delta) * (1.0 + delta) / ((x + delta) * (x + delta));
-  }
-};
+inline FaceTerm ghost_term(double f_a, double f_b, double aperture, double gamma, double delta) {
+  FaceTerm term;
+  const double x = f_a * f_b, s = (1.0 - x) * (1.0 + delta) / (x + delta);
+  const double slope = -(1.0 + delta) * (1.0 + delta) / ((x + delta) * (x + delta));
+  term.weight = gamma * aperture * s;
+  term.by_fraction[0] = gamma * aperture * slope * f_b;
+  term.by_fraction[1] = gamma * aperture * slope * f_a;
+  term.by_aperture = gamma * s;
+  term.stencil[0] = term.stencil[2] = 1.0;
+  term.stencil[1] = -2.0;
+  return term;
+}
+
+/// Penalty on the normal derivative itself where fluid is much thinner than a cell, t = f_A + f_B
+/// (one f at the box): a film between two walls, or between a wall and the box, has no neighbour
+/// that could hold it. weight theta a / (1 + (t / t_0)^4): nothing where there is fluid behind.
+inline FaceTerm film_term(double t, double aperture, double theta, FaceKind kind) {
+  constexpr double kThin = 0.08;
+  FaceTerm term;
+  const double r = t / kThin, s = 1.0 / (1.0 + r * r * r * r);
+  term.weight = theta * aperture * s;
+  term.by_fraction[0] = term.by_fraction[1] = -theta * aperture * s * s * 4.0 * r * r * r / kThin;
+  term.by_aperture = theta * s;
+  term.stencil[0] = kind == FaceKind::kInner ? -0.5 : -1.0;
+  term.stencil[kind == FaceKind::kInner ? 2 : 1] = kind == FaceKind::kInner ? 0.5 : 1.0;
+  return term;
+}
 
 /// Work lists whose items share no node within a list, so that threads add to nodes without locks
 /// and in a fixed order.
@@ -69,12 +97,13 @@ class FlowGeometry {
   std::int64_t num_active_cells() const { return num_active_cells_; }
   const std::vector<std::int64_t>& cut_cells() const { return cut_cells_; }  // active or not
   const Colours& cell_colours() const { return cell_colours_; }              // active cells
-  /// Faces with a ghost penalty, by the cell on their lower side.
-  const Colours& ghost_colours(int axis) const { return ghost_colours_[axis]; }
-  GhostWeight ghost_weight(std::int64_t cell, int axis, double delta) const {
-    const std::int64_t next = cell + grid_.cell_stride[axis];
-    return {fraction(cell) * fraction(next), aperture(cell, axis, 1), aperture(next, axis, 0),
-            delta};
+  /// Faces with a penalty, by the cell on their lower side (the only one at the box).
+  const Colours& penalty_faces(int axis, FaceKind kind) const {
+    return penalty_faces_[axis][static_cast<int>(kind)];
+  }
+  double face_aperture(std::int64_t cell, int axis, FaceKind kind) const {
+    if (kind != FaceKind::kInner) return aperture(cell, axis, kind == FaceKind::kHigh);
+    return 0.5 * (aperture(cell, axis, 1) + aperture(cell + grid_.cell_stride[axis], axis, 0));
   }
 
   const std::vector<std::int64_t>& active_nodes() const { return active_nodes_; }
@@ -98,7 +127,7 @@ class FlowGeometry {
   std::vector<std::int32_t> cut_index_;  // (num_cells,), -1: not cut
   std::vector<CutCell<D>> cuts_;
   std::vector<std::int64_t> cut_cells_;
-  Colours cell_colours_, ghost_colours_[D];
+  Colours cell_colours_, penalty_faces_[D][3];
   std::vector<std::int64_t> active_nodes_, unknown_node_;
   std::int64_t num_active_cells_ = 0;
 };

@@ -67,7 +67,7 @@ FlowMatrix<D>::FlowMatrix(const FlowOperator<D>& op, ThreadPool& pool)
     }
   });
   for (int axis = 0; axis < D; ++axis)
-    run_colours(geometry.ghost_colours(axis), pool, [&](std::int64_t cell) {
+    run_colours(geometry.penalty_faces(axis, FaceKind::kInner), pool, [&](std::int64_t cell) {
       const std::int64_t node = geometry.first_node(cell);
       for (int i = 0; i < kPatch; ++i) {
         NodeStencil& s = stencils_[u(geometry.unknown_node(node + patch_offset_[axis][i]))];
@@ -138,25 +138,33 @@ void FlowMatrix<D>::add_cells(double* values, ThreadPool& pool) const {
 }
 
 template <int D>
-void FlowMatrix<D>::add_ghosts(double* values, ThreadPool& pool) const {
+void FlowMatrix<D>::add_faces(double* values, ThreadPool& pool) const {
   const FlowGeometry<D>& geometry = op_.geometry();
-  constexpr double kStencil[3] = {1.0, -2.0, 1.0};
-  for (int axis = 0; axis < D; ++axis) {
-    const double scale = op_.options().gamma / geometry.grid().h[axis];
-    run_colours(geometry.ghost_colours(axis), pool, [&](std::int64_t cell) {
-      const double w = scale * geometry.ghost_weight(cell, axis, op_.options().ghost_delta).value;
-      const std::int64_t node = geometry.first_node(cell);
-      for (int i = 0; i < kPatch; ++i) {
-        const std::int64_t row = geometry.unknown_node(node + patch_offset_[axis][i]);
-        for (int j = 0; j < kPatch; ++j) {
-          const double entry = w * kStencil[i % 3] * kStencil[j % 3] *
-                               op_.form().basis().face_mass[axis][i / 3][j / 3];
-          double* out = block(values, row, patch_bit_[axis][i][j]);
-          for (int a = 0; a < D; ++a) out[a * D + a] += entry;
+  for (int axis = 0; axis < D; ++axis)
+    for (FaceKind kind : kFaceKinds)
+      run_colours(geometry.penalty_faces(axis, kind), pool, [&](std::int64_t cell) {
+        const std::int64_t node = geometry.first_node(cell);
+        const int layers = face_layers(kind);
+        FaceTerm terms[2];
+        const int count = op_.face_terms(cell, axis, kind, terms);
+        double across[3][3] = {};
+        for (int t = 0; t < count; ++t)
+          for (int l = 0; l < layers; ++l)
+            for (int m = 0; m < layers; ++m)
+              across[l][m] += terms[t].weight / geometry.grid().h[axis] * terms[t].stencil[l] *
+                              terms[t].stencil[m];
+        for (int i = 0; i < kPatch; ++i) {
+          if (i % 3 >= layers) continue;
+          const std::int64_t row = geometry.unknown_node(node + patch_offset_[axis][i]);
+          for (int j = 0; j < kPatch; ++j) {
+            if (j % 3 >= layers) continue;
+            const double entry =
+                across[i % 3][j % 3] * op_.form().basis().face_mass[axis][i / 3][j / 3];
+            double* out = block(values, row, patch_bit_[axis][i][j]);
+            for (int a = 0; a < D; ++a) out[a * D + a] += entry;
+          }
         }
-      }
-    });
-  }
+      });
 }
 
 template <int D>
@@ -165,7 +173,7 @@ std::vector<double> FlowMatrix<D>::assemble(const std::uint8_t* fixed, ThreadPoo
   const StokesGrid<D>& grid = geometry.grid();
   std::vector<double> values(u(num_blocks()) * D * D, 0.0);
   add_cells(values.data(), pool);
-  add_ghosts(values.data(), pool);
+  add_faces(values.data(), pool);
 
   constexpr int kBits = D == 2 ? 25 : 125;
   const double unit = grid.cell_volume / (grid.h_min * grid.h_min);  // as large as other entries

@@ -69,7 +69,7 @@ class FlowMatrix {
   static constexpr int kCorners = 1 << D, kPatch = 3 * kCorners / 2;
 
   void add_cells(double* values, ThreadPool& pool) const;
-  void add_ghosts(double* values, ThreadPool& pool) const;
+  void add_faces(double* values, ThreadPool& pool) const;
   double* block(double* values, std::int64_t row, int bit) const {
     return values + (indptr_[static_cast<std::size_t>(row)] +
                      stencils_[static_cast<std::size_t>(row)].rank(bit)) *

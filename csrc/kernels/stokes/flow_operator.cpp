@@ -14,14 +14,17 @@ void face_corners(int axis, int* corners) {
   for (int i = 0; i < 1 << (D - 1); ++i) corners[i] = (i & low) | ((i & ~low) << 1);
 }
 
-/// Second differences across a face, h [d_n v], of its node positions.
+/// A stencil across a face at its node positions.
 template <int D>
-void face_jump(const StokesGrid<D>& grid, std::int64_t node, int axis, const int* corners,
-               const double* v, double (*jump)[D]) {
-  const std::int64_t step = grid.node_stride[axis];
+void face_values(const StokesGrid<D>& grid, std::int64_t node, int axis, const int* corners,
+                 const double* stencil, int layers, const double* v, double (*values)[D]) {
   for (int i = 0; i < 1 << (D - 1); ++i) {
     const double* at = v + (node + grid.corner_offset[corners[i]]) * D;
-    for (int a = 0; a < D; ++a) jump[i][a] = at[a] - 2.0 * at[step * D + a] + at[2 * step * D + a];
+    for (int a = 0; a < D; ++a) {
+      values[i][a] = 0.0;
+      for (int l = 0; l < layers; ++l)
+        values[i][a] += stencil[l] * at[l * grid.node_stride[axis] * D + a];
+    }
   }
 }
 
@@ -94,34 +97,38 @@ void FlowOperator<D>::residual(const double* v, const FlowData& data, const doub
     for (int i = 0; i < kCorners; ++i)
       for (int a = 0; a < D; ++a) r[(node + grid.corner_offset[i]) * D + a] += re[i][a];
   });
-  add_ghost_residual(v, eta, r, pool);
+  add_face_residual(v, eta, r, pool);
   if (data.traction) add_traction(data.traction, r);
 }
 
 template <int D>
-void FlowOperator<D>::add_ghost_residual(const double* v, double eta, double* r,
-                                         ThreadPool& pool) const {
+void FlowOperator<D>::add_face_residual(const double* v, double eta, double* r,
+                                        ThreadPool& pool) const {
   const StokesGrid<D>& grid = geometry_.grid();
   constexpr int kFace = kCorners / 2;
-  constexpr double kStencil[3] = {1.0, -2.0, 1.0};
   for (int axis = 0; axis < D; ++axis) {
     int corners[kFace];
     face_corners<D>(axis, corners);
-    const double scale = options_.gamma * eta / grid.h[axis];
-    run_colours(geometry_.ghost_colours(axis), pool, [&](std::int64_t cell) {
-      const double w = scale * geometry_.ghost_weight(cell, axis, options_.ghost_delta).value;
-      const std::int64_t node = geometry_.first_node(cell);
-      double jump[kFace][D];
-      face_jump<D>(grid, node, axis, corners, v, jump);
-      for (int i = 0; i < kFace; ++i)
-        for (int a = 0; a < D; ++a) {
-          double sum = 0.0;
-          for (int j = 0; j < kFace; ++j) sum += form_.basis().face_mass[axis][i][j] * jump[j][a];
-          for (int layer = 0; layer < 3; ++layer)
-            r[(node + grid.corner_offset[corners[i]] + layer * grid.node_stride[axis]) * D + a] +=
-                w * kStencil[layer] * sum;
+    for (FaceKind kind : kFaceKinds)
+      run_colours(geometry_.penalty_faces(axis, kind), pool, [&](std::int64_t cell) {
+        const std::int64_t node = geometry_.first_node(cell);
+        FaceTerm terms[2];
+        const int count = face_terms(cell, axis, kind, terms);
+        for (int t = 0; t < count; ++t) {
+          double values[kFace][D];
+          face_values<D>(grid, node, axis, corners, terms[t].stencil, face_layers(kind), v, values);
+          const double w = terms[t].weight * eta / grid.h[axis];
+          for (int i = 0; i < kFace; ++i)
+            for (int a = 0; a < D; ++a) {
+              double sum = 0.0;
+              for (int j = 0; j < kFace; ++j)
+                sum += form_.basis().face_mass[axis][i][j] * values[j][a];
+              for (int l = 0; l < face_layers(kind); ++l)
+                r[(node + grid.corner_offset[corners[i]] + l * grid.node_stride[axis]) * D + a] +=
+                    w * terms[t].stencil[l] * sum;
+            }
         }
-    });
+      });
   }
 }
 
@@ -218,34 +225,40 @@ void FlowOperator<D>::gradient(const double* v, const double* z, const FlowData&
     for (int q = 0; q < Cut::kPoints; ++q) out[Cut::kVolume + q] += by_fluid;
   });
 
-  // Ghost penalty; a face adds to two cells: one thread, fixed order.
+  // Penalties on faces; a face adds to two cells: one thread, fixed order.
   constexpr int kFace = kCorners / 2;
   for (int axis = 0; axis < D; ++axis) {
     int corners[kFace];
     face_corners<D>(axis, corners);
-    for (const std::vector<std::int64_t>& list : geometry_.ghost_colours(axis))
-      for (std::int64_t cell : list) {
-        const std::int64_t node = geometry_.first_node(cell), next = cell + grid.cell_stride[axis];
-        double jump_v[kFace][D], jump_z[kFace][D], sum = 0.0;
-        face_jump<D>(grid, node, axis, corners, v, jump_v);
-        face_jump<D>(grid, node, axis, corners, z, jump_z);
-        for (int i = 0; i < kFace; ++i)
-          for (int j = 0; j < kFace; ++j)
-            for (int a = 0; a < D; ++a)
-              sum += form_.basis().face_mass[axis][i][j] * jump_v[i][a] * jump_z[j][a];
-        sum *= options_.gamma * eta / grid.h[axis];
-        const GhostWeight w = geometry_.ghost_weight(cell, axis, options_.ghost_delta);
-        const std::int64_t cells[2] = {cell, next};
-        for (int side = 0; side < 2; ++side) {
-          const std::int64_t index = cut_of[u(cells[side])];
-          if (index < 0) continue;
-          double* out = by_value.data() + index * Cut::kSize;
-          out[Cut::kAperture + 2 * axis + (1 - side)] += sum * w.by_aperture;
-          const double by_fraction =
-              sum * w.by_fraction_product * geometry_.fraction(cells[1 - side]) / grid.cell_volume;
-          for (int q = 0; q < Cut::kPoints; ++q) out[Cut::kVolume + q] += by_fraction;
+    for (FaceKind kind : kFaceKinds) {
+      const bool inner = kind == FaceKind::kInner;
+      for (const std::vector<std::int64_t>& list : geometry_.penalty_faces(axis, kind))
+        for (std::int64_t cell : list) {
+          const std::int64_t node = geometry_.first_node(cell);
+          FaceTerm terms[2];
+          const int count = face_terms(cell, axis, kind, terms);
+          for (int t = 0; t < count; ++t) {
+            double x[kFace][D], y[kFace][D], sum = 0.0;
+            face_values<D>(grid, node, axis, corners, terms[t].stencil, face_layers(kind), v, x);
+            face_values<D>(grid, node, axis, corners, terms[t].stencil, face_layers(kind), z, y);
+            for (int i = 0; i < kFace; ++i)
+              for (int j = 0; j < kFace; ++j)
+                for (int a = 0; a < D; ++a)
+                  sum += form_.basis().face_mass[axis][i][j] * x[i][a] * y[j][a];
+            sum *= eta / grid.h[axis];
+            for (int side = 0; side < (inner ? 2 : 1); ++side) {
+              const std::int64_t index = cut_of[u(cell + side * grid.cell_stride[axis])];
+              if (index < 0) continue;
+              double* out = by_value.data() + index * Cut::kSize;
+              const bool high = inner ? side == 0 : kind == FaceKind::kHigh;
+              out[Cut::kAperture + 2 * axis + high] +=
+                  (inner ? 0.5 : 1.0) * sum * terms[t].by_aperture;
+              const double by_volume = sum * terms[t].by_fraction[side] / grid.cell_volume;
+              for (int q = 0; q < Cut::kPoints; ++q) out[Cut::kVolume + q] += by_volume;
+            }
+          }
         }
-      }
+    }
   }
 
   const auto to_corners = [&](std::int64_t cell, const double* by_plane) {

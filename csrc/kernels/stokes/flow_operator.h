@@ -13,6 +13,7 @@ struct FlowOptions {
   bool slip = false;           // slip wall instead of no-slip
   double beta = 20.0;          // Nitsche penalty [-]
   double gamma = 0.04;         // ghost penalty [-]
+  double theta = 0.3;          // penalty on films thinner than a cell [-]
   double ghost_delta = 0.05;   // fraction below which the ghost penalty grows no more [-]
   double volume_delta = 2e-3;  // delta of PressureVolume [-]
   double open_epsilon = 0.2;   // epsilon of PressureVolume [-]
@@ -83,6 +84,18 @@ class FlowOperator {
   double pressure_volume(std::int64_t cell) const {
     return pressure_volume_[static_cast<std::size_t>(cell)];
   }
+  /// Penalties on a face; returns how many, at most two.
+  int face_terms(std::int64_t cell, int axis, FaceKind kind, FaceTerm* terms) const {
+    const double aperture = geometry_.face_aperture(cell, axis, kind), f = geometry_.fraction(cell);
+    if (kind != FaceKind::kInner) {
+      terms[0] = film_term(f, aperture, options_.theta, kind);
+      return 1;
+    }
+    const double g = geometry_.fraction(cell + geometry_.grid().cell_stride[axis]);
+    terms[0] = ghost_term(f, g, aperture, options_.gamma, options_.ghost_delta);
+    terms[1] = film_term(f + g, aperture, options_.theta, kind);
+    return 2;
+  }
   double fluid_volume(std::int64_t cell) const {
     return geometry_.fraction(cell) * geometry_.grid().cell_volume;
   }
@@ -106,7 +119,7 @@ class FlowOperator {
 
  private:
   void gather(const double* field, std::int64_t node, typename Form::Corner out) const;
-  void add_ghost_residual(const double* v, double eta, double* r, ThreadPool& pool) const;
+  void add_face_residual(const double* v, double eta, double* r, ThreadPool& pool) const;
   void add_traction(const double* traction, double* r) const;
   template <typename F>
   void on_face(const OpenFace& face, F&& f) const;
@@ -119,6 +132,10 @@ class FlowOperator {
   std::vector<OpenFace> open_faces_;
   std::vector<double> full_matrix_;  // of a full cell for eta = 1
 };
+
+constexpr FaceKind kFaceKinds[3] = {FaceKind::kInner, FaceKind::kLow, FaceKind::kHigh};
+/// Layers of nodes that the penalties of a face couple.
+inline int face_layers(FaceKind kind) { return kind == FaceKind::kInner ? 3 : 2; }
 
 /// f(q, face_nodes, N): at each Gauss point of a cell's face, its nodes and their shape functions.
 template <int D, typename F>
