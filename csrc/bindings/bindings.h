@@ -17,6 +17,7 @@ void bind_cholesky(nb::module_& m);
 void bind_contact(nb::module_& m);
 void bind_cpu(nb::module_& m);
 void bind_soft(nb::module_& m);
+void bind_stokes(nb::module_& m);
 void bind_svd(nb::module_& m);
 
 inline const double* in(Address a) { return reinterpret_cast<const double*>(a); }

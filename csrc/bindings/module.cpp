@@ -13,5 +13,6 @@ DIFFSIM_EXPAND(DIFFSIM_MODULE, m) {
   diffsim::bind_contact(m);
   diffsim::bind_cpu(m);
   diffsim::bind_soft(m);
+  diffsim::bind_stokes(m);
   diffsim::bind_svd(m);
 }

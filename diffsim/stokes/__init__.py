@@ -1,1 +1,19 @@
-"""Stokes flow in embedded geometry: shapes, flow layer, devices (thesis 4.2)."""
+"""Stokes flow on Cartesian grids with embedded boundaries, differentiable in the shape."""
+
+from diffsim.stokes.boundary import Boundary, Inlet, Open, Wall
+from diffsim.stokes.cells import CutCells, cut_cells
+from diffsim.stokes.field import FlowField
+from diffsim.stokes.flow import StokesFlow
+from diffsim.stokes.grid import Grid
+
+__all__ = [
+    "Boundary",
+    "CutCells",
+    "FlowField",
+    "Grid",
+    "Inlet",
+    "Open",
+    "StokesFlow",
+    "Wall",
+    "cut_cells",
+]

@@ -1,0 +1,162 @@
+// Stokes flow: cut cells, prepared systems, solve and adjoint.
+#include <nanobind/stl/shared_ptr.h>
+
+#include "bindings/bindings.h"
+#include "kernels/stokes/cut_cells.h"
+#include "kernels/stokes/flow_system.h"
+
+namespace diffsim {
+namespace {
+
+/// Filled by name; zero addresses mean absent.
+struct StokesArrays {
+  std::int64_t num_cases = 1;
+  double viscosity = 1.0;
+  Address prescribed = 0, wall_velocity = 0, body_force = 0, traction = 0;
+  std::int64_t wall_stride = 0, force_stride = 0, traction_stride = 0;
+
+  FlowInputs inputs() const {
+    return {num_cases,      viscosity,
+            in(prescribed), {in(wall_velocity), in(body_force), in(traction)},
+            wall_stride,    force_stride,
+            traction_stride};
+  }
+};
+
+GridShape make_shape(nb::sequence cells, nb::sequence spacing) {
+  GridShape shape;
+  shape.dim = static_cast<int>(nb::len(cells));
+  for (int a = 0; a < shape.dim; ++a) {
+    shape.cells[a] = nb::cast<std::int64_t>(cells[a]);
+    shape.spacing[a] = nb::cast<double>(spacing[a]);
+  }
+  return shape;
+}
+
+}  // namespace
+
+void bind_stokes(nb::module_& m) {
+  static_assert(sizeof(FlowStats) == 4 * sizeof(double),
+                "Python reads stats as (cases, 4) doubles");
+  nb::class_<GridShape>(m, "GridShape");
+  m.def("make_grid_shape", &make_shape);
+  nb::class_<FlowOptions>(m, "FlowOptions")
+      .def(nb::init<>())
+      .def_rw("slip", &FlowOptions::slip)
+      .def_rw("beta", &FlowOptions::beta)
+      .def_rw("gamma", &FlowOptions::gamma)
+      .def_rw("theta", &FlowOptions::theta)
+      .def_rw("ghost_delta", &FlowOptions::ghost_delta)
+      .def_rw("volume_delta", &FlowOptions::volume_delta)
+      .def_rw("open_epsilon", &FlowOptions::open_epsilon)
+      .def_rw("bulk", &FlowOptions::bulk)
+      .def_rw("incompressible", &FlowOptions::incompressible)
+      .def_rw("tolerance", &FlowOptions::tolerance)
+      .def_rw("max_iters", &FlowOptions::max_iters);
+  nb::class_<StokesArrays>(m, "StokesArrays")
+      .def(nb::init<>())
+      .def_rw("num_cases", &StokesArrays::num_cases)
+      .def_rw("viscosity", &StokesArrays::viscosity)
+      .def_rw("prescribed", &StokesArrays::prescribed)
+      .def_rw("wall_velocity", &StokesArrays::wall_velocity)
+      .def_rw("body_force", &StokesArrays::body_force)
+      .def_rw("traction", &StokesArrays::traction)
+      .def_rw("wall_stride", &StokesArrays::wall_stride)
+      .def_rw("force_stride", &StokesArrays::force_stride)
+      .def_rw("traction_stride", &StokesArrays::traction_stride);
+  nb::class_<FlowReport>(m, "FlowReport")
+      .def_ro("num_cells", &FlowReport::num_cells)
+      .def_ro("num_cut_cells", &FlowReport::num_cut_cells)
+      .def_ro("num_nodes", &FlowReport::num_nodes)
+      .def_ro("num_regions", &FlowReport::num_regions)
+      .def_ro("num_loose_regions", &FlowReport::num_loose_regions)
+      .def_ro("num_loose_cells", &FlowReport::num_loose_cells)
+      .def_ro("factor_nnz", &FlowReport::factor_nnz)
+      .def_ro("factor_bytes", &FlowReport::factor_bytes)
+      .def_ro("factor_flops", &FlowReport::factor_flops)
+      .def_ro("geometry_s", &FlowReport::geometry_s)
+      .def_ro("assembly_s", &FlowReport::assembly_s)
+      .def_ro("analysis_s", &FlowReport::analysis_s)
+      .def_ro("factor_s", &FlowReport::factor_s);
+  nb::class_<StokesPlan>(m, "StokesPlan").def(nb::init<>());
+  nb::class_<StokesSystem>(m, "StokesSystem")
+      .def_prop_ro("report", &StokesSystem::report)
+      .def("fractions",
+           [](const StokesSystem& s, Address to, std::int64_t num_cells) {
+             std::copy(s.fractions(), s.fractions() + num_cells, out(to));
+           })
+      .def("solve",
+           [](StokesSystem& s, const StokesArrays& arrays, Address v, Address p, Address stats,
+              int num_threads) {
+             nb::gil_scoped_release release;
+             ThreadPool pool(num_threads);
+             s.solve(arrays.inputs(), out(v), out(p), reinterpret_cast<FlowStats*>(stats), pool);
+           })
+      .def("adjoint",
+           [](StokesSystem& s, const StokesArrays& arrays, Address v, Address p, Address grad_v,
+              Address grad_p, Address grad_fraction, const StokesArrays& grads, Address grad_phi,
+              Address grad_viscosity, Address stats, int num_threads) {
+             nb::gil_scoped_release release;
+             ThreadPool pool(num_threads);
+             const FlowGradients to{
+                 out(grad_phi),
+                 out(grad_viscosity),
+                 out(grads.prescribed),
+                 {out(grads.wall_velocity), out(grads.body_force), out(grads.traction)}};
+             s.adjoint(arrays.inputs(), in(v), in(p), in(grad_v), in(grad_p), in(grad_fraction), to,
+                       reinterpret_cast<FlowStats*>(stats), pool);
+           });
+
+  // Returns (system, -1, 0), or (None, node * dim + axis, pivot) where K is not positive definite.
+  m.def("make_stokes_system",
+        [](const GridShape& shape, Address phi, Address fixed, nb::sequence open,
+           const FlowOptions& options, StokesPlan& plan, int num_threads) {
+          FlowGeometryInputs inputs;
+          inputs.shape = shape;
+          inputs.phi = in(phi);
+          inputs.fixed = reinterpret_cast<const std::uint8_t*>(fixed);
+          for (int i = 0; i < 2 * shape.dim; ++i) inputs.open[i] = nb::cast<bool>(open[i]);
+          std::shared_ptr<StokesSystem> system;
+          std::int64_t unknown = -1;
+          double pivot = 0.0;
+          {
+            nb::gil_scoped_release release;
+            ThreadPool pool(num_threads);
+            try {
+              system = make_stokes_system(inputs, options, plan, pool);
+            } catch (const NotPositiveDefinite& e) {
+              unknown = e.unknown;
+              pivot = e.pivot;
+            }
+          }
+          return nb::make_tuple(system, unknown, pivot);
+        });
+  m.def("cut_cells", [](const GridShape& shape, Address phi, Address volume, Address area,
+                        Address normal, int num_threads) {
+    nb::gil_scoped_release release;
+    ThreadPool pool(num_threads);
+    cut_cells(shape, in(phi), out(volume), out(area), out(normal), pool);
+  });
+  m.def("cut_cells_vjp",
+        [](const GridShape& shape, Address phi, Address grad_volume, Address grad_area,
+           Address grad_normal, Address grad_phi, int num_threads) {
+          nb::gil_scoped_release release;
+          ThreadPool pool(num_threads);
+          cut_cells_vjp(shape, in(phi), in(grad_volume), in(grad_area), in(grad_normal),
+                        out(grad_phi), pool);
+        });
+  m.def("plane_flux", [](const GridShape& shape, Address phi, Address v, std::int64_t cases,
+                         int axis, std::int64_t index, Address flux) {
+    nb::gil_scoped_release release;
+    plane_flux(shape, in(phi), in(v), cases, axis, index, out(flux));
+  });
+  m.def("plane_flux_vjp",
+        [](const GridShape& shape, Address phi, Address v, std::int64_t cases, int axis,
+           std::int64_t index, Address grad_flux, Address grad_phi, Address grad_v) {
+          nb::gil_scoped_release release;
+          plane_flux_vjp(shape, in(phi), in(v), cases, axis, index, in(grad_flux), out(grad_phi),
+                         out(grad_v));
+        });
+}
+
+}  // namespace diffsim

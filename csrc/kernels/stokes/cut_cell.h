@@ -1,0 +1,128 @@
+// One grid cell cut by the plane that fits the level set at its corners.
+//
+// phi > 0 in the fluid. The plane is phi(xi) = c + sum_a g_a (xi_a - 1/2), xi in [0, 1]^D, the
+// least squares fit to the 2^D corner values: c is their mean, g_a the mean difference along axis
+// a. On a face the mean of phi is that of its corners, whatever the cell, so that neighbouring
+// planes agree at the middle of their common face.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+
+#include "kernels/stokes/half_space.h"
+
+namespace diffsim {
+
+enum class CellKind : std::uint8_t { kEmpty, kCut, kFull };
+
+template <int D>
+struct CellPlane {
+  double c = 0.0, g[D] = {};
+
+  /// @param phi (2^D,) corner values; bit D-1-a of the index is the position along axis a
+  explicit CellPlane(const double* phi) {
+    for (int i = 0; i < 1 << D; ++i) {
+      c += phi[i] / (1 << D);
+      for (int a = 0; a < D; ++a)
+        g[a] += ((i >> (D - 1 - a)) & 1 ? 1.0 : -1.0) * phi[i] / (1 << (D - 1));
+    }
+  }
+  /// dL/dphi of the corners, given dL/dc and dL/dg; added.
+  static void vjp(const double* grad, double* grad_phi) {
+    for (int i = 0; i < 1 << D; ++i) {
+      grad_phi[i] += grad[0] / (1 << D);
+      for (int a = 0; a < D; ++a)
+        grad_phi[i] += ((i >> (D - 1 - a)) & 1 ? 1.0 : -1.0) * grad[1 + a] / (1 << (D - 1));
+    }
+  }
+
+  CellKind kind() const {
+    double reach = 0.0;
+    for (double s : g) reach += 0.5 * std::abs(s);
+    if (c - reach > kOnFace * reach) return CellKind::kFull;
+    return c + reach > kOnFace * reach ? CellKind::kCut : CellKind::kEmpty;
+  }
+};
+
+/// What the flow needs to know of a cut cell: fluid volume and interface as weights of the 3^D
+/// tensor Gauss points, normal, and the fluid share of its faces; with derivatives by (c, g).
+template <int D>
+struct CutCell {
+  static constexpr int kPoints = pow3(D), kParameters = D + 1;
+  static constexpr int kVolume = 0, kArea = kPoints, kNormal = 2 * kPoints;
+  static constexpr int kAperture = kNormal + D, kSize = kAperture + 2 * D;
+
+  double value[kSize];  // volume [m^D], area [m^(D-1)], normal out of the fluid, apertures [-]
+  double jacobian[kSize][kParameters];
+
+  const double* volume() const { return value + kVolume; }
+  const double* area() const { return value + kArea; }
+  const double* normal() const { return value + kNormal; }
+  double aperture(int axis, int side) const { return value[kAperture + 2 * axis + side]; }
+
+  CutCell(const CellPlane<D>& plane, const double* h) {
+    using T = Dual<kParameters>;
+    T out[kSize], g[D];
+    const T c = T::parameter(plane.c, 0);
+    for (int a = 0; a < D; ++a) g[a] = T::parameter(plane.g[a], 1 + a);
+    double cell_volume = 1.0;
+    T norm2(0.0);
+    for (int a = 0; a < D; ++a) {
+      cell_volume *= h[a];
+      norm2 += g[a] * g[a] * (1.0 / (h[a] * h[a]));
+    }
+    const T norm = sqrt(norm2), scale = norm * cell_volume;  // dS = |grad phi| delta(phi) dV
+    half_space_moments<D>(c, g, out + kVolume, out + kArea);
+    for (int q = 0; q < kPoints; ++q) {
+      out[kVolume + q] *= cell_volume;
+      out[kArea + q] = out[kArea + q] * scale;
+    }
+    for (int a = 0; a < D; ++a) out[kNormal + a] = -g[a] * (1.0 / h[a]) / norm;
+    for (int a = 0; a < D; ++a)
+      for (int side = 0; side < 2; ++side) {
+        T moments[pow3(D - 1)];
+        face_moments(c, g, a, side, moments);
+        T sum(0.0);
+        for (const T& m : moments) sum += m;
+        out[kAperture + 2 * a + side] = sum;
+      }
+    for (int k = 0; k < kSize; ++k) {
+      value[k] = out[k].value;
+      for (int i = 0; i < kParameters; ++i) jacobian[k][i] = out[k].grad[i];
+    }
+  }
+
+  /// dL/dc and dL/dg, given dL/dvalue.
+  void vjp(const double* grad_value, double* grad) const {
+    for (int i = 0; i < kParameters; ++i) grad[i] = 0.0;
+    for (int k = 0; k < kSize; ++k)
+      for (int i = 0; i < kParameters; ++i) grad[i] += grad_value[k] * jacobian[k][i];
+  }
+
+  /// Moments of the fluid part of a face in the unit square, (3^(D-1),).
+  template <typename T>
+  static void face_moments(const T& c, const T* g, int axis, int side, T* moments) {
+    const T c_face = c + g[axis] * (side == 0 ? -0.5 : 0.5);
+    T g_face[D > 1 ? D - 1 : 1], delta[pow3(D - 1)];
+    double reach = 0.0, largest = 0.0;
+    for (int a = 0, i = 0; a < D; ++a) {
+      if (a != axis) {
+        g_face[i++] = g[a];
+        reach += 0.5 * std::abs(value_of(g[a]));
+      }
+      largest = std::max(largest, std::abs(value_of(g[a])));
+    }
+    const double at = value_of(c_face);
+    // A plane parallel to the face either leaves it whole or covers it.
+    const bool whole = reach < kParallel * largest ? at > 0.0 : at >= reach;
+    const bool covered = reach < kParallel * largest ? at <= 0.0 : at <= -reach;
+    if (!whole && !covered) return half_space_moments<D - 1>(c_face, g_face, moments, delta);
+    for (int q = 0; q < pow3(D - 1); ++q) {
+      double weight = whole ? 1.0 : 0.0;
+      for (int rest = q, a = 0; a < D - 1; ++a, rest /= 3) weight *= kGauss3Weight[rest % 3];
+      moments[q] = T(weight);
+    }
+  }
+};
+
+}  // namespace diffsim

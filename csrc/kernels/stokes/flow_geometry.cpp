@@ -1,0 +1,102 @@
+#include "kernels/stokes/flow_geometry.h"
+
+namespace diffsim {
+
+template <int D>
+FlowGeometry<D>::FlowGeometry(const StokesGrid<D>& grid, const double* phi, ThreadPool& pool)
+    : grid_(grid), fraction_(u(grid.num_cells), 0.0), cut_index_(u(grid.num_cells), -1) {
+  for (std::int64_t cell = 0; cell < grid.num_cells; ++cell) {
+    const CellKind kind = plane(cell, phi).kind();
+    if (kind == CellKind::kFull) fraction_[u(cell)] = 1.0;
+    if (kind != CellKind::kCut) continue;
+    cut_index_[u(cell)] = static_cast<std::int32_t>(cut_cells_.size());
+    cut_cells_.push_back(cell);
+  }
+  const std::int64_t num_cuts = static_cast<std::int64_t>(cut_cells_.size());
+  constexpr std::int64_t kChunk = 16;
+  std::vector<std::vector<CutCell<D>>> made(u((num_cuts + kChunk - 1) / kChunk));
+  pool.run(static_cast<std::int64_t>(made.size()), [&](std::int64_t task) {
+    made[u(task)].reserve(kChunk);
+    for (std::int64_t i = task * kChunk; i < std::min(num_cuts, (task + 1) * kChunk); ++i)
+      made[u(task)].emplace_back(plane(cut_cells_[u(i)], phi), grid_.h);
+  });
+  cuts_.reserve(u(num_cuts));
+  for (const std::vector<CutCell<D>>& part : made)
+    cuts_.insert(cuts_.end(), part.begin(), part.end());
+  for (std::int64_t i = 0; i < num_cuts; ++i) {
+    double volume = 0.0;
+    for (int q = 0; q < CutCell<D>::kPoints; ++q) volume += cuts_[u(i)].volume()[q];
+    fraction_[u(cut_cells_[u(i)])] = volume / grid_.cell_volume;
+  }
+
+  cell_colours_.resize(1 << D);
+  for (auto& kinds : penalty_faces_)
+    for (Colours& colours : kinds) colours.resize(3 << (D - 1));
+  unknown_node_.assign(u(grid.num_nodes), -1);
+  for (std::int64_t cell = 0; cell < grid.num_cells; ++cell) {
+    if (!active(cell)) continue;
+    ++num_active_cells_;
+    std::int64_t at[D];
+    grid_.cell_position(cell, at);
+    const std::int64_t node = grid_.first_node(at);
+    for (std::int64_t offset : grid_.corner_offset) unknown_node_[u(node + offset)] = 0;
+    int colour = 0;
+    for (int a = 0; a < D; ++a) colour = 2 * colour + static_cast<int>(at[a] % 2);
+    cell_colours_[u(colour)].push_back(cell);
+    for (int axis = 0; axis < D; ++axis) {
+      int face = static_cast<int>(at[axis] % 3);  // three layers of nodes
+      for (int a = 0; a < D; ++a)
+        if (a != axis) face = 2 * face + static_cast<int>(at[a] % 2);
+      const auto add = [&](FaceKind kind) {
+        penalty_faces_[axis][static_cast<int>(kind)][u(face)].push_back(cell);
+      };
+      if (cut(cell) && at[axis] == 0) add(FaceKind::kLow);
+      if (at[axis] + 1 == grid_.cells[axis]) {
+        if (cut(cell)) add(FaceKind::kHigh);
+        continue;
+      }
+      const std::int64_t next = cell + grid_.cell_stride[axis];
+      if (active(next) && (cut(cell) || cut(next))) add(FaceKind::kInner);
+    }
+  }
+  for (std::int64_t node = 0; node < grid.num_nodes; ++node) {
+    if (unknown_node_[u(node)] < 0) continue;
+    unknown_node_[u(node)] = static_cast<std::int64_t>(active_nodes_.size());
+    active_nodes_.push_back(node);
+  }
+}
+
+template <int D>
+CellPlane<D> FlowGeometry<D>::plane(std::int64_t cell, const double* phi) const {
+  const std::int64_t node = first_node(cell);
+  double corner[1 << D];
+  for (int i = 0; i < 1 << D; ++i) corner[i] = phi[node + grid_.corner_offset[i]];
+  return CellPlane<D>(corner);
+}
+
+template <int D>
+void FlowGeometry<D>::face_moments(std::int64_t cell, int axis, int side, const double* phi,
+                                   Dual<D + 1>* moments) const {
+  using T = Dual<D + 1>;
+  constexpr int kPoints = pow3(D - 1);
+  if (!active(cell)) {
+    for (int q = 0; q < kPoints; ++q) moments[q] = T(0.0);
+    return;
+  }
+  const CellPlane<D> p = plane(cell, phi);
+  if (!cut(cell)) {
+    double g[D] = {}, whole[kPoints];
+    CutCell<D>::template face_moments<double>(1.0, g, axis, side, whole);
+    for (int q = 0; q < kPoints; ++q) moments[q] = T(whole[q] * grid_.face_area(axis));
+    return;
+  }
+  T g[D];
+  for (int a = 0; a < D; ++a) g[a] = T::parameter(p.g[a], 1 + a);
+  CutCell<D>::face_moments(T::parameter(p.c, 0), g, axis, side, moments);
+  for (int q = 0; q < kPoints; ++q) moments[q] *= grid_.face_area(axis);
+}
+
+template class FlowGeometry<2>;
+template class FlowGeometry<3>;
+
+}  // namespace diffsim

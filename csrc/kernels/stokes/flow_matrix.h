@@ -1,0 +1,87 @@
+// Sparsity pattern and assembly of the Stokes matrix: blocks of D x D on active nodes.
+//
+// K = e + C' (bulk / M) C for eta = 1, on the nodes of active cells; prescribed components have
+// identity rows. A node couples with the nodes of its cells, and across ghost faces two nodes away.
+#pragma once
+
+#include <memory>
+#include <mutex>
+#include <vector>
+
+#include "kernels/linalg/cholesky.h"
+#include "kernels/stokes/flow_operator.h"
+
+namespace diffsim {
+
+/// Which of a node's neighbours, at offsets -2..2 per axis, it couples with.
+struct NodeStencil {
+  std::uint64_t bits[2] = {0, 0};
+
+  void set(int bit) { bits[bit >> 6] |= std::uint64_t{1} << (bit & 63); }
+  bool test(int bit) const { return (bits[bit >> 6] >> (bit & 63)) & 1; }
+  int count() const { return __builtin_popcountll(bits[0]) + __builtin_popcountll(bits[1]); }
+  /// How many come before `bit`.
+  int rank(int bit) const {
+    const std::uint64_t below = (std::uint64_t{1} << (bit & 63)) - 1;
+    return bit < 64 ? __builtin_popcountll(bits[0] & below)
+                    : __builtin_popcountll(bits[0]) + __builtin_popcountll(bits[1] & below);
+  }
+  bool operator==(const NodeStencil& b) const {
+    return bits[0] == b.bits[0] && bits[1] == b.bits[1];
+  }
+};
+
+/// Symbolic analyses of the last few patterns on one grid.
+class StokesPlan {
+ public:
+  using Symbolic = std::shared_ptr<const CholeskySymbolic>;
+
+  /// The analysis of a pattern, or nullptr.
+  Symbolic find(const std::vector<std::int64_t>& nodes, const std::vector<NodeStencil>& stencils);
+  void keep(const std::vector<std::int64_t>& nodes, const std::vector<NodeStencil>& stencils,
+            Symbolic symbolic);
+
+ private:
+  static constexpr std::size_t kKept = 3;
+  struct Entry {
+    std::vector<std::int64_t> nodes;
+    std::vector<NodeStencil> stencils;
+    Symbolic symbolic;
+  };
+  std::mutex mutex_;
+  std::vector<Entry> entries_;  // latest last
+};
+
+template <int D>
+class FlowMatrix {
+ public:
+  FlowMatrix(const FlowOperator<D>& op, ThreadPool& pool);
+
+  std::int64_t num_nodes() const { return static_cast<std::int64_t>(stencils_.size()); }
+  std::int64_t num_blocks() const { return indptr_.back(); }
+  /// From the plan where the pattern is known.
+  StokesPlan::Symbolic analyze(StokesPlan& plan) const;
+  /// @param fixed (num_grid_nodes, D) nonzero where the component is prescribed
+  /// @return (num_blocks, D, D)
+  std::vector<double> assemble(const std::uint8_t* fixed, ThreadPool& pool) const;
+
+ private:
+  static constexpr int kCorners = 1 << D, kPatch = 3 * kCorners / 2;
+
+  void add_cells(double* values, ThreadPool& pool) const;
+  void add_faces(double* values, ThreadPool& pool) const;
+  double* block(double* values, std::int64_t row, int bit) const {
+    return values + (indptr_[static_cast<std::size_t>(row)] +
+                     stencils_[static_cast<std::size_t>(row)].rank(bit)) *
+                        D * D;
+  }
+
+  const FlowOperator<D>& op_;
+  std::vector<NodeStencil> stencils_;
+  std::vector<std::int64_t> indptr_;
+  int cell_bit_[kCorners][kCorners];      // stencil bit of corner j seen from corner i
+  int patch_bit_[D][kPatch][kPatch];      // the same in the three layers about a face
+  std::int64_t patch_offset_[D][kPatch];  // nodes of the patch from the lower cell's first
+};
+
+}  // namespace diffsim

@@ -1,0 +1,168 @@
+// The discrete Stokes operator on a grid without a matrix: residual, outflow of cells, and the
+// derivatives of both by geometry, wall velocity, body force and traction.
+//
+// Nodal vectors are (num_nodes, D) over all grid nodes; nodes without fluid are ignored.
+#pragma once
+
+#include "kernels/stokes/cell_form.h"
+#include "kernels/stokes/flow_geometry.h"
+
+namespace diffsim {
+
+struct FlowOptions {
+  bool slip = false;           // slip wall instead of no-slip
+  double beta = 20.0;          // Nitsche penalty [-]
+  double gamma = 0.04;         // ghost penalty [-]
+  double theta = 0.3;          // penalty on films thinner than a cell [-]
+  double ghost_delta = 0.05;   // fraction below which the ghost penalty grows no more [-]
+  double volume_delta = 2e-3;  // delta of PressureVolume [-]
+  double open_epsilon = 0.2;   // epsilon of PressureVolume [-]
+  double bulk = 1e5;           // lambda / eta [-]
+  bool incompressible = false;
+  double tolerance = 1e-9;  // of the relative divergence, where incompressible
+  int max_iters = 100;
+};
+
+/// Given fields; nullptr where absent.
+struct FlowData {
+  const double* wall_velocity = nullptr;  // (num_nodes, D) [m/s]
+  const double* body_force = nullptr;     // (num_nodes, D) [N/m^D]
+  const double* traction = nullptr;       // (num_nodes, D) on open faces [N/m^(D-1)]
+};
+struct FlowDataGradient {
+  double* wall_velocity = nullptr;
+  double* body_force = nullptr;
+  double* traction = nullptr;
+};
+
+/// A cell's face on the box that is open.
+struct OpenFace {
+  std::int64_t cell;
+  int axis, side;
+};
+
+/// M with pressure = -bulk eta C / M [m^D]: about the fluid volume f h^D,
+///   M = h^D (f + delta) ((a + epsilon) / a)^2,   a the fluid shares of the cell's faces, summed.
+/// Where a wall enters a cell through a corner, C ~ a and f ~ a^D: the last factor lets the
+/// pressure of such a cell fade in. Where a wall parallel to a face enters, a > 1, and the cell at
+/// once keeps its volume.
+struct PressureVolume {
+  double value, by_fluid_volume, by_open;
+  PressureVolume(double f, double open, double cell_volume, const FlowOptions& options) {
+    const double e = options.open_epsilon, factor = (open + e) / open;
+    by_fluid_volume = factor * factor;
+    value = cell_volume * (f + options.volume_delta) * by_fluid_volume;
+    by_open = -2.0 * value * e / (open * (open + e));
+  }
+};
+
+template <int D>
+class FlowOperator {
+ public:
+  using Form = CellForm<D>;
+  static constexpr int kCorners = 1 << D;
+
+  /// @param open (2 D,) which faces of the box are open, axis by axis, low side first
+  FlowOperator(const StokesGrid<D>& grid, const double* phi, const bool* open,
+               const FlowOptions& options, ThreadPool& pool);
+
+  const FlowGeometry<D>& geometry() const { return geometry_; }
+  const Form& form() const { return form_; }
+  const FlowOptions& options() const { return options_; }
+  const std::vector<OpenFace>& open_faces() const { return open_faces_; }
+  CellWeights weights(std::int64_t cell) const {
+    const CutCell<D>* c = geometry_.cut(cell);
+    if (c) return {c->volume(), c->area(), c->normal()};
+    return {form_.basis().weight, nullptr, nullptr};
+  }
+  PressureVolume pressure_volume_terms(std::int64_t cell) const {
+    double open = 0.0;
+    for (int a = 0; a < D; ++a)
+      for (int side = 0; side < 2; ++side) open += geometry_.aperture(cell, a, side);
+    return {geometry_.fraction(cell), open, geometry_.grid().cell_volume, options_};
+  }
+  double pressure_volume(std::int64_t cell) const {
+    return pressure_volume_[static_cast<std::size_t>(cell)];
+  }
+  /// Penalties on a face; returns how many, at most two.
+  int face_terms(std::int64_t cell, int axis, FaceKind kind, FaceTerm* terms) const {
+    const double aperture = geometry_.face_aperture(cell, axis, kind), f = geometry_.fraction(cell);
+    if (kind != FaceKind::kInner) {
+      terms[0] = film_term(f, aperture, options_.theta, kind);
+      return 1;
+    }
+    const double g = geometry_.fraction(cell + geometry_.grid().cell_stride[axis]);
+    terms[0] = ghost_term(f, g, aperture, options_.gamma, options_.ghost_delta);
+    terms[1] = film_term(f + g, aperture, options_.theta, kind);
+    return 2;
+  }
+  double fluid_volume(std::int64_t cell) const {
+    return geometry_.fraction(cell) * geometry_.grid().cell_volume;
+  }
+
+  /// R(v) = e(v, .) - p C(., 0) - traction, overwritten; p (num_cells,) or nullptr.
+  void residual(const double* v, const FlowData& data, const double* pressure, double eta,
+                double* r, ThreadPool& pool) const;
+  /// C(v, wall velocity) of every cell, (num_cells,) [m^D/s]; zero in empty cells.
+  void outflow(const double* v, const double* wall_velocity, double* C, ThreadPool& pool) const;
+
+  /// Adds -d/d(phi, data) [e(v, z) - p C(z, 0) + pi (C(v, g) - mean V) + pi p M / (bulk eta)
+  ///                        + mu p V], summed over cells.
+  /// @param inverse_bulk 1 / (bulk eta), or 0 where incompressible
+  /// @param mean, mu     (num_cells,) dilatation [1/s] of the flow and of the adjoint, or nullptr
+  void gradient(const double* v, const double* z, const FlowData& data, const double* p,
+                const double* pi, double inverse_bulk, const double* mean, const double* mu,
+                double eta, double* grad_phi, const FlowDataGradient& grad, ThreadPool& pool) const;
+
+  /// Added: the share of dL/dphi that comes through dL/d(fluid fraction), (num_cells,).
+  void fraction_gradient(const double* grad_fraction, double* grad_phi) const;
+
+ private:
+  void gather(const double* field, std::int64_t node, typename Form::Corner out) const;
+  void add_face_residual(const double* v, double eta, double* r, ThreadPool& pool) const;
+  void add_traction(const double* traction, double* r) const;
+  template <typename F>
+  void on_face(const OpenFace& face, F&& f) const;
+
+  FlowGeometry<D> geometry_;
+  Form form_;
+  FlowOptions options_;
+  std::vector<double> phi_;
+  std::vector<double> pressure_volume_;  // (num_cells,), zero without fluid
+  std::vector<OpenFace> open_faces_;
+  std::vector<double> full_matrix_;  // of a full cell for eta = 1
+};
+
+constexpr FaceKind kFaceKinds[3] = {FaceKind::kInner, FaceKind::kLow, FaceKind::kHigh};
+/// Layers of nodes that the penalties of a face couple.
+inline int face_layers(FaceKind kind) { return kind == FaceKind::kInner ? 3 : 2; }
+
+/// f(q, face_nodes, N): at each Gauss point of a cell's face, its nodes and their shape functions.
+template <int D, typename F>
+void for_face_points(const StokesGrid<D>& grid, std::int64_t first_node, int axis, int side,
+                     F&& f) {
+  constexpr int kFaceNodes = 1 << (D - 1);
+  std::int64_t nodes[kFaceNodes];
+  int count = 0, corner_of[kFaceNodes];
+  for (int i = 0; i < 1 << D; ++i)
+    if (StokesGrid<D>::corner_bit(i, axis) == side) {
+      corner_of[count] = i;
+      nodes[count++] = first_node + grid.corner_offset[i];
+    }
+  for (int q = 0; q < pow3(D - 1); ++q) {
+    double N[kFaceNodes];
+    for (int i = 0; i < kFaceNodes; ++i) {
+      N[i] = 1.0;
+      int rest = q;
+      for (int a = D - 1; a >= 0; --a) {
+        if (a == axis) continue;
+        const double x = kGauss3Point[rest % 3];
+        rest /= 3;
+        N[i] *= StokesGrid<D>::corner_bit(corner_of[i], a) ? x : 1.0 - x;
+      }
+    }
+    f(q, nodes, N);
+  }
+}
+
+}  // namespace diffsim

@@ -1,0 +1,331 @@
+#include "kernels/stokes/flow_system.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <stdexcept>
+
+#include "kernels/stokes/flow_regions.h"
+
+namespace diffsim {
+namespace {
+
+std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
+
+double seconds() {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+const double* at_case(const double* field, std::int64_t stride, std::int64_t k) {
+  return field ? field + stride * k : nullptr;
+}
+double* at_case(double* field, std::int64_t stride, std::int64_t k) {
+  return field ? field + stride * k : nullptr;
+}
+
+template <int D>
+class FlowSystem final : public StokesSystem {
+ public:
+  FlowSystem(const FlowGeometryInputs& in, const FlowOptions& options, StokesPlan& plan,
+             ThreadPool& pool)
+      : start_(seconds()),
+        op_(StokesGrid<D>(in.shape), in.phi, in.open, options, pool),
+        regions_(op_, in.fixed),
+        fixed_(in.fixed, in.fixed + grid().num_nodes * D) {
+    if (geometry().active_nodes().empty())
+      throw std::invalid_argument("phi leaves no fluid: it must be > 0 somewhere in the box");
+    for (std::int64_t cell = 0; cell < grid().num_cells; ++cell) {
+      bool rigid = geometry().active(cell);
+      for (std::int64_t offset : grid().corner_offset)
+        for (int a = 0; a < D && rigid; ++a)
+          rigid = fixed_[u((geometry().first_node(cell) + offset) * D + a)] != 0;
+      if (rigid) rigid_cells_.push_back(cell);
+    }
+    const FlowMatrix<D> matrix(op_, pool);
+    const double geometry_end = seconds();
+    factor_ = std::make_unique<CholeskyFactor>(matrix.analyze(plan));
+    const double analysis_end = seconds();
+    {
+      const std::vector<double> values = matrix.assemble(in.fixed, pool);
+      report_.assembly_s = seconds() - analysis_end;
+      try {
+        factor_->refactor(values.data(), pool);
+      } catch (const NotPositiveDefinite& e) {
+        const std::int64_t node = geometry().active_nodes()[u(e.unknown / D)];
+        throw NotPositiveDefinite(node * D + e.unknown % D, e.pivot);
+      }
+    }
+    factor_->release_refactor_memory();
+    report_.factor_s = seconds() - analysis_end - report_.assembly_s;
+    report_.geometry_s = geometry_end - start_;
+    report_.analysis_s = analysis_end - geometry_end;
+    report_.num_cells = geometry().num_active_cells();
+    for (std::int64_t cell : geometry().cut_cells())
+      report_.num_cut_cells += geometry().active(cell);
+    report_.num_nodes = matrix.num_nodes();
+    regions_.count(report_.num_regions, report_.num_loose_regions, report_.num_loose_cells);
+    report_.factor_nnz = factor_->nnz();
+    report_.factor_bytes = factor_->bytes();
+    report_.factor_flops = factor_->flops();
+  }
+
+  const FlowReport& report() const override { return report_; }
+  const double* fractions() const override { return geometry().fractions().data(); }
+
+  void solve(const FlowInputs& in, double* v, double* p, FlowStats* stats,
+             ThreadPool& pool) override {
+    const std::int64_t N = grid().num_nodes * D, M = grid().num_cells, cases = in.num_cases;
+    std::fill(v, v + cases * N, 0.0);
+    std::fill(p, p + cases * M, 0.0);
+    for (std::int64_t k = 0; k < cases; ++k) {
+      stats[k] = FlowStats();
+      for_active([&](std::int64_t i, std::int64_t) {
+        if (fixed_[u(i)]) v[k * N + i] = in.prescribed[k * N + i];
+      });
+      stats[k].net_inflow = regions_.net_inflow(op_, v + k * N, data_of(in, k).wall_velocity);
+    }
+    // K v = b with the pressure eliminated, -(bulk / M) C(v, g): one correction of the lifted
+    // values.
+    const double bulk = op_.options().bulk * in.viscosity;
+    std::vector<double> r(u(N)), C(u(M)), b(num_unknowns() * u(cases)), remainder(u(M * cases));
+    const auto excess = [&](std::int64_t k) {
+      op_.outflow(v + k * N, data_of(in, k).wall_velocity, C.data(), pool);
+      if (op_.options().incompressible) constrain(C.data(), nullptr);
+    };
+    for (std::int64_t k = 0; k < cases; ++k) {
+      excess(k);
+      add_pressure(-bulk, C.data(), p + k * M);
+      op_.residual(v + k * N, data_of(in, k), p + k * M, in.viscosity, r.data(), pool);
+      gather(r.data(), b.data(), k, cases, -1.0 / in.viscosity);
+      std::fill(p + k * M, p + (k + 1) * M, 0.0);
+    }
+    factor_->solve(b.data(), b.data(), static_cast<int>(cases), workspace_, pool);
+    for (std::int64_t k = 0; k < cases; ++k) {
+      scatter_add(b.data(), k, cases, 1.0, v + k * N);
+      excess(k);
+      stats[k].num_iters = 1.0;
+      stats[k].divergence = divergence(C.data(), v + k * N);
+      for (std::int64_t cell = 0; cell < M; ++cell) remainder[u(k * M + cell)] = -C[u(cell)];
+    }
+    if (op_.options().incompressible)
+      close(in.viscosity, cases, 1.0, v, p, remainder.data(), stats, pool);
+    for (std::int64_t k = 0; k < cases; ++k) {
+      add_pressure(bulk, remainder.data() + k * M, p + k * M);
+      if (op_.options().incompressible) regions_.subtract_level(op_, p + k * M);
+    }
+  }
+
+  void adjoint(const FlowInputs& in, const double* v, const double* p, const double* grad_v,
+               const double* grad_p, const double* grad_fraction, const FlowGradients& grad,
+               FlowStats* stats, ThreadPool& pool) override {
+    const std::int64_t N = grid().num_nodes * D, M = grid().num_cells, cases = in.num_cases;
+    const double bulk = op_.options().bulk * in.viscosity;
+    const bool strict = op_.options().incompressible;
+    std::vector<double> z(u(N * cases)), pi(u(M * cases)), mu(u(M * cases)), mean(u(M));
+    std::vector<double> r(u(N)), C(u(M)), effective(u(M)), b(num_unknowns() * u(cases));
+    for (std::int64_t k = 0; k < cases; ++k) stats[k] = FlowStats();
+    // Stationary points of L(v, p) - e(v, z) + p C(z) - pi (C(v, g) - mean V + p M / bulk) - mu p
+    // V:
+    //   e(., z) + C' pi = dL/dv,  C z + dL/dp = pi M / bulk  (or mu V where incompressible).
+    const auto excess = [&](std::int64_t k) {  // C z + dL/dp - mu V
+      op_.outflow(z.data() + k * N, nullptr, C.data(), pool);
+      for (std::int64_t cell = 0; cell < M; ++cell)
+        if (geometry().active(cell)) C[u(cell)] += grad_p[k * M + cell];
+      if (strict) constrain(C.data(), mu.data() + k * M);
+    };
+    for (std::int64_t k = 0; k < cases; ++k) {
+      excess(k);
+      std::fill(effective.begin(), effective.end(), 0.0);
+      add_pressure(-bulk, C.data(), effective.data());
+      op_.residual(z.data() + k * N, FlowData(), effective.data(), in.viscosity, r.data(), pool);
+      for_active([&](std::int64_t i, std::int64_t) { r[u(i)] -= grad_v[k * N + i]; });
+      gather(r.data(), b.data(), k, cases, -1.0 / in.viscosity);
+    }
+    factor_->solve(b.data(), b.data(), static_cast<int>(cases), workspace_, pool);
+    std::vector<double> remainder(u(M * cases));
+    for (std::int64_t k = 0; k < cases; ++k) {
+      scatter_add(b.data(), k, cases, 1.0, z.data() + k * N);
+      excess(k);
+      stats[k].num_iters = 1.0;
+      stats[k].divergence = divergence(C.data(), z.data() + k * N);
+      std::copy(C.begin(), C.end(), remainder.begin() + k * M);
+    }
+    if (strict) {
+      close(in.viscosity, cases, -1.0, z.data(), pi.data(), remainder.data(), stats, pool);
+      for (std::int64_t k = 0; k < cases; ++k) excess(k);  // mu of the final z
+    }
+    for (std::int64_t k = 0; k < cases; ++k) {
+      add_pressure(bulk, remainder.data() + k * M, pi.data() + k * M);
+      if (strict) regions_.subtract_level(op_, pi.data() + k * M);
+    }
+
+    const double inverse_bulk = strict ? 0.0 : 1.0 / bulk;
+    for (std::int64_t k = 0; k < cases; ++k) {
+      const FlowData data = data_of(in, k);
+      double* zk = z.data() + k * N;
+      const double* pk = pi.data() + k * M;
+      if (strict) {  // the dilatation that the boundary values force on closed regions
+        op_.outflow(v + k * N, data.wall_velocity, C.data(), pool);
+        constrain(C.data(), mean.data());
+      }
+      const FlowDataGradient out = {at_case(grad.data.wall_velocity, in.wall_stride, k),
+                                    at_case(grad.data.body_force, in.force_stride, k),
+                                    at_case(grad.data.traction, in.traction_stride, k)};
+      // the gradient is that of -[...]: see flow_operator.h
+      op_.gradient(v + k * N, zk, data, p + k * M, pk, inverse_bulk, strict ? mean.data() : nullptr,
+                   strict ? mu.data() + k * M : nullptr, in.viscosity, grad.phi, out, pool);
+      // Prescribed values: dL/dv - e(., z) - C' pi at their components.
+      for (std::int64_t cell = 0; cell < M; ++cell) effective[u(cell)] = -pk[cell];
+      op_.residual(zk, FlowData(), effective.data(), in.viscosity, r.data(), pool);
+      double* prescribed = grad.prescribed + k * N;
+      std::fill(prescribed, prescribed + N, 0.0);
+      for_active([&](std::int64_t i, std::int64_t) {
+        if (fixed_[u(i)]) prescribed[i] = grad_v[k * N + i] - r[u(i)];
+      });
+      // Viscosity: everything viscous in e is proportional to it, and so is the bulk modulus.
+      op_.residual(v + k * N, {data.wall_velocity, nullptr, nullptr}, nullptr, 1.0, r.data(), pool);
+      double sum = 0.0;
+      for_active([&](std::int64_t i, std::int64_t) { sum += r[u(i)] * zk[i]; });
+      for (std::int64_t cell = 0; cell < M && !strict; ++cell)
+        if (geometry().active(cell))
+          sum -=
+              pk[cell] * p[k * M + cell] * op_.pressure_volume(cell) * inverse_bulk / in.viscosity;
+      *grad.viscosity -= sum;
+    }
+    op_.fraction_gradient(grad_fraction, grad.phi);
+  }
+
+ private:
+  const FlowGeometry<D>& geometry() const { return op_.geometry(); }
+  const StokesGrid<D>& grid() const { return op_.geometry().grid(); }
+  std::size_t num_unknowns() const { return geometry().active_nodes().size() * D; }
+
+  /// f(component of the grid, component of the matrix)
+  template <typename F>
+  void for_active(F&& f) const {
+    std::int64_t i = 0;
+    for (std::int64_t node : geometry().active_nodes())
+      for (int a = 0; a < D; ++a) f(node * D + a, i++);
+  }
+  void gather(const double* field, double* b, std::int64_t k, std::int64_t cases,
+              double scale) const {
+    for_active([&](std::int64_t i, std::int64_t j) {
+      b[j * cases + k] = fixed_[u(i)] ? 0.0 : scale * field[i];
+    });
+  }
+  void scatter_add(const double* b, std::int64_t k, std::int64_t cases, double scale,
+                   double* field) const {
+    for_active([&](std::int64_t i, std::int64_t j) {
+      if (!fixed_[u(i)]) field[i] += scale * b[j * cases + k];
+    });
+  }
+  static FlowData data_of(const FlowInputs& in, std::int64_t k) {
+    return {at_case(in.data.wall_velocity, in.wall_stride, k),
+            at_case(in.data.body_force, in.force_stride, k),
+            at_case(in.data.traction, in.traction_stride, k)};
+  }
+
+  /// Root mean square dilatation, relative to max |v| / (longest side of the box).
+  double divergence(const double* C, const double* v) const {
+    double sum = 0.0, volume = 0.0, largest = 0.0, side = 0.0;
+    for (std::int64_t cell = 0; cell < grid().num_cells; ++cell) {
+      if (!geometry().active(cell)) continue;
+      const double M = op_.pressure_volume(cell);
+      sum += C[cell] * C[cell] / M;
+      volume += M;
+    }
+    for_active([&](std::int64_t i, std::int64_t) { largest = std::max(largest, std::abs(v[i])); });
+    for (int a = 0; a < D; ++a)
+      side = std::max(side, static_cast<double>(grid().cells[a]) * grid().h[a]);
+    return largest > 0.0 ? std::sqrt(sum / volume) * side / largest : 0.0;
+  }
+
+  /// p += scale C / M.
+  void add_pressure(double scale, const double* C, double* p) const {
+    for (std::int64_t cell = 0; cell < grid().num_cells; ++cell)
+      if (geometry().active(cell)) p[cell] += scale * C[cell] / op_.pressure_volume(cell);
+  }
+  /// What of C must vanish where incompressible: not in cells whose velocities are all prescribed,
+  /// and not the mean of regions without an open face, which is returned.
+  void constrain(double* C, double* mean) const {
+    for (std::int64_t cell : rigid_cells_) C[cell] = 0.0;
+    regions_.subtract_mean(op_, C, mean);
+  }
+
+  /// Drives C of each case to zero: conjugate gradients for C K^-1 C' d = remainder, preconditioned
+  /// by bulk / M, of which the eigenvalues are s / (1 + s) with s about bulk / viscosity: next to
+  /// one, but for a few.
+  /// @param sign      of the step K^-1 C' d in x
+  /// @param remainder (cases, num_cells), updated
+  void close(double eta, std::int64_t cases, double sign, double* x, double* multiplier,
+             double* remainder, FlowStats* stats, ThreadPool& pool) {
+    const FlowOptions& options = op_.options();
+    const std::int64_t N = grid().num_nodes * D, M = grid().num_cells;
+    const double bulk = options.bulk * eta;
+    std::vector<double> d(u(M * cases), 0.0), y(u(M)), rest(u(N), 0.0), r(u(N)), C(u(M));
+    std::vector<double> b(num_unknowns() * u(cases)), ry(u(cases), 0.0), step(u(N));
+    const auto dot = [&](const double* a, const double* c) {
+      double sum = 0.0;
+      for (std::int64_t cell = 0; cell < M; ++cell) sum += a[cell] * c[cell];
+      return sum;
+    };
+    for (int iter = 1;; ++iter) {
+      bool done = true;
+      for (std::int64_t k = 0; k < cases; ++k) {
+        const double* rk = remainder + k * M;
+        stats[k].divergence = divergence(rk, x + k * N);
+        stats[k].converged = stats[k].divergence <= options.tolerance;
+        done = done && stats[k].converged != 0.0;
+        std::fill(y.begin(), y.end(), 0.0);
+        add_pressure(bulk, rk, y.data());
+        regions_.subtract_level(op_, y.data());
+        for (std::int64_t cell : rigid_cells_) y[u(cell)] = 0.0;
+        const double now = dot(rk, y.data()), beta = ry[u(k)] > 0.0 ? now / ry[u(k)] : 0.0;
+        ry[u(k)] = now;
+        for (std::int64_t cell = 0; cell < M; ++cell)
+          d[u(k * M + cell)] = y[u(cell)] + beta * d[u(k * M + cell)];
+      }
+      if (done || iter >= options.max_iters) return;
+      for (std::int64_t k = 0; k < cases; ++k) {
+        op_.residual(rest.data(), FlowData(), d.data() + k * M, eta, r.data(), pool);
+        gather(r.data(), b.data(), k, cases, -1.0 / eta);
+      }
+      factor_->solve(b.data(), b.data(), static_cast<int>(cases), workspace_, pool);
+      for (std::int64_t k = 0; k < cases; ++k) {
+        std::fill(step.begin(), step.end(), 0.0);
+        scatter_add(b.data(), k, cases, 1.0, step.data());
+        op_.outflow(step.data(), nullptr, C.data(), pool);
+        constrain(C.data(), nullptr);
+        const double curvature = dot(d.data() + k * M, C.data());
+        if (!(curvature > 0.0)) continue;
+        const double alpha = ry[u(k)] / curvature;
+        for (std::int64_t cell = 0; cell < M; ++cell) {
+          multiplier[k * M + cell] += alpha * d[u(k * M + cell)];
+          remainder[k * M + cell] -= alpha * C[u(cell)];
+        }
+        for (std::int64_t i = 0; i < N; ++i) x[k * N + i] += sign * alpha * step[u(i)];
+        stats[k].num_iters = iter + 1;
+      }
+    }
+  }
+
+  double start_;
+  FlowOperator<D> op_;
+  FlowRegions<D> regions_;
+  std::vector<std::uint8_t> fixed_;
+  std::vector<std::int64_t> rigid_cells_;  // active, all velocities prescribed
+  std::unique_ptr<CholeskyFactor> factor_;
+  CholeskyWorkspace workspace_;
+  FlowReport report_;
+};
+
+}  // namespace
+
+std::shared_ptr<StokesSystem> make_stokes_system(const FlowGeometryInputs& in,
+                                                 const FlowOptions& options, StokesPlan& plan,
+                                                 ThreadPool& pool) {
+  if (in.shape.dim == 2) return std::make_shared<FlowSystem<2>>(in, options, plan, pool);
+  return std::make_shared<FlowSystem<3>>(in, options, plan, pool);
+}
+
+}  // namespace diffsim

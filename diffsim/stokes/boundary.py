@@ -1,0 +1,126 @@
+"""Conditions on the faces of the box: inlets, walls, open faces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from diffsim._check import require_choice
+from diffsim.stokes.grid import Grid
+
+WALLS = ("no_slip", "slip")
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A face at rest.
+
+    Args:
+        face: "x-", "x+", "y-", ...
+        kind: "no_slip" (no velocity) or "slip" (no normal velocity, no shear: symmetry).
+    """
+
+    face: str
+    kind: str = "no_slip"
+
+    def __post_init__(self) -> None:
+        require_choice("kind", self.kind, WALLS)
+
+
+@dataclass(frozen=True)
+class Open:
+    """A face that fluid leaves or enters freely: the stress on it is zero, or the given traction.
+
+    Args:
+        face: "x-", "x+", "y-", ...
+    """
+
+    face: str
+
+
+@dataclass(frozen=True, eq=False)
+class Inlet:
+    """Nodes of a face with prescribed velocity (inwards, outwards or along the face).
+
+    Where an inlet meets a wall or another face, the inlet's values hold.
+
+    Args:
+        face: "x-", "x+", "y-", ...
+        name: Key of its velocities in ``StokesFlow.forward``; default the face's name.
+        where: Which nodes of the face: a function of positions (n, dim) [m] that returns (n,) bool;
+            default all. The rest of the face is a no-slip wall unless another condition says so.
+    """
+
+    face: str
+    name: str = ""
+    where: Callable[[Tensor], Tensor] | None = field(default=None)
+
+    @property
+    def key(self) -> str:
+        return self.name or self.face
+
+
+class Boundary:
+    """Conditions of all faces of a grid's box; faces that are not mentioned are no-slip walls.
+
+    Args:
+        grid: The grid.
+        conditions: ``Inlet``, ``Open`` and ``Wall`` objects, at most one of the last two per face.
+
+    Attributes:
+        fixed: Prescribed components, (num_nodes, dim) bool.
+        inlets: Nodes of every inlet by name, int64.
+        open_faces: Names of the open faces.
+    """
+
+    def __init__(self, grid: Grid, conditions: Iterable[Inlet | Open | Wall] = ()):
+        self.grid = grid
+        self.fixed = torch.zeros(grid.num_nodes, grid.dim, dtype=torch.bool)
+        self.inlets: dict[str, Tensor] = {}
+        kinds: dict[str, str] = {}
+        inlets: list[Inlet] = []
+        for condition in conditions:
+            if not isinstance(condition, (Inlet, Open, Wall)):
+                raise TypeError(
+                    f"boundary must hold Inlet, Open or Wall, got {type(condition).__name__}"
+                )
+            grid.face_axis(condition.face)  # refuses unknown faces
+            if isinstance(condition, Inlet):
+                inlets.append(condition)
+                continue
+            if condition.face in kinds:
+                raise ValueError(
+                    f"face {condition.face!r} has more than one wall or open condition"
+                )
+            kinds[condition.face] = condition.kind if isinstance(condition, Wall) else "open"
+        whole = {inlet.face for inlet in inlets if inlet.where is None}
+        for face in grid.faces:
+            kind = kinds.get(face, "inlet" if face in whole else "no_slip")
+            axis, _ = grid.face_axis(face)
+            if kind == "no_slip":
+                self.fixed[grid.face_nodes(face)] = True
+            elif kind == "slip":
+                self.fixed[grid.face_nodes(face), axis] = True
+        for inlet in inlets:
+            self._add_inlet(inlet)
+        self.open_faces = tuple(face for face in grid.faces if kinds.get(face) == "open")
+
+    def _add_inlet(self, inlet: Inlet) -> None:
+        nodes = self.grid.face_nodes(inlet.face)
+        if inlet.where is not None:
+            inside = inlet.where(self.grid.nodes.reshape(-1, self.grid.dim)[nodes])
+            if inside.shape != nodes.shape or inside.dtype != torch.bool:
+                raise ValueError(
+                    f"where of inlet {inlet.key!r} must return ({len(nodes)},) bool, "
+                    f"got {tuple(inside.shape)} {inside.dtype}"
+                )
+            nodes = nodes[inside]
+        if not len(nodes):
+            raise ValueError(f"inlet {inlet.key!r} has no nodes; check where, or refine the grid")
+        if inlet.key in self.inlets:
+            raise ValueError(f"two inlets are called {inlet.key!r}; give each its own name")
+        self.inlets[inlet.key] = nodes
+        self.fixed[nodes] = True

@@ -1,0 +1,116 @@
+"""What a flow solve returns, and what can be asked of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from diffsim import _ops_stokes as ops
+from diffsim._check import require
+from diffsim.stokes.grid import Grid
+
+
+@dataclass(frozen=True)
+class FlowField:
+    """A Stokes flow.
+
+    Attributes:
+        grid: The grid.
+        phi: Level set at the nodes, (*node_shape,), > 0 in the fluid.
+        velocity: (cases, *node_shape, dim) [m/s]; beyond the wall its smooth continuation in cells
+            that are cut, zero elsewhere.
+        pressure: One value per cell, (cases, *shape) [Pa]; zero in solid cells.
+        volume_fraction: Fluid share of every cell, (*shape) [-].
+        stats: Per case: "num_iters", "divergence" (root mean square dilatation of cells relative to
+            max speed / longest side of the box), "converged", "net_inflow".
+    """
+
+    grid: Grid
+    phi: Tensor
+    velocity: Tensor
+    pressure: Tensor
+    volume_fraction: Tensor
+    stats: dict[str, Tensor]
+
+    def flux(self, axis: int, index: int) -> Tensor:
+        """Volume flow through the fluid part of a grid plane, positive along the axis.
+
+        Args:
+            axis: The plane's normal.
+            index: 0 to ``grid.shape[axis]``; negative counts from the end.
+
+        Returns:
+            (cases,) [m^dim/s]. Gradient: velocity and phi.
+        """
+        if not 0 <= axis < self.grid.dim:
+            raise ValueError(f"axis must lie in [0, {self.grid.dim}), got {axis}")
+        count = self.grid.shape[axis] + 1
+        if not -count <= index < count:
+            raise ValueError(f"index must lie in [-{count}, {count}), got {index}")
+        cases = self.velocity.shape[0]
+        return ops.plane_flux(
+            self.phi.reshape(-1),
+            self.velocity.reshape(cases, -1, self.grid.dim),
+            list(self.grid.shape),
+            list(self.grid.spacing),
+            axis,
+            index % count,
+        )
+
+    def mass_report(self) -> dict[str, Tensor]:
+        """Volume flow out of the box through every face, and what does not add up.
+
+        Returns:
+            Face name to (cases,) outflow [m^dim/s]; "imbalance": their sum relative to the inflow;
+            "divergence": as in ``stats``.
+        """
+        report = {}
+        for face in self.grid.faces:
+            axis, side = self.grid.face_axis(face)
+            report[face] = self.flux(axis, -side) * (1.0 if side else -1.0)
+        flows = torch.stack(list(report.values()))
+        inflow = torch.clamp(-flows, min=0.0).sum(0)
+        report["imbalance"] = flows.sum(0) / inflow.clamp(min=torch.finfo(flows.dtype).tiny)
+        report["divergence"] = self.stats["divergence"]
+        return report
+
+    def sample(self, points: Tensor) -> Tensor:
+        """Velocity at points, multilinear between the nodes.
+
+        Args:
+            points: (n, dim) float64 in the box [m].
+
+        Returns:
+            (cases, n, dim) [m/s]. Gradient: velocity and points.
+
+        Raises:
+            ValueError: points outside of the box.
+        """
+        grid = self.grid
+        points = require("points", points, ("n", grid.dim), torch.float64)
+        origin = torch.tensor(grid.origin, dtype=torch.float64)
+        at = (points - origin) / torch.tensor(grid.spacing, dtype=torch.float64)
+        cells = torch.tensor(grid.shape, dtype=torch.float64)
+        outside = ((at < -1e-9) | (at > cells + 1e-9)).any(-1)
+        if bool(outside.any()):
+            first = points[outside][0].tolist()
+            raise ValueError(
+                f"{int(outside.sum())} points lie outside of the box, the first at {first}"
+            )
+        low = torch.minimum(at.detach().floor().clamp(min=0.0), cells - 1.0)
+        share = at - low
+        values = self.velocity.reshape(self.velocity.shape[0], -1, grid.dim)
+        stride = [1] * grid.dim
+        for a in range(grid.dim - 2, -1, -1):
+            stride[a] = stride[a + 1] * grid.node_shape[a + 1]
+        total = values.new_zeros(values.shape[0], len(points), grid.dim)
+        for corner in range(1 << grid.dim):
+            bits = [(corner >> a) & 1 for a in range(grid.dim)]
+            weight = torch.stack(
+                [share[:, a] if b else 1.0 - share[:, a] for a, b in enumerate(bits)]
+            ).prod(0)
+            node = sum((low[:, a].long() + b) * stride[a] for a, b in enumerate(bits))
+            total = total + weight[:, None] * values[:, node]
+        return total

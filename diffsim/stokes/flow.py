@@ -1,0 +1,288 @@
+"""Stokes flow through a shape given by its level set."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Mapping
+
+import torch
+from torch import Tensor, nn
+
+from diffsim import _ops_stokes as ops
+from diffsim._check import require, require_choice, require_number
+from diffsim.stokes.boundary import Boundary, Inlet, Open, Wall
+from diffsim.stokes.field import FlowField
+from diffsim.stokes.grid import Grid
+
+FORMULATIONS = ("nitsche",)
+WALL_KINDS = ("no_slip", "no_separation")
+
+
+class StokesFlow(nn.Module):
+    """Slow viscous flow on a grid whose fluid is where a level set is positive.
+
+    -div(2 eta D(v)) + grad p = f,  div v = 0 in the fluid; v = wall velocity on the embedded wall
+    ("no_slip"), or only its normal component with no shear ("no_separation").
+
+    Multilinear velocities, one pressure per cell; each cell is cut by the plane that fits the level
+    set at its corners. Walls by symmetric Nitsche terms, slivers held by a ghost penalty: second
+    order in the cell size, symmetric positive definite, no locking. Velocity and pressure depend
+    continuously on phi while cells become cut, full or empty, up to terms of the size of the
+    discretisation error where a wall parallel to the grid passes a layer of nodes. Unless
+    ``incompressible``, div v = -p / (bulk_ratio * viscosity), a relative error of about
+    1 / bulk_ratio.
+
+    Viscosity scales pressure and traction, not a flow that is driven by velocities.
+
+    Args:
+        grid: The grid.
+        boundary: Conditions on the box's faces; faces that are not mentioned are no-slip walls.
+        viscosity: Default viscosity eta [Pa s].
+        wall: "no_slip" or "no_separation" on the embedded wall.
+        formulation: "nitsche".
+        incompressible: Iterate to div v = 0 in every cell (mean over its fluid).
+        tolerance: Of the relative divergence (see ``FlowField.stats``), where incompressible.
+        max_iters: Of that iteration.
+        bulk_ratio: Second viscosity over viscosity, lambda / eta [-].
+        penalty: Nitsche penalty beta [-].
+        ghost_penalty: gamma [-].
+        num_kept: Factorised systems to keep; one is enough where every forward is followed by its
+            backward.
+        on_failure: "raise" or "warn" when the iteration does not converge.
+        num_threads: Worker threads; results do not depend on them.
+
+    Gradients: phi, inlet velocities, viscosity, wall velocity, body force, traction; first order.
+    Not modelled: inertia, time, free surfaces, surface tension, shapes thinner than a cell (warns;
+    with "no_separation" a slit much thinner than a cell may raise FactorizationError). Slip along
+    curved walls converges with first order only: the walls are flat facets. Read velocities
+    where phi > 0: those beyond the wall appear and vanish with the cells that need them.
+
+    Example:
+        >>> flow = StokesFlow(grid, [Inlet("x-"), Open("x+")], viscosity=1e-3)
+        >>> field = flow(phi, inlet=torch.tensor([0.01, 0.0], dtype=torch.float64))
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        boundary: Boundary | Iterable[Inlet | Open | Wall] = (),
+        *,
+        viscosity: float = 1.0,
+        wall: str = "no_slip",
+        formulation: str = "nitsche",
+        incompressible: bool = False,
+        tolerance: float = 1e-8,
+        max_iters: int = 100,
+        bulk_ratio: float = 1e5,
+        penalty: float = 20.0,
+        ghost_penalty: float = 0.04,
+        num_kept: int = 1,
+        on_failure: str = "raise",
+        num_threads: int = 1,
+    ):
+        super().__init__()
+        self.grid = grid
+        self.boundary = boundary if isinstance(boundary, Boundary) else Boundary(grid, boundary)
+        if self.boundary.grid is not grid:
+            raise ValueError("boundary was made for another grid")
+        self.viscosity = require_number("viscosity", viscosity, above=0.0)
+        self.wall = require_choice("wall", wall, WALL_KINDS)
+        self.formulation = require_choice("formulation", formulation, FORMULATIONS)
+        self.incompressible = incompressible
+        self.on_failure = require_choice("on_failure", on_failure, ["raise", "warn"])
+        for name, count in (
+            ("max_iters", max_iters),
+            ("num_kept", num_kept),
+            ("num_threads", num_threads),
+        ):
+            if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+                raise ValueError(f"{name} must be an integer >= 1, got {count!r}")
+        self.num_threads = num_threads
+        self._context = ops.StokesContext(
+            grid.shape,
+            grid.spacing,
+            fixed=self.boundary.fixed,
+            open_faces=[face in self.boundary.open_faces for face in grid.faces],
+            options={
+                "slip": wall == "no_separation",
+                "beta": require_number("penalty", penalty, above=0.0),
+                "gamma": require_number("ghost_penalty", ghost_penalty, above=0.0),
+                "bulk": require_number("bulk_ratio", bulk_ratio, above=0.0, at_most=1e8),
+                "incompressible": incompressible,
+                "tolerance": require_number("tolerance", tolerance, above=0.0),
+                "max_iters": max_iters,
+            },
+            num_kept=num_kept,
+            inspect=self._inspect,
+        )
+        self.handle = self._context.handle
+
+    def forward(
+        self,
+        phi: Tensor,
+        inlet: Tensor | Mapping[str, Tensor] | None = None,
+        *,
+        viscosity: Tensor | float | None = None,
+        wall_velocity: Tensor | None = None,
+        body_force: Tensor | None = None,
+        traction: Tensor | None = None,
+    ) -> FlowField:
+        """Solve for the flow.
+
+        Args:
+            phi: Level set at the nodes, (*node_shape,) float64, > 0 in the fluid. Signed distances
+                are best: a warning about thin parts takes them for granted.
+            inlet: Velocity of every inlet by name [m/s]: (dim,), (num_inlet_nodes, dim) or
+                (cases, 1 or num_inlet_nodes, dim); one tensor where there is one inlet. Node order:
+                ``inlet_positions``.
+            viscosity: Scalar tensor or number instead of the module's [Pa s].
+            wall_velocity: Of the embedded wall [m/s]: (dim,), (*node_shape, dim) or
+                (cases, *node_shape, dim).
+            body_force: Force per volume [N/m^dim], same shapes.
+            traction: Force per area on open faces [N/m^(dim-1)], same shapes.
+
+        Returns:
+            ``FlowField``.
+
+        Raises:
+            TypeError, ValueError: wrong shapes, NaN, no fluid at all, nothing that drives the flow,
+                net inflow into a region without an open face.
+            FactorizationError: a part of the fluid that nothing holds.
+            ConvergenceError: the incompressible iteration stopped above its tolerance.
+
+        Warns:
+            UserWarning: parts of the fluid without boundary data, parts thinner than a cell.
+        """
+        grid = self.grid
+        phi = require("phi", phi, grid.node_shape, torch.float64)
+        eta = torch.as_tensor(self.viscosity if viscosity is None else viscosity)
+        eta = require("viscosity", eta.to(torch.float64).reshape(-1), (1,), torch.float64)
+        if not torch.compiler.is_compiling() and float(eta.detach()) <= 0.0:
+            raise ValueError(f"viscosity must be above 0, got {float(eta.detach()):g}")
+        velocities = self._inlet_velocities(inlet)
+        loads = [
+            self._load(name, load)
+            for name, load in zip(ops.LOADS, (wall_velocity, body_force, traction), strict=True)
+        ]
+        if not velocities and not any(load.numel() for load in loads):
+            raise ValueError(
+                "nothing drives the flow: add an Inlet, a wall_velocity, a body_force or a traction"
+            )
+        if traction is not None and not self.boundary.open_faces:
+            raise ValueError("traction acts on open faces, and there is none; add Open(face)")
+        counts = {v.shape[0] for v in (*velocities.values(), *loads) if v.ndim == 3} - {1}
+        if len(counts) > 1:
+            raise ValueError(f"inlets and loads disagree in the number of cases: {sorted(counts)}")
+        cases = counts.pop() if counts else 1
+        prescribed = phi.new_zeros(cases, grid.num_nodes, grid.dim)
+        for name, value in velocities.items():
+            nodes = self.boundary.inlets[name]
+            prescribed = prescribed.index_copy(1, nodes, value.expand(cases, len(nodes), grid.dim))
+        velocity, pressure, fraction, stats = ops.stokes_flow(
+            phi.reshape(-1), eta, prescribed, loads, self.handle, self.num_threads, self.on_failure
+        )
+        return FlowField(
+            grid=grid,
+            phi=phi,
+            velocity=velocity.reshape(cases, *grid.node_shape, grid.dim),
+            pressure=pressure.reshape(cases, *grid.shape),
+            volume_fraction=fraction.reshape(grid.shape),
+            stats=dict(zip(ops.STATS, stats.unbind(-1), strict=True)),
+        )
+
+    def inlet_positions(self, name: str | None = None) -> Tensor:
+        """Positions of an inlet's nodes, (num_inlet_nodes, dim) [m], in the order of its values."""
+        if name is None:
+            if len(self.boundary.inlets) != 1:
+                raise ValueError(f"name one of the inlets {list(self.boundary.inlets)}")
+            name = next(iter(self.boundary.inlets))
+        require_choice("name", name, self.boundary.inlets)
+        return self.grid.nodes.reshape(-1, self.grid.dim)[self.boundary.inlets[name]]
+
+    def report(self, phi: Tensor) -> dict[str, float]:
+        """Sizes and wall times of the prepared system of a level set (made if it is not kept)."""
+        phi = require("phi", phi.detach(), self.grid.node_shape, torch.float64).reshape(-1)
+        with self._context.lock:
+            report = self._context.system(phi, self.num_threads).report
+        return {name: getattr(report, name) for name in dir(report) if not name.startswith("_")}
+
+    def _inlet_velocities(self, inlet: Tensor | Mapping[str, Tensor] | None) -> dict[str, Tensor]:
+        names = list(self.boundary.inlets)
+        if isinstance(inlet, Tensor):
+            if len(names) != 1:
+                raise ValueError(f"inlet must be a dict with the keys {names}, got one tensor")
+            inlet = {names[0]: inlet}
+        inlet = inlet or {}
+        if set(inlet) != set(names):
+            raise ValueError(f"inlet must have the keys {names}, got {list(inlet)}")
+        values = {}
+        for name, value in inlet.items():
+            if not isinstance(value, Tensor):
+                value = torch.as_tensor(value, dtype=torch.float64)
+            count = len(self.boundary.inlets[name])
+            value = require(f"inlet {name!r}", value, ("...", self.grid.dim), torch.float64)
+            shaped = (
+                value.reshape((1,) * (3 - value.ndim) + value.shape) if value.ndim < 4 else value
+            )
+            if shaped.ndim != 3 or shaped.shape[1] not in (1, count):
+                raise ValueError(
+                    f"inlet {name!r} must have shape ({self.grid.dim},), "
+                    f"({count}, {self.grid.dim}) or (cases, 1 or {count}, {self.grid.dim}), "
+                    f"got {tuple(value.shape)}"
+                )
+            values[name] = shaped
+        return values
+
+    def _load(self, name: str, value: Tensor | None) -> Tensor:
+        grid = self.grid
+        if value is None:
+            return torch.zeros(0, dtype=torch.float64)
+        if not isinstance(value, Tensor):
+            value = torch.as_tensor(value, dtype=torch.float64)
+        field = (*grid.node_shape, grid.dim)
+        if value.ndim == 1:
+            value = require(name, value, (grid.dim,), torch.float64).expand(1, *field)
+        elif value.ndim == grid.dim + 1:
+            value = require(name, value, field, torch.float64)[None]
+        else:
+            value = require(name, value, ("cases", *field), torch.float64)
+        return value.reshape(value.shape[0], grid.num_nodes, grid.dim).contiguous()
+
+    def _inspect(self, report, phi: Tensor) -> None:
+        """Warn about what a new geometry will not resolve."""
+        if report.num_loose_regions:
+            warnings.warn(
+                f"{report.num_loose_regions} of {report.num_regions} parts of the fluid "
+                f"({report.num_loose_cells} of {report.num_cells} cells) touch no inlet, open face "
+                "or wall of the box; their fluid rests unless wall or force move it",
+                stacklevel=2,
+            )
+        thin = count_thin_cells(self.grid, phi.reshape(self.grid.node_shape))
+        if thin:
+            warnings.warn(
+                f"the shape is thinner than a cell in about {thin} cells (the level set's slope "
+                "there is below half of its usual one); refine the grid, or thicken the shape",
+                stacklevel=2,
+            )
+
+
+def count_thin_cells(grid: Grid, phi: Tensor) -> int:
+    """Cells near the wall in which the level set has a ridge: fluid or solid thinner than a cell.
+
+    A signed distance has slope one; across a thin part it rises and falls within a cell, and the
+    plane fitted to the corners is flat.
+    """
+    center, slopes = phi, []
+    for axis in range(grid.dim):
+        n = grid.shape[axis]
+        center = 0.5 * (center.narrow(axis, 0, n) + center.narrow(axis, 1, n))
+    for axis in range(grid.dim):
+        slope = phi
+        for a in range(grid.dim):
+            low, high = slope.narrow(a, 0, grid.shape[a]), slope.narrow(a, 1, grid.shape[a])
+            slope = (high - low) / grid.spacing[a] if a == axis else 0.5 * (high + low)
+        slopes.append(slope)
+    norm = torch.stack(slopes).norm(dim=0)
+    usual = norm[norm > 0].median() if bool((norm > 0).any()) else norm.new_ones(())
+    near = center.abs() < 0.5 * min(grid.spacing) * usual
+    return int((near & (norm < 0.5 * usual)).sum())

@@ -1,0 +1,199 @@
+"""The flow layer: laws it keeps, shapes, messages."""
+
+import pytest
+import torch
+
+from diffsim import stokes
+from tests.stokes.cases import channel, small_flow, small_inputs, tensor
+
+
+def ring_channel(n=24, **options):
+    """A bend-free channel of varying width with one inlet and one open end."""
+    grid = stokes.Grid((2 * n, n), size=(2.0, 1.0))
+    x = grid.nodes
+    phi = 0.3 - 0.08 * torch.cos(3.0 * x[..., 0]) - (x[..., 1] - 0.5).abs()
+    flow = stokes.StokesFlow(grid, [stokes.Inlet("x-"), stokes.Open("x+")], **options)
+    return flow, phi
+
+
+@pytest.mark.property
+def test_velocity_is_linear_in_the_inlets_and_cases_are_independent():
+    flow, phi = ring_channel()
+    count = len(flow.boundary.inlets["x-"])
+    inlet = torch.rand(2, count, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    both = flow(phi, inlet)
+    total = flow(phi, inlet[0] + 2.0 * inlet[1])
+    expected = both.velocity[0] + 2.0 * both.velocity[1]
+    torch.testing.assert_close(total.velocity[0], expected, rtol=0, atol=1e-9)
+
+
+@pytest.mark.property
+@pytest.mark.parametrize("wall", ["no_slip", "no_separation"])
+def test_mass_is_conserved(wall):
+    flow, phi = ring_channel(wall=wall, incompressible=True)
+    field = flow(phi, tensor(1.0, 0.0))
+    report = field.mass_report()
+    assert float(report["divergence"]) < 1e-7
+    assert abs(float(report["imbalance"])) < 5e-3  # faces of neighbours differ to second order
+    through = torch.stack([field.flux(0, i)[0] for i in range(2, 48, 6)])
+    torch.testing.assert_close(through, through[:1].expand_as(through), rtol=5e-3, atol=0)
+
+
+@pytest.mark.property
+def test_viscosity_scales_pressure_and_not_velocity():
+    flow, phi = ring_channel()
+    thin, thick = (flow(phi, tensor(1.0, 0.0), viscosity=eta) for eta in (1e-3, 5.0))
+    torch.testing.assert_close(thin.velocity, thick.velocity, rtol=0, atol=1e-9)
+    torch.testing.assert_close(thin.pressure * 5e3, thick.pressure, rtol=1e-6, atol=1e-3)
+
+
+@pytest.mark.property
+def test_results_do_not_depend_on_threads():
+    found = []
+    for threads in (1, 3):
+        flow, phi = ring_channel(num_threads=threads, incompressible=True)
+        phi.requires_grad_()
+        field = flow(phi, tensor(1.0, 0.0))
+        loss = field.velocity.square().sum() + field.pressure.square().mean()
+        found.append([field.velocity, field.pressure, *torch.autograd.grad(loss, phi)])
+    assert all(torch.equal(a, b) for a, b in zip(*found, strict=True))
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.property
+def test_random_shapes_stay_positive_definite():
+    # slivers of every kind: the ghost penalty must hold all of them
+    for dim, shape in ((2, (12, 11)), (3, (6, 5, 5))):
+        grid = stokes.Grid(shape, 0.1)
+        for wall in ("no_slip", "no_separation"):
+            flow = stokes.StokesFlow(grid, [stokes.Inlet("x-"), stokes.Open("x+")], wall=wall)
+            generator = torch.Generator().manual_seed(dim)
+            for _ in range(10):
+                c = grid.nodes.sum(-1)
+                waves = torch.rand(6, generator=generator, dtype=torch.float64)
+                phi = 0.12 * torch.sin(4 * waves[0] + 5 * grid.nodes[..., 0] * waves[1])
+                phi = phi + 0.1 * torch.cos(6 * waves[2] + 7 * grid.nodes[..., 1] * waves[3])
+                phi = phi + 0.1 * torch.cos(6 * waves[4] + 3 * c) + 0.12
+                field = flow(phi, tensor(1.0, 0.0, 0.0)[:dim])
+                assert bool(torch.isfinite(field.velocity).all())
+                assert float(field.velocity.abs().max()) < 50.0
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.property
+@pytest.mark.parametrize("gap", [0.0, 1e-6, 1e-3, 0.02])
+def test_a_ball_that_touches_the_box_leaves_a_film(gap):
+    # a film between wall and box has no neighbour for the ghost penalty
+    grid = stokes.Grid((10, 10, 4), 0.1)
+    phi = (grid.nodes - tensor(0.5, 0.3 + gap, 0.2)).norm(dim=-1) - 0.3
+    flow = stokes.StokesFlow(grid, [stokes.Inlet("x-"), stokes.Open("x+")])
+    assert bool(torch.isfinite(flow(phi, tensor(1.0, 0.0, 0.0)).velocity).all())
+
+
+def test_field_samples_between_nodes():
+    field = channel(8).solve()[1]
+    node = field.grid.nodes[3, 4]
+    torch.testing.assert_close(field.sample(node[None])[0, 0], field.velocity[0, 3, 4])
+    middle = 0.5 * (field.grid.nodes[3, 4] + field.grid.nodes[4, 4])
+    expected = 0.5 * (field.velocity[0, 3, 4] + field.velocity[0, 4, 4])
+    torch.testing.assert_close(field.sample(middle[None])[0, 0], expected)
+    assert field.sample(tensor(1.0, 1.0)[None]).shape == (1, 1, 2)
+    with pytest.raises(ValueError, match="1 points lie outside of the box"):
+        field.sample(tensor(1.1, 0.5)[None])
+
+
+def test_shapes_of_all_outputs():
+    flow = small_flow(3)
+    inputs = small_inputs(flow, cases=2)
+    field = flow(inputs["phi"], inputs["inlet"])
+    assert field.velocity.shape == (2, 5, 4, 4, 3)
+    assert field.pressure.shape == (2, 4, 3, 3)
+    assert field.volume_fraction.shape == (4, 3, 3)
+    assert flow.report(inputs["phi"])["num_cells"] > 0
+    with_strides = inputs["phi"].detach().transpose(0, 2).contiguous().transpose(0, 2)
+    again = flow(with_strides, inputs["inlet"])
+    assert torch.equal(again.velocity, field.velocity)
+
+
+def test_inlets_can_share_a_face():
+    grid = stokes.Grid((8, 8), size=1.0)
+    low = stokes.Inlet("x-", "low", where=lambda x: x[:, 1] < 0.4)
+    high = stokes.Inlet("x-", "high", where=lambda x: x[:, 1] > 0.6)
+    flow = stokes.StokesFlow(grid, [low, high, stokes.Open("x+")])
+    phi = torch.ones(9, 9, dtype=torch.float64)
+    field = flow(phi, {"low": tensor(1.0, 0.0), "high": tensor(2.0, 0.0)})
+    assert field.velocity[0, 0, :, 0].tolist() == [1, 1, 1, 1, 0, 2, 2, 2, 2]
+    with pytest.raises(ValueError, match=r"inlet must have the keys \['low', 'high'\]"):
+        flow(phi, {"low": tensor(1.0, 0.0)})
+
+
+class TestRefusals:
+    grid = stokes.Grid((6, 6), size=1.0)
+    phi = 0.3 - (grid.nodes[..., 1] - 0.5).abs()
+    faces = (stokes.Inlet("x-"), stokes.Open("x+"))
+
+    def flow(self, *faces, **options):
+        return stokes.StokesFlow(self.grid, faces or self.faces, **options)
+
+    def test_no_driving(self):
+        with pytest.raises(ValueError, match="nothing drives the flow: add an Inlet"):
+            self.flow(stokes.Open("x-"), stokes.Open("x+"))(self.phi)
+
+    def test_solid_everywhere(self):
+        with pytest.raises(ValueError, match="phi leaves no fluid"):
+            self.flow()(-1.0 - self.phi.abs(), tensor(1.0, 0.0))
+
+    def test_nan(self):
+        phi = self.phi.clone()
+        phi[2, 3] = float("nan")
+        with pytest.raises(ValueError, match=r"phi must be finite.*first at \(2, 3\)"):
+            self.flow()(phi, tensor(1.0, 0.0))
+
+    def test_shapes(self):
+        with pytest.raises(ValueError, match=r"phi must have shape \(7, 7\)"):
+            self.flow()(self.phi[:-1], tensor(1.0, 0.0))
+        with pytest.raises(ValueError, match=r"inlet 'x-' must have shape .*got \(3, 2\)"):
+            self.flow()(self.phi, torch.zeros(3, 2, dtype=torch.float64))
+        with pytest.raises(ValueError, match="disagree in the number of cases"):
+            self.flow()(
+                self.phi,
+                torch.zeros(2, 1, 2, dtype=torch.float64),
+                body_force=torch.zeros(3, 7, 7, 2, dtype=torch.float64),
+            )
+
+    def test_net_inflow_into_a_closed_region(self):
+        with pytest.raises(ValueError, match=r"no open face, but 100 % more flows in"):
+            self.flow(stokes.Inlet("x-"))(self.phi, tensor(1.0, 0.0))
+
+    def test_loose_regions_are_counted(self):
+        blob = 0.22 - (self.grid.nodes - tensor(0.5, 0.5)).norm(dim=-1)
+        channel = 0.12 - (self.grid.nodes[..., 1]).abs()
+        with pytest.warns(UserWarning, match=r"1 of 2 parts of the fluid \(\d+ of \d+ cells\)"):
+            self.flow()(torch.maximum(blob, channel), tensor(1.0, 0.0))
+
+    def test_thin_shapes_warn(self):
+        phi = 0.03 - (self.grid.nodes[..., 1] - 0.5 + 1 / 12).abs()
+        with pytest.warns(UserWarning, match="thinner than a cell in about 6 cells"):
+            self.flow()(phi + 0.08, tensor(1.0, 0.0))
+
+    def test_boundary(self):
+        with pytest.raises(ValueError, match="face must be one of"):
+            self.flow(stokes.Open("z+"))
+        with pytest.raises(ValueError, match="more than one wall or open condition"):
+            self.flow(stokes.Open("x+"), stokes.Wall("x+"))
+        with pytest.raises(ValueError, match="has no nodes"):
+            self.flow(stokes.Inlet("x-", where=lambda x: x[:, 1] > 2.0))
+        with pytest.raises(ValueError, match="did you mean"):
+            stokes.Wall("x-", "noslip")
+        with pytest.raises(ValueError, match="traction acts on open faces"):
+            self.flow(stokes.Inlet("x-"))(self.phi, tensor(0.0, 1.0), traction=tensor(1.0, 0.0))
+
+    def test_options(self):
+        with pytest.raises(ValueError, match="wall must be one of"):
+            self.flow(wall="free")
+        with pytest.raises(ValueError, match="formulation must be one of"):
+            self.flow(formulation="thesis")
+        with pytest.raises(ValueError, match="viscosity must lie in"):
+            self.flow(viscosity=0.0)
+        with pytest.raises(ValueError, match="either spacing or size"):
+            stokes.Grid((2, 2))
