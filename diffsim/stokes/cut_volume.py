@@ -7,8 +7,8 @@ Thesis eq. 4.72 gives the volume of a half space in the unit cube as
 over the corners q, and eq. 4.74 the area of the plane as the derivative in b times |a|. Both divide
 by every component of a, so they fail, or lose digits to cancellation, where one vanishes. Here the
 sum is taken apart instead: mirrored so that a >= 0 and at most half of the cube lies below the
-plane, sorted, scaled to sum a_i = 1, and divided through by hand piece by piece. What remains has no
-difference of large terms, and is right to rounding for any a, zeros included.
+plane, sorted, scaled to sum a_i = 1, and divided through by hand piece by piece. What remains has
+no difference of large terms, and is right to rounding for any a, zeros included.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-_TINY = 1e-300  # keeps divisions finite in pieces that are not taken
+_TINY = 1e-100  # keeps divisions and their derivatives finite in pieces that are not taken
 
 
 class Plane(NamedTuple):
@@ -66,8 +66,8 @@ def cut_volume(plane: Plane) -> Tensor:
         plane: ``Plane`` of any batch shape.
 
     Returns:
-        (...,) [-]. Gradient: slope and offset; once continuously differentiable except where a plane
-        parallel to a face passes it (a kink in the offset).
+        (...,) [-]. Gradient: slope and offset; once continuously differentiable except where a
+        plane parallel to a face passes it (a kink in the offset).
     """
     pieces = _Pieces(plane)
     below = pieces.volume()
@@ -85,12 +85,14 @@ def cut_area(plane: Plane, spacing: Sequence[float] | None = None) -> Tensor:
         spacing: Cell size per axis [m]; default the unit cell.
 
     Returns:
-        (...,) [m^(dim-1)]. Gradient: slope and offset; jumps where a plane parallel to a face passes
-        it, and in 2D has a kink where the line passes a corner.
+        (...,) [m^(dim-1)]. Gradient: slope and offset; jumps where a plane parallel to a face
+        passes it, and in 2D has a kink where the line passes a corner.
     """
     pieces = _Pieces(plane)
     sizes = plane.slope.new_tensor(spacing or [1.0] * plane.slope.shape[-1])
-    gradient = torch.where(pieces.flat[..., None], torch.ones_like(plane.slope), plane.slope) / sizes
+    gradient = (
+        torch.where(pieces.flat[..., None], torch.ones_like(plane.slope), plane.slope) / sizes
+    )
     area = pieces.slope() / pieces.total * gradient.norm(dim=-1) * sizes.prod()
     return torch.where(pieces.flat | pieces.empty, torch.zeros_like(area), area)
 
@@ -98,8 +100,8 @@ def cut_area(plane: Plane, spacing: Sequence[float] | None = None) -> Tensor:
 class _Pieces:
     """A plane mirrored, sorted and scaled: m1 <= m2 <= m3, sum 1, level c <= 1/2 (m1 = 0 in 2D).
 
-    The volume below level c in the unit cube, V(c) = sum_q (-1)^|q| max(c - m.q, 0)^3 / (6 m1 m2 m3),
-    with its terms paired so that m1 divides out: with G(x) = (x+^3 - (x - m1)+^3) / m1,
+    The volume below level c in the unit cube is V = sum_q (-1)^|q| max(c - m.q, 0)^3 / (6 m1 m2 m3).
+    Its terms are paired so that m1 divides out: with G(x) = (x+^3 - (x - m1)+^3) / m1,
 
         V = (G(c) - G(c - m2) - G(c - m3)) / (6 m2 m3)   where c < m1 + m2,
         V = (2 c - m1 - m2) / (2 m3)                     where m1 + m2 <= c <= m3.
