@@ -100,7 +100,7 @@ def cut_area(plane: Plane, spacing: Sequence[float] | None = None) -> Tensor:
 class _Pieces:
     """A plane mirrored, sorted and scaled: m1 <= m2 <= m3, sum 1, level c <= 1/2 (m1 = 0 in 2D).
 
-    The volume below level c in the unit cube is V = sum_q (-1)^|q| max(c - m.q, 0)^3 / (6 m1 m2 m3).
+    The volume below level c in the unit cube is sum_q (-1)^|q| max(c - m.q, 0)^3 / (6 m1 m2 m3).
     Its terms are paired so that m1 divides out: with G(x) = (x+^3 - (x - m1)+^3) / m1,
 
         V = (G(c) - G(c - m2) - G(c - m3)) / (6 m2 m3)   where c < m1 + m2,
