@@ -3,14 +3,8 @@
 Rerun scenes (.rrd) are in ``diffsim.viz.flow_scene``, pictures in ``diffsim.viz.flow``.
 """
 
-from diffsim.stokes.fabrication import (
-    FabricationReport,
-    channel_mesh,
-    fabrication_mesh,
-    fabrication_report,
-    wall_mesh,
-    write_stl,
-)
+from diffsim.stokes.fabrication import channel_mesh, fabrication_mesh, wall_mesh
+from diffsim.stokes.printing import FabricationReport, fabrication_report, write_stl
 from diffsim.stokes.vtk import write_vtk
 
 __all__ = [

@@ -5,60 +5,27 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
 import trimesh
 from numpy.typing import NDArray
-from scipy import ndimage, sparse
+from scipy import ndimage
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from diffsim._check import require, require_choice, require_number
-from diffsim._files import write_bytes_atomic
+from diffsim._check import require, require_number
 from diffsim.errors import MeshError
 from diffsim.stokes.boundary import Boundary
 from diffsim.stokes.cells import cut_cells
 from diffsim.stokes.grid import Grid
 from diffsim.stokes.isosurface import negative_part, wall
+from diffsim.stokes.printing import FabricationReport, fabrication_report
 
 Array = NDArray[np.float64]
 
-UNITS = {"m": 1.0, "mm": 1e3, "um": 1e6}
-"""Units of an STL file per metre; the format itself has none, slicers take millimetres."""
-
 _SKIN = 0.02  # thickness of the layer in which a closed face turns from fluid to solid [cells]
 _MISMATCH = 0.1  # of the fluid's volume between surface and cells, above which to warn [-]
-
-
-@dataclass(frozen=True, kw_only=True)
-class FabricationReport:
-    """What can be said of a solid before it is printed.
-
-    Attributes:
-        is_watertight: Every edge has two triangles, all facing outwards.
-        volume: Of the solid [m^3].
-        part_volumes: Of its separate parts, largest first [m^3]; all but the first are loose.
-        cavity_volumes: Of voids without a way out, largest first [m^3]: resin or powder stays in.
-        size: Of the bounding box [m].
-    """
-
-    is_watertight: bool
-    volume: float
-    part_volumes: tuple[float, ...]
-    cavity_volumes: tuple[float, ...]
-    size: tuple[float, float, float]
-
-    @property
-    def num_parts(self) -> int:
-        return len(self.part_volumes)
-
-    @property
-    def loose_volume(self) -> float:
-        """Of all parts but the largest [m^3]."""
-        return sum(self.part_volumes[1:])
 
 
 def fabrication_mesh(
@@ -185,50 +152,6 @@ def wall_mesh(grid: Grid, phi: Tensor, *, height: float | None = None) -> trimes
     coords, values = _extruded(_coords(grid), values, height)
     vertices, faces = wall(coords, values)
     return trimesh.Trimesh(vertices, faces, process=False)
-
-
-def fabrication_report(mesh: trimesh.Trimesh) -> FabricationReport:
-    """Is a surface closed, and how many parts and cavities does it have?"""
-    if not isinstance(mesh, trimesh.Trimesh):
-        raise TypeError(f"mesh must be a trimesh.Trimesh, got {type(mesh).__name__}")
-    faces, count = mesh.faces, len(mesh.vertices)
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
-    graph = sparse.coo_matrix((np.ones(len(edges)), edges.T), shape=(count, count))
-    _, label = sparse.csgraph.connected_components(graph, directed=False)
-    corners = mesh.triangles - mesh.bounds.mean(0)
-    signed = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
-    present, which = np.unique(label[faces[:, 0]], return_inverse=True)
-    volumes = np.bincount(which, weights=signed, minlength=len(present))
-    return FabricationReport(
-        is_watertight=bool(mesh.is_watertight and mesh.is_winding_consistent),
-        volume=float(volumes.sum()),
-        part_volumes=tuple(sorted(volumes[volumes > 0.0].tolist(), reverse=True)),
-        cavity_volumes=tuple(sorted((-volumes[volumes < 0.0]).tolist(), reverse=True)),
-        size=tuple(mesh.extents.tolist()),
-    )
-
-
-def write_stl(path: str | Path, mesh: trimesh.Trimesh, *, unit: str = "mm") -> Path:
-    """Write a closed surface as binary STL; the file appears whole or not at all.
-
-    Args:
-        path: File name with the extension .stl; folders are made.
-        mesh: Surface [m], such as that of ``fabrication_mesh``.
-        unit: Of the file's numbers: "mm" (what slicers take), "m" or "um".
-
-    Raises:
-        MeshError: the surface has holes.
-    """
-    path = Path(path)
-    if path.suffix.lower() != ".stl":
-        raise ValueError(f"path must end in .stl, got {path.name!r}")
-    scale = UNITS[require_choice("unit", unit, UNITS)]
-    if not isinstance(mesh, trimesh.Trimesh):
-        raise TypeError(f"mesh must be a trimesh.Trimesh, got {type(mesh).__name__}")
-    if not mesh.is_watertight:
-        raise MeshError("mesh must be closed to be printed; fabrication_mesh makes such surfaces")
-    scaled = trimesh.Trimesh(mesh.vertices * scale, mesh.faces, process=False)
-    return write_bytes_atomic(path, trimesh.exchange.stl.export_stl(scaled))
 
 
 def _coords(grid: Grid) -> list[Array]:

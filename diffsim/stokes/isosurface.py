@@ -59,7 +59,7 @@ def _interior(inside: NDArray[np.bool_], strides: Indices) -> Indices:
     cells = np.argwhere((count > 0) & (count < 8))
     low = cells @ strides
     flat = inside.ravel()
-    pieces = []
+    pieces: list[Indices] = []
     for order in itertools.permutations(range(3)):
         steps = np.concatenate([[0], np.cumsum(strides[list(order)])])
         tets = low[:, None] + steps
@@ -97,7 +97,7 @@ def _box_face(inside: NDArray[np.bool_], strides: Indices, axis: int, high: bool
     flat = inside.ravel()
     out = np.zeros(3)
     out[axis] = 1.0 if high else -1.0
-    pieces = []
+    pieces: list[Indices] = []
     for first, second in ((a, b), (b, a)):
         steps = np.array([0, strides[first], strides[first] + strides[second]])
         places = np.zeros((3, 3))

@@ -98,7 +98,7 @@ def streamlines(
         max_length = 10.0 * max(grid.size)
     require_number("max_length", max_length, above=0.0)
     velocity = _case(field, case)
-    if isinstance(seeds, int) and not isinstance(seeds, bool):
+    if isinstance(seeds, int):
         seeds = inlet_seeds(field, seeds, case=case)
     start = require("seeds", seeds, ("n", grid.dim)).detach().numpy()
     sampler = _Sampler(grid, velocity, field.phi.detach().numpy())
