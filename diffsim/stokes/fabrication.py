@@ -49,7 +49,8 @@ def fabrication_mesh(
         grid: The grid.
         phi: Level set at the nodes, (*node_shape,) float64, > 0 in the fluid [m].
         wall_thickness: None: the whole box but the fluid. Otherwise only the solid within this
-            distance of the fluid [m], at least two cells.
+            distance of the fluid [m], at least two cells; it reaches beyond the box where no
+            channel leaves it.
         openings: Faces through which the channel leaves the box ("x-", ...), or the flow's
             ``boundary``: its inlets and open faces. None: wherever fluid meets the box. A slip
             face is closed: mirror a symmetric design before.
@@ -229,6 +230,8 @@ def _open_nodes(
 def _needs_wall(mask: NDArray[np.bool_], face: Array, margin: float, shell: bool) -> bool:
     """Whether material must be added outside of a face with these openings and level set."""
     fluid = face > 0.0
+    if shell and not fluid.any():
+        return True
     if mask.all() or (fluid.any() and mask[fluid].all()):
         return False
     return shell or bool((~mask & (face > -margin)).any())
@@ -288,14 +291,17 @@ def _shell(coords: list[Array], values: Array, thickness: float) -> Array:
     level = np.where(fluid, values, thickness)
     nodes = np.stack(np.meshgrid(*coords, indexing="ij"), axis=-1)[~near]
     tree = cKDTree(triangles.mean(1))
-    rough, _ = tree.query(nodes)
     reach = np.linalg.norm(triangles - triangles.mean(1)[:, None], axis=-1).max()
-    distance = np.full(len(nodes), np.inf)
-    close = np.flatnonzero(rough < thickness + 4.0 * reach)
-    _, index = tree.query(nodes[close], k=min(12, len(triangles)))
-    for candidate in np.atleast_2d(index.reshape(len(close), -1)).T:
-        foot = trimesh.triangles.closest_point(triangles[candidate], nodes[close])
-        distance[close] = np.minimum(distance[close], np.linalg.norm(foot - nodes[close], axis=-1))
+    diagonal = np.linalg.norm([np.diff(c).max() for c in coords])
+    rough, _ = tree.query(nodes, distance_upper_bound=thickness + diagonal + reach)
+    distance = rough.copy()  # to centroids: enough but for nodes next to the shell's outside
+    close = np.flatnonzero((rough > thickness - diagonal) & np.isfinite(rough))
+    if len(close):
+        _, index = tree.query(nodes[close], k=min(8, len(triangles)))
+        for candidate in np.atleast_2d(index.T):
+            foot = trimesh.triangles.closest_point(triangles[candidate], nodes[close])
+            gap = np.linalg.norm(foot - nodes[close], axis=-1)
+            distance[close] = np.minimum(distance[close], gap)
     level[~near] = np.minimum(distance - thickness, thickness)
     level[near & ~fluid] = values[near & ~fluid]
     return level

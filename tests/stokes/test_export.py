@@ -118,6 +118,9 @@ def test_shell_around_a_tube():
     assert mesh.is_watertight and mesh.euler_number == 0
     ring = 2.0 * np.pi * ((RADIUS + 0.15) ** 2 - RADIUS**2)
     assert mesh.volume == pytest.approx(ring, rel=0.02)  # h = 1/16: two cells and a half
+    thick = fabrication_mesh(grid, phi, wall_thickness=0.3)  # reaches beyond the box
+    assert thick.volume == pytest.approx(2.0 * np.pi * (0.6**2 - RADIUS**2), rel=0.02)
+    np.testing.assert_allclose(thick.extents, [2.0, 1.2, 1.2], rtol=5e-3)
     scaled = fabrication_mesh(grid, 7.0 * phi, wall_thickness=0.15)  # phi need not be a distance
     assert scaled.volume == pytest.approx(mesh.volume, rel=1e-9)
     with pytest.raises(ValueError, match=r"wall_thickness must lie in .* two cells"):
@@ -134,6 +137,27 @@ def test_closed_faces_get_a_wall():
     assert shell.bounds[1, 0] == pytest.approx(2.15, abs=0.01)
     with pytest.raises(ValueError, match="openings touch no fluid"):
         fabrication_mesh(grid, phi, openings=["y+"])
+
+
+@pytest.mark.property
+@pytest.mark.parametrize("seed", range(6))
+def test_rough_designs_close(tmp_path, seed):
+    """Random level sets with random openings, as read back from single precision."""
+    generator = torch.Generator().manual_seed(seed)
+    shape = [8, 9, 7][: 2 + seed % 2]
+    grid = Grid(shape, spacing=[0.1, 0.13, 0.11][: len(shape)])
+    phi = 0.1 * torch.randn(grid.node_shape, dtype=torch.float64, generator=generator)
+    boundary = Boundary(grid, [Inlet("x-", where=lambda p: p[:, 1] < 0.5), Open("y+")])
+    flat = {"height": 0.1, "floor": 0.05} if grid.dim == 2 else {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # loose parts and cavities there are
+        for openings in (None, ["x-", "y+"], boundary):
+            for thickness in (None, 0.3):
+                mesh = fabrication_mesh(
+                    grid, phi, openings=openings, wall_thickness=thickness, **flat
+                )
+                path = write_stl(tmp_path / "rough.stl", mesh)
+                assert trimesh.load_mesh(path).is_watertight
 
 
 def test_inlet_in_a_part_of_a_face():
