@@ -266,7 +266,6 @@ def _draw_lines(ax: Axes, lines: Sequence[Streamline], scale: float) -> None:
         points = scale * line.points
         if len(points) < 3:
             continue
-        ax.plot(*points.T, color="white", lw=1.5, alpha=0.3)  # to be seen on dark colours, too
         ax.plot(*points.T, color=INK, lw=0.65, alpha=0.8)
         length = np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))
         k = int(np.searchsorted(length, 0.5 * length[-1]))
