@@ -6,8 +6,11 @@
 //           - int_wall (2 eta D(v) n).z + (2 eta D(z) n).w - (beta eta / h) w.z     (no-slip)
 //   C(v, g) = int div v - int_wall w.n          (outflow through the rest of the cell's boundary)
 //   R(z)    = e(v, z) - p C(z, 0)               p: one pressure per cell
-// (symmetric Nitsche terms; Freund, Stenberg 1995). With a slip wall only normal components count:
-//           - int_wall 2 eta (n.D(v) n) z.n + 2 eta (n.D(z) n) w.n - (beta eta / h) (w.n) (z.n).
+// (symmetric Nitsche terms; Freund, Stenberg 1995). With a slip wall only normal components count,
+// and of these the means over the cell's facet, of area S:
+//           - S (<2 n.D(v) n> <z.n> + <2 n.D(z) n> <w.n> - (beta / h) <w.n> <z.n>) eta.
+// Holding w.n point by point would make facets of a curved wall resist sliding: v tangential to the
+// wall is not tangential to its facets, which costs one order.
 // Every integrand is of degree two per axis, so the weights of CutCell integrate it exactly.
 #pragma once
 
@@ -74,6 +77,8 @@ class CellForm {
       }
     Corner c;
     divergence(cell, c);
+    Facet facet;
+    if (cell.area && slip_) facet = facet_of(cell);
     for (int i = 0; i < kCorners; ++i)
       for (int j = 0; j < kCorners; ++j) {
         const int ij = i * kCorners + j, ji = j * kCorners + i;
@@ -89,7 +94,10 @@ class CellForm {
             if (cell.area) {
               const double* n = cell.normal;
               if (slip_) {
-                sum += n[a] * n[b] * (penalty_ * Q[ij] - 2.0 * flux);
+                const double mean_flux =
+                    facet.mean[i] * facet.slope[j] + facet.mean[j] * facet.slope[i];
+                sum += n[a] * n[b] * facet.area *
+                       (penalty_ * facet.mean[i] * facet.mean[j] - 2.0 * mean_flux);
               } else {
                 if (a == b) sum += penalty_ * Q[ij] - flux;
                 sum -= n[b] * P[a * kk + ij] + n[a] * P[b * kk + ji];
@@ -103,6 +111,8 @@ class CellForm {
   /// R for given v, g, f (null: zero), pressure and viscosity; added to r.
   void residual(const CellWeights& cell, const Corner v, const double (*g)[D], const double (*f)[D],
                 double pressure, double eta, Corner r) const {
+    FacetValues mean;
+    if (cell.area && slip_) mean = facet_values(cell, v, g);
     for (int q = 0; q < kPoints; ++q) {
       Point at;
       evaluate(q, v, at);
@@ -124,13 +134,14 @@ class CellForm {
         wall_values(n, at, w, t, tn, wn);
         for (int a = 0; a < D; ++a) {
           if (slip_) {
-            s[a] += S * eta * (penalty_ * wn - tn) * n[a];
+            s[a] += S * eta * (penalty_ * mean.normal - mean.stress) * n[a];
           } else {
             s[a] += S * eta * (penalty_ * w[a] - t[a]);
           }
           s[a] += S * pressure * n[a];
           for (int b = 0; b < D; ++b)
-            F[a][b] -= S * eta * (slip_ ? 2.0 * wn * n[a] * n[b] : w[a] * n[b] + n[a] * w[b]);
+            F[a][b] -=
+                S * eta * (slip_ ? 2.0 * mean.normal * n[a] * n[b] : w[a] * n[b] + n[a] * w[b]);
         }
       }
       for (int i = 0; i < kCorners; ++i)
@@ -149,6 +160,11 @@ class CellForm {
                        const double (*g)[D], const double (*f)[D], double p, double pi, double eta,
                        double* by_volume, double* by_area, double* by_normal) const {
     for (int a = 0; a < D && cell.area; ++a) by_normal[a] = 0.0;
+    FacetValues mean_v, mean_z;
+    if (cell.area && slip_) {
+      mean_v = facet_values(cell, v, g);
+      mean_z = facet_values(cell, z, nullptr);
+    }
     for (int q = 0; q < kPoints; ++q) {
       Point x, y;
       evaluate(q, v, x);
@@ -172,7 +188,10 @@ class CellForm {
       wall_values(n, y, y.value, u, un, zn);
       double area = p * zn - pi * wn;
       if (slip_) {
-        area += eta * (penalty_ * wn * zn - tn * zn - un * wn);
+        // d(S <x><y>) = x <y> + <x> y - <x><y> per area.
+        const double W = mean_v.normal, T = mean_v.stress, Z = mean_z.normal, U = mean_z.stress;
+        area += eta * (penalty_ * (wn * Z + W * zn - W * Z) - (tn * Z + T * zn - T * Z) -
+                       (un * W + U * wn - U * W));
       } else {
         for (int a = 0; a < D; ++a)
           area += eta * (penalty_ * w[a] * y.value[a] - t[a] * y.value[a] - u[a] * w[a]);
@@ -181,8 +200,9 @@ class CellForm {
       for (int a = 0; a < D; ++a) {
         double normal = p * y.value[a] - pi * w[a];
         if (slip_) {  // d(n.(G + G')n) = 2 (G + G') n . dn
-          normal += eta * (penalty_ * (w[a] * zn + wn * y.value[a]) -
-                           2.0 * (t[a] * zn + u[a] * wn) - tn * y.value[a] - un * w[a]);
+          normal += eta * (penalty_ * (w[a] * mean_z.normal + mean_v.normal * y.value[a]) -
+                           2.0 * (t[a] * mean_z.normal + u[a] * mean_v.normal) -
+                           mean_v.stress * y.value[a] - mean_z.stress * w[a]);
         } else {
           for (int b = 0; b < D; ++b)
             normal -= eta * ((x.grad[a][b] + x.grad[b][a]) * y.value[b] +
@@ -196,6 +216,8 @@ class CellForm {
   /// Derivative of the same by the wall velocity; added.
   void wall_gradient(const CellWeights& cell, const Corner z, double pi, double eta,
                      Corner grad_g) const {
+    FacetValues mean;
+    if (slip_) mean = facet_values(cell, z, nullptr);
     for (int q = 0; q < kPoints; ++q) {
       Point y;
       evaluate(q, z, y);
@@ -203,7 +225,7 @@ class CellForm {
       wall_values(cell.normal, y, y.value, u, un, zn);
       for (int a = 0; a < D; ++a) {
         const double n = cell.normal[a];
-        const double by_g = slip_ ? eta * (un - penalty_ * zn) * n + pi * n
+        const double by_g = slip_ ? eta * (mean.stress - penalty_ * mean.normal) * n + pi * n
                                   : eta * (u[a] - penalty_ * y.value[a]) + pi * n;
         for (int i = 0; i < kCorners; ++i) grad_g[i][a] += cell.area[q] * by_g * basis_.N[q][i];
       }
@@ -224,6 +246,41 @@ class CellForm {
   struct Point {
     double value[D], grad[D][D];  // grad[a][b] = d v_a / d x_b
   };
+  /// Means over the facet: of N_i, and of its slope along the normal.
+  struct Facet {
+    double area = 0.0, mean[kCorners] = {}, slope[kCorners] = {};
+  };
+  /// Means over the facet: of w.n, and of 2 n.D(v) n.
+  struct FacetValues {
+    double normal = 0.0, stress = 0.0;
+  };
+
+  Facet facet_of(const CellWeights& cell) const {
+    Facet facet;
+    for (int q = 0; q < kPoints; ++q) {
+      facet.area += cell.area[q];
+      for (int i = 0; i < kCorners; ++i) {
+        facet.mean[i] += cell.area[q] * basis_.N[q][i];
+        for (int a = 0; a < D; ++a)
+          facet.slope[i] += cell.area[q] * cell.normal[a] * basis_.dN[q][a][i];
+      }
+    }
+    for (int i = 0; i < kCorners && facet.area > 0.0; ++i) {
+      facet.mean[i] /= facet.area;
+      facet.slope[i] /= facet.area;
+    }
+    return facet;
+  }
+  FacetValues facet_values(const CellWeights& cell, const Corner v, const double (*g)[D]) const {
+    const Facet facet = facet_of(cell);
+    FacetValues out;
+    for (int i = 0; i < kCorners; ++i)
+      for (int a = 0; a < D; ++a) {
+        out.normal += facet.mean[i] * (v[i][a] - (g ? g[i][a] : 0.0)) * cell.normal[a];
+        out.stress += 2.0 * facet.slope[i] * v[i][a] * cell.normal[a];
+      }
+    return out;
+  }
 
   void interpolate(int q, const double (*v)[D], double* value) const {
     for (int a = 0; a < D; ++a) {
