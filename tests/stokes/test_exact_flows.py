@@ -34,12 +34,13 @@ def test_second_order_in_two_dimensions(make, limits, incompressible):
 
 
 @pytest.mark.order
-def test_slip_in_a_disk_converges_with_first_order():
-    # straight facets hold the normal velocity of a curved wall to first order (Babuska's paradox)
+def test_slip_in_a_disk_converges():
+    # only means over facets are held: point by point, straight facets would resist sliding, and the
+    # order was 0.9 (Babuska's paradox)
     sizes = (16, 32, 64)
     found = errors(rotation, sizes)
-    assert found[-1] < 1.5e-3
-    assert order(sizes, found) > 0.6
+    assert found[-1] < 4e-4
+    assert order(sizes, found) > 1.3
 
 
 @pytest.mark.order
