@@ -83,12 +83,23 @@ def _walls(x: Tensor) -> Shape:
     mirror = torch.tensor([1.0, -1.0], dtype=torch.float64)
     up = torch.tensor([0.0, 1.0], dtype=torch.float64)
     low = points2d([(0.0, _LOW), (x[0], x[1]), (x[2], x[3]), (1.0, _LOW)], x)
-    right = points2d([(1.0, _HIGH), (x[4], x[5]), (x[4], 1.0 - x[5]), (1.0, 1.0 - _HIGH)], x)
-    left = points2d([(0.0, _HIGH), (x[6], x[7]), (x[6], 1.0 - x[7]), (0.0, 1.0 - _HIGH)], x)
     outline = (
         BezierCurve2d(low, fluid="left")
         & BezierCurve2d(low * mirror + up, fluid="right")
-        & BezierCurve2d(right, fluid="left")
-        & BezierCurve2d(left, fluid="right")
+        & _island(1.0, 1.3, x[4], x[5])
+        & _island(0.0, -0.3, x[6], x[7])
     )
     return Extrude(outline)
+
+
+def _island(side: float, beyond: float, x: Tensor, y: Tensor) -> Shape:
+    """Between the passages at x = side; the loop is closed beyond the box."""
+    loop = [
+        (side, _HIGH),
+        (x, y),
+        (x, 1.0 - y),
+        (side, 1.0 - _HIGH),
+        (beyond, 1.0 - _HIGH),
+        (beyond, _HIGH),
+    ]
+    return BezierCurve2d(points2d(loop, x), degree=3, closed=True, fluid="outside")
