@@ -94,7 +94,7 @@ def _walls(x: Tensor) -> Shape:
 
 def _island(side: float, beyond: float, x: Tensor, y: Tensor) -> Shape:
     """Between the passages at x = side; the loop is closed beyond the box."""
-    loop = [
+    loop: list[tuple[float | Tensor, float | Tensor]] = [
         (side, _HIGH),
         (x, y),
         (x, 1.0 - y),

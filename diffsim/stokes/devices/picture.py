@@ -50,8 +50,8 @@ def draw(device: Device, optimum: Optimum, path: str | Path) -> Path:
     top = max(float(p["top"]) for group in panels.values() for p in group.values())
     image = None
     for row, ((name, group), loss) in enumerate(zip(panels.items(), losses, strict=True)):
-        for k, (title, panel) in enumerate(group.items()):
-            image = _panel(axes[row, k], panel, top)
+        for k, (title, shown) in enumerate(group.items()):
+            image = _panel(axes[row, k], shown, top)
             if title:
                 axes[row, k].set_title(title, fontsize=9, color=_INK)
         axes[row, 0].set_ylabel(f"{name}\nloss {loss:.2g}", fontsize=10, color=_INK)
