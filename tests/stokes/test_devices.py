@@ -217,3 +217,11 @@ def test_wrong_arguments_say_what_is_wanted():
         devices.Parameter("x", 1.0, 1.0)
     with pytest.raises(ValueError, match="x must"):
         devices.make("amplifier", 0.25).value(torch.zeros(3, dtype=F64))
+
+
+def test_loss_as_one_graph_has_the_same_gradient():
+    device = devices.make("switch", 0.15)
+    x = some_design(device).requires_grad_(True)
+    (whole,) = torch.autograd.grad(device.loss(x), x)  # the first state's factor is made again
+    _, by_state = device.value_and_gradient(x)
+    torch.testing.assert_close(whole, by_state, rtol=1e-9, atol=1e-12)
