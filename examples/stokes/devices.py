@@ -14,11 +14,10 @@ Expected, with seed 0 (amplifier: see ``amplifier.py``):
     twister --no-slip --resolution 0.375 --samples 12 --evaluations 15 0.95    0.97
     switch --resolution 0.3125 --samples 10 --evaluations 40           0.27    0.58
 
-On the thesis's grids, funnel, twister and switch found so have losses of 0.048, 0.034 and 0.23 (same
-unit). One loss with gradient takes there, in CPU seconds of one thread (thesis, 8 cores): averager 0.75 (5.3),
-gate 0.81 (4.9), funnel 11.6 (64.8), twister 12.8 (56.1), switch, two positions, 55 (171).
-Running time: one CPU minute for averager and gate, funnel and twister one and two at half the
-resolution, switch one.
+On the thesis's grids, funnel, twister and switch found so have losses of 0.048, 0.034 and 0.23, in
+the same unit. There, one loss with gradient takes, in CPU seconds of one thread (thesis, wall
+seconds): averager 0.75 (5.3), gate 0.81 (4.9), funnel 11.6 (64.8), twister 12.8 (56.1), switch,
+two positions, 55 (171). Running time of each line: 1/2 to 1 1/2 CPU minutes.
 
     python examples/stokes/devices.py averager --out runs/averager
 """
