@@ -1,0 +1,61 @@
+"""The six fluidic devices of thesis table 4.5, and the search for their designs.
+
+    >>> from diffsim.stokes import devices
+    >>> device = devices.make("amplifier", resolution=0.5)
+    >>> best = devices.optimise(device)
+    >>> flow = device.solve(best.x)
+
+On the command line: ``python -m diffsim.stokes.devices amplifier --out runs/amplifier``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from diffsim._check import require_choice
+from diffsim.stokes.devices.amplifier import amplifier
+from diffsim.stokes.devices.averager import averager
+from diffsim.stokes.devices.device import Device, Parameter, State
+from diffsim.stokes.devices.funnel import funnel
+from diffsim.stokes.devices.gate import gate
+from diffsim.stokes.devices.optimise import Optimum, optimise
+from diffsim.stokes.devices.switch import switch
+from diffsim.stokes.devices.twister import twister
+
+DEVICES: dict[str, Callable[..., Device]] = {
+    "amplifier": amplifier,
+    "averager": averager,
+    "funnel": funnel,
+    "gate": gate,
+    "twister": twister,
+    "switch": switch,
+}
+"""Name to maker."""
+
+
+def make(name: str, resolution: float = 1.0, **options: object) -> Device:
+    """A device by name: "amplifier", "averager", "funnel", "gate", "twister" or "switch".
+
+    Args:
+        name: Which one.
+        resolution: Factor on the number of cells per axis; 1 is the thesis's grid.
+        **options: Those of the device, such as ``wall`` of the twister.
+    """
+    return DEVICES[require_choice("name", name, DEVICES)](resolution, **options)
+
+
+__all__ = [
+    "DEVICES",
+    "Device",
+    "Optimum",
+    "Parameter",
+    "State",
+    "amplifier",
+    "averager",
+    "funnel",
+    "gate",
+    "make",
+    "optimise",
+    "switch",
+    "twister",
+]

@@ -1,0 +1,187 @@
+"""What a fluidic device is: parameters, shape, flow problems, loss."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from diffsim._check import require
+from diffsim.errors import DiffsimError
+from diffsim.stokes.field import FlowField
+from diffsim.stokes.flow import StokesFlow
+from diffsim.stokes.grid import Grid
+from diffsim.stokes.shapes import Shape
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number to design, uniform within its bounds where designs are sampled.
+
+    Attributes:
+        name: What it is.
+        lower: Least value, lengths [m] and angles [rad].
+        upper: Largest value.
+    """
+
+    name: str
+    lower: float
+    upper: float
+
+    def __post_init__(self) -> None:
+        if not self.lower < self.upper:
+            raise ValueError(f"{self.name}: lower {self.lower} must be below upper {self.upper}")
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """One geometry of a device; most have one, a switch has one per position.
+
+    Attributes:
+        name: As in pictures.
+        shape: Parameters (num_parameters,) to the level set of the fluid.
+        inlet: Velocity of every inlet by name, (cases, 1, dim) [m/s]: one case per basis input.
+        loss: Flow to loss, scalar, not normalised.
+    """
+
+    name: str
+    shape: Callable[[Tensor], Shape]
+    inlet: Mapping[str, Tensor]
+    loss: Callable[[FlowField], Tensor]
+
+
+@dataclass(frozen=True, eq=False)
+class Device:
+    """A design problem: which parameters make the flow do what is wanted?
+
+    Lengths are in units of the box's width or height, speeds in units of an inlet's: a Stokes flow
+    has no scale of its own, so both may be multiplied at will.
+
+    Attributes:
+        name: As in ``make``.
+        flow: Grid, conditions on the box, kind of wall.
+        parameters: What is designed.
+        states: Geometries; the loss is the sum over them.
+        num_samples: Random designs that the thesis draws for this many parameters.
+        cases: Names of the inlet cases.
+        slices: Heights of horizontal planes that pictures show, as shares of the box (3D).
+        reference: Values of thesis table 4.5: "loss", "seconds" per call on its machine.
+        options: What the device was made with.
+    """
+
+    name: str
+    flow: StokesFlow
+    parameters: tuple[Parameter, ...]
+    states: tuple[State, ...]
+    num_samples: int
+    cases: tuple[str, ...] = ("flow",)
+    slices: tuple[float, ...] = (0.5,)
+    reference: Mapping[str, float] = field(default_factory=dict)
+    options: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def grid(self) -> Grid:
+        """The grid."""
+        return self.flow.grid
+
+    @property
+    def lower(self) -> Tensor:
+        """Lower bounds, (num_parameters,)."""
+        return torch.tensor([p.lower for p in self.parameters], dtype=torch.float64)
+
+    @property
+    def upper(self) -> Tensor:
+        """Upper bounds, (num_parameters,)."""
+        return torch.tensor([p.upper for p in self.parameters], dtype=torch.float64)
+
+    def sample(self, generator: torch.Generator) -> Tensor:
+        """A random design, uniform within the bounds, (num_parameters,)."""
+        share = torch.rand(len(self.parameters), generator=generator, dtype=torch.float64)
+        return self.lower + share * (self.upper - self.lower)
+
+    def level_set(self, x: Tensor, state: int = 0) -> Tensor:
+        """phi at the grid's nodes, (*node_shape,) [m], > 0 in the fluid. Gradient: x."""
+        x = require("x", x, (len(self.parameters),), torch.float64)
+        return self.states[state].shape(x)(self.grid.nodes)
+
+    def solve(self, x: Tensor, state: int = 0) -> FlowField:
+        """Flow of a design, one case per basis input.
+
+        Args:
+            x: Parameters, (num_parameters,) float64.
+            state: Index of the geometry.
+
+        Returns:
+            ``FlowField``. Gradient: x.
+
+        Raises:
+            ValueError: a design that lets no fluid through; those exist within the bounds.
+        """
+        return self.flow(self.level_set(x, state), inlet=self.states[state].inlet)
+
+    def loss(self, x: Tensor) -> Tensor:
+        """Loss, scalar, not normalised. Gradient: x."""
+        losses = [s.loss(self.solve(x, k)) for k, s in enumerate(self.states)]
+        return torch.stack(losses).sum()
+
+    def value_and_gradient(self, x: Tensor) -> tuple[float, Tensor]:
+        """Loss and its gradient (num_parameters,); one factorisation in memory at a time."""
+        x = x.detach().clone().requires_grad_(True)
+        value = 0.0
+        for k, state in enumerate(self.states):
+            loss = state.loss(self.solve(x, k))
+            loss.backward()
+            value += float(loss.detach())
+        assert x.grad is not None
+        return value, x.grad
+
+    def value(self, x: Tensor) -> float:
+        """Loss without gradient."""
+        with torch.no_grad():
+            return sum(float(s.loss(self.solve(x, k))) for k, s in enumerate(self.states))
+
+
+FAILURES = (ValueError, DiffsimError)
+"""What a design raises that has no flow: passages closed, curves without an inside."""
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Without the warnings about thin parts and crossing curves that random designs have."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        yield
+
+
+def scaled(shape: Sequence[int], resolution: float) -> tuple[int, ...]:
+    """Cells per axis times a factor, at least two."""
+    if not 0.0 < resolution <= 8.0:
+        raise ValueError(f"resolution must lie in (0, 8], got {resolution}")
+    return tuple(max(2, round(n * resolution)) for n in shape)
+
+
+def basis_inputs(*names: str, directions: Sequence[Sequence[float]]) -> dict[str, Tensor]:
+    """One case per inlet in which it alone flows, name to (cases, 1, dim) [m/s]."""
+    unit = torch.eye(len(names), dtype=torch.float64)
+    vectors = torch.tensor(directions, dtype=torch.float64)
+    return {n: unit[:, k, None, None] * vectors[k] for k, n in enumerate(names)}
+
+
+def between(grid: Grid, axis: int, low: float, high: float) -> Callable[[Tensor], Tensor]:
+    """Nodes of an inlet [low, high] along an axis: all those of cells that it overlaps."""
+    h = grid.spacing[axis] * (1.0 - 1e-6)
+
+    def where(points: Tensor) -> Tensor:
+        return (points[:, axis] > low - h) & (points[:, axis] < high + h)
+
+    return where
+
+
+def points2d(rows: Sequence[Sequence[float | Tensor]], x: Tensor) -> Tensor:
+    """Control points (k, 2) from numbers and entries of x."""
+    entries = [torch.as_tensor(e, dtype=x.dtype) for row in rows for e in row]
+    return torch.stack(entries).reshape(-1, 2)

@@ -1,0 +1,101 @@
+"""The search for designs: reaches the amplifier's optimum, goes on where it was interrupted."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import pytest
+import torch
+
+from diffsim.stokes import devices
+from diffsim.stokes.devices.__main__ import main
+from diffsim.stokes.devices.losses import area, mean_velocity
+
+
+def test_amplifier_amplifies_three_times(tmp_path):
+    device = devices.make("amplifier", 0.5)
+    best = devices.optimise(device, 6, seed=0, progress=False)
+    assert best.loss < 1e-4  # the thesis reaches 1.7e-5 with 10 samples on 64 x 48 cells
+    assert best.loss < 1e-2 * float(best.sample_losses.min())
+    assert float(best.sample_losses.mean()) == pytest.approx(1.0)
+    assert bool((best.x >= device.lower).all() and (best.x <= device.upper).all())
+    flow = device.solve(best.x)
+    # a loss of 1e-4 times the unit of a few m^2/s^2
+    assert float(mean_velocity(flow, ["x+"])[0, 0]) == pytest.approx(3.0, abs=0.03)
+    assert float(area(flow, ["x+"])) == pytest.approx(0.25, abs=0.003)
+
+
+class Interrupted:
+    """A device whose evaluations end after some calls, as by Ctrl-C."""
+
+    def __init__(self, device: devices.Device, calls: int):
+        self.device, self.left = device, calls
+
+    def __getattr__(self, name):
+        return getattr(self.device, name)
+
+    def value(self, x):
+        self._count()
+        return self.device.value(x)
+
+    def value_and_gradient(self, x):
+        self._count()
+        return self.device.value_and_gradient(x)
+
+    def _count(self):
+        if self.left == 0:
+            raise KeyboardInterrupt
+        self.left -= 1
+
+
+@pytest.mark.parametrize("calls", [2, 7])  # while sampling, while improving
+def test_interrupted_runs_go_on(tmp_path, calls):
+    device = devices.make("amplifier", 0.25)
+    options = {"seed": 3, "max_evaluations": 8, "progress": False}
+    whole = devices.optimise(device, 4, **options)
+    path = tmp_path / "progress.json"
+    stopped = Interrupted(device, calls)
+    with pytest.raises(KeyboardInterrupt):
+        devices.optimise(stopped, 4, path=path, **options)
+    kept = json.loads(path.read_text())
+    assert len(kept["samples"]) + len(kept["evaluations"]) == calls
+    rest = Interrupted(device, 4 + len(whole.evaluations) - calls)  # not one more
+    resumed = devices.optimise(rest, 4, path=path, **options)
+    assert rest.left == 0
+    assert torch.equal(resumed.evaluations, whole.evaluations)
+    assert torch.equal(resumed.x, whole.x)
+    assert resumed.loss == whole.loss
+    with pytest.raises(ValueError, match="belongs to another run"):
+        devices.optimise(device, 5, path=path, **options)
+
+
+def test_designs_without_flow_are_drawn_again_and_avoided():
+    device = devices.make("amplifier", 0.25)
+    walls = device.states[0].shape
+
+    def no_narrow_ones(x):
+        if float(x[4]) > 0.36:
+            raise ValueError("closed")
+        return walls(x)
+
+    state = dataclasses.replace(device.states[0], shape=no_narrow_ones)
+    fussy = dataclasses.replace(device, states=(state,))
+    best = devices.optimise(fussy, 6, seed=1, max_evaluations=15, progress=False)
+    assert best.num_rejected > 0
+    assert bool((best.samples[:, 4] <= 0.36).all())
+    assert float(best.x[4]) <= 0.36
+    assert best.loss <= float(best.sample_losses.min())
+
+
+def test_command_line_writes_numbers_and_picture(tmp_path, capsys):
+    pytest.importorskip("matplotlib")
+    arguments = ["amplifier", "--resolution", "0.25", "--samples", "2", "--evaluations", "3"]
+    assert main([*arguments, "--out", str(tmp_path)]) == 0
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert len(result["design"]) == 5
+    assert result["evaluations"] == 3
+    assert (tmp_path / "flow.png").stat().st_size > 10_000
+    assert "loss in the thesis" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main(["gate", "--no-slip"])
