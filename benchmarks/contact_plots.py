@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,11 +14,11 @@ from benchmarks.plot_style import (
     legend_below,
     new_figure,
     number_in_steps_of_1_2_5,
+    save,
     select,
     style,
 )
 from benchmarks.soft_plots import tolerance_axis
-from diffsim._files import write_bytes_atomic
 from diffsim.viz.figures import SOFT
 
 COLOURS = {
@@ -49,11 +48,7 @@ def draw_figures(results: dict[str, Any], out: Path) -> list[str]:
     for name, (draw, needed) in drawings.items():
         if not results.get(name, {}).get(needed):
             continue
-        figure = draw(results[name])
-        for suffix in ("png", "svg"):
-            content = io.BytesIO()
-            figure.savefig(content, format=suffix, dpi=160)
-            write_bytes_atomic(out / f"{name}.{suffix}", content.getvalue())
+        save(draw(results[name]), out / name)
         names.append(name)
     return names
 

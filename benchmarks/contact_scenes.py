@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-import warnings
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from benchmarks.harness import timed
-from benchmarks.soft_scenes import Pass, mean, weighted_loss
+from benchmarks.soft_scenes import Pass, mean, timed_pass, weighted_loss
 from diffsim import contact, mesh, soft
-from diffsim.errors import ConvergenceWarning
 
 RADIUS = 0.05  # of the rolling sphere [m]
 WIDTH, OBSTACLE_RADIUS = 0.4, 0.5  # of the napkin, of what it falls on [m]
@@ -69,23 +66,11 @@ def rolling_pass(
     x, v = rolling_state(body, slide=slide)
     ground = contact.floor(friction=friction)
 
-    def forward() -> Tensor:
+    def forward() -> tuple[Tensor, tuple[Tensor, Tensor]]:
         end = soft.rollout(body, soft.State(x, v), num_steps, obstacles=ground).final
-        return weighted_loss(end)
+        return weighted_loss(end), (x, v)
 
-    with warnings.catch_warnings(), soft.record_stats() as solves:
-        warnings.simplefilter("ignore", ConvergenceWarning)  # Pass.converged tells
-        loss, forward_time = timed(forward)
-        _, backward_time = timed(loss.backward)
-    assert x.grad is not None and v.grad is not None
-    return Pass(
-        loss=float(loss.detach()),
-        grad=torch.stack([x.grad, v.grad]),
-        forward=forward_time,
-        backward=backward_time,
-        steps=[s for s in solves if s.kind == "step"],
-        adjoints=[s for s in solves if s.kind == "adjoint"],
-    )
+    return timed_pass(forward)
 
 
 def napkin(cells: int, reach: float, solver: soft.SolverOptions | None = None) -> soft.SoftBody:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -10,6 +12,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
+from diffsim._files import write_bytes_atomic
 from diffsim.viz.figures import INK, LINE, SOFT
 
 Rows = list[dict[str, Any]]
@@ -32,6 +35,14 @@ def style(ax: Axes, title: str, xlabel: str, ylabel: str = "") -> None:
 def new_figure(width: float, height: float) -> Figure:
     """A white figure whose parts keep out of each other's way."""
     return Figure(figsize=(width, height), layout="constrained", facecolor="white")
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write ``path`` with the suffixes .png and .svg."""
+    for suffix in ("png", "svg"):
+        content = io.BytesIO()
+        figure.savefig(content, format=suffix, dpi=160)
+        write_bytes_atomic(path.with_name(f"{path.name}.{suffix}"), content.getvalue())
 
 
 def legend_below(figure: Figure, axes: Sequence[Axes], columns: int) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,13 +15,13 @@ from benchmarks.plot_style import (
     legend_below,
     new_figure,
     number_in_steps_of_1_2_5,
+    save,
     select,
     style,
 )
 from benchmarks.soft_explicit import COMPARED
 from benchmarks.soft_plots_studies import accuracy, compared, explicit
 from benchmarks.soft_scaling import measured
-from diffsim._files import write_bytes_atomic
 from diffsim.viz.figures import INK, SOFT
 
 COLOURS = {
@@ -54,11 +53,7 @@ def draw_figures(results: dict[str, Any], out: Path) -> list[str]:
     for name, (draw, enough) in drawings.items():
         if name not in results or not enough(results[name]):
             continue
-        figure = draw(results[name])
-        for suffix in ("png", "svg"):
-            content = io.BytesIO()
-            figure.savefig(content, format=suffix, dpi=160)
-            write_bytes_atomic(out / f"{name}.{suffix}", content.getvalue())
+        save(draw(results[name]), out / name)
         names.append(name)
     return names
 

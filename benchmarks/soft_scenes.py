@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -142,9 +142,14 @@ def rollout_loss(
 
 def one_pass(body: soft.SoftBody, num_steps: int, **options: Any) -> Pass:
     """Forward and backward of :func:`rollout_loss`, timed."""
+    return timed_pass(lambda: rollout_loss(body, num_steps, **options))
+
+
+def timed_pass(forward: Callable[[], tuple[Tensor, tuple[Tensor, Tensor]]]) -> Pass:
+    """Forward, which returns a loss and the leaves x and v of its graph, and backward."""
     with warnings.catch_warnings(), soft.record_stats() as solves:
         warnings.simplefilter("ignore", ConvergenceWarning)  # Pass.converged tells
-        (loss, (x, v)), forward_time = timed(lambda: rollout_loss(body, num_steps, **options))
+        (loss, (x, v)), forward_time = timed(forward)
         _, backward_time = timed(loss.backward)
     assert x.grad is not None and v.grad is not None
     return Pass(

@@ -11,7 +11,6 @@ results.json with every number, accuracy.png and .svg.
 from __future__ import annotations
 
 import argparse
-import io
 import math
 import warnings
 from collections.abc import Iterable, Sequence
@@ -28,11 +27,12 @@ from benchmarks.plot_style import (
     legend_below,
     new_figure,
     number_in_steps_of_1_2_5,
+    save,
     select,
     style,
 )
 from benchmarks.stokes_exact import Exact, all_flows
-from diffsim._files import write_bytes_atomic, write_json_atomic, write_text_atomic
+from diffsim._files import write_json_atomic, write_text_atomic
 from diffsim.stokes import Grid, StokesFlow
 from diffsim.stokes.thesis_flow import ThesisFlow
 from diffsim.viz.figures import INK
@@ -185,11 +185,7 @@ def main(argv: Sequence[str] | None = None) -> dict[str, Any]:
     args.out.mkdir(parents=True, exist_ok=True)
     write_json_atomic(args.out / "results.json", results)
     write_text_atomic(args.out / "report.md", report(rows) + "\n")
-    figure = draw(rows)
-    for suffix in ("png", "svg"):
-        content = io.BytesIO()
-        figure.savefig(content, format=suffix, dpi=160)
-        write_bytes_atomic(args.out / f"accuracy.{suffix}", content.getvalue())
+    save(draw(rows), args.out / "accuracy")
     return results
 
 

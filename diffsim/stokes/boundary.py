@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
-from diffsim._check import require_choice
+from diffsim._check import require, require_choice
 from diffsim.stokes.grid import Grid
 
 WALLS = ("no_slip", "slip")
@@ -124,3 +124,34 @@ class Boundary:
             raise ValueError(f"two inlets are called {inlet.key!r}; give each its own name")
         self.inlets[inlet.key] = nodes
         self.fixed[nodes] = True
+
+    def inlet_velocities(self, inlet: Tensor | Mapping[str, Tensor] | None) -> dict[str, Tensor]:
+        """Velocities of all inlets, checked.
+
+        Args:
+            inlet: By inlet, or one tensor where there is one inlet: (dim,), (nodes, dim) or
+                (cases, 1 or nodes, dim) [m/s].
+
+        Returns:
+            By inlet, (cases or 1, 1 or nodes, dim) [m/s]. Gradients: inlet.
+        """
+        names = list(self.inlets)
+        if isinstance(inlet, Tensor):
+            if len(names) != 1:
+                raise ValueError(f"inlet must be a dict with the keys {names}, got one tensor")
+            inlet = {names[0]: inlet}
+        inlet = inlet or {}
+        if set(inlet) != set(names):
+            raise ValueError(f"inlet must have the keys {names}, got {list(inlet)}")
+        values, dim = {}, self.grid.dim
+        for name, value in inlet.items():
+            count = len(self.inlets[name])
+            value = require(f"inlet {name!r}", value, ("...", dim), torch.float64)
+            shaped = value.reshape((1,) * max(0, 3 - value.ndim) + value.shape)
+            if shaped.ndim != 3 or shaped.shape[1] not in (1, count):
+                raise ValueError(
+                    f"inlet {name!r} must have shape ({dim},), ({count}, {dim}) or "
+                    f"(cases, 1 or {count}, {dim}), got {tuple(value.shape)}"
+                )
+            values[name] = shaped
+        return values

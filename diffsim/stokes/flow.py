@@ -159,7 +159,9 @@ class StokesFlow(nn.Module):
         eta = require("viscosity", eta.to(torch.float64).reshape(-1), (1,), torch.float64)
         if not torch.compiler.is_compiling() and float(eta.detach()) <= 0.0:
             raise ValueError(f"viscosity must be above 0, got {float(eta.detach()):g}")
-        velocities = self._inlet_velocities(inlet)
+        if isinstance(inlet, Mapping):
+            inlet = {name: _as_tensor(value) for name, value in inlet.items()}
+        velocities = self.boundary.inlet_velocities(inlet)
         loads = [
             self._load(name, load)
             for name, load in zip(ops.LOADS, (wall_velocity, body_force, traction), strict=True)
@@ -206,47 +208,10 @@ class StokesFlow(nn.Module):
             report = self._context.system(phi, self.num_threads).report
         return {name: getattr(report, name) for name in dir(report) if not name.startswith("_")}
 
-    def _inlet_velocities(self, inlet: Tensor | Mapping[str, Tensor] | None) -> dict[str, Tensor]:
-        names = list(self.boundary.inlets)
-        if isinstance(inlet, Tensor):
-            if len(names) != 1:
-                raise ValueError(f"inlet must be a dict with the keys {names}, got one tensor")
-            inlet = {names[0]: inlet}
-        inlet = inlet or {}
-        if set(inlet) != set(names):
-            raise ValueError(f"inlet must have the keys {names}, got {list(inlet)}")
-        values = {}
-        for name, value in inlet.items():
-            if not isinstance(value, Tensor):
-                value = torch.as_tensor(value, dtype=torch.float64)
-            count = len(self.boundary.inlets[name])
-            value = require(f"inlet {name!r}", value, ("...", self.grid.dim), torch.float64)
-            shaped = (
-                value.reshape((1,) * (3 - value.ndim) + value.shape) if value.ndim < 4 else value
-            )
-            if shaped.ndim != 3 or shaped.shape[1] not in (1, count):
-                raise ValueError(
-                    f"inlet {name!r} must have shape ({self.grid.dim},), "
-                    f"({count}, {self.grid.dim}) or (cases, 1 or {count}, {self.grid.dim}), "
-                    f"got {tuple(value.shape)}"
-                )
-            values[name] = shaped
-        return values
-
     def _load(self, name: str, value: Tensor | None) -> Tensor:
-        grid = self.grid
         if value is None:
             return torch.zeros(0, dtype=torch.float64)
-        if not isinstance(value, Tensor):
-            value = torch.as_tensor(value, dtype=torch.float64)
-        field = (*grid.node_shape, grid.dim)
-        if value.ndim == 1:
-            value = require(name, value, (grid.dim,), torch.float64).expand(1, *field)
-        elif value.ndim == grid.dim + 1:
-            value = require(name, value, field, torch.float64)[None]
-        else:
-            value = require(name, value, ("cases", *field), torch.float64)
-        return value.reshape(value.shape[0], grid.num_nodes, grid.dim).contiguous()
+        return self.grid.nodal_vectors(name, _as_tensor(value)).contiguous()
 
     def _inspect(self, report, phi: Tensor) -> None:
         """Warn about what a new geometry will not resolve."""
@@ -286,3 +251,7 @@ def count_thin_cells(grid: Grid, phi: Tensor) -> int:
     usual = norm[norm > 0].median() if bool((norm > 0).any()) else norm.new_ones(())
     near = center.abs() < 0.5 * min(grid.spacing) * usual
     return int((near & (norm < 0.5 * usual)).sum())
+
+
+def _as_tensor(value: object) -> Tensor:
+    return value if isinstance(value, Tensor) else torch.as_tensor(value, dtype=torch.float64)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from diffsim._check import require_number
+from diffsim._check import require, require_number
 
 AXES = "xyz"
 
@@ -119,3 +119,22 @@ class Grid:
         if face not in self.faces:
             raise ValueError(f"face must be one of {list(self.faces)}, got {face!r}")
         return AXES.index(face[0]), "-+".index(face[1])
+
+    def nodal_vectors(self, name: str, value: Tensor) -> Tensor:
+        """A vector field from one vector (dim,), a field (*node_shape, dim) or one per case.
+
+        Args:
+            name: For messages.
+            value: The vector or fields, any unit.
+
+        Returns:
+            (cases or 1, num_nodes, dim). Gradient: value.
+        """
+        field = (*self.node_shape, self.dim)
+        if value.ndim == 1:
+            value = require(name, value, (self.dim,), torch.float64).expand(1, *field)
+        elif value.ndim == self.dim + 1:
+            value = require(name, value, field, torch.float64)[None]
+        else:
+            value = require(name, value, ("cases", *field), torch.float64)
+        return value.reshape(-1, self.num_nodes, self.dim)

@@ -145,8 +145,10 @@ class ThesisFlow(nn.Module):
         eta = require("viscosity", eta.to(torch.float64).reshape(-1), (1,), torch.float64)
         if float(eta.detach()) <= 0.0:
             raise ValueError(f"viscosity must be above 0, got {float(eta.detach()):g}")
-        inlets = self._inlet_velocities(inlet)
-        wall = self._wall_velocity(wall_velocity)
+        inlets = self.boundary.inlet_velocities(inlet)
+        wall = None
+        if wall_velocity is not None:
+            wall = self.grid.nodal_vectors("wall_velocity", wall_velocity)
         if not inlets and wall is None:
             raise ValueError("nothing drives the flow: add an Inlet or a wall_velocity")
         counts = {v.shape[0] for v in (*inlets.values(), *([] if wall is None else [wall]))} - {1}
@@ -232,42 +234,6 @@ class ThesisFlow(nn.Module):
                 outflow = outflow + field.flux(axis, -side).detach() * (1.0 if side else -1.0)
         field.stats["net_inflow"] = -outflow
         return field
-
-    def _inlet_velocities(self, inlet: Tensor | Mapping[str, Tensor] | None) -> dict[str, Tensor]:
-        names = list(self.boundary.inlets)
-        if isinstance(inlet, Tensor):
-            if len(names) != 1:
-                raise ValueError(f"inlet must be a dict with the keys {names}, got one tensor")
-            inlet = {names[0]: inlet}
-        inlet = inlet or {}
-        if set(inlet) != set(names):
-            raise ValueError(f"inlet must have the keys {names}, got {list(inlet)}")
-        values, dim = {}, self.grid.dim
-        for name, value in inlet.items():
-            count = len(self.boundary.inlets[name])
-            value = require(f"inlet {name!r}", value, ("...", dim), torch.float64)
-            shaped = value.reshape((1,) * max(0, 3 - value.ndim) + value.shape)
-            if shaped.ndim != 3 or shaped.shape[1] not in (1, count):
-                raise ValueError(
-                    f"inlet {name!r} must have shape ({dim},), ({count}, {dim}) or "
-                    f"(cases, 1 or {count}, {dim}), got {tuple(value.shape)}"
-                )
-            values[name] = shaped
-        return values
-
-    def _wall_velocity(self, value: Tensor | None) -> Tensor | None:
-        """(cases or 1, num_nodes, dim)."""
-        if value is None:
-            return None
-        grid = self.grid
-        field = (*grid.node_shape, grid.dim)
-        if value.ndim == 1:
-            value = require("wall_velocity", value, (grid.dim,), torch.float64).expand(1, *field)
-        elif value.ndim == grid.dim + 1:
-            value = require("wall_velocity", value, field, torch.float64)[None]
-        else:
-            value = require("wall_velocity", value, ("cases", *field), torch.float64)
-        return value.reshape(-1, grid.num_nodes, grid.dim)
 
 
 class _CellTables:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,8 +12,8 @@ from diffsim._check import require_number
 from diffsim.stokes.fabrication import wall_mesh
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.streamlines import Streamline, streamlines
-from diffsim.viz._require import optional
 from diffsim.viz.flow import SPEED
+from diffsim.viz.scene import write_recording
 
 Array = NDArray[np.float64]
 
@@ -60,24 +58,9 @@ def write_rerun(
         raise ValueError("height is for 2D flows; this grid has three axes")
     if isinstance(lines, int):
         lines = streamlines(field, lines, case=case) if lines else []
-    rr = optional("rerun", purpose="an .rrd recording")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".rrd.tmp")
-    os.close(handle)
-    try:
-        stream = rr.RecordingStream(f"diffsim {title}")
-        stream.save(temporary)
-        stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        _log(rr, stream, field, case, lines, num_arrows, height)
-        stream.flush()
-        stream.disconnect()
-        del stream
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-    return path
+    return write_recording(
+        path, title, lambda rr, stream: _log(rr, stream, field, case, lines, num_arrows, height)
+    )
 
 
 def _log(

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,15 +75,8 @@ def write(scene: Scene, path: str | Path) -> Path:
     Raises:
         ImportError: rerun-sdk is not installed.
     """
-    rr = optional("rerun", purpose="an .rrd recording")
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".rrd.tmp")
-    os.close(handle)
-    try:
-        stream = rr.RecordingStream(f"diffsim {scene.title}")
-        stream.save(temporary)
-        stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+
+    def log(rr: Any, stream: Any) -> None:
         stream.log("note", rr.TextDocument(scene.note, media_type="text/markdown"), static=True)
         for surface in scene.surfaces:
             _surface(rr, stream, surface)
@@ -90,6 +84,26 @@ def write(scene: Scene, path: str | Path) -> Path:
             _points(rr, stream, points)
         for plot in scene.plots:
             _plot(rr, stream, plot)
+
+    return write_recording(path, scene.title, log)
+
+
+def write_recording(path: str | Path, title: str, log: Callable[[Any, Any], None]) -> Path:
+    """Write what ``log(rerun, stream)`` logs, z up; the file appears only when it is whole.
+
+    Raises:
+        ImportError: rerun-sdk is not installed.
+    """
+    rr = optional("rerun", purpose="an .rrd recording")
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".rrd.tmp")
+    os.close(handle)
+    try:
+        stream = rr.RecordingStream(f"diffsim {title}")
+        stream.save(temporary)
+        stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        log(rr, stream)
         stream.flush()
         stream.disconnect()
         del stream

@@ -66,13 +66,8 @@ class ContactNewton {
  private:
   /// Whether the residual is the least with these statuses, or above what rounding leaves of it.
   bool improves(double residual_norm, bool changed) {
-    double rounding = 0.0;
-    for (std::size_t i = 0; i < x_.size(); ++i) {
-      const double f = system_.diagonal()[i / 3] * x_[i];
-      rounding += f * f;
-    }
-    rounding = 2.0 * std::numeric_limits<double>::epsilon() * std::sqrt(rounding);
-    const bool better = changed || residual_norm > rounding || residual_norm < 0.99 * least_norm_;
+    const bool better =
+        changed || residual_norm > system_.rounding_floor(x_) || residual_norm < 0.99 * least_norm_;
     if (better) least_norm_ = residual_norm;
     return better;
   }

@@ -1,5 +1,7 @@
 #include "kernels/soft/constant_system.h"
 
+#include <limits>
+
 namespace diffsim {
 namespace {
 
@@ -122,6 +124,15 @@ std::int64_t ConstantSystem::factor_bytes() const {
   std::int64_t bytes = 0;
   for (const AxisFactor& f : factors_) bytes += f.factor.bytes();
   return bytes;
+}
+
+double ConstantSystem::rounding_floor(const Vector& x) const {
+  double total = 0.0;
+  for (std::size_t i = 0; i < x.size(); ++i) {
+    const double f = diagonal_[i / 3] * x[i];
+    total += f * f;
+  }
+  return 2.0 * std::numeric_limits<double>::epsilon() * std::sqrt(total);
 }
 
 int ConstantSystem::factor_of_axis(int axis) const {

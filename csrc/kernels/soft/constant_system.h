@@ -69,6 +69,10 @@ class ConstantSystem {
   int num_factors() const { return static_cast<int>(factors_.size()); }
   const CholeskyFactor& factor(int f) const { return factors_[static_cast<std::size_t>(f)].factor; }
   int factor_of_axis(int axis) const;
+  /// What rounding alone leaves of the gradient at x (num_nodes, 3) [N]: a relative error eps of
+  /// the positions appears in each node's force as eps |x| times the node's stiffness. No iteration
+  /// gets below it.
+  double rounding_floor(const Vector& x) const;
   InverseColumns& inverse_columns() const { return inverse_columns_; }
 
  private:

@@ -161,17 +161,6 @@ class Newton {
   KrylovScratch krylov_;
 };
 
-/// What rounding alone leaves of the gradient [N]: a relative error eps of the positions x appears
-/// in each node's force as eps |x| times the node's stiffness. No iteration gets below it.
-double rounding_floor(const ConstantSystem& system, const Vector& x) {
-  double total = 0.0;
-  for (std::size_t i = 0; i < x.size(); ++i) {
-    const double f = system.diagonal()[i / 3] * x[i];
-    total += f * f;
-  }
-  return 2.0 * std::numeric_limits<double>::epsilon() * std::sqrt(total);
-}
-
 /// Moves fixed unknowns from the guess to their targets while free ones follow by the linearised
 /// problem, in as many pieces as the energy needs to stay finite. For energies with a barrier:
 /// prescribed motion alone may invert the elements beside it. False where no such path is found.
@@ -234,7 +223,7 @@ StepStats implicit_step(const ConstantSystem& system, const StepInputs& inputs,
   const bool unloaded = !(problem.scale() > 0.0);
   stats.scale = unloaded ? stats.residual_norm : problem.scale();
   stats.tolerance = options.rtol * stats.scale + options.atol;
-  const double rounding = rounding_floor(system, x);
+  const double rounding = system.rounding_floor(x);
   if (unloaded) stats.tolerance = std::max(stats.tolerance, rounding);
   double best = stats.residual_norm;
   int since_best = 0;
