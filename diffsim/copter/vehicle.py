@@ -1,0 +1,126 @@
+"""What the dynamics of a multicopter need to know."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from diffsim._check import require
+
+GRAVITY = 9.81  # [m/s^2]
+
+
+@dataclass(frozen=True, eq=False)
+class Multicopter:
+    """Mass properties and rotors of a multicopter, body frame at the centre of mass, NED.
+
+    m p'' = m g + R M_f u and J w' + w x J w = M_t u (thesis eqs. 3.2-3.5): any number of rotors,
+    any tilt, coaxial pairs, different propellers. Every tensor may carry gradients.
+
+    Attributes:
+        mass: () [kg].
+        inertia: (3, 3) about the centre of mass [kg m^2].
+        positions: Centres of the rotors relative to the centre of mass, (n_rotors, 3) [m].
+        directions: Unit directions of thrust d_i, (n_rotors, 3); up is (0, 0, -1).
+        spins: b_i, (n_rotors,): +1 where the reaction torque points along the thrust (the propeller
+            turns clockwise seen from above an upright rotor), else -1.
+        torque_ratios: lambda_i, torque per thrust, (n_rotors,) [m].
+        max_thrusts: u_max, (n_rotors,) [N].
+        radii: Of the propellers, (n_rotors,) [m].
+        rotor_models: Names of the rotors' models, one each; empty if unknown.
+
+    Raises:
+        TypeError, ValueError: wrong shapes or types, values that are not finite, a mass that is not
+            positive, an inertia that is not symmetric positive definite, directions that are not
+            unit vectors, spins other than +1 and -1.
+    """
+
+    mass: Tensor
+    inertia: Tensor
+    positions: Tensor
+    directions: Tensor
+    spins: Tensor
+    torque_ratios: Tensor
+    max_thrusts: Tensor
+    radii: Tensor
+    rotor_models: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        n = self.num_rotors
+        shapes: dict[str, tuple[int, ...]] = {
+            "mass": (),
+            "inertia": (3, 3),
+            "positions": (n, 3),
+            "directions": (n, 3),
+            "spins": (n,),
+            "torque_ratios": (n,),
+            "max_thrusts": (n,),
+            "radii": (n,),
+        }
+        for name, shape in shapes.items():
+            require(name, getattr(self, name), shape, torch.float64)
+        if n == 0:
+            raise ValueError("a multicopter needs at least one rotor, got none")
+        if self.rotor_models and len(self.rotor_models) != n:
+            raise ValueError(f"rotor_models names {len(self.rotor_models)} of {n} rotors")
+        with torch.no_grad():
+            self._require_physical()
+
+    def _require_physical(self) -> None:
+        if not float(self.mass) > 0.0:
+            raise ValueError(f"mass must be above 0 kg, got {float(self.mass):g}")
+        skew = float((self.inertia - self.inertia.T).abs().max())
+        least = float(torch.linalg.eigvalsh(0.5 * (self.inertia + self.inertia.T))[0])
+        if skew > 1e-9 * float(self.inertia.abs().max()) or not least > 0.0:
+            raise ValueError(
+                "inertia must be symmetric positive definite, got smallest eigenvalue "
+                f"{least:g} kg m^2 and asymmetry {skew:g} kg m^2"
+            )
+        off = (self.directions.norm(dim=-1) - 1.0).abs()
+        if float(off.max()) > 1e-6:
+            raise ValueError(
+                f"directions must be unit vectors; that of rotor {int(off.argmax())} has length "
+                f"{float(self.directions[int(off.argmax())].norm()):g}"
+            )
+        if bool((self.spins.abs() != 1.0).any()):
+            raise ValueError(f"spins must be +1 or -1, got {self.spins.tolist()}")
+        for name in ("torque_ratios", "max_thrusts", "radii"):
+            if bool((getattr(self, name) < 0.0).any()):
+                raise ValueError(f"{name} must not be negative, got {getattr(self, name).tolist()}")
+
+    @property
+    def num_rotors(self) -> int:
+        """Number of rotors."""
+        return self.positions.shape[0]
+
+    @property
+    def force_matrix(self) -> Tensor:
+        """M_f: thrusts to force in the body frame, (3, n_rotors) (thesis eq. 3.3)."""
+        return self.directions.T
+
+    @property
+    def torque_matrix(self) -> Tensor:
+        """M_t: thrusts to torque about the centre of mass, (3, n_rotors) [m] (thesis eq. 3.5)."""
+        reaction = (self.spins * self.torque_ratios)[:, None] * self.directions
+        return (reaction + torch.linalg.cross(self.positions, self.directions)).T
+
+    @property
+    def weight(self) -> Tensor:
+        """m g, () [N]."""
+        return self.mass * GRAVITY
+
+    def replace(self, **changes: Any) -> Multicopter:
+        """A copy with other values."""
+        return replace(self, **changes)
+
+    def detach(self) -> Multicopter:
+        """A copy that carries no gradients."""
+        tensors: dict[str, Any] = {
+            f.name: value.detach()
+            for f in fields(self)
+            if isinstance(value := getattr(self, f.name), Tensor)
+        }
+        return replace(self, **tensors)
