@@ -32,8 +32,8 @@ class InfeasibleDesignError(DiffsimError):
 
     def __init__(self, conflict: Sequence[str]):
         super().__init__(
-            f"these {len(conflict)} constraints exclude each other (each pair of them may well "
-            "agree; drop or change one):\n  " + "\n  ".join(conflict)
+            f"these {len(conflict)} constraints cannot all hold; change or drop one of them:\n  "
+            + "\n  ".join(conflict)
         )
         self.conflict = tuple(conflict)
 
@@ -76,7 +76,7 @@ class FeasibleSet:
     @cached_property
     def _reduced(self) -> tuple[Array, Array, tuple[str, ...]]:
         a, b = matrix(self.names, self.inequalities)
-        reduced, rest = a @ self.basis, b - a @ self.offset
+        reduced, rest = _without_dust(a @ self.basis), b - a @ self.offset
         keep = np.abs(reduced).max(axis=1, initial=0.0) > _RANK_TOL
         labels = tuple(c.label for c, k in zip(self.inequalities, keep, strict=True) if k)
         return reduced[keep], rest[keep], labels
@@ -118,14 +118,17 @@ class FeasibleSet:
         if not _satisfiable(self.names, constraints):
             raise InfeasibleDesignError(irreducible_conflict(self.names, constraints))
 
-    def closest(self, target: Array, pinned: Mapping[str, float] | None = None) -> Array:
+    def closest(
+        self, target: Array, weights: Array, pinned: Mapping[str, float] | None = None
+    ) -> Array:
         """Free parameters of the feasible point closest to a target.
 
-        min |x - target|^2 s.t. x = offset + basis @ s, A s <= b, x[pinned] = value (thesis 3.2.2),
+        min sum w (x - target)^2 s.t. x = offset + basis @ s, A s <= b, x[pinned] = value (thesis 3.2.2),
         solved by osqp.
 
         Args:
             target: (n,) in all parameters.
+            weights: w, (n,), not negative.
             pinned: Values that must be met exactly, by name.
 
         Raises:
@@ -141,9 +144,11 @@ class FeasibleSet:
         rows = np.concatenate([self.inequality_matrix, p @ self.basis])
         upper = np.concatenate([self.inequality_bound, q - p @ self.offset])
         lower = np.concatenate([np.full(len(self.inequality_bound), -np.inf), q - p @ self.offset])
-        s = _solve_qp(self.basis.T @ self.basis, self.basis.T @ (self.offset - target),
-                      rows, lower, upper)
-        excess = max(self.violation(s), float(np.abs(rows @ s - upper)[len(rows) - len(pins):].max(initial=0.0)))
+        weighted = self.basis.T * weights
+        gradient = weighted @ (self.offset - target)
+        s = _solve_qp(weighted @ self.basis, gradient, rows, lower, upper)
+        missed = np.abs(p @ (self.offset + self.basis @ s) - q).max(initial=0.0)
+        excess = max(self.violation(s), float(missed))
         if excess > _FEASIBLE:
             raise ConvergenceError(
                 f"the closest design misses its constraints by {excess:.1e} m, needed "
@@ -210,12 +215,17 @@ def eliminate(
     basis = np.zeros((len(names), len(free)))
     basis[free, np.arange(len(free))] = 1.0
     if len(dependent):
-        solution = np.linalg.lstsq(a[:, dependent], np.column_stack([b, -a[:, free]]))[0]
-        solution[np.abs(solution) < 1e-13] = 0.0  # rounding, so that rows stay sparse
+        both = np.linalg.lstsq(a[:, dependent], np.column_stack([b, -a[:, free]]))[0]
+        solution = _without_dust(both)
         offset[dependent], basis[dependent] = solution[:, 0], solution[:, 1:]
     result = FeasibleSet(tuple(names), equalities, inequalities, free, offset, basis)
     result.require_feasible()
     return result
+
+
+def _without_dust(values: Array) -> Array:
+    """Rounding errors set to zero, so that rows say what they mean."""
+    return np.where(np.abs(values) < 1e-13, 0.0, values)
 
 
 def _independent_columns(a: Array, order: Array) -> Array:
