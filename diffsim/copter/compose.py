@@ -113,7 +113,9 @@ class Composer:
 
     def _add(self, name: str, part: Part, rotation: Array, automatic: bool = False) -> None:
         part.require_closed(name)
-        rotation = np.where(np.abs(rotation - np.rint(rotation)) < 1e-14, np.rint(rotation), rotation)
+        rotation = np.where(
+            np.abs(rotation - np.rint(rotation)) < 1e-14, np.rint(rotation), rotation
+        )
         placed = PlacedPart(name, part, rotation, automatic)
         self.placed[name] = placed
         given = self._specs[name].options if name in self._specs else {}
@@ -239,7 +241,13 @@ class Composer:
             if self._specs[require_choice("rigid part", name, self._specs)].place is None:
                 raise ValueError(f"rigid pair {first}, {second}: give {name!r} a place")
         a, b = self._specs[first].place, self._specs[second].place
-        pairs = zip(self.placed[first].position_names, self.placed[second].position_names, a or (), b or (), strict=True)
+        pairs = zip(
+            self.placed[first].position_names,
+            self.placed[second].position_names,
+            a or (),
+            b or (),
+            strict=True,
+        )
         for name_a, name_b, value_a, value_b in pairs:
             form = LinearForm({name_b: 1.0, name_a: -1.0})
             self._equal(form, value_b - value_a, f"rigid pair {first} - {second}")
@@ -263,7 +271,9 @@ class Composer:
         pairs = [pair for pair in itertools.product(*choices) if self._fits(*pair)]
         if not pairs:
             adapters_for(*(self._part(n).patches[p] for n, p in (choices[0][0], choices[1][0])))
-        return list(min(pairs or itertools.product(*choices), key=lambda pair: self._distance(*pair)))
+        return list(
+            min(pairs or itertools.product(*choices), key=lambda pair: self._distance(*pair))
+        )
 
     def _fits(self, host: tuple[str, str], guest: tuple[str, str]) -> bool:
         try:
@@ -295,14 +305,10 @@ class Composer:
         base = self._part(motor).patches["base"].axis
         return -(base @ mount.direction) * direction / length
 
-    def _clip_normal(
-        self, motor: str, host: PlacedPart, host_patch: str, degrees: float
-    ) -> Array:
+    def _clip_normal(self, motor: str, host: PlacedPart, host_patch: str, degrees: float) -> Array:
         """Normal of the clip's top in the clip's frame."""
         bottom = make_part(TILTED, {"normal": (0.0, 0.0, -1.0)}).patches["bottom"]
-        rotation = aligning_rotation(
-            host.patch(host_patch), host.rotation, bottom, degrees=degrees
-        )
+        rotation = aligning_rotation(host.patch(host_patch), host.rotation, bottom, degrees=degrees)
         return rotation.T @ self._base_normal(motor)
 
     def _needs_clip(self, guest: str, host: PlacedPart, host_patch: str) -> bool:
@@ -336,4 +342,3 @@ def _describe(form: LinearForm, bound: float) -> str:
         name, c = terms[0]
         return f"{name} <= {bound / c:g}" if c > 0.0 else f"{name} >= {bound / c:g}"
     return " + ".join(f"{c:g} {n}" for n, c in terms) + f" <= {bound:g}"
-

@@ -224,7 +224,9 @@ class Design:
         target = self.all_values().numpy().copy()
         for name, value in pinned.items():
             target[self.feasible.names.index(name)] = value
-        return self.with_values(torch.from_numpy(self.feasible.closest(target, _weights(self.parts), pinned)))
+        return self.with_values(
+            torch.from_numpy(self.feasible.closest(target, _weights(self.parts), pinned))
+        )
 
     def with_values(self, s: Tensor) -> Design:
         """The same design at other free parameters.
@@ -275,7 +277,9 @@ class Design:
         result = {}
         for p in self.parts:
             local = p.part.mesh.vertices.at(x[[index[n] for n in p.shape_names]])
-            turned = local @ (tilts.get(p.name.removesuffix("__propeller"), np.eye(3)) @ p.rotation).T
+            turned = (
+                local @ (tilts.get(p.name.removesuffix("__propeller"), np.eye(3)) @ p.rotation).T
+            )
             placed = turned + x[[index[n] for n in p.position_names]]
             result[p.name] = trimesh.Trimesh(placed, p.part.mesh.faces, process=False)
         return result
@@ -288,7 +292,9 @@ class Design:
         entries = []
         for p, mass in zip(self.parts, masses, strict=True):
             shape = {n.partition(".")[2]: float(x[index[n]]) for n in p.shape_names}
-            linear = sum(a * b for a, b in zip(p.part.price_per_parameter, shape.values(), strict=False))
+            linear = sum(
+                a * b for a, b in zip(p.part.price_per_parameter, shape.values(), strict=False)
+            )
             price = p.part.price + linear + p.part.price_per_mass * mass
             entries.append(PartEntry(p.name, p.part.kind, p.part.source, mass, price, shape))
         return tuple(entries)
@@ -350,7 +356,9 @@ def build_design(spec: DesignSpec) -> Design:
     return Design(spec, parts, feasible, torch.from_numpy(s))
 
 
-def _stage(names: list[str], targets: Sequence[Target], feasible: FeasibleSet) -> tuple[Array, Array]:
+def _stage(
+    names: list[str], targets: Sequence[Target], feasible: FeasibleSet
+) -> tuple[Array, Array]:
     rows, values = matrix(names, [form.equals(value, "") for form, value in targets])
     return rows @ feasible.basis, values - rows @ feasible.offset
 

@@ -129,7 +129,8 @@ def _without_defaults(item: Any) -> dict[str, Any]:
     return {
         f.name: getattr(item, f.name)
         for f in fields(item)
-        if getattr(item, f.name) != f.default and getattr(item, f.name) not in ({}, ())
+        if getattr(item, f.name) != f.default
+        and getattr(item, f.name) not in ({}, ())
         or (f.name == "adapters" and getattr(item, f.name) is not None)
     }
 

@@ -29,10 +29,17 @@ class PartTensors:
         moving = [k for k, p in enumerate(placed) if p.part.parameters]
         self._moving = _Meshes([placed[k] for k in moving], moving, index)
         still = [k for k, p in enumerate(placed) if not p.part.parameters]
-        self._still = self._local(_Meshes([placed[k] for k in still], still, index), torch.zeros(len(names), dtype=torch.float64))
+        self._still = self._local(
+            _Meshes([placed[k] for k in still], still, index),
+            torch.zeros(len(names), dtype=torch.float64),
+        )
         self._rotor_parts = [k for k, p in enumerate(placed) if p.part.rotor_mount is not None]
         mounts = [placed[k].part.rotor_mount for k in self._rotor_parts]
-        centers = [placed[k].rotation @ m.center for k, m in zip(self._rotor_parts, mounts, strict=True) if m]
+        centers = [
+            placed[k].rotation @ m.center
+            for k, m in zip(self._rotor_parts, mounts, strict=True)
+            if m
+        ]
         self._rotor_centers = _tensor(np.array(centers).reshape(-1, 3))
         self._price = _tensor([p.part.price for p in placed])
         self._price_per_mass = _tensor([p.part.price_per_mass for p in placed])
@@ -69,7 +76,9 @@ class PartTensors:
 class _Meshes:
     """Several parts' meshes as one, each in its part's frame."""
 
-    def __init__(self, placed: Sequence[PlacedPart], part_idx: Sequence[int], index: dict[str, int]):
+    def __init__(
+        self, placed: Sequence[PlacedPart], part_idx: Sequence[int], index: dict[str, int]
+    ):
         shape_names = [name for p in placed for name in p.shape_names]
         self._shape_idx = torch.tensor([index[n] for n in shape_names], dtype=torch.int64)
         counts = [len(p.part.mesh.vertices.offset) for p in placed]

@@ -276,9 +276,7 @@ def _satisfiable(names: Sequence[str], constraints: Sequence[Constraint]) -> boo
     return found.status == 0
 
 
-def staged_least_squares(
-    stages: Sequence[tuple[Array, Array]], num_unknowns: int
-) -> Array:
+def staged_least_squares(stages: Sequence[tuple[Array, Array]], num_unknowns: int) -> Array:
     """s that minimises |M s - r|^2 of the first stage, among those of the second, and so on.
 
     Args:

@@ -76,9 +76,7 @@ def import_xml(path: str | Path) -> Design:
     spec = DesignSpec(
         name=path.stem,
         notes=f"imported from {path.name}",
-        parts=tuple(
-            replace(p, anchored=True) if p.name in links.anchored else p for p in parts
-        ),
+        parts=tuple(replace(p, anchored=True) if p.name in links.anchored else p for p in parts),
         connections=tuple(links.on_tubes),
         rigid=tuple(links.rigid),
         folder=path.parent,
@@ -100,7 +98,9 @@ def _parts(node: Node, path: Path) -> list[PartSpec]:
     moves = [child for child in node.children if child.tag != "instance"]
     for child in moves:
         child.checked(
-            lambda child=child: require_choice("tag", child.tag, ["instance", "translate", "rotate"])
+            lambda child=child: require_choice(
+                "tag", child.tag, ["instance", "translate", "rotate"]
+            )
         )
     if instances and moves:
         raise moves[0].error(f"<{moves[0].tag}> must stand inside an <instance>")

@@ -43,9 +43,7 @@ class LinearForm:
     def at_most(self, other: LinearForm, label: str) -> Constraint:
         """form <= other."""
         difference = self - other
-        return Constraint(
-            label, _nonzero(difference.coefficients), -difference.constant, "<="
-        )
+        return Constraint(label, _nonzero(difference.coefficients), -difference.constant, "<=")
 
 
 def _nonzero(coefficients: Mapping[str, float]) -> dict[str, float]:

@@ -41,12 +41,14 @@ class Node:
     def require_attributes(self, known: Iterable[str]) -> None:
         """Refuse attributes that would be dropped."""
         for name in self.attributes:
-            self.checked(lambda name=name: require_choice(f"attribute of <{self.tag}>", name, sorted(known)))
+            self.checked(
+                lambda name=name: require_choice(f"attribute of <{self.tag}>", name, sorted(known))
+            )
 
     def text(self, name: str) -> str:
         """An attribute that must be there."""
         if name not in self.attributes:
-            raise self.error(f"<{self.tag}> needs {name}=\"...\"")
+            raise self.error(f'<{self.tag}> needs {name}="..."')
         return self.attributes[name]
 
     def numbers(self, name: str, count: int) -> list[float]:

@@ -27,7 +27,9 @@ class Located:
 
     def error(self, path: Path, message: str) -> ValueError:
         """A ValueError that names file, line and key."""
-        line = next((self.lines[path[:k]] for k in range(len(path), -1, -1) if path[:k] in self.lines), 1)
+        line = next(
+            (self.lines[path[:k]] for k in range(len(path), -1, -1) if path[:k] in self.lines), 1
+        )
         where = ".".join(map(str, path))
         return ValueError(f"{self.source}, line {line}{': ' + where if where else ''}: {message}")
 

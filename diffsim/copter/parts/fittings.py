@@ -33,9 +33,7 @@ def round_connector(rod_diameter: float = 0.0146, mass: float = 0.0434197707992)
     half = 0.0228
     vertices, faces = ring_prism(square_loop(half), circle_loop(rod_diameter / 2))
     mesh = LinearMesh(fixed_points(vertices * [0.04, 1.0, 1.0]), faces)
-    patches = {
-        "bore": Patch("circular", "mount", fixed_points([0.0] * 3), X, UP, rod_diameter / 2)
-    }
+    patches = {"bore": Patch("circular", "mount", fixed_points([0.0] * 3), X, UP, rod_diameter / 2)}
     sides = {"top": UP, "bottom": DOWN, "right": Y, "left": -Y}
     for name, normal in sides.items():
         patches[name] = Patch("flat", "mount", fixed_points(half * normal), normal, X)

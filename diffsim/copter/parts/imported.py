@@ -18,7 +18,9 @@ from diffsim.mesh.closed_surface import closed_surface
 X = np.array([1.0, 0.0, 0.0])
 
 
-def imported_mesh(file: str | Path, density: float, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> Part:
+def imported_mesh(
+    file: str | Path, density: float, scale: Sequence[float] = (1.0, 1.0, 1.0)
+) -> Part:
     """A closed surface of constant size.
 
     Args:

@@ -300,7 +300,9 @@ def mesh_frame(
         source="printed",
         options={
             "file": str(file),
-            "mounts": {k: {n: list(map(float, v)) for n, v in m.items()} for k, m in mounts.items()},
+            "mounts": {
+                k: {n: list(map(float, v)) for n, v in m.items()} for k, m in mounts.items()
+            },
             "density": density,
         },
     )
