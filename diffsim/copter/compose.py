@@ -8,23 +8,22 @@ intersection of their feasible sets.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from diffsim._check import require_choice
-from diffsim.copter.adapters import TILTED, adapters_for, ports
+from diffsim.copter.adapters import TILTED, adapters_for, closest_pair, ports
+from diffsim.copter.constraints import Constraint
+from diffsim.copter.contact import ContactEnd, Target, contact_of
 from diffsim.copter.expressions import parse_constraint
-from diffsim.copter.feasible import Constraint
 from diffsim.copter.geometry import Array, rotation_rpy
 from diffsim.copter.parts import Part, make_part
-from diffsim.copter.patches import aligning_rotation, misalignment
-from diffsim.copter.placement import LinearForm, PlacedPart, complement
+from diffsim.copter.patches import aligning_rotation
+from diffsim.copter.placement import LinearForm, PlacedPart
 from diffsim.copter.spec import Connection, DesignSpec, PartSpec
 
 _SQUARE = 0.01  # a motor that deviates by less needs no clip [deg]
-Target = tuple[LinearForm, float]
 
 
 class Composer:
@@ -186,55 +185,16 @@ class Composer:
         host_patch: str,
         guest: PlacedPart,
         guest_patch: str,
-        at: Sequence[float] | None = None,
-        guest_at: Sequence[float] | None = None,
+        at: tuple[float, ...] | None = None,
+        guest_at: tuple[float, ...] | None = None,
         slide: bool | None = None,
     ) -> None:
-        """Constrain two patches of the same place to coincide, up to where they may slide."""
-        a, b = host.patch(host_patch), guest.patch(guest_patch)
-        label = f"connection {host.name}.{host_patch} - {guest.name}.{guest_patch}"
-        off = misalignment(a, host.rotation, b, guest.rotation)
-        if off > 0.05:
-            raise ValueError(
-                f"{label}: the patches are {off:.3g} degrees off; turn one part by angle, roll or "
-                "rotation"
-            )
-        if at is not None and len(at) != len(a.slides):
-            raise ValueError(
-                f"{label}: at must hold {len(a.slides)} numbers for {host.name}.{host_patch}, got "
-                f"{len(at)}"
-            )
-        if guest_at is not None and len(guest_at) != len(b.slides):
-            raise ValueError(
-                f"{label}: guest_at must hold {len(b.slides)} numbers for "
-                f"{guest.name}.{guest_patch}, got {len(guest_at)}"
-            )
-
-        def gap(direction: Array) -> LinearForm:
-            return guest.coordinate(b.center, direction) - host.coordinate(a.center, direction)
-
-        sliding: list[Array] = []
-        offset = np.zeros(3)
-        for owner, patch, places, sign, wanted in (
-            (host, a, at, 1.0, slide),
-            (guest, b, guest_at, -1.0, None),
-        ):
-            moves = patch.slides_by_default if wanted is None else wanted
-            for k, way in enumerate(patch.slides):
-                direction = sign * (owner.rotation @ way.direction)
-                place = 0.0 if places is None else float(places[k])
-                if not moves:
-                    offset = offset + place * direction
-                    continue
-                sliding.append(direction)
-                reach = owner.half_extent(way)
-                for form in (gap(direction), -1.0 * gap(direction)):
-                    self.constraints.append(form.at_most(reach, f"{label}: within {owner.name}"))
-                stage = self.defaults if places is None else self.explicit
-                stage.append((gap(direction), place))
-        sliding = _distinct(sliding)
-        for direction in complement(sliding, host.rotation @ a.reference):
-            self._equal(gap(direction), float(direction @ offset), label)
+        contact = contact_of(
+            ContactEnd(host, host_patch, at, slide), ContactEnd(guest, guest_patch, guest_at)
+        )
+        self.constraints += contact.constraints
+        self.explicit += contact.explicit
+        self.defaults += contact.defaults
 
     def _rigid(self, first: str, second: str) -> None:
         for name in (first, second):
@@ -260,34 +220,20 @@ class Composer:
 
     def _ends(self, connection: Connection) -> list[tuple[str, str]]:
         """Part and patch of both ends; the closest fitting pair where patches are not named."""
-        choices: list[list[tuple[str, str]]] = []
+        candidates = []
         for text in (connection.host, connection.guest):
             name, _, patch = text.partition(".")
             require_choice("part in a connection", name, [*self._parts, *self.placed])
             patches = self._part(name).patches
             if patch:
                 require_choice(f"patch of {name}", patch, patches)
-            choices.append([(name, p) for p in patches if patch in ("", p)])
-        pairs = [pair for pair in itertools.product(*choices) if self._fits(*pair)]
-        if not pairs:
-            adapters_for(*(self._part(n).patches[p] for n, p in (choices[0][0], choices[1][0])))
-        return list(
-            min(pairs or itertools.product(*choices), key=lambda pair: self._distance(*pair))
-        )
-
-    def _fits(self, host: tuple[str, str], guest: tuple[str, str]) -> bool:
-        try:
-            adapters_for(*(self._part(name).patches[patch] for name, patch in (host, guest)))
-        except ValueError:
-            return False
-        return True
-
-    def _distance(self, host: tuple[str, str], guest: tuple[str, str]) -> float:
-        return float(np.linalg.norm(self._start_of(*host) - self._start_of(*guest)))
+            chosen = [p for p in patches if patch in ("", p)]
+            candidates.append([(name, p, patches[p], self._start_of(name, p)) for p in chosen])
+        return [end[:2] for end in closest_pair(*candidates)]
 
     def _start_of(self, name: str, patch: str) -> Array:
-        part = self._part(name)
-        spec = self._specs.get(name)
+        """Where a patch is before connections have been solved (3,) [m]."""
+        part, spec = self._part(name), self._specs.get(name)
         local = part.patches[patch].center.at(part.values)
         if name in self.placed:
             local = self.placed[name].rotation @ local
@@ -325,15 +271,6 @@ class Composer:
         taken = {*self.placed, *self._parts}
         numbered = (f"{name}_{k}" for k in itertools.count(2))
         return name if name not in taken else next(n for n in numbered if n not in taken)
-
-
-def _distinct(directions: list[Array]) -> list[Array]:
-    """Directions without those that are parallel to an earlier one."""
-    result: list[Array] = []
-    for direction in directions:
-        if all(abs(direction @ other) < 1.0 - 1e-9 for other in result):
-            result.append(direction)
-    return result
 
 
 def _describe(form: LinearForm, bound: float) -> str:

@@ -17,8 +17,8 @@ from diffsim.copter import (
     shipped_designs,
 )
 from diffsim.copter.adapters import RULES, adapters_for
+from diffsim.copter.constraints import Constraint, irreducible_conflict
 from diffsim.copter.expressions import parse_constraint
-from diffsim.copter.feasible import Constraint, irreducible_conflict
 from diffsim.copter.parts import PART_KINDS, make_part
 
 TILT = (0.1, -0.15, -0.9)
@@ -75,8 +75,11 @@ def test_rules_insert_adapters():
 
 
 def test_rule_table_names_kinds_and_fittings_that_exist():
-    fittings = {patch.fitting for kind in ("rod", "plate", "motor", "battery", "round_connector",
-                                           "propeller") for patch in make_part(kind).patches.values()}
+    fittings = {
+        patch.fitting
+        for kind in ("rod", "plate", "motor", "battery", "round_connector", "propeller")
+        for patch in make_part(kind).patches.values()
+    }
     assert {f for pair in RULES for f in pair} == fittings
     assert {a for adapters in RULES.values() for a in adapters} <= set(PART_KINDS)
     assert all(a <= b for a, b in RULES)
@@ -302,7 +305,19 @@ def test_closest_pair_of_patches():
         connections=(join("arm", "motor"),),
     )
     design = build_design(spec)
-    assert design.value("motor.x") == pytest.approx(0.23)
+    # the motor's place is asked for, the rod's length is the database's: the rod's end gives way
+    assert design.value("motor.x") == pytest.approx(0.24)
+    assert design.value("arm.length") == pytest.approx(0.52)
+
+
+def test_no_patch_fits():
+    spec = DesignSpec(
+        name="odd",
+        parts=(part("arm", "rod"), part("blades", "propeller")),
+        connections=(join("arm", "blades"),),
+    )
+    with pytest.raises(ValueError, match="a rod patch takes motor, mount, plate, rod, strap"):
+        build_design(spec)
 
 
 @pytest.mark.property

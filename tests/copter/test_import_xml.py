@@ -56,7 +56,9 @@ def test_rotors(designs, name):
     effect = torch.cat([copter.force_matrix, copter.torque_matrix])
     torch.testing.assert_close(effect, tensor(fact["effect_matrix_6xn"]), **close)
     trim = tensor(fact["trim_u"])
-    assert float((copter.force_matrix @ trim)[2]) == pytest.approx(-fact["mass"] * GRAVITY, abs=1e-5)
+    assert float((copter.force_matrix @ trim)[2]) == pytest.approx(
+        -fact["mass"] * GRAVITY, abs=1e-5
+    )
 
 
 @pytest.mark.reference
@@ -129,7 +131,11 @@ def test_saves_and_loads(designs, tmp_path):
 
 
 BROKEN = [
-    ('<translate xyz="0 0 -0.1"/>', '<translat xyz="0 0 -0.1"/>', "translat.*did you mean 'translate'"),
+    (
+        '<translate xyz="0 0 -0.1"/>',
+        '<translat xyz="0 0 -0.1"/>',
+        "translat.*did you mean 'translate'",
+    ),
     ('xyz="0.23 0 -0.076"', 'xzy="0.23 0 -0.076"', "attribute of <translate>.*'xzy'.*'xyz'"),
     ('xyz="0.23 0 -0.076"', 'xyz="0.23 0"', "must be 3 numbers, got 2"),
     ('length="0.5"', 'lenght="0.5"', "'lenght'.*'length'"),
@@ -157,7 +163,7 @@ def test_broken_files_are_reported_with_their_line(tmp_path, good, bad, message)
 def test_unknown_tags_in_an_own_file(tmp_path):
     """No reference data needed: the file is refused before any mesh is read."""
     (tmp_path / "copter.xml").write_text('<copter>\n  <tubee file="a.obj"/>\n</copter>')
-    with pytest.raises(ValueError, match="line 2: tag must be one of.*did you mean 'tube'"):
+    with pytest.raises(ValueError, match=r"line 2: tag must be one of.*did you mean 'tube'"):
         import_xml(tmp_path / "copter.xml")
     (tmp_path / "copter.xml").write_text("<plane/>")
     with pytest.raises(ValueError, match="root must be <copter>"):
@@ -175,7 +181,7 @@ def test_own_file_with_translat(tmp_path):
         '   <translat xyz="0 0 -0.1"/>\n  </instance>\n </plate>\n</copter>'
     )
     (tmp_path / "copter.xml").write_text(text)
-    with pytest.raises(ValueError, match="line 4: tag must be one of.*mean 'translate'"):
+    with pytest.raises(ValueError, match=r"line 4: tag must be one of.*mean 'translate'"):
         import_xml(tmp_path / "copter.xml")
     (tmp_path / "copter.xml").write_text(text.replace("translat ", "translate "))
     design = import_xml(tmp_path / "copter.xml")

@@ -215,7 +215,7 @@ def test_open_geometry_is_reported_by_name():
 
     part = make_part("rod")
     holed = replace(part, mesh=replace(part.mesh, faces=part.mesh.faces[1:]))
-    with pytest.raises(MeshError, match="part 'arm_1' .rod. is not closed"):
+    with pytest.raises(MeshError, match=r"part 'arm_1' .rod. is not closed"):
         holed.require_closed("arm_1")
     flipped = replace(part, mesh=replace(part.mesh, faces=part.mesh.faces[:, ::-1]))
     with pytest.raises(MeshError, match="inside out"):

@@ -15,17 +15,10 @@ from diffsim.copter.parts.fittings import (
     screw_mount,
     standoff,
 )
+from diffsim.copter.parts.frames import mesh_frame, outline_frame, x_frame
 from diffsim.copter.parts.imported import imported_mesh, imported_motor, imported_rod
 from diffsim.copter.parts.part import Part, PartMaker
-from diffsim.copter.parts.structure import (
-    box_part,
-    circular_plate,
-    mesh_frame,
-    outline_frame,
-    plate,
-    rod,
-    x_frame,
-)
+from diffsim.copter.parts.structure import box_part, circular_plate, plate, rod
 
 
 def battery(size: Sequence[float] = (0.1008, 0.0336, 0.0224), mass: float = 0.2127) -> Part:
