@@ -26,6 +26,7 @@ RULES: dict[tuple[str, str], tuple[str, ...]] = {
     ("motor", "mount"): (),
     ("shaft", "shaft"): (),
 }
+ADAPTERS = {"standoff", *(kind for kinds in RULES.values() for kind in kinds)}
 TILTED = "compound_angle_clip"  # goes under every motor that is not square to what carries it
 
 

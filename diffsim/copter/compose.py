@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from diffsim._check import require_choice
-from diffsim.copter.adapters import TILTED, adapters_for, closest_pair, ports
+from diffsim.copter.adapters import ADAPTERS, TILTED, adapters_for, closest_pair, ports
 from diffsim.copter.constraints import Constraint
 from diffsim.copter.contact import ContactEnd, Target, contact_of
 from diffsim.copter.expressions import parse_constraint
-from diffsim.copter.geometry import Array, rotation_rpy
+from diffsim.copter.geometry import UP, Array, rotation_rpy
 from diffsim.copter.parts import Part, make_part
 from diffsim.copter.patches import aligning_rotation
 from diffsim.copter.placement import LinearForm, PlacedPart
@@ -43,6 +43,10 @@ class Composer:
         self.explicit: list[Target] = []
         self.defaults: list[Target] = []
         self._specs = {part.name: part for part in spec.parts}
+        if len(self._specs) < len(spec.parts):
+            names = [part.name for part in spec.parts]
+            twice = next(name for name in names if names.count(name) > 1)
+            raise ValueError(f"two parts are called {twice!r}; rename one")
         self._parts = {part.name: self._make(part) for part in spec.parts}
 
     def compose(self) -> None:
@@ -68,6 +72,7 @@ class Composer:
                 f"part {loose[0]!r} is connected to nothing; connect it to a part that comes "
                 "before, or give it a rotation and a place"
             )
+        self._require_directions()
         for first, second in self.spec.rigid:
             self._rigid(first, second)
         for text in self.spec.constraints:
@@ -108,7 +113,8 @@ class Composer:
         if spec.kind == "motor" and spec.propeller:
             blades = make_part("propeller", {"rotor": spec.options.get("rotor", "kde2814_10in")})
             self._add(f"{name}__propeller", blades, rotation, automatic=True)
-            self._face(placed, "shaft", self.placed[f"{name}__propeller"], "hub")
+            hub = ContactEnd(self.placed[f"{name}__propeller"], "hub")
+            self._touch(ContactEnd(placed, "shaft"), hub)
 
     def _add(self, name: str, part: Part, rotation: Array, automatic: bool = False) -> None:
         part.require_closed(name)
@@ -131,67 +137,66 @@ class Composer:
         """Align, constrain, insert adapters; the host is the end that is placed already."""
         ends = self._ends(connection)
         places = [connection.at, connection.guest_at]
+        slides = [connection.slide, None]
+        label = f"connection {connection.host} - {connection.guest}"
         if ends[0][0] not in self.placed:
             if ends[1][0] not in self.placed:
                 raise ValueError(
-                    f"connection {connection.host} - {connection.guest}: neither part has a place "
-                    "yet; connect one of them to a part that comes before"
+                    f"{label}: neither part has a place yet; connect one of them to a part that "
+                    "comes before"
                 )
-            ends.reverse()
-            places.reverse()
+            for pair in (ends, places, slides):
+                pair.reverse()
         (host_name, host_patch), (guest_name, guest_patch) = ends
-        host, end = self.placed[host_name], self._part(guest_name).patches[guest_patch]
-        kinds = list(
-            adapters_for(host.patch(host_patch), end)
-            if connection.adapters is None
-            else connection.adapters
-        )
+        host = ContactEnd(self.placed[host_name], host_patch, places[0], slides[0])
+        end = self._part(guest_name).patches[guest_patch]
+        kinds = adapters_for(host.patch, end)
+        if connection.adapters is not None:
+            kinds = connection.adapters
         turns = {"flat": connection.angle, "circular": connection.roll}
-        at, slide = places[0], connection.slide
-        radius = max(host.patch(host_patch).radius, end.radius)
-        stem = f"{host_name}__{guest_name}"
-        while kinds or self._needs_clip(guest_name, host, host_patch):
-            kind = kinds.pop(0) if kinds else TILTED
-            options: dict[str, Any] = {"rod_diameter": 2.0 * radius} if radius > 0.0 else {}
-            options = options if kind == "round_connector" else {}
-            shape = host.patch(host_patch).shape
-            degrees = turns.pop(shape, 0.0)
-            if kind == TILTED:
-                options["normal"] = self._clip_normal(guest_name, host, host_patch, degrees)
-            part = make_part(kind, options)
-            entry, leave = ports(list(part.patches), shape, "flat" if kinds else end.shape)
-            adapter = self._free_name(stem)
-            self._add(
-                adapter,
-                part,
-                aligning_rotation(
-                    host.patch(host_patch), host.rotation, part.patches[entry], degrees=degrees
-                ),
-                automatic=True,
-            )
-            self._face(host, host_patch, self.placed[adapter], entry, at, None, slide)
-            host, host_patch = self.placed[adapter], leave
-            at, slide = None, None
-        degrees = turns.pop(host.patch(host_patch).shape, 0.0)
+        rod_diameter = 2.0 * max(host.patch.radius, end.radius)
+        for k, kind in enumerate(kinds):
+            require_choice(f"{label}: adapter", kind, ADAPTERS)
+            sized = kind == "round_connector" and rod_diameter > 0.0
+            part = make_part(kind, {"rod_diameter": rod_diameter} if sized else {})
+            following = end.shape if k == len(kinds) - 1 else "flat"
+            host = self._insert(part, host, guest_name, following, turns)
+        if self._needs_clip(guest_name, host):
+            clip = self._clip(guest_name, host, turns.get("flat", 0.0), label)
+            host = self._insert(clip, host, guest_name, end.shape, turns)
         if guest_name not in self.placed:
-            patch = host.patch(host_patch)
-            self._place(guest_name, aligning_rotation(patch, host.rotation, end, degrees=degrees))
-        guest = self.placed[guest_name]
-        self._face(host, host_patch, guest, guest_patch, at, places[1], slide)
+            degrees = turns.pop(host.patch.shape, 0.0)
+            self._place(
+                guest_name,
+                aligning_rotation(host.patch, host.placed.rotation, end, degrees=degrees),
+            )
+        self._touch(host, ContactEnd(self.placed[guest_name], guest_patch, places[1], slides[1]))
 
-    def _face(
-        self,
-        host: PlacedPart,
-        host_patch: str,
-        guest: PlacedPart,
-        guest_patch: str,
-        at: tuple[float, ...] | None = None,
-        guest_at: tuple[float, ...] | None = None,
-        slide: bool | None = None,
-    ) -> None:
-        contact = contact_of(
-            ContactEnd(host, host_patch, at, slide), ContactEnd(guest, guest_patch, guest_at)
+    def _insert(
+        self, adapter: Part, host: ContactEnd, guest: str, following: str, turns: dict[str, float]
+    ) -> ContactEnd:
+        """Put an adapter on a host; returns its patch that faces what follows.
+
+        Args:
+            adapter: The part.
+            host: Where it goes.
+            guest: Name of the part that the whole connection is for.
+            following: Shape of the patch that comes next.
+            turns: Degrees by shape of patch; used up by the first contact of its shape.
+        """
+        entry, leave = ports(list(adapter.patches), host.patch.shape, following)
+        degrees = turns.pop(host.patch.shape, 0.0)
+        rotation = aligning_rotation(
+            host.patch, host.placed.rotation, adapter.patches[entry], degrees=degrees
         )
+        stem = host.placed.name.partition("__")[0] if host.placed.automatic else host.placed.name
+        name = self._free_name(f"{stem}__{guest}")
+        self._add(name, adapter, rotation, automatic=True)
+        self._touch(host, ContactEnd(self.placed[name], entry))
+        return ContactEnd(self.placed[name], leave)
+
+    def _touch(self, host: ContactEnd, guest: ContactEnd) -> None:
+        contact = contact_of(host, guest)
         self.constraints += contact.constraints
         self.explicit += contact.explicit
         self.defaults += contact.defaults
@@ -251,26 +256,47 @@ class Composer:
         base = self._part(motor).patches["base"].axis
         return -(base @ mount.direction) * direction / length
 
-    def _clip_normal(self, motor: str, host: PlacedPart, host_patch: str, degrees: float) -> Array:
-        """Normal of the clip's top in the clip's frame."""
-        bottom = make_part(TILTED, {"normal": (0.0, 0.0, -1.0)}).patches["bottom"]
-        rotation = aligning_rotation(host.patch(host_patch), host.rotation, bottom, degrees=degrees)
-        return rotation.T @ self._base_normal(motor)
+    def _clip(self, motor: str, host: ContactEnd, degrees: float, label: str) -> Part:
+        """A compound-angle clip that carries a motor in its direction."""
+        bottom = make_part(TILTED, {"normal": UP}).patches["bottom"]
+        rotation = aligning_rotation(host.patch, host.placed.rotation, bottom, degrees=degrees)
+        try:
+            return make_part(TILTED, {"normal": rotation.T @ self._base_normal(motor)})
+        except ValueError as error:
+            raise ValueError(f"{label}: direction of {motor!r}: {error}") from error
 
-    def _needs_clip(self, guest: str, host: PlacedPart, host_patch: str) -> bool:
+    def _needs_clip(self, guest: str, host: ContactEnd) -> bool:
         """Whether a motor with a direction of its own is not yet square to what carries it."""
         spec = self._specs.get(guest)
-        if spec is None or spec.direction is None or host.patch(host_patch).shape != "flat":
+        if spec is None or spec.direction is None or host.patch.shape != "flat":
             return False
-        normal = host.rotation @ host.patch(host_patch).axis
-        wanted = self._base_normal(guest)
-        angle = np.arctan2(np.linalg.norm(np.cross(normal, wanted)), normal @ wanted)
-        return bool(np.rad2deg(angle) > _SQUARE)
+        normal = host.placed.rotation @ host.patch.axis
+        return _angle(normal, self._base_normal(guest)) > _SQUARE
+
+    def _require_directions(self) -> None:
+        """Refuse directions that no connection could give, instead of dropping them."""
+        for spec in self.spec.parts:
+            if spec.direction is None:
+                continue
+            wanted = self._base_normal(spec.name)
+            placed = self.placed[spec.name]
+            off = _angle(-placed.rotation @ placed.patch("base").axis, wanted)
+            if off > 2.0 * _SQUARE:
+                raise ValueError(
+                    f"motor {spec.name!r} points {off:.3g} degrees away from its direction; only "
+                    "a connection to a flat patch can tilt a motor (by a clip), and only if the "
+                    "motor has no rotation of its own"
+                )
 
     def _free_name(self, name: str) -> str:
         taken = {*self.placed, *self._parts}
         numbered = (f"{name}_{k}" for k in itertools.count(2))
         return name if name not in taken else next(n for n in numbered if n not in taken)
+
+
+def _angle(a: Array, b: Array) -> float:
+    """Between two vectors [deg]."""
+    return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
 
 
 def _describe(form: LinearForm, bound: float) -> str:

@@ -42,6 +42,7 @@ from diffsim._check import require_choice
 from diffsim._files import to_plain, write_text_atomic
 from diffsim.copter.assemble import build_design
 from diffsim.copter.design import Design
+from diffsim.copter.parts.database import PART_KINDS, option_names
 from diffsim.copter.spec import Connection, DesignSpec, PartSpec
 from diffsim.copter.yaml_lines import Located, read_yaml
 from diffsim.copter.yaml_lines import Path as Keys
@@ -166,23 +167,27 @@ def _spec(located: Located, folder: Path | None) -> DesignSpec:
 
 def _part(located: Located, name: str, value: Any) -> PartSpec:
     at: Keys = ("parts", name)
-    if not name.isidentifier():
-        raise located.error(at, f"the name {name!r} must be letters, digits and underscores")
     data = _mapping(located, at, value)
     if "kind" not in data:
         raise located.error(at, "kind is missing; say which part of the database this is")
+    kind = located.require_choice((*at, "kind"), "kind", str(data["kind"]), PART_KINDS)
+    options = {key: v for key, v in data.items() if key not in _PART}
+    for key in options:
+        known = [*option_names(kind), *sorted(_PART)]
+        located.require_choice((*at, key), f"option of a {kind}", key, known)
     bounds = _mapping(located, (*at, "bounds"), data.get("bounds", {}))
-    return PartSpec(
-        name=name,
-        kind=str(data["kind"]),
-        options={key: v for key, v in data.items() if key not in _PART},
-        bounds={key: _interval(located, (*at, "bounds", key), v) for key, v in bounds.items()},
-        rotation=_numbers(located, (*at, "rotation"), data.get("rotation"), 3),
-        place=_numbers(located, (*at, "place"), data.get("place"), 3),
-        anchored=_flag(located, (*at, "anchored"), data.get("anchored", False)),
-        direction=_numbers(located, (*at, "direction"), data.get("direction"), 3),
-        propeller=_flag(located, (*at, "propeller"), data.get("propeller", True)),
-    )
+    fields_of_part: dict[str, Any] = {
+        "bounds": {key: _interval(located, (*at, "bounds", key), v) for key, v in bounds.items()},
+        "rotation": _numbers(located, (*at, "rotation"), data.get("rotation"), 3),
+        "place": _numbers(located, (*at, "place"), data.get("place"), 3),
+        "anchored": _flag(located, (*at, "anchored"), data.get("anchored", False)),
+        "direction": _numbers(located, (*at, "direction"), data.get("direction"), 3),
+        "propeller": _flag(located, (*at, "propeller"), data.get("propeller", True)),
+    }
+    try:
+        return PartSpec(name=name, kind=kind, options=options, **fields_of_part)
+    except ValueError as error:
+        raise located.error(at, str(error)) from error
 
 
 def _connection(located: Located, at: Keys, value: Any) -> Connection:

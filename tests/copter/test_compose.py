@@ -369,6 +369,57 @@ def test_bad_designs(changes, message):
         build_design(cross(constraints, **changes))
 
 
+def test_slide_follows_its_patch_when_ends_are_swapped():
+    """The same connection written from the other end."""
+    specs = [
+        DesignSpec(
+            name="pair",
+            parts=(part("arm", "rod"), part("motor", "motor")),
+            connections=(connection,),
+        )
+        for connection in (
+            join("arm.shaft", "motor.base", at=(0.1,), slide=False),
+            join("motor.base", "arm.shaft", guest_at=(0.1,)),
+        )
+    ]
+    fixed, sliding = (build_design(spec) for spec in specs)
+    assert fixed.value("motor.x") == pytest.approx(0.1)
+    assert sliding.value("motor.x") == pytest.approx(0.1)
+    assert "motor.x" not in fixed.names
+    assert "motor.x" in sliding.names
+
+
+def test_directions_are_never_dropped():
+    turned = part("motor", "motor", rotation=(0.0, 0.0, 0.0), place=(0.0, 0.0, 0.0), direction=TILT)
+    with pytest.raises(ValueError, match=r"points 11\.3 degrees away from its direction"):
+        build_design(DesignSpec(name="alone", parts=(turned,)))
+    with pytest.raises(ValueError, match=r"direction of 'motor_4'.*less than 60 degrees"):
+        build_design(cross(direction=(1.0, 0.0, 0.1)))
+    with pytest.raises(ValueError, match="direction of 'motor_4' must not be zero"):
+        build_design(cross(direction=(0.0, 0.0, 0.0)))
+
+
+@pytest.mark.parametrize("name", ["1st", "a.b", "a__b"])
+def test_part_names(name):
+    with pytest.raises(ValueError, match="single underscores"):
+        part(name, "rod")
+
+
+def test_names_stand_once():
+    with pytest.raises(ValueError, match="two parts are called 'arm'"):
+        build_design(DesignSpec(name="twins", parts=(part("arm", "rod"), part("arm", "plate"))))
+
+
+def test_unknown_adapter():
+    spec = DesignSpec(
+        name="pair",
+        parts=(part("low", "plate"), part("high", "plate")),
+        connections=(join("low.top", "high.bottom", adapters=("screw_mout",)),),
+    )
+    with pytest.raises(ValueError, match="did you mean 'screw_mount'"):
+        build_design(spec)
+
+
 def test_misaligned_parts_are_refused():
     spec = DesignSpec(
         name="crooked",

@@ -168,8 +168,8 @@ connections: [{host: frame.nose, guest: motor.base}]
     ("good", "bad", "message"),
     [
         ("name: small", "nmae: small", r"line 1: nmae: key must be one of.*'name'"),
-        ("length: 0.2", "lenght: 0.2", r"'plate'.*did you mean 'length'"),
-        ("kind: plate", "kind: plaet", r"did you mean 'plate'"),
+        ("length: 0.2", "lenght: 0.2", r"line 3: parts.plate.lenght: .*mean 'length'"),
+        ("kind: plate", "kind: plaet", r"line 3: parts.plate.kind: .*mean 'plate'"),
         ("{kind: plate, length: 0.2}", "{length: 0.2}", r"line 3: parts.plate: kind is missing"),
         ("[0.1, 0.6]", "[0.1]", r"line 7: parts.arm.bounds.length: must hold 2 numbers, got 1"),
         ("[0.1, 0.6]", "[0.6, 0.1]", r"line 7: .*must be .lower, upper."),
@@ -177,13 +177,9 @@ connections: [{host: frame.nose, guest: motor.base}]
         ("    length: 0.4", "    kind: rod", r"line 6: key 'kind' stands twice"),
         ("angle: 30", "angel: 30", r"line 10: .*'angle'"),
         ("guest: motor.base", "gest: motor.base", r"line 11: .*'guest'"),
-        (
-            "connections:\n",
-            "connections: 3\nname: x\nvalues:\n",
-            r"line 9: connections: must be a list|stands twice",
-        ),
+        ("constraints: [", "rigid: 3\nconstraints: [", r"line 12: rigid: must be a list, got int"),
         ("plate.length", "plate.lentgh", r"did you mean 'length'"),
-        ("  arm:", "  1arm:", r"letters, digits and underscores"),
+        ("  arm:", "  1arm:", r"line 4: parts.1arm: .*letters, digits"),
         ("0.4", "[", r"line \d+: not YAML"),
     ],
 )

@@ -61,6 +61,11 @@ PART_KINDS: dict[str, PartMaker] = {
 }
 
 
+def option_names(kind: str) -> tuple[str, ...]:
+    """Arguments of a kind's maker."""
+    return tuple(inspect.signature(PART_KINDS[kind]).parameters)
+
+
 def make_part(kind: str, options: Mapping[str, Any] | None = None) -> Part:
     """A part from the database.
 
@@ -73,9 +78,8 @@ def make_part(kind: str, options: Mapping[str, Any] | None = None) -> Part:
     """
     maker = PART_KINDS[require_choice("kind", kind, PART_KINDS)]
     options = dict(options or {})
-    known = list(inspect.signature(maker).parameters)
     for key in options:
-        require_choice(f"option of a {kind}", key, known)
+        require_choice(f"option of a {kind}", key, option_names(kind))
     missing = [
         name
         for name, parameter in inspect.signature(maker).parameters.items()
