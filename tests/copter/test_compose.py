@@ -389,6 +389,20 @@ def test_slide_follows_its_patch_when_ends_are_swapped():
     assert "motor.x" in sliding.names
 
 
+def test_guest_at_is_a_place_on_the_guest():
+    """A point 0.1 m along the second rod lies above the first rod's point at 0.05 m."""
+    spec = DesignSpec(
+        name="pair",
+        parts=(part("low", "rod"), part("high", "rod")),
+        connections=(join("low.shaft", "high.shaft", at=(0.05,), guest_at=(0.1,), angle=90.0),),
+    )
+    design = build_design(spec)
+    axis = next(p.rotation[:, 0] for p in design.parts if p.name == "high")
+    center = np.array([design.value(f"high.{a}") for a in "xyz"])
+    np.testing.assert_allclose(center + 0.1 * axis, [0.05, 0.0, -0.0456], atol=1e-12)
+    np.testing.assert_allclose(axis, [0.0, -1.0, 0.0], atol=1e-12)
+
+
 def test_directions_are_never_dropped():
     turned = part("motor", "motor", rotation=(0.0, 0.0, 0.0), place=(0.0, 0.0, 0.0), direction=TILT)
     with pytest.raises(ValueError, match=r"points 11\.3 degrees away from its direction"):
@@ -397,6 +411,8 @@ def test_directions_are_never_dropped():
         build_design(cross(direction=(1.0, 0.0, 0.1)))
     with pytest.raises(ValueError, match="direction of 'motor_4' must not be zero"):
         build_design(cross(direction=(0.0, 0.0, 0.0)))
+    with pytest.raises(ValueError, match="'arm' has a direction but is no motor"):
+        build_design(DesignSpec(name="arm", parts=(part("arm", "rod", direction=TILT),)))
 
 
 @pytest.mark.parametrize("name", ["1st", "a.b", "a__b"])

@@ -164,9 +164,7 @@ def motor_of_mesh(
             "shaft": Patch("circular", "shaft", fixed_points([0.0] * 3), UP, X, 0.003),
         },
         price=data.motor_price,
-        rotor_mount=RotorMount(
-            data, np.zeros(3), DOWN if pusher else UP, -sign if pusher else sign
-        ),
+        rotor_mount=RotorMount(data, DOWN if pusher else UP, -sign if pusher else sign),
         options=options,
     )
 

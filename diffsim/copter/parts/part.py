@@ -39,17 +39,15 @@ class Parameter:
 
 @dataclass(frozen=True, eq=False)
 class RotorMount:
-    """Where a part's thrust acts.
+    """What makes a part a motor; the thrust acts at the part's origin.
 
     Attributes:
         rotor: The propeller and motor.
-        center: Of the propeller in the part's frame, (3,) [m].
         direction: Of the thrust in the part's frame, (3,).
         spin: +1 for a propeller that turns clockwise seen against its thrust, else -1.
     """
 
     rotor: RotorData
-    center: Array
     direction: Array
     spin: int
 
