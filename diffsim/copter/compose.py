@@ -23,6 +23,7 @@ from diffsim.copter.patches import aligning_rotation
 from diffsim.copter.placement import LinearForm, PlacedPart
 from diffsim.copter.spec import Connection, DesignSpec, PartSpec
 from diffsim.copter.tilts import clip_for, require_direction
+from diffsim.errors import MeshError
 
 
 class Composer:
@@ -98,11 +99,15 @@ class Composer:
             options["file"] = self.spec.folder / options["file"]
         try:
             part = make_part(spec.kind, options)
+            for name in spec.bounds:
+                require_choice("bounds", name, [p.name for p in part.parameters])
+            part = part.with_bounds(spec.bounds)
+            part.require_start()
+        except MeshError:
+            raise
         except (ValueError, TypeError) as error:
             raise type(error)(f"part {spec.name!r}: {error}") from error
-        for name in spec.bounds:
-            require_choice(f"bounds of {spec.name}", name, [p.name for p in part.parameters])
-        return part.with_bounds(spec.bounds)
+        return part
 
     def _place(self, name: str, rotation: Array) -> None:
         self._add(name, self._parts[name], rotation)

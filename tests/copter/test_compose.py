@@ -431,6 +431,20 @@ def test_directions_are_never_dropped():
         build_design(DesignSpec(name="arm", parts=(part("arm", "rod", direction=TILT),)))
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"length": 6.0}, r"part 'arm': length must lie in its bounds .0.05, 5., got 6"),
+        ({"bounds": {"length": (0.1, 9.0)}}, r"bounds of length must lie in .0.05, 5."),
+        ({"bounds": {"length": (0.3, 0.2)}}, r"got .0.3, 0.2."),
+        ({"bounds": {"lenght": (0.1, 0.2)}}, r"did you mean 'length'"),
+    ],
+)
+def test_bounds_and_starts(options, message):
+    with pytest.raises(ValueError, match=message):
+        build_design(DesignSpec(name="rod", parts=(part("arm", "rod", **options),)))
+
+
 @pytest.mark.parametrize("name", ["1st", "a.b", "a__b"])
 def test_part_names(name):
     with pytest.raises(ValueError, match="single underscores"):
