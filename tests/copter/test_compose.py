@@ -456,6 +456,25 @@ def test_names_stand_once():
         build_design(DesignSpec(name="twins", parts=(part("arm", "rod"), part("arm", "plate"))))
 
 
+def test_adapters_overrule_the_rules(tmp_path):
+    """A mount between a battery and a motor, which no rule joins; kept by saving."""
+    connections = (join("low.top", "motor.base", adapters=("standoff",)),)
+    spec = DesignSpec(
+        name="odd", parts=(part("low", "battery"), part("motor", "motor")), connections=connections
+    )
+    design = build_design(spec)
+    assert kinds(design) == ["battery", "standoff", "motor", "propeller"]
+    direct = DesignSpec(
+        name="direct",
+        parts=(part("low", "plate"), part("high", "plate")),
+        connections=(join("low.top", "high.bottom", adapters=()),),
+    )
+    loaded = load_design(build_design(direct).save(tmp_path / "direct.yaml"))
+    assert kinds(loaded) == ["plate", "plate"]
+    with pytest.raises(ValueError, match="no adapter joins a strap patch and a motor patch"):
+        build_design(replace(spec, connections=(join("low.top", "motor.base"),)))
+
+
 def test_unknown_adapter():
     spec = DesignSpec(
         name="pair",
