@@ -1,5 +1,6 @@
 """Composition: rotations, constraints, adapters, elimination, closest designs, gradients."""
 
+import sys
 import time
 from dataclasses import replace
 
@@ -527,3 +528,11 @@ def test_expressions(text, coefficients, bound, relation):
     parsed = parse_constraint(text, lambda name: name)
     assert parsed.coefficients == pytest.approx(coefficients)
     assert (parsed.bound, parsed.relation) == (pytest.approx(bound), relation)
+
+
+def test_without_osqp(monkeypatch):
+    """Loading needs no QP; moving a parameter says what is missing."""
+    monkeypatch.setitem(sys.modules, "osqp", None)
+    design = build_design(cross())
+    with pytest.raises(ImportError, match=r"pip install 'diffsim-robot\[opt\]'"):
+        design.closest({"arm_1.length": 0.3})
