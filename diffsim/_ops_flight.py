@@ -219,8 +219,6 @@ def _setup_context(ctx, inputs, output):
 
 
 def _backward(ctx, grad_records):
-    if torch.is_grad_enabled() and grad_records.requires_grad:
-        raise NotImplementedError("flights have first derivatives only")
     grads = flight_vjp(grad_records, *ctx.saved_tensors, *ctx.settings)
     return (*grads, *(None,) * 7)
 
