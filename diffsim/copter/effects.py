@@ -157,8 +157,8 @@ class Interference:
 class BatterySag:
     """Thrust falls with the voltage: times (voltage / nominal)^exponent, the command unchanged.
 
-    current = sum_i a_i s_i^alpha_i from the thrust states s, voltage = open_circuit(charge) -
-    resistance current, charge' = -current / capacity. ``Battery.sag`` makes one.
+    current = idle + sum_i a_i s_i^alpha_i from the thrust states s, voltage = open_circuit(charge)
+    - resistance current, charge' = -current / capacity. ``Battery.sag`` makes one.
 
     Attributes:
         resistance: () [ohm], >= 0.
@@ -169,6 +169,7 @@ class BatterySag:
         open_circuit: Coefficients of V = sum_j c_j charge^j, (4,) [V].
         current_coefficients: a_i, (n_rotors,), A per N^alpha, >= 0.
         current_exponents: alpha_i, (n_rotors,), > 0.
+        idle_current: Of rotors at no thrust and everything else on board, () [A], >= 0.
     """
 
     resistance: Tensor
@@ -178,6 +179,7 @@ class BatterySag:
     open_circuit: Tensor
     current_coefficients: Tensor
     current_exponents: Tensor
+    idle_current: Tensor
 
     def __post_init__(self) -> None:
         _require("resistance", self.resistance, (), at_least=0.0)
@@ -187,6 +189,7 @@ class BatterySag:
         _require("open_circuit", self.open_circuit, (4,))
         _require("current_coefficients", self.current_coefficients, ("n_rotors",), at_least=0.0)
         _require("current_exponents", self.current_exponents, ("n_rotors",), above=0.0)
+        _require("idle_current", self.idle_current, (), at_least=0.0)
 
     def row(self, dt: float) -> dict[str, Tensor]:
         """Parameters of the kernel."""
@@ -198,6 +201,7 @@ class BatterySag:
             "open_circuit": self.open_circuit,
             "current_coefficient": self.current_coefficients,
             "current_exponent": self.current_exponents,
+            "idle_current": self.idle_current,
         }
 
 

@@ -66,6 +66,7 @@ def all_effects(num_rotors=5, steps=4, seed=1):
             open_circuit=tensor([9.0, 3.0, -1.5, 2.0]),
             current_coefficients=around(0.6),
             current_exponents=around(1.3),
+            idle_current=tensor(0.7),
         ),
     )
 

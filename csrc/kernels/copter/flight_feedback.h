@@ -75,9 +75,10 @@ inline void feedback_state_vjp(const V* x, const FeedbackTrace& tr, const V* g, 
 /// x12 - reference, angles the short way round.
 inline void feedback_error(const V* x12, const V* reference, V* error) {
   for (int k = 0; k < kFeedback; ++k) error[k] = x12[k] - reference[k];
-  const V round = broadcast<V>(6.283185307179586476925286766559);
+  constexpr double kTurn = 6.283185307179586476925286766559;
   for (int k : {3, 5}) {
-    error[k] = each(error[k], round, [](double a, double b) { return std::remainder(a, b); });
+    error[k] = each(error[k], error[k],
+                    [](double a, double) { return a - kTurn * std::nearbyint(a / kTurn); });
   }
 }
 

@@ -20,7 +20,7 @@ struct FlightLayout {
   int rotor_drag, drag_linear, drag_quadratic;
   int ground_coefficient, terrain_height, radii, interference;
   int resistance, inverse_capacity, nominal_voltage, sag_exponent, open_circuit;
-  int current_coefficient, current_exponent;
+  int current_coefficient, current_exponent, idle_current;
 
   explicit FlightLayout(int n);
 };
@@ -33,7 +33,7 @@ struct FlightField {
   int size(int n) const { return constant + per_rotor * n + per_pair * n * n; }
 };
 
-inline constexpr std::array<FlightField, 24> kFlightFields{{
+inline constexpr std::array<FlightField, 25> kFlightFields{{
     {"inverse_mass", &FlightLayout::inverse_mass, 1, 0, 0},        // [1/kg]
     {"inertia", &FlightLayout::inertia, 9, 0, 0},                  // [kg m^2], by rows
     {"inertia_inverse", &FlightLayout::inertia_inverse, 9, 0, 0},  // [1/(kg m^2)], by rows
@@ -58,6 +58,7 @@ inline constexpr std::array<FlightField, 24> kFlightFields{{
     {"open_circuit", &FlightLayout::open_circuit, 4, 0, 0},  // V = sum_j c_j charge^j [V]
     {"current_coefficient", &FlightLayout::current_coefficient, 0, 1, 0},  // A = a u^alpha
     {"current_exponent", &FlightLayout::current_exponent, 0, 1, 0},
+    {"idle_current", &FlightLayout::idle_current, 1, 0, 0},  // [A]
 }};
 
 inline FlightLayout::FlightLayout(int n) : num_rotors(n), size(0) {

@@ -22,7 +22,7 @@ struct RotorTrace {
 constexpr double kLeastVoltage = 0.05;  // of the nominal one; below it thrusts stay as they are
 
 inline void battery_sag(const FlightLayout& at, const V* P, const V* s, V charge, RotorTrace& tr) {
-  tr.current = V{};
+  tr.current = P[at.idle_current];
   for (int i = 0; i < at.num_rotors; ++i) {
     tr.drawn[i] = power(s[i], P[at.current_exponent + i]);
     tr.current += P[at.current_coefficient + i] * tr.drawn[i];
@@ -54,6 +54,7 @@ inline void battery_sag_vjp(const FlightLayout& at, const V* P, const V* s, V ch
   grad_charge += grad_voltage * (c[1] + charge * (2.0 * c[2] + charge * 3.0 * c[3]));
   grad_P[at.resistance] -= grad_voltage * tr.current;
   grad_current -= grad_voltage * P[at.resistance];
+  grad_P[at.idle_current] += grad_current;
   for (int i = 0; i < at.num_rotors; ++i) {
     const V a = P[at.current_coefficient + i], alpha = P[at.current_exponent + i];
     grad_P[at.current_coefficient + i] += grad_current * tr.drawn[i];
