@@ -16,9 +16,7 @@ from torch import Tensor
 from diffsim._check import require, require_range
 
 
-def _require(
-    name: str, value: Tensor, shape: tuple[int | str, ...], **interval: float
-) -> None:
+def _require(name: str, value: Tensor, shape: tuple[int | str, ...], **interval: float) -> None:
     """Shape with an optional batch axis, and range."""
     batched = isinstance(value, Tensor) and value.dim() == len(shape) + 1
     require(name, value, ("batch", *shape) if batched else shape)

@@ -168,7 +168,9 @@ def _start_rows(start: FlightState, commands: Tensor) -> Tensor:
     norm = start.quaternion.norm(dim=-1, keepdim=True)
     if bool((norm.detach() < 1e-6).any()):
         raise ValueError("start.quaternion must not be zero; (1, 0, 0, 0) is level, heading north")
-    charge = start.position.new_ones(start.position.shape[0]) if start.charge is None else start.charge
+    charge = (
+        start.position.new_ones(start.position.shape[0]) if start.charge is None else start.charge
+    )
     thrusts = commands[:, 0] if start.thrusts is None else start.thrusts
     if commands.shape[1] == 0 and start.thrusts is None:
         raise ValueError("commands has no steps; give at least one, or start.thrusts")
@@ -202,9 +204,13 @@ def _parameters(vehicles: Sequence[Multicopter], effects: FlightEffects, dt: flo
         if value.numel() % size:
             raise ValueError(f"{name} needs {size} values per vehicle, got {tuple(value.shape)}")
         pieces.append(value.reshape(-1, size))
-    batch = _common("vehicle and effects", {
-        name: piece.shape[0] for (name, _), piece in zip(_ops_flight.fields(n), pieces, strict=True)
-    })
+    batch = _common(
+        "vehicle and effects",
+        {
+            name: piece.shape[0]
+            for (name, _), piece in zip(_ops_flight.fields(n), pieces, strict=True)
+        },
+    )
     return torch.cat([piece.expand(batch, -1) for piece in pieces], dim=-1)[:, None]
 
 
