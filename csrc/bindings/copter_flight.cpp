@@ -27,9 +27,9 @@ struct FlightArrays {
             reference.rows(), wind.rows(),         parameters.rows()};
   }
   FlightInputGrads grads(const FlightArrays& of) const {
-    return {start.grads(of.start),         feed_forward.grads(of.feed_forward),
-            gain.grads(of.gain),           reference.grads(of.reference),
-            wind.grads(of.wind),           parameters.grads(of.parameters)};
+    return {start.grads(of.start), feed_forward.grads(of.feed_forward),
+            gain.grads(of.gain),   reference.grads(of.reference),
+            wind.grads(of.wind),   parameters.grads(of.parameters)};
   }
 };
 

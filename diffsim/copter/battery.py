@@ -27,7 +27,7 @@ LIPO_NOMINAL = 3.7  # [V] per cell
 class Battery:
     """A battery pack: voltage = open_circuit(charge) - resistance current.
 
-    Not modelled: temperature, recovery after a load, ageing, a capacity that depends on the current.
+    Not modelled: temperature, recovery after a load, ageing, a capacity that depends on current.
 
     Attributes:
         capacity: () [A s].
@@ -47,9 +47,9 @@ class Battery:
                 "open_circuit_coefficients must have shape (4,), got "
                 f"{tuple(self.open_circuit_coefficients.shape)}"
             )
-        require_number("capacity", float(self.capacity), above=0.0)
-        require_number("resistance", float(self.resistance), at_least=0.0)
-        require_number("nominal_voltage", float(self.nominal_voltage), above=0.0)
+        require_number("capacity", float(self.capacity.detach()), above=0.0)
+        require_number("resistance", float(self.resistance.detach()), at_least=0.0)
+        require_number("nominal_voltage", float(self.nominal_voltage.detach()), above=0.0)
 
     @classmethod
     def lipo(cls, *, cells: int, capacity_mah: float, resistance: float = 0.012) -> Battery:

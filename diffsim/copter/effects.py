@@ -6,6 +6,7 @@ gradients.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Any
@@ -16,12 +17,19 @@ from torch import Tensor
 from diffsim._check import require, require_range
 
 
-def _require(name: str, value: Tensor, shape: tuple[int | str, ...], **interval: float) -> None:
+def _require(
+    name: str,
+    value: Tensor,
+    shape: tuple[int | str, ...],
+    *,
+    above: float = -math.inf,
+    at_least: float = -math.inf,
+    at_most: float = math.inf,
+) -> None:
     """Shape with an optional batch axis, and range."""
     batched = isinstance(value, Tensor) and value.dim() == len(shape) + 1
     require(name, value, ("batch", *shape) if batched else shape)
-    if interval:
-        require_range(name, value, **interval)
+    require_range(name, value, above=above, at_least=at_least, at_most=at_most)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 import yaml
 from scipy.optimize import least_squares
 
@@ -151,7 +152,8 @@ def _least_squares(
     def residuals(scaled: Array) -> Array:
         return curve(dict(zip(names, scaled * scale, strict=True))) - y
 
-    found = least_squares(residuals, np.array(list(start.values())) / scale, xtol=1e-14, ftol=1e-14)
+    first = np.array(list(start.values())) / scale
+    found = least_squares(residuals, first, xtol=1e-15, ftol=1e-15, gtol=1e-15)
     if not found.success:
         raise ValueError(f"the fit of {names} did not converge: {found.message}")
     variance = np.sum(found.fun**2) / (len(y) - len(names))
@@ -203,7 +205,7 @@ def _hysteresis(table: RotorTable, model: RotorModel) -> dict[str, float]:
         result[f"exponent_{name}_error"] = fit.standard_errors["exponent"]
 
     def ratio(sweep: RotorTable) -> float:
-        return float(sweep.thrust.sum() / model.thrust(sweep.speed).sum())
+        return float(sweep.thrust.sum() / model.thrust(torch.as_tensor(sweep.speed)).sum())
 
     _, of_up, of_down = np.intersect1d(up.signal, down.signal, return_indices=True)
     result["thrust_at_equal_speed"] = ratio(down) / ratio(up) - 1.0

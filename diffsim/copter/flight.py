@@ -56,7 +56,7 @@ class Flight:
     """What a rollout returns.
 
     Attributes:
-        state: Of every vehicle at every control step and at the end, leading axes (batch, steps + 1).
+        state: Of every vehicle at every control step and at the end, axes (batch, steps + 1, ...).
         time: (steps + 1,) [s].
     """
 
@@ -77,8 +77,8 @@ def fly(
 ) -> Flight:
     """Fly a batch of multicopters.
 
-    m p'' = m g + R M_f u, J w' + w x J w = M_t u (thesis eqs. 3.2-3.5) with classical Runge-Kutta of
-    order four; the quaternion is normalised after every step. Thrusts u are the commands (less the
+    m p'' = m g + R M_f u, J w' + w x J w = M_t u (thesis eqs. 3.2-3.5) with the classical
+    Runge-Kutta method of order four; the quaternion is normalised after every step. Thrusts u are the commands (less the
     feedback), clamped to 0..max_thrusts and held for ``dt``. An active clamp has no gradient to the
     command; at a bound the gradient is that of the inside.
 
@@ -112,7 +112,7 @@ def fly(
     steps = commands.shape[1]
     inputs = {
         "start": _start_rows(start, commands),
-        "feed_forward": commands,
+        "commands": commands,
         "gain": commands.new_empty(0, 0, 0),
         "reference": commands.new_empty(0, 0, 0),
         "wind": commands.new_zeros(1, 1, 3) if effects.wind is None else _rows(effects.wind),
@@ -182,7 +182,7 @@ def _start_rows(start: FlightState, commands: Tensor) -> Tensor:
         charge[:, None],
         thrusts,
     ]
-    batch = _common("start", {f"part {i}": p.shape[0] for i, p in enumerate(parts)})
+    batch = _common("batch", {"start": start.position.shape[0], "commands": thrusts.shape[0]})
     row = torch.cat([p.expand(batch, -1) for p in parts], dim=-1)
     return require("start", row, ("batch", row.shape[1]))[:, None]
 

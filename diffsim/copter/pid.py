@@ -22,21 +22,23 @@ class PidGains:
     Attributes:
         position: Wanted velocity per position error [1/s].
         velocity: Wanted acceleration per velocity error [1/s].
-        integral: Wanted acceleration per integral of the position error [1/s^3].
+        integral: Wanted acceleration per integral of the velocity error [1/s^2].
         attitude: Wanted rate per angle [1/s].
         rate: Wanted angular acceleration per rate error [1/s].
         max_speed: Wanted speeds are no larger [m/s].
         max_tilt: Of the wanted thrust from the vertical [rad].
+        max_slip: Velocity errors count in the integral up to this, lest it winds up [m/s].
         max_integral: Of the integral's acceleration, per axis [m/s^2].
     """
 
     position: float = 1.5
     velocity: float = 3.0
-    integral: float = 0.5
+    integral: float = 1.0
     attitude: float = 8.0
     rate: float = 20.0
     max_speed: float = 5.0
     max_tilt: float = math.radians(35.0)
+    max_slip: float = 0.3
     max_integral: float = 3.0
 
     def __post_init__(self) -> None:
@@ -85,8 +87,10 @@ class PidController:
         g, vehicle = self.gains, self.vehicle
         error = target - state.position
         bound = g.max_integral
-        integral = (integral + g.integral * error * dt).clamp(-bound, bound)
         wanted = _shorten(g.position * error, g.max_speed)
+        slip = _shorten(wanted - state.velocity, g.max_slip)
+        integral = integral + g.integral * slip * dt
+        integral = integral.clamp(-bound, bound)
         pull = g.velocity * (wanted - state.velocity) + integral
         pull = pull - pull.new_tensor([0.0, 0.0, GRAVITY])  # specific force, up is negative
         up = (-pull[:, 2:]).clamp(min=0.2 * GRAVITY)
@@ -159,18 +163,18 @@ def fly_pid(
 
 def _at(state: FlightState, time: int, batch: int) -> FlightState:
     """The states of one time, or those without time for the whole batch."""
+    timed = state.position.dim() > 2
 
-    def pick(value: Tensor | None, axes: int) -> Tensor | None:
-        if value is None:
-            return None
-        if value.dim() > axes:
-            return value[:, time]
-        return value.expand(batch, *value.shape[1:])
+    def pick(value: Tensor) -> Tensor:
+        return value[:, time] if timed else value.expand(batch, *value.shape[1:])
 
     return FlightState(
-        *(pick(v, 2) for v in (state.position, state.quaternion, state.velocity, state.body_rates)),
-        pick(state.thrusts, 2),
-        pick(state.charge, 1),
+        pick(state.position),
+        pick(state.quaternion),
+        pick(state.velocity),
+        pick(state.body_rates),
+        None if state.thrusts is None else pick(state.thrusts),
+        None if state.charge is None else pick(state.charge),
     )
 
 
@@ -182,7 +186,7 @@ def _shorten(vector: Tensor, limit: float, scale: Tensor | None = None) -> Tenso
 
 
 def _level_with(down: Tensor, yaw: Tensor) -> Tensor:
-    """World-from-body attitude whose z axis points along ``down``, heading ``yaw``, (batch, 3, 3)."""
+    """World from body, z axis along ``down``, heading ``yaw``, (batch, 3, 3)."""
     z = torch.nn.functional.normalize(down, dim=-1)
     heading = torch.stack([torch.cos(yaw), torch.sin(yaw), torch.zeros_like(yaw)], dim=-1)
     y = torch.nn.functional.normalize(torch.linalg.cross(z, heading), dim=-1)

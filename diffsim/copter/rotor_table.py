@@ -116,7 +116,8 @@ def _kde(folder: Path, inches: int) -> RotorTable:
         torque=column("torque_Nm"),
         voltage=None,
         down=np.array(text("sweep")) == "down",
-        source=f"rotor_bench/kde2814_{inches}in.csv, github.com/mit-gfx/multicopter_design (GPL-2.0)",
+        source=f"rotor_bench/kde2814_{inches}in.csv, "
+        "github.com/mit-gfx/multicopter_design (GPL-2.0)",
     )
 
 

@@ -41,8 +41,8 @@ class SensorReadings:
 
     Attributes:
         gyro: Angular velocity in the body frame, (batch, time, 3) [rad/s].
-        accelerometer: Specific force (acceleration less gravity) in the body frame, (batch, time, 3)
-            [m/s^2]; (0, 0, -9.81) at rest.
+        accelerometer: Specific force (acceleration less gravity) in the body frame,
+            (batch, time, 3) [m/s^2]; (0, 0, -9.81) at rest.
         position: World frame, (batch, time, 3) [m].
     """
 

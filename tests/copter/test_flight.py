@@ -10,7 +10,11 @@ import torch
 from scipy.integrate import solve_ivp
 
 from diffsim.copter import GRAVITY
-from diffsim.copter.attitude import rotation_from_quaternion
+from diffsim.copter.attitude import (
+    quaternion_from_rpy,
+    rotation_from_quaternion,
+    rpy_rates_from_body_rates,
+)
 from diffsim.copter.effects import (
     BodyDrag,
     FlightEffects,
@@ -94,8 +98,9 @@ def test_torque_free_rotation_conserves():
 
 @pytest.mark.order
 def test_order_of_convergence():
-    """Slope of the error against a fine solution, all effects on."""
+    """Slope of the error against a fine solution, all effects on, clear of the ground's kink."""
     vehicle, start = crooked_copter(), tumbling()
+    start = replace(start, position=start.position - tensor([0.0, 0.0, 1.5]))
     commands = tensor(np.random.default_rng(0).uniform(2.5, 4, (2, 4, 5)))
 
     def end(substeps):
@@ -232,8 +237,6 @@ def test_public_tool_is_explicit_euler(name):
     gain, trim, h = tensor(facts["K"]), tensor(facts["trim_u"]), 1.0 / 30
     p, rpy = tensor(facts["com_world"]), torch.zeros(3, dtype=torch.float64)
     v, w = torch.zeros(3, dtype=torch.float64), torch.zeros(3, dtype=torch.float64)
-    from diffsim.copter.attitude import quaternion_from_rpy, rpy_rates_from_body_rates
-
     path = {}
     for step in range(1, 61):
         state = FlightState(p[None], quaternion_from_rpy(rpy)[None], v[None], w[None])
@@ -371,7 +374,7 @@ def test_bad_input():
         fly(vehicle, still(), commands, dt=0.0)
     with pytest.raises(ValueError, match="substeps must be"):
         fly(vehicle, still(), commands, dt=0.01, substeps=0)
-    with pytest.raises(ValueError, match=r"batch sizes disagree: start 3, feed_forward 2"):
+    with pytest.raises(ValueError, match="batch sizes disagree: start 3, commands 2"):
         fly(vehicle, still(3), commands.expand(2, -1, -1), dt=0.01)
     with pytest.raises(ValueError, match="steps sizes disagree"):
         drag = BodyDrag(linear=tensor([0.1] * 3), quadratic=tensor([0.1] * 3))
@@ -388,7 +391,7 @@ def test_bad_input():
         MotorLag(time_constants=tensor([0.0] * 4))
     with pytest.raises(ValueError, match="quaternion must not be zero"):
         fly(vehicle, replace(still(), quaternion=torch.zeros(1, 4).double()), commands, dt=0.01)
-    with pytest.raises(TypeError, match="torch.float64"):
+    with pytest.raises(TypeError, match="got torch"):
         fly(vehicle, still(), commands.float(), dt=0.01)
 
 

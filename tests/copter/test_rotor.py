@@ -88,8 +88,8 @@ def test_kde_exponents_and_ratio():
     rows = table.turning
     slope = np.polyfit(np.log(rows.speed), np.log(rows.thrust), 1)[0]
     assert fit.model.thrust_exponent == pytest.approx(slope, abs=0.06)
-    # torque_to_thrust of the public tool (copter_reference)
-    assert fit.model.torque_ratio == pytest.approx(0.0146639752508, rel=1e-9)
+    # torque_to_thrust of the public tool (copter_reference), which counts the rows at standstill
+    assert fit.model.torque_ratio == pytest.approx(0.0146639752508, rel=1e-7)
     assert fit_rotor(tables()["kde2814_14in"]).model.thrust_exponent == pytest.approx(
         2.066, abs=0.001
     )

@@ -48,10 +48,10 @@ inline constexpr std::array<FlightField, 25> kFlightFields{{
     {"drag_linear", &FlightLayout::drag_linear, 3, 0, 0},          // [N s/m]
     {"drag_quadratic", &FlightLayout::drag_quadratic, 3, 0, 0},    // [N s^2/m^2]
     {"ground_coefficient", &FlightLayout::ground_coefficient, 1, 0, 0},
-    {"terrain_height", &FlightLayout::terrain_height, 1, 0, 0},  // above the origin [m]
-    {"radii", &FlightLayout::radii, 0, 1, 0},                    // [m]
-    {"interference", &FlightLayout::interference, 0, 0, 1},      // N lost by i per N of j
-    {"resistance", &FlightLayout::resistance, 1, 0, 0},          // [ohm]
+    {"terrain_height", &FlightLayout::terrain_height, 1, 0, 0},      // above the origin [m]
+    {"radii", &FlightLayout::radii, 0, 1, 0},                        // [m]
+    {"interference", &FlightLayout::interference, 0, 0, 1},          // N lost by i per N of j
+    {"resistance", &FlightLayout::resistance, 1, 0, 0},              // [ohm]
     {"inverse_capacity", &FlightLayout::inverse_capacity, 1, 0, 0},  // [1/(A s)]
     {"nominal_voltage", &FlightLayout::nominal_voltage, 1, 0, 0},    // [V]
     {"sag_exponent", &FlightLayout::sag_exponent, 1, 0, 0},

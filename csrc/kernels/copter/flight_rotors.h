@@ -72,9 +72,8 @@ inline void rotor_thrusts(const FlightLayout& at, const FlightOptions& on, const
   if (on.battery) battery_sag(at, P, s, x[kCharge], tr);
   for (int i = 0; i < n; ++i) {
     const V reference = P[at.curve_reference + i];
-    tr.curve[i] = on.thrust_curve
-                      ? reference * power(s[i] / reference, P[at.curve_exponent + i])
-                      : s[i];
+    tr.curve[i] =
+        on.thrust_curve ? reference * power(s[i] / reference, P[at.curve_exponent + i]) : s[i];
     tr.bench[i] = tr.sag * tr.curve[i];
   }
   for (int i = 0; i < n; ++i) {
@@ -95,7 +94,8 @@ inline void rotor_thrusts(const FlightLayout& at, const FlightOptions& on, const
   }
 }
 
-/// @param[in]     grad_bench, grad_thrust, grad_current  of what the trace holds; grad_bench is used
+/// @param[in]     grad_bench, grad_thrust, grad_current  of what the trace holds; grad_bench is
+/// used
 ///                as working space
 /// @param[in,out] grad_x, grad_s, grad_R, grad_P         added to
 inline void rotor_thrusts_vjp(const FlightLayout& at, const FlightOptions& on, const V* P,
@@ -112,8 +112,7 @@ inline void rotor_thrusts_vjp(const FlightLayout& at, const FlightOptions& on, c
       grad_freed = grad_thrust[i] * tr.factor[i];
       grad_P[at.ground_coefficient] += grad_product * near2;
       const MaskOf<V> free = greater(h, V(0.5 * radius));
-      const V slope =
-          keep<V>(free, 2.0 * grad_product * P[at.ground_coefficient] * near2);
+      const V slope = keep<V>(free, 2.0 * grad_product * P[at.ground_coefficient] * near2);
       grad_P[at.radii + i] += slope / radius;
       const V rise = slope / h;  // minus the gradient of the height
       grad_x[2] += rise;
