@@ -78,9 +78,9 @@ def fly(
     """Fly a batch of multicopters.
 
     m p'' = m g + R M_f u, J w' + w x J w = M_t u (thesis eqs. 3.2-3.5) with the classical
-    Runge-Kutta method of order four; the quaternion is normalised after every step. Thrusts u are the commands (less the
-    feedback), clamped to 0..max_thrusts and held for ``dt``. An active clamp has no gradient to the
-    command; at a bound the gradient is that of the inside.
+    Runge-Kutta method of order four; the quaternion is normalised after every step. Thrusts u are
+    the commands (less the feedback), clamped to 0..max_thrusts and held for ``dt``. An active clamp
+    has no gradient to the command; at a bound the gradient is that of the inside.
 
     Args:
         vehicle: One for all, or one per member of the batch with equal rotor counts.

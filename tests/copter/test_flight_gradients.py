@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from diffsim import _ops_flight
-from diffsim.copter.effects import FlightEffects
+from diffsim.copter.effects import FlightEffects, MotorLag
 from diffsim.copter.flight import Feedback, fly
 from diffsim.copter.flight_state import FlightState
 from tests.copter.flight_cases import all_effects, crooked_copter, tensor, tumbling
@@ -158,6 +158,21 @@ def test_batch_of_vehicles_has_its_own_gradients():
     # sums of shared gradients in another order: rounding only
     torch.testing.assert_close(together[0], sum(a[0] for a in alone), rtol=1e-11, atol=1e-11)
     torch.testing.assert_close(together[1], sum(a[1] for a in alone), rtol=1e-11, atol=1e-11)
+
+
+def test_batched_effects_have_their_own_gradients():
+    """Leading batch axes of an effect, apart from those of the vehicles."""
+    effects = all_effects(ROTORS, STEPS)
+    rng = np.random.default_rng(11)
+    factor = tensor(rng.uniform(0.8, 1.2, (BATCH, 1)))
+    lag = effects.motor_lag.time_constants * factor
+
+    def flown(value):
+        return run(effects=replace(effects, motor_lag=MotorLag(time_constants=value)))
+
+    check(flown, lag)
+    for i in range(BATCH):
+        torch.testing.assert_close(flown(lag)[i], flown(lag[i])[i], rtol=0, atol=1e-13)
 
 
 def test_clamp_is_one_sided():
