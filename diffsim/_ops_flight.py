@@ -24,6 +24,7 @@ EFFECTS = (
 )
 
 
+@torch.compiler.assume_constant_result
 def fields(num_rotors: int) -> list[tuple[str, int]]:
     """Names and sizes of the parameters of one vehicle, in the order of their row."""
     return core.flight_fields(num_rotors)

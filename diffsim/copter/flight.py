@@ -155,7 +155,7 @@ def _common(what: str, sizes: dict[str, int]) -> int:
     if len(set(many.values())) > 1:
         listed = ", ".join(f"{name} {size}" for name, size in many.items())
         raise ValueError(f"{what} sizes disagree: {listed}; each must be one of them or 1")
-    return max(many.values(), default=1)
+    return max([1, *many.values()])
 
 
 def _rows(value: Tensor) -> Tensor:
@@ -166,7 +166,7 @@ def _rows(value: Tensor) -> Tensor:
 def _start_rows(start: FlightState, commands: Tensor) -> Tensor:
     require("start.position", start.position, ("batch", 3))
     norm = start.quaternion.norm(dim=-1, keepdim=True)
-    if bool((norm.detach() < 1e-6).any()):
+    if not torch.compiler.is_compiling() and bool((norm.detach() < 1e-6).any()):
         raise ValueError("start.quaternion must not be zero; (1, 0, 0, 0) is level, heading north")
     charge = (
         start.position.new_ones(start.position.shape[0]) if start.charge is None else start.charge
@@ -232,8 +232,9 @@ def _design_row(vehicle: Multicopter) -> dict[str, Tensor]:
 def _require_airborne(records: Tensor, effects: FlightEffects) -> None:
     if torch.compiler.is_compiling():
         return
-    if not math.isfinite(float(records.sum())):
-        vehicle, step, _ = (int(i) for i in torch.nonzero(~torch.isfinite(records))[0])
+    # a sum is the cheapest look at all of them
+    if not math.isfinite(float(records.sum())) and bool((bad := ~torch.isfinite(records)).any()):
+        vehicle, step, _ = (int(i) for i in torch.nonzero(bad)[0])
         raise FlightError(
             f"vehicle {vehicle} has no finite state after step {step}; shorten dt or raise "
             "substeps, check the gain, and keep the pitch away from +-90 degrees under feedback",

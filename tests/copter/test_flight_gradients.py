@@ -97,6 +97,16 @@ def test_design(name, effects):
     check(flown, getattr(vehicle, name))
 
 
+def test_spins_share_the_gradient_of_the_torque_ratios():
+    """Only their product enters; spins other than +-1 are relaxations that a vehicle refuses."""
+    vehicle = crooked_copter(ROTORS)
+    spins, ratios = (t.clone().requires_grad_() for t in (vehicle.spins, vehicle.torque_ratios))
+    flown = run(vehicle=vehicle.replace(spins=spins, torque_ratios=ratios))
+    of_spins, of_ratios = torch.autograd.grad(flown.sum(), [spins, ratios])
+    assert of_spins.abs().min() > 1e-6
+    torch.testing.assert_close(of_spins * spins, of_ratios * ratios)
+
+
 def test_inertia_and_directions():
     """Perturbed within what a vehicle accepts: symmetric, of length one."""
     vehicle = crooked_copter(ROTORS)
@@ -210,6 +220,23 @@ def test_op_contract():
     torch.library.opcheck(_ops_flight.flight, args)
     layer = torch.compile(_ops_flight.flight, fullgraph=True, backend="aot_eager")
     torch.testing.assert_close(layer(*args), _ops_flight.flight(*args))
+
+
+def test_whole_flight_compiles():
+    commands = case()["commands"].requires_grad_()
+    vehicle, effects, start = crooked_copter(ROTORS), all_effects(ROTORS, STEPS), tumbling(BATCH)
+    loop = Feedback(gain=case()["gain"], reference=case()["reference"])
+
+    def flown(commands):
+        return fly(
+            vehicle, start, commands, dt=0.03, feedback=loop, effects=effects
+        ).state.position
+
+    whole = torch.compile(flown, fullgraph=True, backend="aot_eager")
+    plain, compiled = flown(commands), whole(commands)
+    torch.testing.assert_close(compiled, plain)
+    (grad,), (expected,) = (torch.autograd.grad(f.sum(), commands) for f in (compiled, plain))
+    torch.testing.assert_close(grad, expected)
 
 
 def test_second_derivative_fails_loudly():
