@@ -21,6 +21,8 @@ LIPO_CELL_VOLTAGE = (
     *(3.85, 3.87, 3.91, 3.95, 3.98, 4.02, 4.08, 4.11, 4.15, 4.20),
 )
 LIPO_NOMINAL = 3.7  # [V] per cell
+# Thrust against voltage at one signal, mean of twelve small motors (1.66 to 1.86, rotor_bench).
+USUAL_SAG_EXPONENT = 1.75
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -129,9 +131,9 @@ class Battery:
 
         Args:
             rotors: One model per rotor; their nominal voltages say where thrust is as commanded.
-            exponent: Of thrust against voltage. By default that of the rotors' maps, thrust
-                exponent times speed exponent (their mean); 0 for a controller that makes up for the
-                voltage.
+            exponent: Of thrust against voltage at one signal; 0 for a controller that makes up for
+                the voltage. By default thrust exponent times speed exponent of each rotor, 1.75
+                where its table has no voltages, and their mean.
             idle: Current of everything else on board [A].
         """
         if not rotors:
@@ -139,7 +141,12 @@ class Battery:
         nominal = {float(r.nominal_voltage) for r in rotors}
         if len(nominal) > 1:
             raise ValueError(f"rotors must share a nominal voltage, got {sorted(nominal)} V")
-        slopes = [_tensor(r.thrust_exponent) * _tensor(r.speed_exponent) for r in rotors]
+        slopes = [
+            _tensor(USUAL_SAG_EXPONENT)
+            if "nominal_voltage" in r.assumed
+            else _tensor(r.thrust_exponent) * _tensor(r.speed_exponent)
+            for r in rotors
+        ]
         offsets = [_tensor(r.current_offset) for r in rotors]
         return BatterySag(
             resistance=self.resistance,

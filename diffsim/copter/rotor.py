@@ -45,7 +45,9 @@ class RotorModel:
         speed_exponent: b.
         time_constant: Of a first-order lag of the thrust [s]; None: unknown.
         mass: Of motor and propeller [kg]; None: unknown.
-        assumed: Names of the attributes above that were not measured but assumed.
+        assumed: Names of the attributes above that were not measured but assumed. Where that of
+            the nominal voltage is, b tells of the signal only: at another voltage the map is a
+            guess.
     """
 
     name: str
@@ -78,8 +80,9 @@ class RotorModel:
             "speed_coefficient",
             "speed_exponent",
         ):
-            if not float(getattr(self, name)) > 0.0:
-                raise ValueError(f"{name} must be above 0, got {float(getattr(self, name)):g}")
+            value = float(_tensor(getattr(self, name)).detach())
+            if not value > 0.0:
+                raise ValueError(f"{name} must be above 0, got {value:g}")
 
     def thrust(self, speed: Number) -> Tensor:
         """Thrust [N] at a speed [rad/s], any shape; zero at standstill."""

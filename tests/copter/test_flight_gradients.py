@@ -228,9 +228,7 @@ def test_whole_flight_compiles():
     loop = Feedback(gain=case()["gain"], reference=case()["reference"])
 
     def flown(commands):
-        return fly(
-            vehicle, start, commands, dt=0.03, feedback=loop, effects=effects
-        ).state.position
+        return fly(vehicle, start, commands, dt=0.03, feedback=loop, effects=effects).state.position
 
     whole = torch.compile(flown, fullgraph=True, backend="aot_eager")
     plain, compiled = flown(commands), whole(commands)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from diffsim.copter.battery import USUAL_SAG_EXPONENT
 from diffsim.copter.fit_rotor import fit_power, fit_rotor, write_rotor
 from diffsim.copter.rotor import (
     RotorModel,
@@ -151,6 +152,23 @@ def test_model_goes_through_the_rows():
             ),
         ).numpy()
         assert np.sqrt(np.mean((speed - rows.speed) ** 2)) < 0.02 * rows.speed.max()
+
+
+def test_thrust_against_voltage():
+    """Rows at 11.1 and 7.4 V with equal signals against thrust exponent times speed exponent."""
+    measured = []
+    for name, table in tables().items():
+        if table.voltage is None:
+            continue
+        model, high = rotor_model(name), table.voltage > 9.0
+        upper, lower = table.rows(high).turning, table.rows(~high).turning
+        _, i, j = np.intersect1d(upper.signal, lower.signal, return_indices=True)
+        i, j = i[-6:], j[-6:]  # weak signals are near the stand's resolution
+        ratio = np.log(upper.thrust[i] / lower.thrust[j])
+        slope = float(np.mean(ratio / np.log(upper.voltage[i] / lower.voltage[j])))
+        assert model.thrust_exponent * model.speed_exponent == pytest.approx(slope, abs=0.15)
+        measured.append(slope)
+    assert np.mean(measured) == pytest.approx(USUAL_SAG_EXPONENT, abs=0.02)
 
 
 @pytest.mark.parametrize("name", ["kde2814_14in", "rs2205s_lumenier5053x3"])

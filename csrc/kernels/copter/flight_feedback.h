@@ -5,6 +5,7 @@
 // angles do not exist and the rates are infinite.
 #pragma once
 
+#include "kernels/copter/flight_layout.h"
 #include "kernels/copter/flight_math.h"
 
 namespace diffsim::flight {
