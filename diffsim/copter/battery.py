@@ -21,8 +21,8 @@ LIPO_CELL_VOLTAGE = (
     *(3.85, 3.87, 3.91, 3.95, 3.98, 4.02, 4.08, 4.11, 4.15, 4.20),
 )
 LIPO_NOMINAL = 3.7  # [V] per cell
-# Thrust against voltage at one signal, mean of twelve small motors (1.66 to 1.86, rotor_bench).
-USUAL_SAG_EXPONENT = 1.75
+# Thrust against voltage at the six strongest signals, mean of twelve small motors (rotor_bench).
+USUAL_SAG_EXPONENT = 1.77
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,7 +132,7 @@ class Battery:
         Args:
             rotors: One model per rotor; their nominal voltages say where thrust is as commanded.
             exponent: Of thrust against voltage at one signal; 0 for a controller that makes up for
-                the voltage. By default thrust exponent times speed exponent of each rotor, 1.75
+                the voltage. By default thrust exponent times speed exponent of each rotor, 1.77
                 where its table has no voltages, and their mean.
             idle: Current of everything else on board [A].
         """
