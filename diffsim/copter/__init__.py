@@ -5,26 +5,41 @@ frame sits at the centre of mass.
 """
 
 from diffsim.copter.assemble import build_design
+from diffsim.copter.battery import Battery
 from diffsim.copter.constraints import InfeasibleDesignError
 from diffsim.copter.design import Design
 from diffsim.copter.design_file import load_design, save_design, shipped_designs
+from diffsim.copter.effects import FlightEffects
+from diffsim.copter.flight import Feedback, Flight, FlightError, fly
+from diffsim.copter.flight_state import FlightState
 from diffsim.copter.import_xml import import_xml
 from diffsim.copter.listing import PartEntry
+from diffsim.copter.rotor import RotorModel, rotor_model, rotor_names
 from diffsim.copter.spec import Connection, DesignSpec, PartSpec
 from diffsim.copter.vehicle import GRAVITY, Multicopter
 
 __all__ = [
     "GRAVITY",
+    "Battery",
     "Connection",
     "Design",
     "DesignSpec",
+    "Feedback",
+    "Flight",
+    "FlightEffects",
+    "FlightError",
+    "FlightState",
     "InfeasibleDesignError",
     "Multicopter",
     "PartEntry",
     "PartSpec",
+    "RotorModel",
     "build_design",
+    "fly",
     "import_xml",
     "load_design",
+    "rotor_model",
+    "rotor_names",
     "save_design",
     "shipped_designs",
 ]

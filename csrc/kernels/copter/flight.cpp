@@ -1,0 +1,104 @@
+#include "kernels/copter/flight.h"
+
+#include <vector>
+
+#include "kernels/copter/flight_step.h"
+#include "kernels/parallel.h"
+
+namespace diffsim {
+namespace flight {
+namespace {
+
+constexpr int kPartsOfGroup = kGroup / kNativeLanes;
+
+using Record = V[kBody + kMaxRotors];
+
+void fly(Flight& flight, const Crew& crew, std::int64_t steps, const FlightOptions& options,
+         const FlightInputs& inputs, double* records) {
+  const int size = flight.record();
+  const auto save = [&](std::int64_t step, const V* x) {
+    for (int lane = 0; lane < crew.count; ++lane) {
+      double* row = records + ((crew.first + lane) * (steps + 1) + step) * size;
+      for (int k = 0; k < size; ++k) row[k] = x[k][lane];
+    }
+  };
+  Record x;
+  load_row(inputs.start, crew, 0, size, x);
+  save(0, x);
+  for (std::int64_t step = 0; step < steps; ++step) {
+    flight.command(step, x);
+    for (int k = 0; k < options.substeps; ++k) flight.step(x);
+    save(step + 1, x);
+  }
+}
+
+void fly_back(Flight& flight, const Crew& crew, std::int64_t steps, const FlightOptions& options,
+              const double* records, const double* grad_records, const FlightInputGrads& grads) {
+  const int size = flight.record(), n = size - kBody;
+  const FlightRows kept{records, (steps + 1) * size, size};
+  const FlightRows cotangents{grad_records, (steps + 1) * size, size};
+  std::vector<V> grad_P(static_cast<std::size_t>(flight.layout().size));
+  std::vector<V> grad_K(static_cast<std::size_t>(n * kFeedback));
+  std::vector<V> path(static_cast<std::size_t>(options.substeps * size));
+  Record grad_x, cotangent, x;
+  load_row(cotangents, crew, steps, size, grad_x);
+  for (std::int64_t step = steps - 1; step >= 0; --step) {
+    load_row(kept, crew, step, size, x);
+    flight.command(step, x);
+    V* at = path.data();
+    for (int k = 0; k < options.substeps; ++k, at += size) {
+      for (int j = 0; j < size; ++j) at[j] = x[j];
+      if (k + 1 < options.substeps) flight.step(x);
+    }
+    V grad_command[kMaxRotors] = {}, grad_wind[3] = {};
+    for (int k = options.substeps - 1; k >= 0; --k) {
+      flight.step_vjp(path.data() + k * size, grad_x, grad_command, grad_wind, grad_P.data());
+    }
+    flight.command_vjp(step, path.data(), grad_command, grad_wind, grad_x, grad_P.data(),
+                       grad_K.data(), grads);
+    load_row(cotangents, crew, step, size, cotangent);
+    for (int k = 0; k < size; ++k) grad_x[k] += cotangent[k];
+  }
+  add_row(grads.start, crew, 0, size, grad_x);
+  add_row(grads.parameters, crew, 0, flight.layout().size, grad_P.data());
+  if (options.feedback) add_row(grads.gain, crew, 0, n * kFeedback, grad_K.data());
+}
+
+/// f(crew) for all vehicles; those of one group one after another, since they may share gradients.
+template <class F>
+void for_crews(std::int64_t batch, int num_threads, F&& f) {
+  const std::int64_t groups = (batch + kGroup - 1) / kGroup;
+  ThreadPool pool(groups < num_threads ? static_cast<int>(groups) : num_threads);
+  pool.run(groups, [&](std::int64_t group) {
+    for (int part = 0; part < kPartsOfGroup; ++part) {
+      const std::int64_t first = group * kGroup + part * kNativeLanes;
+      if (first >= batch) return;
+      const std::int64_t left = batch - first;
+      f(Crew{first, group, left < kNativeLanes ? static_cast<int>(left) : kNativeLanes});
+    }
+  });
+}
+
+}  // namespace
+}  // namespace flight
+
+void flight_rollout(int num_rotors, std::int64_t batch, std::int64_t steps,
+                    const FlightOptions& options, const FlightInputs& inputs, double* records,
+                    int num_threads) {
+  flight::for_crews(batch, num_threads, [&](const flight::Crew& crew) {
+    flight::Flight one(num_rotors, options, inputs, crew);
+    flight::fly(one, crew, steps, options, inputs, records);
+  });
+}
+
+void flight_rollout_vjp(int num_rotors, std::int64_t batch, std::int64_t steps,
+                        const FlightOptions& options, const FlightInputs& inputs,
+                        const double* records, const double* grad_records,
+                        const FlightInputGrads& grads, int num_threads) {
+  flight::for_crews(batch, num_threads, [&](const flight::Crew& crew) {
+    flight::Flight one(num_rotors, options, inputs, crew);
+    flight::fly_back(one, crew, steps, options, records, grad_records, grads);
+  });
+}
+
+}  // namespace diffsim

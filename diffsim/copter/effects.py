@@ -1,0 +1,255 @@
+"""What a flight may feel besides gravity and ideal rotors: named, optional, differentiable.
+
+Every tensor of an effect may have a leading batch axis, one entry per vehicle, and may carry
+gradients.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from diffsim._check import require, require_range
+
+
+def _require(
+    name: str,
+    value: Tensor,
+    shape: tuple[int | str, ...],
+    *,
+    above: float = -math.inf,
+    at_least: float = -math.inf,
+    at_most: float = math.inf,
+) -> None:
+    """Shape with an optional batch axis, and range."""
+    batched = isinstance(value, Tensor) and value.dim() == len(shape) + 1
+    require(name, value, ("batch", *shape) if batched else shape)
+    require_range(name, value, above=above, at_least=at_least, at_most=at_most)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MotorLag:
+    """First-order lag of the thrust behind its command: tau s' = command - s, solved exactly.
+
+    Attributes:
+        time_constants: tau, (n_rotors,) [s], > 0.
+    """
+
+    time_constants: Tensor
+
+    def __post_init__(self) -> None:
+        _require("time_constants", self.time_constants, ("n_rotors",), above=0.0)
+
+    def row(self, dt: float) -> dict[str, Tensor]:
+        """Parameters of the kernel."""
+        return {"lag_decay": torch.exp(-0.5 * dt / self.time_constants)}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ThrustCurve:
+    """A speed controller that assumes thrust ~ speed^2 on a propeller with thrust ~ speed^p.
+
+    thrust = reference (command / reference)^exponent with exponent = p / 2. Where the command is
+    zero, thrust and gradients are zero.
+
+    Attributes:
+        exponents: p / 2, (n_rotors,), > 0.
+        reference_thrusts: Where command and thrust agree, (n_rotors,) [N], > 0.
+    """
+
+    exponents: Tensor
+    reference_thrusts: Tensor
+
+    def __post_init__(self) -> None:
+        _require("exponents", self.exponents, ("n_rotors",), above=0.0)
+        _require("reference_thrusts", self.reference_thrusts, ("n_rotors",), above=0.0)
+
+    def row(self, dt: float) -> dict[str, Tensor]:
+        """Parameters of the kernel."""
+        return {"curve_exponent": self.exponents, "curve_reference": self.reference_thrusts}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RotorDrag:
+    """In-plane force of a rotor in cross flow: -k thrust (velocity of the hub across its axis).
+
+    Attributes:
+        coefficient: k, () [s/m], >= 0 (Mahony, Kumar, Corke 2012, blade flapping and induced drag).
+    """
+
+    coefficient: Tensor
+
+    def __post_init__(self) -> None:
+        _require("coefficient", self.coefficient, (), at_least=0.0)
+
+    def row(self, dt: float) -> dict[str, Tensor]:
+        """Parameters of the kernel."""
+        return {"rotor_drag": self.coefficient}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BodyDrag:
+    """Drag at the centre of mass along the body's axes: -(linear + quadratic |a|) a.
+
+    Attributes:
+        linear: (3,) [N s/m], >= 0.
+        quadratic: (3,) [N s^2/m^2], >= 0.
+    """
+
+    linear: Tensor
+    quadratic: Tensor
+
+    def __post_init__(self) -> None:
+        _require("linear", self.linear, (3,), at_least=0.0)
+        _require("quadratic", self.quadratic, (3,), at_least=0.0)
+
+    def row(self, dt: float) -> dict[str, Tensor]:
+        """Parameters of the kernel."""
+        return {"drag_linear": self.linear, "drag_quadratic": self.quadratic}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GroundEffect:
+    """More thrust near level ground: times 1 / (1 - k (radius / 4 height)^2) for every rotor.
+
+    Cheeseman and Bennett 1955 has k = 1. Below half a radius the height counts as that (zero
+    gradient). The ground does not stop the vehicle.
+
+    Attributes:
+        coefficient: k, (), 0 to 3.
+        terrain_height: Of the ground above the origin, () [m], up positive.
+    """
+
+    coefficient: Tensor
+    terrain_height: Tensor
+
+    def __post_init__(self) -> None:
+        _require("coefficient", self.coefficient, (), at_least=0.0, at_most=3.0)
+        _require("terrain_height", self.terrain_height, ())
+
+    def row(self, dt: float) -> dict[str, Tensor]:
+        """Parameters of the kernel."""
+        return {
+            "ground_coefficient": self.coefficient,
+            "terrain_height": self.terrain_height,
+        }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Interference:
+    """Thrust that rotors take from one another: thrust_i -= sum_j losses_ij thrust_j.
+
+    Attributes:
+        losses: (n_rotors, n_rotors), 0 to 1; a coaxial pair has the loss of the lower rotor at
+            (lower, upper).
+    """
+
+    losses: Tensor
+
+    def __post_init__(self) -> None:
+        _require("losses", self.losses, ("n_rotors", "n_rotors"), at_least=0.0, at_most=1.0)
+
+    def row(self, dt: float) -> dict[str, Tensor]:
+        """Parameters of the kernel."""
+        return {"interference": self.losses.flatten(-2)}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BatterySag:
+    """Thrust falls with the voltage: times (voltage / nominal)^exponent, the command unchanged.
+
+    current = idle + sum_i a_i s_i^alpha_i from the thrust states s, voltage = open_circuit(charge)
+    - resistance current, charge' = -current / capacity. ``Battery.sag`` makes one.
+
+    Attributes:
+        resistance: () [ohm], >= 0.
+        capacity: () [A s], > 0.
+        nominal_voltage: At which the thrusts are as commanded, () [V], > 0.
+        exponent: (); near 2 where the speed is proportional to the voltage, 0 for a controller
+            that makes up for the voltage.
+        open_circuit: Coefficients of V = sum_j c_j charge^j, (4,) [V].
+        current_coefficients: a_i, (n_rotors,), A per N^alpha, >= 0.
+        current_exponents: alpha_i, (n_rotors,), > 0.
+        idle_current: Of rotors at no thrust and everything else on board, () [A], >= 0.
+    """
+
+    resistance: Tensor
+    capacity: Tensor
+    nominal_voltage: Tensor
+    exponent: Tensor
+    open_circuit: Tensor
+    current_coefficients: Tensor
+    current_exponents: Tensor
+    idle_current: Tensor
+
+    def __post_init__(self) -> None:
+        _require("resistance", self.resistance, (), at_least=0.0)
+        _require("capacity", self.capacity, (), above=0.0)
+        _require("nominal_voltage", self.nominal_voltage, (), above=0.0)
+        _require("exponent", self.exponent, (), at_least=0.0)
+        _require("open_circuit", self.open_circuit, (4,))
+        _require("current_coefficients", self.current_coefficients, ("n_rotors",), at_least=0.0)
+        _require("current_exponents", self.current_exponents, ("n_rotors",), above=0.0)
+        _require("idle_current", self.idle_current, (), at_least=0.0)
+
+    def row(self, dt: float) -> dict[str, Tensor]:
+        """Parameters of the kernel."""
+        return {
+            "resistance": self.resistance,
+            "inverse_capacity": 1.0 / self.capacity,
+            "nominal_voltage": self.nominal_voltage,
+            "sag_exponent": self.exponent,
+            "open_circuit": self.open_circuit,
+            "current_coefficient": self.current_coefficients,
+            "current_exponent": self.current_exponents,
+            "idle_current": self.idle_current,
+        }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FlightEffects:
+    """The effects that a flight has; None is absent, and costs nothing.
+
+    Attributes:
+        motor_lag: Thrust behind its command.
+        thrust_curve: Thrust against speed with an exponent other than two.
+        rotor_drag: In-plane force of the rotors.
+        body_drag: Linear and quadratic drag.
+        wind: World frame, (3,) steady, (steps, 3) a gust's series held over each control step, or
+            (batch, steps, 3) [m/s]. Felt through the drags only.
+        ground_effect: More thrust near the ground.
+        interference: Thrust that rotors take from one another.
+        battery: Voltage sag.
+    """
+
+    motor_lag: MotorLag | None = None
+    thrust_curve: ThrustCurve | None = None
+    rotor_drag: RotorDrag | None = None
+    body_drag: BodyDrag | None = None
+    wind: Tensor | None = None
+    ground_effect: GroundEffect | None = None
+    interference: Interference | None = None
+    battery: BatterySag | None = None
+
+    def __post_init__(self) -> None:
+        if self.wind is not None:
+            require("wind", self.wind, ("...", 3))
+            if self.wind.dim() > 3:
+                raise ValueError(
+                    "wind must have shape (3,), (steps, 3) or (batch, steps, 3), got "
+                    f"{tuple(self.wind.shape)}"
+                )
+            if self.rotor_drag is None and self.body_drag is None:
+                raise ValueError("wind acts through drag; give rotor_drag or body_drag as well")
+
+    def present(self) -> Iterator[tuple[str, Any]]:
+        """Names and values of those that are there, but for the wind."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name != "wind" and value is not None:
+                yield field.name, value

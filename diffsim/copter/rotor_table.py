@@ -1,0 +1,155 @@
+"""Bench tables of rotors: what a thrust stand measured, one row per setting."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+INCH = 0.0254
+# Motors of small_motors.csv by the first word of their short name.
+_SMALL_MOTORS = {
+    "EMAX RS2205S 2600kv": "rs2205s",
+    "Lumenier RX2206-11 2350kv": "rx2206",
+    "Tiger Motor F40 III 2400kv": "f40iii",
+}
+_SMALL_PROPELLERS = {
+    "Cyclone T5040C 3-blade": "cyclone5040x3",
+    "Gemfan 5x4.5 3-blade": "gemfan5045x3",
+    "Gemfan 5x4 2-blade": "gemfan5040x2",
+    "Lumenier 5x5.3 3-blade": "lumenier5053x3",
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RotorTable:
+    """Rows of one motor and propeller.
+
+    Attributes:
+        name: Short name.
+        title: Motor and propeller in words.
+        radius: Of the propeller [m].
+        nominal_voltage: [V].
+        signal: Pulse width, (num_rows,) [us].
+        speed: (num_rows,) [rad/s].
+        thrust: (num_rows,) [N].
+        current: (num_rows,) [A].
+        torque: (num_rows,) [N m], or None.
+        voltage: (num_rows,) [V], or None where it was not recorded.
+        down: Rows of the sweep down, (num_rows,) bool.
+        source: Where the rows come from.
+    """
+
+    name: str
+    title: str
+    radius: float
+    nominal_voltage: float
+    signal: Array
+    speed: Array
+    thrust: Array
+    current: Array
+    torque: Array | None
+    voltage: Array | None
+    down: NDArray[np.bool_]
+    source: str
+
+    def __post_init__(self) -> None:
+        columns = [self.signal, self.speed, self.thrust, self.current, self.down]
+        columns += [c for c in (self.torque, self.voltage) if c is not None]
+        if len({len(c) for c in columns}) != 1:
+            raise ValueError(f"columns of {self.name} differ in length: {list(map(len, columns))}")
+        if not all(np.isfinite(c).all() for c in columns):
+            raise ValueError(f"columns of {self.name} must be finite")
+
+    def rows(self, keep: NDArray[np.bool_]) -> RotorTable:
+        """Some of the rows."""
+
+        def some(column: Array | None) -> Array | None:
+            return None if column is None else column[keep]
+
+        return replace(
+            self,
+            signal=self.signal[keep],
+            speed=self.speed[keep],
+            thrust=self.thrust[keep],
+            current=self.current[keep],
+            torque=some(self.torque),
+            voltage=some(self.voltage),
+            down=self.down[keep],
+        )
+
+    @property
+    def turning(self) -> RotorTable:
+        """The rows in which the rotor turns and pulls."""
+        return self.rows((self.speed > 0.0) & (self.thrust > 0.0))
+
+
+def read_rotor_bench(folder: Path) -> dict[str, RotorTable]:
+    """All tables of the data set ``rotor_bench``, by name.
+
+    Small motors were measured at two supply voltages; the rows of both make one table.
+
+    Raises:
+        FileNotFoundError: a file of the data set is not there.
+    """
+    tables = [_kde(folder, inches) for inches in (10, 14)]
+    tables += list(_small_motors(folder))
+    return {table.name: table for table in tables}
+
+
+def _kde(folder: Path, inches: int) -> RotorTable:
+    column, text = _columns(folder / f"kde2814_{inches}in.csv")
+    return RotorTable(
+        name=f"kde2814_{inches}in",
+        title=f"KDE2814XF-775, {inches} inch propeller",
+        radius=inches * INCH / 2,
+        nominal_voltage=11.1,
+        signal=column("esc_signal_us"),
+        speed=column("speed_rad_s"),
+        thrust=column("thrust_N"),
+        current=column("current_A"),
+        torque=column("torque_Nm"),
+        voltage=None,
+        down=np.array(text("sweep")) == "down",
+        source=f"rotor_bench/kde2814_{inches}in.csv, "
+        "github.com/mit-gfx/multicopter_design (GPL-2.0)",
+    )
+
+
+def _small_motors(folder: Path) -> Iterator[RotorTable]:
+    column, text = _columns(folder / "small_motors.csv")
+    motors, propellers = np.array(text("motor")), np.array(text("propeller"))
+    for motor, short in _SMALL_MOTORS.items():
+        for propeller, blade in _SMALL_PROPELLERS.items():
+            keep = (motors == motor) & (propellers == propeller)
+            yield RotorTable(
+                name=f"{short}_{blade}",
+                title=f"{motor}, {propeller}",
+                radius=5 * INCH / 2,
+                nominal_voltage=11.1,
+                signal=column("esc_signal_us")[keep],
+                speed=column("electrical_speed_rpm")[keep] * 2.0 * np.pi / 60.0,
+                thrust=column("thrust_N")[keep],
+                current=column("current_A")[keep],
+                torque=None,
+                voltage=column("voltage_V")[keep],
+                down=np.zeros(int(keep.sum()), dtype=bool),
+                source="rotor_bench/small_motors.csv, "
+                "github.com/StrawsonDesign/motor_propeller_testing (MIT)",
+            )
+
+
+def _columns(path: Path) -> tuple[Callable[[str], Array], Callable[[str], list[str]]]:
+    """Columns of a CSV file as numbers and as text."""
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+
+    def text(name: str) -> list[str]:
+        return [row[name] for row in rows]
+
+    return lambda name: np.array(text(name), dtype=float), text
