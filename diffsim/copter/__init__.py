@@ -4,6 +4,44 @@ World and body frames are north-east-down (NED): x forward, y right, z down; up 
 frame sits at the centre of mass.
 """
 
+from diffsim.copter.clearance import disc_clearances, min_clearance
+from diffsim.copter.control_metrics import (
+    control_authority,
+    controllability,
+    hover_map_singular_value,
+    max_hover_weight,
+    response_time,
+    rotor_out_margins,
+)
+from diffsim.copter.hover import Hover, HoverError, HoverResult, hover, hover_thrusts
+from diffsim.copter.linearise import LinearModel, linearise, state_rate
+from diffsim.copter.lqr import LQR, LqrGain, lqr, lqr_stats, lyapunov
+from diffsim.copter.stabilizability import RiccatiError
 from diffsim.copter.vehicle import GRAVITY, Multicopter
 
-__all__ = ["GRAVITY", "Multicopter"]
+__all__ = [
+    "GRAVITY",
+    "LQR",
+    "Hover",
+    "HoverError",
+    "HoverResult",
+    "LinearModel",
+    "LqrGain",
+    "Multicopter",
+    "RiccatiError",
+    "control_authority",
+    "controllability",
+    "disc_clearances",
+    "hover",
+    "hover_map_singular_value",
+    "hover_thrusts",
+    "linearise",
+    "lqr",
+    "lqr_stats",
+    "lyapunov",
+    "max_hover_weight",
+    "min_clearance",
+    "response_time",
+    "rotor_out_margins",
+    "state_rate",
+]

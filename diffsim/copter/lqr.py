@@ -171,6 +171,4 @@ def _require_definite(name: str, matrix: Tensor, *, strictly: bool) -> None:
             "needs a weight above 0"
         )
     if least < -_SEMIDEFINITE * largest:
-        raise ValueError(
-            f"{name} must be positive semidefinite, got smallest eigenvalue {least:g}"
-        )
+        raise ValueError(f"{name} must be positive semidefinite, got smallest eigenvalue {least:g}")
