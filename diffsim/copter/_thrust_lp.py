@@ -48,10 +48,10 @@ def max_scale(
     Raises:
         ThrustLimitError: infeasible.
     """
-    data = tuple(t.detach().numpy() for t in (C, a, b, max_thrusts))
-    optimum = _linear_program(*data, what=what)
+    C_now, a_now, b_now, limit = (t.detach().numpy() for t in (C, a, b, max_thrusts))
+    optimum = _linear_program(C_now, a_now, b_now, limit, what=what)
     if smoothing:
-        optimum = _barrier(*data, smoothing)
+        optimum = _barrier(C_now, a_now, b_now, limit, smoothing)
     thrusts, equality, upper = (
         torch.from_numpy(v) for v in (optimum.thrusts, optimum.equality, optimum.upper)
     )

@@ -12,8 +12,6 @@ from diffsim.copter.rotation import body_rates_from_euler_rates, rotation_from_e
 from diffsim.copter.vehicle import GRAVITY, Multicopter
 
 FORMS = ("euler", "rotation_vector")
-EULER_STATES = ("x", "y", "z", "roll", "pitch", "yaw", "U", "V", "W", "roll_rate", "pitch_rate")
-EULER_STATES += ("yaw_rate",)
 
 
 class LinearModel(NamedTuple):
@@ -42,9 +40,10 @@ def state_rate(copter: Multicopter, state: Tensor, thrusts: Tensor) -> Tensor:
     Returns:
         The state's rate, (12,). Not defined at a pitch of 90 degrees.
     """
-    _, euler, velocity, rates = state.split(3)
+    euler, velocity, rates = state[3:6], state[6:9], state[9:]
     R = rotation_from_euler(euler)
-    E, E_rate = torch.func.jvp(body_rates_from_euler_rates, (euler,), (rates,))
+    turning = torch.func.jvp(body_rates_from_euler_rates, (euler,), (rates,))
+    E, E_rate = turning[0], turning[1]
     omega = E @ rates
     gravity = R[2] * GRAVITY
     inertia = copter.inertia
