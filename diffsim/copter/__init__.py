@@ -13,7 +13,8 @@ from diffsim.copter.control_metrics import (
     response_time,
     rotor_out_margins,
 )
-from diffsim.copter.hover import Hover, HoverError, HoverResult, hover, hover_thrusts
+from diffsim.copter.hover import Hover, hover, hover_thrusts
+from diffsim.copter.hover_result import HoverError, HoverResult, HoverWarning
 from diffsim.copter.linearise import LinearModel, linearise, state_rate
 from diffsim.copter.lqr import LQR, LqrGain, lqr, lqr_stats, lyapunov
 from diffsim.copter.stabilizability import RiccatiError
@@ -25,6 +26,7 @@ __all__ = [
     "Hover",
     "HoverError",
     "HoverResult",
+    "HoverWarning",
     "LinearModel",
     "LqrGain",
     "Multicopter",
