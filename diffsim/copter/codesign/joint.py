@@ -1,0 +1,146 @@
+"""All unknowns at once: many local solves of one smooth program, spins enumerated outside."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.copter.codesign.controllable import move_to_controllable
+from diffsim.copter.codesign.errors import InfeasibleDesignError
+from diffsim.copter.codesign.hover import LEVEL, rank_spins
+from diffsim.copter.codesign.polytope import random_feasible
+from diffsim.copter.codesign.program import Program
+from diffsim.copter.codesign.result import StartRecord
+from diffsim.copter.codesign.solve import LocalSolution, second_solver
+from diffsim.copter.codesign.space import ShapeModel
+from diffsim.copter.codesign.task import Point, Task, hover_residual
+
+Array = NDArray[np.float64]
+
+FEASIBLE = 1e-7  # relative violation of constraints that a solution may have
+_HOVER = 1e-8  # relative imbalance of the whole model
+_START_TILT = 0.2  # [rad], of random starts
+_START_STEP = 0.3  # of the mean arm, change of shape parameters of random starts
+
+
+def joint(
+    task: Task,
+    spins: Array | None,
+    *,
+    num_starts: int,
+    num_spins: int,
+    rng: np.random.Generator,
+    solver: str | None,
+    max_iters: int,
+) -> tuple[Point, LocalSolution, Program, list[StartRecord], list[str]]:
+    """The best of ``num_starts`` local solves.
+
+    Returns:
+        Best point, its solution and program, a record of every start, warnings.
+
+    Raises:
+        InfeasibleDesignError: no start came to hover; the message has the best residual.
+    """
+    warnings: list[str] = []
+    origin, candidates = spin_candidates(task, spins, num_spins, rng, warnings)
+    records: list[StartRecord] = []
+    best: tuple[LocalSolution, Program, Array] | None = None
+    least = np.inf
+    for k in range(num_starts):
+        chosen = candidates[k % len(candidates)]
+        point = origin if k < len(candidates) else random_point(task, origin, rng)
+        began = time.perf_counter()
+        point = replace(point, spins=chosen)
+        found, program = task.solve(point, solver=solver, max_iters=max_iters)
+        if found.violation > FEASIBLE and solver is None:  # SQP may stop at a stationary violation
+            found, program = task.solve(point, solver=second_solver(), max_iters=max_iters)
+        feasible = found.violation <= FEASIBLE and np.isfinite(found.value)
+        least = min(least, found.violation)
+        records.append(
+            StartRecord(
+                spins=tuple(chosen.tolist()),
+                value=found.value if feasible else np.inf,
+                violation=found.violation,
+                status=found.message,
+                num_iters=found.num_iters,
+                seconds=time.perf_counter() - began,
+            )
+        )
+        if feasible and (best is None or found.value < best[0].value - 1e-12):
+            best = found, program, chosen
+    if best is None:
+        raise InfeasibleDesignError(
+            f"no hover within the thrust bounds was found for {len(candidates)} spin assignments "
+            f"from {num_starts} starts: the best leaves {least:.3g} of m g (or m g L) unbalanced; "
+            f"take stronger rotors, a lighter design, wider limits, or raise num_starts and "
+            f"num_spins",
+            residual=float(least),
+        )
+    found, program, chosen = best
+    s, d, gamma, _, _ = program.split(found.x)
+    return Point(s, d, chosen, gamma), found, program, records, warnings
+
+
+def refine(
+    task: Task, point: Point, found: LocalSolution, program: Program, **options
+) -> tuple[Task, Point, LocalSolution, Program]:
+    """Solve again with the fast copy made at the new directions until the whole model hovers.
+
+    Only designs whose mass properties depend on the directions need it.
+    """
+    for _ in range(5):
+        thrusts = as_tensor(program.hover_thrusts(found.x))
+        if hover_residual(task.vehicle(point), thrusts, point.gamma) <= _HOVER:
+            break
+        model = ShapeModel(task.design, as_tensor(point.d), point.s)
+        task = replace(task, model=model)
+        found, program = task.solve(point, **options)
+        s, d, gamma, _, _ = program.split(found.x)
+        point = Point(s, d, point.spins, gamma)
+    return task, point, found, program
+
+
+def spin_candidates(
+    task: Task,
+    spins: Array | None,
+    num_spins: int,
+    rng: np.random.Generator,
+    warnings: list[str],
+) -> tuple[Point, list[Array]]:
+    """The start (moved if it cannot be controlled) and the spin assignments worth a try."""
+    start = task.start
+    rotors, ratios = task.rotors, task.model.vehicle.torque_ratios.numpy()
+    if spins is not None:
+        return start, [np.asarray(spins, float)]
+    choices = rank_spins(task.model.at(start.s), start.d, rotors, ratios)
+    if choices[0].reach <= 0.0:
+        start, gain = move_to_controllable(task, start, rng)
+        choices = rank_spins(task.model.at(start.s), start.d, rotors, ratios)
+        warnings.append(
+            "the start cannot hover whatever the spins; it was moved to a controllable shape "
+            f"(least relative singular value {gain:.2g}) before the search"
+        )
+    useful = [choice for choice in choices if choice.reach > 0.0] or choices
+    return start, [np.array(choice.spins) for choice in useful[:num_spins]]
+
+
+def random_point(task: Task, origin: Point, rng: np.random.Generator) -> Point:
+    """A feasible shape near the origin, with tilted rotors."""
+    s, d = origin.s, origin.d
+    if "shape" in task.limits.free:
+        radius = _START_STEP * task.model.length
+        s = random_feasible(task.model.A, task.model.b, s, radius, rng)
+    if "directions" in task.limits.free:
+        d = d + min(_START_TILT, 0.5 * task.limits.max_tilt) * rng.standard_normal(d.shape)
+        d = d / np.linalg.norm(d, axis=1, keepdims=True)
+    return Point(s, d, origin.spins, LEVEL)
+
+
+def as_tensor(array: Array):
+    """A torch copy."""
+    import torch
+
+    return torch.tensor(np.asarray(array), dtype=torch.float64)
