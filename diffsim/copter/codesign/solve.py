@@ -275,8 +275,10 @@ def _by_uno(
     }
     for name, value in options.items():
         uno.set_option(name, value)
-    uno.set_notify_acceptable_iterate_callback(lambda y, *_: notes(np.array(y)))
+    # restoration and slacks append unknowns of their own
+    uno.set_notify_acceptable_iterate_callback(lambda y, *_: notes(np.array(y)[:n]))
     found = uno.optimize(model)
     status = found.solution_status
     converged = status == unopy.SolutionStatus.FEASIBLE_KKT_POINT
-    return np.array(found.primal_solution), converged, status.name, int(found.number_iterations)
+    message = f"{status.name} ({found.optimization_status.name})"
+    return np.array(found.primal_solution), converged, message, int(found.number_iterations)
