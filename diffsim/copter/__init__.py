@@ -4,6 +4,25 @@ World and body frames are north-east-down (NED): x forward, y right, z down; up 
 frame sits at the centre of mass.
 """
 
+from diffsim.copter.design import Design, PartEntry, build_design
+from diffsim.copter.design_file import load_design, save_design, shipped_designs
+from diffsim.copter.feasible import InfeasibleDesignError
+from diffsim.copter.import_xml import import_xml
+from diffsim.copter.spec import Connection, DesignSpec, PartSpec
 from diffsim.copter.vehicle import GRAVITY, Multicopter
 
-__all__ = ["GRAVITY", "Multicopter"]
+__all__ = [
+    "GRAVITY",
+    "Connection",
+    "Design",
+    "DesignSpec",
+    "InfeasibleDesignError",
+    "Multicopter",
+    "PartEntry",
+    "PartSpec",
+    "build_design",
+    "import_xml",
+    "load_design",
+    "save_design",
+    "shipped_designs",
+]

@@ -1,0 +1,381 @@
+"""A composed multicopter: free parameters in, meshes and a differentiable vehicle out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import torch
+import trimesh
+from torch import Tensor
+
+from diffsim._check import require, require_choice
+from diffsim.copter.compose import Composer, Target
+from diffsim.copter.evaluate import PartTensors
+from diffsim.copter.feasible import FeasibleSet, eliminate, matrix, staged_least_squares
+from diffsim.copter.geometry import Array, frame_of
+from diffsim.copter.mass import rigid_body
+from diffsim.copter.parts import RotorMount
+from diffsim.copter.placement import PlacedPart
+from diffsim.copter.spec import DesignSpec
+from diffsim.copter.vehicle import Multicopter
+
+
+@dataclass(frozen=True)
+class PartEntry:
+    """A line of the bill of materials.
+
+    Attributes:
+        name, kind: Of the part.
+        source: ``bought``, ``cut`` or ``printed``.
+        mass: [kg].
+        price: [EUR].
+        dimensions: Shape parameters by name [m].
+    """
+
+    name: str
+    kind: str
+    source: str
+    mass: float
+    price: float
+    dimensions: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Parts with their feasible set and a current point in it.
+
+    All parameters are x = offset + basis @ s with free parameters s, A s <= b (thesis 3.2.2). The
+    free parameters are entries of x: ``names`` tells which.
+
+    Attributes:
+        spec: What its author wrote.
+        parts: All of them, adapters included.
+        feasible: Constraints and their elimination.
+        values: Current free parameters s, (n_free,) [m].
+    """
+
+    spec: DesignSpec
+    parts: tuple[PlacedPart, ...]
+    feasible: FeasibleSet
+    values: Tensor
+
+    @property
+    def name(self) -> str:
+        """Of the design."""
+        return self.spec.name
+
+    @property
+    def all_names(self) -> tuple[str, ...]:
+        """Names of all parameters x, ``part.parameter``."""
+        return self.feasible.names
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters s."""
+        return tuple(self.feasible.names[i] for i in self.feasible.free_idx)
+
+    @cached_property
+    def basis(self) -> Tensor:
+        """(n, n_free) of x = offset + basis @ s."""
+        return torch.from_numpy(self.feasible.basis)
+
+    @cached_property
+    def offset(self) -> Tensor:
+        """(n,) of x = offset + basis @ s."""
+        return torch.from_numpy(self.feasible.offset)
+
+    @cached_property
+    def inequalities(self) -> tuple[Tensor, Tensor]:
+        """A (num_rows, n_free) and b (num_rows,) of A s <= b (thesis eq. 3.10)."""
+        return (
+            torch.from_numpy(self.feasible.inequality_matrix),
+            torch.from_numpy(self.feasible.inequality_bound),
+        )
+
+    @property
+    def lower(self) -> Tensor:
+        """Least value of each free parameter over the feasible set, (n_free,); -inf if none."""
+        return torch.from_numpy(self.feasible.bounds[0])
+
+    @property
+    def upper(self) -> Tensor:
+        """Greatest value of each free parameter over the feasible set, (n_free,); inf if none."""
+        return torch.from_numpy(self.feasible.bounds[1])
+
+    @cached_property
+    def rotors(self) -> tuple[RotorMount, ...]:
+        """Motors in the order in which they joined."""
+        return tuple(p.part.rotor_mount for p in self.parts if p.part.rotor_mount is not None)
+
+    @cached_property
+    def rotor_names(self) -> tuple[str, ...]:
+        """Names of the motor parts, one per rotor."""
+        return tuple(p.name for p in self.parts if p.part.rotor_mount is not None)
+
+    @cached_property
+    def directions(self) -> Tensor:
+        """Thrust directions as built, (n_rotors, 3)."""
+        rows = [
+            p.rotation @ p.part.rotor_mount.direction
+            for p in self.parts
+            if p.part.rotor_mount is not None
+        ]
+        return torch.from_numpy(np.array(rows).reshape(-1, 3))
+
+    @cached_property
+    def spins(self) -> Tensor:
+        """b_i as built, (n_rotors,)."""
+        return torch.tensor([float(m.spin) for m in self.rotors], dtype=torch.float64)
+
+    @cached_property
+    def _tensors(self) -> PartTensors:
+        return PartTensors(self.parts, self.feasible.names)
+
+    def all_values(self, s: Tensor | None = None) -> Tensor:
+        """All parameters x of free ones, (n,)."""
+        return self.offset + self.basis @ self._free(s)
+
+    def value(self, name: str, s: Tensor | None = None) -> float:
+        """One parameter by name [m]."""
+        return float(self.all_values(s)[self._index(name)].detach())
+
+    def multicopter(
+        self,
+        s: Tensor | None = None,
+        directions: Tensor | None = None,
+        spins: Tensor | None = None,
+    ) -> Multicopter:
+        """Mass properties and rotors (thesis eqs. 3.2-3.5).
+
+        Args:
+            s: Free parameters, (n_free,) [m]; the current ones if None.
+            directions: Unit thrust directions, (n_rotors, 3); as built if None. They turn the
+                thrust about the propeller's centre, nothing else: motors' mass stays where it is,
+                as in the thesis, where d enters M_f and M_t only. ``with_directions`` rebuilds.
+            spins: b_i, (n_rotors,), +1 or -1; as built if None.
+
+        Returns:
+            The vehicle. Gradients: s, directions, spins.
+
+        Raises:
+            ValueError: wrong shapes, no rotors.
+        """
+        if not self.rotors:
+            raise ValueError(f"design {self.name!r} has no motor; add a part of kind 'motor'")
+        x = self.all_values(s)
+        mass, com, inertia = rigid_body(self._tensors.moments(x))
+        data = [mount.rotor for mount in self.rotors]
+
+        def of_rotors(key: str) -> Tensor:
+            return torch.tensor([getattr(d, key) for d in data], dtype=torch.float64)
+
+        return Multicopter(
+            mass=mass,
+            inertia=inertia,
+            positions=self._tensors.rotor_positions(x) - com,
+            directions=self.directions if directions is None else directions,
+            spins=self.spins if spins is None else spins,
+            torque_ratios=of_rotors("torque_ratio"),
+            max_thrusts=of_rotors("max_thrust"),
+            radii=of_rotors("radius"),
+            rotor_models=tuple(d.name for d in data),
+        )
+
+    def center_of_mass(self, s: Tensor | None = None) -> Tensor:
+        """In the design's frame, (3,) [m]. Gradient: s."""
+        return rigid_body(self._tensors.moments(self.all_values(s)))[1]
+
+    def mass(self, s: Tensor | None = None) -> Tensor:
+        """() [kg] (thesis eq. 3.19). Gradient: s."""
+        return self._tensors.moments(self.all_values(s)).mass.sum()
+
+    def cost(self, s: Tensor | None = None) -> Tensor:
+        """Price of all parts, () [EUR]; linear in s but for printed frames (thesis eq. 3.18)."""
+        x = self.all_values(s)
+        return self._tensors.cost(x, self._tensors.moments(x).mass)
+
+    def size(self, s: Tensor | None = None) -> Tensor:
+        """Total length of the rods, () [m]; linear in s (thesis eq. 3.16)."""
+        return self._tensors.rod_length(self.all_values(s))
+
+    def extent(self, s: Tensor | None = None) -> Tensor:
+        """Size of the box around the propellers' centres, (3,) [m]."""
+        centers = self._tensors.rotor_positions(self.all_values(s))
+        return centers.amax(0) - centers.amin(0)
+
+    def closest(self, values: Mapping[str, float]) -> Design:
+        """The feasible design closest to the current one in which parameters have these values.
+
+        Distance is Euclidean over shapes and places of the author's parts (thesis 3.2.2); the
+        adapters follow. Solved as a QP.
+
+        Args:
+            values: By name, free or dependent ones [m].
+
+        Raises:
+            ValueError: unknown parameter; offers the closest name.
+            InfeasibleDesignError: no such design; names an irreducible set of constraints.
+        """
+        pinned = {self.feasible.names[self._index(name)]: float(v) for name, v in values.items()}
+        target = self.all_values().numpy().copy()
+        for name, value in pinned.items():
+            target[self.feasible.names.index(name)] = value
+        return self.with_values(
+            torch.from_numpy(self.feasible.closest(target, _weights(self.parts), pinned))
+        )
+
+    def with_values(self, s: Tensor) -> Design:
+        """The same design at other free parameters.
+
+        Raises:
+            ValueError: outside the feasible set; names the worst constraint.
+        """
+        s = self._free(s).detach().clone()
+        slack = self.feasible.inequality_matrix @ s.numpy() - self.feasible.inequality_bound
+        if len(slack) and float(slack.max()) > 1e-6:
+            worst = self.feasible.inequality_labels[int(slack.argmax())]
+            raise ValueError(
+                f"s violates '{worst}' by {float(slack.max()):.3g} m; use closest(...) to stay "
+                "feasible"
+            )
+        return replace(self, values=s)
+
+    def with_directions(self, directions: Tensor) -> Design:
+        """Rebuild with motors tilted by compound-angle clips, free parameters kept.
+
+        Args:
+            directions: Unit thrust directions, (n_rotors, 3).
+        """
+        directions = require("directions", directions, (len(self.rotors), 3)).detach()
+        rows = dict(zip(self.rotor_names, directions.tolist(), strict=True))
+        parts = tuple(
+            replace(p, direction=tuple(rows[p.name])) if p.name in rows else p
+            for p in self.spec.parts
+        )
+        return build_design(replace(self.spec, parts=parts, values=self.named_values()))
+
+    def named_values(self) -> dict[str, float]:
+        """Current free parameters by name [m]."""
+        return dict(zip(self.names, self.values.tolist(), strict=True))
+
+    def meshes(
+        self, s: Tensor | None = None, directions: Tensor | None = None
+    ) -> dict[str, trimesh.Trimesh]:
+        """Closed surfaces of all parts in the design's frame (NED) [m].
+
+        Args:
+            s: Free parameters, (n_free,); the current ones if None.
+            directions: Thrust directions, (n_rotors, 3), to draw motors and propellers tilted.
+        """
+        x = self.all_values(s).detach().numpy()
+        index = {name: i for i, name in enumerate(self.feasible.names)}
+        tilts = dict(zip(self.rotor_names, self._tilts(directions), strict=True))
+        result = {}
+        for p in self.parts:
+            local = p.part.mesh.vertices.at(x[[index[n] for n in p.shape_names]])
+            turned = (
+                local @ (tilts.get(p.name.removesuffix("__propeller"), np.eye(3)) @ p.rotation).T
+            )
+            placed = turned + x[[index[n] for n in p.position_names]]
+            result[p.name] = trimesh.Trimesh(placed, p.part.mesh.faces, process=False)
+        return result
+
+    def bill_of_materials(self, s: Tensor | None = None) -> tuple[PartEntry, ...]:
+        """Every part with mass and price."""
+        x = self.all_values(s).detach()
+        masses = self._tensors.moments(x).mass.tolist()
+        index = {name: i for i, name in enumerate(self.feasible.names)}
+        entries = []
+        for p, mass in zip(self.parts, masses, strict=True):
+            shape = {n.partition(".")[2]: float(x[index[n]]) for n in p.shape_names}
+            linear = sum(
+                a * b for a, b in zip(p.part.price_per_parameter, shape.values(), strict=False)
+            )
+            price = p.part.price + linear + p.part.price_per_mass * mass
+            entries.append(PartEntry(p.name, p.part.kind, p.part.source, mass, price, shape))
+        return tuple(entries)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the design as YAML, atomically (``diffsim.copter.design_file``)."""
+        from diffsim.copter.design_file import save_design
+
+        return save_design(self, path)
+
+    def _tilts(self, directions: Tensor | None) -> Array:
+        """Least rotations from the built directions to others, (n_rotors, 3, 3)."""
+        built = self.directions.numpy()
+        wanted = built if directions is None else directions.detach().numpy()
+        tilts = []
+        for a, b in zip(built, wanted, strict=True):
+            turn = np.cross(a, b)
+            if np.linalg.norm(turn) < 1e-12:
+                tilts.append(np.eye(3))
+            else:
+                tilts.append(frame_of(b, np.cross(turn, b)) @ frame_of(a, np.cross(turn, a)).T)
+        return np.array(tilts)
+
+    def _free(self, s: Tensor | None) -> Tensor:
+        return self.values if s is None else require("s", s, (len(self.names),))
+
+    def _index(self, name: str) -> int:
+        if name in self.feasible.names:
+            return self.feasible.names.index(name)
+        part, _, parameter = name.partition(".")
+        require_choice("part", part, [p.name for p in self.parts])
+        known = [n.partition(".")[2] for n in self.feasible.names if n.startswith(f"{part}.")]
+        require_choice(f"parameter of {part}", parameter, known)
+        raise AssertionError("unreachable: every part's parameters are listed")
+
+
+def build_design(spec: DesignSpec) -> Design:
+    """Compose a design and start it at the feasible point closest to what its author gave.
+
+    Raises:
+        ValueError: unknown names, parts that face the wrong way or are connected to nothing.
+        MeshError: a part that is not closed.
+        InfeasibleDesignError: constraints that exclude each other, with an irreducible set.
+    """
+    if not spec.parts:
+        raise ValueError(f"design {spec.name!r} has no parts")
+    composer = Composer(spec)
+    composer.compose()
+    parts = tuple(composer.placed.values())
+    names = [n for p in parts for n in (*p.shape_names, *p.position_names)]
+    feasible = eliminate(names, composer.constraints, _preference(parts))
+    asked: list[Target] = []
+    for name, value in spec.values.items():
+        asked.append((composer.form(name), float(value)))
+    stages = [_stage(names, t, feasible) for t in (asked, composer.explicit, composer.defaults)]
+    s = staged_least_squares(stages, len(feasible.free_idx))
+    if feasible.violation(s) > 1e-9:
+        s = feasible.closest(feasible.offset + feasible.basis @ s, _weights(parts))
+    return Design(spec, parts, feasible, torch.from_numpy(s))
+
+
+def _stage(
+    names: list[str], targets: Sequence[Target], feasible: FeasibleSet
+) -> tuple[Array, Array]:
+    rows, values = matrix(names, [form.equals(value, "") for form, value in targets])
+    return rows @ feasible.basis, values - rows @ feasible.offset
+
+
+def _weights(parts: Sequence[PlacedPart]) -> Array:
+    """Which parameters count as distance: all but the places of what rules inserted."""
+    return np.array(
+        [w for p in parts for w in [1.0] * len(p.shape_names) + [float(not p.automatic)] * 3]
+    )
+
+
+def _preference(parts: Sequence[PlacedPart]) -> Array:
+    """Which parameters become free: shapes, then places of motors, rods, others, adapters."""
+    levels = []
+    for p in parts:
+        place = 0.0 if p.automatic else 1.0
+        place = 2.0 if p.part.rod_parameter is not None else place
+        place = 3.0 if p.part.rotor_mount is not None else place
+        levels += [3.5 if p.automatic else 4.0] * len(p.shape_names) + [place] * 3
+    return np.array(levels) - 1e-6 * np.arange(len(levels))  # the first of equals

@@ -1,0 +1,16 @@
+"""Parametric parts of multicopters and their database."""
+
+from diffsim.copter.parts.database import PART_KINDS, make_part
+from diffsim.copter.parts.part import Parameter, Part, RotorMount
+from diffsim.copter.parts.rotors import ROTORS, RotorData, rotor_data
+
+__all__ = [
+    "PART_KINDS",
+    "ROTORS",
+    "Parameter",
+    "Part",
+    "RotorData",
+    "RotorMount",
+    "make_part",
+    "rotor_data",
+]

@@ -1,0 +1,93 @@
+"""The part database: kinds by name (thesis 3.2.1)."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from diffsim._check import require_choice
+from diffsim.copter.parts.fittings import (
+    compound_angle_clip,
+    motor,
+    propeller,
+    round_connector,
+    screw_mount,
+    standoff,
+)
+from diffsim.copter.parts.imported import imported_mesh, imported_motor, imported_rod
+from diffsim.copter.parts.part import Part, PartMaker
+from diffsim.copter.parts.structure import (
+    box_part,
+    circular_plate,
+    mesh_frame,
+    outline_frame,
+    plate,
+    rod,
+    x_frame,
+)
+
+
+def battery(size: Sequence[float] = (0.1008, 0.0336, 0.0224), mass: float = 0.2127) -> Part:
+    """A three-cell pack of 2200 mAh unless told otherwise; size (3,) [m], mass [kg]."""
+    return box_part("battery", size, mass, 25.0)
+
+
+def electronics(size: Sequence[float] = (0.0815, 0.05, 0.0155), mass: float = 0.0359) -> Part:
+    """Flight controller and receiver; size (3,) [m], mass [kg]."""
+    return box_part("electronics", size, mass, 200.0)
+
+
+def payload(size: Sequence[float] = (0.08, 0.08, 0.05), mass: float = 0.5) -> Part:
+    """Something carried; size (3,) [m], mass [kg]."""
+    return box_part("payload", size, mass, 0.0)
+
+
+PART_KINDS: dict[str, PartMaker] = {
+    maker.__name__: maker
+    for maker in (
+        rod,
+        plate,
+        circular_plate,
+        x_frame,
+        outline_frame,
+        mesh_frame,
+        battery,
+        electronics,
+        payload,
+        motor,
+        propeller,
+        round_connector,
+        screw_mount,
+        standoff,
+        compound_angle_clip,
+        imported_mesh,
+        imported_rod,
+        imported_motor,
+    )
+}
+
+
+def make_part(kind: str, options: Mapping[str, Any] | None = None) -> Part:
+    """A part from the database.
+
+    Args:
+        kind: A key of ``PART_KINDS``.
+        options: Arguments of its maker: starting values of parameters and constant sizes.
+
+    Raises:
+        ValueError: unknown kind or option, with the closest names; sizes that make no part.
+    """
+    maker = PART_KINDS[require_choice("kind", kind, PART_KINDS)]
+    options = dict(options or {})
+    known = list(inspect.signature(maker).parameters)
+    for key in options:
+        require_choice(f"option of a {kind}", key, known)
+    missing = [
+        name
+        for name, parameter in inspect.signature(maker).parameters.items()
+        if parameter.default is inspect.Parameter.empty and name not in options
+    ]
+    if missing:
+        raise ValueError(f"a {kind} needs {', '.join(missing)}; add it to the part")
+    return maker(**options)

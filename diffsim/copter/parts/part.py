@@ -1,0 +1,165 @@
+"""A part: parametric geometry, feasible set, mass, price, patches (thesis 3.2.1)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+import trimesh
+
+from diffsim.copter.geometry import Array, LinearMesh, LinearPoints
+from diffsim.copter.parts.rotors import RotorData
+from diffsim.copter.patches import Patch
+from diffsim.errors import MeshError
+from diffsim.mesh.closed_surface import closed_surface
+
+Source = Literal["bought", "cut", "printed"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A shape parameter.
+
+    Attributes:
+        name: Such as ``length``.
+        value: Where a design starts [m].
+        lower, upper: Of the feasible set [m].
+        meaning: For listings.
+    """
+
+    name: str
+    value: float
+    lower: float = 0.0
+    upper: float = math.inf
+    meaning: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class RotorMount:
+    """Where a part's thrust acts.
+
+    Attributes:
+        rotor: The propeller and motor.
+        center: Of the propeller in the part's frame, (3,) [m].
+        direction: Of the thrust in the part's frame, (3,).
+        spin: +1 for a propeller that turns clockwise seen against its thrust, else -1.
+    """
+
+    rotor: RotorData
+    center: Array
+    direction: Array
+    spin: int
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One part; its frame is turned and moved by the design, never scaled.
+
+    Attributes:
+        kind: Name in the database.
+        mesh: Closed, vertices linear in the parameters.
+        parameters: Shape parameters, in the order of the mesh's basis.
+        density: [kg/m^3], of the solid.
+        patches: Connecting patches by name.
+        price: Constant share [EUR].
+        price_per_parameter: Linear share per metre of a parameter, (num_parameters,) [EUR/m].
+        price_per_mass: Of printed parts [EUR/kg].
+        source: How one comes by it: ``bought``, ``cut`` to length, ``printed``.
+        rod_parameter: Index of the parameter that counts as length of rod, None if not a rod.
+        rows: Further rows A s <= b of the feasible set, (k, num_parameters) and (k,).
+        rotor_mount: Of motors.
+        options: What the part was made from, for saving.
+    """
+
+    kind: str
+    mesh: LinearMesh
+    density: float
+    patches: Mapping[str, Patch]
+    parameters: tuple[Parameter, ...] = ()
+    price: float = 0.0
+    price_per_parameter: tuple[float, ...] = ()
+    price_per_mass: float = 0.0
+    source: Source = "bought"
+    rod_parameter: int | None = None
+    rows: tuple[Array, Array] | None = None
+    rotor_mount: RotorMount | None = None
+    options: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def values(self) -> Array:
+        """Starting values of the parameters, (num_parameters,) [m]."""
+        return np.array([p.value for p in self.parameters])
+
+    @property
+    def feasible(self) -> tuple[Array, Array]:
+        """A s <= b of the part's own parameters: bounds and further rows."""
+        n = len(self.parameters)
+        eye = np.eye(n)
+        upper = [i for i, p in enumerate(self.parameters) if math.isfinite(p.upper)]
+        lower = [i for i, p in enumerate(self.parameters) if math.isfinite(p.lower)]
+        a = [eye[upper], -eye[lower]]
+        b = [
+            np.array([self.parameters[i].upper for i in upper]),
+            -np.array([self.parameters[i].lower for i in lower]),
+        ]
+        if self.rows is not None:
+            a.append(self.rows[0])
+            b.append(self.rows[1])
+        return np.concatenate(a), np.concatenate(b)
+
+    def with_values(self, values: Mapping[str, float]) -> Part:
+        """The part with other starting values."""
+        changed = (replace(p, value=values.get(p.name, p.value)) for p in self.parameters)
+        return replace(self, parameters=tuple(changed))
+
+    def with_bounds(self, bounds: Mapping[str, tuple[float, float]]) -> Part:
+        """The part with other bounds of some parameters [m]."""
+        return replace(
+            self,
+            parameters=tuple(
+                replace(p, lower=bounds[p.name][0], upper=bounds[p.name][1])
+                if p.name in bounds
+                else p
+                for p in self.parameters
+            ),
+        )
+
+    def require_closed(self, name: str) -> None:
+        """Refuse geometry without an inside.
+
+        Raises:
+            MeshError: the mesh has holes or encloses no volume; names the part.
+        """
+        surface = trimesh.Trimesh(
+            self.mesh.vertices.at(self.values), self.mesh.faces, process=False
+        )
+        try:
+            closed_surface(surface)
+        except MeshError as error:
+            raise MeshError(
+                f"part {name!r} ({self.kind}) is not closed, its mass is undefined: {error}",
+                error.indices,
+            ) from error
+        if surface.volume <= 0.0:
+            raise MeshError(
+                f"part {name!r} ({self.kind}) is inside out (volume {surface.volume:.3g} m^3); "
+                "turn its triangles around"
+            )
+
+
+def density_of(mesh: LinearMesh, values: Array, mass: float) -> float:
+    """Density that gives a mesh this mass at these parameters [kg/m^3]."""
+    vertices = mesh.vertices.at(values)
+    a, b, c = (vertices[mesh.faces[:, k]] for k in range(3))
+    return mass / (float(np.einsum("fi,fi->", a, np.cross(b, c))) / 6.0)
+
+
+def linear_center(constant: Array, basis: Array) -> LinearPoints:
+    """A patch's centre, (3,) and (3, num_parameters) [m]."""
+    return LinearPoints(np.asarray(constant, dtype=np.float64), np.asarray(basis, np.float64))
+
+
+PartMaker = Callable[..., Part]

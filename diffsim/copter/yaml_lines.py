@@ -1,0 +1,77 @@
+"""YAML with line numbers, so that an error can say where."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import yaml
+
+Path = tuple[str | int, ...]
+
+
+@dataclass
+class Located:
+    """Plain values of a YAML document and the line of each key.
+
+    Attributes:
+        value: dicts, lists, numbers, strings.
+        lines: Path of keys to line, counted from 1.
+        source: File name for messages.
+    """
+
+    value: Any
+    source: str
+    lines: dict[Path, int] = field(default_factory=dict)
+
+    def error(self, path: Path, message: str) -> ValueError:
+        """A ValueError that names file, line and key."""
+        line = next(
+            (self.lines[path[:k]] for k in range(len(path), -1, -1) if path[:k] in self.lines), 1
+        )
+        where = ".".join(map(str, path))
+        return ValueError(f"{self.source}, line {line}{': ' + where if where else ''}: {message}")
+
+    def checked(self, path: Path, check: Callable[[], Any]) -> Any:
+        """Result of ``check``; its ValueError or TypeError gets file, line and key."""
+        try:
+            return check()
+        except (ValueError, TypeError) as error:
+            raise self.error(path, str(error)) from error
+
+
+def read_yaml(text: str, source: str) -> Located:
+    """Parse YAML; duplicate keys are errors, as they would silently drop something.
+
+    Raises:
+        ValueError: not YAML, or a key stands twice; with the line.
+    """
+    try:
+        root = yaml.compose(text, yaml.SafeLoader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        line = mark.line + 1 if mark else 1
+        raise ValueError(f"{source}, line {line}: not YAML: {error.problem}") from error
+    located = Located(None, source)
+    if root is not None:
+        located.value = _plain(root, (), located)
+    return located
+
+
+def _plain(node: yaml.Node, path: Path, located: Located) -> Any:
+    located.lines.setdefault(path, node.start_mark.line + 1)
+    if isinstance(node, yaml.MappingNode):
+        result: dict[str, Any] = {}
+        for key_node, value_node in node.value:
+            key = str(key_node.value)
+            line = key_node.start_mark.line + 1
+            if key in result:
+                raise ValueError(f"{located.source}, line {line}: key {key!r} stands twice")
+            located.lines[(*path, key)] = line
+            result[key] = _plain(value_node, (*path, key), located)
+        return result
+    if isinstance(node, yaml.SequenceNode):
+        return [_plain(item, (*path, k), located) for k, item in enumerate(node.value)]
+    loader = yaml.SafeLoader("")
+    return loader.construct_object(node)
