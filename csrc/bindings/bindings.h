@@ -15,6 +15,7 @@ using Address = std::uintptr_t;
 
 void bind_cholesky(nb::module_& m);
 void bind_contact(nb::module_& m);
+void bind_copter_control(nb::module_& m);
 void bind_cpu(nb::module_& m);
 void bind_soft(nb::module_& m);
 void bind_stokes(nb::module_& m);

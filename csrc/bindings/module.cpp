@@ -11,6 +11,7 @@ DIFFSIM_EXPAND(DIFFSIM_MODULE, m) {
   nanobind::set_leak_warnings(false);
   diffsim::bind_cholesky(m);
   diffsim::bind_contact(m);
+  diffsim::bind_copter_control(m);
   diffsim::bind_cpu(m);
   diffsim::bind_soft(m);
   diffsim::bind_stokes(m);

@@ -1,0 +1,106 @@
+"""Lyapunov and Riccati equations as torch custom ops; see ``csrc/kernels/copter/riccati.h``.
+
+Their derivatives are Lyapunov equations again, solved by the same op, so that second derivatives
+work too.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from diffsim._core import core
+from diffsim.copter.stabilizability import raise_lyapunov_failure, raise_riccati_failure
+
+REPORT = ("solved", "num_iters", "residual", "abscissa")
+
+
+def _check(name: str, value: Tensor, shape: tuple[int, ...]) -> Tensor:
+    """What the kernels rely on; diffsim/copter/lqr.py has said it to the user already."""
+    if value.dtype != torch.float64 or value.device.type != "cpu" or value.shape != shape:
+        raise ValueError(
+            f"{name} must be a float64 CPU tensor of shape {shape}, got {value.dtype} on "
+            f"{value.device} of shape {tuple(value.shape)}"
+        )
+    return value.contiguous()
+
+
+@torch.library.custom_op("diffsim::lyapunov", mutates_args=())
+def lyapunov(A: Tensor, Q: Tensor, num_threads: int) -> Tensor:
+    """X (B, n, n) of A X + X A' + Q = 0."""
+    batch, n, _ = A.shape
+    A, Q = _check("A", A, (batch, n, n)), _check("Q", Q, (batch, n, n))
+    X = torch.empty(A.shape, dtype=torch.float64)
+    solved = torch.empty(batch, dtype=torch.int64)
+    core.lyapunov(
+        A.data_ptr(), Q.data_ptr(), batch, n, X.data_ptr(), solved.data_ptr(), num_threads
+    )
+    for index in torch.nonzero(solved == 0).flatten().tolist():
+        raise_lyapunov_failure(A[index].numpy(), index if batch > 1 else None)
+    return X
+
+
+@lyapunov.register_fake
+def _(A: Tensor, Q: Tensor, num_threads: int) -> Tensor:
+    return A.new_empty(A.shape)
+
+
+def _setup_lyapunov(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
+    ctx.save_for_backward(inputs[0], output)
+    ctx.num_threads = inputs[2]
+
+
+# dA X + A dX + dX A' + X dA' + dQ = 0, so with A' S + S A + dL/dX = 0:
+#   dL/dQ = S,  dL/dA = S X' + S' X.
+def _backward_lyapunov(ctx: Any, grad_X: Tensor) -> tuple[Tensor, Tensor, None]:
+    A, X = ctx.saved_tensors
+    S = lyapunov(A.mT.contiguous(), grad_X.contiguous(), ctx.num_threads)
+    return S @ X.mT + S.mT @ X, S, None
+
+
+lyapunov.register_autograd(_backward_lyapunov, setup_context=_setup_lyapunov)
+
+
+@torch.library.custom_op("diffsim::care", mutates_args=())
+def care(A: Tensor, G: Tensor, Q: Tensor, num_threads: int) -> tuple[Tensor, Tensor]:
+    """The stabilising P (B, n, n) of A'P + P A - P G P + Q = 0, and REPORT (B, 4)."""
+    batch, n, _ = A.shape
+    A, G, Q = (_check(k, v, (batch, n, n)) for k, v in (("A", A), ("G", G), ("Q", Q)))
+    P = torch.empty(A.shape, dtype=torch.float64)
+    report = torch.empty(batch, len(REPORT), dtype=torch.float64)
+    core.care(
+        *(t.data_ptr() for t in (A, G, Q)), batch, n, P.data_ptr(), report.data_ptr(), num_threads
+    )
+    for index in torch.nonzero(report[:, 0] == 0).flatten().tolist():
+        raise_riccati_failure(
+            A[index].numpy(),
+            G[index].numpy(),
+            Q[index].numpy(),
+            float(report[index, 2]),
+            index if batch > 1 else None,
+        )
+    return P, report
+
+
+@care.register_fake
+def _(A: Tensor, G: Tensor, Q: Tensor, num_threads: int) -> tuple[Tensor, Tensor]:
+    return A.new_empty(A.shape), A.new_empty(A.shape[0], len(REPORT))
+
+
+def _setup_care(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
+    ctx.save_for_backward(inputs[0], inputs[1], output[0])
+    ctx.mark_non_differentiable(output[1])
+    ctx.num_threads = inputs[3]
+
+
+# With A_c = A - G P the differential is A_c' dP + dP A_c + dA' P + P dA - P dG P + dQ = 0, so with
+# A_c S + S A_c' + sym(dL/dP) = 0:  dL/dA = 2 P S,  dL/dG = -P S P,  dL/dQ = S.
+def _backward_care(ctx: Any, grad_P: Tensor, _: Any) -> tuple[Tensor, Tensor, Tensor, None]:
+    A, G, P = ctx.saved_tensors
+    S = lyapunov(A - G @ P, 0.5 * (grad_P + grad_P.mT), ctx.num_threads)
+    return 2.0 * P @ S, -P @ S @ P, S, None
+
+
+care.register_autograd(_backward_care, setup_context=_setup_care)

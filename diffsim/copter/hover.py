@@ -1,0 +1,311 @@
+"""Hover thrusts and attitude of a multicopter as a differentiable layer (thesis 3.3.3, 3.4.2)."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from diffsim._check import require, require_choice, require_number, require_range
+from diffsim.copter import _ops_hover
+from diffsim.copter.rotation import attitude_of_thrust, rotation_from_euler
+from diffsim.copter.vehicle import Multicopter
+from diffsim.errors import DiffsimError
+
+_WEAK = 1e-6  # multiplier or distance to a bound, in shares of the weight per rotor
+
+
+class HoverError(DiffsimError):
+    """A design does not hover within its thrust limits, or the solve failed.
+
+    Attributes:
+        result: What was found.
+    """
+
+    def __init__(self, message: str, result: HoverResult):
+        super().__init__(message)
+        self.result = result
+
+
+class HoverWarning(UserWarning):
+    """A hover whose derivatives, or which itself, must not be trusted without a look."""
+
+
+@dataclass(frozen=True, eq=False)
+class HoverResult:
+    """Thrusts that hold a multicopter in place, and how far they can be trusted.
+
+    Attributes:
+        thrusts: (..., n_rotors) [N].
+        attitude: Roll and pitch at yaw zero (NED, R = Rz Ry Rx), (..., 2) [rad].
+        residual: Excess of lift over weight and the three torques, (..., 4), in shares of the
+            weight and of weight times mean lever; zero at a hover. Where there is none its gradient
+            leads back to one.
+        multipliers: Of those four conditions, (..., 4); no gradients.
+        status_code: Index into ``HoverResult.STATUSES``, (...) int64.
+        rank: Of the four conditions in the thrusts of all rotors, (...) int64; below 4 the hover
+            is not controllable.
+        free_rank: The same with the rotors strictly between their limits.
+        active_lower, active_upper: Rotors that stand at zero or at their limit, (..., n_rotors).
+        weakly_active: Rotors about to reach or to leave a limit: there the derivative of the
+            thrusts is one-sided, and the one given is that of the present active set.
+        num_iters: Turns of the attitude, (...) int64.
+    """
+
+    STATUSES = _ops_hover.STATUSES
+
+    thrusts: Tensor
+    attitude: Tensor
+    residual: Tensor
+    multipliers: Tensor
+    status_code: Tensor
+    rank: Tensor
+    free_rank: Tensor
+    active_lower: Tensor
+    active_upper: Tensor
+    weakly_active: Tensor
+    num_iters: Tensor
+
+    @property
+    def status(self) -> str | list[str]:
+        """optimal, infeasible, rank_deficient or not_converged; a flat list for a batch."""
+        names = [self.STATUSES[int(code)] for code in self.status_code.flatten()]
+        return names[0] if self.status_code.ndim == 0 else names
+
+    @property
+    def feasible(self) -> Tensor:
+        """Where the thrusts hold the vehicle, (...) bool."""
+        return (self.status_code == 0) | (self.status_code == 2)
+
+    @property
+    def residual_norm(self) -> Tensor:
+        """(...) [-]."""
+        return torch.linalg.vector_norm(self.residual, dim=-1)
+
+    @property
+    def rot_world_from_body(self) -> Tensor:
+        """(..., 3, 3) [-]."""
+        roll, pitch = self.attitude.unbind(-1)
+        return rotation_from_euler(torch.stack([roll, pitch, torch.zeros_like(roll)], -1))
+
+
+def hover_thrusts(
+    force_matrix: Tensor,
+    torque_matrix: Tensor,
+    weight: Tensor,
+    max_thrusts: Tensor,
+    *,
+    weights: Tensor | None = None,
+    smoothing: float = 0.0,
+    num_threads: int = 1,
+) -> HoverResult:
+    """Least effort that hovers, for a batch of designs given by their effect matrices.
+
+    min 1/2 sum h_i u_i^2  s.t.  W e_z + R(roll, pitch) M_f u = 0,  M_t u = 0,  0 <= u <= u_max.
+
+    Some attitude puts the net thrust upright if and only if |M_f u| = W, which is how it is solved:
+    from level, turning towards the net thrust of the present optimum (the effort never rises), then
+    Newton on the optimality conditions. With tilted rotors this is the local optimum reached from
+    level. Torque matrices may be relaxed (spins between -1 and 1).
+
+    Args:
+        force_matrix: M_f, (..., 3, n_rotors) float64 [-].
+        torque_matrix: M_t, (..., 3, n_rotors) float64 [m].
+        weight: W, (...) float64 [N], > 0.
+        max_thrusts: u_max, (..., n_rotors) float64 [N], >= 0.
+        weights: h, (..., n_rotors) float64, > 0, only their ratios matter; None: all equal.
+        smoothing: Weight of -log(u) - log(u_max - u), in squared shares of the weight per rotor;
+            0: hard limits. Above 0 the thrusts keep off the limits and are smooth in the design.
+        num_threads: Threads over the batch; the result does not depend on it.
+
+    Returns:
+        Thrusts, attitude and status. Where no thrusts hover, those of least violation
+        (1e-6 of effort mixed in to make them unique).
+
+    Raises:
+        TypeError, ValueError: wrong types or shapes, values out of range.
+
+    Gradients: force_matrix, torque_matrix, weight, max_thrusts, weights; first order; one-sided
+        where ``weakly_active``, least-norm where ``free_rank`` is below 4.
+    """
+    force_matrix = require("force_matrix", force_matrix, ("...", 3, "n_rotors"))
+    n = force_matrix.shape[-1]
+    torque_matrix = require("torque_matrix", torque_matrix, ("...", 3, n))
+    weight = require("weight", weight, ("...",))
+    max_thrusts = require("max_thrusts", max_thrusts, ("...", n))
+    weights = torch.ones_like(max_thrusts) if weights is None else weights
+    weights = require("weights", weights, ("...", n))
+    smoothing = require_number("smoothing", smoothing, at_least=0.0)
+    if n == 0:
+        raise ValueError("force_matrix must have at least one rotor, got none")
+    if not torch.compiler.is_compiling():
+        require_range("weight", weight, above=0.0)
+        require_range("weights", weights, above=0.0)
+        hint = "smoothing keeps thrusts between 0 and max_thrusts" if smoothing else ""
+        least = {"above": 0.0} if smoothing else {"at_least": 0.0}
+        require_range("max_thrusts", max_thrusts, **least, hint=hint)
+    batch = torch.broadcast_shapes(
+        force_matrix.shape[:-2],
+        torque_matrix.shape[:-2],
+        weight.shape,
+        max_thrusts.shape[:-1],
+        weights.shape[:-1],
+    )
+    F = force_matrix.expand(*batch, 3, n).reshape(-1, 3, n)
+    T = torque_matrix.expand(*batch, 3, n).reshape(-1, 3, n)
+    share = weight.expand(batch).reshape(-1, 1) / n  # [N]
+    upper = max_thrusts.expand(*batch, n).reshape(-1, n) / share
+    h = weights.expand(*batch, n).reshape(-1, n)
+    h = h / h.mean(-1, keepdim=True)
+    lever = torch.linalg.vector_norm(T, dim=(-2, -1)) / n**0.5
+    lever = torch.where(lever > 0.0, lever, 1.0)[:, None, None]
+    F_scaled, T_scaled = F / n, T / (n * lever)
+    u, multipliers, state, info = _ops_hover.hover(
+        F_scaled, T_scaled, h, upper, smoothing, num_threads
+    )
+    net = (F_scaled @ u[..., None]).squeeze(-1)
+    lift = torch.linalg.vector_norm(net, dim=-1, keepdim=True)
+    residual = torch.cat([lift - 1.0, (T_scaled @ u[..., None]).squeeze(-1)], -1)
+    weak = _weakly_active(net, F_scaled, T_scaled, h, upper, u, multipliers, state)
+    if smoothing:
+        weak = torch.zeros_like(weak)
+    code, rank, free_rank, num_iters = (info[:, k].reshape(batch) for k in range(4))
+    return HoverResult(
+        thrusts=(u * share).reshape(*batch, n),
+        attitude=attitude_of_thrust(net).reshape(*batch, 2),
+        residual=residual.reshape(*batch, 4),
+        multipliers=multipliers.reshape(*batch, 4),
+        status_code=code,
+        rank=rank,
+        free_rank=free_rank,
+        active_lower=(state < 0).reshape(*batch, n),
+        active_upper=(state > 0).reshape(*batch, n),
+        weakly_active=weak.reshape(*batch, n),
+        num_iters=num_iters,
+    )
+
+
+def hover(
+    copter: Multicopter,
+    *,
+    weights: Tensor | None = None,
+    smoothing: float = 0.0,
+    load: float | Tensor = 0.0,
+    on_infeasible: str = "return",
+) -> HoverResult:
+    """Thrusts of least effort that hold a multicopter in place, and its attitude.
+
+    See ``hover_thrusts`` for the problem and for ``weights`` and ``smoothing``.
+
+    Args:
+        copter: The design; its tensors may carry gradients.
+        weights: h, (n_rotors,) float64, > 0.
+        smoothing: Log-barrier weight [-]; 0: hard limits.
+        load: Weight carried at the centre of mass, number or () tensor [N].
+        on_infeasible: "return" the least violation, or "raise".
+
+    Returns:
+        Thrusts, attitude and status; warns (HoverWarning) where the hover is rank deficient or the
+        solve did not converge.
+
+    Raises:
+        TypeError, ValueError: as ``hover_thrusts``.
+        HoverError: with on_infeasible="raise", where the design does not hover; carries ``result``.
+
+    Gradients: mass, load, positions, directions, torque_ratios, max_thrusts, weights. The inertia
+        plays no part; spins are signs: relax them through ``hover_thrusts``.
+    """
+    require_choice("on_infeasible", on_infeasible, ["return", "raise"])
+    result = hover_thrusts(
+        copter.force_matrix,
+        copter.torque_matrix,
+        copter.weight + load,
+        copter.max_thrusts,
+        weights=weights,
+        smoothing=smoothing,
+    )
+    if not torch.compiler.is_compiling():
+        _say(result, on_infeasible)
+    return result
+
+
+class Hover(nn.Module):
+    """``hover`` with its options, for designs that change.
+
+    Args:
+        weights, smoothing, on_infeasible: See ``hover``.
+    """
+
+    def __init__(
+        self,
+        *,
+        weights: Tensor | None = None,
+        smoothing: float = 0.0,
+        on_infeasible: str = "return",
+    ):
+        super().__init__()
+        self.register_buffer("weights", weights)
+        self.smoothing = require_number("smoothing", smoothing, at_least=0.0)
+        self.on_infeasible = require_choice("on_infeasible", on_infeasible, ["return", "raise"])
+
+    def forward(self, copter: Multicopter, load: float | Tensor = 0.0) -> HoverResult:
+        """Hover of one design with a load [N]."""
+        return hover(
+            copter,
+            weights=self.weights,
+            smoothing=self.smoothing,
+            load=load,
+            on_infeasible=self.on_infeasible,
+        )
+
+
+@torch.no_grad()
+def _weakly_active(
+    net: Tensor,
+    F: Tensor,
+    T: Tensor,
+    h: Tensor,
+    upper: Tensor,
+    u: Tensor,
+    multipliers: Tensor,
+    state: Tensor,
+) -> Tensor:
+    """A bound that holds without force, or a free thrust next to its bound."""
+    up = net / torch.linalg.vector_norm(net, dim=-1, keepdim=True).clamp_min(1e-300)
+    C = torch.cat([up[:, None, :] @ F, T], dim=-2)
+    push = h * u + (multipliers[:, None, :] @ C).squeeze(-2)
+    scale = 1.0 + torch.linalg.vector_norm(multipliers, dim=-1, keepdim=True)
+    room = torch.minimum(u, upper - u)
+    held = (state != 0) & (upper > 0.0)
+    return torch.where(held, push.abs() < _WEAK * scale, (state == 0) & (room < _WEAK))
+
+
+def _say(result: HoverResult, on_infeasible: str) -> None:
+    status = result.status
+    assert isinstance(status, str)  # hover() takes one design
+    residual = result.residual.tolist()
+    shown = (
+        f"lift {100.0 * (1.0 + residual[0]):.4g} % of the weight, torques "
+        f"({', '.join(f'{t:.2g}' for t in residual[1:])}) of weight times mean lever"
+    )
+    if status == "infeasible" and on_infeasible == "raise":
+        raise HoverError(
+            f"no thrusts within the limits hover; nearest: {shown}; lighten the load, raise "
+            "max_thrusts or move rotors (result.residual has the gradient)",
+            result,
+        )
+    if status == "not_converged":
+        message = f"the hover solve did not converge; last: {shown}; try smoothing=1e-4"
+        if on_infeasible == "raise":
+            raise HoverError(message, result)
+        warnings.warn(message, HoverWarning, stacklevel=3)
+    if status == "rank_deficient":
+        warnings.warn(
+            f"the free rotors command {int(result.free_rank)} of lift, roll, pitch and yaw (all "
+            f"rotors: {int(result.rank)}): hovering, but derivatives are least-norm ones and "
+            "the vehicle cannot be controlled there; move rotors or change axes or spins",
+            HoverWarning,
+            stacklevel=3,
+        )
