@@ -39,6 +39,10 @@ class LinearDesign:
     facts: dict
     calls: int = 0
 
+    @property
+    def inequalities(self):
+        return self.A, self.b
+
     def multicopter(self, s, directions=None, spins=None):
         self.calls += 1
         m = self.masses + self.mass_rates @ s

@@ -2,7 +2,7 @@
 
 from diffsim.copter.codesign.alternating import AlternatingOptions
 from diffsim.copter.codesign.api import codesign
-from diffsim.copter.codesign.errors import InfeasibleDesignError
+from diffsim.copter.codesign.errors import CoDesignError
 from diffsim.copter.codesign.metrics import METRICS, CurrentModel
 from diffsim.copter.codesign.result import CoDesignResult, StartRecord
 from diffsim.copter.codesign.space import DesignSpace
@@ -13,7 +13,7 @@ __all__ = [
     "CoDesignResult",
     "CurrentModel",
     "DesignSpace",
-    "InfeasibleDesignError",
+    "CoDesignError",
     "StartRecord",
     "codesign",
 ]

@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from diffsim._check import require_choice, require_number
-from diffsim.copter.codesign.alternating import AlternatingOptions, alternating
+from diffsim.copter.codesign.alternating import AlternatingOptions, alternating, judge
 from diffsim.copter.codesign.bound import lower_bound
 from diffsim.copter.codesign.cases import Demands
-from diffsim.copter.codesign.joint import joint, refine
+from diffsim.copter.codesign.joint import joint, random_point, refine
 from diffsim.copter.codesign.metrics import ALTERNATING, CurrentModel, parse_objective
 from diffsim.copter.codesign.program import Limits, Program
 from diffsim.copter.codesign.report import design_metrics, largest_weight
@@ -81,7 +81,7 @@ def codesign(
 
     Raises:
         ValueError, TypeError: bad arguments; unknown names with the closest ones.
-        InfeasibleDesignError: the design space is empty, or nothing in it hovers.
+        CoDesignError: the design space is empty, or nothing in it hovers.
     """
     began = time.perf_counter()
     require_choice("method", method, ("joint", "alternating"))
@@ -105,7 +105,7 @@ def codesign(
         parse_objective(task.weights, known=ALTERNATING)
         if authority is not None or clearance is not None:
             raise ValueError("method 'alternating' knows no authority or clearance; use 'joint'")
-        return alternating(task, chosen, options or AlternatingOptions(), num_starts, rng)
+        return _alternating(task, chosen, options or AlternatingOptions(), num_starts, rng, began)
     point, found, program, records, warnings = joint(
         task,
         chosen,
@@ -171,6 +171,34 @@ def assemble(
         seconds=time.perf_counter() - began,
         starts=records,
         warnings=warnings,
+    )
+
+
+def _alternating(
+    task: Task,
+    spins,
+    options: AlternatingOptions,
+    num_starts: int,
+    rng: np.random.Generator,
+    began: float,
+) -> CoDesignResult:
+    starts = [task.start] + [random_point(task, task.start, rng) for _ in range(num_starts - 1)]
+    point, found, records = alternating(task, spins, options, starts)
+    _, _, solved = judge(task, found)
+    solution, program = solved
+    s, d, gamma, _, _ = program.split(solution.x)
+    return assemble(
+        task,
+        Point(s, d, point.spins, gamma),
+        program,
+        solution.x,
+        method="alternating",
+        history=found.energies,
+        seconds_history=found.seconds,
+        status=f"best of {len(records)} starts, {found.status} after {len(found.energies) - 1} rounds",
+        began=began,
+        records=records,
+        warnings=[],
     )
 
 

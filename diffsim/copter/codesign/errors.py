@@ -5,7 +5,7 @@ from __future__ import annotations
 from diffsim.errors import DiffsimError
 
 
-class InfeasibleDesignError(DiffsimError):
+class CoDesignError(DiffsimError):
     """No design, or none that hovers, lies in the space searched.
 
     Attributes:

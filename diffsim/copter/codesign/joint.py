@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.copter.codesign.controllable import move_to_controllable
-from diffsim.copter.codesign.errors import InfeasibleDesignError
+from diffsim.copter.codesign.errors import CoDesignError
 from diffsim.copter.codesign.hover import LEVEL, rank_spins
 from diffsim.copter.codesign.polytope import random_feasible
 from diffsim.copter.codesign.program import Program
@@ -42,7 +42,7 @@ def joint(
         Best point, its solution and program, a record of every start, warnings.
 
     Raises:
-        InfeasibleDesignError: no start came to hover; the message has the best residual.
+        CoDesignError: no start came to hover; the message has the best residual.
     """
     warnings: list[str] = []
     origin, candidates = spin_candidates(task, spins, num_spins, rng, warnings)
@@ -72,7 +72,7 @@ def joint(
         if feasible and (best is None or found.value < best[0].value - 1e-12):
             best = found, program, chosen
     if best is None:
-        raise InfeasibleDesignError(
+        raise CoDesignError(
             f"no hover within the thrust bounds was found for {len(candidates)} spin assignments "
             f"from {num_starts} starts: the best leaves {least:.3g} of m g (or m g L) unbalanced; "
             f"take stronger rotors, a lighter design, wider limits, or raise num_starts and "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,3 +100,19 @@ def require_currents(
         raise ValueError(f"currents has {len(currents.scale)} rotors, the design {num_rotors}")
     full = np.ones(num_rotors)
     return CurrentModel(currents.scale * full, currents.exponent * full)
+
+
+def require_cvxpy() -> ModuleType:
+    """cvxpy, or how to get it.
+
+    Raises:
+        ImportError: it is not installed.
+    """
+    try:
+        import cvxpy
+    except ImportError as error:
+        raise ImportError(
+            "the alternation and the bound of co-design need cvxpy, which is not installed; "
+            "pip install 'diffsim-robot[opt]'"
+        ) from error
+    return cvxpy

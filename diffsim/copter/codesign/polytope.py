@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from diffsim.copter.codesign.errors import InfeasibleDesignError
+from diffsim.copter.codesign.errors import CoDesignError
 
 Array = NDArray[np.float64]
 
@@ -17,7 +17,7 @@ def closest_feasible(A: Array, b: Array, s: Array) -> Array:
     """s itself if A s <= b, else the feasible point with the smallest largest change.
 
     Raises:
-        InfeasibleDesignError: there is no feasible point; names the violation that remains.
+        CoDesignError: there is no feasible point; names the violation that remains.
     """
     if not len(b) or (A @ s - b).max() <= _TOLERANCE:
         return s.copy()
@@ -32,7 +32,7 @@ def closest_feasible(A: Array, b: Array, s: Array) -> Array:
     if found.status == 0:
         return found.x[:p]
     row, violation = least_violation(A, b)
-    raise InfeasibleDesignError(
+    raise CoDesignError(
         f"the design space is empty: whatever the shape, constraint {row} of A s <= b is violated "
         f"by {violation:.3g} or more; loosen the limits of the parts or connections it stands for",
         residual=violation,

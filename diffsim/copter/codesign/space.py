@@ -26,8 +26,8 @@ class DesignSpace(Protocol):
     Attributes:
         names: Of the shape parameters, num_params of them.
         values: Their present values s, (num_params,).
-        A: With b: the feasible set A s <= b, (num_constraints, num_params) (thesis eq. 3.10).
-        b: (num_constraints,).
+        inequalities: A and b of the feasible set A s <= b, (num_rows, num_params) and (num_rows,)
+            (thesis eq. 3.10).
     """
 
     @property
@@ -35,9 +35,7 @@ class DesignSpace(Protocol):
     @property
     def values(self) -> Tensor: ...
     @property
-    def A(self) -> Tensor: ...
-    @property
-    def b(self) -> Tensor: ...
+    def inequalities(self) -> tuple[Tensor, Tensor]: ...
 
     def multicopter(
         self, s: Tensor, directions: Tensor | None = None, spins: Tensor | None = None
@@ -93,9 +91,9 @@ class ShapeModel:
     ):
         values = design.values.detach().double()
         self.start = values.numpy().copy() if start is None else np.array(start, float)
-        self.A = design.A.detach().double().numpy().copy()
-        self.b = design.b.detach().double().numpy().copy()
-        for name, array in (("values", self.start), ("A", self.A), ("b", self.b)):
+        A, b = design.inequalities
+        self.A, self.b = A.detach().double().numpy().copy(), b.detach().double().numpy().copy()
+        for name, array in (("values", self.start), ("inequalities", self.A), ("inequalities", self.b)):
             if not np.isfinite(array).all():
                 raise ValueError(f"the design's {name} must be finite, got {array.tolist()}")
         self._design = design
