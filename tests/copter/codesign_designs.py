@@ -49,7 +49,9 @@ class LinearDesign:
         x = self.centres + self.centre_maps @ s
         com = (m[:, None] * x).sum(0) / m.sum()
         r = x - com
-        outer = (r * r).sum(-1)[:, None, None] * torch.eye(3, dtype=DOUBLE) - r[:, :, None] * r[:, None]
+        outer = (r * r).sum(-1)[:, None, None] * torch.eye(3, dtype=DOUBLE) - r[:, :, None] * r[
+            :, None
+        ]
         inertia = (m[:, None, None] * outer).sum(0) + 1e-4 * torch.eye(3, dtype=DOUBLE)
         facts = self.facts
         if directions is None:
@@ -181,7 +183,7 @@ def arm_copter(angles, arm=0.25, *, free_positions=False, body=(0.05, 0.0, 0.0),
         mass_rates=tensor(np.vstack([np.zeros((n + 1, p)), ROD * rods])),
         centres=tensor(np.vstack([[body], np.zeros((2 * n, 3))])),
         centre_maps=tensor(np.concatenate([np.zeros((1, 3, p)), maps, 0.5 * maps])),
-        rotors=tensor(np.zeros((n, 3)) + [0.0, 0.0, -0.03]),
+        rotors=tensor(np.tile([0.0, 0.0, -0.03], (n, 1))),
         rotor_maps=tensor(maps),
         length_rate=tensor(rods.sum(0)),
         length=0.0,

@@ -13,13 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim._check import require_number
+from diffsim._check import require_choice, require_number
 from diffsim.copter.codesign.errors import CoDesignError
 from diffsim.copter.codesign.hover import LEVEL
+from diffsim.copter.codesign.program import Program
 from diffsim.copter.codesign.result import StartRecord
+from diffsim.copter.codesign.solve import LocalSolution
 from diffsim.copter.codesign.spin_condition import condition_number, most_controllable
 from diffsim.copter.codesign.steps import direction_step, shape_step, soft_energy, thrust_step
 from diffsim.copter.codesign.task import Point, Task
+from diffsim.copter.codesign.wrench import Rotors
 
 Array = NDArray[np.float64]
 
@@ -29,21 +32,33 @@ class AlternatingOptions:
     """Of Alg. 1.
 
     Attributes:
-        eta: Weight of the squared imbalance of force over m g.
-        mu: Weight of the squared imbalance of torque over m g L.
+        eta: Weight of the squared imbalance of force.
+        mu: Weight of the squared imbalance of torque.
+        units: Of the imbalances: ``SI`` (N and N m, as published) or ``relative`` (over m g and
+            over m g L, L the mean arm).
         tolerance: Stop where a round improves the energy by less.
         max_rounds: Stop anyway.
     """
 
     eta: float = 0.3
     mu: float = 0.7
+    units: str = "SI"
     tolerance: float = 1e-6
     max_rounds: int = 200
 
     def __post_init__(self) -> None:
         for name in ("eta", "mu", "tolerance"):
             require_number(name, float(getattr(self, name)), above=0.0)
+        require_choice("units", self.units, ("SI", "relative"))
         require_number("max_rounds", self.max_rounds, at_least=1)
+
+    def relative(self, rotors: Rotors) -> AlternatingOptions:
+        """The same weights in relative units."""
+        if self.units == "relative":
+            return self
+        unit = rotors.weight * rotors.length
+        eta, mu = self.eta * rotors.weight**2, self.mu * unit**2
+        return replace(self, eta=eta, mu=mu, units="relative")
 
 
 @dataclass(frozen=True)
@@ -72,6 +87,7 @@ def alternate(task: Task, point: Point, options: AlternatingOptions) -> Alternat
         CoDesignError: the start is not controllable.
     """
     began = time.perf_counter()
+    options = options.relative(task.rotors)
     u = thrust_step(task, point, options)
     if not np.isfinite(condition_number(task, point, u)):
         raise CoDesignError(
@@ -118,7 +134,7 @@ def alternating(
     best: tuple[float, Alternation] | None = None
     for start in starts:
         found = alternate(task, replace(start, spins=chosen, gamma=LEVEL), options)
-        value, violation, _ = judge(task, found)
+        value, violation, *_ = judge(task, found)
         records.append(
             StartRecord(
                 spins=tuple(chosen.tolist()),
@@ -141,18 +157,14 @@ def alternating(
     return best[1].point, best[1], records
 
 
-def judge(task: Task, found: Alternation):
-    """Hard-hover objective of an end with its shape and directions fixed, violation, solution.
+def judge(task: Task, found: Alternation) -> tuple[float, float, LocalSolution, Program]:
+    """Hard-hover objective (infinite: none) of an end with its shape and directions fixed.
 
     Thrusts and attitude are optimised; where a tilted attitude cannot be had, level flight.
+
+    Returns:
+        Objective, violation of the constraints, solution and program.
     """
-    best = (np.inf, np.inf, None)
-    for free in (("attitude",), ()):
-        solution, program = task.solve(found.point, free=free)
-        good = solution.violation < 1e-7
-        value = solution.value if good else np.inf
-        if best[2] is None or value < best[0]:
-            best = (value, solution.violation, (solution, program))
-    return best
-
-
+    tried = [task.solve(found.point, free=free) for free in (("attitude",), ())]
+    ends = [(s.value if s.violation < 1e-7 else np.inf, s.violation, s, p) for s, p in tried]
+    return min(ends, key=lambda end: (end[0], end[1]))

@@ -20,7 +20,6 @@ from diffsim.copter.codesign.report import design_metrics, largest_weight
 from diffsim.copter.codesign.result import CoDesignResult, attitude_of
 from diffsim.copter.codesign.space import DesignSpace
 from diffsim.copter.codesign.task import Point, Task, hover_residual
-from diffsim.copter.vehicle import GRAVITY
 
 _FREE = ("shape", "directions", "attitude")
 _HOVERS = 1e-8
@@ -184,8 +183,7 @@ def _alternating(
 ) -> CoDesignResult:
     starts = [task.start] + [random_point(task, task.start, rng) for _ in range(num_starts - 1)]
     point, found, records = alternating(task, spins, options, starts)
-    _, _, solved = judge(task, found)
-    solution, program = solved
+    _, _, solution, program = judge(task, found)
     s, d, gamma, _, _ = program.split(solution.x)
     return assemble(
         task,
@@ -195,7 +193,7 @@ def _alternating(
         method="alternating",
         history=found.energies,
         seconds_history=found.seconds,
-        status=f"best of {len(records)} starts, {found.status} after {len(found.energies) - 1} rounds",
+        status=f"best of {len(records)} starts, {found.status}, {len(found.energies) - 1} rounds",
         began=began,
         records=records,
         warnings=[],

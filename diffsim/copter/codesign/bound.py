@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from diffsim.copter.codesign.metrics import ALTERNATING, require_cvxpy
 from diffsim.copter.codesign.task import Task
 from diffsim.copter.vehicle import GRAVITY
 
@@ -23,30 +24,29 @@ def lower_bound(task: Task) -> float:
     model, w, scales = task.model, task.weights, task.scales
     if "authority" in w:
         return -np.inf
-    try:
-        import cvxpy  # noqa: F401
-    except ImportError:
-        return -np.inf
     shape = model.at(model.start)
     nothing = np.zeros((model.num_rotors, 3))
-    bends = model.hessian(model.start, 1.0 / scales.mass, 1.0 / scales.cost, 0.0, nothing)
-    bends_size = model.hessian(model.start, 0.0, 0.0, 1.0 / scales.size, nothing)
+    bends, bends_size = np.zeros((1, 1)), np.zeros((1, 1))
+    if any(name in w for name in ALTERNATING if name != "payload"):
+        bends = model.hessian(model.start, 1.0 / scales.mass, 1.0 / scales.cost, 0.0, nothing)
+        bends_size = model.hessian(model.start, 0.0, 0.0, 1.0 / scales.size, nothing)
     curved = max(np.abs(bends).max(initial=0.0), np.abs(bends_size).max(initial=0.0))
-    if not model.is_quadratic or curved * model.length**2 > 1e-8:
+    if curved * model.length**2 > 1e-8:
         return -np.inf
     return _dual_bound(task, shape, w, scales)
 
 
 def _dual_bound(task: Task, shape, w, scales) -> float:
     """max over y >= 0 of min over u, s of objective + y (m(s) g - sum u)."""
-    import cvxpy as cp
-
+    cp = require_cvxpy()
     model = task.model
     fixed = "shape" not in task.limits.free
     top = model.vehicle.max_thrusts.numpy()
     u, step = cp.Variable(len(top)), cp.Variable(model.num_params)
     mass = shape.mass + shape.d_mass @ step
-    constraints = [u >= 0.0, u <= top, cp.sum(u) >= mass * GRAVITY]
+    constraints = [u >= 0.0, u <= top]
+    if any(name in w for name in ("current", "max_current", "mass", "size", "flight_time", "cost")):
+        constraints.append(cp.sum(u) >= mass * GRAVITY)
     if fixed:
         constraints.append(step == 0.0)
     elif len(model.b):

@@ -52,13 +52,21 @@ def flight_cases(
     load = demands.load * GRAVITY / rotors.weight
     if demands.authority is not None:
         for corner in corners:
-            torque = tuple((corner * np.array(demands.authority) / unit).tolist())
+            torque = _corner(corner, demands.authority, unit)
             cap = "payload" if payload else None
-            more = {"aux": cap, "cap": cap, "fixed_weight": payload}
-            cases.append(Case(f"torque {torque}", lift_only=True, torque=torque, **more))
+            cases.append(
+                Case(
+                    f"torque {torque}",
+                    lift_only=True,
+                    torque=torque,
+                    aux=cap,
+                    cap=cap,
+                    fixed_weight=payload,
+                )
+            )
     if "authority" in weights:
         for corner in corners:
-            torque = tuple((corner * np.array(demands.authority_box) / unit).tolist())
+            torque = _corner(corner, demands.authority_box, unit)
             name = f"authority {torque}"
             cases.append(Case(name, lift_only=True, torque=torque, aux="authority", load=load))
     if "one_rotor_out" in weights:
@@ -79,3 +87,7 @@ def flight_cases(
             name = f"turn about {axis}"
             cases.append(Case(name, lift_only=True, aux="response", inertia_axis=axis, load=load))
     return cases
+
+
+def _corner(signs: Array, box: tuple[float, float, float], unit: float) -> tuple[float, ...]:
+    return tuple((signs * np.array(box) / unit).tolist())

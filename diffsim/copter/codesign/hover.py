@@ -51,8 +51,8 @@ def rank_spins(shape: Shape, d: Array, rotors: Rotors, torque_ratios: Array) -> 
     n = len(d)
     if n > _MAX_ENUMERATED:
         raise ValueError(
-            f"spins of {n} rotors cannot be enumerated (2^{n}); give spins, or 'given' to keep those "
-            f"of the design (at most {_MAX_ENUMERATED} rotors are searched)"
+            f"spins of {n} rotors cannot be enumerated (2^{n}); give spins, or 'given' to keep "
+            f"those of the design (at most {_MAX_ENUMERATED} rotors are searched)"
         )
     choices = []
     for signs in itertools.product((1.0, -1.0), repeat=n):

@@ -15,16 +15,16 @@ Array = NDArray[np.float64]
 
 # All are minimised; {name: what it is, in relative units}.
 METRICS = {
-    "payload": "largest thrust over its limit in hover, eq. 3.13 (with `authority`: in each corner)",
+    "payload": "largest thrust over its limit at the start's weight, eq. 3.13",
     "current": "sum of currents in hover over that of the start, eq. 3.14",
     "max_current": "largest current of a motor over that of the start, eq. 3.15",
     "size": "length of rods over that of the start, eq. 3.16",
     "flight_time": "-size: room for larger propellers, eq. 3.17",
     "cost": "over that of the start, eq. 3.18",
     "mass": "over that of the start, eq. 3.19",
-    "authority": "-(torque left about every axis while carrying `load`) / `authority_box`",
+    "authority": "-scale of the torques 1, 1, 0.1 N m, all signs at once, left while carrying `load`",
     "one_rotor_out": "payload metric after the worst failure of a rotor, yaw given up",
-    "response": "time to turn by `response_angle` about roll or pitch, over that of the start",
+    "response": "time to turn by `response_angle` about roll or pitch and stop, over 1 s",
 }
 EPIGRAPH = ("payload", "max_current", "authority", "one_rotor_out", "response")
 ALTERNATING = ("payload", "current", "max_current", "size", "flight_time", "cost", "mass")

@@ -49,7 +49,15 @@ class Limits:
 
 @dataclass(frozen=True)
 class Scales:
-    """What metrics of the start are, so that mixes are relative."""
+    """What metrics of the start are, so that mixes are relative.
+
+    Attributes:
+        current, max_current: [A], of the start's weight shared out by the thrust limits.
+        size, cost, mass: Of the start.
+        inertia: Its largest [kg m^2], the unit of the response metric's target.
+        response: 4 angle inertia / (m g L) [s^2]: turning by an angle and stopping at angular
+            acceleration q m g L / inertia takes sqrt(response / q).
+    """
 
     current: float
     max_current: float

@@ -135,7 +135,9 @@ class _Notes:
 
     def __init__(self, free: FreeProgram):
         self.free, self.began = free, time.perf_counter()
-        self.values, self.violations, self.seconds = [], [], []
+        self.values: list[float] = []
+        self.violations: list[float] = []
+        self.seconds: list[float] = []
         self(free.start)
 
     def __call__(self, y: Array, *_: object) -> None:

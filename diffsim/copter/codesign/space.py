@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,13 +12,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.copter.codesign.polynomial import RTOL, Polynomial, fit
 from diffsim.copter.codesign.polytope import closest_feasible, random_feasible
 from diffsim.copter.vehicle import Multicopter
 
 Array = NDArray[np.float64]
-
-# A quadratic that misses by more than this, relative to the values, is not one.
-_QUADRATIC_RTOL = 1e-9
 
 
 class DesignSpace(Protocol):
@@ -76,8 +75,9 @@ class ShapeModel:
     """Mass, rotor positions, cost and size of a design as functions of s, with derivatives.
 
     Mass, mass times position, cost and size of parts that depend linearly on s are quadratics in
-    s: they are sampled once and then cost microseconds. Any other design is differentiated by
-    torch at every call, which is right but slow; ``is_quadratic`` tells which.
+    s, those of free-form frames polynomials of a higher degree: they are sampled once and then
+    cost microseconds. Any other design is differentiated by torch at every call, which is right
+    but slow; ``is_polynomial`` tells which.
 
     Attributes:
         start: Parameters at which the model was made, (num_params,).
@@ -93,7 +93,11 @@ class ShapeModel:
         self.start = values.numpy().copy() if start is None else np.array(start, float)
         A, b = design.inequalities
         self.A, self.b = A.detach().double().numpy().copy(), b.detach().double().numpy().copy()
-        for name, array in (("values", self.start), ("inequalities", self.A), ("inequalities", self.b)):
+        for name, array in (
+            ("values", self.start),
+            ("inequalities", self.A),
+            ("inequalities", self.b),
+        ):
             if not np.isfinite(array).all():
                 raise ValueError(f"the design's {name} must be finite, got {array.tolist()}")
         self._design = design
@@ -103,11 +107,22 @@ class ShapeModel:
         self.num_rotors = self.vehicle.num_rotors
         distance = self.vehicle.positions.norm(dim=-1)
         self.length = max(float(distance.mean()), 1e-3)
-        quadratic = _Quadratic.sample(self._raw, self.start, self.length)
         rng = np.random.default_rng(0)
-        probes = [random_feasible(self.A, self.b, self.start, self.length, rng) for _ in range(3)]
-        self.is_quadratic = all(quadratic.fits(self._raw, probe) for probe in probes)
-        self._quadratic = quadratic if self.is_quadratic else None
+
+        def points() -> Iterator[Array]:
+            while True:
+                yield random_feasible(self.A, self.b, self.start, 2.0 * self.length, rng)
+
+        quadratic = _Quadratic.sample(self._raw, self.start, self.length)
+        probes = list(itertools.islice(points(), 3))
+        self._fast: _Quadratic | Polynomial | None = quadratic
+        if not all(quadratic.fits(self._raw, probe) for probe in probes):
+            self._fast = fit(self._sample, points(), self.start, self.length)
+
+    @property
+    def is_polynomial(self) -> bool:
+        """Whether shapes cost microseconds."""
+        return self._fast is not None
 
     @property
     def num_params(self) -> int:
@@ -163,17 +178,21 @@ class ShapeModel:
         scalars = [vehicle.mass, self._design.cost(s), self._design.size(s)]
         return torch.cat([torch.stack(scalars), (vehicle.mass * vehicle.positions).reshape(-1)])
 
+    @torch.no_grad()
+    def _sample(self, s: Array) -> Array:
+        return self._raw(torch.tensor(s, dtype=torch.float64)).numpy().copy()
+
     def _raw_jacobian(self, s: Array) -> tuple[Array, Array]:
-        if self._quadratic is not None:
-            return self._quadratic.at(s)
+        if self._fast is not None:
+            return self._fast.at(s)
         point = torch.tensor(s, dtype=torch.float64)
         jacobian = torch.autograd.functional.jacobian(self._raw, point)
         with torch.no_grad():
             return self._raw(point).numpy(), jacobian.numpy()
 
     def _raw_hessian(self, s: Array, weights: Array) -> Array:
-        if self._quadratic is not None:
-            return np.einsum("y,ypq->pq", weights, self._quadratic.hessian)
+        if self._fast is not None:
+            return self._fast.hessian(s, weights)
         w = torch.tensor(weights, dtype=torch.float64)
         hessian = torch.autograd.functional.hessian(
             lambda x: w @ self._raw(x), torch.tensor(s, dtype=torch.float64)
@@ -183,12 +202,12 @@ class ShapeModel:
 
 @dataclass(frozen=True)
 class _Quadratic:
-    """y(s) = value + gradient (s - origin) + 1/2 (s - origin)' hessian (s - origin)."""
+    """y(s) = value + gradient (s - origin) + 1/2 (s - origin)' second (s - origin)."""
 
     origin: Array
     value: Array
     gradient: Array
-    hessian: Array
+    second: Array
 
     @staticmethod
     @torch.no_grad()
@@ -219,12 +238,16 @@ class _Quadratic:
     def at(self, s: Array) -> tuple[Array, Array]:
         """Values and Jacobian."""
         step = s - self.origin
-        slope = self.hessian @ step
+        slope = self.second @ step
         return self.value + self.gradient @ step + 0.5 * slope @ step, self.gradient + slope
+
+    def hessian(self, _: Array, weights: Array) -> Array:
+        """Of weights . y, (p, p)."""
+        return np.einsum("y,ypq->pq", weights, self.second)
 
     @torch.no_grad()
     def fits(self, raw: Callable[[Tensor], Tensor], s: Array) -> bool:
         """Whether it is the function at s too."""
         exact = raw(torch.tensor(s, dtype=torch.float64)).numpy()
         scale = np.abs(exact).max() + np.abs(self.value).max()
-        return bool(np.abs(self.at(s)[0] - exact).max() < _QUADRATIC_RTOL * scale)
+        return bool(np.abs(self.at(s)[0] - exact).max() < RTOL * scale)

@@ -124,7 +124,7 @@ def shape_step(task: Task, point: Point, u: Array, options: AlternatingOptions) 
 
 
 def direction_step(task: Task, point: Point, u: Array, options: AlternatingOptions) -> Point:
-    """The best directions for thrusts and shape: |d_i| <= 1 first (a QCQP), then SQP on |d_i| = 1."""
+    """The best directions for thrusts and shape: a QCQP with |d_i| <= 1, then SQP with = 1."""
     cp = require_cvxpy()
     rotors, n = task.rotors, len(u)
     shape = task.model.at(point.s)

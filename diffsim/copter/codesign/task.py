@@ -87,9 +87,11 @@ class Task:
     def first_unknowns(self, program: Program, point: Point) -> Array:
         """All unknowns at a point: thrusts as near to balance as bounds allow."""
         shape = self.model.at(point.s)
-        aux = {"authority": 0.1, "response": self.scales.response, "payload": 0.5}
+        aux = {"authority": 0.1, "response": 0.1, "payload": 0.5}
         guesses = [
-            guess_thrusts(case, shape, point.d, point.gamma, program.rotors, aux.get(case.aux, 1.0))
+            guess_thrusts(
+                case, shape, point.d, point.gamma, program.rotors, aux.get(case.aux or "", 1.0)
+            )
             for case in program.cases
         ]
         v = np.stack(guesses)
@@ -134,8 +136,7 @@ def _scales(model: ShapeModel, currents: CurrentModel | None, demands: Demands) 
         cost=_size_of(abs(shape.cost)),
         mass=shape.mass,
         inertia=inertia,
-        # angular acceleration at which a torque of a tenth of m g L would be used up, relative
-        response=0.1,
+        response=4.0 * demands.response_angle * inertia / (shape.mass * GRAVITY * model.length),
     )
 
 

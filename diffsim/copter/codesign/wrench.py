@@ -63,7 +63,7 @@ class Case:
     name: str
     lift_only: bool = False
     axes: tuple[int, ...] = (0, 1, 2)
-    torque: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    torque: tuple[float, ...] = (0.0, 0.0, 0.0)
     aux: str | None = None
     cap: str | None = None
     load: float = 0.0
@@ -101,7 +101,9 @@ def skew(r: Array) -> Array:
     return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
-def forces(v: Array, d: Array, gamma: Array, shape: Shape, rotors: Rotors, case: Case):
+def forces(
+    v: Array, d: Array, gamma: Array, shape: Shape, rotors: Rotors, case: Case
+) -> tuple[Array, Blocks]:
     """Residual of the force balance, (3,) or (1,), and its derivatives."""
     n, p = len(v), len(shape.d_mass)
     pull = v * rotors.max_thrusts / rotors.weight
@@ -118,7 +120,7 @@ def forces(v: Array, d: Array, gamma: Array, shape: Shape, rotors: Rotors, case:
     return net + weight * gamma, Blocks(by_v, by_d, weight * np.eye(3), by_z)
 
 
-def torques(v: Array, d: Array, shape: Shape, rotors: Rotors):
+def torques(v: Array, d: Array, shape: Shape, rotors: Rotors) -> tuple[Array, Blocks]:
     """Torque of the rotors, (3,), and its derivatives."""
     unit = rotors.weight * rotors.length
     u = v * rotors.max_thrusts
