@@ -126,7 +126,7 @@ def test_nan_in_the_design():
     design = arm_copter(SIX)
     design.b = design.b.clone()
     design.b[3] = float("nan")
-    with pytest.raises(ValueError, match="design's b must be finite"):
+    with pytest.raises(ValueError, match="design's inequalities must be finite"):
         codesign(design, "payload")
 
 
