@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
+import numpy as np
+
+from diffsim.copter.geometry import Array
 from diffsim.copter.patches import Patch
 
 # (fitting, fitting) in alphabetical order -> adapters from the first to the second
@@ -22,6 +26,7 @@ RULES: dict[tuple[str, str], tuple[str, ...]] = {
     ("motor", "mount"): (),
     ("shaft", "shaft"): (),
 }
+ADAPTERS = {"standoff", *(kind for kinds in RULES.values() for kind in kinds)}
 TILTED = "compound_angle_clip"  # goes under every motor that is not square to what carries it
 
 
@@ -46,6 +51,25 @@ def adapters_for(host: Patch, guest: Patch) -> tuple[str, ...]:
         )
     adapters = RULES[pair]
     return adapters if host.fitting == pair[0] else adapters[::-1]
+
+
+Candidate = tuple[str, str, Patch, Array]  # part, patch's name, patch, where it is (3,) [m]
+
+
+def closest_pair(
+    hosts: Sequence[Candidate], guests: Sequence[Candidate]
+) -> tuple[Candidate, Candidate]:
+    """The two closest patches that some rule joins (thesis 3.2.2).
+
+    Raises:
+        ValueError: no rule joins any pair.
+    """
+    pairs = list(itertools.product(hosts, guests))
+    fitting = [(a, b) for a, b in pairs if b[2].fitting in pair_partners(a[2].fitting)]
+    if not fitting:
+        host, guest = pairs[0]
+        adapters_for(host[2], guest[2])  # says why
+    return min(fitting, key=lambda pair: float(np.linalg.norm(pair[0][3] - pair[1][3])))
 
 
 def pair_partners(fitting: str) -> set[str]:

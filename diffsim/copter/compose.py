@@ -8,23 +8,22 @@ intersection of their feasible sets.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from diffsim._check import require_choice
-from diffsim.copter.adapters import TILTED, adapters_for, ports
+from diffsim.copter.adapters import ADAPTERS, TILTED, adapters_for, closest_pair, ports
+from diffsim.copter.constraints import Constraint
+from diffsim.copter.contact import ContactEnd, Target, contact_of
 from diffsim.copter.expressions import parse_constraint
-from diffsim.copter.feasible import Constraint
-from diffsim.copter.geometry import Array, rotation_rpy
+from diffsim.copter.geometry import UP, Array, rotation_rpy
 from diffsim.copter.parts import Part, make_part
-from diffsim.copter.patches import aligning_rotation, misalignment
-from diffsim.copter.placement import LinearForm, PlacedPart, complement
+from diffsim.copter.patches import aligning_rotation
+from diffsim.copter.placement import LinearForm, PlacedPart
 from diffsim.copter.spec import Connection, DesignSpec, PartSpec
 
 _SQUARE = 0.01  # a motor that deviates by less needs no clip [deg]
-Target = tuple[LinearForm, float]
 
 
 class Composer:
@@ -44,6 +43,10 @@ class Composer:
         self.explicit: list[Target] = []
         self.defaults: list[Target] = []
         self._specs = {part.name: part for part in spec.parts}
+        if len(self._specs) < len(spec.parts):
+            names = [part.name for part in spec.parts]
+            twice = next(name for name in names if names.count(name) > 1)
+            raise ValueError(f"two parts are called {twice!r}; rename one")
         self._parts = {part.name: self._make(part) for part in spec.parts}
 
     def compose(self) -> None:
@@ -69,6 +72,7 @@ class Composer:
                 f"part {loose[0]!r} is connected to nothing; connect it to a part that comes "
                 "before, or give it a rotation and a place"
             )
+        self._require_directions()
         for first, second in self.spec.rigid:
             self._rigid(first, second)
         for text in self.spec.constraints:
@@ -109,7 +113,8 @@ class Composer:
         if spec.kind == "motor" and spec.propeller:
             blades = make_part("propeller", {"rotor": spec.options.get("rotor", "kde2814_10in")})
             self._add(f"{name}__propeller", blades, rotation, automatic=True)
-            self._face(placed, "shaft", self.placed[f"{name}__propeller"], "hub")
+            hub = ContactEnd(self.placed[f"{name}__propeller"], "hub")
+            self._touch(ContactEnd(placed, "shaft"), hub)
 
     def _add(self, name: str, part: Part, rotation: Array, automatic: bool = False) -> None:
         part.require_closed(name)
@@ -132,109 +137,69 @@ class Composer:
         """Align, constrain, insert adapters; the host is the end that is placed already."""
         ends = self._ends(connection)
         places = [connection.at, connection.guest_at]
+        slides = [connection.slide, None]
+        label = f"connection {connection.host} - {connection.guest}"
         if ends[0][0] not in self.placed:
             if ends[1][0] not in self.placed:
                 raise ValueError(
-                    f"connection {connection.host} - {connection.guest}: neither part has a place "
-                    "yet; connect one of them to a part that comes before"
+                    f"{label}: neither part has a place yet; connect one of them to a part that "
+                    "comes before"
                 )
-            ends.reverse()
-            places.reverse()
+            for pair in (ends, places, slides):
+                pair.reverse()
         (host_name, host_patch), (guest_name, guest_patch) = ends
-        host, end = self.placed[host_name], self._part(guest_name).patches[guest_patch]
-        kinds = list(
-            adapters_for(host.patch(host_patch), end)
-            if connection.adapters is None
-            else connection.adapters
-        )
+        host = ContactEnd(self.placed[host_name], host_patch, places[0], slides[0])
+        end = self._part(guest_name).patches[guest_patch]
+        kinds = adapters_for(host.patch, end)
+        if connection.adapters is not None:
+            kinds = connection.adapters
         turns = {"flat": connection.angle, "circular": connection.roll}
-        at, slide = places[0], connection.slide
-        radius = max(host.patch(host_patch).radius, end.radius)
-        stem = f"{host_name}__{guest_name}"
-        while kinds or self._needs_clip(guest_name, host, host_patch):
-            kind = kinds.pop(0) if kinds else TILTED
-            options: dict[str, Any] = {"rod_diameter": 2.0 * radius} if radius > 0.0 else {}
-            options = options if kind == "round_connector" else {}
-            shape = host.patch(host_patch).shape
-            degrees = turns.pop(shape, 0.0)
-            if kind == TILTED:
-                options["normal"] = self._clip_normal(guest_name, host, host_patch, degrees)
-            part = make_part(kind, options)
-            entry, leave = ports(list(part.patches), shape, "flat" if kinds else end.shape)
-            adapter = self._free_name(stem)
-            self._add(
-                adapter,
-                part,
-                aligning_rotation(
-                    host.patch(host_patch), host.rotation, part.patches[entry], degrees=degrees
-                ),
-                automatic=True,
-            )
-            self._face(host, host_patch, self.placed[adapter], entry, at, None, slide)
-            host, host_patch = self.placed[adapter], leave
-            at, slide = None, None
-        degrees = turns.pop(host.patch(host_patch).shape, 0.0)
+        rod_diameter = 2.0 * max(host.patch.radius, end.radius)
+        for k, kind in enumerate(kinds):
+            require_choice(f"{label}: adapter", kind, ADAPTERS)
+            sized = kind == "round_connector" and rod_diameter > 0.0
+            part = make_part(kind, {"rod_diameter": rod_diameter} if sized else {})
+            following = end.shape if k == len(kinds) - 1 else "flat"
+            host = self._insert(part, host, guest_name, following, turns)
+        if self._needs_clip(guest_name, host):
+            clip = self._clip(guest_name, host, turns.get("flat", 0.0), label)
+            host = self._insert(clip, host, guest_name, end.shape, turns)
         if guest_name not in self.placed:
-            patch = host.patch(host_patch)
-            self._place(guest_name, aligning_rotation(patch, host.rotation, end, degrees=degrees))
-        guest = self.placed[guest_name]
-        self._face(host, host_patch, guest, guest_patch, at, places[1], slide)
-
-    def _face(
-        self,
-        host: PlacedPart,
-        host_patch: str,
-        guest: PlacedPart,
-        guest_patch: str,
-        at: Sequence[float] | None = None,
-        guest_at: Sequence[float] | None = None,
-        slide: bool | None = None,
-    ) -> None:
-        """Constrain two patches of the same place to coincide, up to where they may slide."""
-        a, b = host.patch(host_patch), guest.patch(guest_patch)
-        label = f"connection {host.name}.{host_patch} - {guest.name}.{guest_patch}"
-        off = misalignment(a, host.rotation, b, guest.rotation)
-        if off > 0.05:
-            raise ValueError(
-                f"{label}: the patches are {off:.3g} degrees off; turn one part by angle, roll or "
-                "rotation"
+            degrees = turns.pop(host.patch.shape, 0.0)
+            self._place(
+                guest_name,
+                aligning_rotation(host.patch, host.placed.rotation, end, degrees=degrees),
             )
-        if at is not None and len(at) != len(a.slides):
-            raise ValueError(
-                f"{label}: at must hold {len(a.slides)} numbers for {host.name}.{host_patch}, got "
-                f"{len(at)}"
-            )
-        if guest_at is not None and len(guest_at) != len(b.slides):
-            raise ValueError(
-                f"{label}: guest_at must hold {len(b.slides)} numbers for "
-                f"{guest.name}.{guest_patch}, got {len(guest_at)}"
-            )
+        self._touch(host, ContactEnd(self.placed[guest_name], guest_patch, places[1], slides[1]))
 
-        def gap(direction: Array) -> LinearForm:
-            return guest.coordinate(b.center, direction) - host.coordinate(a.center, direction)
+    def _insert(
+        self, adapter: Part, host: ContactEnd, guest: str, following: str, turns: dict[str, float]
+    ) -> ContactEnd:
+        """Put an adapter on a host; returns its patch that faces what follows.
 
-        sliding: list[Array] = []
-        offset = np.zeros(3)
-        for owner, patch, places, sign, wanted in (
-            (host, a, at, 1.0, slide),
-            (guest, b, guest_at, -1.0, None),
-        ):
-            moves = patch.slides_by_default if wanted is None else wanted
-            for k, way in enumerate(patch.slides):
-                direction = sign * (owner.rotation @ way.direction)
-                place = 0.0 if places is None else float(places[k])
-                if not moves:
-                    offset = offset + place * direction
-                    continue
-                sliding.append(direction)
-                reach = owner.half_extent(way)
-                for form in (gap(direction), -1.0 * gap(direction)):
-                    self.constraints.append(form.at_most(reach, f"{label}: within {owner.name}"))
-                stage = self.defaults if places is None else self.explicit
-                stage.append((gap(direction), place))
-        sliding = _distinct(sliding)
-        for direction in complement(sliding, host.rotation @ a.reference):
-            self._equal(gap(direction), float(direction @ offset), label)
+        Args:
+            adapter: The part.
+            host: Where it goes.
+            guest: Name of the part that the whole connection is for.
+            following: Shape of the patch that comes next.
+            turns: Degrees by shape of patch; used up by the first contact of its shape.
+        """
+        entry, leave = ports(list(adapter.patches), host.patch.shape, following)
+        degrees = turns.pop(host.patch.shape, 0.0)
+        rotation = aligning_rotation(
+            host.patch, host.placed.rotation, adapter.patches[entry], degrees=degrees
+        )
+        stem = host.placed.name.partition("__")[0] if host.placed.automatic else host.placed.name
+        name = self._free_name(f"{stem}__{guest}")
+        self._add(name, adapter, rotation, automatic=True)
+        self._touch(host, ContactEnd(self.placed[name], entry))
+        return ContactEnd(self.placed[name], leave)
+
+    def _touch(self, host: ContactEnd, guest: ContactEnd) -> None:
+        contact = contact_of(host, guest)
+        self.constraints += contact.constraints
+        self.explicit += contact.explicit
+        self.defaults += contact.defaults
 
     def _rigid(self, first: str, second: str) -> None:
         for name in (first, second):
@@ -260,34 +225,20 @@ class Composer:
 
     def _ends(self, connection: Connection) -> list[tuple[str, str]]:
         """Part and patch of both ends; the closest fitting pair where patches are not named."""
-        choices: list[list[tuple[str, str]]] = []
+        candidates = []
         for text in (connection.host, connection.guest):
             name, _, patch = text.partition(".")
             require_choice("part in a connection", name, [*self._parts, *self.placed])
             patches = self._part(name).patches
             if patch:
                 require_choice(f"patch of {name}", patch, patches)
-            choices.append([(name, p) for p in patches if patch in ("", p)])
-        pairs = [pair for pair in itertools.product(*choices) if self._fits(*pair)]
-        if not pairs:
-            adapters_for(*(self._part(n).patches[p] for n, p in (choices[0][0], choices[1][0])))
-        return list(
-            min(pairs or itertools.product(*choices), key=lambda pair: self._distance(*pair))
-        )
-
-    def _fits(self, host: tuple[str, str], guest: tuple[str, str]) -> bool:
-        try:
-            adapters_for(*(self._part(name).patches[patch] for name, patch in (host, guest)))
-        except ValueError:
-            return False
-        return True
-
-    def _distance(self, host: tuple[str, str], guest: tuple[str, str]) -> float:
-        return float(np.linalg.norm(self._start_of(*host) - self._start_of(*guest)))
+            chosen = [p for p in patches if patch in ("", p)]
+            candidates.append([(name, p, patches[p], self._start_of(name, p)) for p in chosen])
+        return [end[:2] for end in closest_pair(*candidates)]
 
     def _start_of(self, name: str, patch: str) -> Array:
-        part = self._part(name)
-        spec = self._specs.get(name)
+        """Where a patch is before connections have been solved (3,) [m]."""
+        part, spec = self._part(name), self._specs.get(name)
         local = part.patches[patch].center.at(part.values)
         if name in self.placed:
             local = self.placed[name].rotation @ local
@@ -305,21 +256,37 @@ class Composer:
         base = self._part(motor).patches["base"].axis
         return -(base @ mount.direction) * direction / length
 
-    def _clip_normal(self, motor: str, host: PlacedPart, host_patch: str, degrees: float) -> Array:
-        """Normal of the clip's top in the clip's frame."""
-        bottom = make_part(TILTED, {"normal": (0.0, 0.0, -1.0)}).patches["bottom"]
-        rotation = aligning_rotation(host.patch(host_patch), host.rotation, bottom, degrees=degrees)
-        return rotation.T @ self._base_normal(motor)
+    def _clip(self, motor: str, host: ContactEnd, degrees: float, label: str) -> Part:
+        """A compound-angle clip that carries a motor in its direction."""
+        bottom = make_part(TILTED, {"normal": UP}).patches["bottom"]
+        rotation = aligning_rotation(host.patch, host.placed.rotation, bottom, degrees=degrees)
+        try:
+            return make_part(TILTED, {"normal": rotation.T @ self._base_normal(motor)})
+        except ValueError as error:
+            raise ValueError(f"{label}: direction of {motor!r}: {error}") from error
 
-    def _needs_clip(self, guest: str, host: PlacedPart, host_patch: str) -> bool:
+    def _needs_clip(self, guest: str, host: ContactEnd) -> bool:
         """Whether a motor with a direction of its own is not yet square to what carries it."""
         spec = self._specs.get(guest)
-        if spec is None or spec.direction is None or host.patch(host_patch).shape != "flat":
+        if spec is None or spec.direction is None or host.patch.shape != "flat":
             return False
-        normal = host.rotation @ host.patch(host_patch).axis
-        wanted = self._base_normal(guest)
-        angle = np.arctan2(np.linalg.norm(np.cross(normal, wanted)), normal @ wanted)
-        return bool(np.rad2deg(angle) > _SQUARE)
+        normal = host.placed.rotation @ host.patch.axis
+        return _angle(normal, self._base_normal(guest)) > _SQUARE
+
+    def _require_directions(self) -> None:
+        """Refuse directions that no connection could give, instead of dropping them."""
+        for spec in self.spec.parts:
+            if spec.direction is None:
+                continue
+            wanted = self._base_normal(spec.name)
+            placed = self.placed[spec.name]
+            off = _angle(-placed.rotation @ placed.patch("base").axis, wanted)
+            if off > 2.0 * _SQUARE:
+                raise ValueError(
+                    f"motor {spec.name!r} points {off:.3g} degrees away from its direction; only "
+                    "a connection to a flat patch can tilt a motor (by a clip), and only if the "
+                    "motor has no rotation of its own"
+                )
 
     def _free_name(self, name: str) -> str:
         taken = {*self.placed, *self._parts}
@@ -327,13 +294,9 @@ class Composer:
         return name if name not in taken else next(n for n in numbered if n not in taken)
 
 
-def _distinct(directions: list[Array]) -> list[Array]:
-    """Directions without those that are parallel to an earlier one."""
-    result: list[Array] = []
-    for direction in directions:
-        if all(abs(direction @ other) < 1.0 - 1e-9 for other in result):
-            result.append(direction)
-    return result
+def _angle(a: Array, b: Array) -> float:
+    """Between two vectors [deg]."""
+    return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
 
 
 def _describe(form: LinearForm, bound: float) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,35 +13,15 @@ import trimesh
 from torch import Tensor
 
 from diffsim._check import require, require_choice
-from diffsim.copter.compose import Composer, Target
 from diffsim.copter.evaluate import PartTensors
-from diffsim.copter.feasible import FeasibleSet, eliminate, matrix, staged_least_squares
-from diffsim.copter.geometry import Array, frame_of
+from diffsim.copter.feasible import FeasibleSet
+from diffsim.copter.geometry import Array
+from diffsim.copter.listing import PartEntry, part_entries, placed_meshes
 from diffsim.copter.mass import rigid_body
 from diffsim.copter.parts import RotorMount
-from diffsim.copter.placement import PlacedPart
+from diffsim.copter.placement import PlacedPart, distance_weights
 from diffsim.copter.spec import DesignSpec
 from diffsim.copter.vehicle import Multicopter
-
-
-@dataclass(frozen=True)
-class PartEntry:
-    """A line of the bill of materials.
-
-    Attributes:
-        name, kind: Of the part.
-        source: ``bought``, ``cut`` or ``printed``.
-        mass: [kg].
-        price: [EUR].
-        dimensions: Shape parameters by name [m].
-    """
-
-    name: str
-    kind: str
-    source: str
-    mass: float
-    price: float
-    dimensions: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +110,11 @@ class Design:
     def spins(self) -> Tensor:
         """b_i as built, (n_rotors,)."""
         return torch.tensor([float(m.spin) for m in self.rotors], dtype=torch.float64)
+
+    @cached_property
+    def distance_weights(self) -> Array:
+        """Which parameters count as distance: all but the places of what rules inserted."""
+        return distance_weights(self.parts)
 
     @cached_property
     def _tensors(self) -> PartTensors:
@@ -225,7 +210,7 @@ class Design:
         for name, value in pinned.items():
             target[self.feasible.names.index(name)] = value
         return self.with_values(
-            torch.from_numpy(self.feasible.closest(target, _weights(self.parts), pinned))
+            torch.from_numpy(self.feasible.closest(target, self.distance_weights, pinned))
         )
 
     def with_values(self, s: Tensor) -> Design:
@@ -256,6 +241,8 @@ class Design:
             replace(p, direction=tuple(rows[p.name])) if p.name in rows else p
             for p in self.spec.parts
         )
+        from diffsim.copter.assemble import build_design  # it makes designs, and so imports this
+
         return build_design(replace(self.spec, parts=parts, values=self.named_values()))
 
     def named_values(self) -> dict[str, float]:
@@ -272,51 +259,19 @@ class Design:
             directions: Thrust directions, (n_rotors, 3), to draw motors and propellers tilted.
         """
         x = self.all_values(s).detach().numpy()
-        index = {name: i for i, name in enumerate(self.feasible.names)}
-        tilts = dict(zip(self.rotor_names, self._tilts(directions), strict=True))
-        result = {}
-        for p in self.parts:
-            local = p.part.mesh.vertices.at(x[[index[n] for n in p.shape_names]])
-            turned = (
-                local @ (tilts.get(p.name.removesuffix("__propeller"), np.eye(3)) @ p.rotation).T
-            )
-            placed = turned + x[[index[n] for n in p.position_names]]
-            result[p.name] = trimesh.Trimesh(placed, p.part.mesh.faces, process=False)
-        return result
+        return placed_meshes(self.parts, dict(zip(self.all_names, x, strict=True)), directions)
 
     def bill_of_materials(self, s: Tensor | None = None) -> tuple[PartEntry, ...]:
         """Every part with mass and price."""
         x = self.all_values(s).detach()
         masses = self._tensors.moments(x).mass.tolist()
-        index = {name: i for i, name in enumerate(self.feasible.names)}
-        entries = []
-        for p, mass in zip(self.parts, masses, strict=True):
-            shape = {n.partition(".")[2]: float(x[index[n]]) for n in p.shape_names}
-            linear = sum(
-                a * b for a, b in zip(p.part.price_per_parameter, shape.values(), strict=False)
-            )
-            price = p.part.price + linear + p.part.price_per_mass * mass
-            entries.append(PartEntry(p.name, p.part.kind, p.part.source, mass, price, shape))
-        return tuple(entries)
+        return part_entries(self.parts, dict(zip(self.all_names, x.tolist(), strict=True)), masses)
 
     def save(self, path: str | Path) -> Path:
         """Write the design as YAML, atomically (``diffsim.copter.design_file``)."""
         from diffsim.copter.design_file import save_design
 
         return save_design(self, path)
-
-    def _tilts(self, directions: Tensor | None) -> Array:
-        """Least rotations from the built directions to others, (n_rotors, 3, 3)."""
-        built = self.directions.numpy()
-        wanted = built if directions is None else directions.detach().numpy()
-        tilts = []
-        for a, b in zip(built, wanted, strict=True):
-            turn = np.cross(a, b)
-            if np.linalg.norm(turn) < 1e-12:
-                tilts.append(np.eye(3))
-            else:
-                tilts.append(frame_of(b, np.cross(turn, b)) @ frame_of(a, np.cross(turn, a)).T)
-        return np.array(tilts)
 
     def _free(self, s: Tensor | None) -> Tensor:
         return self.values if s is None else require("s", s, (len(self.names),))
@@ -329,53 +284,3 @@ class Design:
         known = [n.partition(".")[2] for n in self.feasible.names if n.startswith(f"{part}.")]
         require_choice(f"parameter of {part}", parameter, known)
         raise AssertionError("unreachable: every part's parameters are listed")
-
-
-def build_design(spec: DesignSpec) -> Design:
-    """Compose a design and start it at the feasible point closest to what its author gave.
-
-    Raises:
-        ValueError: unknown names, parts that face the wrong way or are connected to nothing.
-        MeshError: a part that is not closed.
-        InfeasibleDesignError: constraints that exclude each other, with an irreducible set.
-    """
-    if not spec.parts:
-        raise ValueError(f"design {spec.name!r} has no parts")
-    composer = Composer(spec)
-    composer.compose()
-    parts = tuple(composer.placed.values())
-    names = [n for p in parts for n in (*p.shape_names, *p.position_names)]
-    feasible = eliminate(names, composer.constraints, _preference(parts))
-    asked: list[Target] = []
-    for name, value in spec.values.items():
-        asked.append((composer.form(name), float(value)))
-    stages = [_stage(names, t, feasible) for t in (asked, composer.explicit, composer.defaults)]
-    s = staged_least_squares(stages, len(feasible.free_idx))
-    if feasible.violation(s) > 1e-9:
-        s = feasible.closest(feasible.offset + feasible.basis @ s, _weights(parts))
-    return Design(spec, parts, feasible, torch.from_numpy(s))
-
-
-def _stage(
-    names: list[str], targets: Sequence[Target], feasible: FeasibleSet
-) -> tuple[Array, Array]:
-    rows, values = matrix(names, [form.equals(value, "") for form, value in targets])
-    return rows @ feasible.basis, values - rows @ feasible.offset
-
-
-def _weights(parts: Sequence[PlacedPart]) -> Array:
-    """Which parameters count as distance: all but the places of what rules inserted."""
-    return np.array(
-        [w for p in parts for w in [1.0] * len(p.shape_names) + [float(not p.automatic)] * 3]
-    )
-
-
-def _preference(parts: Sequence[PlacedPart]) -> Array:
-    """Which parameters become free: shapes, then places of motors, rods, others, adapters."""
-    levels = []
-    for p in parts:
-        place = 0.0 if p.automatic else 1.0
-        place = 2.0 if p.part.rod_parameter is not None else place
-        place = 3.0 if p.part.rotor_mount is not None else place
-        levels += [3.5 if p.automatic else 4.0] * len(p.shape_names) + [place] * 3
-    return np.array(levels) - 1e-6 * np.arange(len(levels))  # the first of equals

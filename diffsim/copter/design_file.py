@@ -38,9 +38,11 @@ from typing import Any
 
 import yaml
 
-from diffsim._check import require_choice, require_number
+from diffsim._check import require_choice
 from diffsim._files import to_plain, write_text_atomic
-from diffsim.copter.design import Design, build_design
+from diffsim.copter.assemble import build_design
+from diffsim.copter.design import Design
+from diffsim.copter.parts.database import PART_KINDS, option_names
 from diffsim.copter.spec import Connection, DesignSpec, PartSpec
 from diffsim.copter.yaml_lines import Located, read_yaml
 from diffsim.copter.yaml_lines import Path as Keys
@@ -125,20 +127,20 @@ def _part_entry(part: PartSpec, folder: Path | None, path: Path) -> dict[str, An
 
 
 def _without_defaults(item: Any) -> dict[str, Any]:
-    """Fields of a frozen dataclass that differ from their defaults."""
+    """Fields of a frozen dataclass that say something; empty adapters do: join directly."""
+    values = {f.name: getattr(item, f.name) for f in fields(item)}
+    defaults = {f.name: f.default for f in fields(item)}
     return {
-        f.name: getattr(item, f.name)
-        for f in fields(item)
-        if getattr(item, f.name) != f.default
-        and getattr(item, f.name) not in ({}, ())
-        or (f.name == "adapters" and getattr(item, f.name) is not None)
+        key: value
+        for key, value in values.items()
+        if value != defaults[key] and (value != {} or key == "adapters")
     }
 
 
 def _spec(located: Located, folder: Path | None) -> DesignSpec:
     data = _mapping(located, (), located.value)
     for key in data:
-        located.checked((key,), lambda key=key: require_choice("key", key, _TOP))
+        located.require_choice((key,), "key", key, _TOP)
     parts = _mapping(located, ("parts",), data.get("parts"))
     return DesignSpec(
         name=str(data.get("name", Path(located.source).stem)),
@@ -165,33 +167,34 @@ def _spec(located: Located, folder: Path | None) -> DesignSpec:
 
 def _part(located: Located, name: str, value: Any) -> PartSpec:
     at: Keys = ("parts", name)
-    if not name.isidentifier():
-        raise located.error(at, f"the name {name!r} must be letters, digits and underscores")
     data = _mapping(located, at, value)
     if "kind" not in data:
         raise located.error(at, "kind is missing; say which part of the database this is")
+    kind = located.require_choice((*at, "kind"), "kind", str(data["kind"]), PART_KINDS)
+    options = {key: v for key, v in data.items() if key not in _PART}
+    for key in options:
+        known = [*option_names(kind), *sorted(_PART)]
+        located.require_choice((*at, key), f"option of a {kind}", key, known)
     bounds = _mapping(located, (*at, "bounds"), data.get("bounds", {}))
-    return PartSpec(
-        name=name,
-        kind=str(data["kind"]),
-        options={key: v for key, v in data.items() if key not in _PART},
-        bounds={
-            key: tuple(_numbers(located, (*at, "bounds", key), v, 2))  # type: ignore[misc]
-            for key, v in bounds.items()
-        },
-        rotation=_numbers(located, (*at, "rotation"), data.get("rotation"), 3),
-        place=_numbers(located, (*at, "place"), data.get("place"), 3),
-        anchored=_flag(located, (*at, "anchored"), data.get("anchored", False)),
-        direction=_numbers(located, (*at, "direction"), data.get("direction"), 3),
-        propeller=_flag(located, (*at, "propeller"), data.get("propeller", True)),
-    )
+    fields_of_part: dict[str, Any] = {
+        "bounds": {key: _interval(located, (*at, "bounds", key), v) for key, v in bounds.items()},
+        "rotation": _numbers(located, (*at, "rotation"), data.get("rotation"), 3),
+        "place": _numbers(located, (*at, "place"), data.get("place"), 3),
+        "anchored": _flag(located, (*at, "anchored"), data.get("anchored", False)),
+        "direction": _numbers(located, (*at, "direction"), data.get("direction"), 3),
+        "propeller": _flag(located, (*at, "propeller"), data.get("propeller", True)),
+    }
+    try:
+        return PartSpec(name=name, kind=kind, options=options, **fields_of_part)
+    except ValueError as error:
+        raise located.error(at, str(error)) from error
 
 
 def _connection(located: Located, at: Keys, value: Any) -> Connection:
     data = _mapping(located, at, value)
     known = [f.name for f in fields(Connection)]
     for key in data:
-        located.checked((*at, key), lambda key=key: require_choice("key", key, known))
+        located.require_choice((*at, key), "key", key, known)
     for key in ("host", "guest"):
         if key not in data:
             raise located.error(at, f"{key} is missing; write it as part.patch")
@@ -233,7 +236,7 @@ def _pair(located: Located, at: Keys, value: Any) -> tuple[str, str]:
 
 
 def _number(located: Located, at: Keys, value: Any) -> float:
-    return located.checked(at, lambda: require_number("value", value))
+    return located.require_number(at, value)
 
 
 def _numbers(
@@ -245,6 +248,16 @@ def _numbers(
     if count is not None and len(items) != count:
         raise located.error(at, f"must hold {count} numbers, got {len(items)}")
     return tuple(_number(located, at, item) for item in items)
+
+
+def _interval(located: Located, at: Keys, value: Any) -> tuple[float, float]:
+    numbers = _list(located, at, value)
+    if len(numbers) != 2:
+        raise located.error(at, f"must hold 2 numbers, got {len(numbers)}")
+    lower, upper = (_number(located, at, v) for v in numbers)
+    if not lower <= upper:
+        raise located.error(at, f"must be [lower, upper], got [{lower:g}, {upper:g}]")
+    return lower, upper
 
 
 def _flag(located: Located, at: Keys, value: Any) -> bool:

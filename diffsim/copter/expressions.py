@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Callable
 
-from diffsim.copter.feasible import Constraint
+from diffsim.copter.constraints import Constraint
 
 _RELATIONS = {ast.Eq: ("==", 1.0), ast.LtE: ("<=", 1.0), ast.GtE: ("<=", -1.0)}
 _HOW = "write it as 'arm_1.length == 2 * arm_2.length + 0.1' (==, <= or >=, +, -, * and / numbers)"

@@ -1,4 +1,4 @@
-"""Linear constraints with names: elimination, closest feasible point, smallest conflict.
+"""The feasible set of a design: elimination of equalities, bounds, the closest point.
 
 A composed design is the union of its parts' parameters and the intersection of their feasible sets
 (thesis 3.2.2). The equalities are eliminated, x = offset + basis @ s, with free parameters s that
@@ -10,49 +10,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 import scipy.linalg
 from scipy.optimize import linprog
 
-from diffsim.copter.geometry import Array
-from diffsim.errors import ConvergenceError, DiffsimError
+from diffsim.copter.constraints import (
+    Constraint,
+    InfeasibleDesignError,
+    irreducible_conflict,
+    matrix,
+    satisfiable,
+)
+from diffsim.copter.geometry import Array, IntArray
+from diffsim.copter.quadratic_program import solve_qp
+from diffsim.errors import ConvergenceError
 
 _RANK_TOL = 1e-9  # coefficients are lengths' multiples, of order one
 _FEASIBLE = 1e-7  # [m], a tenth of a micrometre
-
-
-class InfeasibleDesignError(DiffsimError):
-    """No design satisfies all constraints.
-
-    Attributes:
-        conflict: An irreducible set: without any one of these the rest could be satisfied.
-    """
-
-    def __init__(self, conflict: Sequence[str]):
-        super().__init__(
-            f"these {len(conflict)} constraints cannot all hold; change or drop one of them:\n  "
-            + "\n  ".join(conflict)
-        )
-        self.conflict = tuple(conflict)
-
-
-@dataclass(frozen=True)
-class Constraint:
-    """sum of coefficient * parameter (== or <=) bound.
-
-    Attributes:
-        label: What it is, for messages; rows with one label stand and fall together.
-        coefficients: By name of the parameter.
-        bound: Right-hand side.
-        relation: "==" or "<=".
-    """
-
-    label: str
-    coefficients: Mapping[str, float]
-    bound: float
-    relation: Literal["==", "<="]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +44,7 @@ class FeasibleSet:
     names: tuple[str, ...]
     equalities: tuple[Constraint, ...]
     inequalities: tuple[Constraint, ...]
-    free_idx: Array
+    free_idx: IntArray
     offset: Array
     basis: Array
 
@@ -98,7 +73,7 @@ class FeasibleSet:
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
-        """Least and greatest value of each free parameter over the feasible set, infinite if none."""
+        """Least and greatest value of each free parameter over the set, infinite if none."""
         n = len(self.free_idx)
         result = np.full((2, n), np.inf)
         for i in range(n):
@@ -115,7 +90,7 @@ class FeasibleSet:
     def require_feasible(self, extra: Sequence[Constraint] = ()) -> None:
         """Raises InfeasibleDesignError with an irreducible conflict if there is no point."""
         constraints = [*self.equalities, *self.inequalities, *extra]
-        if not _satisfiable(self.names, constraints):
+        if not satisfiable(self.names, constraints):
             raise InfeasibleDesignError(irreducible_conflict(self.names, constraints))
 
     def closest(
@@ -123,8 +98,8 @@ class FeasibleSet:
     ) -> Array:
         """Free parameters of the feasible point closest to a target.
 
-        min sum w (x - target)^2 s.t. x = offset + basis @ s, A s <= b, x[pinned] = value (thesis 3.2.2),
-        solved by osqp.
+        min sum w (x - target)^2 s.t. x = offset + basis @ s, A s <= b, x[pinned] = value
+        (thesis 3.2.2), solved by osqp.
 
         Args:
             target: (n,) in all parameters.
@@ -146,7 +121,7 @@ class FeasibleSet:
         lower = np.concatenate([np.full(len(self.inequality_bound), -np.inf), q - p @ self.offset])
         weighted = self.basis.T * weights
         gradient = weighted @ (self.offset - target)
-        s = _solve_qp(weighted @ self.basis, gradient, rows, lower, upper)
+        s = solve_qp(weighted @ self.basis, gradient, rows, lower, upper)
         missed = np.abs(p @ (self.offset + self.basis @ s) - q).max(initial=0.0)
         excess = max(self.violation(s), float(missed))
         if excess > _FEASIBLE:
@@ -160,41 +135,8 @@ class FeasibleSet:
         return s
 
 
-def _solve_qp(hessian: Array, gradient: Array, rows: Array, lower: Array, upper: Array) -> Array:
-    """min 1/2 s' H s + g' s, lower <= rows s <= upper, by osqp with polishing."""
-    try:
-        import osqp
-    except ImportError as error:
-        raise ImportError(
-            "the closest feasible design needs osqp, which is not installed; "
-            "pip install 'diffsim-robot[opt]'"
-        ) from error
-    solver = osqp.OSQP()
-    solver.setup(
-        scipy.sparse.csc_matrix(np.triu(hessian)),
-        gradient,
-        scipy.sparse.csc_matrix(rows),
-        lower,
-        upper,
-        verbose=False,
-        eps_abs=1e-10,
-        eps_rel=1e-10,
-        max_iter=200_000,
-        polishing=True,
-    )
-    result = solver.solve(raise_error=False)
-    if not result.info.status.startswith("solved"):
-        raise ConvergenceError(
-            f"osqp stopped with '{result.info.status}' after {result.info.iter} iterations",
-            residual_norm=float(result.info.prim_res),
-            tolerance=1e-10,
-            num_iters=int(result.info.iter),
-        )
-    return np.asarray(result.x, dtype=np.float64)
-
-
 def eliminate(
-    names: Sequence[str], constraints: Sequence[Constraint], preference: Sequence[float]
+    names: Sequence[str], constraints: Sequence[Constraint], preference: Array
 ) -> FeasibleSet:
     """Free parameters and basis of the equalities' solutions.
 
@@ -209,7 +151,7 @@ def eliminate(
     equalities = tuple(c for c in constraints if c.relation == "==")
     inequalities = tuple(c for c in constraints if c.relation == "<=")
     a, b = matrix(names, equalities)
-    dependent = _independent_columns(a, np.argsort(preference, kind="stable"))
+    dependent = _independent_columns(a, np.argsort(preference, kind="stable").astype(np.int64))
     free = np.setdiff1d(np.arange(len(names)), dependent)
     offset = np.zeros(len(names))
     basis = np.zeros((len(names), len(free)))
@@ -223,12 +165,12 @@ def eliminate(
     return result
 
 
-def _without_dust(values: Array) -> Array:
+def _without_dust(values: np.ndarray) -> Array:
     """Rounding errors set to zero, so that rows say what they mean."""
     return np.where(np.abs(values) < 1e-13, 0.0, values)
 
 
-def _independent_columns(a: Array, order: Array) -> Array:
+def _independent_columns(a: Array, order: IntArray) -> IntArray:
     """A maximal set of independent columns that prefers the first of ``order``."""
     chosen = []
     span = np.zeros((a.shape[0], 0))
@@ -241,39 +183,6 @@ def _independent_columns(a: Array, order: Array) -> Array:
             chosen.append(column)
             span = np.column_stack([span, rest / norm])
     return np.array(sorted(chosen), dtype=np.int64)
-
-
-def matrix(names: Sequence[str], constraints: Sequence[Constraint]) -> tuple[Array, Array]:
-    """Rows (len(constraints), len(names)) and right-hand sides."""
-    index = {name: i for i, name in enumerate(names)}
-    rows = np.zeros((len(constraints), len(names)))
-    for row, constraint in zip(rows, constraints, strict=True):
-        for name, coefficient in constraint.coefficients.items():
-            row[index[name]] += coefficient
-    return rows, np.array([c.bound for c in constraints])
-
-
-def irreducible_conflict(
-    names: Sequence[str], constraints: Sequence[Constraint]
-) -> tuple[str, ...]:
-    """Labels of an irreducible unsatisfiable subset, by the deletion filter.
-
-    Each label is left out in turn and stays out if the rest is still unsatisfiable (Chinneck,
-    "Feasibility and Infeasibility in Optimization", 2008, alg. 6.2).
-    """
-    kept = list(dict.fromkeys(c.label for c in constraints))
-    for label in list(kept):
-        trial = [c for c in constraints if c.label in kept and c.label != label]
-        if not _satisfiable(names, trial):
-            kept.remove(label)
-    return tuple(kept)
-
-
-def _satisfiable(names: Sequence[str], constraints: Sequence[Constraint]) -> bool:
-    a_eq, b_eq = matrix(names, [c for c in constraints if c.relation == "=="])
-    a_in, b_in = matrix(names, [c for c in constraints if c.relation == "<="])
-    found = linprog(np.zeros(len(names)), a_in, b_in, a_eq, b_eq, bounds=(None, None))
-    return found.status == 0
 
 
 def staged_least_squares(stages: Sequence[tuple[Array, Array]], num_unknowns: int) -> Array:

@@ -11,30 +11,24 @@ the tool drops without a word.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 from scipy.spatial.transform import Rotation
 
-from diffsim._check import require_choice
-from diffsim.copter.design import Design, build_design
-from diffsim.copter.geometry import Array, rotation_rpy
-from diffsim.copter.spec import Connection, DesignSpec, PartSpec
+from diffsim.copter.assemble import build_design
+from diffsim.copter.design import Design
+from diffsim.copter.geometry import rotation_rpy
+from diffsim.copter.spec import DesignSpec, PartSpec
+from diffsim.copter.xml_links import Links
 from diffsim.copter.xml_nodes import Node, read_nodes
-from diffsim.errors import MeshError
-from diffsim.mesh.files import load_surface
 
 ROTOR_OF_MEASUREMENT = {
     "motor_10inch_prop.txt": "kde2814_10in",
     "motor_14inch_prop.txt": "kde2814_14in",
 }
-_GAP = 0.003  # parts closer than this touch; the tool's designs leave up to 2.4 mm [m]
-_ASIDE = 1e-3  # and their centres are on one line up to this [m]
 _TAGS = {  # tag -> part name, allowed attributes of the tag, of its instances
     "plate": ("plate", {"file", "density"}, {"size"}),
     "battery": ("battery", {"file", "density", "capacity"}, set()),
@@ -72,7 +66,7 @@ def import_xml(path: str | Path) -> Design:
     if root.tag != "copter":
         raise root.error(f"the root must be <copter>, got <{root.tag}>")
     parts = [p for node in root.children for p in _parts(node, path)]
-    links = _Links(parts, path.parent)
+    links = Links(parts, path.parent)
     spec = DesignSpec(
         name=path.stem,
         notes=f"imported from {path.name}",
@@ -86,8 +80,7 @@ def import_xml(path: str | Path) -> Design:
 
 def _parts(node: Node, path: Path) -> list[PartSpec]:
     """The instances of a tag; a tag without instances is its own."""
-    require = node.checked(lambda: require_choice("tag", node.tag, _TAGS))
-    stem, attributes, of_instance = _TAGS[require]
+    stem, attributes, of_instance = _TAGS[node.require_choice("tag", node.tag, _TAGS)]
     instances = [child for child in node.children if child.tag == "instance"]
     if not instances:
         node.require_attributes(attributes | of_instance)
@@ -97,11 +90,7 @@ def _parts(node: Node, path: Path) -> list[PartSpec]:
         return []
     moves = [child for child in node.children if child.tag != "instance"]
     for child in moves:
-        child.checked(
-            lambda child=child: require_choice(
-                "tag", child.tag, ["instance", "translate", "rotate"]
-            )
-        )
+        child.require_choice("tag", child.tag, ["instance", "translate", "rotate"])
     if instances and moves:
         raise moves[0].error(f"<{moves[0].tag}> must stand inside an <instance>")
     result = []
@@ -137,11 +126,11 @@ def _options(node: Node, instance: Node, path: Path) -> tuple[str, dict[str, Any
     if node.tag != "motor":
         return "imported_mesh", options
     table = node.text("measurement")
-    rotor = node.checked(lambda: require_choice("measurement", table, ROTOR_OF_MEASUREMENT))
+    rotor = node.require_choice("measurement", table, ROTOR_OF_MEASUREMENT)
     flip = instance.attributes.get("flip_prop", "false")
-    instance.checked(lambda: require_choice("flip_prop", flip, ["true", "false"]))
+    instance.require_choice("flip_prop", flip, ["true", "false"])
     spin = instance.text("spin_dir")
-    instance.checked(lambda: require_choice("spin_dir", spin, ["cw", "ccw"]))
+    instance.require_choice("spin_dir", spin, ["cw", "ccw"])
     return "imported_motor", options | {
         "rotor": ROTOR_OF_MEASUREMENT[rotor],
         "spin": spin,
@@ -163,7 +152,7 @@ def _transform(instance: Node) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Roll, pitch, yaw [deg] and translation [m] of the moves in file order."""
     turns, rotation, place = [], np.eye(3), np.zeros(3)
     for move in instance.children:
-        move.checked(lambda move=move: require_choice("tag", move.tag, ["translate", "rotate"]))
+        move.require_choice("tag", move.tag, ["translate", "rotate"])
         if move.tag == "translate":
             move.require_attributes({"xyz"})
             place = place + move.numbers("xyz", 3)
@@ -176,85 +165,3 @@ def _transform(instance: Node) -> tuple[tuple[float, ...], tuple[float, ...]]:
         return tuple(turns[0]) if turns else (0.0, 0.0, 0.0), tuple(place.tolist())
     angles = Rotation.from_matrix(rotation).as_euler("xyz", degrees=True)
     return tuple(angles.tolist()), tuple(place.tolist())
-
-
-class _Links:
-    """Which parts touch, found from their boxes.
-
-    Attributes:
-        anchored: Names of parts that stay: the fixed ones, and connectors on plates.
-        on_tubes: A connection for every connector on a tube.
-        rigid: Pairs of connectors, and of connectors and motors, face to face.
-    """
-
-    def __init__(self, parts: Sequence[PartSpec], folder: Path):
-        surfaces: dict[str, trimesh.Trimesh] = {}
-        self._half: dict[str, Array] = {}
-        self._at = {p.name: np.asarray(p.place) for p in parts}
-        self._turn = {p.name: rotation_rpy(p.rotation or (0.0, 0.0, 0.0)) for p in parts}
-        self._length = {p.name: float(p.options.get("length", 1.0)) for p in parts}
-        for p in parts:
-            file = str(p.options["file"])
-            surfaces.setdefault(file, load_surface(folder / file))
-            half = np.abs(surfaces[file].bounds).max(axis=0)
-            half = half * np.asarray(p.options.get("scale", (1.0, 1.0, 1.0)))
-            self._half[p.name] = np.abs(self._turn[p.name]) @ half
-        by_stem: dict[str, list[str]] = {}
-        for p in parts:
-            by_stem.setdefault(p.name.partition("_")[0], []).append(p.name)
-        connectors = by_stem.get("connector", [])
-        self.anchored = {p.name for p in parts if p.anchored}
-        self.anchored |= {
-            c for c in connectors for plate in by_stem.get("plate", []) if self._lies_on(c, plate)
-        }
-        self.on_tubes, carried = [], {}
-        for tube, connector in itertools.product(by_stem.get("tube", []), connectors):
-            along = self._on_tube(tube, connector)
-            if along is not None:
-                carried.setdefault(connector, set()).add(tube)
-                self.on_tubes.append(
-                    Connection(host=f"{tube}.shaft", guest=f"{connector}.bore", at=(along,))
-                )
-        pairs = [
-            (a, b)
-            for a, b in itertools.combinations(connectors, 2)
-            if not carried.get(a, set()) & carried.get(b, set())
-        ]
-        pairs += itertools.product(connectors, by_stem.get("rotor", []))
-        self.rigid = [
-            (a, b) for a, b in pairs if not {a, b} <= self.anchored and self._face_to_face(a, b)
-        ]
-        self._require_held([*by_stem.get("rotor", []), *connectors])
-
-    def _on_tube(self, tube: str, connector: str) -> float | None:
-        """Where a connector sits along a tube [m]; None if its bore does not hold the tube."""
-        axis = self._turn[tube][:, 0]
-        if abs(axis @ self._turn[connector][:, 0]) < 1.0 - 1e-6:
-            return None
-        offset = self._at[connector] - self._at[tube]
-        along = float(offset @ axis)
-        aside = float(np.linalg.norm(offset - along * axis))
-        return along if aside < _ASIDE and abs(along) <= 0.5 * self._length[tube] else None
-
-    def _face_to_face(self, a: str, b: str) -> bool:
-        offset = np.abs(self._at[a] - self._at[b])
-        axis = int(offset.argmax())
-        aside = np.delete(offset, axis)
-        reach = self._half[a][axis] + self._half[b][axis]
-        return bool((aside < _ASIDE).all() and abs(offset[axis] - reach) < _GAP)
-
-    def _lies_on(self, connector: str, plate: str) -> bool:
-        offset = np.abs(self._at[connector] - self._at[plate])
-        reach = self._half[connector][2] + self._half[plate][2]
-        inside = offset[:2] <= self._half[plate][:2]
-        return bool(inside.all() and abs(offset[2] - reach) < _GAP)
-
-    def _require_held(self, names: Sequence[str]) -> None:
-        held = {n for pair in self.rigid for n in pair} | self.anchored
-        held |= {c.guest.partition(".")[0] for c in self.on_tubes}
-        loose = [n for n in names if n not in held]
-        if loose:
-            raise MeshError(
-                f"{', '.join(loose)} touch{'es' if len(loose) == 1 else ''} no other part; look "
-                "for a wrong translation in the XML"
-            )

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from diffsim._check import require_choice
-from diffsim.copter.feasible import Constraint
-from diffsim.copter.geometry import Array, LinearPoints, frame_of
+from diffsim.copter.constraints import Constraint
+from diffsim.copter.geometry import Array, LinearPoints
 from diffsim.copter.parts.part import Part
 from diffsim.copter.patches import Patch, Slide
 
@@ -93,10 +93,8 @@ class PlacedPart:
         return LinearForm(coefficients, slide.half_extent)
 
 
-def complement(directions: list[Array], reference: Array) -> Array:
-    """Unit rows that complete orthonormal directions to a basis, (3 - n, 3)."""
-    if len(directions) == 0:
-        return np.eye(3)
-    if len(directions) == 1:
-        return frame_of(directions[0], reference)[:, 1:].T
-    return np.cross(directions[0], directions[1])[None, :]
+def distance_weights(parts: Sequence[PlacedPart]) -> Array:
+    """Which parameters count as distance: all but the places of what rules inserted."""
+    return np.array(
+        [w for p in parts for w in [1.0] * len(p.shape_names) + [float(not p.automatic)] * 3]
+    )

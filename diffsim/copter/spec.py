@@ -13,7 +13,7 @@ class PartSpec:
     """One part.
 
     Attributes:
-        name: Unique in the design, a Python identifier.
+        name: Unique in the design, a Python identifier without double underscores.
         kind: In the database.
         options: Of the kind: starting values of its parameters [m], constant sizes.
         bounds: Parameter to (lower, upper) [m], where they differ from the database's.
@@ -34,6 +34,13 @@ class PartSpec:
     anchored: bool = False
     direction: tuple[float, ...] | None = None
     propeller: bool = True
+
+    def __post_init__(self) -> None:
+        if not self.name.isidentifier() or "__" in self.name:
+            raise ValueError(
+                f"part name {self.name!r} must be letters, digits and single underscores; names "
+                "with __ are for inserted adapters"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

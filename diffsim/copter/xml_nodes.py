@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
 from xml.parsers import expat
 
 from diffsim._check import require_choice
-
-T = TypeVar("T")
 
 
 @dataclass
@@ -31,19 +28,17 @@ class Node:
         """A ValueError that names file and line."""
         return ValueError(f"{self.where}: {message}")
 
-    def checked(self, check: Callable[[], T]) -> T:
-        """Result of ``check``; its ValueError gets file and line."""
+    def require_choice(self, name: str, value: str, choices: Iterable[str]) -> str:
+        """``require_choice`` that names file and line."""
         try:
-            return check()
+            return require_choice(name, value, choices)
         except ValueError as error:
             raise self.error(str(error)) from error
 
     def require_attributes(self, known: Iterable[str]) -> None:
         """Refuse attributes that would be dropped."""
         for name in self.attributes:
-            self.checked(
-                lambda name=name: require_choice(f"attribute of <{self.tag}>", name, sorted(known))
-            )
+            self.require_choice(f"attribute of <{self.tag}>", name, sorted(known))
 
     def text(self, name: str) -> str:
         """An attribute that must be there."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 import yaml
+
+from diffsim._check import require_choice, require_number
 
 Path = tuple[str | int, ...]
 
@@ -33,10 +35,17 @@ class Located:
         where = ".".join(map(str, path))
         return ValueError(f"{self.source}, line {line}{': ' + where if where else ''}: {message}")
 
-    def checked(self, path: Path, check: Callable[[], Any]) -> Any:
-        """Result of ``check``; its ValueError or TypeError gets file, line and key."""
+    def require_choice(self, path: Path, name: str, value: str, choices: Iterable[str]) -> str:
+        """``require_choice`` that names file, line and key."""
         try:
-            return check()
+            return require_choice(name, value, choices)
+        except ValueError as error:
+            raise self.error(path, str(error)) from error
+
+    def require_number(self, path: Path, value: Any) -> float:
+        """``require_number`` that names file, line and key."""
+        try:
+            return require_number("value", value)
         except (ValueError, TypeError) as error:
             raise self.error(path, str(error)) from error
 

@@ -15,17 +15,10 @@ from diffsim.copter.parts.fittings import (
     screw_mount,
     standoff,
 )
+from diffsim.copter.parts.frames import mesh_frame, outline_frame, x_frame
 from diffsim.copter.parts.imported import imported_mesh, imported_motor, imported_rod
 from diffsim.copter.parts.part import Part, PartMaker
-from diffsim.copter.parts.structure import (
-    box_part,
-    circular_plate,
-    mesh_frame,
-    outline_frame,
-    plate,
-    rod,
-    x_frame,
-)
+from diffsim.copter.parts.structure import box_part, circular_plate, plate, rod
 
 
 def battery(size: Sequence[float] = (0.1008, 0.0336, 0.0224), mass: float = 0.2127) -> Part:
@@ -68,6 +61,11 @@ PART_KINDS: dict[str, PartMaker] = {
 }
 
 
+def option_names(kind: str) -> tuple[str, ...]:
+    """Arguments of a kind's maker."""
+    return tuple(inspect.signature(PART_KINDS[kind]).parameters)
+
+
 def make_part(kind: str, options: Mapping[str, Any] | None = None) -> Part:
     """A part from the database.
 
@@ -80,9 +78,8 @@ def make_part(kind: str, options: Mapping[str, Any] | None = None) -> Part:
     """
     maker = PART_KINDS[require_choice("kind", kind, PART_KINDS)]
     options = dict(options or {})
-    known = list(inspect.signature(maker).parameters)
     for key in options:
-        require_choice(f"option of a {kind}", key, known)
+        require_choice(f"option of a {kind}", key, option_names(kind))
     missing = [
         name
         for name, parameter in inspect.signature(maker).parameters.items()

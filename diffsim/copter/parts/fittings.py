@@ -95,7 +95,7 @@ def compound_angle_clip(normal: Sequence[float], height: float = 0.006) -> Part:
     radius = MOTOR_RADIUS
     vertices, faces = fan_prism(circle_loop(radius), 1.0)
     slope = n[:2] / -n[2]  # rise of the top per metre along x and y, downhill along the normal
-    reach = np.linalg.norm(vertices[0, :2])
+    reach = float(np.linalg.norm(vertices[0, :2]))
     middle = height + reach * float(np.linalg.norm(slope))
     top = vertices[:, 2] < 0.0
     vertices = vertices.copy()
@@ -108,7 +108,7 @@ def compound_angle_clip(normal: Sequence[float], height: float = 0.006) -> Part:
         1200.0,
         {
             "bottom": Patch("flat", "mount", fixed_points([0.0] * 3), DOWN, X),
-            "top": Patch("flat", "mount", fixed_points([0.0, 0.0, -middle]), n, reference),
+            "top": Patch("flat", "mount", fixed_points(middle * UP), n, reference),
         },
         price=1.0,
         price_per_mass=60.0,
