@@ -5,26 +5,61 @@ frame sits at the centre of mass.
 """
 
 from diffsim.copter.assemble import build_design
+from diffsim.copter.clearance import disc_clearances, min_clearance
 from diffsim.copter.constraints import InfeasibleDesignError
+from diffsim.copter.control_metrics import (
+    control_authority,
+    controllability,
+    hover_map_singular_value,
+    max_hover_weight,
+    response_time,
+    rotor_out_margins,
+)
 from diffsim.copter.design import Design
 from diffsim.copter.design_file import load_design, save_design, shipped_designs
+from diffsim.copter.hover import Hover, HoverError, HoverResult, hover, hover_thrusts
 from diffsim.copter.import_xml import import_xml
+from diffsim.copter.linearise import LinearModel, linearise, state_rate
 from diffsim.copter.listing import PartEntry
+from diffsim.copter.lqr import LQR, LqrGain, lqr, lqr_stats, lyapunov
 from diffsim.copter.spec import Connection, DesignSpec, PartSpec
+from diffsim.copter.stabilizability import RiccatiError
 from diffsim.copter.vehicle import GRAVITY, Multicopter
 
 __all__ = [
     "GRAVITY",
+    "LQR",
     "Connection",
     "Design",
     "DesignSpec",
+    "Hover",
+    "HoverError",
+    "HoverResult",
     "InfeasibleDesignError",
+    "LinearModel",
+    "LqrGain",
     "Multicopter",
     "PartEntry",
     "PartSpec",
+    "RiccatiError",
     "build_design",
+    "control_authority",
+    "controllability",
+    "disc_clearances",
+    "hover",
+    "hover_map_singular_value",
+    "hover_thrusts",
     "import_xml",
+    "linearise",
     "load_design",
+    "lqr",
+    "lqr_stats",
+    "lyapunov",
+    "max_hover_weight",
+    "min_clearance",
+    "response_time",
+    "rotor_out_margins",
     "save_design",
     "shipped_designs",
+    "state_rate",
 ]

@@ -246,6 +246,7 @@ class Hover(nn.Module):
         on_infeasible: str = "return",
     ):
         super().__init__()
+        self.weights: Tensor | None
         self.register_buffer("weights", weights)
         self.smoothing = require_number("smoothing", smoothing, at_least=0.0)
         self.on_infeasible = require_choice("on_infeasible", on_infeasible, ["return", "raise"])

@@ -12,8 +12,6 @@ from diffsim.copter.rotation import body_rates_from_euler_rates, rotation_from_e
 from diffsim.copter.vehicle import GRAVITY, Multicopter
 
 FORMS = ("euler", "rotation_vector")
-EULER_STATES = ("x", "y", "z", "roll", "pitch", "yaw", "U", "V", "W", "roll_rate", "pitch_rate")
-EULER_STATES += ("yaw_rate",)
 
 
 class LinearModel(NamedTuple):
@@ -42,9 +40,10 @@ def state_rate(copter: Multicopter, state: Tensor, thrusts: Tensor) -> Tensor:
     Returns:
         The state's rate, (12,). Not defined at a pitch of 90 degrees.
     """
-    _, euler, velocity, rates = state.split(3)
+    euler, velocity, rates = state[3:6], state[6:9], state[9:]
     R = rotation_from_euler(euler)
-    E, E_rate = torch.func.jvp(body_rates_from_euler_rates, (euler,), (rates,))
+    turning = torch.func.jvp(body_rates_from_euler_rates, (euler,), (rates,))
+    E, E_rate = turning[0], turning[1]
     omega = E @ rates
     gravity = R[2] * GRAVITY
     inertia = copter.inertia
@@ -91,10 +90,45 @@ def linearise(
     euler = torch.cat([attitude, attitude.new_zeros(1)])
     if form == "rotation_vector":
         return _about_rotation_vector(copter, euler)
-    rest = torch.zeros(3, dtype=torch.float64)
-    state = torch.cat([rest, euler, rest, rest])
-    A, B = torch.func.jacfwd(lambda x, u: state_rate(copter, x, u), argnums=(0, 1))(state, thrusts)
-    return LinearModel(A, B)
+    return _about_euler_angles(copter, thrusts, euler)
+
+
+def _about_euler_angles(copter: Multicopter, thrusts: Tensor, euler: Tensor) -> LinearModel:
+    """At rest: p' = R v, v' = R'g + M_f u / m, euler'' = E^-1 J^-1 M_t u."""
+    R, E = rotation_from_euler(euler), body_rates_from_euler_rates(euler)
+    push = torch.linalg.solve(copter.inertia, copter.torque_matrix)
+    none, eye = torch.zeros(3, 3, dtype=torch.float64), torch.eye(3, dtype=torch.float64)
+    A = torch.cat(
+        [
+            torch.cat([none, none, R, none], 1),
+            torch.cat([none, none, none, eye], 1),
+            torch.cat([none, _gravity_slope(euler), none, none], 1),
+            torch.cat([none, _angle_acceleration_slope(euler, push @ thrusts), none, none], 1),
+        ]
+    )
+    return _with_inputs(copter, A, torch.linalg.solve(E, push))
+
+
+def _gravity_slope(euler: Tensor) -> Tensor:
+    """d(R'g) / d euler, (3, 3): R'g = g (-sin p, cos p sin r, cos p cos r)."""
+    (sr, sp, _), (cr, cp, _) = euler.sin(), euler.cos()
+    zero = torch.zeros_like(sr)
+    rows = [[zero, -cp, zero], [cp * cr, -sp * sr, zero], [-cp * sr, -sp * cr, zero]]
+    return GRAVITY * torch.stack([torch.stack(row) for row in rows])
+
+
+def _angle_acceleration_slope(euler: Tensor, omega_rate: Tensor) -> Tensor:
+    """d(E^-1 w') / d euler at fixed w', (3, 3); zero at a hover, where w' = 0."""
+    (sr, sp, _), (cr, cp, _) = euler.sin(), euler.cos()
+    _, y, z = omega_rate
+    across, along = sr * y + cr * z, cr * y - sr * z
+    zero = torch.zeros_like(sr)
+    rows = [
+        [along * sp / cp, across / cp**2, zero],
+        [-across, zero, zero],
+        [along / cp, across * sp / cp**2, zero],
+    ]
+    return torch.stack([torch.stack(row) for row in rows])
 
 
 def _about_rotation_vector(copter: Multicopter, euler: Tensor) -> LinearModel:
@@ -109,7 +143,9 @@ def _about_rotation_vector(copter: Multicopter, euler: Tensor) -> LinearModel:
             torch.cat([none, none, none, none], 1),
         ]
     )
-    force = copter.force_matrix / copter.mass
-    torque = torch.linalg.solve(copter.inertia, copter.torque_matrix)
+    return _with_inputs(copter, A, torch.linalg.solve(copter.inertia, copter.torque_matrix))
+
+
+def _with_inputs(copter: Multicopter, A: Tensor, angular: Tensor) -> LinearModel:
     still = torch.zeros(6, copter.num_rotors, dtype=torch.float64)
-    return LinearModel(A, torch.cat([still, force, torque]))
+    return LinearModel(A, torch.cat([still, copter.force_matrix / copter.mass, angular]))

@@ -98,7 +98,8 @@ def lqr(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, *, num_threads: int = 1) -> 
 def lqr_stats(A: Tensor, B: Tensor, Q: Tensor, R: Tensor) -> LqrStats:
     """What the solver reports on the Riccati equation of ``lqr`` with the same arguments."""
     with torch.no_grad():
-        _, report = _solve(*_require_problem(A, B, Q, R), num_threads=1)
+        A, B, Q, R = _require_problem(A, B, Q, R)
+        _, report = _solve(A, B, Q, R, 1)
     return LqrStats(report[..., 1].to(torch.int64), report[..., 2], report[..., 3])
 
 
@@ -171,6 +172,4 @@ def _require_definite(name: str, matrix: Tensor, *, strictly: bool) -> None:
             "needs a weight above 0"
         )
     if least < -_SEMIDEFINITE * largest:
-        raise ValueError(
-            f"{name} must be positive semidefinite, got smallest eigenvalue {least:g}"
-        )
+        raise ValueError(f"{name} must be positive semidefinite, got smallest eigenvalue {least:g}")

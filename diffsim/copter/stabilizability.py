@@ -51,8 +51,8 @@ def unreachable_mode(
     Returns:
         Eigenvalue and unit vector, (n,), or None if there is none.
     """
-    scale = max(np.linalg.norm(A, 2), 1e-300)
-    width = max(np.linalg.norm(B, 2), 1e-300)
+    scale = max(float(np.linalg.norm(A, 2)), 1e-300)
+    width = max(float(np.linalg.norm(B, 2)), 1e-300)
     for value in np.linalg.eigvals(A):
         real = value.real if abs(value.real) > _AXIS * scale else 0.0
         if real < 0.0 or (axis_only and real > 0.0):

@@ -18,6 +18,8 @@ using Eigen::VectorXd;
 using Rows3 = Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::RowMajor>;
 
 constexpr double kDelta = 1e-6;        // compliance of the constraint where there is no hover
+constexpr double kLeastDelta = 1e-9;   // of the search for a hover
+constexpr int kMaxStalls = 6;          // of that search
 constexpr double kFeasible = 1e-10;    // |c| of a hover, in shares of the weight
 constexpr double kRankDrop = 1e-9;     // relative pivot of dc/du that counts as zero
 constexpr double kPseudoDrop = 1e-12;  // the same of the KKT matrix
@@ -93,7 +95,8 @@ bool solve_barrier_qp(const View& p, const MatrixXd& G, const VectorXd& q, Vecto
       while (length > 1e-12 && value(u + length * step) > before - 1e-4 * length * decrement)
         length *= 0.5;
     u += length * step;
-    if (step.cwiseQuotient(u.cwiseMin(p.upper - u)).lpNorm<Eigen::Infinity>() < 1e-10) return true;
+    if (step.cwiseQuotient(u.cwiseMin(p.upper - u)).lpNorm<Eigen::Infinity>() < 1e-8) return true;
+    if (decrement < 1e-15 * (1.0 + std::abs(before))) return true;
   }
   return false;
 }
@@ -106,34 +109,39 @@ struct Iterate {
 };
 
 /// Least effort for a net thrust whose part along `a` carries the weight, without torque: the
-/// method of multipliers, each step a strictly convex program in the box. If the residual stops
-/// falling there is no hover along `a`, and the first step, the penalty alone, is the answer.
+/// method of multipliers, each step a strictly convex program in the box. Where the residual stops
+/// falling the penalty is raised; where that does not help there is no hover along `a`, and the
+/// first step, the penalty 1 / kDelta alone, is the answer.
 bool solve_direction(const View& p, const Vector3d& a, Iterate& at) {
   const MatrixXd C = jacobian(p, a);
   const Vector4d d = Vector4d::UnitX();
-  MatrixXd G = C.transpose() * C / kDelta;
-  G.diagonal() += p.h;
   Iterate first;
   Vector4d y = Vector4d::Zero();
-  double last = 0.0;
-  for (int iter = 0; iter < 40; ++iter) {
-    const VectorXd q = C.transpose() * (d / kDelta - y);
+  double delta = kDelta, last = 0.0;
+  for (int iter = 0, stalled = 0; stalled < kMaxStalls && iter < 100; ++iter) {
+    MatrixXd G = C.transpose() * C / delta;
+    G.diagonal() += p.h;
+    const VectorXd q = C.transpose() * (d / delta - y);
     const bool solved = p.barrier > 0.0 ? solve_barrier_qp(p, G, q, at.u)
                                         : solve_box_qp(G, q, p.upper, at.u, at.state);
     if (!solved) return false;
     const Vector4d r = C * at.u - d;
-    y += r / kDelta;
+    y += r / delta;
     const double residual = r.norm();
     if (iter == 0) {
       first = at;
       first.y = y;
     }
-    if (residual <= 1e-3 * kFeasible || (residual <= kFeasible && residual > 0.5 * last)) {
+    const bool slow = iter > 0 && residual > 0.5 * last;
+    if (residual <= 1e-3 * kFeasible || (residual <= kFeasible && slow)) {
       at.y = y;
       at.feasible = true;
       return true;
     }
-    if (iter >= 3 && residual > 0.5 * last) break;
+    if (slow) {
+      ++stalled;
+      delta = std::max(0.1 * delta, kLeastDelta);
+    }
     last = residual;
   }
   at = first;
@@ -200,8 +208,11 @@ bool polish(const View& p, Iterate& at) {
     r.tail<3>() = p.T * next.u;
     if (!next.feasible) r.tail<4>() -= kDelta * next.y;
     if (!r.allFinite()) return false;
-    const double tolerance = 1e-13 * (1.0 + next.y.norm());
-    if (r.head(m).lpNorm<Eigen::Infinity>() <= 10.0 * tolerance &&
+    // What rounding of u leaves of a barrier's gradient next to a bound.
+    VectorXd tolerance = VectorXd::Constant(p.n, 1e-12 * (1.0 + next.y.norm()));
+    if (p.barrier > 0.0)
+      tolerance += 1e-15 * barrier_curvature(p, next.u).cwiseProduct(next.u + p.upper);
+    if ((r.head(m).array().abs() <= tolerance(free).array()).all() &&
         r.tail<4>().lpNorm<Eigen::Infinity>() <= 1e-13) {
       if (!bounds_hold(p, next, z)) return false;
       next.u = next.u.cwiseMax(0.0).cwiseMin(p.upper);

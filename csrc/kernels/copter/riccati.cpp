@@ -38,6 +38,33 @@ double closed_loop_rate(const MatrixXd& A, const MatrixXd& G, const MatrixXd& Q)
   return std::isfinite(rate) && rate > 0.0 ? rate : 1.0 + hamiltonian.norm();
 }
 
+/// Units d of the states, powers of two, that even out rows and columns of the Hamiltonian
+/// (Osborne's balancing, with the costates in the inverse units).
+Eigen::VectorXd balance(const MatrixXd& A, const MatrixXd& G, const MatrixXd& Q) {
+  const Eigen::Index n = A.rows();
+  Eigen::VectorXd d = Eigen::VectorXd::Ones(n);
+  for (int sweep = 0; sweep < 20; ++sweep) {
+    bool moved = false;
+    for (Eigen::Index i = 0; i < n; ++i) {
+      double rising = 0.0, falling = 0.0;
+      for (Eigen::Index j = 0; j < n; ++j) {
+        rising += std::abs(Q(i, j)) * d[i] * d[j];
+        falling += std::abs(G(i, j)) / (d[i] * d[j]);
+        if (j == i) continue;
+        rising += std::abs(A(j, i)) * d[i] / d[j];
+        falling += std::abs(A(i, j)) * d[j] / d[i];
+      }
+      if (!(rising > 0.0) || !(falling > 0.0)) continue;
+      const int shift = static_cast<int>(std::lround(0.5 * std::log2(falling / rising)));
+      if (shift == 0) continue;
+      d[i] = std::ldexp(d[i], shift);
+      moved = true;
+    }
+    if (!moved) break;
+  }
+  return d;
+}
+
 /// The Cayley transform with shift gamma, that starts the doubling; false where it is singular.
 bool start_doubling(const MatrixXd& A, const MatrixXd& G, const MatrixXd& Q, double gamma,
                     MatrixXd& Ak, MatrixXd& Gk, MatrixXd& P) {
@@ -100,7 +127,9 @@ bool solve_lyapunov(const MatrixXd& A, const MatrixXd& Q, MatrixXd& X) {
   return X.allFinite();
 }
 
-CareReport solve_care(const MatrixXd& A, const MatrixXd& G, const MatrixXd& Q, MatrixXd& P) {
+namespace {
+
+CareReport solve_balanced(const MatrixXd& A, const MatrixXd& G, const MatrixXd& Q, MatrixXd& P) {
   CareReport report;
   MatrixXd Ak, Gk;
   double gamma = closed_loop_rate(A, G, Q);
@@ -130,6 +159,18 @@ CareReport solve_care(const MatrixXd& A, const MatrixXd& G, const MatrixXd& Q, M
   }
   report.abscissa = abscissa(A - G * P);
   report.solved = report.residual < 1e-8 && report.abscissa < 0.0;
+  return report;
+}
+
+}  // namespace
+
+// With x = D z:  A -> D^-1 A D,  G -> D^-1 G D^-1,  Q -> D Q D,  P -> D P D, all exact.
+CareReport solve_care(const MatrixXd& A, const MatrixXd& G, const MatrixXd& Q, MatrixXd& P) {
+  const Eigen::VectorXd d = balance(A, G, Q), inv = d.cwiseInverse();
+  const CareReport report =
+      solve_balanced(inv.asDiagonal() * A * d.asDiagonal(), inv.asDiagonal() * G * inv.asDiagonal(),
+                     d.asDiagonal() * Q * d.asDiagonal(), P);
+  P = (inv.asDiagonal() * P * inv.asDiagonal()).eval();
   return report;
 }
 
