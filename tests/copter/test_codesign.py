@@ -115,7 +115,7 @@ def test_spins_that_are_controllable_and_cannot_hover(pentacopter):
 
 
 def test_alternation_is_trapped_where_the_joint_solve_is_not(pentacopter, payload):
-    """With weak soft hover Alg. 1 stops within a few rounds, four per cent short."""
+    """With weak soft hover Alg. 1 stops within a few rounds, far short."""
     task = Task.of(pentacopter, "payload", Demands(), Limits(), None)
     rng = np.random.default_rng(0)
     options = AlternatingOptions(eta=0.3, mu=0.7, units="relative")
@@ -127,7 +127,7 @@ def test_alternation_is_trapped_where_the_joint_solve_is_not(pentacopter, payloa
         assert found.energies == sorted(found.energies, reverse=True)
         assert payload.objective < value
         gain = task.rotors.weight / value / FLAT - 1.0
-        assert 0.15 < gain < 0.24
+        assert 0.1 < gain < 0.24
 
 
 @pytest.mark.slow
@@ -163,7 +163,7 @@ def test_rotors_in_a_line_are_moved():
     design.values = torch.tensor(positions, dtype=torch.float64).reshape(-1)
     with pytest.raises(CoDesignError, match="none of 16 spin assignments"):
         codesign(design, "payload", "alternating", num_starts=1)
-    # a vertical line cannot hold roll: no torque about x at all
+    # no torque about the line at all, so level hover alone would not tell
     result = codesign(design, "payload", num_starts=4)
     assert any("moved to a controllable shape" in w for w in result.warnings)
     singular = torch.linalg.svdvals(result.vehicle.torque_matrix)

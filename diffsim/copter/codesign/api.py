@@ -105,7 +105,7 @@ def codesign(
         if authority is not None or clearance is not None:
             raise ValueError("method 'alternating' knows no authority or clearance; use 'joint'")
         return _alternating(task, chosen, options or AlternatingOptions(), num_starts, rng, began)
-    point, found, program, records, warnings = joint(
+    task, point, found, program, records, warnings = joint(
         task,
         chosen,
         num_starts=num_starts,

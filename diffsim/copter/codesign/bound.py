@@ -63,7 +63,7 @@ def _dual_bound(task: Task, shape, w, scales) -> float:
         terms.append(w["one_rotor_out"] * shape.mass * GRAVITY / (top.sum() - top.max()))
     if task.currents is not None:
         powers = [
-            scale * cp.power(u[i], exponent)
+            scale * cp.power(u[i], exponent, approx=False)
             for i, (scale, exponent) in enumerate(
                 zip(task.currents.scale, task.currents.exponent, strict=True)
             )

@@ -42,12 +42,8 @@ def flight_cases(
     the payload metric E = max v = m0 g / W, and a torque tau kept at the weight W is E tau.
     """
     unit = rotors.weight * rotors.length
-    cases = []
     payload = "payload" in weights
-    if not payload or any(name in weights for name in ("current", "max_current")):
-        cases.append(Case("hover"))
-    if payload:
-        cases.append(Case("loaded", cap="payload", fixed_weight=True))
+    cases = [Case("loaded", cap="payload", fixed_weight=True) if payload else Case("hover")]
     corners = [np.array(signs) for signs in itertools.product((1.0, -1.0), repeat=3)]
     load = demands.load * GRAVITY / rotors.weight
     if demands.authority is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+CONTROLLABLE = 1e-4  # margin below which a design counts as lost
 _FLOOR = 1e-8  # keeps the barrier finite where control is lost
 _PULL = 1.0  # of the start, against growing the barrier's gain without end
 
@@ -30,6 +32,15 @@ def effectiveness(task: Task, s: Array, d: Array, spins: Array) -> tuple[Array, 
     slope = np.zeros((4, len(d), task.model.num_params))
     slope[1:] = moved.transpose(1, 0, 2) * unit[None, :, None]
     return matrix, slope
+
+
+def control_margin(task: Task, point: Point, spins: Array) -> float:
+    """Least singular value of thrusts to lift and torques over the largest; 0: not controllable."""
+    matrix, _ = effectiveness(task, point.s, point.d, spins)
+    if min(matrix.shape) < 4:
+        return 0.0
+    singular = np.linalg.svd(matrix, compute_uv=False)
+    return float(singular[-1] / singular[0])
 
 
 def barrier(
@@ -53,8 +64,6 @@ def move_to_controllable(task: Task, point: Point, rng: np.random.Generator) -> 
     Returns:
         The point with its new shape, and the least singular value of M there over the largest.
     """
-    from dataclasses import replace
-
     model, spins = task.model, np.array([(-1.0) ** i for i in range(task.model.num_rotors)])
     s = random_feasible(model.A, model.b, point.s, 0.3 * model.length, rng)
     origin = (s - model.start) / model.length
@@ -69,5 +78,4 @@ def move_to_controllable(task: Task, point: Point, rng: np.random.Generator) -> 
         options={"maxiter": 200},
     )
     moved = replace(point, s=model.start + model.length * found.x)
-    singular = np.linalg.svd(effectiveness(task, moved.s, moved.d, spins)[0], compute_uv=False)
-    return moved, float(singular[-1] / singular[0])
+    return moved, control_margin(task, moved, spins)

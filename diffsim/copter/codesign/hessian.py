@@ -66,9 +66,15 @@ def lagrangian_hessian(
         of_currents = (
             of_currents + of_objective * program.weights["current"] / program.scales.current
         )
-    if program.currents is not None:
-        index = np.arange(program._v(0).start, program._v(0).stop)
-        full[index, index] += of_currents * program._currents(v[0])[2]
+    if program.currents is not None and of_currents.any():
+        now, thrusts = program.hover_currents(s, v[0]), program._v(0)
+        index = np.arange(thrusts.start, thrusts.stop)
+        full[index, index] += of_currents * now.by_v_v
+        cross = of_currents[:, None] * now.by_v_z
+        full[thrusts, z] += cross
+        full[z, thrusts] += cross.T
+        full[z, z] += float(of_currents @ now.by_z_z) * np.outer(now.d_share, now.d_share)
+        of_mass += float(of_currents @ now.by_mass)
     of_size, of_cost, of_own_mass = (of_objective * term[0] for term in program._linear(shape))
     curved = program.model.hessian(s, of_mass + of_own_mass, of_cost, of_size, of_positions)
     placed = np.arange(program.at["aux"].start)

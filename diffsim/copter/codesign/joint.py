@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.copter.codesign.controllable import move_to_controllable
+from diffsim.copter.codesign.controllable import CONTROLLABLE, control_margin, move_to_controllable
 from diffsim.copter.codesign.errors import CoDesignError
 from diffsim.copter.codesign.hover import LEVEL, rank_spins
 from diffsim.copter.codesign.polytope import random_feasible
@@ -35,17 +35,18 @@ def joint(
     rng: np.random.Generator,
     solver: str | None,
     max_iters: int,
-) -> tuple[Point, LocalSolution, Program, list[StartRecord], list[str]]:
+) -> tuple[Task, Point, LocalSolution, Program, list[StartRecord], list[str]]:
     """The best of ``num_starts`` local solves.
 
     Returns:
-        Best point, its solution and program, a record of every start, warnings.
+        The task as solved, best point, its solution and program, a record of every start, warnings.
 
     Raises:
         CoDesignError: no start came to hover; the message has the best residual.
     """
     warnings: list[str] = []
-    origin, candidates = spin_candidates(task, spins, num_spins, rng, warnings)
+    task, candidates = spin_candidates(task, spins, num_spins, rng, warnings)
+    origin = task.start
     records: list[StartRecord] = []
     best: tuple[LocalSolution, Program, Array] | None = None
     least = np.inf
@@ -81,7 +82,10 @@ def joint(
         )
     found, program, chosen = best
     s, d, gamma, _, _ = program.split(found.x)
-    return Point(s, d, chosen, gamma), found, program, records, warnings
+    point = Point(s, d, chosen, gamma)
+    if control_margin(task, point, chosen) < CONTROLLABLE:
+        warnings.append("the design found cannot be controlled: its thrusts miss a torque or lift")
+    return task, point, found, program, records, warnings
 
 
 def refine(
@@ -109,22 +113,23 @@ def spin_candidates(
     num_spins: int,
     rng: np.random.Generator,
     warnings: list[str],
-) -> tuple[Point, list[Array]]:
-    """The start (moved if it cannot be controlled) and the spin assignments worth a try."""
-    start = task.start
-    rotors, ratios = task.rotors, task.model.vehicle.torque_ratios.numpy()
+) -> tuple[Task, list[Array]]:
+    """The task (its start moved if that cannot be controlled) and the spins worth a try."""
     if spins is not None:
-        return start, [np.asarray(spins, float)]
-    choices = rank_spins(task.model.at(start.s), start.d, rotors, ratios)
-    if choices[0].reach <= 0.0:
-        start, gain = move_to_controllable(task, start, rng)
-        choices = rank_spins(task.model.at(start.s), start.d, rotors, ratios)
+        return task, [np.asarray(spins, float)]
+    ratios = task.model.vehicle.torque_ratios.numpy()
+    choices = rank_spins(task.model.at(task.start.s), task.start.d, task.rotors, ratios)
+    if max(control_margin(task, task.start, np.array(c.spins)) for c in choices) < CONTROLLABLE:
+        moved, margin = move_to_controllable(task, task.start, rng)
         warnings.append(
-            "the start cannot hover whatever the spins; it was moved to a controllable shape "
-            f"(least relative singular value {gain:.2g}) before the search"
+            "the start cannot be controlled whatever the spins; it was moved to a controllable "
+            f"shape (least singular value of thrusts to lift and torques {margin:.2g} of the "
+            "largest) before the search"
         )
+        task = replace(task, model=ShapeModel(task.design, None, moved.s))
+        choices = rank_spins(task.model.at(moved.s), task.start.d, task.rotors, ratios)
     useful = [choice for choice in choices if choice.reach > 0.0] or choices
-    return start, [np.array(choice.spins) for choice in useful[:num_spins]]
+    return task, [np.array(choice.spins) for choice in useful[:num_spins]]
 
 
 def random_point(task: Task, origin: Point, rng: np.random.Generator) -> Point:

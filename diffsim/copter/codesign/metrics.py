@@ -22,7 +22,7 @@ METRICS = {
     "flight_time": "-size: room for larger propellers, eq. 3.17",
     "cost": "over that of the start, eq. 3.18",
     "mass": "over that of the start, eq. 3.19",
-    "authority": "-scale of the torques 1, 1, 0.1 N m, all signs at once, left while carrying `load`",
+    "authority": "-(multiple of torques 1, 1, 0.1 N m, all signs, left while carrying `load`)",
     "one_rotor_out": "payload metric after the worst failure of a rotor, yaw given up",
     "response": "time to turn by `response_angle` about roll or pitch and stop, over 1 s",
 }

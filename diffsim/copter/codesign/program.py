@@ -68,6 +68,28 @@ class Scales:
     response: float
 
 
+@dataclass(frozen=True)
+class Currents:
+    """Currents in hover and what their derivatives are made of.
+
+    Attributes:
+        value: (n_rotors,) [A].
+        by_v, by_z: First derivatives, (n_rotors,) and (n_rotors, p).
+        by_v_v, by_v_z: Second ones, (n_rotors,) and (n_rotors, p).
+        by_z_z: (n_rotors,) times d_share d_share', d_share (p,).
+        by_mass: (n_rotors,) times the second derivative of m(s) [A/kg].
+    """
+
+    value: Array
+    by_v: Array
+    by_z: Array
+    by_v_v: Array
+    by_v_z: Array
+    by_z_z: Array
+    d_share: Array
+    by_mass: Array
+
+
 class Program:
     """Objective, constraints and their derivatives for one spin assignment.
 
@@ -188,10 +210,10 @@ class Program:
                     value += sign * weight * aux[name]
                     grad[i] += sign * weight
             elif name == "current":
-                current, slope, _ = self._currents(v[0])
-                value += weight * current.sum() / self.scales.current
-                hover = slice(self.at["v"].start, self.at["v"].start + self.n)
-                grad[hover] += weight * slope / self.scales.current
+                now = self.hover_currents(s, v[0])
+                value += weight * now.value.sum() / self.scales.current
+                grad[self._v(0)] += weight * now.by_v / self.scales.current
+                grad[self.at["z"]] += weight * now.by_z.sum(0) / self.scales.current
         shape = self.shape(s)
         for coefficient, of, d_of in self._linear(shape):
             value += coefficient * of
@@ -207,14 +229,30 @@ class Program:
             (w.get("mass", 0.0) / scales.mass, shape.mass, shape.d_mass),
         ]
 
-    def _currents(self, v: Array) -> tuple[Array, Array, Array]:
-        """Currents and their derivatives by relative thrusts."""
+    def hover_currents(self, s: Array, v: Array) -> Currents:
+        """Of the rotors in hover without load: thrusts v of the first case, scaled to the weight.
+
+        I = a (u_max v share)^e; share = m / m0 where v carries m0 g, else 1.
+        """
         assert self.currents is not None
-        a, e, top = self.currents.scale, self.currents.exponent, self.rotors.max_thrusts
-        safe = np.maximum(v, _LEAST_THRUST)
-        current = a * top**e * np.maximum(v, 0.0) ** e
-        slope = e * a * top**e * np.maximum(v, 0.0) ** (e - 1.0)
-        return current, slope, e * (e - 1.0) * a * top**e * safe ** (e - 2.0)
+        shape, first = self.shape(s), self.cases[0].fixed_weight
+        share = shape.mass / self.rotors.mass if first else 1.0
+        d_share = shape.d_mass * (self.rotors.length / self.rotors.mass if first else 0.0)
+        a, e = self.currents.scale, self.currents.exponent
+        full = a * self.rotors.max_thrusts**e
+        w = np.maximum(v, 0.0) * share
+        slope = e * full * w ** (e - 1.0)
+        bend = e * (e - 1.0) * full * np.maximum(w, _LEAST_THRUST) ** (e - 2.0)
+        return Currents(
+            value=full * w**e,
+            by_v=slope * share,
+            by_z=np.outer(slope * v, d_share),
+            by_v_v=bend * share**2,
+            by_v_z=np.outer(bend * share * v + slope, d_share),
+            by_z_z=bend * v**2,
+            d_share=d_share,
+            by_mass=slope * v / self.rotors.mass if first else np.zeros(self.n),
+        )
 
     # ---- constraints
 
@@ -268,11 +306,12 @@ class Program:
                 values.append(aux[case.cap] - v[c])
                 rows.append(row)
         if "max_current" in self.weights:
-            current, slope, _ = self._currents(v[0])
+            now = self.hover_currents(s, v[0])
             row = np.zeros((self.n, self.num_all))
-            row[:, self._v(0)] = -np.diag(slope) / self.scales.max_current
+            row[:, self._v(0)] = -np.diag(now.by_v) / self.scales.max_current
+            row[:, self.at["z"]] = -now.by_z / self.scales.max_current
             row[:, self.at["aux"].start + self.aux.index("max_current")] = 1.0
-            values.append(aux["max_current"] - current / self.scales.max_current)
+            values.append(aux["max_current"] - now.value / self.scales.max_current)
             rows.append(row)
         if self.pairs:
             shape = self.shape(s)

@@ -75,7 +75,10 @@ def thrust_step(task: Task, point: Point, options: AlternatingOptions) -> Array:
         terms.append(task.weights["payload"] * cp.max(v))
     if task.currents is not None:
         scale = task.currents.scale * top**task.currents.exponent
-        powers = [scale[i] * cp.power(v[i], task.currents.exponent[i]) for i in range(len(top))]
+        powers = [
+            scale[i] * cp.power(v[i], task.currents.exponent[i], approx=False)
+            for i in range(len(top))
+        ]
         terms.append(task.weights.get("current", 0.0) / task.scales.current * sum(powers))
         most = cp.maximum(*powers) if len(powers) > 1 else powers[0]
         terms.append(task.weights.get("max_current", 0.0) / task.scales.max_current * most)

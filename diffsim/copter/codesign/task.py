@@ -99,7 +99,7 @@ class Task:
             used = [c for c, case in enumerate(program.cases) if case.cap == name]
             aux[name] = float(v[used].max()) if used else 1.0
         if "max_current" in program.aux:
-            current = program._currents(v[0])[0]
+            current = program.hover_currents(point.s, v[0]).value
             aux["max_current"] = float(current.max() / self.scales.max_current)
         return program.pack(point.s, point.d, point.gamma, aux, v)
 
