@@ -27,7 +27,6 @@ RULES: dict[tuple[str, str], tuple[str, ...]] = {
     ("shaft", "shaft"): (),
 }
 ADAPTERS = {"standoff", *(kind for kinds in RULES.values() for kind in kinds)}
-TILTED = "compound_angle_clip"  # goes under every motor that is not square to what carries it
 
 
 def adapters_for(host: Patch, guest: Patch) -> tuple[str, ...]:

@@ -13,17 +13,16 @@ from typing import Any
 import numpy as np
 
 from diffsim._check import require_choice
-from diffsim.copter.adapters import ADAPTERS, TILTED, adapters_for, closest_pair, ports
+from diffsim.copter.adapters import ADAPTERS, adapters_for, closest_pair, ports
 from diffsim.copter.constraints import Constraint
 from diffsim.copter.contact import ContactEnd, Target, contact_of
 from diffsim.copter.expressions import parse_constraint
-from diffsim.copter.geometry import UP, Array, rotation_rpy
+from diffsim.copter.geometry import Array, rotation_rpy
 from diffsim.copter.parts import Part, make_part
 from diffsim.copter.patches import aligning_rotation
 from diffsim.copter.placement import LinearForm, PlacedPart
 from diffsim.copter.spec import Connection, DesignSpec, PartSpec
-
-_SQUARE = 0.01  # a motor that deviates by less needs no clip [deg]
+from diffsim.copter.tilts import clip_for, require_direction
 
 
 class Composer:
@@ -72,7 +71,9 @@ class Composer:
                 f"part {loose[0]!r} is connected to nothing; connect it to a part that comes "
                 "before, or give it a rotation and a place"
             )
-        self._require_directions()
+        for part in self.spec.parts:
+            if part.direction is not None:
+                require_direction(part, self.placed[part.name])
         for first, second in self.spec.rigid:
             self._rigid(first, second)
         for text in self.spec.constraints:
@@ -161,9 +162,11 @@ class Composer:
             part = make_part(kind, {"rod_diameter": rod_diameter} if sized else {})
             following = end.shape if k == len(kinds) - 1 else "flat"
             host = self._insert(part, host, guest_name, following, turns)
-        if self._needs_clip(guest_name, host):
-            clip = self._clip(guest_name, host, turns.get("flat", 0.0), label)
-            host = self._insert(clip, host, guest_name, end.shape, turns)
+        motor = self._specs.get(guest_name)
+        if motor is not None and motor.direction is not None and host.patch.shape == "flat":
+            clip = clip_for(motor, self._parts[guest_name], host, turns.get("flat", 0.0))
+            if clip is not None:
+                host = self._insert(clip, host, guest_name, end.shape, turns)
         if guest_name not in self.placed:
             degrees = turns.pop(host.patch.shape, 0.0)
             self._place(
@@ -244,59 +247,10 @@ class Composer:
             local = self.placed[name].rotation @ local
         return local + np.asarray((spec.place if spec else None) or (0.0, 0.0, 0.0))
 
-    def _base_normal(self, motor: str) -> Array:
-        """Normal that the carrier of a tilted motor must have, unit, design frame."""
-        direction = np.asarray(self._specs[motor].direction, dtype=np.float64)
-        mount = self._part(motor).rotor_mount
-        if mount is None:
-            raise ValueError(f"part {motor!r} has a direction but is no motor")
-        length = float(np.linalg.norm(direction))
-        if not length > 0.0:
-            raise ValueError(f"direction of {motor!r} must not be zero")
-        base = self._part(motor).patches["base"].axis
-        return -(base @ mount.direction) * direction / length
-
-    def _clip(self, motor: str, host: ContactEnd, degrees: float, label: str) -> Part:
-        """A compound-angle clip that carries a motor in its direction."""
-        bottom = make_part(TILTED, {"normal": UP}).patches["bottom"]
-        rotation = aligning_rotation(host.patch, host.placed.rotation, bottom, degrees=degrees)
-        try:
-            return make_part(TILTED, {"normal": rotation.T @ self._base_normal(motor)})
-        except ValueError as error:
-            raise ValueError(f"{label}: direction of {motor!r}: {error}") from error
-
-    def _needs_clip(self, guest: str, host: ContactEnd) -> bool:
-        """Whether a motor with a direction of its own is not yet square to what carries it."""
-        spec = self._specs.get(guest)
-        if spec is None or spec.direction is None or host.patch.shape != "flat":
-            return False
-        normal = host.placed.rotation @ host.patch.axis
-        return _angle(normal, self._base_normal(guest)) > _SQUARE
-
-    def _require_directions(self) -> None:
-        """Refuse directions that no connection could give, instead of dropping them."""
-        for spec in self.spec.parts:
-            if spec.direction is None:
-                continue
-            wanted = self._base_normal(spec.name)
-            placed = self.placed[spec.name]
-            off = _angle(-placed.rotation @ placed.patch("base").axis, wanted)
-            if off > 2.0 * _SQUARE:
-                raise ValueError(
-                    f"motor {spec.name!r} points {off:.3g} degrees away from its direction; only "
-                    "a connection to a flat patch can tilt a motor (by a clip), and only if the "
-                    "motor has no rotation of its own"
-                )
-
     def _free_name(self, name: str) -> str:
         taken = {*self.placed, *self._parts}
         numbered = (f"{name}_{k}" for k in itertools.count(2))
         return name if name not in taken else next(n for n in numbered if n not in taken)
-
-
-def _angle(a: Array, b: Array) -> float:
-    """Between two vectors [deg]."""
-    return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
 
 
 def _describe(form: LinearForm, bound: float) -> str:

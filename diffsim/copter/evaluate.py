@@ -34,13 +34,6 @@ class PartTensors:
             torch.zeros(len(names), dtype=torch.float64),
         )
         self._rotor_parts = [k for k, p in enumerate(placed) if p.part.rotor_mount is not None]
-        mounts = [placed[k].part.rotor_mount for k in self._rotor_parts]
-        centers = [
-            placed[k].rotation @ m.center
-            for k, m in zip(self._rotor_parts, mounts, strict=True)
-            if m
-        ]
-        self._rotor_centers = _tensor(np.array(centers).reshape(-1, 3))
         self._price = _tensor([p.part.price for p in placed])
         self._price_per_mass = _tensor([p.part.price_per_mass for p in placed])
         self._price_row = torch.zeros(len(names), dtype=torch.float64)
@@ -59,7 +52,7 @@ class PartTensors:
 
     def rotor_positions(self, x: Tensor) -> Tensor:
         """Centres of the propellers in the design's frame, (n_rotors, 3) [m]."""
-        return x[self._position_idx[self._rotor_parts]] + self._rotor_centers
+        return x[self._position_idx[self._rotor_parts]]
 
     def cost(self, x: Tensor, mass: Tensor) -> Tensor:
         """Price of all parts of these masses, () [EUR]."""

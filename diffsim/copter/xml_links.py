@@ -48,20 +48,16 @@ class Links:
             c for c in connectors for plate in by_stem.get("plate", []) if self._lies_on(c, plate)
         }
         self.on_tubes: list[Connection] = []
-        carried: dict[str, set[str]] = {}
         for tube, connector in itertools.product(by_stem.get("tube", []), connectors):
             along = self._on_tube(tube, connector)
             if along is not None:
-                carried.setdefault(connector, set()).add(tube)
                 self.on_tubes.append(
                     Connection(host=f"{tube}.shaft", guest=f"{connector}.bore", at=(along,))
                 )
         pairs = [
-            (a, b)
-            for a, b in itertools.combinations(connectors, 2)
-            if not carried.get(a, set()) & carried.get(b, set())
+            *itertools.combinations(connectors, 2),
+            *itertools.product(connectors, by_stem.get("rotor", [])),
         ]
-        pairs += itertools.product(connectors, by_stem.get("rotor", []))
         self.rigid = [
             (a, b) for a, b in pairs if not {a, b} <= self.anchored and self._face_to_face(a, b)
         ]

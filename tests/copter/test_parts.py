@@ -204,6 +204,9 @@ def test_frame_from_a_mesh(tmp_path):
     part = make_part("mesh_frame", {"file": tmp_path / "frame.stl", "mounts": mounts})
     assert part_mesh(part, [2.0, 1.0, 0.5]).volume == pytest.approx(mesh.volume)
     assert part.patches["nose"].center.at(np.array([2.0, 1.0, 1.0])) == pytest.approx([0.2, 0, 0])
+    mounts["nose"]["normal"] = [1.0, 0.0, -1.0]
+    with pytest.raises(ValueError, match="normal of mount 'nose' must be along"):
+        make_part("mesh_frame", {"file": tmp_path / "frame.stl", "mounts": mounts})
     mesh.update_faces(np.arange(1, len(mesh.faces)))
     mesh.export(tmp_path / "open.stl")
     with pytest.raises(MeshError, match="open"):

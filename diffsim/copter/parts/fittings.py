@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -136,6 +136,7 @@ def motor(rotor: str = "kde2814_10in", spin: str = "cw", pusher: bool = False) -
         density_of(mesh, np.zeros(0), data.motor_mass),
         {"rotor": rotor, "spin": spin, "pusher": pusher},
         base=PROPELLER_ABOVE_BASE,
+        spin=spin,
         pusher=pusher,
     )
 
@@ -144,17 +145,19 @@ def motor_of_mesh(
     mesh: LinearMesh,
     data: RotorData,
     density: float,
-    options: dict[str, object],
+    options: Mapping[str, object],
+    *,
     base: float,
+    spin: str,
     pusher: bool,
     kind: str = "motor",
 ) -> Part:
     """A motor of any shape whose propeller is at the origin and whose base is below, at z = base.
 
-    ``options`` holds ``spin``, counted about the thrust from here on: a pusher that turns clockwise
-    seen from its own side turns counterclockwise seen against the thrust.
+    The rotor's spin is counted about the thrust: a pusher that turns clockwise seen from its own
+    side turns counterclockwise seen against the thrust.
     """
-    sign = SPINS[require_choice("spin", str(options["spin"]), SPINS)]
+    sign = SPINS[require_choice("spin", spin, SPINS)]
     return Part(
         kind,
         mesh,
@@ -164,9 +167,7 @@ def motor_of_mesh(
             "shaft": Patch("circular", "shaft", fixed_points([0.0] * 3), UP, X, 0.003),
         },
         price=data.motor_price,
-        rotor_mount=RotorMount(
-            data, np.zeros(3), DOWN if pusher else UP, -sign if pusher else sign
-        ),
+        rotor_mount=RotorMount(data, DOWN if pusher else UP, -sign if pusher else sign),
         options=options,
     )
 

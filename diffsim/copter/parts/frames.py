@@ -145,13 +145,15 @@ def mesh_frame(
 
     Args:
         file: .stl, .obj, .ply, .off or .glb in metres, frame NED.
-        mounts: Flat patches, name to ``center`` [m] and outward ``normal`` at scale 1.
+        mounts: Flat patches, name to ``center`` [m] at scale 1 and outward ``normal``, which must
+            be along an axis: any other turns as the frame is stretched, which is not linear.
         scale_x, scale_y, scale_z: Parameters [-].
         density: [kg/m^3].
 
     Raises:
         MeshError: not closed.
         FileNotFoundError: no such file.
+        ValueError: an oblique normal.
     """
     vertices, faces = closed_surface(file)
     patches = {}
@@ -159,6 +161,11 @@ def mesh_frame(
         center = np.asarray(mount["center"], dtype=np.float64)
         normal = np.asarray(mount["normal"], dtype=np.float64)
         normal = normal / np.linalg.norm(normal)
+        if not np.abs(normal).max() > 1.0 - 1e-6:
+            raise ValueError(
+                f"normal of mount {name!r} must be along x, y or z, got {list(mount['normal'])}; "
+                "tilt what is mounted by its direction"
+            )
         reference = X if abs(normal[0]) < 0.9 else Y
         points = linear_center(np.zeros(3), np.diag(center))
         patches[name] = Patch("flat", "plate", points, normal, reference)

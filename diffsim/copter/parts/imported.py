@@ -79,6 +79,7 @@ def imported_motor(
             "flip_prop": flip_prop,
         },
         base=float(vertices[:, 2].max()),
+        spin=spin,
         pusher=flip_prop,
         kind="imported_motor",
     )

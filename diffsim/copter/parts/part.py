@@ -39,17 +39,15 @@ class Parameter:
 
 @dataclass(frozen=True, eq=False)
 class RotorMount:
-    """Where a part's thrust acts.
+    """What makes a part a motor; the thrust acts at the part's origin.
 
     Attributes:
         rotor: The propeller and motor.
-        center: Of the propeller in the part's frame, (3,) [m].
         direction: Of the thrust in the part's frame, (3,).
         spin: +1 for a propeller that turns clockwise seen against its thrust, else -1.
     """
 
     rotor: RotorData
-    center: Array
     direction: Array
     spin: int
 
@@ -71,7 +69,7 @@ class Part:
         rod_parameter: Index of the parameter that counts as length of rod, None if not a rod.
         rows: Further rows A s <= b of the feasible set, (k, num_parameters) and (k,).
         rotor_mount: Of motors.
-        options: What the part was made from, for saving.
+        options: Constant sizes and choices it was made with, for plans and listings.
     """
 
     kind: str
@@ -109,11 +107,6 @@ class Part:
             a.append(self.rows[0])
             b.append(self.rows[1])
         return np.concatenate(a), np.concatenate(b)
-
-    def with_values(self, values: Mapping[str, float]) -> Part:
-        """The part with other starting values."""
-        changed = (replace(p, value=values.get(p.name, p.value)) for p in self.parameters)
-        return replace(self, parameters=tuple(changed))
 
     def with_bounds(self, bounds: Mapping[str, tuple[float, float]]) -> Part:
         """The part with other bounds of some parameters [m]."""
