@@ -125,7 +125,7 @@ def run_method(task: Task, start: Point, method: str, plan: Plan) -> dict[str, A
     cpu, wall = time.process_time(), time.perf_counter()
     options = replace(OPTIONS, max_rounds=plan.max_rounds)
     if method.startswith("joint"):
-        found, program = task.solve(start, max_iters=plan.max_iters)
+        found, _ = task.solve(start, max_iters=plan.max_iters)
         seconds = {"cpu": time.process_time() - cpu, "wall": time.perf_counter() - wall}
         value = found.value if found.violation <= FEASIBLE else float("inf")
         return {

@@ -74,7 +74,8 @@ def tables(cases: Cases, twins: dict[str, Any] | None) -> str:
         lines += [
             "## Flat pentacopter and its payload-optimised twin (thesis Table 3.1)",
             "",
-            "| | size x, y [mm] | weight [g] | max payload [g] | max overall [g] | gain | angle [deg] | gap to bound |",
+            "| | size x, y [mm] | weight [g] | max payload [g] | max overall [g] | gain "
+            "| angle [deg] | gap to bound |",
             "|---|---|---|---|---|---|---|---|",
         ]
         base = twins["flat"]["overall"]
@@ -83,12 +84,13 @@ def tables(cases: Cases, twins: dict[str, Any] | None) -> str:
             gain = 100.0 * (row["overall"] / base - 1.0)
             lines.append(
                 f"| {name} | {size} | {row['weight']:.0f} | {row['payload']:.0f} | "
-                f"{row['overall']:.0f} | {gain:+.1f} % | {row['angle']:.1f} | {100 * row['gap']:.2g} % |"
+                f"{row['overall']:.0f} | {gain:+.1f} % | {row['angle']:.1f} "
+                f"| {100 * row['gap']:.2g} % |"
             )
-        for name, (size, weight, payload, overall, angle) in PUBLISHED.items():
+        for name, (extent, weight, payload, overall, angle) in PUBLISHED.items():
             gain = 100.0 * (overall / PUBLISHED["flat"][3] - 1.0)
             lines.append(
-                f"| thesis, measured, {name} | {size[0]} x {size[1]} | {weight} | {payload} | "
+                f"| thesis, measured, {name} | {extent[0]} x {extent[1]} | {weight} | {payload} | "
                 f"{overall} | {gain:+.1f} % | {angle} | |"
             )
         lines += ["", "The thesis predicts +15.8 % and measured +11.1 %.", ""]
@@ -96,7 +98,8 @@ def tables(cases: Cases, twins: dict[str, Any] | None) -> str:
         lines += [
             f"## {case}",
             "",
-            "| method | hover objective: best | median | worst | no hover | eq. 3.9: median | CPU s: median | iterations |",
+            "| method | hover objective: best | median | worst | no hover | eq. 3.9: median "
+            "| CPU s: median | iterations |",
             "|---|---|---|---|---|---|---|---|",
         ]
         for method, runs in methods.items():
@@ -109,7 +112,7 @@ def _row(runs: list[dict[str, Any]] | None) -> str:
     done = [r for r in runs or [] if "failed" not in r]
     if not done:
         return " | ".join(["failed" if runs else "not run"] + [""] * 6)
-    # JSON has no infinity: harness keeps it as null or a string
+    # JSON has no infinity
     hard = [_number(r["hard"]) for r in done]
     hovers = [h for h in hard if np.isfinite(h)]
     best = [f"{f(hovers):.4f}" for f in (np.min, np.median, np.max)] if hovers else ["-"] * 3

@@ -63,6 +63,7 @@ class SoftProgram:
         if name == "payload":
             return v, np.ones(self.n)
         model, scale = self.task.currents, self.task.scales.max_current
+        assert model is not None
         top = self.rotors.max_thrusts
         u = np.maximum(v, 0.0) * top
         current = model.current(u) / scale
@@ -166,7 +167,7 @@ def solve_scipy(program: SoftProgram, start: Array, method: str, max_iters: int)
         constraints.append(LinearConstraint(rows, ub=limit))
     if program.bounded:
         constraints.append(NonlinearConstraint(program.above, 0.0, np.inf, jac=program.above_slope))
-    options = {"maxiter": max_iters}
+    options: dict[str, float] = {"maxiter": max_iters}
     options |= {"ftol": 1e-6} if method == "SLSQP" else {"xtol": 1e-8, "gtol": 1e-6}
     found = minimize(
         program.objective,

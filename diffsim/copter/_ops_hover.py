@@ -115,7 +115,7 @@ def _setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> Non
     ctx.options = barrier, num_threads
 
 
-# The KKT system of the free rotors, derived above solve_hover_vjp in csrc/kernels/copter/hover.cpp.
+# The KKT system of the free rotors, derived in csrc/kernels/copter/hover_adjoint.cpp.
 def _backward(ctx: Any, grad_thrusts: Tensor, *_: Any) -> tuple[Tensor | None, ...]:
     grads = hover_vjp(*ctx.saved_tensors, grad_thrusts.contiguous(), *ctx.options)
     return (*grads, None, None)

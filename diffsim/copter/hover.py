@@ -2,93 +2,16 @@
 
 from __future__ import annotations
 
-import warnings
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor, nn
 
 from diffsim._check import require, require_choice, require_number, require_range
 from diffsim.copter import _ops_hover
-from diffsim.copter.rotation import attitude_of_thrust, rotation_from_euler
+from diffsim.copter.hover_result import HoverResult, report
+from diffsim.copter.rotation import attitude_of_thrust
 from diffsim.copter.vehicle import Multicopter
-from diffsim.errors import DiffsimError
 
 _WEAK = 1e-6  # multiplier or distance to a bound, in shares of the weight per rotor
-
-
-class HoverError(DiffsimError):
-    """A design does not hover within its thrust limits, or the solve failed.
-
-    Attributes:
-        result: What was found.
-    """
-
-    def __init__(self, message: str, result: HoverResult):
-        super().__init__(message)
-        self.result = result
-
-
-class HoverWarning(UserWarning):
-    """A hover whose derivatives, or which itself, must not be trusted without a look."""
-
-
-@dataclass(frozen=True, eq=False)
-class HoverResult:
-    """Thrusts that hold a multicopter in place, and how far they can be trusted.
-
-    Attributes:
-        thrusts: (..., n_rotors) [N].
-        attitude: Roll and pitch at yaw zero (NED, R = Rz Ry Rx), (..., 2) [rad].
-        residual: Excess of lift over weight and the three torques, (..., 4), in shares of the
-            weight and of weight times mean lever; zero at a hover. Where there is none its gradient
-            leads back to one.
-        multipliers: Of those four conditions, (..., 4); no gradients.
-        status_code: Index into ``HoverResult.STATUSES``, (...) int64.
-        rank: Of the four conditions in the thrusts of all rotors, (...) int64; below 4 the hover
-            is not controllable.
-        free_rank: The same with the rotors strictly between their limits.
-        active_lower, active_upper: Rotors that stand at zero or at their limit, (..., n_rotors).
-        weakly_active: Rotors about to reach or to leave a limit: there the derivative of the
-            thrusts is one-sided, and the one given is that of the present active set.
-        num_iters: Turns of the attitude, (...) int64.
-    """
-
-    STATUSES = _ops_hover.STATUSES
-
-    thrusts: Tensor
-    attitude: Tensor
-    residual: Tensor
-    multipliers: Tensor
-    status_code: Tensor
-    rank: Tensor
-    free_rank: Tensor
-    active_lower: Tensor
-    active_upper: Tensor
-    weakly_active: Tensor
-    num_iters: Tensor
-
-    @property
-    def status(self) -> str | list[str]:
-        """optimal, infeasible, rank_deficient or not_converged; a flat list for a batch."""
-        names = [self.STATUSES[int(code)] for code in self.status_code.flatten()]
-        return names[0] if self.status_code.ndim == 0 else names
-
-    @property
-    def feasible(self) -> Tensor:
-        """Where the thrusts hold the vehicle, (...) bool."""
-        return (self.status_code == 0) | (self.status_code == 2)
-
-    @property
-    def residual_norm(self) -> Tensor:
-        """(...) [-]."""
-        return torch.linalg.vector_norm(self.residual, dim=-1)
-
-    @property
-    def rot_world_from_body(self) -> Tensor:
-        """(..., 3, 3) [-]."""
-        roll, pitch = self.attitude.unbind(-1)
-        return rotation_from_euler(torch.stack([roll, pitch, torch.zeros_like(roll)], -1))
 
 
 def hover_thrusts(
@@ -227,7 +150,7 @@ def hover(
         smoothing=smoothing,
     )
     if not torch.compiler.is_compiling():
-        _say(result, on_infeasible)
+        report(result, on_infeasible)
     return result
 
 
@@ -281,32 +204,3 @@ def _weakly_active(
     room = torch.minimum(u, upper - u)
     held = (state != 0) & (upper > 0.0)
     return torch.where(held, push.abs() < _WEAK * scale, (state == 0) & (room < _WEAK))
-
-
-def _say(result: HoverResult, on_infeasible: str) -> None:
-    status = result.status
-    assert isinstance(status, str)  # hover() takes one design
-    residual = result.residual.tolist()
-    shown = (
-        f"lift {100.0 * (1.0 + residual[0]):.4g} % of the weight, torques "
-        f"({', '.join(f'{t:.2g}' for t in residual[1:])}) of weight times mean lever"
-    )
-    if status == "infeasible" and on_infeasible == "raise":
-        raise HoverError(
-            f"no thrusts within the limits hover; nearest: {shown}; lighten the load, raise "
-            "max_thrusts or move rotors (result.residual has the gradient)",
-            result,
-        )
-    if status == "not_converged":
-        message = f"the hover solve did not converge; last: {shown}; try smoothing=1e-4"
-        if on_infeasible == "raise":
-            raise HoverError(message, result)
-        warnings.warn(message, HoverWarning, stacklevel=3)
-    if status == "rank_deficient":
-        warnings.warn(
-            f"the free rotors command {int(result.free_rank)} of lift, roll, pitch and yaw (all "
-            f"rotors: {int(result.rank)}): hovering, but derivatives are least-norm ones and "
-            "the vehicle cannot be controlled there; move rotors or change axes or spins",
-            HoverWarning,
-            stacklevel=3,
-        )

@@ -12,13 +12,13 @@ import torch
 from diffsim.copter import (
     Hover,
     HoverError,
+    HoverWarning,
     _ops_hover,
     hover,
     hover_thrusts,
     max_hover_weight,
     state_rate,
 )
-from diffsim.copter.hover import HoverWarning
 from tests.copter.designs import random_copter
 from tests.copter.test_vehicle import NAMES, from_reference, plus_quadcopter, reference
 from tests.helpers import check_layer

@@ -7,68 +7,23 @@
 #include <vector>
 
 #include "kernels/copter/box_qp.h"
+#include "kernels/copter/hover_system.h"
 
 namespace diffsim {
 namespace {
 
-using Eigen::MatrixXd;
-using Eigen::Vector3d;
-using Eigen::Vector4d;
-using Eigen::VectorXd;
-using Rows3 = Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::RowMajor>;
+using namespace hover_system;
 
-constexpr double kDelta = 1e-6;        // compliance of the constraint where there is no hover
-constexpr double kLeastDelta = 1e-9;   // of the search for a hover
-constexpr int kMaxStalls = 6;          // of that search
-constexpr double kFeasible = 1e-10;    // |c| of a hover, in shares of the weight
-constexpr double kRankDrop = 1e-9;     // relative pivot of dc/du that counts as zero
-constexpr double kPseudoDrop = 1e-12;  // the same of the KKT matrix
-
-struct View {
-  explicit View(const HoverProblem& p)
-      : n(p.num_rotors),
-        F(p.force, 3, n),
-        T(p.torque, 3, n),
-        h(p.weights, n),
-        upper(p.upper, n),
-        barrier(p.barrier) {}
-  int n;
-  Eigen::Map<const Rows3> F, T;
-  Eigen::Map<const VectorXd> h, upper;
-  double barrier;
-};
-
-/// dc/du where the net thrust has the direction a.
-MatrixXd jacobian(const View& p, const Vector3d& a) {
-  MatrixXd C(4, p.n);
-  C.row(0) = a.transpose() * p.F;
-  C.bottomRows<3>() = p.T;
-  return C;
-}
-
-/// The part of F that turns the net thrust: d2|F u|/du2 = turning' turning / |F u|.
-MatrixXd turning(const View& p, const Vector3d& a) { return p.F - a * (a.transpose() * p.F); }
+constexpr double kLeastDelta = 1e-9;  // of the search for a hover
+constexpr int kMaxStalls = 6;         // of that search
+constexpr double kFeasible = 1e-10;   // |c| of a hover, in shares of the weight
+constexpr double kRankDrop = 1e-9;    // relative pivot of dc/du that counts as zero
 
 int rank_of(const MatrixXd& C) {
   if (C.cols() == 0) return 0;
   Eigen::ColPivHouseholderQR<MatrixXd> qr(C);
   qr.setThreshold(kRankDrop);
   return static_cast<int>(qr.rank());
-}
-
-std::vector<int> free_rotors(const std::vector<BoundState>& state) {
-  std::vector<int> free;
-  for (std::size_t i = 0; i < state.size(); ++i)
-    if (state[i] == BoundState::kFree) free.push_back(static_cast<int>(i));
-  return free;
-}
-
-VectorXd barrier_gradient(const View& p, const VectorXd& u) {
-  return p.barrier * ((p.upper - u).cwiseInverse() - u.cwiseInverse());
-}
-
-VectorXd barrier_curvature(const View& p, const VectorXd& u) {
-  return p.barrier * ((p.upper - u).cwiseAbs2().cwiseInverse() + u.cwiseAbs2().cwiseInverse());
 }
 
 /// min 1/2 u'Gu - q'u + barrier by Newton's method with a line search inside the box.
@@ -100,13 +55,6 @@ bool solve_barrier_qp(const View& p, const MatrixXd& G, const VectorXd& q, Vecto
   }
   return false;
 }
-
-struct Iterate {
-  VectorXd u;
-  Vector4d y = Vector4d::Zero();
-  std::vector<BoundState> state;
-  bool feasible = false;
-};
 
 /// Least effort for a net thrust whose part along `a` carries the weight, without torque: the
 /// method of multipliers, each step a strictly convex program in the box. Where the residual stops
@@ -147,37 +95,6 @@ bool solve_direction(const View& p, const Vector3d& a, Iterate& at) {
   at = first;
   at.feasible = false;
   return true;
-}
-
-/// The symmetric matrix of the Newton step in (u_free, y).
-MatrixXd kkt_matrix(const View& p, const Iterate& at, const std::vector<int>& free) {
-  const Vector3d f = p.F * at.u;
-  const double lift = f.norm();
-  const Vector3d a = f / lift;
-  const MatrixXd turn = turning(p, a)(Eigen::all, free);
-  const MatrixXd C = jacobian(p, a)(Eigen::all, free);
-  const int m = static_cast<int>(free.size());
-  MatrixXd K = MatrixXd::Zero(m + 4, m + 4);
-  K.topLeftCorner(m, m) = at.y[0] / lift * turn.transpose() * turn;
-  for (int k = 0; k < m; ++k) K(k, k) += p.h[free[k]];
-  if (p.barrier > 0.0) K.topLeftCorner(m, m).diagonal() += barrier_curvature(p, at.u)(free);
-  K.topRightCorner(m, 4) = C.transpose();
-  K.bottomLeftCorner(4, m) = C;
-  if (!at.feasible) K.bottomRightCorner(4, 4).diagonal().setConstant(-kDelta);
-  return K;
-}
-
-VectorXd pseudo_solve(const MatrixXd& K, const VectorXd& rhs) {
-  Eigen::CompleteOrthogonalDecomposition<MatrixXd> qr;
-  qr.setThreshold(kPseudoDrop);
-  return qr.compute(K).solve(rhs);
-}
-
-/// dL/du of the Lagrangian, all rotors.
-VectorXd stationarity(const View& p, const Iterate& at, const Vector3d& a) {
-  VectorXd z = p.h.cwiseProduct(at.u) + jacobian(p, a).transpose() * at.y;
-  if (p.barrier > 0.0) z += barrier_gradient(p, at.u);
-  return z;
 }
 
 bool bounds_hold(const View& p, const Iterate& at, const VectorXd& z) {
@@ -269,54 +186,6 @@ void solve_hover(const HoverProblem& problem, double* u, double* multipliers, st
   info[1] = rank_of(C);
   info[2] = free_rank;
   info[3] = iter + 1;
-}
-
-// With the free rotors' conditions z_F(u, y; design) = 0 and c(u; design) = delta y, the adjoint
-// solves K (v, w) = (dL/du_F, 0), and dL/d(design) = -d/d(design) of
-//   v' z_F + w' c,  z = h u + dc/du' y + barrier.
-void solve_hover_vjp(const HoverProblem& problem, const double* u, const double* multipliers,
-                     const std::int64_t* state, const std::int64_t* info, const double* grad_u,
-                     double* grad_force, double* grad_torque, double* grad_weights,
-                     double* grad_upper) {
-  const View p(problem);
-  Iterate at;
-  at.u = Eigen::Map<const VectorXd>(u, p.n);
-  at.y = Eigen::Map<const Vector4d>(multipliers);
-  for (int i = 0; i < p.n; ++i) at.state.push_back(static_cast<BoundState>(state[i]));
-  at.feasible = info[0] != static_cast<std::int64_t>(HoverStatus::kInfeasible);
-  const Eigen::Map<const VectorXd> g(grad_u, p.n);
-  Eigen::Map<Rows3> gF(grad_force, 3, p.n), gT(grad_torque, 3, p.n);
-  Eigen::Map<VectorXd> gh(grad_weights, p.n), gup(grad_upper, p.n);
-  gF.setZero();
-  gT.setZero();
-  gh.setZero();
-  gup.setZero();
-  const Vector3d f = p.F * at.u;
-  const double lift = f.norm();
-  if (!(lift > 0.0)) return;
-  const Vector3d a = f / lift;
-  const std::vector<int> free = free_rotors(at.state);
-  const int m = static_cast<int>(free.size());
-  VectorXd rhs = VectorXd::Zero(m + 4);
-  rhs.head(m) = g(free);
-  const VectorXd adjoint = pseudo_solve(kkt_matrix(p, at, free), rhs);
-  VectorXd v = VectorXd::Zero(p.n);
-  for (int k = 0; k < m; ++k) v[free[k]] = adjoint[k];
-  const Vector4d w = adjoint.tail<4>();
-  const MatrixXd turn = turning(p, a);
-  gF = -(at.y[0] * (a * v.transpose() + turn * v / lift * at.u.transpose()) +
-         w[0] * a * at.u.transpose());
-  gT = -(at.y.tail<3>() * v.transpose() + w.tail<3>() * at.u.transpose());
-  gh = -v.cwiseProduct(at.u);
-  const VectorXd coupling =
-      at.y[0] / lift * turn.transpose() * (turn * v) + jacobian(p, a).transpose() * w;
-  for (int i = 0; i < p.n; ++i) {
-    if (at.state[i] == BoundState::kUpper) gup[i] = g[i] - coupling[i];
-    if (p.barrier > 0.0) {
-      const double room = p.upper[i] - at.u[i];
-      gup[i] = v[i] * p.barrier / (room * room);
-    }
-  }
 }
 
 }  // namespace diffsim
