@@ -17,7 +17,7 @@ from diffsim.copter.control_metrics import (
 )
 from diffsim.copter.design import Design
 from diffsim.copter.design_file import load_design, save_design, shipped_designs
-from diffsim.copter.hover import Hover, HoverError, HoverResult, hover, hover_thrusts
+from diffsim.copter.hover import Hover, hover, hover_thrusts
 from diffsim.copter.hover_result import HoverError, HoverResult, HoverWarning
 from diffsim.copter.import_xml import import_xml
 from diffsim.copter.linearise import LinearModel, linearise, state_rate
