@@ -34,7 +34,7 @@ from diffsim.copter.codesign import AlternatingOptions, CoDesignError, CurrentMo
 from diffsim.copter.codesign.alternating import Alternation, alternate, judge
 from diffsim.copter.codesign.cases import Demands
 from diffsim.copter.codesign.joint import FEASIBLE, random_point
-from diffsim.copter.codesign.program import Limits
+from diffsim.copter.codesign.limits import Limits
 from diffsim.copter.codesign.spin_condition import most_controllable
 from diffsim.copter.codesign.steps import thrust_step
 from diffsim.copter.codesign.task import Point, Task

@@ -12,12 +12,13 @@ from diffsim.copter.codesign.alternating import alternate, judge
 from diffsim.copter.codesign.cases import Demands
 from diffsim.copter.codesign.hover import rank_spins
 from diffsim.copter.codesign.joint import random_point
-from diffsim.copter.codesign.program import Limits
+from diffsim.copter.codesign.limits import Limits
 from diffsim.copter.codesign.spin_condition import spin_conditions
 from diffsim.copter.codesign.task import Task
 from tests.copter.codesign_designs import arm_copter, reference_design
 
 pytest.importorskip("cvxpy")
+pytest.importorskip("unopy")
 
 FLAT = 4 * 11.672  # [N], of the flat pentacopter: its fifth rotor finds no torque to balance it
 ALL_ROTORS = 5 * 11.672

@@ -6,9 +6,10 @@ import torch
 
 from diffsim.copter.codesign.cases import Demands, flight_cases
 from diffsim.copter.codesign.hessian import lagrangian_hessian
+from diffsim.copter.codesign.limits import Limits, Scales
 from diffsim.copter.codesign.metrics import CurrentModel
 from diffsim.copter.codesign.polynomial import fit
-from diffsim.copter.codesign.program import Limits, Program, Scales
+from diffsim.copter.codesign.program import Program
 from diffsim.copter.codesign.space import ShapeModel
 from tests.copter.codesign_designs import arm_copter
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim._check import require_choice, require_number
@@ -14,10 +15,11 @@ from diffsim.copter.codesign.alternating import AlternatingOptions, alternating,
 from diffsim.copter.codesign.bound import lower_bound
 from diffsim.copter.codesign.cases import Demands
 from diffsim.copter.codesign.joint import joint, random_point, refine
+from diffsim.copter.codesign.limits import Limits
 from diffsim.copter.codesign.metrics import ALTERNATING, CurrentModel, parse_objective
-from diffsim.copter.codesign.program import Limits, Program
+from diffsim.copter.codesign.program import Program
 from diffsim.copter.codesign.report import design_metrics, largest_weight
-from diffsim.copter.codesign.result import CoDesignResult, attitude_of
+from diffsim.copter.codesign.result import CoDesignResult, StartRecord, attitude_of
 from diffsim.copter.codesign.space import DesignSpace
 from diffsim.copter.codesign.task import Point, Task, hover_residual
 
@@ -135,15 +137,15 @@ def assemble(
     task: Task,
     point: Point,
     program: Program,
-    x,
+    x: NDArray[np.float64],
     *,
-    method,
-    history,
-    seconds_history,
-    status,
-    began,
-    records,
-    warnings,
+    method: str,
+    history: list[float],
+    seconds_history: list[float],
+    status: str,
+    began: float,
+    records: list[StartRecord],
+    warnings: list[str],
 ) -> CoDesignResult:
     """The result of a solved program, with what is measured on the whole model."""
     thrusts = torch.tensor(program.hover_thrusts(x))

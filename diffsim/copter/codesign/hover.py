@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog, lsq_linear
 
-from diffsim.copter.codesign.errors import CoDesignError
 from diffsim.copter.codesign.space import Shape
 from diffsim.copter.codesign.wrench import Case, Rotors
 
@@ -80,15 +79,3 @@ def guess_thrusts(
     if case.dead_rotor is not None:
         top[case.dead_rotor] = 1e-9
     return np.clip(lsq_linear(rows, wanted, bounds=(0.0, top), method="bvls").x, 0.0, 1.0)
-
-
-def require_reach(choices: list[SpinChoice], residual: float) -> None:
-    """Complain if no spin assignment of the design as it stands can hover within bounds."""
-    best = choices[0].reach
-    if best < 1.0:
-        raise CoDesignError(
-            f"no spin assignment hovers within the thrust bounds: the best lifts {best:.3f} of the "
-            f"weight without torque; take stronger rotors, a lighter design, or let shape and "
-            f"directions change",
-            residual=residual,
-        )

@@ -9,85 +9,19 @@ polynomial but the currents, and has exact first and second derivatives.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.copter.codesign import wrench
+from diffsim.copter.codesign.currents import Currents, hover_currents
+from diffsim.copter.codesign.limits import Limits, Scales
 from diffsim.copter.codesign.metrics import EPIGRAPH, CurrentModel
 from diffsim.copter.codesign.space import Shape, ShapeModel
 from diffsim.copter.codesign.wrench import Case, Rotors
 from diffsim.copter.vehicle import GRAVITY
 
 Array = NDArray[np.float64]
-
-_LEAST_THRUST = 1e-6  # of the limit; keeps second derivatives of u^alpha, alpha < 2, finite
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What bounds directions, attitude and distances, besides A s <= b.
-
-    Attributes:
-        max_tilt: Of a rotor's axis from the body's up direction [rad].
-        max_attitude: Of the hovering body from level [rad].
-        clearance: Least distance between propeller discs seen from above [m]; None: not asked.
-        free: Which of shape, directions, attitude may change.
-        extent: Largest change of a shape parameter, in mean arm lengths.
-        nearness: Weight of half the squared distance from the start (relative shape, upright
-            rotors, level body): picks one design where many are equally good.
-    """
-
-    max_tilt: float = np.pi / 6
-    max_attitude: float = np.pi / 12
-    clearance: float | None = None
-    free: tuple[str, ...] = ("shape", "directions", "attitude")
-    extent: float = 2.0
-    nearness: float = 1e-4
-
-
-@dataclass(frozen=True)
-class Scales:
-    """What metrics of the start are, so that mixes are relative.
-
-    Attributes:
-        current, max_current: [A], of the start's weight shared out by the thrust limits.
-        size, cost, mass: Of the start.
-        inertia: Its largest [kg m^2], the unit of the response metric's target.
-        response: 4 angle inertia / (m g L) [s^2]: turning by an angle and stopping at angular
-            acceleration q m g L / inertia takes sqrt(response / q).
-    """
-
-    current: float
-    max_current: float
-    size: float
-    cost: float
-    mass: float
-    inertia: float
-    response: float
-
-
-@dataclass(frozen=True)
-class Currents:
-    """Currents in hover and what their derivatives are made of.
-
-    Attributes:
-        value: (n_rotors,) [A].
-        by_v, by_z: First derivatives, (n_rotors,) and (n_rotors, p).
-        by_v_v, by_v_z: Second ones, (n_rotors,) and (n_rotors, p).
-        by_z_z: (n_rotors,) times d_share d_share', d_share (p,).
-        by_mass: (n_rotors,) times the second derivative of m(s) [A/kg].
-    """
-
-    value: Array
-    by_v: Array
-    by_z: Array
-    by_v_v: Array
-    by_v_z: Array
-    by_z_z: Array
-    d_share: Array
-    by_mass: Array
 
 
 class Program:
@@ -230,29 +164,10 @@ class Program:
         ]
 
     def hover_currents(self, s: Array, v: Array) -> Currents:
-        """Of the rotors in hover without load: thrusts v of the first case, scaled to the weight.
-
-        I = a (u_max v share)^e; share = m / m0 where v carries m0 g, else 1.
-        """
+        """Of the first case's thrusts v, scaled to the weight without load."""
         assert self.currents is not None
-        shape, first = self.shape(s), self.cases[0].fixed_weight
-        share = shape.mass / self.rotors.mass if first else 1.0
-        d_share = shape.d_mass * (self.rotors.length / self.rotors.mass if first else 0.0)
-        a, e = self.currents.scale, self.currents.exponent
-        full = a * self.rotors.max_thrusts**e
-        w = np.maximum(v, 0.0) * share
-        slope = e * full * w ** (e - 1.0)
-        bend = e * (e - 1.0) * full * np.maximum(w, _LEAST_THRUST) ** (e - 2.0)
-        return Currents(
-            value=full * w**e,
-            by_v=slope * share,
-            by_z=np.outer(slope * v, d_share),
-            by_v_v=bend * share**2,
-            by_v_z=np.outer(bend * share * v + slope, d_share),
-            by_z_z=bend * v**2,
-            d_share=d_share,
-            by_mass=slope * v / self.rotors.mass if first else np.zeros(self.n),
-        )
+        scaled = self.cases[0].fixed_weight
+        return hover_currents(v, self.shape(s), self.rotors, self.currents, scaled=scaled)
 
     # ---- constraints
 

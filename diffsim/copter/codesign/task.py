@@ -12,8 +12,9 @@ from torch import Tensor
 
 from diffsim.copter.codesign.cases import Demands, flight_cases
 from diffsim.copter.codesign.hover import LEVEL, guess_thrusts
+from diffsim.copter.codesign.limits import Limits, Scales
 from diffsim.copter.codesign.metrics import CurrentModel, parse_objective, require_currents
-from diffsim.copter.codesign.program import Limits, Program, Scales
+from diffsim.copter.codesign.program import Program
 from diffsim.copter.codesign.solve import LocalSolution, solve_local
 from diffsim.copter.codesign.space import DesignSpace, ShapeModel
 from diffsim.copter.codesign.wrench import Rotors
