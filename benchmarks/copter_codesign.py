@@ -1,7 +1,7 @@
 """Co-design against general solvers (thesis Fig. 3-3), and the payload pentacopter (Table 3.1).
 
 python -m benchmarks.copter_codesign --quick         # a few minutes
-python -m benchmarks.copter_codesign                 # five starts per case
+python -m benchmarks.copter_codesign                 # five starts per case, an hour or so
 
 Four cases, every method from the same starts. The general solvers get the thesis's problem (soft
 hover, eq. 3.9, its weights in SI units) as published, with a maximum in the objective, and fairly
@@ -237,11 +237,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--quick", action="store_true", help="one start, few iterations")
     parser.add_argument("--resume", action="store_true", help="keep finished parts")
     parser.add_argument("--starts", type=int, help="starts per case")
+    parser.add_argument("--max-iters", type=int, help="of the general solvers")
     parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
     args = parser.parse_args(argv)
     plan = replace(QUICK if args.quick else Plan(), cases=tuple(args.cases))
     if args.starts is not None:
         plan = replace(plan, num_starts=args.starts)
+    if args.max_iters is not None:
+        plan = replace(plan, max_iters=args.max_iters)
     try:
         run(plan, args.out, resume=args.resume)
     except KeyboardInterrupt:

@@ -1,6 +1,7 @@
 """Co-design: figures of the flat pentacopter, hard hover, bounds, traps, known optima, errors."""
 
 import dataclasses
+import sys
 
 import numpy as np
 import pytest
@@ -219,3 +220,23 @@ def test_a_start_outside_the_space_is_moved_inside():
     design = arm_copter(FOUR, arm=0.7)
     result = codesign(design, "payload", num_starts=1)
     assert float(result.s.max()) <= 0.5 + 1e-9
+
+
+def test_without_cvxpy_there_is_no_bound(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cvxpy", None)
+    result = codesign(arm_copter(FOUR), "payload", num_starts=1)
+    assert result.bound == -np.inf
+    assert any("diffsim-robot[opt]" in w for w in result.warnings)
+    with pytest.raises(ImportError, match="cvxpy"):
+        codesign(arm_copter(FOUR), "payload", "alternating", num_starts=1)
+
+
+def test_without_uno_slsqp_stands_in(monkeypatch):
+    with_uno = codesign(arm_copter(FOUR), "payload", num_starts=1)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    without = codesign(arm_copter(FOUR), "payload", num_starts=1)
+    assert "slsqp" in without.status
+    assert without.objective == pytest.approx(with_uno.objective, rel=1e-4)
+    with pytest.raises(ModuleNotFoundError, match="unopy"):
+        monkeypatch.setitem(sys.modules, "unopy", None)
+        codesign(arm_copter(FOUR), "payload", num_starts=1, solver="uno")

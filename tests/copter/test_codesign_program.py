@@ -43,9 +43,10 @@ def differences(function, x, h=1e-6):
 
 
 @pytest.mark.grad
+@pytest.mark.parametrize("weights", [ALL, {"response": 0.4}], ids=["all", "response"])
 @pytest.mark.parametrize("name", ["objective", "equalities", "inequalities"])
-def test_first_derivatives(name):
-    whole = program({**ALL, "response": 0.4}, clearance=0.02)
+def test_first_derivatives(name, weights):
+    whole = program(weights, None if weights is ALL else Demands(), clearance=0.02)
     x = np.random.default_rng(0).uniform(0.2, 0.8, whole.num_all)
     evaluate = getattr(whole, name)
     slope = differences(lambda y: np.atleast_1d(evaluate(y)[0]), x)

@@ -162,7 +162,7 @@ def assemble(
         objective=value,
         metrics=design_metrics(task, program, x),
         max_weight=largest_weight(task, point),
-        bound=lower_bound(task),
+        bound=_bound(task, warnings),
         history=history,
         seconds_history=seconds_history,
         hover_residual=residual,
@@ -200,6 +200,15 @@ def _alternating(
         records=records,
         warnings=[],
     )
+
+
+def _bound(task: Task, warnings: list[str]) -> float:
+    """The lower bound; without cvxpy none, and a warning."""
+    try:
+        return lower_bound(task)
+    except ImportError as error:
+        warnings.append(f"no bound: {error}")
+        return -np.inf
 
 
 def _torques(authority: Sequence[float] | None) -> tuple[float, float, float] | None:

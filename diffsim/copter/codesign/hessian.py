@@ -44,7 +44,7 @@ def lagrangian_hessian(
         part = wrench.curvature(y_force, y_torque, v[c], d, gamma, shape, rotors, case)
         of_mass += part.of_mass
         of_positions += part.of_positions
-        thrusts = program._v(c)
+        thrusts = program.thrusts_at(c)
         for i in range(n):
             own = slice(directions.start + 3 * i, directions.start + 3 * i + 3)
             half[thrusts.start + i, own] += part.v_d[i]
@@ -67,7 +67,7 @@ def lagrangian_hessian(
             of_currents + of_objective * program.weights["current"] / program.scales.current
         )
     if program.currents is not None and of_currents.any():
-        now, thrusts = program.hover_currents(s, v[0]), program._v(0)
+        now, thrusts = program.hover_currents(s, v[0]), program.thrusts_at(0)
         index = np.arange(thrusts.start, thrusts.stop)
         full[index, index] += of_currents * now.by_v_v
         cross = of_currents[:, None] * now.by_v_z
@@ -75,7 +75,7 @@ def lagrangian_hessian(
         full[z, thrusts] += cross.T
         full[z, z] += float(of_currents @ now.by_z_z) * np.outer(now.d_share, now.d_share)
         of_mass += float(of_currents @ now.by_mass)
-    of_size, of_cost, of_own_mass = (of_objective * term[0] for term in program._linear(shape))
+    of_size, of_cost, of_own_mass = (of_objective * term[0] for term in program.shape_terms(shape))
     curved = program.model.hessian(s, of_mass + of_own_mass, of_cost, of_size, of_positions)
     placed = np.arange(program.at["aux"].start)
     full[placed, placed] += of_objective * program.limits.nearness

@@ -119,7 +119,8 @@ def spin_candidates(
         return task, [np.asarray(spins, float)]
     ratios = task.model.vehicle.torque_ratios.numpy()
     choices = rank_spins(task.model.at(task.start.s), task.start.d, task.rotors, ratios)
-    if max(control_margin(task, task.start, np.array(c.spins)) for c in choices) < CONTROLLABLE:
+    margin = max(control_margin(task, task.start, np.array(c.spins)) for c in choices)
+    if margin < CONTROLLABLE and "shape" in task.limits.free:
         moved, margin = move_to_controllable(task, task.start, rng)
         warnings.append(
             "the start cannot be controlled whatever the spins; it was moved to a controllable "

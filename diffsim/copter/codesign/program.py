@@ -146,15 +146,16 @@ class Program:
             elif name == "current":
                 now = self.hover_currents(s, v[0])
                 value += weight * now.value.sum() / self.scales.current
-                grad[self._v(0)] += weight * now.by_v / self.scales.current
+                grad[self.thrusts_at(0)] += weight * now.by_v / self.scales.current
                 grad[self.at["z"]] += weight * now.by_z.sum(0) / self.scales.current
         shape = self.shape(s)
-        for coefficient, of, d_of in self._linear(shape):
+        for coefficient, of, d_of in self.shape_terms(shape):
             value += coefficient * of
             grad[self.at["z"]] += coefficient * d_of * self.rotors.length
         return float(value), grad
 
-    def _linear(self, shape: Shape) -> list[tuple[float, float, Array]]:
+    def shape_terms(self, shape: Shape) -> list[tuple[float, float, Array]]:
+        """Weight, value and gradient by s of size, cost and mass."""
         w, scales = self.weights, self.scales
         size = (w.get("size", 0.0) - w.get("flight_time", 0.0)) / scales.size
         return [
@@ -216,14 +217,14 @@ class Program:
         for c, case in enumerate(self.cases):
             if case.cap is not None:
                 row = np.zeros((self.n, self.num_all))
-                row[:, self._v(c)] = -np.eye(self.n)
+                row[:, self.thrusts_at(c)] = -np.eye(self.n)
                 row[:, self.at["aux"].start + self.aux.index(case.cap)] = 1.0
                 values.append(aux[case.cap] - v[c])
                 rows.append(row)
         if "max_current" in self.weights:
             now = self.hover_currents(s, v[0])
             row = np.zeros((self.n, self.num_all))
-            row[:, self._v(0)] = -np.diag(now.by_v) / self.scales.max_current
+            row[:, self.thrusts_at(0)] = -np.diag(now.by_v) / self.scales.max_current
             row[:, self.at["z"]] = -now.by_z / self.scales.max_current
             row[:, self.at["aux"].start + self.aux.index("max_current")] = 1.0
             values.append(aux["max_current"] - now.value / self.scales.max_current)
@@ -248,13 +249,14 @@ class Program:
         share = self.shape(s).mass / self.rotors.mass if self.cases[0].fixed_weight else 1.0
         return v[0] * self.rotors.max_thrusts * share
 
-    def _v(self, case: int) -> slice:
+    def thrusts_at(self, case: int) -> slice:
+        """Where a case's v lie among the unknowns."""
         first = self.at["v"].start + case * self.n
         return slice(first, first + self.n)
 
     def _row(self, c: int, by: wrench.Blocks) -> Array:
         row = np.zeros((len(by.v), self.num_all))
-        row[:, self._v(c)], row[:, self.at["d"]] = by.v, by.d
+        row[:, self.thrusts_at(c)], row[:, self.at["d"]] = by.v, by.d
         row[:, self.at["gamma"]], row[:, self.at["z"]] = by.gamma, by.z
         return row
 
