@@ -23,6 +23,7 @@ from diffsim.copter.patches import aligning_rotation
 from diffsim.copter.placement import LinearForm, PlacedPart
 from diffsim.copter.spec import Connection, DesignSpec, PartSpec
 from diffsim.copter.tilts import clip_for, require_direction
+from diffsim.errors import MeshError
 
 
 class Composer:
@@ -98,11 +99,15 @@ class Composer:
             options["file"] = self.spec.folder / options["file"]
         try:
             part = make_part(spec.kind, options)
+            for name in spec.bounds:
+                require_choice("bounds", name, [p.name for p in part.parameters])
+            part = part.with_bounds(spec.bounds)
+            part.require_start()
+        except MeshError:
+            raise
         except (ValueError, TypeError) as error:
             raise type(error)(f"part {spec.name!r}: {error}") from error
-        for name in spec.bounds:
-            require_choice(f"bounds of {spec.name}", name, [p.name for p in part.parameters])
-        return part.with_bounds(spec.bounds)
+        return part
 
     def _place(self, name: str, rotation: Array) -> None:
         self._add(name, self._parts[name], rotation)
@@ -151,9 +156,9 @@ class Composer:
         (host_name, host_patch), (guest_name, guest_patch) = ends
         host = ContactEnd(self.placed[host_name], host_patch, places[0], slides[0])
         end = self._part(guest_name).patches[guest_patch]
-        kinds = adapters_for(host.patch, end)
-        if connection.adapters is not None:
-            kinds = connection.adapters
+        kinds = connection.adapters
+        if kinds is None:
+            kinds = adapters_for(host.patch, end)
         turns = {"flat": connection.angle, "circular": connection.roll}
         rod_diameter = 2.0 * max(host.patch.radius, end.radius)
         for k, kind in enumerate(kinds):
@@ -237,7 +242,9 @@ class Composer:
                 require_choice(f"patch of {name}", patch, patches)
             chosen = [p for p in patches if patch in ("", p)]
             candidates.append([(name, p, patches[p], self._start_of(name, p)) for p in chosen])
-        return [end[:2] for end in closest_pair(*candidates)]
+        named = all(len(ends) == 1 for ends in candidates)  # then adapters may overrule the rules
+        pair = [ends[0] for ends in candidates] if named else closest_pair(*candidates)
+        return [end[:2] for end in pair]
 
     def _start_of(self, name: str, patch: str) -> Array:
         """Where a patch is before connections have been solved (3,) [m]."""

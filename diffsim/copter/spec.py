@@ -47,14 +47,18 @@ class PartSpec:
 class Connection:
     """Two patches that belong together.
 
+    Inserted adapters are called ``host__guest``, ``host__guest_2``, ...; later connections,
+    constraints and values may use these names.
+
     Attributes:
         host, guest: ``part.patch``, or ``part`` alone for the closest pair of patches. The guest
             is turned to face the host.
         at: Place on the host's patch along its sliding directions [m]: along a rod, or along x and
             y of a plate. Fixed, or where a sliding connection starts.
         guest_at: The same on the guest's patch.
-        angle: Turn about the normal of the first flat contact [deg].
-        roll: Turn about the axis of the first circular contact [deg].
+        angle: Turn of what follows about the outward normal of the first flat host patch [deg],
+            counterclockwise seen from outside.
+        roll: Turn of what follows about the axis of the first circular host patch [deg].
         slide: Whether the place on the host's patch is free; None: on rods yes, on plates no.
         adapters: Kinds to insert; None follows the rule table, empty joins directly.
     """

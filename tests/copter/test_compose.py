@@ -1,5 +1,6 @@
 """Composition: rotations, constraints, adapters, elimination, closest designs, gradients."""
 
+import sys
 import time
 from dataclasses import replace
 
@@ -431,6 +432,20 @@ def test_directions_are_never_dropped():
         build_design(DesignSpec(name="arm", parts=(part("arm", "rod", direction=TILT),)))
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"length": 6.0}, r"part 'arm': length must lie in its bounds .0.05, 5., got 6"),
+        ({"bounds": {"length": (0.1, 9.0)}}, r"bounds of length must lie in .0.05, 5."),
+        ({"bounds": {"length": (0.3, 0.2)}}, r"got .0.3, 0.2."),
+        ({"bounds": {"lenght": (0.1, 0.2)}}, r"did you mean 'length'"),
+    ],
+)
+def test_bounds_and_starts(options, message):
+    with pytest.raises(ValueError, match=message):
+        build_design(DesignSpec(name="rod", parts=(part("arm", "rod", **options),)))
+
+
 @pytest.mark.parametrize("name", ["1st", "a.b", "a__b"])
 def test_part_names(name):
     with pytest.raises(ValueError, match="single underscores"):
@@ -440,6 +455,25 @@ def test_part_names(name):
 def test_names_stand_once():
     with pytest.raises(ValueError, match="two parts are called 'arm'"):
         build_design(DesignSpec(name="twins", parts=(part("arm", "rod"), part("arm", "plate"))))
+
+
+def test_adapters_overrule_the_rules(tmp_path):
+    """A mount between a battery and a motor, which no rule joins; kept by saving."""
+    connections = (join("low.top", "motor.base", adapters=("standoff",)),)
+    spec = DesignSpec(
+        name="odd", parts=(part("low", "battery"), part("motor", "motor")), connections=connections
+    )
+    design = build_design(spec)
+    assert kinds(design) == ["battery", "standoff", "motor", "propeller"]
+    direct = DesignSpec(
+        name="direct",
+        parts=(part("low", "plate"), part("high", "plate")),
+        connections=(join("low.top", "high.bottom", adapters=()),),
+    )
+    loaded = load_design(build_design(direct).save(tmp_path / "direct.yaml"))
+    assert kinds(loaded) == ["plate", "plate"]
+    with pytest.raises(ValueError, match="no adapter joins a strap patch and a motor patch"):
+        build_design(replace(spec, connections=(join("low.top", "motor.base"),)))
 
 
 def test_unknown_adapter():
@@ -494,3 +528,11 @@ def test_expressions(text, coefficients, bound, relation):
     parsed = parse_constraint(text, lambda name: name)
     assert parsed.coefficients == pytest.approx(coefficients)
     assert (parsed.bound, parsed.relation) == (pytest.approx(bound), relation)
+
+
+def test_without_osqp(monkeypatch):
+    """Loading needs no QP; moving a parameter says what is missing."""
+    monkeypatch.setitem(sys.modules, "osqp", None)
+    design = build_design(cross())
+    with pytest.raises(ImportError, match=r"pip install 'diffsim-robot\[opt\]'"):
+        design.closest({"arm_1.length": 0.3})

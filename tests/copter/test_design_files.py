@@ -114,6 +114,16 @@ def test_coaxial_pairs_of_the_hexacopter(designs):
     assert copter.spins.view(3, 2).sum(1).tolist() == [0.0, 0.0, 0.0]  # the pairs counter-rotate
 
 
+def test_legs_of_the_hexacopter_reach_the_ground_together(designs):
+    """Six legs as in the public XML; the front ones end within 5 mm of the rear ones."""
+    meshes = designs["y6_hexacopter"].meshes()
+    feet = [float(m.vertices[:, 2].max()) for name, m in meshes.items() if name.startswith("leg_")]
+    assert len(feet) == 6
+    assert max(feet) - min(feet) < 0.005
+    lowest = max(float(m.vertices[:, 2].max()) for n, m in meshes.items() if "leg_" not in n)
+    assert min(feet) > lowest
+
+
 def test_bunny_is_asymmetric(designs):
     copter = designs["bunny"].multicopter()
     assert len(set(copter.radii.tolist())) == 4

@@ -168,6 +168,10 @@ def test_unknown_tags_in_an_own_file(tmp_path):
     (tmp_path / "copter.xml").write_text("<plane/>")
     with pytest.raises(ValueError, match="root must be <copter>"):
         import_xml(tmp_path / "copter.xml")
+    moved = '<copter><tube file="a.obj"><translate xyz="0 0 0"/><instance/></tube></copter>'
+    (tmp_path / "copter.xml").write_text(moved)
+    with pytest.raises(ValueError, match="<translate> must stand inside an <instance>"):
+        import_xml(tmp_path / "copter.xml")
     with pytest.raises(FileNotFoundError, match="no XML design"):
         import_xml(tmp_path / "none.xml")
 

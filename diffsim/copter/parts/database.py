@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping, Sequence
+from inspect import Parameter, signature
 from typing import Any
 
-from diffsim._check import require_choice
+from diffsim._check import require_choice, require_number
 from diffsim.copter.parts.fittings import (
     compound_angle_clip,
     motor,
@@ -63,7 +63,7 @@ PART_KINDS: dict[str, PartMaker] = {
 
 def option_names(kind: str) -> tuple[str, ...]:
     """Arguments of a kind's maker."""
-    return tuple(inspect.signature(PART_KINDS[kind]).parameters)
+    return tuple(signature(PART_KINDS[kind]).parameters)
 
 
 def make_part(kind: str, options: Mapping[str, Any] | None = None) -> Part:
@@ -78,13 +78,22 @@ def make_part(kind: str, options: Mapping[str, Any] | None = None) -> Part:
     """
     maker = PART_KINDS[require_choice("kind", kind, PART_KINDS)]
     options = dict(options or {})
-    for key in options:
+    for key, value in options.items():
         require_choice(f"option of a {kind}", key, option_names(kind))
+        _require_type(f"{key} of a {kind}", value, str(signature(maker).parameters[key].annotation))
     missing = [
         name
-        for name, parameter in inspect.signature(maker).parameters.items()
-        if parameter.default is inspect.Parameter.empty and name not in options
+        for name, parameter in signature(maker).parameters.items()
+        if parameter.default is Parameter.empty and name not in options
     ]
     if missing:
         raise ValueError(f"a {kind} needs {', '.join(missing)}; add it to the part")
     return maker(**options)
+
+
+def _require_type(name: str, value: Any, annotation: str) -> None:
+    """Single numbers are sizes, masses, densities and factors: all of them above 0."""
+    if annotation == "float":
+        require_number(name, value, above=0.0)
+    elif annotation in ("bool", "str") and type(value).__name__ != annotation:
+        raise TypeError(f"{name} must be a {annotation}, got {value!r}")

@@ -109,16 +109,33 @@ class Part:
         return np.concatenate(a), np.concatenate(b)
 
     def with_bounds(self, bounds: Mapping[str, tuple[float, float]]) -> Part:
-        """The part with other bounds of some parameters [m]."""
-        return replace(
-            self,
-            parameters=tuple(
-                replace(p, lower=bounds[p.name][0], upper=bounds[p.name][1])
-                if p.name in bounds
-                else p
-                for p in self.parameters
-            ),
-        )
+        """The part with narrower bounds of some parameters [m].
+
+        Raises:
+            ValueError: wider than the database's, within which the part can be made.
+        """
+        parameters = []
+        for p in self.parameters:
+            lower, upper = bounds.get(p.name, (p.lower, p.upper))
+            if not p.lower <= lower <= upper <= p.upper:
+                raise ValueError(
+                    f"bounds of {p.name} must lie in [{p.lower:g}, {p.upper:g}], got "
+                    f"[{lower:g}, {upper:g}]"
+                )
+            parameters.append(replace(p, lower=lower, upper=upper))
+        return replace(self, parameters=tuple(parameters))
+
+    def require_start(self) -> None:
+        """Refuse starting values outside the bounds, which would be moved without a word.
+
+        Raises:
+            ValueError: names the parameter.
+        """
+        for p in self.parameters:
+            if not p.lower - 1e-9 <= p.value <= p.upper + 1e-9:
+                raise ValueError(
+                    f"{p.name} must lie in its bounds [{p.lower:g}, {p.upper:g}], got {p.value:g}"
+                )
 
     def require_closed(self, name: str) -> None:
         """Refuse geometry without an inside.

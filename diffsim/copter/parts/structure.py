@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from diffsim._check import require_number
 from diffsim.copter.geometry import (
     UP,
     Array,
@@ -145,7 +146,11 @@ def _plate_faces(thickness: float, half_extents: Array) -> dict[str, Patch]:
 
 
 def box_part(kind: str, size: Sequence[float], mass: float, price: float) -> Part:
-    """A cuboid of constant size with a flat patch on each side: battery, electronics, payload."""
+    """A cuboid of constant size, strapped on by top or bottom: battery, electronics, payload."""
+    if len(size) != 3:
+        raise ValueError(f"size of a {kind} must be 3 lengths, got {list(size)}")
+    for axis, value in zip("xyz", size, strict=True):
+        require_number(f"size of a {kind} along {axis}", value, above=0.0)
     vertices, faces = box(size)
     mesh = LinearMesh(fixed_points(vertices), faces)
     half = 0.5 * np.asarray(size, dtype=np.float64)
