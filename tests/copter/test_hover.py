@@ -130,6 +130,21 @@ def test_feasible_up_to_the_largest_weight(seed):
     assert 1e-6 < above.residual_norm < 2e-3
 
 
+@pytest.mark.property
+@pytest.mark.parametrize("tilt", [0.2, 0.6, 1.2])
+def test_finds_the_hover_that_a_linear_program_has(tilt):
+    """Lift enough along the body's vertical is enough at the best attitude, whatever the tilt."""
+    statuses = []
+    for seed in range(30):
+        copter = random_copter(100 + seed, n=4 + seed % 6, tilt=tilt)
+        result = hover(copter)
+        statuses.append(result.status)
+        assert result.status in ("optimal", "infeasible")
+        if result.status == "infeasible":
+            assert max_hover_weight(copter) < copter.weight * (1.0 + 1e-9)
+    assert statuses.count("optimal") > 15
+
+
 @pytest.mark.grad
 @pytest.mark.parametrize("share", [0.5, 0.99])
 def test_contract(share):
