@@ -115,7 +115,11 @@ def _row(runs: list[dict[str, Any]] | None) -> str:
     # JSON has no infinity
     hard = [_number(r["hard"]) for r in done]
     hovers = [h for h in hard if np.isfinite(h)]
-    best = [f"{f(hovers):.4f}" for f in (np.min, np.median, np.max)] if hovers else ["-"] * 3
+    best = (
+        [f"{round(float(f(hovers)), 4) + 0.0:.4f}" for f in (np.min, np.median, np.max)]
+        if hovers
+        else ["-"] * 3
+    )
     soft = "-" if done[0]["hard_curve"] else f"{np.median([r['curve'][-1] for r in done]):.4f}"
     cpu, its = np.median([r["cpu"] for r in done]), np.median([r["iterations"] for r in done])
     return " | ".join(
