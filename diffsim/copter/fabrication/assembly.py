@@ -1,0 +1,130 @@
+"""How to put it together: where connectors go on their rods, and the steps in order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diffsim.copter.design import Design
+from diffsim.copter.fabrication.motors import MotorPlan
+from diffsim.copter.fabrication.printable import clip_angles, clip_middle, has_screw_holes
+from diffsim.copter.fabrication.rods import RodCut
+from diffsim.copter.geometry import UP, Array
+
+_SAME_AXIS = 1e-6  # [m]
+
+
+@dataclass(frozen=True)
+class ConnectorPlace:
+    """A connector on a rod.
+
+    Attributes:
+        connector, rod: Names of the parts.
+        label: Of the rod's cut.
+        from_start: Distance of the connector's middle from the rod's start, its -x end [m].
+        roll: Turn of the connector's top about the rod's axis, 0 facing up [deg].
+    """
+
+    connector: str
+    rod: str
+    label: str
+    from_start: float
+    roll: float
+
+
+def connector_places(
+    design: Design, values: Mapping[str, float], cuts: Sequence[RodCut]
+) -> tuple[ConnectorPlace, ...]:
+    """Every connector whose bore holds a rod, rod by rod from its start."""
+    labels = {name: cut.label for cut in cuts for name in cut.names}
+    places = []
+    for rod in (p for p in design.parts if p.name in labels):
+        origin = np.array([values[n] for n in rod.position_names])
+        axis = rod.rotation[:, 0]
+        found = []
+        for connector in (p for p in design.parts if p.part.kind == "round_connector"):
+            offset = np.array([values[n] for n in connector.position_names]) - origin
+            along = float(offset @ axis)
+            half = 0.5 * values[rod.shape_names[0]]
+            beside = float(np.linalg.norm(offset - along * axis))
+            parallel = float(np.linalg.norm(np.cross(connector.rotation[:, 0], axis)))
+            if beside < _SAME_AXIS and parallel < 1e-9 and abs(along) <= half + _SAME_AXIS:
+                roll = _roll(connector.rotation @ UP, axis)
+                found.append(
+                    ConnectorPlace(connector.name, rod.name, labels[rod.name], half + along, roll)
+                )
+        places += sorted(found, key=lambda c: c.from_start)
+    return tuple(places)
+
+
+def steps(
+    design: Design,
+    motors: Sequence[MotorPlan],
+    places: Sequence[ConnectorPlace],
+    values: Mapping[str, float],
+) -> tuple[str, ...]:
+    """What to do, in order."""
+    kinds = {p.part.kind for p in design.parts}
+    done = ["Print the parts as they stand in their files, and weigh them against the bill."]
+    if places:
+        done.append(
+            "Cut the rods, letter them and mark their start. Deburr, and keep the dust wet: carbon "
+            "dust harms lungs and shorts electronics."
+        )
+        done.append(
+            "Slide every connector to its place of the table below, all of one rod before the "
+            "next, turned as listed; fix with epoxy only when the whole skeleton fits dry."
+        )
+    if kinds & {"plate", "circular_plate"}:
+        done.append(
+            "Screw the plates to the connectors, two M3 screws each, holes drilled through."
+        )
+    done += [_joint(c.host, c.guest) for c in design.spec.connections if not places]
+    done += [_mount(design, motor) for motor in motors]
+    com = design.center_of_mass().tolist()
+    first = design.parts[0].name
+    origin = [values[n] for n in design.parts[0].position_names]
+    ahead, right, below = (1e3 * (a - b) for a, b in zip(com, origin, strict=True))
+    done.append(
+        "Wire every speed controller to the output of its motor's number. Without propellers, "
+        "check each motor's sense; swap any two of its three wires if it turns the wrong way."
+    )
+    done.append(
+        f"Before the first flight lift the copter at its centre of mass: {ahead:.0f} mm before, "
+        f"{right:.0f} mm to the right of and {below:.0f} mm below the middle of {first} (negative: "
+        "behind, to the left, above). It must hang level; move the battery if not."
+    )
+    done.append("Mount the propellers last, the printed side facing the thrust.")
+    return tuple(done)
+
+
+def _mount(design: Design, motor: MotorPlan) -> str:
+    side = "upside down below" if motor.pusher else "on"
+    text = f"Motor {motor.number}, {motor.name}: "
+    if motor.clip is None:
+        return text + f"screw it {side} its carrier; it stands upright."
+    clip = next(p for p in design.parts if p.name == motor.clip)
+    x, y, _ = clip.rotation[:, 0]
+    notch = float(np.rad2deg(np.arctan2(y, x)) % 360.0)
+    holes = has_screw_holes(*clip_angles(clip), clip_middle(clip))
+    fix = "screw both down" if holes else "glue both, too steep for through screws"
+    return text + (
+        f"put its clip (number {motor.number}) {side} the carrier, notch {notch:.0f} deg clockwise "
+        f"from the front seen from above, {fix}. The thrust leans {motor.tilt:.1f} deg from up "
+        f"towards {motor.azimuth:.0f} deg."
+    )
+
+
+def _joint(host: str, guest: str) -> str:
+    a, b = (text.replace(".", ", ") for text in (host, guest))
+    return f"Fix {b} to {a}."
+
+
+def _roll(top: Array, axis: Array) -> float:
+    """Angle of a connector's top about the rod, from up, or the front where the rod is upright."""
+    reference = UP if abs(axis @ UP) < 0.99 else np.array([1.0, 0.0, 0.0])
+    side = np.cross(axis, reference)
+    angle = float(np.rad2deg(np.arctan2(top @ side, top @ reference)))
+    return round(angle, 6) % 360.0
