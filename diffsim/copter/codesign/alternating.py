@@ -1,0 +1,170 @@
+"""The thesis's Alg. 1: soft hover, then thrusts, shape and directions in turn.
+
+In relative units the energy (eq. 3.9) is
+E(u, s) + eta |M_f u + m g gamma|^2 / (m g)^2 + mu |M_t u|^2 / (m g L)^2, gamma level, m fixed at
+the start's unless mass is a metric.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim._check import require_choice, require_number
+from diffsim.copter.codesign.errors import CoDesignError
+from diffsim.copter.codesign.hover import LEVEL
+from diffsim.copter.codesign.program import Program
+from diffsim.copter.codesign.result import StartRecord
+from diffsim.copter.codesign.solve import LocalSolution
+from diffsim.copter.codesign.spin_condition import condition_number, most_controllable
+from diffsim.copter.codesign.steps import direction_step, shape_step, soft_energy, thrust_step
+from diffsim.copter.codesign.task import Point, Task
+from diffsim.copter.codesign.wrench import Rotors
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class AlternatingOptions:
+    """Of Alg. 1.
+
+    Attributes:
+        eta: Weight of the squared imbalance of force.
+        mu: Weight of the squared imbalance of torque.
+        units: Of the imbalances: ``SI`` (N and N m, as published) or ``relative`` (over m g and
+            over m g L, L the mean arm).
+        tolerance: Stop where a round improves the energy by less.
+        max_rounds: Stop anyway.
+    """
+
+    eta: float = 0.3
+    mu: float = 0.7
+    units: str = "SI"
+    tolerance: float = 1e-6
+    max_rounds: int = 200
+
+    def __post_init__(self) -> None:
+        for name in ("eta", "mu", "tolerance"):
+            require_number(name, float(getattr(self, name)), above=0.0)
+        require_choice("units", self.units, ("SI", "relative"))
+        require_number("max_rounds", self.max_rounds, at_least=1)
+
+    def relative(self, rotors: Rotors) -> AlternatingOptions:
+        """The same weights in relative units."""
+        if self.units == "relative":
+            return self
+        unit = rotors.weight * rotors.length
+        eta, mu = self.eta * rotors.weight**2, self.mu * unit**2
+        return replace(self, eta=eta, mu=mu, units="relative")
+
+
+@dataclass(frozen=True)
+class Alternation:
+    """Where one start of Alg. 1 ended.
+
+    Attributes:
+        point: Shape, directions, spins; level.
+        u: Thrusts, (n_rotors,) [N].
+        energies: After each round, the first before any.
+        seconds: Wall time of each [s].
+        status: Why it stopped.
+    """
+
+    point: Point
+    u: Array
+    energies: list[float]
+    seconds: list[float]
+    status: str
+
+
+def alternate(task: Task, point: Point, options: AlternatingOptions) -> Alternation:
+    """Alg. 1's main loop from a point with its spins.
+
+    Raises:
+        CoDesignError: the start is not controllable.
+    """
+    began = time.perf_counter()
+    options = options.relative(task.rotors)
+    u = thrust_step(task, point, options)
+    if not np.isfinite(condition_number(task, point, u)):
+        raise CoDesignError(
+            "the start is not controllable with any spins tried, and Alg. 1 has no way on from "
+            "there; use method 'joint', which moves it, or another start",
+            residual=float("inf"),
+        )
+    energies, seconds = [soft_energy(task, point, u, options)], [time.perf_counter() - began]
+    status = f"max_rounds {options.max_rounds} reached"
+    for _ in range(options.max_rounds):
+        before = point, u
+        u = thrust_step(task, point, options)
+        if "shape" in task.limits.free:
+            point = shape_step(task, point, u, options)
+        if "directions" in task.limits.free:
+            point = direction_step(task, point, u, options)
+        if not np.isfinite(condition_number(task, point, u)):
+            point, u = before
+            status = "controllability lost: back to the round before"
+            break
+        energies.append(soft_energy(task, point, u, options))
+        seconds.append(time.perf_counter() - began)
+        if abs(energies[-2] - energies[-1]) < options.tolerance:
+            status = "converged"
+            break
+    return Alternation(point, u, energies, seconds, status)
+
+
+def alternating(
+    task: Task,
+    spins: Array | None,
+    options: AlternatingOptions,
+    starts: list[Point],
+) -> tuple[Point, Alternation, list[StartRecord]]:
+    """The best of several starts, judged by the hard-hover objective of where they end.
+
+    Spins are chosen at the first start and kept (thesis 3.4.1).
+
+    Raises:
+        CoDesignError: no start is controllable, or no end hovers.
+    """
+    chosen = most_controllable(task, starts[0]) if spins is None else np.asarray(spins, float)
+    records: list[StartRecord] = []
+    best: tuple[float, Alternation] | None = None
+    for start in starts:
+        found = alternate(task, replace(start, spins=chosen, gamma=LEVEL), options)
+        value, violation, *_ = judge(task, found)
+        records.append(
+            StartRecord(
+                spins=tuple(chosen.tolist()),
+                value=value,
+                violation=violation,
+                status=found.status,
+                num_iters=len(found.energies) - 1,
+                seconds=found.seconds[-1],
+            )
+        )
+        if best is None or value < best[0]:
+            best = value, found
+    assert best is not None
+    if not np.isfinite(best[0]):
+        raise CoDesignError(
+            f"none of {len(starts)} starts of the alternation came to a design that hovers within "
+            f"its thrust bounds; raise eta and mu, or use method 'joint'",
+            residual=min(record.violation for record in records),
+        )
+    return best[1].point, best[1], records
+
+
+def judge(task: Task, found: Alternation) -> tuple[float, float, LocalSolution, Program]:
+    """Hard-hover objective (infinite: none) of an end with its shape and directions fixed.
+
+    Thrusts and attitude are optimised; where a tilted attitude cannot be had, level flight.
+
+    Returns:
+        Objective, violation of the constraints, solution and program.
+    """
+    tried = [task.solve(found.point, free=free) for free in (("attitude",), ())]
+    ends = [(s.value if s.violation < 1e-7 else np.inf, s.violation, s, p) for s, p in tried]
+    return min(ends, key=lambda end: (end[0], end[1]))

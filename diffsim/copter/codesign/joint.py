@@ -1,0 +1,152 @@
+"""All unknowns at once: many local solves of one smooth program, spins enumerated outside."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.copter.codesign.controllable import CONTROLLABLE, control_margin, move_to_controllable
+from diffsim.copter.codesign.errors import CoDesignError
+from diffsim.copter.codesign.hover import LEVEL, rank_spins
+from diffsim.copter.codesign.polytope import random_feasible
+from diffsim.copter.codesign.program import Program
+from diffsim.copter.codesign.result import StartRecord
+from diffsim.copter.codesign.solve import LocalSolution, second_solver
+from diffsim.copter.codesign.space import ShapeModel
+from diffsim.copter.codesign.task import Point, Task, hover_residual
+
+Array = NDArray[np.float64]
+
+FEASIBLE = 1e-7  # relative violation of constraints that a solution may have
+_HOVER = 1e-8  # relative imbalance of the whole model
+_START_TILT = 0.2  # [rad], of random starts
+_START_STEP = 0.3  # of the mean arm, change of shape parameters of random starts
+
+
+def joint(
+    task: Task,
+    spins: Array | None,
+    *,
+    num_starts: int,
+    num_spins: int,
+    rng: np.random.Generator,
+    solver: str | None,
+    max_iters: int,
+) -> tuple[Task, Point, LocalSolution, Program, list[StartRecord], list[str]]:
+    """The best of ``num_starts`` local solves.
+
+    Returns:
+        The task as solved, best point, its solution and program, a record of every start, warnings.
+
+    Raises:
+        CoDesignError: no start came to hover; the message has the best residual.
+    """
+    warnings: list[str] = []
+    task, candidates = spin_candidates(task, spins, num_spins, rng, warnings)
+    origin = task.start
+    records: list[StartRecord] = []
+    best: tuple[LocalSolution, Program, Array] | None = None
+    least = np.inf
+    for k in range(num_starts):
+        chosen = candidates[k % len(candidates)]
+        point = origin if k < len(candidates) else random_point(task, origin, rng)
+        began = time.perf_counter()
+        point = replace(point, spins=chosen)
+        found, program = task.solve(point, solver=solver, max_iters=max_iters)
+        if found.violation > FEASIBLE and solver is None:  # SQP may stop at a stationary violation
+            found, program = task.solve(point, solver=second_solver(), max_iters=max_iters)
+        feasible = found.violation <= FEASIBLE and np.isfinite(found.value)
+        least = min(least, found.violation)
+        records.append(
+            StartRecord(
+                spins=tuple(chosen.tolist()),
+                value=found.value if feasible else np.inf,
+                violation=found.violation,
+                status=found.message,
+                num_iters=found.num_iters,
+                seconds=time.perf_counter() - began,
+            )
+        )
+        if feasible and (best is None or found.value < best[0].value - 1e-12):
+            best = found, program, chosen
+    if best is None:
+        raise CoDesignError(
+            f"no hover within the thrust bounds was found for {len(candidates)} spin assignments "
+            f"from {num_starts} starts: the best leaves {least:.3g} of m g (or m g L) unbalanced; "
+            f"take stronger rotors, a lighter design, wider limits, or raise num_starts and "
+            f"num_spins",
+            residual=float(least),
+        )
+    found, program, chosen = best
+    s, d, gamma, _, _ = program.split(found.x)
+    point = Point(s, d, chosen, gamma)
+    if control_margin(task, point, chosen) < CONTROLLABLE:
+        warnings.append("the design found cannot be controlled: its thrusts miss a torque or lift")
+    return task, point, found, program, records, warnings
+
+
+def refine(
+    task: Task, point: Point, found: LocalSolution, program: Program, **options
+) -> tuple[Task, Point, LocalSolution, Program]:
+    """Solve again with the fast copy made at the new directions until the whole model hovers.
+
+    Only designs whose mass properties depend on the directions need it.
+    """
+    for _ in range(5):
+        thrusts = as_tensor(program.hover_thrusts(found.x))
+        if hover_residual(task.vehicle(point), thrusts, point.gamma) <= _HOVER:
+            break
+        model = ShapeModel(task.design, as_tensor(point.d), point.s)
+        task = replace(task, model=model)
+        found, program = task.solve(point, **options)
+        s, d, gamma, _, _ = program.split(found.x)
+        point = Point(s, d, point.spins, gamma)
+    return task, point, found, program
+
+
+def spin_candidates(
+    task: Task,
+    spins: Array | None,
+    num_spins: int,
+    rng: np.random.Generator,
+    warnings: list[str],
+) -> tuple[Task, list[Array]]:
+    """The task (its start moved if that cannot be controlled) and the spins worth a try."""
+    if spins is not None:
+        return task, [np.asarray(spins, float)]
+    ratios = task.model.vehicle.torque_ratios.numpy()
+    choices = rank_spins(task.model.at(task.start.s), task.start.d, task.rotors, ratios)
+    margin = max(control_margin(task, task.start, np.array(c.spins)) for c in choices)
+    if margin < CONTROLLABLE and "shape" in task.limits.free:
+        moved, margin = move_to_controllable(task, task.start, rng)
+        warnings.append(
+            "the start cannot be controlled whatever the spins; it was moved to a controllable "
+            f"shape (least singular value of thrusts to lift and torques {margin:.2g} of the "
+            "largest) before the search"
+        )
+        task = replace(task, model=ShapeModel(task.design, None, moved.s))
+        choices = rank_spins(task.model.at(moved.s), task.start.d, task.rotors, ratios)
+    useful = [choice for choice in choices if choice.reach > 0.0] or choices
+    return task, [np.array(choice.spins) for choice in useful[:num_spins]]
+
+
+def random_point(task: Task, origin: Point, rng: np.random.Generator) -> Point:
+    """A feasible shape near the origin, with tilted rotors."""
+    s, d = origin.s, origin.d
+    if "shape" in task.limits.free:
+        radius = _START_STEP * task.model.length
+        s = random_feasible(task.model.A, task.model.b, s, radius, rng)
+    if "directions" in task.limits.free:
+        d = d + min(_START_TILT, 0.5 * task.limits.max_tilt) * rng.standard_normal(d.shape)
+        d = d / np.linalg.norm(d, axis=1, keepdims=True)
+    return Point(s, d, origin.spins, LEVEL)
+
+
+def as_tensor(array: Array):
+    """A torch copy."""
+    import torch
+
+    return torch.tensor(np.asarray(array), dtype=torch.float64)

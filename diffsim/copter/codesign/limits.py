@@ -1,0 +1,50 @@
+"""What bounds a co-design besides its feasible set, and what its metrics are relative to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What bounds directions, attitude and distances, besides A s <= b.
+
+    Attributes:
+        max_tilt: Of a rotor's axis from the body's up direction [rad].
+        max_attitude: Of the hovering body from level [rad].
+        clearance: Least distance between propeller discs seen from above [m]; None: not asked.
+        free: Which of shape, directions, attitude may change.
+        extent: Largest change of a shape parameter, in mean arm lengths.
+        nearness: Weight of half the squared distance from the start (relative shape, upright
+            rotors, level body): picks one design where many are equally good.
+    """
+
+    max_tilt: float = np.pi / 6
+    max_attitude: float = np.pi / 12
+    clearance: float | None = None
+    free: tuple[str, ...] = ("shape", "directions", "attitude")
+    extent: float = 2.0
+    nearness: float = 1e-4
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What metrics of the start are, so that mixes are relative.
+
+    Attributes:
+        current, max_current: [A], of the start's weight shared out by the thrust limits.
+        size, cost, mass: Of the start.
+        inertia: Its largest [kg m^2], the unit of the response metric's target.
+        response: 4 angle inertia / (m g L) [s^2]: turning by an angle and stopping at angular
+            acceleration q m g L / inertia takes sqrt(response / q).
+    """
+
+    current: float
+    max_current: float
+    size: float
+    cost: float
+    mass: float
+    inertia: float
+    response: float

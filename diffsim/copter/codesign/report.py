@@ -1,0 +1,53 @@
+"""Metrics of a finished design."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.copter.codesign.metrics import METRICS
+from diffsim.copter.codesign.program import Program
+from diffsim.copter.codesign.task import Point, Task
+
+Array = NDArray[np.float64]
+
+
+def design_metrics(task: Task, program: Program, x: Array) -> dict[str, float]:
+    """Relative metrics of a program's unknowns: those asked for, and those of shape and thrusts."""
+    s, _, _, aux, _ = program.split(x)
+    thrusts = program.hover_thrusts(x)
+    shape, scales = program.shape(s), task.scales
+    values = {
+        "payload": float((thrusts / program.rotors.max_thrusts).max()) * scales.mass / shape.mass,
+        "size": shape.size / scales.size,
+        "flight_time": -shape.size / scales.size,
+        "cost": shape.cost / scales.cost,
+        "mass": shape.mass / scales.mass,
+    }
+    if task.currents is not None:
+        current = task.currents.current(thrusts)
+        values["current"] = float(current.sum() / scales.current)
+        values["max_current"] = float(current.max() / scales.max_current)
+    for name, value in aux.items():
+        if name in task.weights:
+            sign = -1.0 if name == "authority" else 1.0
+            values[name] = sign * value
+    if "response" in task.weights:
+        values["response"] = float(np.sqrt(scales.response / max(aux["response"], 1e-12)))
+    return {name: values[name] for name in METRICS if name in values}
+
+
+def largest_weight(task: Task, point: Point) -> float:
+    """Overall weight that shape, directions and spins of a point lift [N]; nan if they cannot.
+
+    Thrusts and attitude are optimised; a demanded authority is kept.
+    """
+    lifting = replace(task.lifting(), scales=task.scales)
+    best = np.nan
+    for free in ((), ("attitude",)):
+        found, program = lifting.solve(point, free=free)
+        if found.violation < 1e-7 and found.value > 0.0:
+            best = float(np.nanmax([best, program.rotors.weight / found.value]))
+    return best

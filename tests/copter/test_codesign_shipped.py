@@ -1,0 +1,55 @@
+"""Co-design of the shipped designs: Table 3.1's pentacopter, the bunny, the quadcopter's size."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import linprog
+
+from diffsim.copter import GRAVITY, load_design, max_hover_weight
+from diffsim.copter.codesign import codesign
+from diffsim.copter.codesign.space import ShapeModel
+
+pytest.importorskip("cvxpy")
+
+
+@pytest.mark.reference
+def test_table_3_1():
+    """The thesis's flat pentacopter weighs 2322 g; four of its five rotors carry the load."""
+    design = load_design("pentacopter")
+    flat = codesign(design, "payload", free=("attitude",), num_starts=1)
+    best = codesign(design, "payload", num_starts=2)
+    assert float(flat.vehicle.mass) == pytest.approx(2.322, abs=1e-3)
+    assert flat.max_weight == pytest.approx(float(max_hover_weight(flat.vehicle)), rel=1e-7)
+    assert flat.max_weight == pytest.approx(4 * 11.672, rel=1e-6)
+    # the thesis: "the maximal possible increase is less than 25 %"
+    gain = best.max_weight / flat.max_weight - 1.0
+    assert 0.249 < gain < 0.25
+    assert best.gap < 1e-3
+    assert np.degrees(float(best.tilts.max())) < 15.0
+
+
+def test_free_form_frame_is_a_polynomial():
+    design = load_design("bunny")
+    model = ShapeModel(design)
+    assert model.is_polynomial
+    s = model.start * 0.97
+    vehicle = design.multicopter(torch.tensor(s))
+    np.testing.assert_allclose(model.at(s).positions, vehicle.positions.numpy(), atol=1e-9)
+    assert model.at(s).mass == pytest.approx(float(vehicle.mass), rel=1e-9)
+
+
+@pytest.mark.reference
+def test_smallest_quadcopter():
+    """Size and feasible set are linear and hover does not hinder: a linear program knows best."""
+    design = load_design("quadcopter")
+    result = codesign(design, "size", num_starts=1, extent=5.0)
+    A, b = (t.numpy() for t in design.inequalities)
+    slope = torch.autograd.functional.jacobian(design.size, design.values).numpy()
+    least = linprog(slope, A_ub=A, b_ub=b, bounds=(None, None))
+    start = float(design.size(design.values))
+    smallest = start + float(least.fun) - float(slope @ design.values.numpy())
+    assert result.metrics["size"] == pytest.approx(smallest / start, rel=1e-6)
+    assert result.gap < 1e-5
+    assert result.max_payload == pytest.approx(
+        result.max_weight / GRAVITY - float(result.vehicle.mass)
+    )
