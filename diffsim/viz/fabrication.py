@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from diffsim.copter.fabrication.motors import MotorPlan
-    from diffsim.copter.fabrication.plan import PrintedPart
+    from diffsim.copter.fabrication.planner import PrintedPart
     from diffsim.copter.fabrication.rods import StockBar
 
 _CLOCKWISE, _COUNTER = COLOURS["fitted"], COLOURS["published"]
 _MATERIALS = {
     "rod": "#3a3f4a",
-    "plate": "#c9d3dc",
+    "plate": "#93a7b8",
     "frame": "#b3362a",
     "motor": "#7d8794",
     "propeller": "#1d2433",
@@ -45,9 +45,9 @@ def view(meshes: Mapping[str, trimesh.Trimesh], kinds: Mapping[str, str]) -> Fig
     figure.set_facecolor("none")
     square = width / height  # 3-D axes are drawn in the middle square of theirs
     ax = figure.add_axes((0.0, 0.5 - 0.5 * square, 1.0, square), projection="3d")
-    triangles = [m.triangles * [1.0, -1.0, -1.0] for m in meshes.values()]
+    triangles = [_small(m) * [1.0, -1.0, -1.0] for m in meshes.values()]
     colours = [_shaded(t, _colour(kinds[n])) for n, t in zip(meshes, triangles, strict=True)]
-    _draw_triangles(ax, np.concatenate(triangles), np.concatenate(colours), 32.0, 52.0, 1.3)
+    _draw_triangles(ax, np.concatenate(triangles), np.concatenate(colours), 32.0, 52.0, 0.9)
     return figure
 
 
@@ -158,6 +158,13 @@ def printed(parts: Sequence[PrintedPart], columns: int = 4) -> Figure:
     return figure
 
 
+def _small(mesh: trimesh.Trimesh) -> Array:
+    """Triangles cut up to sides of 15 mm: they are drawn by the distance of their middles."""
+    remesh = optional("trimesh.remesh", purpose="a figure")
+    vertices, faces = remesh.subdivide_to_size(mesh.vertices, mesh.faces, max_edge=0.015)
+    return vertices[faces]
+
+
 def _draw_motor(ax: Any, patches: Any, m: MotorPlan, hangs: bool) -> None:
     x, y = 1e3 * m.position[1], 1e3 * m.position[0]
     colour = _CLOCKWISE if m.clockwise else _COUNTER
@@ -229,8 +236,8 @@ def _shaded(triangles: Array, colour: str) -> Array:
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     facing = (normals / np.where(lengths > 0.0, lengths, 1.0)) @ _LIGHT
-    bright = 0.55 + 0.45 * np.clip(facing, -1.0, 1.0)[:, None]
-    rgb = np.clip(np.array(colours.to_rgb(colour)) * (0.35 + bright), 0.0, 1.0)
+    bright = 0.85 + 0.3 * np.clip(facing, -1.0, 1.0)[:, None]
+    rgb = np.clip(np.array(colours.to_rgb(colour)) * bright, 0.0, 1.0)
     return np.column_stack([rgb, np.ones(len(rgb))])
 
 

@@ -2,7 +2,7 @@
 
 from diffsim.copter.fabrication.files import write_plan
 from diffsim.copter.fabrication.motors import MotorPlan
-from diffsim.copter.fabrication.plan import FabricationError, FabricationPlan, PrintedPart, plan
+from diffsim.copter.fabrication.planner import FabricationError, FabricationPlan, PrintedPart, plan
 from diffsim.copter.fabrication.print_check import PrintCheck, Printer
 from diffsim.copter.fabrication.printable import clip_mesh
 from diffsim.copter.fabrication.rods import RodCut, StockBar

@@ -12,7 +12,7 @@ import yaml
 from trimesh.exchange.stl import export_stl
 
 from diffsim._files import to_plain, write_bytes_atomic, write_text_atomic
-from diffsim.copter.fabrication.plan import FabricationPlan
+from diffsim.copter.fabrication.planner import FabricationPlan
 
 
 def write_plan(plan: FabricationPlan, folder: str | Path) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from diffsim.copter.fabrication.materials import MaterialLine
-from diffsim.copter.fabrication.plan import FabricationPlan
+from diffsim.copter.fabrication.planner import FabricationPlan
 from diffsim.viz import fabrication as draw
 from diffsim.viz.figures import data_uri
 from diffsim.viz.report import Number, Picture, Report, Section, Table

@@ -70,7 +70,7 @@ def clip_mesh(
     outline[0, 0] -= NOTCH
     centers, slope = _bolts() if has_screw_holes(along, across, middle, radius) else [], -lean
     holes = [circle(SHAFT_HOLE)] + [circle(SCREW_HOLE, c) for c in centers]
-    below = [h - lean * (middle + h.mean(axis=0) @ slope) for h in holes]
+    below = [h - (middle + h @ slope)[:, None] * lean for h in holes]
     below[0] = holes[0]  # the shaft's room is upright
     return perforated_prism(outline, holes, middle, slope, below)
 
