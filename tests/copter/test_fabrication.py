@@ -220,6 +220,19 @@ def test_shape_and_directions_reach_the_plan():
     assert found.mass > plan(design).mass
 
 
+@pytest.mark.parametrize("name", ["pentacopter", "y6_hexacopter"])
+def test_spins_reach_the_plan(name, tmp_path):
+    design = load_design(name)
+    spins = design.spins * torch.tensor([-1.0] + [1.0] * (len(design.rotors) - 2) + [-1.0]).double()
+    found = plan(design, spins=spins)
+    assert [m.clockwise for m in found.motors] == (spins > 0.0).tolist()
+    loaded = load_design(found.design.save(tmp_path / "design.yaml"))
+    assert loaded.multicopter().spins.tolist() == spins.tolist()
+    torch.testing.assert_close(loaded.values, design.values, atol=1e-14, rtol=0.0)
+    with pytest.raises(ValueError, match="spins must be"):
+        plan(design, spins=0.5 * spins)
+
+
 def test_spins_and_numbers(plans):
     pentacopter, y6 = plans["pentacopter"].motors, plans["y6_hexacopter"].motors
     assert [m.number for m in pentacopter] == [1, 2, 3, 4, 5]

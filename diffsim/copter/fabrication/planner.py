@@ -104,6 +104,7 @@ def plan(
     design: Design,
     s: Tensor | None = None,
     directions: Tensor | None = None,
+    spins: Tensor | None = None,
     *,
     stock: float = 1.0,
     kerf: float = 0.0015,
@@ -116,6 +117,7 @@ def plan(
         s: Free parameters, (n_free,) [m], such as a co-design's; the design's own if None.
         directions: Unit thrust directions, (n_rotors, 3); the design is rebuilt with a
             compound-angle clip under every motor that leans. As built if None.
+        spins: b_i, (n_rotors,), +1 or -1, such as a co-design's; as built if None.
         stock: Length of the rods that are sold [m].
         kerf: Width of the saw's cut [m].
         printer: To check the meshes for; 220 x 220 x 250 mm and 1.2 mm of wall by default.
@@ -130,6 +132,8 @@ def plan(
     printer = Printer() if printer is None else printer
     if s is not None:
         design = design.with_values(s)
+    if spins is not None:
+        design = design.with_spins(spins)
     if directions is not None:
         design = design.with_directions(directions)
     values = dict(zip(design.all_names, design.all_values().tolist(), strict=True))
