@@ -252,9 +252,8 @@ class Design:
         spins = require("spins", spins, (len(self.rotors),)).detach()
         if bool((spins.abs() != 1.0).any()):
             raise ValueError(f"spins must be +1 or -1, got {spins.tolist()}")
-        turned = [
-            n for n, same in zip(self.rotor_names, spins == self.spins, strict=True) if not same
-        ]
+        change = (spins != self.spins).tolist()
+        turned = [name for name, differs in zip(self.rotor_names, change, strict=True) if differs]
         opposite = {"cw": "ccw", "ccw": "cw"}
         options = {p.name: p.part.options for p in self.parts if p.name in turned}
         return self._rebuilt(

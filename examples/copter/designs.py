@@ -7,7 +7,11 @@ hover thrusts, largest weight that hovers, battery life, LQR (Q = diag, R = I), 
 that regulator from rest to a point 2 m ahead, 1 m to the right and 1.5 m up, with motors that lag
 by 0.05 s. One step of the regulator is 5 ms.
 
-Expected: EXPECTED
+Expected: all hover and arrive within 0.1 m of the target after 5.1 to 5.2 s. The payload twin lifts
+5.94 kg overall instead of 4.76 kg (24.9 % more), the flight-time twin hovers for 11.2 instead of
+10.1 minutes. The bunny's smallest motor works at 85 % in hover and saturates on the way. The 8- and
+12-inch propellers were never measured, so that the bunny has no battery life. Running time: 3 CPU
+seconds, with pictures 15.
 
     python examples/copter/designs.py                                  # all, numbers only
     python examples/copter/designs.py bunny --out runs/copter          # with picture
@@ -67,7 +71,7 @@ class Story:
 
 
 def battery_life(copter: Multicopter, thrusts: Tensor) -> float:
-    """Hover time of three cells of 2.2 A h down to 5 % [min]; NaN where a rotor was not measured."""
+    """Hover on three cells of 2.2 A h down to 5 % [min]; NaN where a rotor was not measured."""
     if not set(copter.rotor_models) <= set(rotor_names()):
         return float("nan")
     models = [rotor_model(name) for name in copter.rotor_models]
@@ -156,9 +160,7 @@ def draw(story: Story, path: Path) -> None:
     way.set_ylabel("position, target dotted [m]", color=SOFT)
     for k in range(story.copter.num_rotors):
         u = story.flight.state.thrusts[0, :, k].numpy() / float(story.copter.max_thrusts[k])
-        push.plot(
-            time, 100.0 * u, color=CYCLE[k % len(CYCLE)], label=f"motor {k + 1}", linewidth=1.2
-        )
+        push.plot(time, 100.0 * u, color=CYCLE[k % len(CYCLE)], label=f"motor {k + 1}", lw=1.2)
     push.set_ylabel("thrust [% of greatest]", color=SOFT)
     for axes in (way, push):
         axes.set_xlim(0.0, float(time[-1]))

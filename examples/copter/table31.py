@@ -1,11 +1,24 @@
 """How much more can the pentacopter carry after co-optimisation (thesis Table 3.1, Fig. 3-7)?
 
-The flat pentacopter has the size and weight of Table 3.1. Its payload is optimised over rod lengths,
-motor angles and spins, subject to hover; the twin is the design that the package ships with the
-published outline of the optimised one. Every row is predicted; the thesis's payloads and overall
+The flat pentacopter has the size and weight of Table 3.1. Its payload is optimised over rod
+lengths, motor angles and spins, subject to hover; the shipped twin has the published outline of the
+optimised one. All our numbers are predictions at full thrust, the thesis's payloads and overall
 weights are flights.
 
-Expected: EXPECTED
+Expected: +25.0 % overall weight, 0.004 % from the bound that no design exceeds (five motors at full
+thrust instead of four), with motors tilted by 1.3 degrees; tilt alone gives +20.8 %. The thesis
+predicted +15.8 % and flew +11.1 % with 10.6 degrees. Why they differ:
+
+- Absolute weights: in the thesis's flight a loaded motor pulled 8.3 N, 71 % of what the bench
+  measured. The signal was clamped, the battery sags, motors need a margin for control, propellers
+  disturb each other; none of it is in the static limit.
+- Gain: hover is a hard constraint here and weighs nothing against the payload; the thesis's soft
+  hover and alternation stop earlier (see benchmarks/copter_codesign.py).
+- Angles: many tilts balance five equal thrusts; we report the one closest to upright. Torque kept
+  for control at the largest weight asks for 8.4 degrees and larger arms, up to the bounds of the
+  rods (the thesis's limits of size are unknown).
+
+Running time: 10 CPU seconds.
 
     python examples/copter/table31.py --out runs/table31
 """
@@ -79,8 +92,8 @@ def main(starts: int = 4, out: str | None = None) -> dict[str, float]:
         "seconds per start": sum(s.seconds for s in best.starts) / len(best.starts),
     }
     print(
-        f"thesis: gain {PREDICTED_GAIN} % predicted, {MEASURED_GAIN} % flown, below {LIMIT:.0f} % for "
-        "any design"
+        f"thesis: gain {PREDICTED_GAIN} % predicted, {MEASURED_GAIN} % flown, "
+        f"below {LIMIT:.0f} % for any design"
     )
     if out is not None:
         from diffsim.copter.fabrication import plan, write_plan
