@@ -1,6 +1,7 @@
 """Fabrication plans: closed prints, cut lists and bills that add up, clips at the right angle."""
 
 import csv
+import io
 import itertools
 import math
 
@@ -9,6 +10,7 @@ import pytest
 import torch
 import trimesh
 import yaml
+from trimesh.exchange.stl import export_stl
 
 from diffsim import cli
 from diffsim.copter import load_design, shipped_designs
@@ -150,17 +152,28 @@ def test_sections_are_not_mixed():
     assert sorted(bar.section for bar in pack(cuts, 1.0, 0.0)) == ["thick", "thin"]
 
 
-def test_connectors_are_where_the_meshes_meet(plans):
-    """Distances from the rod's end, measured on the meshes of the composed design."""
-    found = plans["pentacopter"]
+@pytest.mark.parametrize("name", ["pentacopter", "quadcopter", "y6_hexacopter"])
+def test_connectors_are_where_the_meshes_meet(plans, name):
+    """Distances from the end that the plan names, measured on the composed meshes."""
+    found = plans[name]
     meshes = found.design.meshes()
-    assert len(found.places) == 17
+    held = [p.name for p in found.design.parts if p.part.kind == "round_connector"]
+    assert sorted(p.connector for p in found.places) == sorted(held)
+    ends = {"rear": (0, 0), "front": (1, 0), "left": (0, 1), "right": (1, 1)}
+    ends |= {"upper": (0, 2), "lower": (1, 2)}  # low or high coordinate of an axis, NED
     for place in found.places:
+        side, axis = ends[place.start]
         rod, connector = meshes[place.rod].bounds, meshes[place.connector].bounds
-        axis = int(np.ptp(rod, axis=0).argmax())
-        middle = 0.5 * connector.sum(axis=0)[axis]
-        start = rod[0, axis]  # of these rods, the start is the rear or left end
-        assert place.from_start == pytest.approx(middle - start, abs=1e-9)
+        assert axis == int(np.ptp(rod, axis=0).argmax())
+        distance = abs(0.5 * connector.sum(axis=0)[axis] - rod[side, axis])
+        assert place.from_start == pytest.approx(distance, abs=1e-9)
+
+
+def test_turn_of_a_connector():
+    """By hand: the pentacopter's front cross rod hangs in connectors that face down."""
+    places = {p.connector: p for p in plan(load_design("pentacopter")).places}
+    assert places["rail_left__cross_front"].roll == pytest.approx(180.0)
+    assert places["cross_rear__rail_left"].roll == pytest.approx(0.0)
 
 
 @pytest.mark.parametrize("along", [-14.0, 0.0, 6.0])
@@ -192,14 +205,15 @@ def test_screw_holes_are_square_to_the_motor():
 
 
 @pytest.mark.parametrize("name", ["pentacopter", "quadcopter", "x_quadcopter", "y6_hexacopter"])
-def test_clips_give_the_motors_their_directions(name, tmp_path):
+def test_clips_give_the_motors_their_directions(name):
     """From the STL file, through the clip's place in the design, to the direction asked for."""
     design, directions = tilted(name)
     found = plan(design, directions=directions, printer=LARGE)
-    write_plan(found, tmp_path)
     parts = {p.name: p for p in found.design.parts}
+    prints = {p.file: p.mesh for p in found.printed}
     for motor, wanted in zip(found.motors, directions.numpy(), strict=True):
-        mesh = trimesh.load(tmp_path / "stl" / f"clip_motor_{motor.number}.stl")
+        stl = io.BytesIO(export_stl(prints[f"clip_motor_{motor.number}.stl"]))
+        mesh = trimesh.load(stl, file_type="stl")
         assert mesh.is_watertight
         normal = parts[motor.clip].rotation @ (np.diag([1.0, -1.0, -1.0]) @ top_normal(mesh))
         if motor.pusher:  # hangs below: the clip's top faces down, the thrust goes up
@@ -259,6 +273,7 @@ def test_files(tmp_path):
     assert summary["mass_kg"] == found.mass
     assert [m["number"] for m in summary["motors"]] == [1, 2, 3, 4, 5]
     assert {f.name for f in (folder / "stl").iterdir()} == {p.file for p in found.printed}
+    assert all(trimesh.load(f).is_watertight for f in (folder / "stl").iterdir())
     again = load_design(folder / "design.yaml")
     assert float(again.mass()) == pytest.approx(found.mass, rel=1e-12)
 

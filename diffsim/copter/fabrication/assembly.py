@@ -23,13 +23,15 @@ class ConnectorPlace:
     Attributes:
         connector, rod: Names of the parts.
         label: Of the rod's cut.
-        from_start: Distance of the connector's middle from the rod's start, its -x end [m].
+        start: Which end of the rod distances count from, its -x end: ``rear``, ``left``, ...
+        from_start: Distance of the connector's middle from there [m].
         roll: Turn of the connector's top about the rod's axis, 0 facing up [deg].
     """
 
     connector: str
     rod: str
     label: str
+    start: str
     from_start: float
     roll: float
 
@@ -52,8 +54,9 @@ def connector_places(
             parallel = float(np.linalg.norm(np.cross(connector.rotation[:, 0], axis)))
             if beside < _SAME_AXIS and parallel < 1e-9 and abs(along) <= half + _SAME_AXIS:
                 roll = _roll(connector.rotation @ UP, axis)
+                label, start = labels[rod.name], _end_name(-axis)
                 found.append(
-                    ConnectorPlace(connector.name, rod.name, labels[rod.name], half + along, roll)
+                    ConnectorPlace(connector.name, rod.name, label, start, half + along, roll)
                 )
         places += sorted(found, key=lambda c: c.from_start)
     return tuple(places)
@@ -81,30 +84,38 @@ def steps(
         done.append(
             "Screw the plates to the connectors, two M3 screws each, holes drilled through."
         )
-    done += [_joint(c.host, c.guest) for c in design.spec.connections if not places]
+    done += _joints(design)
     done += [_mount(design, motor) for motor in motors]
-    com = design.center_of_mass().tolist()
-    first = design.parts[0].name
-    origin = [values[n] for n in design.parts[0].position_names]
-    ahead, right, below = (1e3 * (a - b) for a, b in zip(com, origin, strict=True))
     done.append(
         "Wire every speed controller to the output of its motor's number. Without propellers, "
         "check each motor's sense; swap any two of its three wires if it turns the wrong way."
     )
     done.append(
-        f"Before the first flight lift the copter at its centre of mass: {ahead:.0f} mm before, "
-        f"{right:.0f} mm to the right of and {below:.0f} mm below the middle of {first} (negative: "
-        "behind, to the left, above). It must hang level; move the battery if not."
+        f"Before the first flight lift the copter at its centre of mass, "
+        f"{_balance(design, values)}. It must hang level; move the battery if not."
     )
     done.append("Mount the propellers last, the printed side facing the thrust.")
     return tuple(done)
+
+
+def _balance(design: Design, values: Mapping[str, float]) -> str:
+    """Where the centre of mass is, from the middle of the first part."""
+    com = design.center_of_mass().tolist()
+    first = design.parts[0]
+    words = (("behind", "in front of"), ("left of", "right of"), ("above", "below"))
+    places = [
+        f"{1e3 * abs(offset):.0f} mm {pair[offset > 0.0]}"
+        for name, value, pair in zip(first.position_names, com, words, strict=True)
+        if abs(offset := value - values[name]) >= 5e-4
+    ]
+    return f"{', '.join(places) or 'at'} the middle of {first.name}"
 
 
 def _mount(design: Design, motor: MotorPlan) -> str:
     side = "upside down below" if motor.pusher else "on"
     text = f"Motor {motor.number}, {motor.name}: "
     if motor.clip is None:
-        return text + f"screw it {side} its carrier; it stands upright."
+        return text + f"screw it {side} its carrier, square."
     clip = next(p for p in design.parts if p.name == motor.clip)
     x, y, _ = clip.rotation[:, 0]
     notch = float(np.rad2deg(np.arctan2(y, x)) % 360.0)
@@ -117,9 +128,25 @@ def _mount(design: Design, motor: MotorPlan) -> str:
     )
 
 
-def _joint(host: str, guest: str) -> str:
-    a, b = (text.replace(".", ", ") for text in (host, guest))
-    return f"Fix {b} to {a}."
+def _joints(design: Design) -> list[str]:
+    """What is fixed to what, besides rods and motors, which have tables and steps of their own."""
+    own = {p.name for p in design.parts if p.part.rod_parameter is not None}
+    own |= set(design.rotor_names)
+    done = []
+    for connection in design.spec.connections:
+        (host, _, face), (guest, _, back) = (
+            text.partition(".") for text in (connection.host, connection.guest)
+        )
+        if not own & {host, guest}:
+            done.append(f"Fix {guest} ({back or 'closest side'}) to {host} ({face or 'there'}).")
+    return done
+
+
+def _end_name(direction: Array) -> str:
+    """Where an end of a rod points in the copter."""
+    names = (("rear", "front"), ("left", "right"), ("upper", "lower"))
+    axis = int(np.abs(direction).argmax())
+    return names[axis][int(direction[axis] > 0.0)]
 
 
 def _roll(top: Array, axis: Array) -> float:

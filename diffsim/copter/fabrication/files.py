@@ -74,6 +74,7 @@ def tables(plan: FabricationPlan) -> dict[str, list[dict[str, Any]]]:
                 "rod": place.label,
                 "rod_part": place.rod,
                 "connector": place.connector,
+                "start": place.start,
                 "from_start_mm": round(1e3 * place.from_start, 1),
                 "roll_deg": round(place.roll, 1),
             }

@@ -110,6 +110,7 @@ def _connectors(plan: FabricationPlan) -> Section | None:
     rows = [
         [
             f"{p.label}, {p.rod}",
+            p.start,
             p.connector.replace("__", " to "),
             f"{1e3 * p.from_start:.1f}",
             f"{p.roll:.0f}",
@@ -120,10 +121,10 @@ def _connectors(plan: FabricationPlan) -> Section | None:
         title="Connectors on rods",
         content=[
             Table(
-                columns=["rod", "connector", "middle from the start [mm]", "top turned by [deg]"],
+                columns=["rod", "from end", "connector", "to its middle [mm]", "turned [deg]"],
                 rows=rows,
-                caption="The start is the rod's rear or left end; the turn is right-handed about "
-                "the rod from start to end, 0 where the connector's top faces up.",
+                caption="The turn is right-handed about the rod, looking away from the end named, "
+                "and 0 where the connector's top faces up (forward, on an upright rod).",
             )
         ],
     )

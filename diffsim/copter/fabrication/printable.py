@@ -134,7 +134,7 @@ def _frame(placed: PlacedPart, values: Array, design: Design) -> trimesh.Trimesh
             continue
         x, y, _ = MM * placed.part.patches[patch].center.at(values) @ _BED_FROM_PART
         if guest == "motor":
-            holes += [circle(SHAFT_HOLE, (x, y))]
+            holes += [circle(SHAFT_HOLE, (x, y), 24)]
             holes += [circle(SCREW_HOLE, (x + dx, y + dy), 24) for dx, dy in _bolts()]
         else:
             holes.append(circle(SCREW_HOLE, (x, y), 24))
