@@ -28,7 +28,7 @@ from benchmarks.harness import Part, Store, cores, repeat_for, spread
 from benchmarks.machine import COPTER_CODE, code_fingerprint, machine
 from diffsim._files import write_json_atomic, write_text_atomic
 from diffsim.copter import Feedback, Multicopter, fly, load_design, shipped_designs
-from diffsim.copter.codesign import codesign
+from diffsim.copter.codesign import CoDesignError, codesign
 from diffsim.copter.flight_state import FlightState
 
 Say = Callable[[str], None]
@@ -69,7 +69,10 @@ def codesign_part(case: str, method: str, plan: Plan) -> Part:
         say(f"{count} starts")
         design = load_design(name)
         flat = codesign(design, objective, free=("attitude",), num_starts=1, spins="given")
-        found = codesign(design, objective, method, num_starts=count)
+        try:
+            found = codesign(design, objective, method, num_starts=count)
+        except CoDesignError as error:
+            return {"failed": str(error)}
         values = [s.value for s in found.starts]
         return {
             "gain": flat.objective / found.objective - 1.0,
@@ -182,6 +185,9 @@ def report(results: dict[str, Any]) -> str:
         "|---|---|---|---|---|---|",
     ]
     for name, row in _stage(results, "codesign"):
+        if "failed" in row:
+            lines.append(f"| {name} | failed: {row['failed']} | | | | |")
+            continue
         seconds = row["seconds"]
         gap = "no bound" if row["gap"] is None else f"{100.0 * row['gap']:.2g} %"
         lines.append(

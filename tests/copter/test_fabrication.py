@@ -296,6 +296,22 @@ def test_prism_with_holes():
     ]
 
 
+@pytest.mark.parametrize("degrees", [0.0, 17.0, 31.4, 45.0, 67.5])
+def test_prism_of_any_orientation(degrees):
+    """Points of one straight side are collinear up to rounding, which differs with the angle."""
+    a = math.radians(degrees)
+    turn = np.array([[math.cos(a), -math.sin(a)], [math.sin(a), math.cos(a)]])
+    corners = np.array(
+        [[0.0, 0.0], [80.0, 0.0], [80.0, 10.0], [10.0, 10.0], [10.0, 50.0], [0.0, 50.0]]
+    )
+    for spacing in (1.1, 2.3, 5.0):
+        hole = circle(1.5, turn @ [60.0, 5.0], segments=24)
+        mesh = perforated_prism(refined(corners @ turn.T, spacing), [hole], 3.0)
+        assert mesh.is_watertight
+        inner = 12.0 * 1.5**2 * math.sin(2.0 * math.pi / 24)
+        assert mesh.volume == pytest.approx(3.0 * (1200.0 - inner), rel=1e-12)
+
+
 def test_holes_that_leave_the_outline_are_refused():
     square = refined(np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 20.0], [0.0, 20.0]]), 2.0)
     with pytest.raises(MeshError, match="move holes away"):

@@ -13,6 +13,7 @@ from diffsim.copter.geometry import Array
 from diffsim.errors import MeshError
 
 IntArray = NDArray[np.int64]
+_FLAT = 1e-9  # height over length of triangles between three points of one straight side: rounding
 
 
 def circle(
@@ -88,8 +89,10 @@ def _triangulate(loops: Sequence[Array]) -> IntArray:
     triangles = Delaunay(flat).simplices.astype(np.int64)
     triangles = triangles[inside(flat[triangles].mean(axis=1), loops)]
     a, b, c = (flat[triangles[:, k]] for k in range(3))
-    turned = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] < 0.0
-    triangles[turned] = triangles[turned][:, ::-1]
+    turn = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    triangles[turn < 0.0] = triangles[turn < 0.0][:, ::-1]
+    lengths = np.maximum(np.linalg.norm(b - a, axis=1), np.linalg.norm(c - a, axis=1))
+    triangles = triangles[np.abs(turn) > _FLAT * lengths**2]
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     directed = {tuple(e) for e in edges.tolist()}
     border = {e for e in directed if e[::-1] not in directed}
