@@ -343,6 +343,22 @@ def test_frame_larger_than_the_printer_is_a_problem_not_an_error():
     assert "frame.stl: 382 x 382 x 8 mm do not fit" in found.problems[0]
 
 
+def test_propellers_that_touch_are_a_problem():
+    design = load_design("x_quadcopter")
+    # neighbours 0.2 m apart, radii 0.127 m
+    small = design.closest({"frame.half_length": 0.1, "frame.half_width": 0.1})
+    found = plan(small, printer=LARGE).problems
+    assert len(found) == 4
+    assert found[0] == "the propellers of motors 1 and 2 cut into each other"
+
+
+def test_screw_holes_that_leave_too_little_of_an_arm_are_refused():
+    """Arms of an X that is far wider than long are too slim for the motor's screws."""
+    wide = load_design("x_quadcopter").closest({"frame.half_length": 0.1})
+    with pytest.raises(FabricationError, match=r"frame\.stl: a wall of 0\.\d+ mm is thinner"):
+        plan(wide, printer=LARGE)
+
+
 def test_errors():
     design = load_design("quadcopter")
     with pytest.raises(ValueError, match=r"stock must be .* 0\.3 m for 'arm_x' of 0\.5 m"):

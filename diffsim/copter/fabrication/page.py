@@ -30,9 +30,7 @@ def page(plan: FabricationPlan) -> Report:
             f"Screws, glue and straps add about {1e3 * extra:.0f} g "
             f"({100.0 * extra / plan.mass:.1f} %), which the design does not count.",
         ],
-        banner="; ".join(plan.problems) + ". Use a larger printer, or have it made."
-        if plan.problems
-        else None,
+        banner=f"Mend first: {'; '.join(plan.problems)}." if plan.problems else None,
         numbers=[
             Number(label="mass", value=f"{1e3 * plan.mass:.0f}", unit="g"),
             Number(label="parts", value=f"{plan.price:.0f}", unit="EUR"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections import defaultdict
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ import numpy as np
 import trimesh
 from torch import Tensor
 
+from diffsim.copter.clearance import disc_clearances
 from diffsim.copter.design import Design
 from diffsim.copter.fabrication.assembly import ConnectorPlace, connector_places, steps
 from diffsim.copter.fabrication.materials import MaterialLine, bill, consumables
@@ -96,8 +98,18 @@ class FabricationPlan:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What stands in the way of printing, one sentence each."""
-        return tuple(f"{p.file}: {text}" for p in self.printed for text in p.check.problems)
+        """What stands in the way of printing and flying, one sentence each."""
+        prints = [f"{p.file}: {text}" for p in self.printed for text in p.check.problems]
+        gaps = disc_clearances(self.design.multicopter()).tolist()
+        pairs = itertools.combinations(self.motors, 2)
+        return (
+            *prints,
+            *(
+                f"the propellers of motors {a.number} and {b.number} cut into each other"
+                for (a, b), gap in zip(pairs, gaps, strict=True)
+                if gap <= 0.0
+            ),
+        )
 
 
 def plan(
