@@ -13,7 +13,7 @@ import yaml
 from trimesh.exchange.stl import export_stl
 
 from diffsim import cli
-from diffsim.copter import load_design, shipped_designs
+from diffsim.copter import import_xml, load_design, shipped_designs
 from diffsim.copter.fabrication import (
     FabricationError,
     Printer,
@@ -27,6 +27,7 @@ from diffsim.copter.fabrication.printable import has_screw_holes
 from diffsim.copter.fabrication.prism import circle, inside, perforated_prism, refined
 from diffsim.copter.fabrication.rods import RodCut, pack
 from diffsim.errors import MeshError
+from tests.measured import data_folder
 
 LARGE = Printer(bed=(700.0, 700.0, 300.0))
 
@@ -341,6 +342,21 @@ def test_frame_larger_than_the_printer_is_a_problem_not_an_error():
     found = plan(load_design("x_quadcopter"))
     assert len(found.problems) == 1
     assert "frame.stl: 382 x 382 x 8 mm do not fit" in found.problems[0]
+
+
+def test_imported_designs_are_planned_as_far_as_they_say(tmp_path):
+    """The public tool's file names meshes, not kinds: rods are cut, the rest is bought."""
+    design = import_xml(data_folder("copter_reference") / "y6copter.xml")
+    found = plan(design)
+    write_plan(found, tmp_path)
+    assert [(round(c.length, 3), c.quantity) for c in found.cuts] == [
+        (0.6, 2),
+        (0.18, 4),
+        (0.132, 2),
+    ]
+    assert found.mass == pytest.approx(float(design.mass()), rel=1e-12)
+    assert [m.pusher for m in found.motors] == [False, True] * 3
+    assert found.printed == () and found.steps[0].startswith("Cut the rods")
 
 
 def test_propellers_that_touch_are_a_problem():

@@ -70,12 +70,15 @@ def steps(
 ) -> tuple[str, ...]:
     """What to do, in order."""
     kinds = {p.part.kind for p in design.parts}
-    done = ["Print the parts as they stand in their files, and weigh them against the bill."]
-    if places:
+    done = []
+    if any(p.part.source == "printed" for p in design.parts):
+        done.append("Print the parts as they stand in their files; weigh them against the bill.")
+    if any(p.part.rod_parameter is not None for p in design.parts):
         done.append(
             "Cut the rods, letter them and mark their start. Deburr, and keep the dust wet: carbon "
             "dust harms lungs and shorts electronics."
         )
+    if places:
         done.append(
             "Slide every connector to its place of the table below, all of one rod before the "
             "next, turned as listed; fix with epoxy only when the whole skeleton fits dry."

@@ -73,7 +73,7 @@ def motor_plans(design: Design) -> tuple[MotorPlan, ...]:
                 radius=float(copter.radii[i]),
                 direction=(a, b, c),
                 clockwise=float(copter.spins[i]) > 0.0,
-                pusher=mount.direction[2] > 0.0,
+                pusher=bool(mount.direction[2] > 0.0),
                 clip=clips.get(name),
                 max_thrust=float(copter.max_thrusts[i]),
             )
