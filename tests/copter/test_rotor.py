@@ -23,6 +23,7 @@ from tests.measured import data_folder
 
 
 def tables():
+    data_folder("copter_reference")  # holds the KDE motors' tables
     return read_rotor_bench(data_folder("rotor_bench"))
 
 
