@@ -8,6 +8,7 @@ import os
 import platform
 import re
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,11 +41,15 @@ def machine() -> dict[str, Any]:
     }
 
 
-def code_fingerprint() -> str:
-    """Digest of the package's Python files and its loaded binary: what results depend on."""
+SOFT_CODE = ("soft/*.py", "contact/*.py", "mesh/*.py", "_ops_*.py", "_soft_context.py")
+COPTER_CODE = ("copter/**/*.py", "copter/**/*.yaml", "mesh/*.py", "_ops_*.py")
+
+
+def code_fingerprint(patterns: Sequence[str] = SOFT_CODE) -> str:
+    """Digest of the package's files and its loaded binary: what results depend on."""
     digest = hashlib.sha256(Path(core.__file__).read_bytes())
     package = Path(diffsim.__file__).parent
-    for pattern in ("soft/*.py", "contact/*.py", "mesh/*.py", "_ops_*.py", "_soft_context.py"):
+    for pattern in patterns:
         for path in sorted(package.glob(pattern)):
             digest.update(path.read_bytes())
     return digest.hexdigest()[:16]

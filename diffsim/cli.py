@@ -1,4 +1,4 @@
-"""The ``diffsim`` command: ``diffsim demo`` and ``diffsim info``."""
+"""The ``diffsim`` command: ``diffsim demo``, ``diffsim fabricate`` and ``diffsim info``."""
 
 from __future__ import annotations
 
@@ -43,6 +43,23 @@ def parser() -> argparse.ArgumentParser:
     demo.add_argument("--threads", type=_positive, default=os.cpu_count() or 1, metavar="N")
     demo.set_defaults(run=_demo)
 
+    fabricate = commands.add_parser(
+        "fabricate", parents=[common], help="cut list, STL files, bill and wiring of a multicopter"
+    )
+    fabricate.add_argument("design", help="a shipped design such as pentacopter, or a YAML file")
+    fabricate.add_argument("--out", type=Path, help="default: runs/fabricate/DESIGN")
+    fabricate.add_argument("--stock", type=float, default=1.0, help="rods as sold [m], default 1")
+    fabricate.add_argument("--kerf", type=float, default=0.0015, help="of the saw [m]")
+    fabricate.add_argument(
+        "--bed",
+        type=float,
+        nargs=3,
+        default=(220.0, 220.0, 250.0),
+        metavar="MM",
+        help="of the printer",
+    )
+    fabricate.set_defaults(run=_fabricate)
+
     info = commands.add_parser("info", parents=[common], help="versions, processor, data folder")
     info.set_defaults(run=_info)
     return top
@@ -61,6 +78,23 @@ def _demo(args: argparse.Namespace) -> None:
         resume=args.resume,
         threads=args.threads,
     )
+
+
+def _fabricate(args: argparse.Namespace) -> None:
+    from diffsim.copter import load_design  # only here: see _demo
+    from diffsim.copter.fabrication import Printer, plan, write_plan
+
+    design = load_design(args.design)
+    found = plan(design, stock=args.stock, kerf=args.kerf, printer=Printer(bed=tuple(args.bed)))
+    page = write_plan(found, args.out or Path("runs/fabricate") / design.name)
+    prints = sum(len(p.names) for p in found.printed if p.process == "print")
+    print(
+        f"{design.name}: {1e3 * found.mass:.0f} g, {found.price:.0f} EUR, "
+        f"{len(found.bars)} bars of rod, {prints} printed parts"
+    )
+    for problem in found.problems:
+        print(f"problem: {problem}")
+    print(f"page: {page}")
 
 
 def _info(_args: argparse.Namespace) -> None:

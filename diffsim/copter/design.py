@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -237,10 +238,35 @@ class Design:
         """
         directions = require("directions", directions, (len(self.rotors), 3)).detach()
         rows = dict(zip(self.rotor_names, directions.tolist(), strict=True))
-        parts = tuple(
-            replace(p, direction=tuple(rows[p.name])) if p.name in rows else p
-            for p in self.spec.parts
+        return self._rebuilt({name: {"direction": tuple(row)} for name, row in rows.items()})
+
+    def with_spins(self, spins: Tensor) -> Design:
+        """Rebuild with propellers that turn the other way where ``spins`` says so.
+
+        Args:
+            spins: b_i, (n_rotors,), +1 or -1.
+
+        Raises:
+            ValueError: wrong shape, other values.
+        """
+        spins = require("spins", spins, (len(self.rotors),)).detach()
+        if bool((spins.abs() != 1.0).any()):
+            raise ValueError(f"spins must be +1 or -1, got {spins.tolist()}")
+        change = (spins != self.spins).tolist()
+        turned = [name for name, differs in zip(self.rotor_names, change, strict=True) if differs]
+        opposite = {"cw": "ccw", "ccw": "cw"}
+        options = {p.name: p.part.options for p in self.parts if p.name in turned}
+        return self._rebuilt(
+            {
+                p.name: {"options": {**p.options, "spin": opposite[str(options[p.name]["spin"])]}}
+                for p in self.spec.parts
+                if p.name in turned
+            }
         )
+
+    def _rebuilt(self, changes: Mapping[str, Mapping[str, Any]]) -> Design:
+        """Composed anew with other fields of some parts' specifications, free parameters kept."""
+        parts = tuple(replace(p, **changes.get(p.name, {})) for p in self.spec.parts)
         from diffsim.copter.assemble import build_design  # it makes designs, and so imports this
 
         return build_design(replace(self.spec, parts=parts, values=self.named_values()))

@@ -92,31 +92,35 @@ class RotorTable:
 def read_rotor_bench(folder: Path) -> dict[str, RotorTable]:
     """All tables of the data set ``rotor_bench``, by name.
 
-    Small motors were measured at two supply voltages; the rows of both make one table.
+    Small motors were measured at two supply voltages; the rows of both make one table. The KDE
+    motors' rows are read as the public tool has them (data set ``copter_reference``, beside this
+    one): there the 14-inch table has its sweep down, too, which ``rotor_bench`` lacks.
 
     Raises:
         FileNotFoundError: a file of the data set is not there.
     """
-    tables = [_kde(folder, inches) for inches in (10, 14)]
+    public = folder.parent / "copter_reference" / "measurement"
+    tables = [_kde(public, inches) for inches in (10, 14)]
     tables += list(_small_motors(folder))
     return {table.name: table for table in tables}
 
 
 def _kde(folder: Path, inches: int) -> RotorTable:
-    column, text = _columns(folder / f"kde2814_{inches}in.csv")
+    file = f"motor_{inches}inch_prop.txt"
+    signal, torque, thrust, rpm, current = np.loadtxt(folder / file, unpack=True)
     return RotorTable(
         name=f"kde2814_{inches}in",
         title=f"KDE2814XF-775, {inches} inch propeller",
         radius=inches * INCH / 2,
         nominal_voltage=11.1,
-        signal=column("esc_signal_us"),
-        speed=column("speed_rad_s"),
-        thrust=column("thrust_N"),
-        current=column("current_A"),
-        torque=column("torque_Nm"),
+        signal=signal,
+        speed=rpm * 2.0 * np.pi / 60.0,
+        thrust=thrust,
+        current=current,
+        torque=torque,
         voltage=None,
-        down=np.array(text("sweep")) == "down",
-        source=f"rotor_bench/kde2814_{inches}in.csv, "
+        down=np.arange(len(signal)) > np.argmax(signal),  # the strongest setting comes twice
+        source=f"copter_reference/measurement/{file}, "
         "github.com/mit-gfx/multicopter_design (GPL-2.0)",
     )
 

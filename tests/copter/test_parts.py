@@ -7,9 +7,10 @@ import pytest
 import torch
 import trimesh
 
+from diffsim.copter import rotor_model
 from diffsim.copter.geometry import fan_prism, rotation_about, rotation_rpy
 from diffsim.copter.mass import Moments, mesh_moments, placed_moments, rigid_body
-from diffsim.copter.parts import PART_KINDS, ROTORS, make_part, rotor_data
+from diffsim.copter.parts import PART_KINDS, make_part, rotor_data
 from diffsim.copter.patches import aligning_rotation, misalignment
 from diffsim.errors import MeshError
 
@@ -70,7 +71,7 @@ def test_rod_weighs_what_its_formula_says():
 
 
 @pytest.mark.parametrize(
-    ("kind", "mass"), [("battery", 0.2127), ("motor", ROTORS["kde2814_10in"].motor_mass)]
+    ("kind", "mass"), [("battery", 0.2127), ("motor", rotor_data("kde2814_10in").motor_mass)]
 )
 def test_mass_given_is_mass_had(kind, mass):
     assert float(part_moments(make_part(kind)).mass[0]) == pytest.approx(mass, rel=1e-12)
@@ -170,7 +171,7 @@ def test_spin_of_a_pusher_is_reversed():
 
 
 def test_estimated_rotors_lie_between_the_measured():
-    sizes = [ROTORS[f"kde2814_{d}in"] for d in (8, 10, 12, 14)]
+    sizes = [rotor_data(f"kde2814_{d}in") for d in (8, 10, 12, 14)]
     assert [r.measured for r in sizes] == [False, True, False, True]
     for key in ("torque_ratio", "max_thrust"):
         values = [getattr(r, key) for r in sizes]
@@ -245,5 +246,14 @@ def test_hidden_corner_of_an_outline():
         fan_prism(np.array([[1.0, 0.0], [1.0, 1.0], [1.2, 0.5], [-1.0, 0.0]]), 0.1)
 
 
+@pytest.mark.parametrize("name", ["kde2814_10in", "kde2814_14in"])
+def test_rotor_data_is_that_of_the_model(name):
+    data, model = rotor_data(name), rotor_model(name)
+    for key in ("radius", "torque_ratio", "max_thrust"):
+        assert getattr(data, key) == getattr(model, key)
+
+
 def test_rotor_data_by_name():
     assert rotor_data("kde2814_14in").max_thrust == 11.672
+    with pytest.raises(ValueError, match="kde2814_14in"):
+        rotor_data("kde2814_15in")

@@ -2,11 +2,11 @@
 
 from diffsim.copter.parts.database import PART_KINDS, make_part
 from diffsim.copter.parts.part import Parameter, Part, RotorMount
-from diffsim.copter.parts.rotors import ROTORS, RotorData, rotor_data
+from diffsim.copter.parts.rotors import ROTOR_NAMES, RotorData, rotor_data
 
 __all__ = [
     "PART_KINDS",
-    "ROTORS",
+    "ROTOR_NAMES",
     "Parameter",
     "Part",
     "RotorData",

@@ -1,17 +1,19 @@
-"""Propellers with motors: what the parts need of a rotor's model.
+"""Propellers with motors: what the parts need of a rotor's model, masses and prices.
 
-``kde2814_10in`` and ``kde2814_14in`` carry the numbers of the public bench tables (torque ratio and
-greatest thrust as the public tool fits them). The other two sizes were never measured: their
-numbers are the power laws in the diameter through the two measured ones, exponents
-log(0.016855/0.014664)/log 1.4 = 0.414 for the torque ratio and 1.428 for the thrust.
+Radius, torque ratio and greatest thrust of ``kde2814_10in`` and ``kde2814_14in`` are those of the
+models fitted to the public bench tables (``diffsim.copter.rotor``). The other two sizes were never
+measured: their numbers are the power laws in the diameter through the two measured ones, exponents
+0.414 for the torque ratio and 1.428 for the thrust.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 from diffsim._check import require_choice
+from diffsim.copter.rotor import rotor_model
 
 
 @dataclass(frozen=True)
@@ -33,55 +35,56 @@ class RotorData:
     radius: float
     torque_ratio: float
     max_thrust: float
-    motor_mass: float = 0.149718705946  # of the public tool's motor
-    propeller_mass: float = 0.01
-    motor_price: float = 70.0
-    propeller_price: float = 5.0
-    measured: bool = True
+    motor_mass: float
+    propeller_mass: float
+    motor_price: float
+    propeller_price: float
+    measured: bool
 
 
-_TEN = RotorData("kde2814_10in", 0.127, 0.014663975250, 7.2182, propeller_mass=0.011)
-_FOURTEEN = RotorData(
-    "kde2814_14in", 0.1778, 0.0168552041004, 11.672, propeller_mass=0.022, propeller_price=9.0
-)
-
-
-def _estimated(name: str, radius: float, propeller_mass: float, price: float) -> RotorData:
-    """Between the measured sizes by power laws in the radius."""
-    ratio = radius / _TEN.radius
-    between = {
-        key: getattr(_TEN, key) * ratio ** _exponent(getattr(_FOURTEEN, key) / getattr(_TEN, key))
-        for key in ("torque_ratio", "max_thrust")
-    }
-    return RotorData(
-        name,
-        radius,
-        **between,
-        propeller_mass=propeller_mass,
-        propeller_price=price,
-        measured=False,
-    )
-
-
-def _exponent(growth: float) -> float:
-    return math.log(growth) / math.log(_FOURTEEN.radius / _TEN.radius)
-
-
-ROTORS = {
-    rotor.name: rotor
-    for rotor in (
-        _TEN,
-        _FOURTEEN,
-        _estimated("kde2814_8in", 0.1016, 0.007, 4.0),
-        _estimated("kde2814_12in", 0.1524, 0.016, 7.0),
-    )
+MOTOR_MASS = 0.149718705946  # of the public tool's motor [kg]
+MOTOR_PRICE = 70.0  # [EUR]
+_MEASURED = ("kde2814_10in", "kde2814_14in")
+_ESTIMATED = {"kde2814_8in": 0.1016, "kde2814_12in": 0.1524}  # radius [m]
+_PROPELLERS = {  # mass [kg], price [EUR]
+    "kde2814_8in": (0.007, 4.0),
+    "kde2814_10in": (0.011, 5.0),
+    "kde2814_12in": (0.016, 7.0),
+    "kde2814_14in": (0.022, 9.0),
 }
+ROTOR_NAMES = tuple(_PROPELLERS)
 
 
+@cache
 def rotor_data(name: str) -> RotorData:
     """The propeller and motor of this name.
 
     Raises:
         ValueError: unknown name; the message offers the closest ones.
     """
-    return ROTORS[require_choice("rotor", name, ROTORS)]
+    mass, price = _PROPELLERS[require_choice("rotor", name, ROTOR_NAMES)]
+    radius = _ESTIMATED.get(name)
+    physics = {
+        key: _value(name, key) if radius is None else _between(key, radius)
+        for key in ("torque_ratio", "max_thrust")
+    }
+    return RotorData(
+        name=name,
+        radius=_value(name, "radius") if radius is None else radius,
+        **physics,
+        motor_mass=MOTOR_MASS,
+        propeller_mass=mass,
+        motor_price=MOTOR_PRICE,
+        propeller_price=price,
+        measured=radius is None,
+    )
+
+
+def _value(name: str, key: str) -> float:
+    return float(getattr(rotor_model(name), key))
+
+
+def _between(key: str, radius: float) -> float:
+    """On the power law in the radius through the two measured sizes."""
+    (r0, y0), (r1, y1) = ((_value(n, "radius"), _value(n, key)) for n in _MEASURED)
+    return y0 * (radius / r0) ** (math.log(y1 / y0) / math.log(r1 / r0))

@@ -1,0 +1,233 @@
+"""Multicopters, all stages: co-design from many starts, gradients, flight.
+
+python -m benchmarks.copter --quick          # half a minute
+python -m benchmarks.copter                  # five minutes
+
+Co-design: gain, spread over starts and time of the joint solve and of the thesis's alternation.
+Gradients: against central differences of fourth order along one random direction, of the hover and
+LQR layers, a flight under feedback, and the mass properties of every shipped design. Flight: steps
+per CPU second from one vehicle to 4096. Medians with quartiles; the seconds per start are wall
+times, which other programs disturb. The comparison with general solvers (thesis Fig. 3-3) is
+``benchmarks.copter_codesign``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from benchmarks import copter_control, copter_flight
+from benchmarks.harness import Part, Store, cores, repeat_for, spread
+from benchmarks.machine import COPTER_CODE, code_fingerprint, machine
+from diffsim._files import write_json_atomic, write_text_atomic
+from diffsim.copter import Feedback, Multicopter, fly, load_design, shipped_designs
+from diffsim.copter.codesign import CoDesignError, codesign
+from diffsim.copter.flight_state import FlightState
+
+Say = Callable[[str], None]
+CASES = {  # design, objective
+    "pentacopter, payload": ("pentacopter", "payload"),
+    "hexacopter, payload": ("y6_hexacopter", "payload"),
+    "bunny, payload": ("bunny", "payload"),
+    "quadcopter, size": ("quadcopter", "size"),
+}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much is measured.
+
+    Attributes:
+        starts: Of the joint solve, per case.
+        alternations: Starts of the thesis's alternation, per case; 0 leaves it out.
+        batches: Vehicles in a flight.
+        seconds: Of measurement per row.
+    """
+
+    starts: int = 32
+    alternations: int = 4
+    batches: tuple[int, ...] = copter_flight.BATCHES
+    seconds: float = 1.0
+
+
+QUICK = Plan(starts=8, alternations=0, batches=(1, 64, 4096), seconds=0.2)
+
+
+def codesign_part(case: str, method: str, plan: Plan) -> Part:
+    """Gain of the best start, and how the starts spread; hover at the given shape is the base."""
+    name, objective = CASES[case]
+    count = plan.starts if method == "joint" else plan.alternations
+
+    def compute(_: dict[str, Any], say: Say) -> dict[str, Any]:
+        say(f"{count} starts")
+        design = load_design(name)
+        flat = codesign(design, objective, free=("attitude",), num_starts=1, spins="given")
+        try:
+            found = codesign(design, objective, method, num_starts=count)
+        except CoDesignError as error:
+            return {"failed": str(error)}
+        values = [s.value for s in found.starts]
+        return {
+            "gain": flat.objective / found.objective - 1.0,
+            "gap": found.gap,
+            "within_percent": float(np.mean(np.array(values) <= 1.01 * found.objective)),
+            "infeasible": sum(not np.isfinite(v) for v in values),
+            "starts": len(values),
+            "seconds": spread([s.seconds for s in found.starts]),
+            "hover_residual": found.hover_residual,
+        }
+
+    return Part(f"codesign/{case}, {method}", {"starts": count}, compute)
+
+
+def gradients(_: dict[str, Any], say: Say) -> dict[str, float]:
+    """Relative errors of directional derivatives."""
+    errors = {}
+    for num_rotors in (4, 6, 8):
+        say(f"hover and LQR, {num_rotors} rotors")
+        copter = copter_control.design(num_rotors)
+        problem = copter_control.hover_arguments(copter)
+        regulator = copter_control.lqr_arguments(copter)
+        errors[f"hover, {num_rotors} rotors"] = copter_control.gradient_error(
+            copter_control.thrusts, problem, 1e-4
+        )
+        errors[f"LQR, {num_rotors} rotors"] = copter_control.gradient_error(
+            lambda *a: tuple(copter_control.lqr(*a)), regulator, 1e-5
+        )
+    say("flight")
+    errors["flight, 1 s under feedback"] = copter_control.gradient_error(*flight_layer(), 1e-4)
+    for name in shipped_designs():
+        say(name)
+        errors[f"mass properties, {name}"] = copter_control.gradient_error(*mass_layer(name), 1e-3)
+    return errors
+
+
+def flight_layer() -> tuple[Callable[..., tuple[Tensor, ...]], list[Tensor]]:
+    """Where a quadcopter is during a second, from commands, gain, mass, arms and inertia."""
+    vehicle, K = copter_flight.quadcopter(), copter_flight.gain()
+    start = FlightState.at_rest(torch.tensor([[0.1, -0.1, 0.05]], dtype=torch.float64))
+    hover = (vehicle.weight / 4).expand(1, 200, 4).contiguous()
+
+    def layer(
+        commands: Tensor, K: Tensor, mass: Tensor, positions: Tensor, inertia: Tensor
+    ) -> tuple[Tensor, ...]:
+        copter = vehicle.replace(mass=mass, positions=positions, inertia=inertia)
+        loop = Feedback(gain=K, reference=torch.zeros(12, dtype=torch.float64))
+        state = fly(copter, start, commands, dt=5e-3, feedback=loop).state
+        return state.position, state.quaternion
+
+    return layer, [hover, K, vehicle.mass, vehicle.positions, vehicle.inertia]
+
+
+def mass_layer(name: str) -> tuple[Callable[..., tuple[Tensor, ...]], list[Tensor]]:
+    """Mass, inertia and rotors' places of a shipped design from its free parameters."""
+    design = load_design(name)
+
+    def layer(s: Tensor) -> tuple[Tensor, ...]:
+        copter: Multicopter = design.multicopter(s)
+        return copter.mass, copter.inertia, copter.positions
+
+    return layer, [design.values]
+
+
+def flight_part(kind: str, batch: int, seconds: float) -> Part:
+    """Vehicle-steps per CPU second, forward and with gradient."""
+    steps = 100
+
+    def compute(_: dict[str, Any], say: Say) -> dict[str, Any]:
+        torch.manual_seed(0)
+        rates = {}
+        with cores(1):
+            for name, call in copter_flight.passes(batch, steps, kind, 1).items():
+                say(name)
+                times = spread([t.cpu for t in repeat_for(call, seconds=seconds)])
+                rates[name] = {k: batch * steps / times[k] for k in ("median", "q1", "q3")}
+        return rates
+
+    return Part(f"flight/{kind}, {batch}", {"steps": steps, "seconds": seconds}, compute)
+
+
+def parts_of(plan: Plan) -> list[Part]:
+    """All stages, the short ones first."""
+    parts = [Part("gradients/all", {}, gradients)]
+    for kind in ("bare", "drag, wind, lag"):
+        parts += [flight_part(kind, batch, plan.seconds) for batch in plan.batches]
+    parts += [codesign_part(case, "joint", plan) for case in CASES]
+    if plan.alternations:
+        parts += [codesign_part(case, "alternating", plan) for case in CASES]
+    return parts
+
+
+def report(results: dict[str, Any]) -> str:
+    """Tables in Markdown."""
+    lines = ["# Multicopters", "", "## Gradients against differences of fourth order", ""]
+    lines += ["| layer | relative error |", "|---|---|"]
+    lines += [f"| {k} | {v:.1e} |" for k, v in results.get("gradients/all", {}).items()]
+    lines += ["", "## Flight, one thread, million vehicle-steps per CPU second", ""]
+    lines += ["| effects, vehicles | forward | forward + backward |", "|---|---|---|"]
+    for name, row in _stage(results, "flight"):
+        cells = (
+            f"{1e-6 * r['median']:.3f} ({1e-6 * r['q3']:.3f} to {1e-6 * r['q1']:.3f})"
+            for r in row.values()
+        )
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    lines += ["", "## Co-design", ""]
+    lines += [
+        "| case, method | design as it stands / optimum - 1 | gap to the bound | starts within 1 % "
+        "| infeasible | wall seconds per start |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, row in _stage(results, "codesign"):
+        if "failed" in row:
+            lines.append(f"| {name} | failed: {row['failed']} | | | | |")
+            continue
+        seconds = row["seconds"]
+        gap = "no bound" if row["gap"] is None else f"{100.0 * row['gap']:.2g} %"
+        lines.append(
+            f"| {name} | {100.0 * row['gain']:+.1f} % | {gap} "
+            f"| {100.0 * row['within_percent']:.0f} % of {row['starts']} | {row['infeasible']} "
+            f"| {seconds['median']:.3f} ({seconds['q1']:.3f} to {seconds['q3']:.3f}) |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _stage(results: dict[str, Any], stage: str) -> list[tuple[str, Any]]:
+    return [(k.partition("/")[2], v) for k, v in results.items() if k.startswith(f"{stage}/")]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.copter",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--out", type=Path, default=Path("runs/bench_copter"))
+    parser.add_argument("--quick", action="store_true", help="fewer starts, batches and repeats")
+    parser.add_argument("--resume", action="store_true", help="keep finished parts")
+    args = parser.parse_args(argv)
+    torch.set_num_threads(1)
+    plan = QUICK if args.quick else Plan()
+    store = Store(args.out / "parts", code_fingerprint(COPTER_CODE), args.resume)
+    try:
+        store.run(parts_of(plan))
+    except KeyboardInterrupt:
+        print(f"\ninterrupted; go on with --resume --out {args.out}", file=sys.stderr)
+        return 130
+    finally:
+        results = {"machine": machine(), "plan": asdict(plan), **store.results}
+        write_json_atomic(args.out / "results.json", results)
+        write_text_atomic(args.out / "report.md", report(store.results))
+    print(report(store.results))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,105 @@
+"""Whether a mesh can be printed: closed, thick enough, small enough for the bed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+
+from diffsim._check import require_number
+from diffsim.copter.geometry import Array
+
+_OPPOSITE = 0.5  # cosine: two faces make a wall if their normals oppose within 60 degrees
+
+
+@dataclass(frozen=True, kw_only=True)
+class Printer:
+    """What a printer can do.
+
+    Attributes:
+        bed: Greatest size along x, y and z, (3,) [mm].
+        min_wall: Thinnest wall, three lines of a 0.4 mm nozzle by default [mm].
+    """
+
+    bed: tuple[float, float, float] = (220.0, 220.0, 250.0)
+    min_wall: float = 1.2
+
+    def __post_init__(self) -> None:
+        if len(self.bed) != 3:
+            raise ValueError(f"bed must be 3 lengths [mm], got {list(self.bed)}")
+        for axis, length in zip("xyz", self.bed, strict=True):
+            require_number(f"bed along {axis}", length, above=0.0)
+        require_number("min_wall", self.min_wall, above=0.0)
+
+
+@dataclass(frozen=True)
+class PrintCheck:
+    """What was found.
+
+    Attributes:
+        watertight: Closed, every side shared by two triangles.
+        volume: [mm^3]; negative where the surface is inside out.
+        wall: Thinnest wall met [mm], infinity if no two faces oppose each other.
+        size: Along x, y and z as it lies on the bed, (3,) [mm].
+        problems: One sentence each; empty if it can be printed.
+    """
+
+    watertight: bool
+    volume: float
+    wall: float
+    size: tuple[float, float, float]
+    problems: tuple[str, ...]
+
+
+def check_print(mesh: trimesh.Trimesh, printer: Printer) -> PrintCheck:
+    """Check a mesh in millimetres, standing on the bed as it is to be printed."""
+    watertight = bool(mesh.is_watertight and mesh.is_winding_consistent)
+    volume = float(mesh.volume)
+    x, y, z = (float(v) for v in mesh.extents)
+    wall = thinnest_wall(mesh)
+    problems = []
+    if not watertight:
+        problems.append("the surface is not closed")
+    if not volume > 0.0:
+        problems.append(f"the surface is inside out (volume {volume:.3g} mm^3)")
+    if wall < printer.min_wall:
+        problems.append(f"a wall of {wall:.2g} mm is thinner than {printer.min_wall:g} mm")
+    long, short = max(printer.bed[:2]), min(printer.bed[:2])
+    if max(x, y) > long or min(x, y) > short or z > printer.bed[2]:
+        bed = " x ".join(f"{v:g}" for v in printer.bed)
+        problems.append(f"{x:.0f} x {y:.0f} x {z:.0f} mm do not fit the bed of {bed} mm")
+    return PrintCheck(watertight, volume, wall, (x, y, z), tuple(problems))
+
+
+def thinnest_wall(mesh: trimesh.Trimesh) -> float:
+    """Least distance from the middle of a triangle straight through to an opposite face.
+
+    Faces that meet at an edge are no wall: the normals must oppose within 60 degrees.
+    """
+    starts = mesh.triangles_center
+    a = mesh.triangles[:, 0]
+    e1, e2 = mesh.triangles[:, 1] - a, mesh.triangles[:, 2] - a
+    return min(
+        (
+            _first_hit(start, -normal, a, e1, e2, mesh.face_normals)
+            for start, normal in zip(starts, mesh.face_normals, strict=True)
+        ),
+        default=np.inf,
+    )
+
+
+def _first_hit(start: Array, ray: Array, a: Array, e1: Array, e2: Array, normals: Array) -> float:
+    """Distance along a ray to the first triangle that faces away (Moeller and Trumbore 1997)."""
+    facing = normals @ ray > _OPPOSITE
+    a, e1, e2 = a[facing], e1[facing], e2[facing]
+    p = np.cross(ray, e2)
+    det = np.einsum("fi,fi->f", e1, p)
+    det = np.where(np.abs(det) < 1e-300, np.inf, det)
+    offset = start - a
+    u = np.einsum("fi,fi->f", offset, p) / det
+    q = np.cross(offset, e1)
+    v = q @ ray / det
+    t = np.einsum("fi,fi->f", e2, q) / det
+    hit = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9) & (t > 1e-9)
+    return float(t[hit].min()) if hit.any() else np.inf

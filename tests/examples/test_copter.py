@@ -1,0 +1,56 @@
+"""Do the stories of multicopters end as told?"""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.example
+COPTER = Path(__file__).resolve().parents[2] / "examples/copter"
+
+
+def load(name, monkeypatch):
+    spec = importlib.util.spec_from_file_location(name, COPTER / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, name, module)  # its dataclass looks there
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_all_designs_fly_to_the_target(monkeypatch, tmp_path):
+    story = load("designs", monkeypatch)
+    numbers = story.main()
+    assert len(numbers) == 7
+    for name, row in numbers.items():
+        assert row["arrival within 0.1 m [s]"] < 6.0, name
+        assert row["distance at the end [mm]"] < 20.0, name
+        assert row["largest share of a rotor in hover [%]"] < 100.0, name
+    lift = "largest overall weight [g]"
+    flat, twin = numbers["pentacopter"], numbers["pentacopter_payload"]
+    assert twin[lift] / flat[lift] == pytest.approx(1.249, abs=0.001)
+    life = "battery life [min]"
+    square, long = numbers["quadcopter"], numbers["quadcopter_flight_time"]
+    assert long[life] > 1.1 * square[life]
+    assert numbers["bunny"][life] != numbers["bunny"][life]  # not a number: never measured
+
+
+def test_picture_and_fabrication(monkeypatch, tmp_path):
+    story = load("designs", monkeypatch)
+    story.main(("x_quadcopter",), 1.0, str(tmp_path), fabricate=True)
+    assert (tmp_path / "x_quadcopter.png").stat().st_size > 10_000
+    assert (tmp_path / "x_quadcopter_parts.png").stat().st_size > 10_000
+    assert (tmp_path / "x_quadcopter_fabrication" / "stl" / "frame.stl").is_file()
+
+
+def test_table_3_1(monkeypatch, tmp_path, capsys):
+    pytest.importorskip("cvxpy")
+    numbers = load("table31", monkeypatch).main(2, out=str(tmp_path))
+    # five motors at full thrust instead of four are the limit
+    assert 24.9 < numbers["gain [%]"] < 25.0
+    assert numbers["gap to the bound [%]"] < 0.1
+    assert 15.0 < numbers["gain of tilt alone [%]"] < numbers["gain [%]"]
+    built = numbers["largest overall weight as built, with clips [g]"]
+    assert built == pytest.approx(1.25 * 4759.2, rel=5e-3)  # clips shift the motors a little
+    assert "max overall weight" in capsys.readouterr().out
+    assert (tmp_path / "fabrication" / "index.html").is_file()
