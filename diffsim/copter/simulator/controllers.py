@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+import warnings
 from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from diffsim._check import require_number
-from diffsim.copter.attitude import rotation_from_quaternion, quaternion_from_rpy
+from diffsim.copter.attitude import quaternion_from_rpy, rotation_from_quaternion
 from diffsim.copter.flight_state import FlightState
 from diffsim.copter.hover import hover
-from diffsim.copter.hover_result import HoverError
+from diffsim.copter.hover_result import HoverError, HoverResult, HoverWarning
 from diffsim.copter.linearise import linearise
 from diffsim.copter.lqr import lqr
 from diffsim.copter.pid import PidController, PidGains
@@ -70,13 +71,7 @@ class LqrController:
         require_number("input_weight", input_weight, above=0.0)
         self.max_error = require_number("max_error", max_error, above=0.0)
         vehicle = vehicle.detach()
-        trim = hover(vehicle, on_infeasible="raise")
-        if int(trim.rank) < 4:
-            raise HoverError(
-                f"the rotors command {int(trim.rank)} of lift, roll, pitch and yaw; all four are "
-                "needed to fly: move rotors, or change axes or spins",
-                trim,
-            )
+        trim = flyable_hover(vehicle)
         A, B = linearise(vehicle, trim.thrusts, trim.attitude)
         q = state_weight * torch.eye(12, dtype=torch.float64)
         r = input_weight * torch.eye(vehicle.num_rotors, dtype=torch.float64)
@@ -94,7 +89,9 @@ class LqrController:
             ahead[:2], slip[:2] = 0.0, 0.0
             lean = lean + x.new_tensor([target.roll, target.pitch])
         far = max(float(ahead.norm()) / self.max_error, 1.0)
-        level = rotation_from_quaternion(quaternion_from_rpy(x[3:6] * x.new_tensor([1.0, 1.0, 0.0])))
+        level = rotation_from_quaternion(
+            quaternion_from_rpy(x[3:6] * x.new_tensor([1.0, 1.0, 0.0]))
+        )
         turn = float(x[5]) - target.yaw
         turn = math.atan2(math.sin(turn), math.cos(turn))
         error = torch.cat(
@@ -124,9 +121,9 @@ class PidFlightController:
     name = "pid"
 
     def __init__(self, vehicle: Multicopter, *, gains: PidGains | None = None):
-        hover(vehicle.detach(), on_infeasible="raise")
+        flyable_hover(vehicle.detach())
         self._pid = PidController(vehicle.detach(), gains)
-        self.reset()
+        self._integral = torch.zeros(1, 3, dtype=torch.float64)
 
     def thrusts(self, state: FlightState, target: Setpoint, dt: float) -> Tensor:
         """See ``Controller``; follows positions only."""
@@ -142,6 +139,26 @@ class PidFlightController:
     def reset(self) -> None:
         """Empty the integral."""
         self._integral = torch.zeros(1, 3, dtype=torch.float64)
+
+
+def flyable_hover(vehicle: Multicopter) -> HoverResult:
+    """The hover of a vehicle that can be flown about it.
+
+    Raises:
+        HoverError: no hover within the limits, or not all of lift, roll, pitch and yaw can be
+            commanded there.
+    """
+    with warnings.catch_warnings():  # what it warns of is raised below
+        warnings.simplefilter("ignore", HoverWarning)
+        trim = hover(vehicle, on_infeasible="raise")
+    if int(trim.free_rank) < 4:
+        raise HoverError(
+            f"rotors away from their limits command {int(trim.free_rank)} of lift, roll, pitch and "
+            f"yaw (all rotors: {int(trim.rank)}); all four are needed to fly: lighten the load, "
+            "move rotors, or change axes or spins",
+            trim,
+        )
+    return trim
 
 
 def _about_z(yaw: Tensor) -> Tensor:

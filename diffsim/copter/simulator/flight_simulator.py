@@ -16,7 +16,12 @@ from diffsim.copter.effects import FlightEffects
 from diffsim.copter.flight import FlightError, fly
 from diffsim.copter.flight_state import FlightState
 from diffsim.copter.rotor import RotorModel, motor_lag
-from diffsim.copter.simulator.controllers import Controller, LqrController, PidFlightController
+from diffsim.copter.simulator.controllers import (
+    Controller,
+    LqrController,
+    PidFlightController,
+    flyable_hover,
+)
 from diffsim.copter.simulator.ground import Ground
 from diffsim.copter.simulator.log import FlightLog, FlightSample
 from diffsim.copter.simulator.outputs import SAFE_PWM, MotorOutputs, Outputs, flight_rotors
@@ -86,9 +91,10 @@ class FlightSimulator:
         self._idle_power = require_number("idle_power", idle_power, at_least=0.0)
         self.battery = Battery.lipo(cells=3, capacity_mah=2200.0) if battery is None else battery
         self._outputs = MotorOutputs(rotors, vehicle.max_thrusts, pwm_max=pwm_max)
+        flyable_hover(vehicle)
+        require_payload(vehicle, payload, self._outputs, self.battery)
         self.vehicle = with_payload(vehicle, payload)
         self.controller = self._make_controller(controller)
-        require_payload(vehicle, payload, self._outputs, self.battery)
         self._effects = _with_lag(effects, rotors)
         self._ground = Ground()
         self._stream = None if sensors is None else SensorStream(sensors, seed)
@@ -158,7 +164,9 @@ class FlightSimulator:
         Raises:
             FlightError: see ``step``; ``log`` holds the flight up to there.
         """
-        duration = pilot.duration if seconds is None else require_number("seconds", seconds, above=0.0)
+        duration = (
+            pilot.duration if seconds is None else require_number("seconds", seconds, above=0.0)
+        )
         pacer = Pacer(0.0) if pacer is None else pacer
         end = None if duration is None else self._step + round(duration / self.dt)
         try:
@@ -205,12 +213,13 @@ class FlightSimulator:
             substeps=self._substeps,
         )
         after = FlightState(**{k: v[:, -1] for k, v in vars(flight.state).items()})
-        after = replace(after, charge=before.charge - self._current * self.dt / self.battery.capacity)
-        after = self._ground.hold(after, self._step)
+        assert before.charge is not None
+        charge = before.charge - self._current * self.dt / self.battery.capacity
+        after = self._ground.hold(replace(after, charge=charge), self._step)
         self._acceleration = (after.velocity - before.velocity)[0].numpy() / self.dt
         self.state = after
         self._step += 1
-        if not float(after.charge) > 0.0:
+        if not float(charge) > 0.0:
             raise FlightError(
                 f"the battery is empty after {self.time:.1f} s; land earlier, or give a larger one",
                 vehicle=0,

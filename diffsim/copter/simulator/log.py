@@ -17,7 +17,7 @@ from diffsim._files import to_plain, write_text_atomic
 
 Array = NDArray[np.float64]
 
-_UP = np.array([1.0, -1.0, -1.0])  # north-east-down to north-west-up
+_UP = np.diag([1.0, -1.0, -1.0])  # north-east-down to north-west-up
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -138,8 +138,8 @@ class FlightLog:
 
     def _csv(self) -> str:
         groups: list[tuple[list[str], str, Array]] = [
-            (_axes("body"), ".6f", self.series("position") * _UP),
-            (_axes("target"), ".6f", self.series("target") * _UP),
+            (_axes("body"), ".6f", self.series("position") @ _UP),
+            (_axes("target"), ".6f", self.series("target") @ _UP),
             (["roll_rad", "pitch_rad", "yaw_rad"], ".6f", self.series("rpy")),
             (self._per_motor("pwm", "_us"), ".2f", self.series("pwm")),
             (self._per_motor("thrust", "_N"), ".4f", self.series("thrusts")),
@@ -152,7 +152,7 @@ class FlightLog:
         writer = csv.writer(out, lineterminator="\n")
         writer.writerow(["frame", "time_s", *(n for names, _, _ in groups for n in names)])
         for frame, time in enumerate(self.series("time")):
-            cells = [f"{v:{form}}" for _, form, values in groups for v in values[frame]]
+            cells = [f"{v + 0.0:{form}}" for _, form, values in groups for v in values[frame]]
             writer.writerow([frame, f"{time:.6f}", *cells])
         return out.getvalue()
 

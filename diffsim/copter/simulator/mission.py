@@ -168,7 +168,7 @@ def _step(located: Located, k: int, step: Any) -> tuple[str, dict[str, Any]]:
         if key in given:
             located.require_number((*keys, key), values[key])
             try:
-                require_number(key, values[key], **({} if key in _FREE else {"above": 0.0}))
+                require_number(key, values[key], above=-math.inf if key in _FREE else 0.0)
             except ValueError as error:
                 raise located.error((*keys, key), str(error)) from error
     return name, values

@@ -121,7 +121,7 @@ def _scaled(
     Current by momentum theory: power of a hovering rotor ~ thrust^1.5 / radius.
     """
     gain = max_thrust / model.max_thrust
-    current_gain = gain**1.5 * model.radius / radius
+    current_gain = gain ** (1.5 - model.current_exponent) * model.radius / radius
     return replace(
         model,
         name=name,
@@ -130,6 +130,8 @@ def _scaled(
         max_thrust=max_thrust,
         thrust_coefficient=gain * model.thrust_coefficient,
         thrust_offset=gain * model.thrust_offset,
-        current_coefficient=current_gain * gain**-model.current_exponent * model.current_coefficient,
+        current_coefficient=current_gain
+        * gain**-model.current_exponent
+        * model.current_coefficient,
         assumed=(*model.assumed, "thrust_coefficient", "current_coefficient"),
     )

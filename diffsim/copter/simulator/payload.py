@@ -9,7 +9,7 @@ from torch import Tensor
 from diffsim._check import require_number
 from diffsim.copter.battery import Battery
 from diffsim.copter.control_metrics import max_hover_weight
-from diffsim.copter.hover import hover
+from diffsim.copter.hover import hover_thrusts
 from diffsim.copter.simulator.outputs import MotorOutputs
 from diffsim.copter.vehicle import GRAVITY, Multicopter
 
@@ -61,17 +61,21 @@ def payload_limit(
         battery: What feeds them.
         charge: Of the battery, 0 to 1.
     """
-    start = torch.as_tensor(charge, dtype=torch.float64)
+    start, rated = _tensor(charge), outputs.max_thrusts
 
     def lift(weight: float) -> float:
         """Largest weight at the voltage that hovering this weight leaves."""
-        thrusts = hover(vehicle.replace(mass=_tensor(weight / GRAVITY))).thrusts
-        current = battery.current_for_power(start, outputs.power(thrusts))
+        effort = hover_thrusts(vehicle.force_matrix, vehicle.torque_matrix, _tensor(weight), rated)
+        thrusts = effort.thrusts  # near the limit not exactly those of least effort
+        power = outputs.power(thrusts)
+        if 4.0 * battery.resistance * power > battery.open_circuit(start) ** 2:
+            return 0.0  # more than the battery can give: the voltage would collapse
+        current = battery.current_for_power(start, power)
         limits = outputs.limits(battery.voltage(start, current))
         return float(max_hover_weight(vehicle.replace(max_thrusts=limits)))
 
     with torch.no_grad():
-        most = float(max_hover_weight(vehicle.replace(max_thrusts=outputs.max_thrusts)))
+        most = float(max_hover_weight(vehicle.replace(max_thrusts=rated)))
         low = 0.05 * most
         if lift(most) >= most:
             best = most

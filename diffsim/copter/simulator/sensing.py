@@ -115,9 +115,7 @@ class StateEstimator:
 
         acceleration = self._attitude.apply(readings.accelerometer) + _GRAVITY
         self._place = self._move @ self._place + np.outer(self._push, acceleration)
-        self._place = self._place + np.outer(
-            self._place_gain, readings.position - self._place[0]
-        )
+        self._place = self._place + np.outer(self._place_gain, readings.position - self._place[0])
         return FlightState(
             position=torch.from_numpy(self._place[:1].copy()),
             quaternion=torch.from_numpy(self._attitude.as_quat()[None, [3, 0, 1, 2]]),
