@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 def motor_outputs(flights: Sequence[tuple[str, FlightLog]], *, columns: int = 2) -> Figure:
     """Pulse widths of all motors over time, one panel per flight, with the clamp.
 
+    Bars above the clamp show when a motor was asked for more than it may give.
+
     Args:
         flights: Titles and logs.
         columns: Of panels.
@@ -39,6 +41,8 @@ def motor_outputs(flights: Sequence[tuple[str, FlightLog]], *, columns: int = 2)
         ax.set_xlabel("time [s]", color=SOFT)
     for ax in axes[:, 0]:
         ax.set_ylabel("pulse width [us]", color=SOFT)
+    clamp = flights[0][1].metadata["pwm_max_us"]
+    axes[0, 0].text(0.0, clamp + 8.0, "bars above: saturated", fontsize=8, color=SOFT)
     axes[0, 0].legend(frameon=False, fontsize=8, labelcolor=INK, ncols=3, loc="lower center")
     return figure
 

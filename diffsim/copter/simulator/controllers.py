@@ -18,7 +18,7 @@ from diffsim.copter.linearise import linearise
 from diffsim.copter.lqr import lqr
 from diffsim.copter.pid import PidController, PidGains
 from diffsim.copter.simulator.setpoint import Setpoint
-from diffsim.copter.vehicle import Multicopter
+from diffsim.copter.vehicle import GRAVITY, Multicopter
 
 
 class Controller(Protocol):
@@ -40,11 +40,12 @@ class Controller(Protocol):
 
 
 class LqrController:
-    """u = u_hover - K (x - target) with the gain of the hover, at any heading.
+    """u = u_target - K (x - target) with the gain of the hover, at any heading.
 
     The gain is that of yaw zero (thesis 3.3.3); errors of position and velocity are turned into
-    the frame of the heading. Position errors count up to ``max_error``, lest a far target asks for
-    more than the motors have.
+    the frame of the heading. Where the target accelerates, its lean and thrusts are those of a
+    hover under the gravity that it feels, to first order. Position errors count up to
+    ``max_error``, lest a far target asks for more than the motors have.
 
     Args:
         vehicle: The design that the controller believes in, its load included.
@@ -84,7 +85,8 @@ class LqrController:
         heading = _about_z(x[5])
         ahead = heading.T @ (x[:3] - x.new_tensor(target.position))
         slip = heading.T @ (state.velocity[0] - x.new_tensor(target.velocity))
-        lean = self.trim.attitude
+        ax, ay, az = (heading.T @ x.new_tensor(target.acceleration) / GRAVITY).tolist()
+        lean = self.trim.attitude + x.new_tensor([ay, -ax])
         if target.hold_attitude:
             ahead[:2], slip[:2] = 0.0, 0.0
             lean = lean + x.new_tensor([target.roll, target.pitch])
@@ -104,7 +106,7 @@ class LqrController:
                 x[11:] - target.yaw_rate,
             ]
         )
-        return self.trim.thrusts - self.gain @ error
+        return (1.0 - az) * self.trim.thrusts - self.gain @ error
 
     def reset(self) -> None:
         """There is nothing to forget."""

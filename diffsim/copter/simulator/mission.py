@@ -66,9 +66,17 @@ class Leg:
         t = min(max((time - self.start) / self.duration, 0.0), 1.0)
         way = t**3 * (10.0 - 15.0 * t + 6.0 * t**2)
         rate = 30.0 * t**2 * (1.0 - t) ** 2 / self.duration
+        push = 60.0 * t * (1.0 - t) * (1.0 - 2.0 * t) / self.duration**2
         x, y, z, yaw = (self.pose + way * self.move).tolist()
         vx, vy, vz, yaw_rate = (rate * self.move).tolist()
-        return Setpoint(position=(x, y, z), velocity=(vx, vy, vz), yaw=yaw, yaw_rate=yaw_rate)
+        ax, ay, az, _ = (push * self.move).tolist()
+        return Setpoint(
+            position=(x, y, z),
+            velocity=(vx, vy, vz),
+            acceleration=(ax, ay, az),
+            yaw=yaw,
+            yaw_rate=yaw_rate,
+        )
 
 
 @dataclass(frozen=True)

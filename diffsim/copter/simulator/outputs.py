@@ -83,10 +83,10 @@ class MotorOutputs:
         return Outputs(torch.full_like(none, SIGNAL_LOW), none, none > 0.0)
 
     def power(self, thrusts: Tensor) -> Tensor:
-        """Electrical power of all motors () [W] at thrusts (n_rotors,) [N]."""
-        power = thrusts.new_zeros(())
+        """Electrical power of all motors (...) [W] at thrusts (..., n_rotors) [N]."""
+        power = thrusts.new_zeros(thrusts.shape[:-1])
         for rotor, idx in self._groups:
-            power = power + rotor.power(thrusts[idx]).sum()
+            power = power + rotor.power(thrusts[..., idx]).sum(-1)
         return power
 
 

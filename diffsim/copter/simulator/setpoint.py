@@ -15,6 +15,7 @@ class Setpoint:
     Attributes:
         position: Of the centre of mass, (3,) [m]; with ``hold_attitude`` only its z counts.
         velocity: World frame, (3,) [m/s]; with ``hold_attitude`` only its z counts.
+        acceleration: World frame, (3,) [m/s^2]; 0 where it is not known ahead, or holding attitude.
         yaw: [rad].
         yaw_rate: [rad/s].
         roll, pitch: Beyond those of the hover [rad]; with ``hold_attitude`` only.
@@ -24,6 +25,7 @@ class Setpoint:
 
     position: Vector
     velocity: Vector = (0.0, 0.0, 0.0)
+    acceleration: Vector = (0.0, 0.0, 0.0)
     yaw: float = 0.0
     yaw_rate: float = 0.0
     roll: float = 0.0
