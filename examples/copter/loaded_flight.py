@@ -14,7 +14,7 @@ Expected: with the bench's motors nobody saturates at these loads (the limits on
 2 and 3 - the two that turn against the other three - are at the clamp for 16 and 4 % of the flight,
 most of it while it turns by 90 degrees at the new place, and motor 5 stays lowest: the thesis's
 picture up to the numbering of its motors. The optimised one's five pulses lie within 1 us of each
-other in hover (flat: 217 us); three of them reach the clamp for 3 to 6 % while it turns. Its limit
+other in hover (flat: 217 us); four of them reach the clamp, for up to 6 %, while it turns. Its limit
 is 1952 g where the flat one's is 1413 g: 16 % more overall weight; the thesis predicted 15.8 and
 measured 11.1 %. Running time: 40 CPU seconds.
 

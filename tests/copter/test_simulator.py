@@ -118,6 +118,31 @@ def test_lqr_is_the_feedback_of_the_state_of_12():
     torch.testing.assert_close(asked, controller.trim.thrusts - controller.gain @ x)
 
 
+def test_follows_accelerating_and_turning_targets():
+    """Without noise, 2 m in 2.9 s and 90 degrees in 2.4 s.
+
+    What stays is the lag of attitude and motors: measured 0.141 m, 0.021 m and 0.279 rad. With the
+    sign of the lean, of the lift or of the yaw rate turned: 0.87 m, 0.22 m, 1.95 rad.
+    """
+    mission = mission_from_text(
+        "steps:\n  - take_off: {height: 1, speed: 2}\n  - fly_to: {north: 2, east: 1, speed: 3}\n"
+        "  - yaw: {degrees: 90, rate: 90}"
+    )
+    log = quadcopter(sensors=None).run(mission)
+    off = np.abs(log.series("position") - log.series("target")).max(axis=0)
+    assert np.hypot(*off[:2]) < 0.15
+    assert off[2] < 0.03
+    assert np.abs(log.series("rpy")[:, 2] - log.series("target_yaw")).max() < 0.3
+
+
+def test_pulses_make_up_for_the_voltage():
+    """Thrusts settled in hover are the bench's at the pulses and the voltage recorded."""
+    sample = quadcopter(sensors=None).run(SHORT).samples[-1]
+    assert abs(sample.voltage - float(PACK.nominal_voltage)) > 0.5
+    expected = TEN_INCH[0].thrust(TEN_INCH[0].speed_at(tensor(sample.pwm), sample.voltage))
+    np.testing.assert_allclose(sample.thrusts, expected, rtol=2e-3)  # lag of a slow change
+
+
 def test_attitude_targets_tilt_and_let_go():
     """10 degrees nose down push forward; nothing holds the place, only the height."""
     simulator = quadcopter(sensors=None)
@@ -301,6 +326,11 @@ def test_unmeasured_propellers_are_scaled_and_say_so():
     assert scaled.name == "kde2814_8in" and "thrust_coefficient" in scaled.assumed
     speed = rotor_model("kde2814_10in").speed(7.2182)
     assert float(scaled.thrust(speed)) == pytest.approx(float(vehicle.max_thrusts[1]), rel=1e-9)
+    model = rotor_model("kde2814_10in")
+    # momentum theory: power ~ thrust^1.5 / radius, at full thrust of each (offset left out)
+    power = [float(r.power(r.max_thrust)) - 11.1 * r.current_offset for r in (scaled, model)]
+    expected = (scaled.max_thrust / model.max_thrust) ** 1.5 * 0.127 / 0.1016
+    assert power[0] / power[1] == pytest.approx(expected, rel=1e-9)
 
 
 def test_bad_arguments():

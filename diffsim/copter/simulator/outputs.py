@@ -130,8 +130,6 @@ def _scaled(
         max_thrust=max_thrust,
         thrust_coefficient=gain * model.thrust_coefficient,
         thrust_offset=gain * model.thrust_offset,
-        current_coefficient=current_gain
-        * gain**-model.current_exponent
-        * model.current_coefficient,
+        current_coefficient=current_gain * model.current_coefficient,
         assumed=(*model.assumed, "thrust_coefficient", "current_coefficient"),
     )
