@@ -5,16 +5,16 @@ two motors reaching the clamp of 1800 us and motor 5 not fully exploited; the pa
 carries 1392 g with all five balanced. Here both fly the mission "carry" in closed loop (LQR, sensor
 noise, motor lag, sagging battery), twice: with the motors of the bench, and with motors that give
 77 % of the bench's thrust for the same current. That one number is fitted, to the flat one: at 79 %
-only motor 2 is at the clamp for more than a moment, at 75 % for half of the flight, at 72 % it
-crashes. Where the thesis's copters lost that lift is not known; it names interference between the
-propellers, and its battery and voltage are not given.
+only motor 2 is at the clamp for more than a moment, at 75 % for half of the flight, at 72 % the
+vehicle strays by metres. Where the thesis's copters lost that lift is not known; it names
+interference between the propellers, and its battery and voltage are not given.
 
 Expected: with the bench's motors nobody saturates at these loads (the limits on a full battery are
 2437 and 3246 g: 1.4 and 1.5 times the overall weight of the thesis). Derated, the flat one's motors
 2 and 3 - the two that turn against the other three - are at the clamp for 16 and 4 % of the flight,
 most of it while it turns by 90 degrees at the new place, and motor 5 stays lowest: the thesis's
 picture up to the numbering of its motors. The optimised one's five pulses lie within 1 us of each
-other in hover (flat: 217 us); four of them reach the clamp, for up to 6 %, while it turns. Its limit
+other in hover (flat: 217 us); while it turns four of them reach the clamp, for up to 6 %. Its limit
 is 1952 g where the flat one's is 1413 g: 16 % more overall weight; the thesis predicted 15.8 and
 measured 11.1 %. Running time: 40 CPU seconds.
 
