@@ -154,9 +154,7 @@ def _points(rr, stream, points: MovingPoints) -> None:
 
 
 def _plot(rr, stream, plot: Plot) -> None:
-    stream.log(
-        plot.path, rr.SeriesLines(colors=[rgb(plot.colour)], names=[plot.name]), static=True
-    )
+    stream.log(plot.path, rr.SeriesLines(colors=[rgb(plot.colour)], names=[plot.name]), static=True)
     stream.send_columns(
         plot.path,
         indexes=[rr.TimeColumn("time_since_release", duration=plot.time_s)],

@@ -89,6 +89,29 @@ def test_scene_and_figure(flight, tmp_path):
     ]
 
 
+def test_live_scene_gets_thirty_frames_a_second(monkeypatch):
+    """The viewer itself is not started; frames are counted where they reach the stream."""
+    rr = pytest.importorskip("rerun")
+    from diffsim.viz.flight_scene import live_scene
+
+    frames, log = [], rr.RecordingStream.log
+
+    def count(stream, path, *args, **kwargs):
+        frames.append(path)
+        log(stream, path, *args, **kwargs)
+
+    monkeypatch.setattr(rr.RecordingStream, "spawn", lambda self: self.memory_recording())
+    monkeypatch.setattr(rr.RecordingStream, "log", count)
+    scene = live_scene(load_design("quadcopter"), payload=0.2)
+    FlightSimulator(load_design("quadcopter"), payload=0.2).run(
+        load_mission("hover"), seconds=1.0, observers=[scene.frame]
+    )
+    # samples 0.01 s apart: every fourth, the first one that is due after 1/30 s
+    assert frames.count("world/copter") == 26
+    assert frames.count("world/copter/motor_rear__propeller") == 1 + 26  # its mesh and its turns
+    assert "world/copter/payload" in frames
+
+
 def test_command_flies_and_saves(tmp_path, capsys):
     out = tmp_path / "fly"
     argv = ["fly", "quadcopter", "--seconds", "0.5", "--controller", "pid", "--out", str(out)]
