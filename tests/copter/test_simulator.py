@@ -154,6 +154,7 @@ def test_attitude_targets_tilt_and_let_go():
     # g tan(10 degrees) for 1.5 s, less the time of leaning over
     assert 1.5 < sample.velocity[0] < 1.5 * GRAVITY * np.tan(np.radians(10))
     assert sample.position[2] == pytest.approx(-1.0, abs=0.1)
+    assert simulator.log.position_error[-1] < 0.1  # of the height alone
     with pytest.raises(ValueError, match="controller 'lqr'"):
         quadcopter(controller="pid").step(Setpoint(position=(0, 0, -1), hold_attitude=True))
 

@@ -61,7 +61,7 @@ def _report(simulator: FlightSimulator, pacer: Pacer) -> None:
     for name, value in simulator.log.summary().items():
         shown = f"{value:.4g}" if isinstance(value, float) else value
         print(f"{name:<26} {shown}")
-    if pacer.num_late:
+    if pacer.max_lag > simulator.dt:
         print(
             f"{pacer.num_late} of {pacer.num_steps} steps came late, by up to "
             f"{1e3 * pacer.max_lag:.0f} ms: this machine does not keep up at speed {pacer.speed:g}"

@@ -239,13 +239,16 @@ class FlightSimulator:
     ) -> FlightSample:
         state = self.state
         assert state.thrusts is not None and state.charge is not None
+        place = np.array(target.position, dtype=np.float64)
+        if target.hold_attitude:  # nowhere else was asked for
+            place[:2] = state.position[0, :2].numpy()
         return FlightSample(
             time=self.time,
             position=state.position[0].numpy(),
             velocity=state.velocity[0].numpy(),
             quaternion=state.quaternion[0].numpy(),
             rpy=state.rpy[0].numpy(),
-            target=np.array(target.position),
+            target=place,
             target_yaw=target.yaw,
             estimate=estimate.position[0].numpy(),
             pwm=out.pwm.numpy(),

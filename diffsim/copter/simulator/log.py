@@ -29,7 +29,7 @@ class FlightSample:
         position, velocity: World frame, (3,) [m], [m/s].
         quaternion: World from body, (w, x, y, z), (4,).
         rpy: Roll, pitch, yaw, (3,) [rad].
-        target: Position asked for, (3,) [m].
+        target: Position asked for, (3,) [m]; x and y of the vehicle itself where attitude is held.
         target_yaw: [rad].
         estimate: Position that the controller believes in, (3,) [m].
         pwm: Pulse widths for the period, (n_rotors,) [us].

@@ -42,9 +42,10 @@ class Pacer:
         """
         if self.speed == 0.0:
             return 0.0
+        self.num_steps += 1
         if self._start is None:
             self._start = self._clock() - simulated / self.speed
-        self.num_steps += 1
+            return 0.0
         early = self._start + simulated / self.speed - self._clock()
         if early >= 0.0:
             self._sleep(early)
