@@ -95,7 +95,7 @@ def require_payload(
     limit = payload_limit(vehicle, outputs, battery)
     if payload <= limit:
         return
-    clamp = f"with pulses of {outputs.pwm_max:g} us and a full battery"
+    clamp = f"with pulses of {outputs.pwm_max:g} us, rated thrusts and a full battery"
     if limit < 0.0:
         raise PayloadError(
             f"the design does not hover {clamp}: it is {-limit:.3f} kg too heavy; raise pwm_max, "
