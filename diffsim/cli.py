@@ -1,4 +1,4 @@
-"""The ``diffsim`` command: ``diffsim demo``, ``diffsim fabricate`` and ``diffsim info``."""
+"""The ``diffsim`` command: ``diffsim demo``, ``fly``, ``fabricate`` and ``info``."""
 
 from __future__ import annotations
 
@@ -60,6 +60,10 @@ def parser() -> argparse.ArgumentParser:
     )
     fabricate.set_defaults(run=_fabricate)
 
+    fly = commands.add_parser("fly", parents=[common], help="fly a multicopter in simulation")
+    _add_fly_arguments(fly)
+    fly.set_defaults(run=_fly)
+
     info = commands.add_parser("info", parents=[common], help="versions, processor, data folder")
     info.set_defaults(run=_info)
     return top
@@ -95,6 +99,41 @@ def _fabricate(args: argparse.Namespace) -> None:
     for problem in found.problems:
         print(f"problem: {problem}")
     print(f"page: {page}")
+
+
+def _add_fly_arguments(fly: argparse.ArgumentParser) -> None:
+    fly.add_argument("design", metavar="DESIGN", help="a shipped design or a YAML file")
+    pilot = fly.add_mutually_exclusive_group()
+    pilot.add_argument(
+        "--mission", default="hover", help="a shipped one or a YAML file (default: %(default)s)"
+    )
+    pilot.add_argument("--sticks", type=Path, metavar="FILE", help="recorded sticks (CSV)")
+    pilot.add_argument("--input", metavar="DEVICE", help="keyboard or gamepad (needs pygame)")
+    fly.add_argument(
+        "--stick-mode", default="position", help="position or attitude (default: %(default)s)"
+    )
+    fly.add_argument("--controller", default="lqr", help="lqr or pid (default: %(default)s)")
+    fly.add_argument("--payload", type=float, default=0.0, metavar="KG", help="load carried")
+    fly.add_argument(
+        "--pwm-max", type=float, default=1800.0, metavar="US", help="clamp (default: %(default)g)"
+    )
+    fly.add_argument("--seconds", type=float, help="end after that long")
+    fly.add_argument(
+        "--speed",
+        type=float,
+        help="of the simulation per wall clock, 0: as fast as possible (default: 1 with --view or "
+        "--input, else 0)",
+    )
+    fly.add_argument("--seed", type=int, default=0, help="of the sensors' noise")
+    fly.add_argument("--out", type=Path, default=Path("runs/fly"), help="default: %(default)s")
+    fly.add_argument("--view", action="store_true", help="watch it in the rerun viewer")
+
+
+def _fly(args: argparse.Namespace) -> None:
+    # as for the demo
+    from diffsim.copter.simulator.command import fly_command
+
+    fly_command(args)
 
 
 def _info(_args: argparse.Namespace) -> None:

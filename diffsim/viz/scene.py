@@ -115,12 +115,13 @@ def write_recording(path: str | Path, title: str, log: Callable[[Any, Any], None
     return path
 
 
-def _rgb(colour: str) -> list[int]:
+def rgb(colour: str) -> list[int]:
+    """Red, green and blue, 0 to 255, of ``#rrggbb``."""
     return [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
 
 
 def _surface(rr, stream, surface: MovingSurface) -> None:
-    colour = _rgb(surface.colour)
+    colour = rgb(surface.colour)
     for t, nodes in zip(surface.time_s, surface.nodes_m, strict=True):
         stream.set_time("time_since_release", duration=float(t))
         stream.log(
@@ -148,14 +149,12 @@ def _points(rr, stream, points: MovingPoints) -> None:
         stream.set_time("time_since_release", duration=float(t))
         stream.log(
             points.path,
-            rr.Points3D(places, colors=[_rgb(points.colour)], radii=[points.radius_m]),
+            rr.Points3D(places, colors=[rgb(points.colour)], radii=[points.radius_m]),
         )
 
 
 def _plot(rr, stream, plot: Plot) -> None:
-    stream.log(
-        plot.path, rr.SeriesLines(colors=[_rgb(plot.colour)], names=[plot.name]), static=True
-    )
+    stream.log(plot.path, rr.SeriesLines(colors=[rgb(plot.colour)], names=[plot.name]), static=True)
     stream.send_columns(
         plot.path,
         indexes=[rr.TimeColumn("time_since_release", duration=plot.time_s)],

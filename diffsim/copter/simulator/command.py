@@ -1,0 +1,85 @@
+"""``diffsim fly``: a simulated flight from the command line."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from diffsim.copter.design import Design
+from diffsim.copter.design_file import load_design
+from diffsim.copter.simulator.flight_simulator import FlightSimulator, Observer
+from diffsim.copter.simulator.live_input import HELP, LiveSticks
+from diffsim.copter.simulator.mission import load_mission
+from diffsim.copter.simulator.pacing import Pacer
+from diffsim.copter.simulator.setpoint import Pilot
+from diffsim.copter.simulator.sticks import StickPilot, load_sticks
+
+
+def fly_command(args: argparse.Namespace) -> None:
+    """Fly as the arguments of ``diffsim fly`` say; errors are raised, what was flown is kept."""
+    design = load_design(args.design)
+    simulator = FlightSimulator(
+        design,
+        controller=args.controller,
+        payload=args.payload,
+        pwm_max=args.pwm_max,
+        seed=args.seed,
+    )
+    pilot = _pilot(args)
+    live = args.view or args.input is not None
+    speed = (1.0 if live else 0.0) if args.speed is None else args.speed
+    pacer = Pacer(speed)
+    observers = [_viewer(design, args.payload)] if args.view else []
+    print(f"{design.name}, {float(simulator.vehicle.mass):.3f} kg, controller {args.controller}")
+    try:
+        simulator.run(pilot, seconds=args.seconds, pacer=pacer, observers=observers)
+    finally:
+        if simulator.log.samples:
+            _report(simulator, pacer)
+            _save(simulator, design, args.payload, args.out)
+
+
+def _pilot(args: argparse.Namespace) -> Pilot:
+    if args.input is not None:
+        sticks = LiveSticks(args.input)
+        print(HELP if args.input == "keyboard" else "Escape ends the flight")
+        return StickPilot(sticks, mode=args.stick_mode)
+    if args.sticks is not None:
+        return StickPilot(load_sticks(args.sticks), mode=args.stick_mode)
+    return load_mission(args.mission)
+
+
+def _viewer(design: Design, payload: float) -> Observer:
+    # viz is imported by entry points only, and only where asked for
+    from diffsim.viz.flight_scene import live_scene
+
+    return live_scene(design, payload=payload).frame
+
+
+def _report(simulator: FlightSimulator, pacer: Pacer) -> None:
+    for name, value in simulator.log.summary().items():
+        shown = f"{value:.4g}" if isinstance(value, float) else value
+        print(f"{name:<26} {shown}")
+    if pacer.max_lag > simulator.dt:
+        print(
+            f"{pacer.num_late} of {pacer.num_steps} steps came late, by up to "
+            f"{1e3 * pacer.max_lag:.0f} ms: this machine does not keep up at speed {pacer.speed:g}"
+        )
+
+
+def _save(simulator: FlightSimulator, design: Design, payload: float, out: Path) -> None:
+    log = simulator.log
+    log.save(out)
+    written = ["flight.csv", "flight.yaml"]
+    try:
+        from diffsim.viz.flight_figures import motor_outputs, save_png
+        from diffsim.viz.flight_scene import write_flight
+
+        save_png(motor_outputs([(design.name, log)], columns=1), out / "motor_outputs.png")
+        written.append("motor_outputs.png")
+        write_flight(out / "flight.rrd", log, design, payload=payload)
+        written.append("flight.rrd")
+    except ImportError as error:
+        print(f"no picture or scene: {error}", file=sys.stderr)
+    print(f"written to {out}: {', '.join(written)}")

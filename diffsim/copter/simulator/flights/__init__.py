@@ -1,0 +1,1 @@
+"""Missions (YAML) and recorded sticks (CSV) that come with the package."""

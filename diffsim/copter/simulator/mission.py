@@ -1,0 +1,209 @@
+"""Scripted missions: take off, hover, fly to, yaw, land; as YAML files.
+
+    name: there_and_back
+    steps:                                    # one after the other; heights are up from the ground
+      - take_off: {height: 1.5, speed: 0.8}   # speed: greatest on the way [m/s]
+      - hover: {seconds: 3}
+      - fly_to: {north: 3, east: 1, height: 2, speed: 1.5}   # those left out stay
+      - yaw: {degrees: 90, rate: 45}          # heading from north, clockwise seen from above; the
+                                              #   short way round; rate: greatest [degrees/s]
+      - land: {speed: 0.5}
+
+A way from rest to rest has the polynomial of least jerk (Flash and Hogan 1985).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim._check import require_choice, require_number
+from diffsim.copter.simulator.setpoint import Setpoint
+from diffsim.copter.yaml_lines import Located, read_yaml
+
+_PEAK_SPEED = 15.0 / 8.0  # of the least-jerk polynomial, per mean speed
+_PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)  # per way and squared duration
+MAX_ACCELERATION = 1.5  # [m/s^2]
+MAX_YAW_ACCELERATION = math.radians(90.0)  # [rad/s^2]
+# arguments with their defaults; None: as it is, REQUIRED: must be given
+REQUIRED = object()
+_STEPS: dict[str, dict[str, Any]] = {
+    "take_off": {"height": REQUIRED, "speed": 0.8},
+    "hover": {"seconds": REQUIRED},
+    "fly_to": {"north": None, "east": None, "height": None, "speed": 1.5},
+    "yaw": {"degrees": REQUIRED, "rate": 45.0},
+    "land": {"speed": 0.5},
+}
+_FREE = {"north", "east", "degrees"}  # the others must be above zero
+
+
+@dataclass(frozen=True, kw_only=True)
+class Leg:
+    """A way from rest to rest.
+
+    Attributes:
+        name: Of the step.
+        start: Time [s].
+        duration: [s].
+        pose: North, east, down, yaw at its start, (4,) [m, rad].
+        move: By the end, (4,) [m, rad].
+    """
+
+    name: str
+    start: float
+    duration: float
+    pose: NDArray[np.float64]
+    move: NDArray[np.float64]
+
+    def at(self, time: float) -> Setpoint:
+        """Targets at a time [s]."""
+        t = min(max((time - self.start) / self.duration, 0.0), 1.0)
+        way = t**3 * (10.0 - 15.0 * t + 6.0 * t**2)
+        rate = 30.0 * t**2 * (1.0 - t) ** 2 / self.duration
+        push = 60.0 * t * (1.0 - t) * (1.0 - 2.0 * t) / self.duration**2
+        x, y, z, yaw = (self.pose + way * self.move).tolist()
+        vx, vy, vz, yaw_rate = (rate * self.move).tolist()
+        ax, ay, az, _ = (push * self.move).tolist()
+        return Setpoint(
+            position=(x, y, z),
+            velocity=(vx, vy, vz),
+            acceleration=(ax, ay, az),
+            yaw=yaw,
+            yaw_rate=yaw_rate,
+        )
+
+
+@dataclass(frozen=True)
+class Mission:
+    """Legs one after the other; a ``Pilot``. After a last ``land`` the motors stand.
+
+    Attributes:
+        name: Of the mission.
+        legs: At least one, the first from the ground at the origin, heading north.
+    """
+
+    name: str
+    legs: tuple[Leg, ...]
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return self.legs[-1].start + self.legs[-1].duration
+
+    def setpoint(self, time: float) -> Setpoint:
+        """Targets at a time since the start [s]."""
+        leg = next((leg for leg in reversed(self.legs) if time >= leg.start), self.legs[0])
+        target = leg.at(time)
+        if leg.name == "land" and time >= self.duration:
+            return Setpoint(position=target.position, yaw=target.yaw, motors_on=False)
+        return target
+
+
+def shipped_missions() -> tuple[str, ...]:
+    """Names of the missions that come with the package."""
+    folder = resources.files("diffsim.copter.simulator.flights")
+    return tuple(sorted(Path(f.name).stem for f in folder.iterdir() if f.name.endswith(".yaml")))
+
+
+def load_mission(name: str | Path) -> Mission:
+    """Read a mission.
+
+    Args:
+        name: Of a shipped mission, such as ``hover``, or the path of a YAML file.
+
+    Raises:
+        FileNotFoundError: a path without a file.
+        ValueError: unknown name, step or value; names file, line and step.
+    """
+    if isinstance(name, str) and Path(name).suffix == "" and Path(name).name == name:
+        require_choice("mission", name, shipped_missions())
+        entry = resources.files("diffsim.copter.simulator.flights") / f"{name}.yaml"
+        return mission_from_text(entry.read_text(encoding="utf-8"), f"{name}.yaml")
+    path = Path(name)
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"no mission file {path}; the shipped ones are {', '.join(shipped_missions())}"
+        )
+    return mission_from_text(path.read_text(encoding="utf-8"), str(path))
+
+
+def mission_from_text(text: str, source: str = "mission") -> Mission:
+    """Read a mission from YAML text; ``source`` is what error messages call it."""
+    located = read_yaml(text, source)
+    data = located.value
+    if not isinstance(data, dict):
+        raise located.error((), "a mission needs a name and a list of steps")
+    for key in data:
+        located.require_choice((key,), "key", key, ["name", "steps"])
+    steps = data.get("steps")
+    if not isinstance(steps, list) or not steps:
+        raise located.error(("steps",), "steps must be a list with one step or more")
+    pose, time, legs = np.zeros(4), 0.0, []
+    for k, step in enumerate(steps):
+        name, values = _step(located, k, step)
+        _require_order(located, k, name, flying=bool(pose[2] < 0.0))
+        leg = _leg(name, values, time, pose)
+        pose, time = pose + leg.move, time + leg.duration
+        legs.append(leg)
+    return Mission(str(data.get("name", Path(source).stem)), tuple(legs))
+
+
+def _step(located: Located, k: int, step: Any) -> tuple[str, dict[str, Any]]:
+    """Name and arguments of one step, defaults filled in."""
+    if isinstance(step, str):
+        step = {step: {}}
+    if not isinstance(step, dict) or len(step) != 1:
+        raise located.error(("steps", k), f"a step is one of {list(_STEPS)} with its values")
+    ((name, given),) = step.items()
+    keys = ("steps", k, name)
+    located.require_choice(keys, "step", name, _STEPS)
+    given = {} if given is None else given
+    if not isinstance(given, dict):
+        raise located.error(keys, f"needs values such as {{{', '.join(_STEPS[name])}}}")
+    for key in given:
+        located.require_choice((*keys, key), f"value of {name}", key, _STEPS[name])
+    values: dict[str, Any] = {}
+    for key, default in _STEPS[name].items():
+        if default is REQUIRED and key not in given:
+            raise located.error(keys, f"{name} needs {key}; write {name}: {{{key}: 1.5}}")
+        values[key] = given.get(key, default)
+        if key in given:
+            located.require_number((*keys, key), values[key])
+            try:
+                require_number(key, values[key], above=-math.inf if key in _FREE else 0.0)
+            except ValueError as error:
+                raise located.error((*keys, key), str(error)) from error
+    return name, values
+
+
+def _require_order(located: Located, k: int, name: str, *, flying: bool) -> None:
+    if name == "take_off" and flying:
+        raise located.error(("steps", k), "take_off while flying; use fly_to with another height")
+    if name != "take_off" and not flying:
+        raise located.error(("steps", k), f"{name} on the ground; put a take_off before it")
+
+
+def _leg(name: str, values: dict[str, Any], time: float, pose: NDArray[np.float64]) -> Leg:
+    end = pose.copy()
+    if name == "hover":
+        return Leg(name=name, start=time, duration=values["seconds"], pose=pose, move=0.0 * pose)
+    if name == "yaw":
+        turn = math.radians(values["degrees"]) - pose[3]
+        end[3] = pose[3] + (turn + math.pi) % (2.0 * math.pi) - math.pi
+        rate, most = math.radians(values["rate"]), MAX_YAW_ACCELERATION
+    else:
+        rate, most = values["speed"], MAX_ACCELERATION
+        if name == "land":
+            end[2] = 0.0
+        for axis, key, sign in ((0, "north", 1.0), (1, "east", 1.0), (2, "height", -1.0)):
+            if values.get(key) is not None:
+                end[axis] = sign * values[key]
+    way = float(np.linalg.norm(end - pose))
+    duration = max(_PEAK_SPEED * way / rate, math.sqrt(_PEAK_ACCELERATION * way / most), 0.5)
+    return Leg(name=name, start=time, duration=duration, pose=pose, move=end - pose)

@@ -1,0 +1,83 @@
+"""Figures of simulated flights: motor outputs (thesis Fig. 3-9), battery (Fig. 3-10)."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim._files import write_bytes_atomic
+from diffsim.copter.simulator import FlightLog
+from diffsim.viz.figures import COLOURS, CYCLE, INK, SOFT, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+
+def motor_outputs(flights: Sequence[tuple[str, FlightLog]], *, columns: int = 2) -> Figure:
+    """Pulse widths of all motors over time, one panel per flight, with the clamp.
+
+    Bars above the clamp show when a motor was asked for more than it may give.
+
+    Args:
+        flights: Titles and logs.
+        columns: Of panels.
+    """
+    columns = min(columns, len(flights))
+    rows = -(-len(flights) // columns)
+    figure, axes = new_figure(
+        rows, columns, width=5.0 * columns, height=3.1 * rows, squeeze=False, sharey=True
+    )
+    for ax, (title, log) in zip(axes.flat, flights, strict=False):
+        _motor_panel(ax, title, log)
+    for ax in axes[-1]:
+        ax.set_xlabel("time [s]", color=SOFT)
+    for ax in axes[:, 0]:
+        ax.set_ylabel("pulse width [us]", color=SOFT)
+    clamp = flights[0][1].metadata["pwm_max_us"]
+    axes[0, 0].text(0.0, clamp + 8.0, "bars above: saturated", fontsize=8, color=SOFT)
+    axes[0, 0].legend(frameon=False, fontsize=8, labelcolor=INK, ncols=3, loc="lower center")
+    return figure
+
+
+def _motor_panel(ax: Axes, title: str, log: FlightLog) -> None:
+    time, pwm, saturated = (log.series(name) for name in ("time", "pwm", "saturated"))
+    clamp = log.metadata["pwm_max_us"]
+    for k, values in enumerate(pwm.T):
+        colour = CYCLE[k % len(CYCLE)]
+        ax.plot(time, values, color=colour, lw=0.9, label=f"motor {k + 1}")
+        at = saturated[:, k]
+        ax.plot(time[at], np.full(at.sum(), clamp + 10.0 + 9.0 * k), "|", color=colour, ms=4)
+    ax.axhline(clamp, color=COLOURS["bad"], lw=0.8, ls="--")
+    ax.set_ylim(1250.0, clamp + 70.0)
+    ax.set_title(title, loc="left", fontsize=10, color=INK)
+
+
+def battery_curves(curves: Sequence[tuple[str, Array, Array, Array]]) -> Figure:
+    """Voltage and current over time.
+
+    Args:
+        curves: (label, time (T,) [s], voltage (T,) [V], current (T,) [A]).
+    """
+    figure, (left, right) = new_figure(1, 2, width=10.0, height=3.4)
+    for ax, index, ylabel in ((left, 2, "voltage [V]"), (right, 3, "current [A]")):
+        for curve, colour in zip(curves, CYCLE, strict=False):
+            ax.plot(curve[1], curve[index], color=colour, lw=1.2, label=curve[0])
+        ax.set_xlabel("time [s]", color=SOFT)
+        ax.set_ylabel(ylabel, color=SOFT)
+    left.legend(frameon=False, fontsize=8.5, labelcolor=INK)
+    return figure
+
+
+def save_png(figure: Figure, path: str | Path) -> Path:
+    """Write a figure as PNG on white, atomically."""
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=120, facecolor="white")
+    return write_bytes_atomic(path, content.getvalue())
