@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from diffsim._check import require_number
-from diffsim.copter.parts.rotors import ROTORS
+from diffsim.copter.parts.rotors import ROTOR_NAMES, rotor_data
 from diffsim.copter.rotor import SIGNAL_HIGH, SIGNAL_LOW, RotorModel, rotor_model, rotor_names
 from diffsim.copter.vehicle import Multicopter
 
@@ -105,10 +105,10 @@ def flight_rotors(vehicle: Multicopter) -> tuple[RotorModel, ...]:
 
 
 def _model(name: str) -> RotorModel:
-    if name in rotor_names() or name not in ROTORS:
+    if name in rotor_names() or name not in ROTOR_NAMES:
         return rotor_model(name)
-    part = ROTORS[name]
-    measured = [r for r in ROTORS.values() if r.measured]
+    part = rotor_data(name)
+    measured = [r for r in map(rotor_data, ROTOR_NAMES) if r.measured]
     near = min(measured, key=lambda r: abs(r.radius - part.radius))
     return _scaled(rotor_model(near.name), name, part.radius, part.max_thrust, part.torque_ratio)
 
