@@ -80,7 +80,7 @@ FlowMatrix<D>::FlowMatrix(const FlowOperator<D>& op, ThreadPool& pool)
 }
 
 template <int D>
-StokesPlan::Symbolic FlowMatrix<D>::analyze(StokesPlan& plan) const {
+StokesPlan::Symbolic FlowMatrix<D>::analyze(const std::uint8_t* fixed, StokesPlan& plan) const {
   const FlowGeometry<D>& geometry = op_.geometry();
   const StokesGrid<D>& grid = geometry.grid();
   if (StokesPlan::Symbolic known = plan.find(geometry.active_nodes(), stencils_)) return known;
@@ -93,17 +93,19 @@ StokesPlan::Symbolic FlowMatrix<D>::analyze(StokesPlan& plan) const {
   }
   std::vector<std::int64_t> indices(u(num_blocks()));
   std::vector<double> coords(stencils_.size() * 3, 0.0);
+  std::vector<std::uint8_t> absent(stencils_.size() * D);
   for (std::size_t i = 0; i < stencils_.size(); ++i) {
     const std::int64_t node = geometry.active_nodes()[i];
     std::int64_t at[D];
     grid.node_position(node, at);
+    std::copy(fixed + node * D, fixed + (node + 1) * D, absent.begin() + static_cast<long>(i) * D);
     for (int a = 0; a < D; ++a) coords[3 * i + u(a)] = static_cast<double>(at[a]);
     std::int64_t next = indptr_[i];
     for (int bit = 0; bit < kBits; ++bit)
       if (stencils_[i].test(bit)) indices[u(next++)] = geometry.unknown_node(node + offset[bit]);
   }
-  StokesPlan::Symbolic made =
-      analyze_cholesky(num_nodes(), indptr_.data(), indices.data(), coords.data(), D);
+  StokesPlan::Symbolic made = analyze_cholesky(num_nodes(), indptr_.data(), indices.data(),
+                                               coords.data(), D, absent.data());
   plan.keep(geometry.active_nodes(), stencils_, made);
   return made;
 }

@@ -31,7 +31,8 @@ class FlowSystem final : public StokesSystem {
       : start_(seconds()),
         op_(StokesGrid<D>(in.shape), in.phi, in.open, options, pool),
         regions_(op_, in.fixed),
-        fixed_(in.fixed, in.fixed + grid().num_nodes * D) {
+        fixed_(in.fixed, in.fixed + grid().num_nodes * D),
+        memory_(plan.memory()) {
     if (geometry().active_nodes().empty())
       throw std::invalid_argument("phi leaves no fluid: it must be > 0 somewhere in the box");
     for (std::int64_t cell = 0; cell < grid().num_cells; ++cell) {
@@ -43,7 +44,8 @@ class FlowSystem final : public StokesSystem {
     }
     const FlowMatrix<D> matrix(op_, pool);
     const double geometry_end = seconds();
-    factor_ = std::make_unique<CholeskyFactor>(matrix.analyze(plan));
+    factor_ = std::make_unique<CholeskyFactor>(matrix.analyze(in.fixed, plan),
+                                               FactorPrecision::kFloat64, memory_->take());
     const double analysis_end = seconds();
     {
       const std::vector<double> values = matrix.assemble(in.fixed, pool);
@@ -55,7 +57,6 @@ class FlowSystem final : public StokesSystem {
         throw NotPositiveDefinite(node * D + e.unknown % D, e.pivot);
       }
     }
-    factor_->release_refactor_memory();
     report_.factor_s = seconds() - analysis_end - report_.assembly_s;
     report_.geometry_s = geometry_end - start_;
     report_.analysis_s = analysis_end - geometry_end;
@@ -67,6 +68,10 @@ class FlowSystem final : public StokesSystem {
     report_.factor_nnz = factor_->nnz();
     report_.factor_bytes = factor_->bytes();
     report_.factor_flops = factor_->flops();
+  }
+
+  ~FlowSystem() override {
+    if (factor_) memory_->give_back(factor_->take_memory());
   }
 
   const FlowReport& report() const override { return report_; }
@@ -314,6 +319,7 @@ class FlowSystem final : public StokesSystem {
   FlowRegions<D> regions_;
   std::vector<std::uint8_t> fixed_;
   std::vector<std::int64_t> rigid_cells_;  // active, all velocities prescribed
+  std::shared_ptr<StokesMemory> memory_;
   std::unique_ptr<CholeskyFactor> factor_;
   CholeskyWorkspace workspace_;
   FlowReport report_;
