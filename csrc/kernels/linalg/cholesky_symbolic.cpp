@@ -83,7 +83,8 @@ struct Present {
 };
 
 /// Supernodes of the nodes present, in the caller's numbering.
-Supernodes order_nodes(const Graph& graph, const Present& present, const double* coords) {
+Supernodes order_nodes(const Graph& graph, const Present& present, const double* coords,
+                       bool lattice) {
   std::vector<int> number(graph.num_nodes, -1), weight;
   std::vector<double> at;
   Graph part;
@@ -103,8 +104,8 @@ Supernodes order_nodes(const Graph& graph, const Present& present, const double*
     }
   }
   const Graph& ordered = whole ? graph : part;
-  Supernodes nodes =
-      find_supernodes(ordered, nested_dissection(ordered, coords ? at.data() : nullptr), weight);
+  Supernodes nodes = find_supernodes(
+      ordered, nested_dissection(ordered, coords ? at.data() : nullptr, lattice), weight);
   for (int& v : nodes.order) v = present.nodes[v];
   return nodes;
 }
@@ -220,7 +221,7 @@ std::shared_ptr<const CholeskySymbolic> analyze_cholesky(std::int64_t num_nodes,
                                                          const std::int64_t* indptr,
                                                          const std::int64_t* indices,
                                                          const double* coords, int block,
-                                                         const std::uint8_t* absent) {
+                                                         const std::uint8_t* absent, bool lattice) {
   if (block < 1 || block > 6) refuse("block must be 1 to 6, got " + std::to_string(block));
   if (num_nodes < 0 || num_nodes > std::numeric_limits<int>::max() / block) {
     refuse("num_nodes must fit 32-bit indices, got " + std::to_string(num_nodes));
@@ -232,7 +233,7 @@ std::shared_ptr<const CholeskySymbolic> analyze_cholesky(std::int64_t num_nodes,
   sym->block = block;
   const Graph graph = checked_graph(num_nodes, indptr, indices);
   const Present present(num_nodes, block, absent);
-  const Supernodes nodes = order_nodes(graph, present, coords);
+  const Supernodes nodes = order_nodes(graph, present, coords, lattice);
   lay_out(nodes, present, *sym);
   map_indices(nodes, present, indptr, indices, *sym);
   schedule_cholesky(*sym);

@@ -105,7 +105,7 @@ StokesPlan::Symbolic FlowMatrix<D>::analyze(const std::uint8_t* fixed, StokesPla
       if (stencils_[i].test(bit)) indices[u(next++)] = geometry.unknown_node(node + offset[bit]);
   }
   StokesPlan::Symbolic made = analyze_cholesky(num_nodes(), indptr_.data(), indices.data(),
-                                               coords.data(), D, absent.data());
+                                               coords.data(), D, absent.data(), true);
   plan.keep(geometry.active_nodes(), stencils_, made);
   return made;
 }
