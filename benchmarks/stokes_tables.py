@@ -109,9 +109,9 @@ def scaling_table(rows: Rows) -> list[str]:
     if found := exponents(rows):
         lines += [
             "",
-            f"Exponents of unknowns (grids above 5,000, where three are): loss {found['forward_cpu_s']:.2f}, loss and "
-            f"gradient {found['both_cpu_s']:.2f} (CPU time), peak memory "
-            f"{found['memory_peak_B']:.2f}.",
+            f"Exponents of unknowns (of grids above {LARGE:,}, where there are three): loss "
+            f"{found['forward_cpu_s']:.2f}, loss and gradient {found['both_cpu_s']:.2f} (CPU "
+            f"time), peak memory {found['memory_peak_B']:.2f}.",
         ]
     return lines
 
