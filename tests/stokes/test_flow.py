@@ -95,8 +95,8 @@ def test_a_ball_that_touches_the_box_leaves_a_film(gap):
 @pytest.mark.property
 @pytest.mark.parametrize("wall", ["no_slip", "no_separation"])
 def test_waves_as_short_as_a_few_cells_stay_positive_definite(wall):
-    """Seed 36 has a triangle of fluid in one cell whose neighbours' planes leave them empty: without
-    a penalty of its own the matrix was indefinite (pivots -3e-3 and -9e-3)."""
+    """Seed 36 has a triangle of fluid in one cell whose neighbours' planes leave them empty:
+    without a penalty of its own the matrix was indefinite (pivots -3e-3 and -9e-3)."""
     grid = stokes.Grid((12, 11), 0.1)
     x, y = grid.nodes.unbind(-1)
     solved = 0
@@ -235,6 +235,15 @@ class TestRefusals:
         phi[2, 3] = float("nan")
         with pytest.raises(ValueError, match=r"phi must be finite.*first at \(2, 3\)"):
             self.flow()(phi, tensor(1.0, 0.0))
+
+    @pytest.mark.parametrize(
+        "name", ["inlet", "viscosity", "wall_velocity", "body_force", "traction"]
+    )
+    def test_nan_elsewhere(self, name):
+        given = {"inlet": tensor(1.0, 0.0), "viscosity": tensor(1.0)[0]}
+        given[name] = tensor(1.0, float("nan")) if name != "viscosity" else tensor(float("nan"))[0]
+        with pytest.raises(ValueError, match=f"{name}.* must be finite"):
+            self.flow()(self.phi, **given)
 
     def test_shapes(self):
         with pytest.raises(ValueError, match=r"phi must have shape \(7, 7\)"):
