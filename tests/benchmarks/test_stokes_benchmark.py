@@ -1,4 +1,4 @@
-"""benchmarks/stokes.py at tiny size: it runs, is kept, resumed, reported; times are not looked at."""
+"""benchmarks/stokes.py at tiny size: it runs, is kept, resumed and reported, whatever the times."""
 
 from __future__ import annotations
 

@@ -177,8 +177,8 @@ def test_the_jump_of_a_parallel_wall_comes_from_its_normal_velocity_and_shrinks(
         assert float(above[1:, n // 2, 1].abs().max()) < 1e-5
         fluid = grid.nodes[..., 1] <= 0.5
         jumps.append(float((above - below)[fluid].norm() / below[fluid].norm()))
-    assert jumps[0] < 3e-2
-    assert jumps[2] < jumps[1] / 1.5 < jumps[0] / 1.5**2
+    assert jumps[0] < 1.2e-2  # measured 1.0e-2, 4.6e-3, 2.2e-3
+    assert jumps[2] < jumps[1] / 1.8 < jumps[0] / 1.8**2
 
 
 @pytest.mark.grad
