@@ -16,6 +16,8 @@ PROTOTYPE = {"funnel": 7.1, "twister": 4.55, "switch": 2 * 20.3}
 """Seconds to factor and solve with PARDISO or CHOLMOD, one thread (design page, the slower of two
 runs; the switch has two geometries)."""
 LARGE = 5000
+LEAST_MEMORY = 2**20
+"""What less than this is shown as [byte]: small systems fit into memory that was there before."""
 COLOURS = {"scaling": "#0b6e75", "iterative": "#c2571a"}
 
 
@@ -42,7 +44,7 @@ def exponents(rows: Rows) -> dict[str, float]:
     return {
         "forward_cpu_s": slope([row["forward_cpu_s"]["median"] for row in rows]),
         "both_cpu_s": slope([row["both_cpu_s"]["median"] for row in rows]),
-        "memory_peak_B": slope([max(row["memory_peak_B"], 1) for row in rows]),
+        "memory_peak_B": slope([max(row["memory_peak_B"], LEAST_MEMORY) for row in rows]),
     }
 
 
@@ -133,10 +135,11 @@ def draw_figures(results: dict[str, Any], out: Path) -> list[str]:
     for stage in stages:
         rows = done(results[stage])
         unknowns = [3 * row["num_nodes"] for row in rows]
+        memory = [row["memory_peak_B"] for row in rows]
         slopes = exponents(rows)
         for ax, values, name in (
             (left, [row["both_cpu_s"]["median"] for row in rows], "both_cpu_s"),
-            (right, [row["memory_peak_B"] / 2**30 for row in rows], "memory_peak_B"),
+            (right, [max(b, LEAST_MEMORY) / 2**30 for b in memory], "memory_peak_B"),
         ):
             solver = "direct" if stage == "scaling" else "iterative"
             label = f"{solver}, exponent {slopes[name]:.2f}"

@@ -60,7 +60,7 @@ def test_exponents_are_slopes():
             "num_nodes": nodes,
             "forward_cpu_s": {"median": 1e-9 * nodes**1.5},
             "both_cpu_s": {"median": 1e-9 * nodes**2.0},
-            "memory_peak_B": 7.0 * nodes**1.25,
+            "memory_peak_B": 7e3 * nodes**1.25,
         }
 
     small = {**row(100), "memory_peak_B": 1e9}  # below LARGE: fixed costs, left out
