@@ -155,6 +155,15 @@ def _report_failure(stats: Tensor, what: str, tolerance: float, on_failure: str)
 MAX_NET_INFLOW = 0.05  # of the gross flux; cut faces close only to second order in the cell size
 
 
+def refuse_net_inflow(share: float) -> None:
+    """Raise if more flows into a closed part of the fluid than out; share of the gross flux."""
+    if share > MAX_NET_INFLOW:
+        raise ValueError(
+            f"a part of the fluid has no open face, but {100 * share:.0f} % more flows in than "
+            "out (or out than in) through its boundary; open a face, or balance the inlets"
+        )
+
+
 @torch.library.custom_op("diffsim::stokes_flow", mutates_args=())
 def stokes_flow(
     phi: Tensor,
@@ -194,12 +203,7 @@ def stokes_flow(
         system.solve(
             arrays, velocity.data_ptr(), pressure.data_ptr(), stats.data_ptr(), num_threads
         )
-    inflow = float(stats[:, STATS.index("net_inflow")].max()) if cases else 0.0
-    if inflow > MAX_NET_INFLOW:
-        raise ValueError(
-            f"a part of the fluid has no open face, but {100 * inflow:.0f} % more flows in than "
-            "out (or out than in) through its boundary; open a face, or balance the inlets"
-        )
+    refuse_net_inflow(float(stats[:, STATS.index("net_inflow")].max()) if cases else 0.0)
     _report_failure(stats, "Stokes solve", ctx.options.tolerance, on_failure)
     return velocity, pressure, fraction, stats
 
