@@ -20,7 +20,7 @@ from torch import Tensor
 from diffsim._core import core
 from diffsim.errors import ConvergenceError, ConvergenceWarning, FactorizationError
 
-STATS = ("num_iters", "divergence", "converged", "net_inflow")
+STATS = ("num_iters", "divergence", "converged", "net_inflow", "residual")
 LOADS = ("wall_velocity", "body_force", "traction")
 _STRIDES = ("wall_stride", "force_stride", "traction_stride")
 _handles = itertools.count(1)

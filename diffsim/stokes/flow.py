@@ -15,6 +15,7 @@ from diffsim.stokes.field import FlowField
 from diffsim.stokes.grid import Grid
 
 FORMULATIONS = ("nitsche",)
+SOLVERS = ("auto", "direct", "iterative")
 WALL_KINDS = ("no_slip", "no_separation")
 
 
@@ -72,6 +73,8 @@ class StokesFlow(nn.Module):
         formulation: str = "nitsche",
         incompressible: bool = False,
         tolerance: float = 1e-8,
+        solver: str = "auto",
+        rtol: float = 1e-9,
         max_iters: int = 100,
         bulk_ratio: float = 1e5,
         penalty: float = 20.0,
@@ -111,6 +114,8 @@ class StokesFlow(nn.Module):
                 "incompressible": incompressible,
                 "tolerance": require_number("tolerance", tolerance, above=0.0),
                 "max_iters": max_iters,
+                "solver": getattr(ops.core.FlowSolver, require_choice("solver", solver, SOLVERS)),
+                "rtol": require_number("rtol", rtol, at_least=1e-13, at_most=0.1),
             },
             num_kept=num_kept,
             inspect=self._inspect,
