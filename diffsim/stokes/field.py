@@ -24,7 +24,8 @@ class FlowField:
         pressure: One value per cell, (cases, *shape) [Pa]; zero in solid cells.
         volume_fraction: Fluid share of every cell, (*shape) [-].
         stats: Per case: "num_iters", "divergence" (root mean square dilatation of cells relative to
-            max speed / longest side of the box), "converged", "net_inflow".
+            max speed / longest side of the box), "converged", "net_inflow", "residual" (of the
+            iterative solver, relative; zero for the direct one).
     """
 
     grid: Grid

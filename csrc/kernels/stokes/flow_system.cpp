@@ -219,7 +219,11 @@ class FlowSystem final : public StokesSystem {
   void prepare_iterative(const FlowGeometryInputs& in, const FlowMatrix<D>& matrix,
                          ThreadPool& pool) {
     const double start = seconds();
-    mixed_ = std::make_unique<FlowMixed<D>>(op_, matrix, in.fixed, pool);
+    try {
+      mixed_ = std::make_unique<FlowMixed<D>>(op_, matrix, in.fixed, pool);
+    } catch (const NotPositiveDefinite& e) {
+      throw NotPositiveDefinite(-1, e.pivot);  // an unknown of a coarse grid means nothing outside
+    }
     report_.assembly_s = seconds() - start;
     report_.solver_bytes = mixed_->bytes();
   }

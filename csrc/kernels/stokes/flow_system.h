@@ -6,6 +6,7 @@
 // pressure with the same matrix (the augmented Lagrangian iteration, accelerated); in a region
 // without open faces C(v, g) = mean V (fluid volume) with the mean that the boundary values leave,
 // and sum V p = 0. The factor does not depend on viscosity, boundary values or loads.
+// Large systems keep their pressures and are solved iteratively: flow_mixed.h.
 #pragma once
 
 #include <cstdint>
@@ -76,7 +77,7 @@ class StokesSystem {
                        FlowStats* stats, ThreadPool& pool) = 0;
 };
 
-/// @throws NotPositiveDefinite with the unknown as grid node * D + axis
+/// @throws NotPositiveDefinite with the unknown as grid node * D + axis, or -1 (coarse grid)
 std::shared_ptr<StokesSystem> make_stokes_system(const FlowGeometryInputs& in,
                                                  const FlowOptions& options, StokesPlan& plan,
                                                  ThreadPool& pool);
