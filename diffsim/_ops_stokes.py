@@ -144,15 +144,12 @@ def _report_failure(stats: Tensor, what: str, ctx: StokesContext, system, on_fai
     if not bool(failed.any()):
         return
     first = dict(zip(STATS, stats[failed][0].tolist(), strict=True))
-    if system.report.iterative:
+    if system.report.iterative and not first["residual"] <= ctx.options.rtol:
         measure, found, tolerance = "relative residual", first["residual"], ctx.options.rtol
         remedy = 'raise max_iters, loosen rtol, or choose solver="direct"'
     else:
-        measure, found, tolerance = (
-            "relative divergence",
-            first["divergence"],
-            ctx.options.tolerance,
-        )
+        measure = "relative divergence"
+        found, tolerance = first["divergence"], ctx.options.tolerance
         remedy = "raise max_iters or bulk_ratio, or loosen tolerance"
     message = (
         f"{what} stopped after {first['num_iters']:.0f} iterations at {measure} {found:.3e}, "

@@ -58,8 +58,7 @@ KrylovResult flexible_gmres(Apply&& apply, Precondition&& precondition, const Ve
         h(i, k) = cs[at] * upper + sn[at] * lower;
         h(i + 1, k) = cs[at] * lower - sn[at] * upper;
       }
-      const double length =
-          std::max(std::hypot(h(k, k), next), std::numeric_limits<double>::min());
+      const double length = std::max(std::hypot(h(k, k), next), std::numeric_limits<double>::min());
       cs[j] = h(k, k) / length;
       sn[j] = next / length;
       h(k, k) = length;

@@ -82,7 +82,7 @@ void FlowMixed<D>::set_divergence() {
     }
     const double M = op_.pressure_volume(cell) / grid.cell_volume;
     mass_.push_back(M);
-    shift_.push_back(options.incompressible ? 0.0 : M / (options.bulk - gamma_));
+    shift_.push_back(M / (options.bulk - gamma_));
   }
 }
 
@@ -93,8 +93,7 @@ void FlowMixed<D>::set_diagonals(ThreadPool& pool) {
   for_chunks(n, pool, [&](std::int64_t i) {
     for (std::int64_t k = matrix_.indptr[u(i)]; k < matrix_.indptr[u(i) + 1]; ++k)
       if (matrix_.columns[u(k)] == i)
-        std::copy_n(matrix_.values.data() + k * D * D, D * D,
-                    inverse_diagonal_.data() + i * D * D);
+        std::copy_n(matrix_.values.data() + k * D * D, D * D, inverse_diagonal_.data() + i * D * D);
   });
   for (std::int64_t cell = 0; cell < static_cast<std::int64_t>(cells_.size()); ++cell) {
     const double* c = divergence(cell);
@@ -171,8 +170,7 @@ void FlowMixed<D>::set_patterns(ThreadPool& pool) {
   }
   const std::int64_t n = static_cast<std::int64_t>(macros.size());
   macro_.resize(u(num_cells));
-  for (std::int64_t cell = 0; cell < num_cells; ++cell)
-    macro_[u(cell)] = number[u(place[u(cell)])];
+  for (std::int64_t cell = 0; cell < num_cells; ++cell) macro_[u(cell)] = number[u(place[u(cell)])];
 
   // Cells about a node, by node; through it they couple.
   const std::int64_t num_nodes = num_velocities_ / D;
@@ -325,8 +323,8 @@ KrylovResult FlowMixed<D>::solve(const double* f, const double* g, double* v, do
   Vector b(num_velocities + num_cells), x;
   scratch_.resize(num_velocities);
   for (std::size_t i = 0; i < num_velocities; ++i)
-    b[i] = fixed_[i] ? 0.0
-                     : velocity_scale_ * f[nodes[i / D] * D + static_cast<std::int64_t>(i % D)];
+    b[i] =
+        fixed_[i] ? 0.0 : velocity_scale_ * f[nodes[i / D] * D + static_cast<std::int64_t>(i % D)];
   Vector pressure(num_cells);
   for (std::size_t cell = 0; cell < num_cells; ++cell) {
     b[num_velocities + cell] = divergence_scale_ * g[cells_[cell]];
@@ -335,15 +333,14 @@ KrylovResult FlowMixed<D>::solve(const double* f, const double* g, double* v, do
   add_gradient(gamma_, pressure.data(), b.data(), pool);
   VectorOps ops(pool);
   const double size = ops.norm(b);
-  KrylovResult result = flexible_gmres(
-      [&](const Vector& in, Vector& out) { apply(in, out, pool); },
-      [&](const Vector& in, Vector& out) { precondition(in, out, pool); }, b, x, rtol * size,
-      max_iters, ops);
+  KrylovResult result =
+      flexible_gmres([&](const Vector& in, Vector& out) { apply(in, out, pool); },
+                     [&](const Vector& in, Vector& out) { precondition(in, out, pool); }, b, x,
+                     rtol * size, max_iters, ops);
   result.residual_norm = size > 0.0 ? result.residual_norm / size : 0.0;
   for (std::size_t i = 0; i < num_velocities; ++i)
     if (!fixed_[i]) v[nodes[i / D] * D + static_cast<std::int64_t>(i % D)] = x[i];
-  const FlowOptions& options = op_.options();
-  const double by_gamma = options.incompressible ? 1.0 : 1.0 / (1.0 - gamma_ / options.bulk);
+  const double by_gamma = 1.0 / (1.0 - gamma_ / op_.options().bulk);
   for (std::size_t cell = 0; cell < num_cells; ++cell)
     p[cells_[cell]] = x[num_velocities + cell] * by_gamma / op_.geometry().grid().h_min;
   return result;

@@ -1,6 +1,6 @@
 // The Stokes equations of one geometry with velocities and pressures as unknowns, iteratively:
 //
-//   E v - C' p = f,   C v + p M / bulk = g      (0 instead of M / bulk where incompressible)
+//   E v - C' p = f,   C v + p M / bulk = g
 // for eta = 1: the equations whose pressures flow_system.cpp eliminates for its direct path.
 // gamma C' M^-1 times the second row is added to the first, which makes
 //   [ E_gamma  -C' ] [ v ]    E_gamma = E + gamma C' M^-1 C,
@@ -68,7 +68,7 @@ class FlowMixed {
   std::vector<std::int32_t> cut_index_;   // of active cells, -1 where full
   std::vector<double> cut_;               // (cut cells, 2^D, D) divergence
   double full_[kCorners * D];
-  std::vector<double> mass_, shift_;  // of active cells: M, M / (bulk - gamma) or 0
+  std::vector<double> mass_, shift_;      // of active cells: M, M / (bulk - gamma)
   std::vector<double> inverse_diagonal_;  // (num_nodes, D, D) of E, zero where fixed
   std::vector<double> weight_;            // (1 + gamma) / M + 1 / diag(L)
   std::vector<std::int32_t> macro_;       // of active cells

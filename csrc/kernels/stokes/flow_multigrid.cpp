@@ -185,10 +185,10 @@ NodeMatrix<D> FlowMultigrid<D>::galerkin(const NodeMatrix<D>& A, const NodePosit
           double block[D * D];
           for (int a = 0; a < D; ++a)
             for (int b = 0; b < D; ++b)
-              block[a * D + b] = fixed_i[a] || fixed_j[b] ? 0.0
-                                                          : static_cast<double>(
-                                                                level.child_weight[u(c)]) *
-                                                                A.values[u(k * D * D + a * D + b)];
+              block[a * D + b] = fixed_i[a] || fixed_j[b]
+                                     ? 0.0
+                                     : static_cast<double>(level.child_weight[u(c)]) *
+                                           A.values[u(k * D * D + a * D + b)];
           for (std::int64_t q = level.parent_start[u(j)]; q < level.parent_start[u(j) + 1]; ++q) {
             const std::int32_t J = level.parent[u(q)];
             int slot = 0;
@@ -233,6 +233,13 @@ void FlowMultigrid<D>::factorise(const NodeMatrix<D>& A, const NodePositions<D>&
   for (std::size_t i = 0; i < positions.size(); ++i)
     for (std::size_t a = 0; a < D; ++a) coords[3 * i + a] = positions[i][a];
   for (double& v : values) v *= scale;
+  // Coarse functions coincide where all the fine nodes that they reach do, at the fluid's edge:
+  // only what they give together counts.
+  constexpr double kRegular = 1e-7;
+  for (std::int64_t i = 0; i < A.num_nodes(); ++i)
+    for (std::int64_t k = A.indptr[u(i)]; k < A.indptr[u(i) + 1]; ++k)
+      for (int a = 0; a < D && A.columns[u(k)] == i; ++a)
+        values[u(k * D * D + a * D + a)] *= 1.0 + kRegular;
   coarsest_ = std::make_unique<CholeskyFactor>(
       analyze_cholesky(A.num_nodes(), A.indptr.data(), indices.data(), coords.data(), D));
   coarsest_->refactor(values.data(), pool);
@@ -335,13 +342,11 @@ void FlowMultigrid<D>::apply(const double* b, double* x, ThreadPool& pool) {
   }
   Level& level = levels_[0];
   for_chunks(level.num_nodes(), pool, [&](std::int64_t i) {
-    for (int a = 0; a < D; ++a)
-      level.b.data()[i * kLanes + a] = static_cast<float>(b[i * D + a]);
+    for (int a = 0; a < D; ++a) level.b.data()[i * kLanes + a] = static_cast<float>(b[i * D + a]);
   });
   cycle(0, pool);
   for_chunks(level.num_nodes(), pool, [&](std::int64_t i) {
-    for (int a = 0; a < D; ++a)
-      x[i * D + a] = static_cast<double>(level.x.data()[i * kLanes + a]);
+    for (int a = 0; a < D; ++a) x[i * D + a] = static_cast<double>(level.x.data()[i * kLanes + a]);
   });
 }
 

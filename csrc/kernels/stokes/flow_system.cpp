@@ -233,6 +233,7 @@ class FlowSystem final : public StokesSystem {
     const std::int64_t N = grid().num_nodes * D, M = grid().num_cells;
     const bool strict = op_.options().incompressible;
     std::vector<double> r(u(N)), C(u(M)), step(u(N)), pressure(u(M));
+    std::vector<double> remainder(strict ? u(M * in.num_cases) : 0);
     const auto excess = [&](std::int64_t k) {
       op_.outflow(v + k * N, data_of(in, k).wall_velocity, C.data(), pool);
       if (strict) constrain(C.data(), nullptr);
@@ -248,34 +249,43 @@ class FlowSystem final : public StokesSystem {
         p[k * M + cell] = in.viscosity * pressure[u(cell)];
       excess(k);
       stats[k].divergence = divergence(C.data(), v + k * N);
+      for (std::int64_t cell = 0; cell < M && strict; ++cell)
+        remainder[u(k * M + cell)] = -C[u(cell)];
     }
+    if (!strict) return;
+    close(in.viscosity, in.num_cases, 1.0, v, p, remainder.data(), stats, pool);
+    for (std::int64_t k = 0; k < in.num_cases; ++k) regions_.subtract_level(op_, p + k * M);
   }
   /// E z - C' p = dL/dv / eta, C z + p M / bulk = -dL/dp, pi = -eta p.
   void adjoint_mixed(const FlowInputs& in, const double* grad_v, const double* grad_p, double* z,
                      double* pi, double* mu, FlowStats* stats, ThreadPool& pool) {
     const std::int64_t N = grid().num_nodes * D, M = grid().num_cells;
-    std::vector<double> f(u(N)), C(u(M));
+    const bool strict = op_.options().incompressible;
+    std::vector<double> f(u(N)), C(u(M)), remainder(strict ? u(M * in.num_cases) : 0);
     for (std::int64_t k = 0; k < in.num_cases; ++k) {
       for (std::int64_t i = 0; i < N; ++i) f[u(i)] = grad_v[k * N + i] / in.viscosity;
       adjoint_excess(k, z, grad_p, mu, C.data(), pool);
       for (double& value : C) value = -value;
       run_mixed(f.data(), C.data(), z + k * N, pi + k * M, stats[k], pool);
       for (std::int64_t cell = 0; cell < M; ++cell) pi[k * M + cell] *= -in.viscosity;
-      adjoint_excess(k, z, grad_p, mu, C.data(), pool);  // mu of the final z
+      adjoint_excess(k, z, grad_p, mu, C.data(), pool);
       stats[k].divergence = divergence(C.data(), z + k * N);
+      if (strict) std::copy(C.begin(), C.end(), remainder.begin() + k * M);
+    }
+    if (!strict) return;
+    close(in.viscosity, in.num_cases, -1.0, z, pi, remainder.data(), stats, pool);
+    for (std::int64_t k = 0; k < in.num_cases; ++k) {
+      adjoint_excess(k, z, grad_p, mu, C.data(), pool);  // mu of the final z
+      regions_.subtract_level(op_, pi + k * M);
     }
   }
   void run_mixed(const double* f, const double* g, double* v, double* p, FlowStats& stats,
                  ThreadPool& pool) {
     const FlowOptions& options = op_.options();
-    const KrylovResult result =
-        mixed_->solve(f, g, v, p, options.rtol, options.max_iters, pool);
+    const KrylovResult result = mixed_->solve(f, g, v, p, options.rtol, options.max_iters, pool);
     stats.num_iters = result.num_iters;
     stats.residual = result.residual_norm;
     stats.converged = result.converged;
-    if (!options.incompressible) return;
-    for (std::int64_t cell : rigid_cells_) p[cell] = 0.0;
-    regions_.subtract_level(op_, p);
   }
 
   /// C z + dL/dp - mu V of a case.
@@ -294,9 +304,7 @@ class FlowSystem final : public StokesSystem {
     const double bulk = op_.options().bulk * in.viscosity;
     const bool strict = op_.options().incompressible;
     std::vector<double> r(u(N)), C(u(M)), effective(u(M)), b(num_unknowns() * u(cases));
-    const auto excess = [&](std::int64_t k) {
-      adjoint_excess(k, z, grad_p, mu, C.data(), pool);
-    };
+    const auto excess = [&](std::int64_t k) { adjoint_excess(k, z, grad_p, mu, C.data(), pool); };
     for (std::int64_t k = 0; k < cases; ++k) {
       excess(k);
       std::fill(effective.begin(), effective.end(), 0.0);
@@ -363,6 +371,8 @@ class FlowSystem final : public StokesSystem {
     const double bulk = options.bulk * eta;
     std::vector<double> d(u(M * cases), 0.0), y(u(M)), rest(u(N), 0.0), r(u(N)), C(u(M));
     std::vector<double> b(num_unknowns() * u(cases)), ry(u(cases), 0.0), step(u(N));
+    std::vector<double> inner_iters(u(cases));
+    for (std::int64_t k = 0; k < cases; ++k) inner_iters[u(k)] = stats[k].num_iters;
     const auto dot = [&](const double* a, const double* c) {
       double sum = 0.0;
       for (std::int64_t cell = 0; cell < M; ++cell) sum += a[cell] * c[cell];
@@ -385,34 +395,45 @@ class FlowSystem final : public StokesSystem {
           d[u(k * M + cell)] = y[u(cell)] + beta * d[u(k * M + cell)];
       }
       if (done || iter >= options.max_iters) return;
-      for (std::int64_t k = 0; k < cases; ++k) {
+      for (std::int64_t k = 0; k < cases && factor_; ++k) {
         op_.residual(rest.data(), FlowData(), d.data() + k * M, eta, r.data(), pool);
         gather(r.data(), b.data(), k, cases, -1.0 / eta);
       }
-      factor_->solve(b.data(), b.data(), static_cast<int>(cases), workspace_, pool);
+      if (factor_) factor_->solve(b.data(), b.data(), static_cast<int>(cases), workspace_, pool);
       for (std::int64_t k = 0; k < cases; ++k) {
         std::fill(step.begin(), step.end(), 0.0);
-        scatter_add(b.data(), k, cases, 1.0, step.data());
+        if (factor_) {
+          scatter_add(b.data(), k, cases, 1.0, step.data());
+        } else {  // K v = C' d / eta as E v - C' p = 0, C v + p M / bulk = d M / (bulk eta)
+          for (std::int64_t cell = 0; cell < M; ++cell)
+            C[u(cell)] = d[u(k * M + cell)] / bulk * op_.pressure_volume(cell);
+          const KrylovResult inner =
+              mixed_->solve(rest.data(), C.data(), step.data(), y.data(),
+                            std::max(options.rtol, kInner), options.max_iters, pool);
+          inner_iters[u(k)] += inner.num_iters;
+        }
         op_.outflow(step.data(), nullptr, C.data(), pool);
         constrain(C.data(), nullptr);
         const double curvature = dot(d.data() + k * M, C.data());
         if (!(curvature > 0.0)) continue;
         const double alpha = ry[u(k)] / curvature;
         for (std::int64_t cell = 0; cell < M; ++cell) {
-          multiplier[k * M + cell] += alpha * d[u(k * M + cell)];
+          multiplier[k * M + cell] += alpha * (factor_ ? d[u(k * M + cell)] : eta * y[u(cell)]);
           remainder[k * M + cell] -= alpha * C[u(cell)];
         }
         for (std::int64_t i = 0; i < N; ++i) x[k * N + i] += sign * alpha * step[u(i)];
-        stats[k].num_iters = iter + 1;
+        stats[k].num_iters = factor_ ? iter + 1 : inner_iters[u(k)];
       }
     }
   }
+
+  static constexpr double kInner = 1e-6;  // relative residual of steps towards incompressibility
 
   double start_;
   FlowOperator<D> op_;
   FlowRegions<D> regions_;
   std::vector<std::uint8_t> fixed_;
-  std::vector<std::int64_t> rigid_cells_;  // active, all velocities prescribed
+  std::vector<std::int64_t> rigid_cells_;   // active, all velocities prescribed
   std::unique_ptr<CholeskyFactor> factor_;  // or
   std::unique_ptr<FlowMixed<D>> mixed_;
   CholeskyWorkspace workspace_;

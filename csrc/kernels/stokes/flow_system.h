@@ -24,17 +24,17 @@ struct FlowGeometryInputs {
 };
 
 /// Active nodes up to which "auto" is direct, in three dimensions.
-constexpr std::int64_t kMaxDirectNodes = 60000;
+constexpr std::int64_t kMaxDirectNodes = 40000;
 
 /// Numbers about a prepared system.
 struct FlowReport {
   std::int64_t num_cells = 0, num_cut_cells = 0, num_nodes = 0;  // active ones
   std::int64_t num_regions = 0;                                  // connected parts of the fluid
-  std::int64_t num_loose_regions = 0;  // those without prescribed values or an open face
-  std::int64_t num_loose_cells = 0;    // and their cells
-  bool iterative = false;                                        // or direct
-  std::int64_t factor_nnz = 0, factor_bytes = 0;                 // direct
-  std::int64_t solver_bytes = 0;                                 // matrices kept
+  std::int64_t num_loose_regions = 0;             // those without prescribed values or an open face
+  std::int64_t num_loose_cells = 0;               // and their cells
+  bool iterative = false;                         // or direct
+  std::int64_t factor_nnz = 0, factor_bytes = 0;  // direct
+  std::int64_t solver_bytes = 0;                  // matrices kept
   double factor_flops = 0.0;
   double geometry_s = 0.0, assembly_s = 0.0, analysis_s = 0.0, factor_s = 0.0;  // wall time
 };
