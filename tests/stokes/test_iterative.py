@@ -59,10 +59,13 @@ def solve(flow: stokes.StokesFlow, phi: torch.Tensor) -> dict[str, torch.Tensor]
 
 @pytest.mark.reference
 @pytest.mark.parametrize("wall", ["no_slip", "no_separation"])
-@pytest.mark.parametrize("incompressible", [False, True])
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize(
+    ("dim", "incompressible"),
+    [(2, False), (3, False), (2, True), pytest.param(3, True, marks=pytest.mark.slow)],
+)
 def test_same_as_direct(dim, incompressible, wall):
-    options = {"incompressible": incompressible, "tolerance": 1e-12, "rtol": 1e-13}
+    rtol = 1e-12 if incompressible else 1e-13
+    options = {"incompressible": incompressible, "tolerance": 1e-12, "rtol": rtol}
     found = solve(*tube(wall, dim, "iterative", max_iters=400, **options))
     expected = solve(*tube(wall, dim, "direct", max_iters=400, **options))
     # Pressures that alternate in sign are held 1e4 times less than others and take as much more of

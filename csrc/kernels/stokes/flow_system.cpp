@@ -427,7 +427,7 @@ class FlowSystem final : public StokesSystem {
     }
   }
 
-  static constexpr double kInner = 1e-6;  // relative residual of steps towards incompressibility
+  static constexpr double kInner = 1e-10;  // relative residual of steps towards incompressibility
 
   double start_;
   FlowOperator<D> op_;
