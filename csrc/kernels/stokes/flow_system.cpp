@@ -407,9 +407,8 @@ class FlowSystem final : public StokesSystem {
         } else {  // K v = C' d / eta as E v - C' p = 0, C v + p M / bulk = d M / (bulk eta)
           for (std::int64_t cell = 0; cell < M; ++cell)
             C[u(cell)] = d[u(k * M + cell)] / bulk * op_.pressure_volume(cell);
-          const KrylovResult inner =
-              mixed_->solve(rest.data(), C.data(), step.data(), y.data(),
-                            std::max(options.rtol, kInner), options.max_iters, pool);
+          const KrylovResult inner = mixed_->solve(rest.data(), C.data(), step.data(), y.data(),
+                                                   options.rtol, options.max_iters, pool);
           inner_iters[u(k)] += inner.num_iters;
         }
         op_.outflow(step.data(), nullptr, C.data(), pool);
@@ -426,8 +425,6 @@ class FlowSystem final : public StokesSystem {
       }
     }
   }
-
-  static constexpr double kInner = 1e-10;  // relative residual of steps towards incompressibility
 
   double start_;
   FlowOperator<D> op_;
