@@ -27,7 +27,8 @@ class FlowField:
         volume_fraction: Fluid share of every cell, (*shape) [-].
         stats: Per case: "num_iters", "divergence" (root mean square dilatation of cells relative to
             max speed / longest side of the box), "converged", "net_inflow" (net over gross flux of
-            the worst part of the fluid without an open face), "imbalance" (``mass_report``).
+            the worst part of the fluid without an open face), "residual" (of the iterative solver,
+            relative; zero for the direct one), "imbalance" (``mass_report``).
     """
 
     grid: Grid

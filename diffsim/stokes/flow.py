@@ -16,12 +16,17 @@ from diffsim.stokes.grid import Grid
 from diffsim.stokes.thesis_flow import ThesisFormulation
 
 FORMULATIONS = ("nitsche", "thesis")
+SOLVERS = ("auto", "direct", "iterative")
+MAX_DIRECT_NODES: int = ops.MAX_DIRECT_NODES
+"""What ``solver="auto"`` solves directly in three dimensions: at most so many nodes with fluid."""
 WALL_KINDS = ("no_slip", "no_separation")
 NITSCHE_ONLY = {
     "incompressible": False,
     "bulk_ratio": 1e5,
     "penalty": 20.0,
     "ghost_penalty": 0.04,
+    "solver": "auto",
+    "rtol": 1e-9,
 }
 """Options that the published formulation does not have, with their defaults."""
 
@@ -52,7 +57,14 @@ class StokesFlow(nn.Module):
         poissons_ratio: nu [-] of "thesis", in [0, 0.5); default 0.45.
         incompressible: Iterate to div v = 0 in every cell (mean over its fluid).
         tolerance: Of the relative divergence (see ``FlowField.stats``), where incompressible.
-        max_iters: Of that iteration.
+        solver: "direct" (sparse Cholesky of the velocities' matrix), "iterative" (flexible GMRES on
+            velocities and pressures of the same equations, geometric multigrid inside: memory and
+            time grow in proportion to the grid) or "auto": iterative in three dimensions beyond
+            MAX_DIRECT_NODES nodes with fluid, about where both take the same time for one case.
+            ``report`` tells which was taken.
+        rtol: Of the iterative solver: norm of the residual over that of the right-hand side, both
+            with momentum and continuity scaled by powers of the cell size; the adjoint too.
+        max_iters: Of the incompressible iteration, and of the iterative solver.
         bulk_ratio: Second viscosity over viscosity, lambda / eta [-].
         penalty: Nitsche penalty beta [-].
         ghost_penalty: gamma [-].
@@ -83,6 +95,8 @@ class StokesFlow(nn.Module):
         poissons_ratio: float | None = None,
         incompressible: bool = False,
         tolerance: float = 1e-8,
+        solver: str = "auto",
+        rtol: float = 1e-9,
         max_iters: int = 100,
         bulk_ratio: float = 1e5,
         penalty: float = 20.0,
@@ -111,7 +125,7 @@ class StokesFlow(nn.Module):
         self.num_threads = num_threads
         self._published: ThesisFormulation | None = None
         if formulation == "thesis":
-            given = (incompressible, bulk_ratio, penalty, ghost_penalty)
+            given = (incompressible, bulk_ratio, penalty, ghost_penalty, solver, rtol)
             for (name, default), value in zip(NITSCHE_ONLY.items(), given, strict=True):
                 if value != default:
                     raise ValueError(f'{name} is an option of formulation "nitsche", not "thesis"')
@@ -138,6 +152,8 @@ class StokesFlow(nn.Module):
                 "incompressible": incompressible,
                 "tolerance": require_number("tolerance", tolerance, above=0.0),
                 "max_iters": max_iters,
+                "solver": getattr(ops.FlowSolver, require_choice("solver", solver, SOLVERS)),
+                "rtol": require_number("rtol", rtol, at_least=1e-13, at_most=0.1),
             },
             num_kept=num_kept,
             inspect=self._inspect,
@@ -175,7 +191,8 @@ class StokesFlow(nn.Module):
             TypeError, ValueError: wrong shapes, NaN, no fluid at all, nothing that drives the flow,
                 net inflow into a region without an open face.
             FactorizationError: a part of the fluid that nothing holds.
-            ConvergenceError: the incompressible iteration stopped above its tolerance.
+            ConvergenceError: the incompressible iteration or the iterative solver stopped above
+                its tolerance; the same in the backward pass.
 
         Warns:
             UserWarning: parts of the fluid without boundary data, parts thinner than a cell.
@@ -230,14 +247,18 @@ class StokesFlow(nn.Module):
         require_choice("name", name, self.boundary.inlets)
         return self.grid.nodes.reshape(-1, self.grid.dim)[self.boundary.inlets[name]]
 
-    def report(self, phi: Tensor) -> dict[str, float]:
-        """Sizes and wall times of the prepared system of a level set (made if it is not kept)."""
+    def report(self, phi: Tensor) -> dict[str, float | str]:
+        """Solver, sizes and wall times [s] of the prepared system of a level set (made if it is not
+        kept)."""
         if self._published is not None:
             raise ValueError('report is of formulation "nitsche" only')
         phi = require("phi", phi.detach(), self.grid.node_shape, torch.float64).reshape(-1)
         with self._context.lock:
             report = self._context.system(phi, self.num_threads).report
-        return {name: getattr(report, name) for name in dir(report) if not name.startswith("_")}
+        names = [name for name in dir(report) if not name.startswith("_") and name != "iterative"]
+        return {name: getattr(report, name) for name in names} | {
+            "solver": "iterative" if report.iterative else "direct"
+        }
 
     def _load(self, name: str, value: Tensor | None) -> Tensor:
         if value is None:

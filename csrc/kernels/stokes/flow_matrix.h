@@ -79,16 +79,20 @@ class FlowMatrix {
 
   std::int64_t num_nodes() const { return static_cast<std::int64_t>(stencils_.size()); }
   std::int64_t num_blocks() const { return indptr_.back(); }
+  /// Row starts, (num_nodes + 1,), and column nodes, ascending, (num_blocks,).
+  const std::vector<std::int64_t>& indptr() const { return indptr_; }
+  std::vector<std::int64_t> columns() const;
   /// From the plan where the pattern is known; prescribed components take no part.
   StokesPlan::Symbolic analyze(const std::uint8_t* fixed, StokesPlan& plan) const;
   /// @param fixed (num_grid_nodes, D) nonzero where the component is prescribed
+  /// @param bulk  on C' M^-1 C
   /// @return (num_blocks, D, D)
-  std::vector<double> assemble(const std::uint8_t* fixed, ThreadPool& pool) const;
+  std::vector<double> assemble(const std::uint8_t* fixed, double bulk, ThreadPool& pool) const;
 
  private:
   static constexpr int kCorners = 1 << D, kPatch = 3 * kCorners / 2;
 
-  void add_cells(double* values, ThreadPool& pool) const;
+  void add_cells(double bulk, double* values, ThreadPool& pool) const;
   void add_faces(double* values, ThreadPool& pool) const;
   double* block(double* values, std::int64_t row, int bit) const {
     return values + (indptr_[static_cast<std::size_t>(row)] +
