@@ -48,6 +48,20 @@ def test_viscosity_scales_pressure_and_not_velocity():
     torch.testing.assert_close(thin.pressure * 5e3, thick.pressure, rtol=1e-6, atol=1e-3)
 
 
+@pytest.mark.parametrize("threads", [1, 2])
+def test_factor_in_the_memory_of_another_geometry(threads):
+    """Systems hand their memory on; what stood in it must not show."""
+    grid = stokes.Grid((20, 18, 18), size=1.0)  # its last front is large enough for threads to share
+    faces = [stokes.Inlet("x-"), stokes.Open("x+")]
+    radius = (grid.nodes[..., 1:] - 0.5).norm(dim=-1)
+    shapes = [0.47 - radius, 0.23 - radius, 0.6 - radius]
+    kept = stokes.StokesFlow(grid, faces, num_threads=threads)
+    for phi in shapes:
+        fresh = stokes.StokesFlow(grid, faces)
+        inlet = tensor(1.0, 0.0, 0.0)
+        assert torch.equal(kept(phi, inlet).velocity, fresh(phi, inlet).velocity)
+
+
 @pytest.mark.property
 def test_results_do_not_depend_on_threads():
     found = []
