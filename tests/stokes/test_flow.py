@@ -51,7 +51,7 @@ def test_viscosity_scales_pressure_and_not_velocity():
 @pytest.mark.parametrize("threads", [1, 2])
 def test_factor_in_the_memory_of_another_geometry(threads):
     """Systems hand their memory on; what stood in it must not show."""
-    grid = stokes.Grid((20, 18, 18), size=1.0)  # its last front is large enough for threads to share
+    grid = stokes.Grid((20, 18, 18), size=1.0)  # a last front that threads share
     faces = [stokes.Inlet("x-"), stokes.Open("x+")]
     radius = (grid.nodes[..., 1:] - 0.5).norm(dim=-1)
     shapes = [0.47 - radius, 0.23 - radius, 0.6 - radius]
