@@ -10,17 +10,22 @@ from pathlib import Path
 import torch
 
 from diffsim._files import write_json_atomic
-from diffsim.stokes.devices import DEVICES, Device, Optimum, make, optimise
-from diffsim.stokes.devices.picture import draw, numbers
+from diffsim.stokes.devices import DEVICES, Device, Optimum, coarse_to_fine, make, optimise
+from diffsim.stokes.devices.hand_over import export
+from diffsim.stokes.devices.picture import draw
 
 
 def run(
     device: Device,
     out: str | Path | None,
     *,
+    coarse: Device | None = None,
     num_samples: int | None = None,
     seed: int = 0,
     max_evaluations: int = 50,
+    num_starts: int = 3,
+    num_checked: int = 8,
+    with_export: bool = False,
 ) -> Optimum:
     """Optimise a device; print the numbers, write them and a picture.
 
@@ -28,18 +33,28 @@ def run(
         device: The device.
         out: Folder for ``progress.json`` (an interrupted run goes on from it), ``result.json``,
             ``flow.png``; None writes nothing.
+        coarse: The same device on a coarser grid, on which designs are drawn and first improved.
         num_samples: Random designs; the thesis's number if None.
         seed: Of the samples.
         max_evaluations: Of loss and gradient.
+        num_starts: Of ``coarse_to_fine``, and so is ``num_checked``.
+        with_export: Write the files of ``export`` into the folder, too.
     """
     folder = None if out is None else Path(out)
-    optimum = optimise(
-        device,
-        num_samples,
-        seed,
-        max_evaluations=max_evaluations,
-        path=None if folder is None else folder / "progress.json",
-    )
+    path = None if folder is None else folder / "progress.json"
+    if coarse is None:
+        optimum = optimise(device, num_samples, seed, max_evaluations=max_evaluations, path=path)
+    else:
+        optimum = coarse_to_fine(
+            device,
+            coarse,
+            num_samples,
+            seed,
+            num_starts=num_starts,
+            num_checked=num_checked,
+            max_evaluations=max_evaluations,
+            path=path,
+        )
     for name, value in numbers(device, optimum).items():
         print(f"{name:32s} {value if isinstance(value, str) else format(value, '.4g')}")
     if folder is not None:
@@ -54,7 +69,38 @@ def run(
         }
         write_json_atomic(folder / "result.json", result)
         print(f"wrote {draw(device, optimum, folder / 'flow.png')}")
+        for file in export(device, optimum.x, folder) if with_export else []:
+            print(f"wrote {file}")
     return optimum
+
+
+def numbers(device: Device, optimum: Optimum) -> dict[str, float | str]:
+    """What a run found, for tables and files."""
+    out: dict[str, float | str] = {
+        "loss": optimum.loss,
+        "loss of best random design": float(optimum.sample_losses.min()),
+        "loss in the thesis": device.reference.get("loss", float("nan")),
+        "unit loss": optimum.unit_loss,
+        "random designs": len(optimum.samples),
+        "rejected random designs": optimum.num_rejected,
+        "evaluations": len(optimum.evaluation_losses),
+        "CPU seconds per loss and gradient": optimum.seconds,
+        "wall seconds in the thesis": device.reference.get("seconds", float("nan")),
+        "message": optimum.message,
+    }
+    if optimum.coarse is not None:
+        coarse = optimum.coarse
+        ends = [d.loss / coarse.unit_loss for d in coarse.descents]
+        fine = coarse.fine_losses / optimum.unit_loss
+        out |= {
+            "unit loss, standard error": coarse.unit_error,
+            "unit loss, designs on both grids": len(coarse.checked_fine),
+            "unit loss on the coarse grid": coarse.unit_loss,
+            "losses found on the coarse grid": ", ".join(f"{v:.3g}" for v in ends),
+            "the same designs on this grid": ", ".join(f"{v:.3g}" for v in fine.tolist()),
+            "evaluations on the coarse grid": sum(len(d.losses) for d in coarse.descents),
+        }
+    return out
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -63,23 +109,46 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("name", choices=list(DEVICES))
     parser.add_argument("--out", metavar="FOLDER", help="numbers, picture and state; resumable")
     parser.add_argument("--resolution", type=float, default=1.0, help="factor on cells per axis")
+    parser.add_argument(
+        "--sample-resolution",
+        type=float,
+        help="draw and first improve designs on this coarser grid (see coarse_to_fine)",
+    )
+    parser.add_argument("--starts", type=int, default=3, help="to improve on the coarser grid")
+    parser.add_argument(
+        "--checked", type=int, default=8, help="random designs on both grids, for the unit loss"
+    )
     parser.add_argument("--samples", type=int, help="random designs (the thesis's number)")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--evaluations", type=int, default=50, help="of loss and gradient, at most")
     parser.add_argument("--no-slip", action="store_true", help="walls of the twister")
+    parser.add_argument(
+        "--export",
+        action="store_true",
+        help="the optimised device as .stl, its flow as .vti, .rrd and streamlines (.png)",
+    )
     given = parser.parse_args(arguments)
+    if given.export and not given.out:
+        parser.error("--export needs --out, the folder to write to")
     if given.no_slip and given.name != "twister":
         parser.error("--no-slip is for the twister; the other devices have the thesis's walls")
     torch.set_num_threads(1)
     options = {"wall": "no_slip"} if given.no_slip else {}
     device = make(given.name, given.resolution, **options)
+    coarse = None
+    if given.sample_resolution is not None:
+        coarse = make(given.name, given.sample_resolution, **options)
     try:
         run(
             device,
             given.out,
+            coarse=coarse,
             num_samples=given.samples,
             seed=given.seed,
             max_evaluations=given.evaluations,
+            num_starts=given.starts,
+            num_checked=given.checked,
+            with_export=given.export,
         )
     except KeyboardInterrupt:
         again = ", the same command goes on" if given.out else ""
