@@ -57,11 +57,16 @@ def export(device: Device, x: Tensor, folder: str | Path, *, size: float = 0.1) 
         for case, title in enumerate(device.cases):
             alone = len(device.cases) == 1
             path = folder / (name if alone else f"{name}_{title.replace(' ', '_')}")
-            label = name if alone else f"{name}, {title}"
-            scene = write_rerun(path.with_suffix(".rrd"), field, title=label, case=case)
-            picture = pictures.view if field.grid.dim == 3 else pictures.compare
-            figure = picture([(label, field)], case=case)
-            written += [scene, pictures.save(figure, path.with_suffix(".png"))]
+            label = ", ".join([*name.split("_"), *([] if alone else [title])])
+            written.append(write_rerun(path.with_suffix(".rrd"), field, title=path.name, case=case))
+            if field.grid.dim == 2:
+                figure = pictures.speed_map(field, case=case, title=label)
+            else:
+                flat = field.grid.size[2] < 0.3 * max(field.grid.size)
+                figure = pictures.view(
+                    [(label, field)], case=case, elevation=50.0 if flat else 24.0
+                )
+            written.append(pictures.save(figure, path.with_suffix(".png")))
     return written
 
 

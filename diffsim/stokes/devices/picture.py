@@ -112,7 +112,8 @@ def _slice(
     colour = speed
     if wanted is not None:
         off = np.arctan2(v[..., 1], v[..., 0]) - np.arctan2(wanted[1], wanted[0])
-        colour = np.degrees(np.abs(np.angle(np.exp(1j * off))))
+        moving = speed > 1e-6 * speed.max(initial=0.0)  # resting fluid has no direction
+        colour = np.where(moving, np.degrees(np.abs(np.angle(np.exp(1j * off)))), np.nan)
     return {
         "x": np.linspace(0.0, field.grid.size[0], v.shape[0]),
         "y": np.linspace(0.0, field.grid.size[1], v.shape[1]),
