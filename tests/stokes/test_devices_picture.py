@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from diffsim.stokes import devices
+from diffsim.stokes.devices.evolution import draw_shapes, milestones
 from tests.stokes.test_devices import made_up, some_design
 
 pytest.importorskip("matplotlib")
@@ -71,3 +72,27 @@ def test_panels(tmp_path, name, titles):
     assert list(module._panels(device, module._flows(device, x))) == titles
     path = module.draw(device, optimum_of(device, x), tmp_path / "flow.png")
     assert path.stat().st_size > 10_000
+    shapes = draw_shapes(device, optimum_of(device, x), tmp_path / "shapes.png")
+    assert shapes.stat().st_size > 5_000
+
+
+def test_milestones_are_designs_better_than_all_before():
+    device, coarse = devices.make("amplifier", 0.375), devices.make("amplifier", 0.25)
+    best = devices.coarse_to_fine(
+        device, coarse, 3, num_starts=2, num_checked=2, max_evaluations=5,
+        max_coarse_evaluations=6, progress=False,
+    )  # fmt: skip
+    way = milestones(best, 20)
+    descent = best.coarse.descents[int(best.coarse.fine_losses.argmin())]
+    assert way[0][0] == 1
+    assert torch.equal(way[0][2], descent.designs[0])
+    assert torch.equal(way[-1][2], best.x)
+    assert way[-1][1] == pytest.approx(best.loss)
+    numbers = [n for n, _, _ in way]
+    assert numbers == sorted(set(numbers))
+    assert numbers[-1] <= len(descent.losses) + len(best.evaluations)
+    fine = [loss for n, loss, _ in way if n > len(descent.losses)]
+    assert fine == sorted(fine, reverse=True)
+    assert [n for n, _, _ in milestones(best, 2)] == [numbers[0], numbers[-1]]
+    with pytest.raises(ValueError, match="count must be at least 2"):
+        milestones(best, 1)

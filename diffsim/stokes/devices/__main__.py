@@ -11,6 +11,7 @@ import torch
 
 from diffsim._files import write_json_atomic
 from diffsim.stokes.devices import DEVICES, Device, Optimum, coarse_to_fine, make, optimise
+from diffsim.stokes.devices.evolution import draw_shapes
 from diffsim.stokes.devices.hand_over import export
 from diffsim.stokes.devices.picture import draw
 
@@ -32,7 +33,7 @@ def run(
     Args:
         device: The device.
         out: Folder for ``progress.json`` (an interrupted run goes on from it), ``result.json``,
-            ``flow.png``; None writes nothing.
+            ``flow.png``, ``shapes.png``; None writes nothing.
         coarse: The same device on a coarser grid, on which designs are drawn and first improved.
         num_samples: Random designs; the thesis's number if None.
         seed: Of the samples.
@@ -69,6 +70,7 @@ def run(
         }
         write_json_atomic(folder / "result.json", result)
         print(f"wrote {draw(device, optimum, folder / 'flow.png')}")
+        print(f"wrote {draw_shapes(device, optimum, folder / 'shapes.png')}")
         for file in export(device, optimum.x, folder) if with_export else []:
             print(f"wrote {file}")
     return optimum
