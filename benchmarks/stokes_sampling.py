@@ -30,7 +30,7 @@ from diffsim.stokes.devices.search import descend
 from diffsim.viz.figures import COLOURS, INK
 
 NAMES = ("amplifier", "averager", "gate")
-STUCK = 2.0  # a start is stuck if its end is so much worse than the best end
+STUCK, PERFECT = 2.0, 1e-3  # stuck: ends above STUCK times the best end, and above PERFECT
 
 
 def measure(
@@ -88,7 +88,7 @@ def summary(result: dict[str, Any]) -> dict[str, Any]:
         "best": others.min(),
         "median": np.median(others),
         "worst": others.max(),
-        "stuck": int((others > STUCK * finals.min()).sum()),
+        "stuck": int((others > max(STUCK * finals.min(), PERFECT)).sum()),
         "better": int((others < sampled).sum()),
         "count": len(others),
         "evaluations": sum(len(h) for h in result["histories"]),
@@ -101,7 +101,7 @@ def report(results: Rows) -> str:
         "# L-BFGS from the best of several random designs, and from each of the others",
         "",
         "Normalised losses: 1 is the mean of the random designs. Stuck: ends above "
-        f"{STUCK:g} times the best end of all starts.",
+        f"{STUCK:g} times the best end of all starts, and above {PERFECT:g}.",
         "",
         "| device | starts | best sample: first, final | others: best, median, worst final | "
         "others that end better | others that are stuck | flows with gradient |",

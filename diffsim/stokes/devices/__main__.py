@@ -25,8 +25,9 @@ def run(
     seed: int = 0,
     max_evaluations: int = 50,
     num_starts: int = 3,
-    num_checked: int = 8,
+    num_checked: int | None = None,
     with_export: bool = False,
+    size: float = 0.1,
 ) -> Optimum:
     """Optimise a device; print the numbers, write them and a picture.
 
@@ -40,6 +41,7 @@ def run(
         max_evaluations: Of loss and gradient.
         num_starts: Of ``coarse_to_fine``, and so is ``num_checked``.
         with_export: Write the files of ``export`` into the folder, too.
+        size: Longest side of the exported solid's box [m].
     """
     folder = None if out is None else Path(out)
     path = None if folder is None else folder / "progress.json"
@@ -71,7 +73,7 @@ def run(
         write_json_atomic(folder / "result.json", result)
         print(f"wrote {draw(device, optimum, folder / 'flow.png')}")
         print(f"wrote {draw_shapes(device, optimum, folder / 'shapes.png')}")
-        for file in export(device, optimum.x, folder) if with_export else []:
+        for file in export(device, optimum.x, folder, size=size) if with_export else []:
             print(f"wrote {file}")
     return optimum
 
@@ -118,7 +120,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--starts", type=int, default=3, help="to improve on the coarser grid")
     parser.add_argument(
-        "--checked", type=int, default=8, help="random designs on both grids, for the unit loss"
+        "--checked", type=int, help="random designs on both grids, for the unit loss (8)"
     )
     parser.add_argument("--samples", type=int, help="random designs (the thesis's number)")
     parser.add_argument("--seed", type=int, default=0)
@@ -128,6 +130,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--export",
         action="store_true",
         help="the optimised device as .stl, its flow as .vti, .rrd and streamlines (.png)",
+    )
+    parser.add_argument(
+        "--size", type=float, default=0.1, help="longest side of the exported solid's box [m]"
     )
     given = parser.parse_args(arguments)
     if given.export and not given.out:
@@ -151,6 +156,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             num_starts=given.starts,
             num_checked=given.checked,
             with_export=given.export,
+            size=given.size,
         )
     except KeyboardInterrupt:
         again = ", the same command goes on" if given.out else ""

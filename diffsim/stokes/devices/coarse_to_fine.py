@@ -50,7 +50,7 @@ def coarse_to_fine(
     seed: int = 0,
     *,
     num_starts: int = 3,
-    num_checked: int = 8,
+    num_checked: int | None = None,
     max_evaluations: int = 50,
     max_coarse_evaluations: int = 50,
     ftol: float = 1e-9,
@@ -74,7 +74,8 @@ def coarse_to_fine(
         num_samples: Random designs; ``device.num_samples`` if None.
         seed: Of the samples.
         num_starts: Of them, to improve on the coarse grid.
-        num_checked: Of them, to evaluate on both grids; more may be asked for in a later call.
+        num_checked: Of them, to evaluate on both grids; 8, or all if there are fewer, if None. More
+            may be asked for in a later call.
         max_evaluations: Of loss and gradient, at most.
         max_coarse_evaluations: The same for each L-BFGS on the coarse grid.
         ftol: Relative decrease of the loss below which L-BFGS stops.
@@ -96,6 +97,7 @@ def coarse_to_fine(
         max_coarse_evaluations=max_coarse_evaluations,
     )
     _check_coarse(device, coarse)
+    num_checked = min(8, num_samples) if num_checked is None else num_checked
     if not 2 <= num_checked <= num_samples:
         raise ValueError(f"num_checked must lie in [2, {num_samples}], got {num_checked}")
     settings = search_settings(device, num_samples, seed)
