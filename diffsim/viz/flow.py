@@ -266,11 +266,14 @@ def _draw_cut(ax: Axes, cut: Cut, top: float) -> Any:
 
 def _draw_lines(ax: Axes, lines: Sequence[Streamline], scale: float) -> None:
     """Lines, each with an arrow head in the middle of its length."""
+    effects = optional("matplotlib.patheffects", purpose="a picture of a flow")
+    # seen on dark colours, too
+    halo = [effects.withStroke(linewidth=1.6, foreground="#ffffff90")]
     for line in lines:
         points = scale * line.points
         if len(points) < 3:
             continue
-        ax.plot(*points.T, color=INK, lw=0.65, alpha=0.8)
+        ax.plot(*points.T, color=INK, lw=0.65, alpha=0.8, path_effects=halo)
         length = np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))
         k = int(np.searchsorted(length, 0.5 * length[-1]))
         k = min(max(k, 0), len(points) - 2)

@@ -93,7 +93,7 @@ def draw_shapes(device: Device, optimum: Optimum, path: str | Path, count: int =
         ax.grid(False)
         ax.set(xlim=(0, size[0]), ylim=(0, size[1]), xticks=[], yticks=[], aspect="equal")
         for side in ax.spines.values():
-            side.set_visible(True)
+            side.set(visible=True, color=INK)
     figure.legend(
         handles=handles, title="evaluation: loss", loc="outside right center", frameon=False,
         fontsize=8.5, title_fontsize=9,
