@@ -24,6 +24,7 @@ def run(
     num_samples: int | None = None,
     seed: int = 0,
     max_evaluations: int = 50,
+    max_coarse_evaluations: int = 50,
     num_starts: int = 3,
     num_checked: int | None = None,
     with_export: bool = False,
@@ -39,7 +40,7 @@ def run(
         num_samples: Random designs; the thesis's number if None.
         seed: Of the samples.
         max_evaluations: Of loss and gradient.
-        num_starts: Of ``coarse_to_fine``, and so is ``num_checked``.
+        max_coarse_evaluations, num_starts, num_checked: Of ``coarse_to_fine``.
         with_export: Write the files of ``export`` into the folder, too.
         size: Longest side of the exported solid's box [m].
     """
@@ -56,6 +57,7 @@ def run(
             num_starts=num_starts,
             num_checked=num_checked,
             max_evaluations=max_evaluations,
+            max_coarse_evaluations=max_coarse_evaluations,
             path=path,
         )
     for name, value in numbers(device, optimum).items():
@@ -118,6 +120,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         type=float,
         help="draw and first improve designs on this coarser grid (see coarse_to_fine)",
     )
+    parser.add_argument(
+        "--coarse-evaluations", type=int, default=50, help="on the coarser grid, at most, per start"
+    )
     parser.add_argument("--starts", type=int, default=3, help="to improve on the coarser grid")
     parser.add_argument(
         "--checked", type=int, help="random designs on both grids, for the unit loss (8)"
@@ -153,6 +158,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             num_samples=given.samples,
             seed=given.seed,
             max_evaluations=given.evaluations,
+            max_coarse_evaluations=given.coarse_evaluations,
             num_starts=given.starts,
             num_checked=given.checked,
             with_export=given.export,

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 _SOLID, _INK, _ACCENT = "#c9ced6", "#22303c", "#c8452f"
 _BOTH = "both, half each"
 _MAX_ANGLE = 90.0  # of the colour scale [degrees]
+_REST = 1e-3  # of the greatest speed: slower fluid counts as resting
 
 
 def draw(device: Device, optimum: Optimum, path: str | Path) -> Path:
@@ -112,7 +113,7 @@ def _slice(
     colour = speed
     if wanted is not None:
         off = np.arctan2(v[..., 1], v[..., 0]) - np.arctan2(wanted[1], wanted[0])
-        moving = speed > 1e-6 * speed.max(initial=0.0)  # resting fluid has no direction
+        moving = speed > _REST * speed.max(initial=0.0)  # resting fluid has no direction
         colour = np.where(moving, np.degrees(np.abs(np.angle(np.exp(1j * off)))), np.nan)
     return {
         "x": np.linspace(0.0, field.grid.size[0], v.shape[0]),
@@ -140,7 +141,7 @@ def _panel(axes: Axes, panel: dict[str, Any], top: float) -> Any:
     )
     axes.contourf(x, y, -phi.T, levels=[0.0, np.inf], colors=[_SOLID])
     axes.contour(x, y, phi.T, levels=[0.0], colors=[_INK], linewidths=1.2)
-    moving = (phi > 0) & (panel["speed"] > 1e-3 * top)
+    moving = (phi > 0) & (panel["speed"] > _REST * top)
     flow = np.where(moving[..., None], v, np.nan)
     if moving.any():
         axes.streamplot(
