@@ -1,6 +1,6 @@
 """Is it worth sampling designs before L-BFGS? The ablation of thesis Fig. 4-26.
 
-python -m benchmarks.stokes_sampling                                # three devices, 20 CPU minutes
+python -m benchmarks.stokes_sampling --starts 4 --evaluations 30    # three devices, 5 CPU minutes
 python -m benchmarks.stokes_sampling amplifier --resolution 0.5     # quick
 
 Random designs are drawn as ``devices.optimise`` does, and L-BFGS runs from every one of them: the
@@ -20,7 +20,14 @@ import numpy as np
 import torch
 
 from benchmarks.machine import machine
-from benchmarks.plot_style import Rows, legend_below, new_figure, save, style
+from benchmarks.plot_style import (
+    Rows,
+    legend_below,
+    new_figure,
+    number_in_steps_of_1_2_5,
+    save,
+    style,
+)
 from diffsim._files import write_json_atomic, write_text_atomic
 from diffsim.stokes import devices
 from diffsim.stokes.devices.log import Log
@@ -140,6 +147,9 @@ def draw_figure(results: Rows, path: Path) -> None:
         if result["reference"]:
             ax.axhline(result["reference"], color=INK, lw=0.8, ls="--", label="thesis, final")
         ax.set_yscale("log")
+        low, high = ax.get_ylim()
+        if high < 100.0 * low:  # hardly a power of ten to label
+            number_in_steps_of_1_2_5(ax.yaxis)
     panels[0].set_ylabel("normalised loss, least so far", fontsize=9)
     legend_below(figure, panels, 3)
     save(figure, path)

@@ -196,6 +196,6 @@ def _history(axes: Axes, device: Device, optimum: Optimum) -> None:
     axes.set_yscale("log")
     axes.set_xlabel("evaluation of loss and gradient", fontsize=9)
     axes.set_ylabel("normalised loss", fontsize=9)
-    axes.tick_params(labelsize=8)
+    axes.tick_params(which="both", labelsize=8)
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, fontsize=8)
