@@ -193,9 +193,11 @@ def _history(axes: Axes, device: Device, optimum: Optimum) -> None:
     reference = device.reference.get("loss")
     if reference:
         axes.axhline(reference, color=_INK, lw=0.8, ls="--", label=f"thesis {reference:.2g}")
-    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    if high > 3.0 * max(low, 0.0):  # else a logarithmic axis has hardly a label
+        axes.set_yscale("log")
     axes.set_xlabel("evaluation of loss and gradient", fontsize=9)
     axes.set_ylabel("normalised loss", fontsize=9)
     axes.tick_params(which="both", labelsize=8)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, fontsize=8)
+    axes.figure.legend(loc="outside upper center", frameon=False, fontsize=8)
