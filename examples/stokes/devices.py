@@ -10,7 +10,7 @@ Expected, with seed 0 (amplifier: see ``amplifier.py``):
     averager                                                              0.025   0.031
     gate                                                                  0.45    0.49
     funnel --evaluations 13                                               0.056   0.23
-    twister --sample-resolution 0.5 --starts 1 --evaluations 6            0.0011  0.049
+    twister --sample-resolution 0.5 --starts 1 --evaluations 7            0.0011  0.049
     switch --sample-resolution 0.375 --starts 1 --coarse-evaluations 16
         --evaluations 1 --checked 2                                       0.26    0.58
 
