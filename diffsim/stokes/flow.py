@@ -60,10 +60,12 @@ class StokesFlow(nn.Module):
         solver: "direct" (sparse Cholesky of the velocities' matrix), "iterative" (flexible GMRES on
             velocities and pressures of the same equations, geometric multigrid inside: memory and
             time grow in proportion to the grid) or "auto": iterative in three dimensions beyond
-            MAX_DIRECT_NODES nodes with fluid, about where both take the same time for one case.
-            ``report`` tells which was taken.
+            MAX_DIRECT_NODES nodes with fluid, about where both take the same time for one case, and
+            direct where incompressible. ``report`` tells which was taken.
         rtol: Of the iterative solver: norm of the residual over that of the right-hand side, both
             with momentum and continuity scaled by powers of the cell size; the adjoint too.
+            Pressures that alternate from cell to cell are held weakly: errors there are 1e2 to 1e4
+            times larger.
         max_iters: Of the incompressible iteration, and of the iterative solver.
         bulk_ratio: Second viscosity over viscosity, lambda / eta [-].
         penalty: Nitsche penalty beta [-].

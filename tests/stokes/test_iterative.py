@@ -70,10 +70,12 @@ def test_same_as_direct(dim, incompressible, wall):
     expected = solve(*tube(wall, dim, "direct", max_iters=400, **options))
     # Pressures that alternate in sign are held 1e4 times less than others and take as much more of
     # the residual; the gradients of shape and viscosity are products with pressures.
+    # Incompressible in 3D nothing holds them but the iteration: 1e-12 leaves 3e-6 everywhere.
     weak = ("pressure", "d phi", "d viscosity")
     for name, value in expected.items():
         error = float((found[name] - value).norm() / value.norm())
-        assert error < (1e-6 if name in weak else 1e-8), (name, error)
+        bound = 1e-5 if incompressible and dim == 3 else 1e-6 if name in weak else 1e-8
+        assert error < bound, (name, error)
 
 
 @pytest.mark.grad

@@ -24,12 +24,13 @@ double* at_case(double* field, std::int64_t stride, std::int64_t k) {
   return field ? field + stride * k : nullptr;
 }
 
-/// Where the iterative path begins to be the faster one, by measurement: in two dimensions beyond
-/// what fits into memory.
+/// Where the iterative path begins to be the faster one, by measurement: in two dimensions, and
+/// where incompressible (a solve per step of the pressure's iteration), beyond what fits into
+/// memory.
 template <int D>
-bool choose_iterative(FlowSolver solver, std::int64_t num_nodes) {
-  if (solver != FlowSolver::kAuto) return solver == FlowSolver::kIterative;
-  return D == 3 && num_nodes > kMaxDirectNodes;
+bool choose_iterative(const FlowOptions& options, std::int64_t num_nodes) {
+  if (options.solver != FlowSolver::kAuto) return options.solver == FlowSolver::kIterative;
+  return D == 3 && !options.incompressible && num_nodes > kMaxDirectNodes;
 }
 
 template <int D>
@@ -57,7 +58,7 @@ class FlowSystem final : public StokesSystem {
     for (std::int64_t cell : geometry().cut_cells())
       report_.num_cut_cells += geometry().active(cell);
     report_.num_nodes = matrix.num_nodes();
-    report_.iterative = choose_iterative<D>(options.solver, matrix.num_nodes());
+    report_.iterative = choose_iterative<D>(options, matrix.num_nodes());
     if (report_.iterative)
       prepare_iterative(in, matrix, pool);
     else
