@@ -15,21 +15,15 @@ with the finished pieces.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
-
-import torch
 
 from benchmarks import contact_napkin, contact_rolling
 from benchmarks.contact_plots import draw_figures
 from benchmarks.contact_tables import report
-from benchmarks.harness import Part, Store
-from benchmarks.machine import code_fingerprint, machine
-from diffsim._files import write_json_atomic, write_text_atomic
+from benchmarks.harness import Benchmark
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,11 +34,6 @@ class Plan:
     napkin: contact_napkin.Plan = field(default_factory=contact_napkin.Plan)
 
 
-STAGES: dict[str, Callable[[Plan], list[Part]]] = {
-    "rolling": lambda plan: contact_rolling.parts(plan.rolling),
-    "napkin": lambda plan: contact_napkin.parts(plan.napkin),
-}
-
 FULL = Plan()
 QUICK = Plan(
     rolling=contact_rolling.Plan(
@@ -54,7 +43,7 @@ QUICK = Plan(
 )
 
 
-def collect(results: dict[str, Any]) -> dict[str, Any]:
+def collect(results: dict[str, Any], plan: Plan) -> dict[str, Any]:
     """Results of parts, sorted by stage; what has not run is absent."""
 
     def of(prefix: str) -> list[Any]:
@@ -73,43 +62,23 @@ def collect(results: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def run(plan: Plan, out: Path, *, stages: Sequence[str], resume: bool) -> dict[str, Any]:
-    """Measure the stages and write the report; an interruption keeps what is finished.
-
-    Returns:
-        What results.json holds.
-
-    Raises:
-        KeyboardInterrupt: after the report of the finished parts has been written.
-    """
-    torch.set_num_threads(1)
-    about = machine()
-    store = Store(out / "parts", code_fingerprint(), resume)
-    try:
-        store.run([part for name in stages for part in STAGES[name](plan)])
-    finally:
-        results = {
-            "machine": {**about, "load_average_at_end": os.getloadavg()[0]},
-            "plan": {name: asdict(getattr(plan, name)) for name in stages},
-            **collect(store.results),
-        }
-        write_json_atomic(out / "results.json", results)
-        figures = draw_figures(results, out)
-        write_text_atomic(out / "report.md", report(results, figures))
-    return results
+BENCHMARK = Benchmark(
+    name="contact",
+    about=__doc__,
+    stages={
+        "rolling": lambda plan: contact_rolling.parts(plan.rolling),
+        "napkin": lambda plan: contact_napkin.parts(plan.napkin),
+    },
+    collect=collect,
+    draw=draw_figures,
+    report=report,
+    rooms=("soft", "contact", "mesh"),
+)
 
 
 def parse(argv: Sequence[str] | None = None) -> tuple[Plan, argparse.Namespace]:
     """The plan that command-line arguments ask for."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.contact",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--out", type=Path, default=Path("runs/bench_contact"))
-    parser.add_argument("--stages", nargs="+", choices=list(STAGES), default=list(STAGES))
-    parser.add_argument("--quick", action="store_true", help="small sizes, under a minute")
-    parser.add_argument("--resume", action="store_true", help="keep finished parts")
+    parser = BENCHMARK.parser(quick="small sizes, under a minute")
     parser.add_argument("--repetitions", type=int, help="passes per solver of stage rolling")
     args = parser.parse_args(argv)
     plan = QUICK if args.quick else FULL
@@ -121,16 +90,7 @@ def parse(argv: Sequence[str] | None = None) -> tuple[Plan, argparse.Namespace]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    plan, args = parse(argv)
-    try:
-        run(plan, args.out, stages=args.stages, resume=args.resume)
-    except KeyboardInterrupt:
-        print(
-            f"\ninterrupted; finished parts are in {args.out}, go on with --resume", file=sys.stderr
-        )
-        return 130
-    print(f"report: {args.out / 'report.md'}")
-    return 0
+    return BENCHMARK.command(*parse(argv))
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ from torch import Tensor
 
 from benchmarks import copter_control, copter_flight
 from benchmarks.harness import Part, Store, cores, repeat_for, spread
-from benchmarks.machine import COPTER_CODE, code_fingerprint, machine
+from benchmarks.machine import code_fingerprint, machine
 from diffsim._files import write_json_atomic, write_text_atomic
 from diffsim.copter import Feedback, Multicopter, fly, load_design, shipped_designs
 from diffsim.copter.codesign import CoDesignError, codesign
@@ -215,7 +215,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(argv)
     torch.set_num_threads(1)
     plan = QUICK if args.quick else Plan()
-    store = Store(args.out / "parts", code_fingerprint(COPTER_CODE), args.resume)
+    store = Store(args.out / "parts", code_fingerprint("copter", "mesh"), args.resume)
     try:
         store.run(parts_of(plan))
     except KeyboardInterrupt:

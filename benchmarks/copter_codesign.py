@@ -26,7 +26,7 @@ import torch
 from benchmarks.copter_codesign_plots import draw, tables
 from benchmarks.copter_soft_program import SoftProgram, solve_active_set, solve_scipy
 from benchmarks.harness import Part, Store
-from benchmarks.machine import COPTER_CODE, code_fingerprint, machine
+from benchmarks.machine import code_fingerprint, machine
 from diffsim._files import write_json_atomic, write_text_atomic
 from diffsim._paths import data_folder
 from diffsim.copter import load_design
@@ -214,7 +214,7 @@ def table_3_1(_: dict[str, Any], say: Any) -> dict[str, Any]:
 def run(plan: Plan, out: Path, *, resume: bool) -> dict[str, Any]:
     """Measure and write results.json, report.md and the figures."""
     torch.set_num_threads(1)
-    store = Store(out / "parts", code_fingerprint(COPTER_CODE), resume)
+    store = Store(out / "parts", code_fingerprint("copter", "mesh"), resume)
     parts = [case_part(case, method, plan) for case in plan.cases for method in METHODS]
     try:
         store.run([Part("table_3_1/all", {}, table_3_1), *parts])

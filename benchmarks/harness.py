@@ -1,25 +1,26 @@
-"""What a long benchmark needs: clocks, the machine's description, kept parts, child processes."""
+"""What a long benchmark needs: clocks, and stages of parts that are kept."""
 
 from __future__ import annotations
 
+import argparse
 import gc
 import json
-import multiprocessing
 import os
-import signal
+import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+import torch
 from tqdm import tqdm
 
-from diffsim._files import to_plain, write_json_atomic
+from benchmarks.machine import code_fingerprint, machine
+from diffsim._files import to_plain, write_json_atomic, write_text_atomic
 
-ROOT = Path(__file__).resolve().parents[1]
 Result = Any
 T = TypeVar("T")
 
@@ -83,11 +84,6 @@ def cores(count: int) -> Iterator[None]:
         yield
     finally:
         os.sched_setaffinity(0, allowed)
-
-
-def num_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @dataclass(frozen=True)
@@ -154,62 +150,82 @@ class Store:
         return kept if same else None
 
 
-def run_child(
-    task: Callable[[dict[str, Any]], Result], settings: dict[str, Any], *, timeout: float
-) -> Result:
-    """``task(settings)`` in a process of its own; its result, or {"failed": reason}.
+@dataclass(frozen=True, kw_only=True)
+class Benchmark:
+    """A benchmark of stages, each a list of parts; measured, kept, resumed and reported alike.
 
-    Such a process has its own peak memory and may be killed without harm. It is forked from a
-    server that has everything imported and has done nothing else.
+    Attributes:
+        name: ``python -m benchmarks.NAME``; results go to ``runs/bench_NAME`` unless told.
+        about: The command line's help.
+        stages: Stage to the parts that a plan asks for. A plan is a dataclass; its fields that are
+            called like a stage hold that stage's settings.
+        collect: ``collect(results, plan)``: results of parts by name, as results.json shows them.
+        draw: ``draw(results, folder)``: writes figures; their names without suffix.
+        report: ``report(results, figures)``: tables in Markdown.
+        rooms: Folders of the package whose change makes kept parts stale.
     """
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([task.__module__])
-    receive, send = context.Pipe(duplex=False)
-    child = context.Process(target=_child, args=(task, settings, send), daemon=True)
-    child.start()
-    send.close()
-    try:
-        if not receive.poll(timeout):
-            return {"failed": f"not done within {timeout:.0f} s"}
-        return receive.recv()
-    except EOFError:
-        child.join()
-        return {"failed": f"died with exit code {child.exitcode} (-9: most likely out of memory)"}
-    finally:
-        child.kill()
-        child.join()
-        receive.close()
 
+    name: str
+    about: str | None
+    stages: Mapping[str, Callable[[Any], list[Part]]]
+    collect: Callable[[dict[str, Result], Any], dict[str, Any]]
+    report: Callable[[dict[str, Any], list[str]], str]
+    rooms: tuple[str, ...]
+    draw: Callable[[dict[str, Any], Path], list[str]] = lambda results, folder: []
 
-def _child(task: Callable[[dict[str, Any]], Result], settings: dict[str, Any], send: Any) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent is told, and ends this process
-    try:
-        send.send(task(settings))
-    except Exception as err:  # whatever it is, the parent reports it
-        send.send({"failed": f"{type(err).__name__}: {err}"})
+    def run(
+        self, plan: Any, out: Path, *, stages: Sequence[str] | None = None, resume: bool = False
+    ) -> dict[str, Any]:
+        """Measure stages (default all) and write the report; an interruption keeps what is done.
 
+        Returns:
+            What results.json holds.
 
-def memory(which: str = "VmRSS") -> int:
-    """Resident memory now (VmRSS) or its peak since the last reset (VmHWM) [byte].
+        Raises:
+            KeyboardInterrupt: after the report of the finished parts has been written.
+        """
+        torch.set_num_threads(1)  # the kernels' own threads are what is measured
+        about = machine()
+        stages = list(self.stages) if stages is None else stages
+        store = Store(out / "parts", code_fingerprint(*self.rooms), resume)
+        try:
+            store.run([part for name in stages for part in self.stages[name](plan)])
+        finally:
+            settings = asdict(plan)
+            skipped = set(self.stages) - set(stages)
+            results = {
+                "machine": {**about, "load_average_at_end": os.getloadavg()[0]},
+                "plan": {name: v for name, v in settings.items() if name not in skipped},
+                **self.collect(store.results, plan),
+            }
+            write_json_atomic(out / "results.json", results)
+            figures = self.draw(results, out)
+            write_text_atomic(out / "report.md", self.report(results, figures))
+        return results
 
-    Not ru_maxrss: a child inherits that from the process that started it.
-    """
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith(which + ":"):
-            return 1024 * int(line.split()[1])
-    raise RuntimeError(f"this system does not report {which}")
+    def parser(self, quick: str) -> argparse.ArgumentParser:
+        """Command line with --out, --stages, --quick (explained by ``quick``) and --resume."""
+        parser = argparse.ArgumentParser(
+            prog=f"python -m benchmarks.{self.name}",
+            description=self.about,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        parser.add_argument("--out", type=Path, default=Path(f"runs/bench_{self.name}"))
+        names = list(self.stages)
+        parser.add_argument("--stages", nargs="+", choices=names, default=names)
+        parser.add_argument("--quick", action="store_true", help=quick)
+        parser.add_argument("--resume", action="store_true", help="keep finished parts")
+        return parser
 
-
-def reset_peak_memory() -> int:
-    """Start the peak anew; returns the resident memory that it starts from [byte]."""
-    gc.collect()
-    Path("/proc/self/clear_refs").write_text("5")
-    return memory()
-
-
-def available_memory() -> int:
-    """Memory that can be had without swapping [byte]."""
-    for line in Path("/proc/meminfo").read_text().splitlines():
-        if line.startswith("MemAvailable:"):
-            return 1024 * int(line.split()[1])
-    return 4 << 30
+    def command(self, plan: Any, args: argparse.Namespace) -> int:
+        """Run as the command line asks; the exit code."""
+        try:
+            self.run(plan, args.out, stages=args.stages, resume=args.resume)
+        except KeyboardInterrupt:
+            print(
+                f"\ninterrupted; finished parts are in {args.out}, go on with --resume",
+                file=sys.stderr,
+            )
+            return 130
+        print(f"report: {args.out / 'report.md'}")
+        return 0

@@ -16,9 +16,10 @@ import numpy
 import torch
 
 import diffsim
-from benchmarks.harness import ROOT, available_memory, num_cores
 from diffsim import _ops
 from diffsim._core import core
+
+ROOT = Path(__file__).resolve().parents[1]
 
 
 def machine() -> dict[str, Any]:
@@ -41,18 +42,32 @@ def machine() -> dict[str, Any]:
     }
 
 
-SOFT_CODE = ("soft/*.py", "contact/*.py", "mesh/*.py", "_ops_*.py", "_soft_context.py")
-COPTER_CODE = ("copter/**/*.py", "copter/**/*.yaml", "mesh/*.py", "_ops_*.py")
+def code_fingerprint(*rooms: str) -> str:
+    """Digest of the loaded binary, of Python files and their data: what results depend on.
 
-
-def code_fingerprint(patterns: Sequence[str] = SOFT_CODE) -> str:
-    """Digest of the package's files and its loaded binary: what results depend on."""
+    Args:
+        rooms: Folders of the package besides the doors to the binary, such as "soft".
+    """
     digest = hashlib.sha256(Path(core.__file__).read_bytes())
     package = Path(diffsim.__file__).parent
-    for pattern in patterns:
+    inside = [f"{room}/**/*.{ending}" for room in rooms for ending in ("py", "yaml")]
+    for pattern in (*inside, "_ops_*.py", "_soft_context.py"):
         for path in sorted(package.glob(pattern)):
             digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def num_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def available_memory() -> int:
+    """Memory that can be had without swapping [byte]."""
+    for line in Path("/proc/meminfo").read_text().splitlines():
+        if line.startswith("MemAvailable:"):
+            return 1024 * int(line.split()[1])
+    return 4 << 30
 
 
 def _cpu_model() -> str:

@@ -17,19 +17,15 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-import torch
-
 from benchmarks import soft_accuracy, soft_cantilever, soft_explicit, soft_scaling
-from benchmarks.harness import Part, Store, num_cores
-from benchmarks.machine import code_fingerprint, machine
+from benchmarks.harness import Benchmark
+from benchmarks.machine import num_cores
 from benchmarks.soft_plots import draw_figures
 from benchmarks.soft_tables import report
-from diffsim._files import write_json_atomic, write_text_atomic
 
 MILLION_WIDTH = 43  # 4 w x w x w cells: 1,004,784 DoF
 
@@ -43,13 +39,6 @@ class Plan:
     explicit: soft_explicit.Plan = field(default_factory=soft_explicit.Plan)
     accuracy: soft_accuracy.Plan = field(default_factory=soft_accuracy.Plan)
 
-
-STAGES: dict[str, Callable[[Plan], list[Part]]] = {
-    "cantilever": lambda plan: soft_cantilever.parts(plan.cantilever),
-    "scaling": lambda plan: soft_scaling.parts(plan.scaling),
-    "explicit": lambda plan: soft_explicit.parts(plan.explicit),
-    "accuracy": lambda plan: soft_accuracy.parts(plan.accuracy),
-}
 
 FULL = Plan()
 QUICK = Plan(
@@ -98,43 +87,25 @@ def collect(results: dict[str, Any], plan: Plan) -> dict[str, Any]:
     return found
 
 
-def run(plan: Plan, out: Path, *, stages: Sequence[str], resume: bool) -> dict[str, Any]:
-    """Measure the stages and write the report; an interruption keeps what is finished.
-
-    Returns:
-        What results.json holds.
-
-    Raises:
-        KeyboardInterrupt: after the report of the finished parts has been written.
-    """
-    torch.set_num_threads(1)  # the kernels' own threads are what is measured
-    about = machine()
-    store = Store(out / "parts", code_fingerprint(), resume)
-    try:
-        store.run([part for name in stages for part in STAGES[name](plan)])
-    finally:
-        results = {
-            "machine": about,
-            "plan": {name: asdict(getattr(plan, name)) for name in stages},
-            **collect(store.results, plan),
-        }
-        write_json_atomic(out / "results.json", results)
-        figures = draw_figures(results, out)
-        write_text_atomic(out / "report.md", report(results, figures))
-    return results
+BENCHMARK = Benchmark(
+    name="soft",
+    about=__doc__,
+    stages={
+        "cantilever": lambda plan: soft_cantilever.parts(plan.cantilever),
+        "scaling": lambda plan: soft_scaling.parts(plan.scaling),
+        "explicit": lambda plan: soft_explicit.parts(plan.explicit),
+        "accuracy": lambda plan: soft_accuracy.parts(plan.accuracy),
+    },
+    collect=collect,
+    draw=draw_figures,
+    report=report,
+    rooms=("soft", "contact", "mesh"),
+)
 
 
 def parse(argv: Sequence[str] | None = None) -> tuple[Plan, argparse.Namespace]:
     """The plan that command-line arguments ask for."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.soft",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--out", type=Path, default=Path("runs/bench_soft"))
-    parser.add_argument("--stages", nargs="+", choices=list(STAGES), default=list(STAGES))
-    parser.add_argument("--quick", action="store_true", help="small sizes, under two minutes")
-    parser.add_argument("--resume", action="store_true", help="keep finished parts")
+    parser = BENCHMARK.parser(quick="small sizes, under two minutes")
     parser.add_argument(
         "--threads", type=int, nargs="+", help="thread counts; scaling takes the first"
     )
@@ -161,16 +132,7 @@ def parse(argv: Sequence[str] | None = None) -> tuple[Plan, argparse.Namespace]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    plan, args = parse(argv)
-    try:
-        run(plan, args.out, stages=args.stages, resume=args.resume)
-    except KeyboardInterrupt:
-        print(
-            f"\ninterrupted; finished parts are in {args.out}, go on with --resume", file=sys.stderr
-        )
-        return 130
-    print(f"report: {args.out / 'report.md'}")
-    return 0
+    return BENCHMARK.command(*parse(argv))
 
 
 if __name__ == "__main__":

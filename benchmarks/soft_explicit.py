@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from benchmarks import soft_worker
-from benchmarks.harness import Part, run_child
+from benchmarks.harness import Part
+from benchmarks.processes import run_child
 from benchmarks.soft_cantilever import options
 from benchmarks.soft_scenes import LENGTH, cantilever, twisted, weighted_loss
 from diffsim import soft

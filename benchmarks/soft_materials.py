@@ -21,16 +21,11 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
-import torch
-
-from benchmarks.harness import Part, Store, cores, spread
-from benchmarks.machine import code_fingerprint, machine
+from benchmarks.harness import Benchmark, Part, cores, spread
 from benchmarks.soft_scenes import Pass, cantilever, one_pass
 from diffsim import soft
-from diffsim._files import write_json_atomic, write_text_atomic
 
 METHODS = ("auto", "newton_cholesky", "newton_pcg", "quasi_newton")
 BASELINE = "newton_cholesky"
@@ -155,7 +150,7 @@ def _cpu(run: Pass) -> float:
     return run.forward.cpu + run.backward.cpu
 
 
-def report(results: dict[str, Any]) -> str:
+def report(results: dict[str, Any], figures: Sequence[str] = ()) -> str:
     """Tables in Markdown."""
     about = ", ".join(f"{name}: {value}" for name, value in results["machine"].items())
     lines = [
@@ -186,34 +181,19 @@ def report(results: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def run(plan: Plan, out: Path, *, resume: bool = False) -> dict[str, Any]:
-    """Measure and write the report; an interruption keeps what is finished."""
-    torch.set_num_threads(1)
-    about = machine()
-    store = Store(out / "parts", code_fingerprint(), resume)
-    try:
-        store.run(parts(plan))
-    finally:
-        results = {
-            "machine": about,
-            "plan": asdict(plan),
-            "parts": list(store.results.values()),
-        }
-        write_json_atomic(out / "results.json", results)
-        write_text_atomic(out / "report.md", report(results))
-    return results
+BENCHMARK = Benchmark(
+    name="soft_materials",
+    about=__doc__,
+    stages={"passes": parts},
+    collect=lambda results, plan: {"parts": list(results.values())},
+    report=report,
+    rooms=("soft", "contact", "mesh"),
+)
 
 
 def parse(argv: Sequence[str] | None = None) -> tuple[Plan, argparse.Namespace]:
     """The plan that command-line arguments ask for."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.soft_materials",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--out", type=Path, default=Path("runs/bench_soft_materials"))
-    parser.add_argument("--quick", action="store_true", help="small meshes, one tolerance")
-    parser.add_argument("--resume", action="store_true", help="keep finished parts")
+    parser = BENCHMARK.parser(quick="small meshes, one tolerance")
     for name, kind in (("materials", str), ("kinds", str), ("rtols", float), ("widths", int)):
         parser.add_argument(f"--{name}", type=kind, nargs="+")
     parser.add_argument("--steps", dest="num_steps", type=int, help="steps of one pass")
@@ -232,14 +212,7 @@ def parse(argv: Sequence[str] | None = None) -> tuple[Plan, argparse.Namespace]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    plan, args = parse(argv)
-    try:
-        run(plan, args.out, resume=args.resume)
-    except KeyboardInterrupt:
-        print(f"\ninterrupted; finished parts are in {args.out}, use --resume", file=sys.stderr)
-        return 130
-    print(f"report: {args.out / 'report.md'}")
-    return 0
+    return BENCHMARK.command(*parse(argv))
 
 
 if __name__ == "__main__":

@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks import soft_worker
-from benchmarks.harness import Part, available_memory, run_child
+from benchmarks.harness import Part
+from benchmarks.machine import available_memory
+from benchmarks.processes import run_child
 from benchmarks.soft_operations import operations
 
 # How time grows with size where no two smaller sizes say better: a sparse factor of a 3D mesh

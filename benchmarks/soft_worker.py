@@ -7,15 +7,8 @@ from typing import Any
 
 import torch
 
-from benchmarks.harness import (
-    Seconds,
-    cores,
-    memory,
-    repeat_for,
-    reset_peak_memory,
-    spread,
-    timed,
-)
+from benchmarks.harness import Seconds, cores, repeat_for, spread, timed
+from benchmarks.processes import memory, reset_peak_memory
 from benchmarks.soft_cantilever import options, phase_times
 from benchmarks.soft_scenes import Pass, cantilever, one_pass, rollout_loss
 from diffsim import soft

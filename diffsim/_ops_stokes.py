@@ -20,7 +20,9 @@ from torch import Tensor
 from diffsim._core import core
 from diffsim.errors import ConvergenceError, ConvergenceWarning, FactorizationError
 
-STATS = ("num_iters", "divergence", "converged", "net_inflow")
+FlowSolver = core.FlowSolver
+MAX_DIRECT_NODES: int = core.STOKES_MAX_DIRECT_NODES
+STATS = ("num_iters", "divergence", "converged", "net_inflow", "residual")
 LOADS = ("wall_velocity", "body_force", "traction")
 _STRIDES = ("wall_stride", "force_stride", "traction_stride")
 _handles = itertools.count(1)
@@ -90,10 +92,11 @@ class StokesContext:
         )
         if system is None:
             node, axis = divmod(unknown, self.dim)
+            where = f"at node {node}, axis {axis}" if unknown >= 0 else "on a coarse grid"
             raise FactorizationError(
-                f"the Stokes matrix is singular or indefinite at node {node}, axis {axis} (pivot "
-                f"{pivot:.3e}); a part of the fluid has no wall, inlet or no-slip face that holds "
-                "it: remove it, prescribe a velocity, or raise penalty and ghost_penalty",
+                f"the Stokes matrix is singular or indefinite {where} (pivot {pivot:.3e}); a part "
+                "of the fluid has no wall, inlet or no-slip face that holds it: remove it, "
+                "prescribe a velocity, or raise penalty and ghost_penalty",
                 pivot=unknown,
                 value=pivot,
             )
@@ -135,24 +138,41 @@ def _arrays(
     return arrays
 
 
-def _report_failure(stats: Tensor, what: str, tolerance: float, on_failure: str) -> None:
+def _report_failure(stats: Tensor, what: str, ctx: StokesContext, system, on_failure: str) -> None:
+    """Warn or raise where a case did not converge, with what its solver measures."""
     failed = stats[:, STATS.index("converged")] == 0
     if not bool(failed.any()):
         return
-    iters, divergence = (float(value) for value in stats[failed][0][:2])
+    first = dict(zip(STATS, stats[failed][0].tolist(), strict=True))
+    if system.report.iterative and not first["residual"] <= ctx.options.rtol:
+        measure, found, tolerance = "relative residual", first["residual"], ctx.options.rtol
+        remedy = 'raise max_iters, loosen rtol, or choose solver="direct"'
+    else:
+        measure = "relative divergence"
+        found, tolerance = first["divergence"], ctx.options.tolerance
+        remedy = "raise max_iters or bulk_ratio, or loosen tolerance"
     message = (
-        f"{what} stopped after {iters:.0f} iterations at relative divergence {divergence:.3e}, "
-        f"needed {tolerance:.3e}; raise max_iters or bulk_ratio, or loosen tolerance"
+        f"{what} stopped after {first['num_iters']:.0f} iterations at {measure} {found:.3e}, "
+        f"needed {tolerance:.3e}; {remedy}"
     )
-    if on_failure == "warn" and math.isfinite(divergence):
+    if on_failure == "warn" and math.isfinite(found):
         warnings.warn(message, ConvergenceWarning, stacklevel=2)
         return
     raise ConvergenceError(
-        message, residual_norm=divergence, tolerance=tolerance, num_iters=int(iters)
+        message, residual_norm=found, tolerance=tolerance, num_iters=int(first["num_iters"])
     )
 
 
 MAX_NET_INFLOW = 0.05  # of the gross flux; cut faces close only to second order in the cell size
+
+
+def refuse_net_inflow(share: float) -> None:
+    """Raise if more flows into a closed part of the fluid than out; share of the gross flux."""
+    if share > MAX_NET_INFLOW:
+        raise ValueError(
+            f"a part of the fluid has no open face, but {100 * share:.0f} % more flows in than "
+            "out (or out than in) through its boundary; open a face, or balance the inlets"
+        )
 
 
 @torch.library.custom_op("diffsim::stokes_flow", mutates_args=())
@@ -194,13 +214,8 @@ def stokes_flow(
         system.solve(
             arrays, velocity.data_ptr(), pressure.data_ptr(), stats.data_ptr(), num_threads
         )
-    inflow = float(stats[:, STATS.index("net_inflow")].max()) if cases else 0.0
-    if inflow > MAX_NET_INFLOW:
-        raise ValueError(
-            f"a part of the fluid has no open face, but {100 * inflow:.0f} % more flows in than "
-            "out (or out than in) through its boundary; open a face, or balance the inlets"
-        )
-    _report_failure(stats, "Stokes solve", ctx.options.tolerance, on_failure)
+    refuse_net_inflow(float(stats[:, STATS.index("net_inflow")].max()) if cases else 0.0)
+    _report_failure(stats, "Stokes solve", ctx, system, on_failure)
     return velocity, pressure, fraction, stats
 
 
@@ -260,7 +275,7 @@ def stokes_flow_vjp(
             stats.data_ptr(),
             num_threads,
         )
-    _report_failure(stats, "adjoint of the Stokes solve", ctx.options.tolerance, on_failure)
+    _report_failure(stats, "adjoint of the Stokes solve", ctx, system, on_failure)
     return [grad_phi, grad_viscosity, grad_prescribed, *grad_loads]
 
 

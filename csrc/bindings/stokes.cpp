@@ -36,10 +36,15 @@ GridShape make_shape(nb::sequence cells, nb::sequence spacing) {
 }  // namespace
 
 void bind_stokes(nb::module_& m) {
-  static_assert(sizeof(FlowStats) == 4 * sizeof(double),
-                "Python reads stats as (cases, 4) doubles");
+  static_assert(sizeof(FlowStats) == 5 * sizeof(double),
+                "Python reads stats as (cases, 5) doubles");
   nb::class_<GridShape>(m, "GridShape");
   m.def("make_grid_shape", &make_shape);
+  m.attr("STOKES_MAX_DIRECT_NODES") = kMaxDirectNodes;
+  nb::enum_<FlowSolver>(m, "FlowSolver")
+      .value("auto", FlowSolver::kAuto)
+      .value("direct", FlowSolver::kDirect)
+      .value("iterative", FlowSolver::kIterative);
   nb::class_<FlowOptions>(m, "FlowOptions")
       .def(nb::init<>())
       .def_rw("slip", &FlowOptions::slip)
@@ -51,6 +56,8 @@ void bind_stokes(nb::module_& m) {
       .def_rw("open_epsilon", &FlowOptions::open_epsilon)
       .def_rw("bulk", &FlowOptions::bulk)
       .def_rw("incompressible", &FlowOptions::incompressible)
+      .def_rw("solver", &FlowOptions::solver)
+      .def_rw("rtol", &FlowOptions::rtol)
       .def_rw("tolerance", &FlowOptions::tolerance)
       .def_rw("max_iters", &FlowOptions::max_iters);
   nb::class_<StokesArrays>(m, "StokesArrays")
@@ -74,6 +81,8 @@ void bind_stokes(nb::module_& m) {
       .def_ro("factor_nnz", &FlowReport::factor_nnz)
       .def_ro("factor_bytes", &FlowReport::factor_bytes)
       .def_ro("factor_flops", &FlowReport::factor_flops)
+      .def_ro("iterative", &FlowReport::iterative)
+      .def_ro("solver_bytes", &FlowReport::solver_bytes)
       .def_ro("geometry_s", &FlowReport::geometry_s)
       .def_ro("assembly_s", &FlowReport::assembly_s)
       .def_ro("analysis_s", &FlowReport::analysis_s)

@@ -13,9 +13,22 @@ from diffsim._check import require, require_choice, require_number
 from diffsim.stokes.boundary import Boundary, Inlet, Open, Wall
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.grid import Grid
+from diffsim.stokes.thesis_flow import ThesisFormulation
 
-FORMULATIONS = ("nitsche",)
+FORMULATIONS = ("nitsche", "thesis")
+SOLVERS = ("auto", "direct", "iterative")
+MAX_DIRECT_NODES: int = ops.MAX_DIRECT_NODES
+"""What ``solver="auto"`` solves directly in three dimensions: at most so many nodes with fluid."""
 WALL_KINDS = ("no_slip", "no_separation")
+NITSCHE_ONLY = {
+    "incompressible": False,
+    "bulk_ratio": 1e5,
+    "penalty": 20.0,
+    "ghost_penalty": 0.04,
+    "solver": "auto",
+    "rtol": 1e-9,
+}
+"""Options that the published formulation does not have, with their defaults."""
 
 
 class StokesFlow(nn.Module):
@@ -39,10 +52,21 @@ class StokesFlow(nn.Module):
         boundary: Conditions on the box's faces; faces that are not mentioned are no-slip walls.
         viscosity: Default viscosity eta [Pa s].
         wall: "no_slip" or "no_separation" on the embedded wall.
-        formulation: "nitsche".
+        formulation: "nitsche", or "thesis": the published one, kept for comparison, which is
+            compressible and locks (``ThesisFormulation``).
+        poissons_ratio: nu [-] of "thesis", in [0, 0.5); default 0.45.
         incompressible: Iterate to div v = 0 in every cell (mean over its fluid).
         tolerance: Of the relative divergence (see ``FlowField.stats``), where incompressible.
-        max_iters: Of that iteration.
+        solver: "direct" (sparse Cholesky of the velocities' matrix), "iterative" (flexible GMRES on
+            velocities and pressures of the same equations, geometric multigrid inside: memory and
+            time grow in proportion to the grid) or "auto": iterative in three dimensions beyond
+            MAX_DIRECT_NODES nodes with fluid, about where both take the same time for one case, and
+            direct where incompressible. ``report`` tells which was taken.
+        rtol: Of the iterative solver: norm of the residual over that of the right-hand side, both
+            with momentum and continuity scaled by powers of the cell size; the adjoint too.
+            Pressures that alternate from cell to cell are held weakly: errors there are 1e2 to 1e4
+            times larger.
+        max_iters: Of the incompressible iteration, and of the iterative solver.
         bulk_ratio: Second viscosity over viscosity, lambda / eta [-].
         penalty: Nitsche penalty beta [-].
         ghost_penalty: gamma [-].
@@ -53,9 +77,9 @@ class StokesFlow(nn.Module):
 
     Gradients: phi, inlet velocities, viscosity, wall velocity, body force, traction; first order.
     Not modelled: inertia, time, free surfaces, surface tension, shapes thinner than a cell (warns;
-    with "no_separation" a slit much thinner than a cell may raise FactorizationError). Slip along
-    curved walls converges with an order of about 1.5, since walls are flat facets. Read velocities
-    where phi > 0: those beyond the wall appear and vanish with the cells that need them.
+    with "no_separation" a part of one cut cell that touches nothing raises FactorizationError).
+    Slip along curved walls converges with an order of about 1.5, since walls are flat facets. Read
+    velocities where phi > 0: those beyond the wall appear and vanish with the cells that need them.
 
     Example:
         >>> flow = StokesFlow(grid, [Inlet("x-"), Open("x+")], viscosity=1e-3)
@@ -70,8 +94,11 @@ class StokesFlow(nn.Module):
         viscosity: float = 1.0,
         wall: str = "no_slip",
         formulation: str = "nitsche",
+        poissons_ratio: float | None = None,
         incompressible: bool = False,
         tolerance: float = 1e-8,
+        solver: str = "auto",
+        rtol: float = 1e-9,
         max_iters: int = 100,
         bulk_ratio: float = 1e5,
         penalty: float = 20.0,
@@ -98,6 +125,22 @@ class StokesFlow(nn.Module):
             if isinstance(count, bool) or not isinstance(count, int) or count < 1:
                 raise ValueError(f"{name} must be an integer >= 1, got {count!r}")
         self.num_threads = num_threads
+        self._published: ThesisFormulation | None = None
+        if formulation == "thesis":
+            given = (incompressible, bulk_ratio, penalty, ghost_penalty, solver, rtol)
+            for (name, default), value in zip(NITSCHE_ONLY.items(), given, strict=True):
+                if value != default:
+                    raise ValueError(f'{name} is an option of formulation "nitsche", not "thesis"')
+            self._published = ThesisFormulation(
+                self.boundary,
+                poissons_ratio=0.45 if poissons_ratio is None else poissons_ratio,
+                wall=wall,
+            )
+        elif poissons_ratio is not None:
+            raise ValueError(
+                'poissons_ratio is an option of formulation "thesis"; "nitsche" takes bulk_ratio, '
+                "2 nu / (1 - 2 nu), or incompressible"
+            )
         self._context = ops.StokesContext(
             grid.shape,
             grid.spacing,
@@ -111,6 +154,8 @@ class StokesFlow(nn.Module):
                 "incompressible": incompressible,
                 "tolerance": require_number("tolerance", tolerance, above=0.0),
                 "max_iters": max_iters,
+                "solver": getattr(ops.FlowSolver, require_choice("solver", solver, SOLVERS)),
+                "rtol": require_number("rtol", rtol, at_least=1e-13, at_most=0.1),
             },
             num_kept=num_kept,
             inspect=self._inspect,
@@ -148,7 +193,8 @@ class StokesFlow(nn.Module):
             TypeError, ValueError: wrong shapes, NaN, no fluid at all, nothing that drives the flow,
                 net inflow into a region without an open face.
             FactorizationError: a part of the fluid that nothing holds.
-            ConvergenceError: the incompressible iteration stopped above its tolerance.
+            ConvergenceError: the incompressible iteration or the iterative solver stopped above
+                its tolerance; the same in the backward pass.
 
         Warns:
             UserWarning: parts of the fluid without boundary data, parts thinner than a cell.
@@ -180,6 +226,8 @@ class StokesFlow(nn.Module):
         for name, value in velocities.items():
             nodes = self.boundary.inlets[name]
             prescribed = prescribed.index_copy(1, nodes, value.expand(cases, len(nodes), grid.dim))
+        if self._published is not None:
+            return self._published.solve(phi, eta, prescribed, loads).with_imbalance()
         velocity, pressure, fraction, stats = ops.stokes_flow(
             phi.reshape(-1), eta, prescribed, loads, self.handle, self.num_threads, self.on_failure
         )
@@ -190,7 +238,7 @@ class StokesFlow(nn.Module):
             pressure=pressure.reshape(cases, *grid.shape),
             volume_fraction=fraction.reshape(grid.shape),
             stats=dict(zip(ops.STATS, stats.unbind(-1), strict=True)),
-        )
+        ).with_imbalance()
 
     def inlet_positions(self, name: str | None = None) -> Tensor:
         """Positions of an inlet's nodes, (num_inlet_nodes, dim) [m], in the order of its values."""
@@ -201,12 +249,18 @@ class StokesFlow(nn.Module):
         require_choice("name", name, self.boundary.inlets)
         return self.grid.nodes.reshape(-1, self.grid.dim)[self.boundary.inlets[name]]
 
-    def report(self, phi: Tensor) -> dict[str, float]:
-        """Sizes and wall times of the prepared system of a level set (made if it is not kept)."""
+    def report(self, phi: Tensor) -> dict[str, float | str]:
+        """Solver, sizes and wall times [s] of the prepared system of a level set (made if it is not
+        kept)."""
+        if self._published is not None:
+            raise ValueError('report is of formulation "nitsche" only')
         phi = require("phi", phi.detach(), self.grid.node_shape, torch.float64).reshape(-1)
         with self._context.lock:
             report = self._context.system(phi, self.num_threads).report
-        return {name: getattr(report, name) for name in dir(report) if not name.startswith("_")}
+        names = [name for name in dir(report) if not name.startswith("_") and name != "iterative"]
+        return {name: getattr(report, name) for name in names} | {
+            "solver": "iterative" if report.iterative else "direct"
+        }
 
     def _load(self, name: str, value: Tensor | None) -> Tensor:
         if value is None:
@@ -219,7 +273,12 @@ class StokesFlow(nn.Module):
             warnings.warn(
                 f"{report.num_loose_regions} of {report.num_regions} parts of the fluid "
                 f"({report.num_loose_cells} of {report.num_cells} cells) touch no inlet, open face "
-                "or wall of the box; their fluid rests unless wall or force move it",
+                "or wall of the box; their fluid rests unless wall or force move it"
+                + (
+                    ", and nothing but the grid holds a round one's rotation"
+                    if self.wall == "no_separation"
+                    else ""
+                ),
                 stacklevel=2,
             )
         thin = count_thin_cells(self.grid, phi.reshape(self.grid.node_shape))

@@ -163,6 +163,7 @@ def view(
     _check_fields([field for _, field in panels], dim=3)
     art3d = optional("mpl_toolkits.mplot3d.art3d", purpose="a view in three dimensions")
     optional("mpl_toolkits.mplot3d", purpose="a view in three dimensions")
+    ticker = optional("matplotlib.ticker", purpose="a view in three dimensions")
     drawn = [_lines(f, lines, case) if isinstance(lines, int) else lines for _, f in panels]
     top = max_speed or max(float(line.speed.max()) for some in drawn for line in some)
     count = len(panels)
@@ -189,12 +190,15 @@ def view(
         image.set_clim(0.0, top)
         ax.add_collection3d(image)
         _box(ax, field, scale)
-        for name, axis in zip("xyz", (ax.xaxis, ax.yaxis, ax.zaxis), strict=True):
+        longest = max(field.grid.size)
+        sides = zip("xyz", (ax.xaxis, ax.yaxis, ax.zaxis), field.grid.size, strict=True)
+        for name, axis, side in sides:
             axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
             axis.line.set_color(LINE)
             axis.set_label_text(f"{name} [{unit}]", color=SOFT, fontsize=8.5)
             axis.set_tick_params(labelsize=7.5, colors=SOFT, pad=0)
-            axis.set_major_locator(optional("matplotlib.ticker", purpose="").MaxNLocator(3))
+            # labels of a short side would overlap
+            axis.set_major_locator(ticker.MaxNLocator(3 if side > 0.3 * longest else 1))
         ax.grid(False)
         ax.set_title(title, loc="left", fontsize=10.5, color=INK, fontweight="bold")
     _speed_bar(figure, image, axes, top, pad=0.075)
@@ -262,11 +266,14 @@ def _draw_cut(ax: Axes, cut: Cut, top: float) -> Any:
 
 def _draw_lines(ax: Axes, lines: Sequence[Streamline], scale: float) -> None:
     """Lines, each with an arrow head in the middle of its length."""
+    effects = optional("matplotlib.patheffects", purpose="a picture of a flow")
+    # seen on dark colours, too
+    halo = [effects.withStroke(linewidth=1.6, foreground="#ffffff90")]
     for line in lines:
         points = scale * line.points
         if len(points) < 3:
             continue
-        ax.plot(*points.T, color=INK, lw=0.65, alpha=0.8)
+        ax.plot(*points.T, color=INK, lw=0.65, alpha=0.8, path_effects=halo)
         length = np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))
         k = int(np.searchsorted(length, 0.5 * length[-1]))
         k = min(max(k, 0), len(points) - 2)

@@ -11,7 +11,10 @@ Expected: loss 4.7e-8 (thesis: 1.7e-5) after 29 evaluations, from 0.13 of the be
 mean speed 3.000 at the outlet, 0.250 m wide; gradient equal to the finite difference to six
 digits. Running time: 8 CPU seconds, 0.11 per flow with gradient (thesis: 0.2 s).
 
-    python examples/stokes/amplifier.py --out runs/amplifier
+    python examples/stokes/amplifier.py --out runs/amplifier --export
+
+writes pictures and numbers, the nozzle as a solid to print (.stl), its flow for ParaView (.vti) and
+rerun (.rrd).
 """
 
 from __future__ import annotations
@@ -36,12 +39,16 @@ def gradient_error(device: devices.Device, x: Tensor, step: float = 1e-5) -> flo
 
 
 def main(
-    resolution: float = 1.0, num_samples: int = 10, seed: int = 0, out: str | None = None
+    resolution: float = 1.0,
+    num_samples: int = 10,
+    seed: int = 0,
+    out: str | None = None,
+    with_export: bool = False,
 ) -> dict[str, float]:
     """Design the nozzle; returns losses, speed and width of the outlet, error of the gradient."""
     torch.set_num_threads(1)
     device = devices.make("amplifier", resolution)
-    optimum = run(device, out, num_samples=num_samples, seed=seed)
+    optimum = run(device, out, num_samples=num_samples, seed=seed, with_export=with_export)
     flow = device.solve(optimum.x)
     return {
         "loss": optimum.loss,
@@ -58,7 +65,11 @@ if __name__ == "__main__":
     parser.add_argument("--small", action="store_true", help="half the resolution, four samples")
     parser.add_argument("--seed", type=int, default=0, help="of the random channels")
     parser.add_argument("--out", metavar="FOLDER", help="picture, numbers and state; resumable")
+    parser.add_argument("--export", action="store_true", help="write .stl, .vti, .rrd as well")
     args = parser.parse_args()
+    if args.export and not args.out:
+        parser.error("--export needs --out, the folder to write to")
     size = {"resolution": 0.5, "num_samples": 4} if args.small else {}
-    for name, value in main(seed=args.seed, out=args.out, **size).items():
+    results = main(seed=args.seed, out=args.out, with_export=args.export, **size)
+    for name, value in results.items():
         print(f"{name:32s} {value:.6g}")

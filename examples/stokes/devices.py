@@ -6,19 +6,17 @@ target profiles, so that its losses compare problems of the same kind, not the s
 
 Expected, with seed 0 (amplifier: see ``amplifier.py``):
 
-    options beside --out                                               loss    thesis
-    averager                                                           0.025   0.031
-    gate                                                               0.45    0.49
-    funnel --resolution 0.5                                            0.049   0.23
-    twister --resolution 0.5                                           0.0009  0.049
-    twister --no-slip --resolution 0.375 --samples 12 --evaluations 15 0.95    0.97
-    switch --resolution 0.3125 --samples 10 --evaluations 40           0.27    0.58
+    options beside --out                                                  loss    thesis
+    averager                                                              0.025   0.031
+    gate                                                                  0.45    0.49
+    funnel --evaluations 13                                               0.056   0.23
+    twister --sample-resolution 0.5 --starts 1 --evaluations 7            0.0011  0.049
+    switch --sample-resolution 0.375 --starts 1 --coarse-evaluations 16
+        --evaluations 1 --checked 2                                       0.26    0.58
 
-On the thesis's grids, funnel, twister and switch found so had losses of 0.048, 0.034 and 0.23, in
-the same unit (before slip walls were mended). There, one loss with gradient takes, in CPU seconds
-of one thread (thesis, wall seconds): averager 0.69 (5.3), gate 0.71 (4.9), funnel 13.7 (64.8),
-twister 14.1 (56.1), switch, two positions, 55 (171). Running time of each line: 1/2 to 3 CPU
-minutes.
+All losses are those of the thesis's grids; ``docs/stokes.md`` has the whole table. Running time in
+CPU minutes of one thread: averager and gate 1/2, funnel 6, twister 8, switch 12. With --resolution
+0.5 each takes one to three. --export adds a solid to print, VTK and rerun files.
 
     python examples/stokes/devices.py averager --out runs/averager
 """

@@ -29,15 +29,15 @@ def out(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def results(out):
-    contact.run(TINY, out, stages=list(contact.STAGES), resume=False)
+    contact.BENCHMARK.run(TINY, out)
     return json.loads((out / "results.json").read_text())
 
 
 def test_both_stages_report(out, results):
-    assert set(results) == {"machine", "plan", *contact.STAGES}
+    assert set(results) == {"machine", "plan", *contact.BENCHMARK.stages}
     assert results["machine"]["load_average_at_end"] >= 0
     report = (out / "report.md").read_text()
-    for name in contact.STAGES:
+    for name in contact.BENCHMARK.stages:
         assert f"![{name}]({name}.png)" in report
         assert (out / f"{name}.png").stat().st_size > 10_000
         assert (out / f"{name}.svg").read_text().startswith("<?xml")

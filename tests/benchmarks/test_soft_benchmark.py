@@ -40,15 +40,15 @@ def out(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def results(out):
-    soft.run(TINY, out, stages=list(soft.STAGES), resume=False)
+    soft.BENCHMARK.run(TINY, out)
     return json.loads((out / "results.json").read_text())
 
 
 def test_all_stages_report(out, results):
-    assert set(results) == {"machine", "plan", *soft.STAGES}
+    assert set(results) == {"machine", "plan", *soft.BENCHMARK.stages}
     assert {"cpu", "cores", "commit", "instruction_set", "date"} <= set(results["machine"])
     report = (out / "report.md").read_text()
-    for name in soft.STAGES:
+    for name in soft.BENCHMARK.stages:
         assert f"![{name}]({name}.png)" in report
         assert (out / f"{name}.png").stat().st_size > 10_000
         assert (out / f"{name}.svg").read_text().startswith("<?xml")
@@ -131,7 +131,7 @@ def test_an_interruption_keeps_what_is_finished(tmp_path, monkeypatch):
 
     monkeypatch.setattr(soft_cantilever, "measure_tolerance", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        soft.run(TINY, tmp_path, stages=["cantilever"], resume=False)
+        soft.BENCHMARK.run(TINY, tmp_path, stages=["cantilever"], resume=False)
     assert json.loads((tmp_path / "results.json").read_text())["cantilever"]["rows"] == []
     assert "# Soft bodies" in (tmp_path / "report.md").read_text()
 

@@ -15,7 +15,7 @@ TINY = soft_materials.Plan(
 
 
 def test_report_and_agreement(tmp_path):
-    soft_materials.run(TINY, tmp_path)
+    soft_materials.BENCHMARK.run(TINY, tmp_path)
     results = json.loads((tmp_path / "results.json").read_text())
     assert [p["material"] for p in results["parts"]] == ["neo_hookean", "stvk"]
     for part in results["parts"]:

@@ -17,7 +17,7 @@ def load(name):
 
 
 def test_amplifier_triples_the_speed(tmp_path):
-    numbers = load("amplifier").main(0.5, 4, out=str(tmp_path))
+    numbers = load("amplifier").main(0.5, 4, out=str(tmp_path), with_export=True)
     assert numbers["loss"] < 0.01 * numbers["first loss"]
     # the loss of a hundredth of a random design's, a few m^2/s^2, is a tenth of a metre per second
     assert numbers["outlet speed"] == pytest.approx(3.0, abs=0.1)
@@ -25,3 +25,4 @@ def test_amplifier_triples_the_speed(tmp_path):
     assert numbers["error of the gradient"] < 1e-5  # central differences, steps of 1e-5
     assert abs(numbers["mass imbalance"]) < 1e-3  # of 32 x 24 cells
     assert (tmp_path / "flow.png").stat().st_size > 10_000
+    assert all((tmp_path / f"amplifier.{end}").exists() for end in ("stl", "vti", "rrd", "png"))

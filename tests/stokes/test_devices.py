@@ -114,14 +114,20 @@ def test_mirrored_inputs_are_equally_good(name):
         assert float(loss) == pytest.approx(float(both), rel=1e-7)
 
 
-def test_flow_is_linear_in_the_inputs():
-    device = devices.make("funnel", 0.2)
+@pytest.mark.property
+@pytest.mark.parametrize("name", ["funnel", "gate", "averager"])
+@pytest.mark.parametrize("speeds", [(0.5, 0.5), (-0.3, 2.0)])
+def test_flow_is_linear_in_the_inputs(name, speeds):
+    device = devices.make(name, 0.2)
     x = some_design(device)
-    basis = device.solve(x).velocity
-    mixed = {n: 0.3 * v[:1] + 0.7 * v[1:] for n, v in device.states[0].inlet.items()}
+    first, second = device.solve(x).velocity
+    mixed = {n: speeds[0] * v[:1] + speeds[1] * v[1:] for n, v in device.states[0].inlet.items()}
     velocity = device.flow(device.level_set(x), inlet=mixed).velocity[0]
-    # two solutions of one system with condition 1e8
-    torch.testing.assert_close(velocity, 0.3 * basis[0] + 0.7 * basis[1], rtol=0, atol=1e-7)
+    # solutions of one system with condition 1e8
+    expected = speeds[0] * first + speeds[1] * second
+    torch.testing.assert_close(velocity, expected, rtol=0, atol=1e-7)
+    # the two cases are not alike: a mixture that ignored one would be seen
+    assert float((velocity - speeds[0] * first).abs().max()) > 0.1
 
 
 def test_closed_passages_are_refused():

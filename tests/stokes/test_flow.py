@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from diffsim import stokes
+from diffsim.errors import FactorizationError
 from tests.stokes.cases import channel, small_flow, small_inputs, tensor
 
 
@@ -47,6 +48,20 @@ def test_viscosity_scales_pressure_and_not_velocity():
     torch.testing.assert_close(thin.pressure * 5e3, thick.pressure, rtol=1e-6, atol=1e-3)
 
 
+@pytest.mark.parametrize("threads", [1, 2])
+def test_factor_in_the_memory_of_another_geometry(threads):
+    """Systems hand their memory on; what stood in it must not show."""
+    grid = stokes.Grid((20, 18, 18), size=1.0)  # a last front that threads share
+    faces = [stokes.Inlet("x-"), stokes.Open("x+")]
+    radius = (grid.nodes[..., 1:] - 0.5).norm(dim=-1)
+    shapes = [0.47 - radius, 0.23 - radius, 0.6 - radius]
+    kept = stokes.StokesFlow(grid, faces, num_threads=threads)
+    for phi in shapes:
+        fresh = stokes.StokesFlow(grid, faces)
+        inlet = tensor(1.0, 0.0, 0.0)
+        assert torch.equal(kept(phi, inlet).velocity, fresh(phi, inlet).velocity)
+
+
 @pytest.mark.property
 def test_results_do_not_depend_on_threads():
     found = []
@@ -88,6 +103,92 @@ def test_a_ball_that_touches_the_box_leaves_a_film(gap):
     phi = (grid.nodes - tensor(0.5, 0.3 + gap, 0.2)).norm(dim=-1) - 0.3
     flow = stokes.StokesFlow(grid, [stokes.Inlet("x-"), stokes.Open("x+")])
     assert bool(torch.isfinite(flow(phi, tensor(1.0, 0.0, 0.0)).velocity).all())
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.property
+@pytest.mark.parametrize("wall", ["no_slip", "no_separation"])
+def test_waves_as_short_as_a_few_cells_stay_positive_definite(wall):
+    """Seed 36 has a triangle of fluid in one cell whose neighbours' planes leave them empty:
+    without a penalty of its own the matrix was indefinite (pivots -3e-3 and -9e-3)."""
+    grid = stokes.Grid((12, 11), 0.1)
+    x, y = grid.nodes.unbind(-1)
+    solved = 0
+    for seed in range(30, 42):
+        flow = stokes.StokesFlow(grid, [stokes.Inlet("x-"), stokes.Open("x+")], wall=wall)
+        w = torch.rand(6, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+        phi = 0.12 * torch.sin(4 * w[0] + 9 * x * w[1]) + 0.1 * torch.cos(6 * w[2] + 12 * y * w[3])
+        phi = phi + 0.1 * torch.cos(6 * w[4] + 7 * (x + y) * w[5]) + 0.12
+        try:
+            field = flow(phi, tensor(1.0, 0.0))
+        except ValueError:  # a closed part with an inlet
+            continue
+        solved += 1
+        # Narrow passages and inlets into slivers are fast. Beyond the wall next to these, nodes
+        # reached 800.
+        assert float(field.velocity[0][phi > 0].norm(dim=-1).max()) < 100.0
+    assert solved > 8
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_loose_sliver_is_held_by_no_slip_and_refused_without():
+    """One facet that only holds its normal lets the fluid slide along it: nothing determines it."""
+    grid = stokes.Grid((12, 11), 0.1)
+    phi = (0.35 - grid.nodes[..., 1]).clamp(min=-0.06)
+    phi[5:7, 9:11] = torch.tensor([[-0.0583, -0.0155], [-0.012, 0.0031]], dtype=torch.float64)
+    faces = [stokes.Inlet("x-"), stokes.Open("x+")]
+    flow = stokes.StokesFlow(grid, faces)
+    assert flow.report(phi)["num_loose_cells"] == 1
+    field = flow(phi, tensor(1.0, 0.0), body_force=tensor(0.0, 1.0))
+    assert float(field.velocity[0, 5:7, 9:11].abs().max()) < 1e-3  # 1 N/m^2 on 0.1 m: 1e-2 free
+    with pytest.raises(FactorizationError, match="a part of the fluid has no wall, inlet"):
+        stokes.StokesFlow(grid, faces, wall="no_separation")(phi, tensor(1.0, 0.0))
+
+
+def closed_blob(n: int, incompressible: bool, force: torch.Tensor) -> stokes.FlowField:
+    """A disk that touches nothing, driven by a force."""
+    grid = stokes.Grid((n, n), size=1.0)
+    flow = stokes.StokesFlow(grid, [stokes.Open("x+")], incompressible=incompressible)
+    with pytest.warns(UserWarning, match="1 of 1 parts of the fluid"):
+        phi = 0.3 - (grid.nodes - tensor(0.503, 0.507)).norm(dim=-1)
+        return flow(phi, body_force=force)
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize("incompressible", [False, True])
+def test_a_loose_region_under_a_force_has_a_flow(incompressible):
+    """A constant force makes pressure alone; f = r around the centre the flow r (R^2 - r^2) / 8."""
+    found = []
+    for n in (16, 32, 64):
+        field = closed_blob(n, incompressible, tensor(1.0, 2.0))
+        found.append(float(field.velocity[0][field.phi > 0].norm(dim=-1).max()))
+        if incompressible:
+            weighted = (field.pressure[0] * field.volume_fraction).sum()
+            assert abs(float(weighted)) < 1e-12 * field.pressure.numel()  # its level: mean zero
+    assert found[2] < found[0] / 4.0  # rests, up to the error of the grid
+    grid = field.grid
+    arm = grid.nodes - tensor(0.503, 0.507)
+    swirl = torch.stack([-arm[..., 1], arm[..., 0]], -1)
+    field = closed_blob(64, incompressible, swirl)
+    exact = swirl * (0.3**2 - arm.square().sum(-1))[..., None] / 8.0
+    inside = field.phi > 0
+    error = (field.velocity[0] - exact)[inside].norm() / exact[inside].norm()
+    assert float(error) < 3e-3
+
+
+@pytest.mark.property
+def test_stats_tell_what_is_lost():
+    """Imbalance of the box: inflow that does not come out again."""
+    flow, phi = ring_channel(incompressible=True)
+    strict = flow(phi, tensor(1.0, 0.0))
+    soft, _ = ring_channel(bulk_ratio=10.0)
+    lossy = soft(phi, tensor(1.0, 0.0))
+    for field in (strict, lossy):
+        torch.testing.assert_close(field.stats["imbalance"], field.mass_report()["imbalance"])
+    assert abs(float(strict.stats["imbalance"])) < 5e-3
+    assert abs(float(lossy.stats["imbalance"])) > 0.1
+    still = closed_blob(16, True, tensor(1.0, 2.0))  # nothing crosses the box
+    assert float(still.stats["imbalance"]) == 0.0
 
 
 def test_field_samples_between_nodes():
@@ -149,6 +250,15 @@ class TestRefusals:
         with pytest.raises(ValueError, match=r"phi must be finite.*first at \(2, 3\)"):
             self.flow()(phi, tensor(1.0, 0.0))
 
+    @pytest.mark.parametrize(
+        "name", ["inlet", "viscosity", "wall_velocity", "body_force", "traction"]
+    )
+    def test_nan_elsewhere(self, name):
+        given = {"inlet": tensor(1.0, 0.0), "viscosity": tensor(1.0)[0]}
+        given[name] = tensor(1.0, float("nan")) if name != "viscosity" else tensor(float("nan"))[0]
+        with pytest.raises(ValueError, match=f"{name}.* must be finite"):
+            self.flow()(self.phi, **given)
+
     def test_shapes(self):
         with pytest.raises(ValueError, match=r"phi must have shape \(7, 7\)"):
             self.flow()(self.phi[:-1], tensor(1.0, 0.0))
@@ -191,8 +301,8 @@ class TestRefusals:
     def test_options(self):
         with pytest.raises(ValueError, match="wall must be one of"):
             self.flow(wall="free")
-        with pytest.raises(ValueError, match="formulation must be one of"):
-            self.flow(formulation="thesis")
+        with pytest.raises(ValueError, match=r"formulation must be one of.*did you mean"):
+            self.flow(formulation="nitche")
         with pytest.raises(ValueError, match="viscosity must lie in"):
             self.flow(viscosity=0.0)
         with pytest.raises(ValueError, match="either spacing or size"):

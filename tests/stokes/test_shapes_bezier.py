@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from diffsim.stokes.shapes import BezierCurve2d, grid_nodes
+from diffsim.stokes.shapes import BezierCurve2d, bernstein, grid_nodes
 
 F64 = torch.float64
 _HALF = math.sqrt(0.5)
@@ -248,3 +248,16 @@ def test_time_on_the_amplifier_grid():
     end = time.process_time()
     print(f"65 x 49 nodes: forward {middle - start:.3f}, backward {end - middle:.3f} CPU s")
     assert phi.shape == (65, 49)
+
+
+def test_roots_are_found_in_a_few_newton_steps(monkeypatch):
+    """A root once found must not be thrown back into its bracket: ten steps reach 1e-13."""
+    monkeypatch.setattr(bernstein, "_MAX_STEPS", 10)
+    root = torch.linspace(0.05, 0.95, 200, dtype=torch.float64)
+    t = torch.linspace(0.0, 1.0, 4, dtype=torch.float64)
+    # (t - root)(t^2 + 1) rises through one root; Bernstein coefficients by interpolation
+    values = (t - root[:, None]) * (t**2 + 1.0)
+    coefficients = torch.linalg.solve(bernstein.basis(t, 3), values.T).T
+    rows, roots = bernstein.rising_roots(coefficients)
+    assert sorted(rows.tolist()) == list(range(200))
+    torch.testing.assert_close(roots, root[rows], rtol=0.0, atol=1e-13)

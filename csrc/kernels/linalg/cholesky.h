@@ -24,12 +24,14 @@ class CholeskySymbolic;
 /// @param coords     (num_nodes, 3) node positions in any unit, or nullptr: the graph alone, with
 ///                   0-100 % more work on irregular meshes
 /// @param block      unknowns per node, 1 to 6
+/// @param absent     (num_nodes * block) nonzero where an unknown takes no part: its row and column
+///                   are never read and a solve gives zero there; or nullptr
+/// @param lattice    the nodes are points of a regular grid: a third of the time
 /// @throws std::invalid_argument where the pattern lacks a diagonal entry, is not symmetric, or
 ///         has indices out of range
-std::shared_ptr<const CholeskySymbolic> analyze_cholesky(std::int64_t num_nodes,
-                                                         const std::int64_t* indptr,
-                                                         const std::int64_t* indices,
-                                                         const double* coords, int block);
+std::shared_ptr<const CholeskySymbolic> analyze_cholesky(
+    std::int64_t num_nodes, const std::int64_t* indptr, const std::int64_t* indices,
+    const double* coords, int block, const std::uint8_t* absent = nullptr, bool lattice = false);
 
 /// The matrix is not positive definite to working precision.
 struct NotPositiveDefinite : std::runtime_error {
@@ -51,12 +53,21 @@ class CholeskyWorkspace {
 /// How the factor is stored; the factorisation itself always runs in float64.
 enum class FactorPrecision { kFloat64, kFloat32 };
 
+/// Memory of a factor. Fresh pages are cleared by the system when they are first written, which for
+/// a large factor takes a fifth of the factorisation: hand them from one factor to the next.
+struct CholeskyMemory {
+  AlignedBuffer<double> factor;
+  AlignedBuffer<double> fronts;
+};
+
 class CholeskyFactor {
  public:
   /// @param precision kFloat32 halves the memory that a solve streams and gives about 1e-6 relative
   ///        accuracy: for use as a preconditioner
+  /// @param memory what another factor left, or nothing; grows where it is too small
   explicit CholeskyFactor(std::shared_ptr<const CholeskySymbolic> symbolic,
-                          FactorPrecision precision = FactorPrecision::kFloat64);
+                          FactorPrecision precision = FactorPrecision::kFloat64,
+                          CholeskyMemory memory = {});
 
   /// Factors new values on the analysed pattern.
   /// @param values (nnz, block, block) row-major blocks in the CSR's order; one triangle is read
@@ -72,6 +83,8 @@ class CholeskyFactor {
 
   /// Frees the memory kept for the next refactor.
   void release_refactor_memory();
+  /// Its float64 memory for another factor; unusable until the next refactor.
+  CholeskyMemory take_memory();
 
   bool usable() const { return usable_; }
   std::int64_t num_unknowns() const;
@@ -87,9 +100,8 @@ class CholeskyFactor {
 
   std::shared_ptr<const CholeskySymbolic> symbolic_;
   FactorPrecision precision_;
-  AlignedBuffer<double> factor64_;
+  CholeskyMemory memory_;  // L, where float64, and update matrices, kept for the next refactor
   AlignedBuffer<float> factor32_;
-  AlignedBuffer<double> fronts_;  // update matrices, kept from one refactor to the next
   bool usable_ = false;
 };
 

@@ -17,6 +17,10 @@ NotPositiveDefinite::NotPositiveDefinite(std::int64_t unknown_index, double pivo
       unknown(unknown_index),
       pivot(pivot_value) {}
 
+namespace {
+constexpr int kSplitTiles = 128;  // fronts from here on keep several threads busy
+}
+
 /// One factorisation in progress.
 struct CholeskyFactor::Refactor {
   const CholeskySymbolic& sym;
@@ -35,11 +39,16 @@ struct CholeskyFactor::Refactor {
       const CholeskyEntry& entry = sym.entries[e];
       const double* value = values + entry.source * block * block;
       // The stored block sits in the column's row of A: its transpose belongs below the diagonal.
+      int col = entry.col;
       for (int b = 0; b < block; ++b) {
+        if (!(entry.col_mask >> b & 1)) continue;
+        int row = entry.row;
         for (int a = 0; a < block; ++a) {
-          const int row = entry.row + a, col = entry.col + b;
+          if (!(entry.row_mask >> a & 1)) continue;
           if (row >= col) front.at(row, col) += value[b * block + a];
+          ++row;
         }
+        ++col;
       }
     }
     for (int k = 0; k < node.num_cols; ++k) {
@@ -50,12 +59,12 @@ struct CholeskyFactor::Refactor {
   bool run(int s, ThreadPool* pool) {
     const CholeskySupernode& node = sym.supernodes[s];
     const Front front(node, factor, fronts);
-    front.set_zero();
+    front.set_zero(pool);
     assemble(node, front);
     for (std::int64_t c = node.children; c < node.children_end; ++c) {
       const CholeskySupernode& child = sym.supernodes[sym.children[c]];
       front.add(Front(child, factor, fronts), sym.row_in_parent.data() + child.rows,
-                sym.row_offset_in_parent.data() + child.rows);
+                sym.row_offset_in_parent.data() + child.rows, pool);
     }
     failed[s] = front.factor(floor.data() + node.first, pool);
     if (rounded) {
@@ -76,8 +85,8 @@ struct CholeskyFactor::Refactor {
 };
 
 CholeskyFactor::CholeskyFactor(std::shared_ptr<const CholeskySymbolic> symbolic,
-                               FactorPrecision precision)
-    : symbolic_(std::move(symbolic)), precision_(precision) {}
+                               FactorPrecision precision, CholeskyMemory memory)
+    : symbolic_(std::move(symbolic)), precision_(precision), memory_(std::move(memory)) {}
 
 void CholeskyFactor::refactor(const double* values, ThreadPool& pool) {
   usable_ = false;
@@ -89,8 +98,8 @@ void CholeskyFactor::refactor(const double* values, ThreadPool& pool) {
   const bool round = precision_ == FactorPrecision::kFloat32;
   Refactor work{sym,
                 values,
-                factor64_.resize(sym.factor_size),
-                fronts_.resize(sym.fronts_size),
+                memory_.factor.resize(sym.factor_size),
+                memory_.fronts.resize(sym.fronts_size),
                 round ? factor32_.resize(sym.factor_size) : nullptr,
                 floor,
                 std::vector<double>(sym.num_unknowns),
@@ -105,19 +114,28 @@ void CholeskyFactor::refactor(const double* values, ThreadPool& pool) {
   });
   work.check();
   for (const std::vector<int>& level : sym.levels) {
-    if (level.size() < static_cast<std::size_t>(pool.size())) {
-      for (int s : level) work.run(s, &pool);
-    } else {
-      pool.run(static_cast<std::int64_t>(level.size()),
-               [&](std::int64_t i) { work.run(level[i], nullptr); });
+    // Large fronts one after the other, split among the threads; smaller ones side by side.
+    const auto small = [&](int s) {
+      return level.size() >= static_cast<std::size_t>(pool.size()) &&
+             sym.supernodes[s].num_tiles() < kSplitTiles;
+    };
+    pool.run(static_cast<std::int64_t>(level.size()), [&](std::int64_t i) {
+      if (small(level[i])) work.run(level[i], nullptr);
+    });
+    for (int s : level) {
+      if (!small(s)) work.run(s, &pool);
     }
     work.check();
   }
-  if (round) factor64_.release();
+  if (round) memory_.factor.release();
   usable_ = true;
 }
 
-void CholeskyFactor::release_refactor_memory() { fronts_.release(); }
+void CholeskyFactor::release_refactor_memory() { memory_.fronts.release(); }
+CholeskyMemory CholeskyFactor::take_memory() {
+  usable_ = false;
+  return std::move(memory_);
+}
 
 std::int64_t CholeskyFactor::num_unknowns() const { return symbolic_->num_unknowns; }
 std::int64_t CholeskyFactor::nnz() const { return symbolic_->nnz; }

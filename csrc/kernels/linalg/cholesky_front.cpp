@@ -9,6 +9,14 @@ namespace diffsim {
 namespace {
 
 constexpr int kBlockPanels = 16;  // 128 columns: three row tiles of them stay in L1
+constexpr int kChunkPanels = 64;  // right operands of an update, 512 KiB: they stay in L2
+constexpr int kChunkGroups = 8;   // row groups of one task of an update
+
+template <typename F>
+void for_each(ThreadPool* pool, std::int64_t count, F&& f) {
+  if (pool) return pool->run(count, f);
+  for (std::int64_t i = 0; i < count; ++i) f(i);
+}
 
 }  // namespace
 
@@ -18,38 +26,51 @@ struct Front::Diagonals {
   double reciprocal[kBlockPanels][kTile];
 };
 
-void Front::set_zero() const {
-  std::memset(own_, 0, sizeof(double) * node_.factor_size());
-  std::memset(update_, 0, sizeof(double) * triangle_size(tiles_ - panels_));
+void Front::set_zero(ThreadPool* pool) const {
+  constexpr std::int64_t kChunk = 1 << 17;  // doubles, 1 MiB
+  const auto clear = [&](double* begin, std::int64_t size) {
+    for_each(pool, (size + kChunk - 1) / kChunk, [&](std::int64_t task) {
+      const std::int64_t first = task * kChunk;
+      std::memset(begin + first, 0, sizeof(double) * std::min(kChunk, size - first));
+    });
+  };
+  clear(own_, node_.factor_size());
+  clear(update_, triangle_size(tiles_ - panels_));
 }
 
-void Front::add(const Front& child, const int* map, const int* offset) const {
+void Front::add(const Front& child, const int* map, const int* offset, ThreadPool* pool) const {
   const int rows = child.node_.num_rows;
-  for (int c = 0; c < rows; ++c) {
-    const int col = map[c], p = col / kTile, stride = width(p) * kTile;
-    double* const target = tile(p, p) + (col % kTile) * kTile - std::int64_t{p} * stride;
-    const int source_panel = child.panels_ + c / kTile;
-    const int begin = c / kTile * kTile;  // row of the first source tile
-    const double* source = child.tile(source_panel, source_panel) + (c % kTile) * kTile;
-    if (stride != kTile * kTile) {  // the narrow last panel
-      for (int r = c; r < rows; ++r) {
-        target[map[r] / kTile * stride + map[r] % kTile] +=
-            source[(r - begin) / kTile * kTile * kTile + r % kTile];
-      }
-      continue;
+  for_each(pool, tiles_of(rows), [&](std::int64_t panel) {
+    const int begin = static_cast<int>(panel) * kTile;
+    for (int c = begin; c < std::min(rows, begin + kTile); ++c) add_column(child, c, map, offset);
+  });
+}
+
+void Front::add_column(const Front& child, int c, const int* map, const int* offset) const {
+  const int rows = child.node_.num_rows;
+  const int col = map[c], p = col / kTile, stride = width(p) * kTile;
+  double* const target = tile(p, p) + (col % kTile) * kTile - std::int64_t{p} * stride;
+  const int source_panel = child.panels_ + c / kTile;
+  const int begin = c / kTile * kTile;  // row of the first source tile
+  const double* source = child.tile(source_panel, source_panel) + (c % kTile) * kTile;
+  if (stride != kTile * kTile) {  // the narrow last panel
+    for (int r = c; r < rows; ++r) {
+      target[map[r] / kTile * stride + map[r] % kTile] +=
+          source[(r - begin) / kTile * kTile * kTile + r % kTile];
     }
-    for (int r = c; r < std::min(rows, begin + kTile); ++r) target[offset[r]] += source[r - begin];
-    int r = begin + kTile;
-    for (source += kTile * kTile; r + kTile <= rows; r += kTile, source += kTile * kTile) {
-      const int* o = offset + r;
-      if (o[kTile - 1] - o[0] == kTile - 1) {  // one whole tile onto another
-        for (int k = 0; k < kTile; ++k) target[o[0] + k] += source[k];
-      } else {
-        for (int k = 0; k < kTile; ++k) target[o[k]] += source[k];
-      }
-    }
-    for (int k = 0; r + k < rows; ++k) target[offset[r + k]] += source[k];
+    return;
   }
+  for (int r = c; r < std::min(rows, begin + kTile); ++r) target[offset[r]] += source[r - begin];
+  int r = begin + kTile;
+  for (source += kTile * kTile; r + kTile <= rows; r += kTile, source += kTile * kTile) {
+    const int* o = offset + r;
+    if (o[kTile - 1] - o[0] == kTile - 1) {  // one whole tile onto another
+      for (int k = 0; k < kTile; ++k) target[o[0] + k] += source[k];
+    } else {
+      for (int k = 0; k < kTile; ++k) target[o[k]] += source[k];
+    }
+  }
+  for (int k = 0; r + k < rows; ++k) target[offset[r + k]] += source[k];
 }
 
 void Front::multiply(int i, int count, int p, int q0, int q1) const {
@@ -116,8 +137,8 @@ void Front::solve_rows(int i, int count, int p0, int p1, const Diagonals& diagon
   }
 }
 
-void Front::update_rows(int i, int count, int p0, int p1) const {
-  for (int p = p1; p < i + count; ++p) {
+void Front::update_rows(int i, int count, int c0, int c1, int p0, int p1) const {
+  for (int p = c0; p < std::min(c1, i + count); ++p) {
     const int first = std::max(i, p);
     multiply(first, i + count - first, p, p0, p1);
   }
@@ -135,14 +156,18 @@ FailedPivot Front::factor(const double* floor, ThreadPool* pool) const {
     const auto solve = [&](std::int64_t g) {
       solve_rows(row(g), count(row(g)), p0, p1, diagonals);
     };
-    const auto update = [&](std::int64_t g) { update_rows(row(g), count(row(g)), p0, p1); };
-    if (pool) {
-      pool->run(groups, solve);
-      pool->run(groups, update);
-    } else {
-      for (int g = 0; g < groups; ++g) solve(g);
-      for (int g = 0; g < groups; ++g) update(g);
-    }
+    // Chunk by chunk of columns, so that a chunk is read from far away only once.
+    const int bands = (groups + kChunkGroups - 1) / kChunkGroups;
+    const int chunks = (tiles_ - p1 + kChunkPanels - 1) / kChunkPanels;
+    const auto update = [&](std::int64_t task) {
+      const int chunk = static_cast<int>(task / bands), band = static_cast<int>(task % bands);
+      const int c0 = p1 + chunk * kChunkPanels;
+      for (int g = band * kChunkGroups; g < std::min(groups, (band + 1) * kChunkGroups); ++g) {
+        update_rows(row(g), count(row(g)), c0, c0 + kChunkPanels, p0, p1);
+      }
+    };
+    for_each(pool, groups, solve);
+    for_each(pool, std::int64_t{bands} * chunks, update);
   }
   return {};
 }

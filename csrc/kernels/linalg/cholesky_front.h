@@ -36,11 +36,13 @@ class Front {
     return tile(row / kTile, col / kTile)[(col % kTile) * kTile + row % kTile];
   }
 
-  void set_zero() const;
+  /// @param pool splits the memory, or nullptr
+  void set_zero(ThreadPool* pool) const;
   /// Adds the update matrix of a child.
   /// @param map    (child's rows) local rows here
   /// @param offset (child's rows) the same as offsets within a column of full panels
-  void add(const Front& child, const int* map, const int* offset) const;
+  /// @param pool   splits the columns, or nullptr
+  void add(const Front& child, const int* map, const int* offset, ThreadPool* pool) const;
   /// Partial Cholesky: own panels become L (diagonal tiles inverted), the update matrix the Schur
   /// complement.
   /// @param floor (num_cols) pivots must be above this
@@ -49,9 +51,10 @@ class Front {
 
  private:
   struct Diagonals;
+  void add_column(const Front& child, int c, const int* map, const int* offset) const;
   FailedPivot factor_block(int p0, int p1, const double* floor, Diagonals& diagonals) const;
   void solve_rows(int i, int count, int p0, int p1, const Diagonals& diagonals) const;
-  void update_rows(int i, int count, int p0, int p1) const;
+  void update_rows(int i, int count, int c0, int c1, int p0, int p1) const;
   void multiply(int i, int count, int p, int q0, int q1) const;
 
   const CholeskySupernode& node_;

@@ -1,6 +1,8 @@
 #include "kernels/linalg/cholesky_schedule.h"
 
 #include <cstddef>
+#include <iterator>
+#include <map>
 
 namespace diffsim {
 namespace {
@@ -35,6 +37,49 @@ class ParityStacks {
 
  private:
   std::int64_t top_[2] = {0, 0}, peak_[2] = {0, 0};
+};
+
+/// Hands out ranges of one stretch of memory, the lowest that fits.
+class Arena {
+ public:
+  explicit Arena(std::int64_t end) : end_(end) {}
+
+  std::int64_t take(std::int64_t size) {
+    for (auto range = free_.begin(); range != free_.end(); ++range) {
+      if (range->second - range->first < size) continue;
+      const std::int64_t offset = range->first;
+      const std::int64_t rest = offset + size, end = range->second;
+      free_.erase(range);
+      if (rest < end) free_[rest] = end;
+      return offset;
+    }
+    // None: the end grows, from where the last range begins if that reaches it.
+    std::int64_t offset = end_;
+    if (!free_.empty() && free_.rbegin()->second == end_) {
+      offset = free_.rbegin()->first;
+      free_.erase(offset);
+    }
+    end_ = offset + size;
+    return offset;
+  }
+  void give_back(std::int64_t begin, std::int64_t end) {
+    if (begin >= end) return;
+    auto next = free_.lower_bound(begin);
+    if (next != free_.end() && next->first == end) {
+      end = next->second;
+      next = free_.erase(next);
+    }
+    if (next != free_.begin() && std::prev(next)->second == begin) {
+      std::prev(next)->second = end;
+    } else {
+      free_[begin] = end;
+    }
+  }
+  std::int64_t end() const { return end_; }
+
+ private:
+  std::int64_t end_;
+  std::map<std::int64_t, std::int64_t> free_;  // begin -> end, never touching each other
 };
 
 class Scheduler {
@@ -124,13 +169,51 @@ class Scheduler {
     sym_.workspace_size += messages.peak() + local;
   }
 
-  /// Supernodes of one level run side by side: each gets memory of its own.
+  /// What of the tasks' memory holds no result for the top of the tree.
+  Arena after_tasks() const {
+    std::vector<std::pair<std::int64_t, std::int64_t>> results;
+    for (const std::vector<int>& level : sym_.levels) {
+      for (int s : level) {
+        for (std::int64_t c = sym_.supernodes[s].children; c < sym_.supernodes[s].children_end;
+             ++c) {
+          const CholeskySupernode& child = sym_.supernodes[sym_.children[c]];
+          if (child.task < 0) continue;
+          results.emplace_back(child.update, child.update + triangle_size(child.update_tiles()));
+        }
+      }
+    }
+    std::sort(results.begin(), results.end());
+    Arena arena(sym_.fronts_size);
+    std::int64_t begin = 0;
+    for (const auto& [first, last] : results) {
+      arena.give_back(begin, first);
+      begin = last;
+    }
+    arena.give_back(begin, sym_.fronts_size);
+    return arena;
+  }
+
+  /// Supernodes of one level run side by side: none may use what another one reads or writes. A
+  /// level's children are read by it alone.
   void place_top() {
+    Arena arena = after_tasks();
     for (const std::vector<int>& level : sym_.levels) {
       for (int s : level) {
         CholeskySupernode& node = sym_.supernodes[s];
-        node.update = sym_.fronts_size;
-        sym_.fronts_size += triangle_size(node.update_tiles());
+        node.update = arena.take(triangle_size(node.update_tiles()));
+      }
+      for (int s : level) {
+        for (std::int64_t c = sym_.supernodes[s].children; c < sym_.supernodes[s].children_end;
+             ++c) {
+          const CholeskySupernode& child = sym_.supernodes[sym_.children[c]];
+          arena.give_back(child.update, child.update + triangle_size(child.update_tiles()));
+        }
+      }
+    }
+    sym_.fronts_size = arena.end();
+    for (const std::vector<int>& level : sym_.levels) {
+      for (int s : level) {
+        CholeskySupernode& node = sym_.supernodes[s];
         node.message = sym_.workspace_size;
         sym_.workspace_size += node.update_tiles() * kTile;
         node.scratch = sym_.workspace_size;

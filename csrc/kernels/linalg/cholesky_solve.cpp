@@ -156,8 +156,9 @@ void CholeskyFactor::solve(const double* b, double* x, int num_rhs, CholeskyWork
   if (precision_ == FactorPrecision::kFloat32) {
     Solver<float>{*symbolic_, factor32_.data(), b, x, num_rhs, workspace, 1}.run_all(pool);
   } else {
-    Solver<double>{*symbolic_, factor64_.data(), b, x, num_rhs, workspace, 1}.run_all(pool);
+    Solver<double>{*symbolic_, memory_.factor.data(), b, x, num_rhs, workspace, 1}.run_all(pool);
   }
+  for (int i : symbolic_->absent) std::fill_n(x + std::int64_t{i} * num_rhs, num_rhs, 0.0);
 }
 
 }  // namespace diffsim

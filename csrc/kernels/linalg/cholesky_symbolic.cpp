@@ -65,18 +65,70 @@ Graph checked_graph(std::int64_t num_nodes, const std::int64_t* indptr,
   return g;
 }
 
+/// Which unknowns of every node take part, one bit per component.
+struct Present {
+  std::vector<std::uint8_t> mask;
+  std::vector<int> nodes;  // those with any
+
+  Present(std::int64_t num_nodes, int block, const std::uint8_t* absent)
+      : mask(num_nodes, static_cast<std::uint8_t>((1 << block) - 1)) {
+    for (int v = 0; v < num_nodes; ++v) {
+      for (int a = 0; absent && a < block; ++a) {
+        if (absent[std::int64_t{v} * block + a]) mask[v] &= static_cast<std::uint8_t>(~(1 << a));
+      }
+      if (mask[v]) nodes.push_back(v);
+    }
+  }
+  int count(int v) const { return __builtin_popcount(mask[v]); }
+};
+
+/// Supernodes of the nodes present, in the caller's numbering.
+Supernodes order_nodes(const Graph& graph, const Present& present, const double* coords,
+                       bool lattice) {
+  std::vector<int> number(graph.num_nodes, -1), weight;
+  std::vector<double> at;
+  Graph part;
+  for (int v : present.nodes) {
+    number[v] = part.num_nodes++;
+    weight.push_back(present.count(v));
+    if (coords) at.insert(at.end(), coords + 3 * v, coords + 3 * (v + 1));
+  }
+  const bool whole = part.num_nodes == graph.num_nodes;
+  if (!whole) {
+    part.begin.push_back(0);
+    for (int v : present.nodes) {
+      for (const int* u = graph.first(v); u != graph.last(v); ++u) {
+        if (number[*u] >= 0) part.neighbors.push_back(number[*u]);
+      }
+      part.begin.push_back(static_cast<std::int64_t>(part.neighbors.size()));
+    }
+  }
+  const Graph& ordered = whole ? graph : part;
+  Supernodes nodes = find_supernodes(
+      ordered, nested_dissection(ordered, coords ? at.data() : nullptr, lattice), weight);
+  for (int& v : nodes.order) v = present.nodes[v];
+  return nodes;
+}
+
 /// Sizes and storage of every supernode, in unknowns.
-void lay_out(const Supernodes& nodes, int block, CholeskySymbolic& sym) {
+void lay_out(const Supernodes& nodes, const Present& present, CholeskySymbolic& sym) {
   const int count = nodes.count();
   sym.supernodes.resize(count);
   std::vector<std::int64_t> num_children(count + 1, 0);
-  std::int64_t own = 0;
+  std::int64_t own = 0, rows = 0;
+  int first = 0;
   for (int s = 0; s < count; ++s) {
     CholeskySupernode& node = sym.supernodes[s];
-    node.first = nodes.begin[s] * block;
-    node.num_cols = (nodes.begin[s + 1] - nodes.begin[s]) * block;
-    node.num_rows = static_cast<int>(nodes.rows_begin[s + 1] - nodes.rows_begin[s]) * block;
-    node.rows = nodes.rows_begin[s] * block;
+    node.first = first;
+    for (int k = nodes.begin[s]; k < nodes.begin[s + 1]; ++k) {
+      node.num_cols += present.count(nodes.order[k]);
+    }
+    for (std::int64_t i = nodes.rows_begin[s]; i < nodes.rows_begin[s + 1]; ++i) {
+      node.num_rows += present.count(nodes.order[nodes.rows[i]]);
+    }
+    first += node.num_cols;
+    node.rows = rows;
+    rows += node.num_rows;
     node.parent = nodes.parent[s];
     node.factor = sym.factor_size;
     node.own = own;
@@ -101,34 +153,49 @@ void lay_out(const Supernodes& nodes, int block, CholeskySymbolic& sym) {
 }
 
 /// Index maps: rows in the caller's numbering and in the parent's, and input entries to L.
-void map_indices(const Supernodes& nodes, const std::int64_t* indptr, const std::int64_t* indices,
-                 CholeskySymbolic& sym) {
+void map_indices(const Supernodes& nodes, const Present& present, const std::int64_t* indptr,
+                 const std::int64_t* indices, CholeskySymbolic& sym) {
   const int block = sym.block;
-  std::vector<int> position(sym.num_nodes), local(sym.num_nodes, 0);
+  std::vector<int> position(sym.num_nodes, -1), local(sym.num_nodes, 0);
+  const auto add_unknowns = [&](int v, std::vector<int>& list) {
+    for (int a = 0; a < block; ++a) {
+      if (present.mask[v] >> a & 1) list.push_back(v * block + a);
+    }
+  };
   for (std::size_t k = 0; k < nodes.order.size(); ++k) {
     position[nodes.order[k]] = static_cast<int>(k);
-    for (int a = 0; a < block; ++a) sym.unknown.push_back(nodes.order[k] * block + a);
+    add_unknowns(nodes.order[k], sym.unknown);
   }
-  sym.row_unknown.resize(nodes.rows.size() * block);
-  sym.row_in_parent.resize(nodes.rows.size() * block);
+  for (int v = 0; v < sym.num_nodes; ++v) {
+    for (int a = 0; a < block; ++a) {
+      if (!(present.mask[v] >> a & 1)) sym.absent.push_back(v * block + a);
+    }
+  }
+  const CholeskySupernode& last =
+      sym.supernodes.empty() ? CholeskySupernode() : sym.supernodes.back();
+  sym.row_unknown.reserve(last.rows + last.num_rows);
+  sym.row_in_parent.resize(last.rows + last.num_rows);
   for (int s = 0; s < nodes.count(); ++s) {
     CholeskySupernode& node = sym.supernodes[s];
     // Local index of every node that this supernode knows.
+    int next = 0;
     for (int k = nodes.begin[s]; k < nodes.begin[s + 1]; ++k) {
-      local[k] = (k - nodes.begin[s]) * block;
+      local[k] = next;
+      next += present.count(nodes.order[k]);
     }
-    const int below = node.panels() * kTile;
+    next = node.panels() * kTile;
     for (std::int64_t i = nodes.rows_begin[s]; i < nodes.rows_begin[s + 1]; ++i) {
-      const std::int64_t row = i - nodes.rows_begin[s];
-      local[nodes.rows[i]] = below + static_cast<int>(row) * block;
-      for (int a = 0; a < block; ++a) {
-        sym.row_unknown[i * block + a] = nodes.order[nodes.rows[i]] * block + a;
-      }
+      const int v = nodes.order[nodes.rows[i]];
+      local[nodes.rows[i]] = next;
+      next += present.count(v);
+      add_unknowns(v, sym.row_unknown);
     }
     for (std::int64_t c = node.children; c < node.children_end; ++c) {
       const int child = sym.children[c];
+      int* in_parent = sym.row_in_parent.data() + sym.supernodes[child].rows;
       for (std::int64_t i = nodes.rows_begin[child]; i < nodes.rows_begin[child + 1]; ++i) {
-        for (int a = 0; a < block; ++a) sym.row_in_parent[i * block + a] = local[nodes.rows[i]] + a;
+        const int count = present.count(nodes.order[nodes.rows[i]]);
+        for (int a = 0; a < count; ++a) *in_parent++ = local[nodes.rows[i]] + a;
       }
     }
     node.entries = static_cast<std::int64_t>(sym.entries.size());
@@ -136,7 +203,9 @@ void map_indices(const Supernodes& nodes, const std::int64_t* indptr, const std:
       const int v = nodes.order[k];
       for (std::int64_t e = indptr[v]; e < indptr[v + 1]; ++e) {
         const int other = position[indices[e]];
-        if (other >= k) sym.entries.push_back({e, local[other], local[k]});
+        if (other < k) continue;  // above the diagonal, or absent
+        sym.entries.push_back(
+            {e, local[other], local[k], present.mask[indices[e]], present.mask[v]});
       }
     }
     node.entries_end = static_cast<std::int64_t>(sym.entries.size());
@@ -151,7 +220,8 @@ void map_indices(const Supernodes& nodes, const std::int64_t* indptr, const std:
 std::shared_ptr<const CholeskySymbolic> analyze_cholesky(std::int64_t num_nodes,
                                                          const std::int64_t* indptr,
                                                          const std::int64_t* indices,
-                                                         const double* coords, int block) {
+                                                         const double* coords, int block,
+                                                         const std::uint8_t* absent, bool lattice) {
   if (block < 1 || block > 6) refuse("block must be 1 to 6, got " + std::to_string(block));
   if (num_nodes < 0 || num_nodes > std::numeric_limits<int>::max() / block) {
     refuse("num_nodes must fit 32-bit indices, got " + std::to_string(num_nodes));
@@ -162,9 +232,10 @@ std::shared_ptr<const CholeskySymbolic> analyze_cholesky(std::int64_t num_nodes,
   sym->num_blocks = indptr[num_nodes];
   sym->block = block;
   const Graph graph = checked_graph(num_nodes, indptr, indices);
-  const Supernodes nodes = find_supernodes(graph, nested_dissection(graph, coords), block);
-  lay_out(nodes, block, *sym);
-  map_indices(nodes, indptr, indices, *sym);
+  const Present present(num_nodes, block, absent);
+  const Supernodes nodes = order_nodes(graph, present, coords, lattice);
+  lay_out(nodes, present, *sym);
+  map_indices(nodes, present, indptr, indices, *sym);
   schedule_cholesky(*sym);
   return sym;
 }

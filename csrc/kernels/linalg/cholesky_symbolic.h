@@ -56,8 +56,9 @@ struct CholeskySupernode {
 
 /// One scalar block of the input and where it lands in its supernode.
 struct CholeskyEntry {
-  std::int64_t source;  // index of the block in the CSR's order
-  int row, col;         // local position of the block's first unknown
+  std::int64_t source;              // index of the block in the CSR's order
+  int row, col;                     // local position of the block's first present unknown
+  std::uint8_t row_mask, col_mask;  // which of the block's rows and columns are present, by bit
 };
 
 /// Ranges [begin, end) of supernodes; each is one whole subtree.
@@ -70,6 +71,7 @@ class CholeskySymbolic {
   std::vector<CholeskySupernode> supernodes;  // postorder
   std::vector<int> children;
   std::vector<int> unknown;               // elimination order -> caller's numbering
+  std::vector<int> absent;                // unknowns without a place in the matrix
   std::vector<int> row_unknown;           // every supernode's rows in the caller's numbering
   std::vector<int> row_in_parent;         // and as local indices of the parent (padding counted)
   std::vector<int> row_offset_in_parent;  // (row / 8) * 64 + row % 8 of those

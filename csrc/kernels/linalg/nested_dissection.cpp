@@ -16,9 +16,10 @@ constexpr std::size_t kMaskSize = 512;  // leaf nodes and the neighbours around 
 
 class Dissector {
  public:
-  Dissector(const Graph& graph, const double* coords)
+  Dissector(const Graph& graph, const double* coords, bool lattice)
       : graph_(graph),
         coords_(coords),
+        lattice_(lattice),
         owner_(graph.num_nodes, 0),
         mark_(graph.num_nodes, -1),
         finder_(graph),
@@ -123,6 +124,9 @@ class Dissector {
         for (std::size_t i = 0; i < n; ++i) keys.back()[i] = coords_[3 * item.nodes[i] + axis];
       }
     }
+    // On a lattice the axes suffice: the graph's directions, taken where their separators happen to
+    // be smaller, led to 16-20 % more work for three fluidic funnels and to three times the time.
+    if (coords_ && lattice_) return keys;
     // Difference of the distances to two far-apart nodes, for up to three pairs of them.
     std::vector<double> nearest(n, 1e30);  // distance to the nearest node already used
     int start = breadth_first(item.nodes[0], item.id).back();
@@ -216,6 +220,7 @@ class Dissector {
 
   const Graph& graph_;
   const double* coords_;
+  const bool lattice_;
   std::vector<int> owner_;  // node -> id of its part; -1 once ordered
   std::vector<int> mark_, distance_, local_;
   std::vector<double> value_;
@@ -227,9 +232,9 @@ class Dissector {
 
 }  // namespace
 
-std::vector<int> nested_dissection(const Graph& graph, const double* coords) {
+std::vector<int> nested_dissection(const Graph& graph, const double* coords, bool lattice) {
   if (graph.num_nodes == 0) return {};
-  return Dissector(graph, coords).run();
+  return Dissector(graph, coords, lattice).run();
 }
 
 }  // namespace diffsim

@@ -14,6 +14,7 @@ namespace diffsim {
 /// and, where given, the coordinate axes. Small parts are ordered by minimum degree.
 /// @param coords (num_nodes, 3) node positions, or nullptr
 /// @return order[k] = node eliminated k-th, a permutation of [0, num_nodes)
-std::vector<int> nested_dissection(const Graph& graph, const double* coords);
+/// @param lattice the coordinates are those of a regular grid: its planes are the separators
+std::vector<int> nested_dissection(const Graph& graph, const double* coords, bool lattice = false);
 
 }  // namespace diffsim

@@ -83,6 +83,7 @@ std::vector<int> column_counts(const Graph& graph, const std::vector<int>& order
 /// A supernode while merging: columns and rows are positions in the original order.
 struct Node {
   std::vector<int> columns, rows, children;
+  double own = 0, below = 0;  // unknowns of columns and of rows
   int parent = -1;
   bool alive = true;
 };
@@ -122,12 +123,11 @@ std::vector<Node> fundamental(const Graph& graph, const std::vector<int>& order,
   return nodes;
 }
 
-double cost(double columns, double rows, int block) {
-  const double c = columns * block, r = rows * block;
+double cost(double c, double r) {
   return c * (0.5 * c + r) + kCostPerRow * (c + r) + kCostPerSupernode;
 }
 
-void amalgamate(std::vector<Node>& nodes, int block) {
+void amalgamate(std::vector<Node>& nodes) {
   for (std::size_t s = 0; s < nodes.size(); ++s) {
     Node& node = nodes[s];
     for (bool merged = true; merged;) {
@@ -137,14 +137,13 @@ void amalgamate(std::vector<Node>& nodes, int block) {
       node.children.clear();
       for (int c : children) {
         Node& child = nodes[c];
-        const double own = node.columns.size(), theirs = child.columns.size();
-        const double rows = node.rows.size();
-        const double apart = cost(own, rows, block) + cost(theirs, child.rows.size(), block);
-        if (cost(own + theirs, rows, block) >= apart) {
+        const double apart = cost(node.own, node.below) + cost(child.own, child.below);
+        if (cost(node.own + child.own, node.below) >= apart) {
           kept.push_back(c);
           continue;
         }
         node.columns.insert(node.columns.end(), child.columns.begin(), child.columns.end());
+        node.own += child.own;
         for (int grandchild : child.children) {
           nodes[grandchild].parent = static_cast<int>(s);
           kept.push_back(grandchild);
@@ -160,7 +159,8 @@ void amalgamate(std::vector<Node>& nodes, int block) {
 
 }  // namespace
 
-Supernodes find_supernodes(const Graph& graph, std::vector<int> order, int block) {
+Supernodes find_supernodes(const Graph& graph, std::vector<int> order,
+                           const std::vector<int>& weight) {
   std::vector<int> position = inverse(order);
   {
     const std::vector<int> post = postorder(elimination_tree(graph, order, position));
@@ -172,7 +172,11 @@ Supernodes find_supernodes(const Graph& graph, std::vector<int> order, int block
   const std::vector<int> parent = elimination_tree(graph, order, position);
   std::vector<Node> nodes =
       fundamental(graph, order, position, parent, column_counts(graph, order, position, parent));
-  amalgamate(nodes, block);
+  for (Node& node : nodes) {
+    for (int j : node.columns) node.own += weight[order[j]];
+    for (int row : node.rows) node.below += weight[order[row]];
+  }
+  amalgamate(nodes);
 
   std::vector<int> tree, number(nodes.size(), -1), original;
   for (std::size_t s = 0; s < nodes.size(); ++s) {

@@ -22,7 +22,8 @@ struct Supernodes {
 
 /// Symbolic factorisation of `graph` eliminated in `order`. A child is merged into its parent where
 /// a cost model of the triangular solve (entries streamed + rows gathered + a fixed share) says so.
-/// @param block unknowns per node, which scales the model
-Supernodes find_supernodes(const Graph& graph, std::vector<int> order, int block);
+/// @param weight (num_nodes) unknowns of every node, which scale the model
+Supernodes find_supernodes(const Graph& graph, std::vector<int> order,
+                           const std::vector<int>& weight);
 
 }  // namespace diffsim

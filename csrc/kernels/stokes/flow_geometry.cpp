@@ -50,13 +50,12 @@ FlowGeometry<D>::FlowGeometry(const StokesGrid<D>& grid, const double* phi, Thre
       const auto add = [&](FaceKind kind) {
         penalty_faces_[axis][static_cast<int>(kind)][u(face)].push_back(cell);
       };
-      if (cut(cell) && at[axis] == 0) add(FaceKind::kLow);
-      if (at[axis] + 1 == grid_.cells[axis]) {
-        if (cut(cell)) add(FaceKind::kHigh);
-        continue;
-      }
-      const std::int64_t next = cell + grid_.cell_stride[axis];
-      if (active(next) && (cut(cell) || cut(next))) add(FaceKind::kInner);
+      const std::int64_t stride = grid.cell_stride[axis];
+      const bool low = at[axis] > 0 && active(cell - stride);
+      const bool high = at[axis] + 1 < grid.cells[axis] && active(cell + stride);
+      if (cut(cell) && !low) add(FaceKind::kLow);
+      if (cut(cell) && !high) add(FaceKind::kHigh);
+      if (high && (cut(cell) || cut(cell + stride))) add(FaceKind::kInner);
     }
   }
   for (std::int64_t node = 0; node < grid.num_nodes; ++node) {

@@ -19,7 +19,8 @@ struct FaceTerm {
   double stencil[3] = {0.0, 0.0, 0.0};
 };
 
-/// Where a face lies: between two cells, or on the box's low or high side.
+/// Where a face lies: between two cells with fluid, or on a cell's low or high side with nothing
+/// behind it, the end of the box or a cell whose plane leaves it empty.
 enum class FaceKind { kInner, kLow, kHigh };
 
 /// Ghost penalty on the jump of the normal derivative between cells A and B:
@@ -44,8 +45,9 @@ inline FaceTerm ghost_term(double f_a, double f_b, double aperture, double gamma
 }
 
 /// Penalty on the normal derivative itself where fluid is much thinner than a cell, t = f_A + f_B
-/// (one f at the box): a film between two walls, or between a wall and the box, has no neighbour
-/// that could hold it. weight theta a / (1 + (t / t_0)^4): nothing where there is fluid behind.
+/// (one f with nothing behind): a film between two walls, or between a wall and the box, has no
+/// neighbour that could hold it, nor has a sliver whose neighbours' planes leave them empty.
+/// weight theta a / (1 + (t / t_0)^4): nothing where there is fluid behind.
 inline FaceTerm film_term(double t, double aperture, double theta, FaceKind kind) {
   constexpr double kThin = 0.08;
   FaceTerm term;
@@ -97,13 +99,21 @@ class FlowGeometry {
   std::int64_t num_active_cells() const { return num_active_cells_; }
   const std::vector<std::int64_t>& cut_cells() const { return cut_cells_; }  // active or not
   const Colours& cell_colours() const { return cell_colours_; }              // active cells
-  /// Faces with a penalty, by the cell on their lower side (the only one at the box).
+  /// Faces with a penalty, by the cell on their lower side, or the only one with fluid.
   const Colours& penalty_faces(int axis, FaceKind kind) const {
     return penalty_faces_[axis][static_cast<int>(kind)];
   }
+  /// Share of one cell in the aperture of a face: half, unless the face is the box's.
+  double face_share(std::int64_t cell, int axis, FaceKind kind) const {
+    if (kind == FaceKind::kInner) return 0.5;
+    std::int64_t at[D];
+    grid_.cell_position(cell, at);
+    return at[axis] == (kind == FaceKind::kHigh ? grid_.cells[axis] - 1 : 0) ? 1.0 : 0.5;
+  }
   double face_aperture(std::int64_t cell, int axis, FaceKind kind) const {
-    if (kind != FaceKind::kInner) return aperture(cell, axis, kind == FaceKind::kHigh);
-    return 0.5 * (aperture(cell, axis, 1) + aperture(cell + grid_.cell_stride[axis], axis, 0));
+    double sum = aperture(cell, axis, kind != FaceKind::kLow);
+    if (kind == FaceKind::kInner) sum += aperture(cell + grid_.cell_stride[axis], axis, 0);
+    return face_share(cell, axis, kind) * sum;
   }
 
   const std::vector<std::int64_t>& active_nodes() const { return active_nodes_; }

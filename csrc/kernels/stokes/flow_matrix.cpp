@@ -80,41 +80,52 @@ FlowMatrix<D>::FlowMatrix(const FlowOperator<D>& op, ThreadPool& pool)
 }
 
 template <int D>
-StokesPlan::Symbolic FlowMatrix<D>::analyze(StokesPlan& plan) const {
+std::vector<std::int64_t> FlowMatrix<D>::columns() const {
   const FlowGeometry<D>& geometry = op_.geometry();
-  const StokesGrid<D>& grid = geometry.grid();
-  if (StokesPlan::Symbolic known = plan.find(geometry.active_nodes(), stencils_)) return known;
   constexpr int kBits = D == 2 ? 25 : 125;
   std::int64_t offset[kBits];
   for (int bit = 0; bit < kBits; ++bit) {
     offset[bit] = 0;
     for (int a = D - 1, rest = bit; a >= 0; --a, rest /= 5)
-      offset[bit] += (rest % 5 - 2) * grid.node_stride[a];
+      offset[bit] += (rest % 5 - 2) * geometry.grid().node_stride[a];
   }
   std::vector<std::int64_t> indices(u(num_blocks()));
-  std::vector<double> coords(stencils_.size() * 3, 0.0);
   for (std::size_t i = 0; i < stencils_.size(); ++i) {
     const std::int64_t node = geometry.active_nodes()[i];
-    std::int64_t at[D];
-    grid.node_position(node, at);
-    for (int a = 0; a < D; ++a) coords[3 * i + u(a)] = static_cast<double>(at[a]);
     std::int64_t next = indptr_[i];
     for (int bit = 0; bit < kBits; ++bit)
       if (stencils_[i].test(bit)) indices[u(next++)] = geometry.unknown_node(node + offset[bit]);
   }
-  StokesPlan::Symbolic made =
-      analyze_cholesky(num_nodes(), indptr_.data(), indices.data(), coords.data(), D);
+  return indices;
+}
+
+template <int D>
+StokesPlan::Symbolic FlowMatrix<D>::analyze(const std::uint8_t* fixed, StokesPlan& plan) const {
+  const FlowGeometry<D>& geometry = op_.geometry();
+  const StokesGrid<D>& grid = geometry.grid();
+  if (StokesPlan::Symbolic known = plan.find(geometry.active_nodes(), stencils_)) return known;
+  std::vector<double> coords(stencils_.size() * 3, 0.0);
+  std::vector<std::uint8_t> absent(stencils_.size() * D);
+  for (std::size_t i = 0; i < stencils_.size(); ++i) {
+    const std::int64_t node = geometry.active_nodes()[i];
+    std::int64_t at[D];
+    grid.node_position(node, at);
+    std::copy(fixed + node * D, fixed + (node + 1) * D, absent.begin() + static_cast<long>(i) * D);
+    for (int a = 0; a < D; ++a) coords[3 * i + u(a)] = static_cast<double>(at[a]);
+  }
+  const std::vector<std::int64_t> indices = columns();
+  StokesPlan::Symbolic made = analyze_cholesky(num_nodes(), indptr_.data(), indices.data(),
+                                               coords.data(), D, absent.data(), true);
   plan.keep(geometry.active_nodes(), stencils_, made);
   return made;
 }
 
 template <int D>
-void FlowMatrix<D>::add_cells(double* values, ThreadPool& pool) const {
+void FlowMatrix<D>::add_cells(double bulk, double* values, ThreadPool& pool) const {
   const FlowGeometry<D>& geometry = op_.geometry();
   const StokesGrid<D>& grid = geometry.grid();
   constexpr int n = kCorners * D;
   std::vector<double> full(n * n);
-  const double bulk = op_.options().bulk;
   op_.form().matrix({op_.form().basis().weight, nullptr, nullptr},
                     bulk / PressureVolume(1.0, 2 * D, grid.cell_volume, op_.options()).value,
                     full.data());
@@ -168,11 +179,12 @@ void FlowMatrix<D>::add_faces(double* values, ThreadPool& pool) const {
 }
 
 template <int D>
-std::vector<double> FlowMatrix<D>::assemble(const std::uint8_t* fixed, ThreadPool& pool) const {
+std::vector<double> FlowMatrix<D>::assemble(const std::uint8_t* fixed, double bulk,
+                                            ThreadPool& pool) const {
   const FlowGeometry<D>& geometry = op_.geometry();
   const StokesGrid<D>& grid = geometry.grid();
   std::vector<double> values(u(num_blocks()) * D * D, 0.0);
-  add_cells(values.data(), pool);
+  add_cells(bulk, values.data(), pool);
   add_faces(values.data(), pool);
 
   constexpr int kBits = D == 2 ? 25 : 125;

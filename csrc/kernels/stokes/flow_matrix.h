@@ -31,7 +31,24 @@ struct NodeStencil {
   }
 };
 
-/// Symbolic analyses of the last few patterns on one grid.
+/// Memory that factors on one grid hand on to each other, one at a time.
+class StokesMemory {
+ public:
+  CholeskyMemory take() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return std::move(memory_);
+  }
+  void give_back(CholeskyMemory memory) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    memory_ = std::move(memory);
+  }
+
+ private:
+  std::mutex mutex_;
+  CholeskyMemory memory_;
+};
+
+/// Symbolic analyses of the last few patterns on one grid with one set of prescribed components.
 class StokesPlan {
  public:
   using Symbolic = std::shared_ptr<const CholeskySymbolic>;
@@ -40,6 +57,8 @@ class StokesPlan {
   Symbolic find(const std::vector<std::int64_t>& nodes, const std::vector<NodeStencil>& stencils);
   void keep(const std::vector<std::int64_t>& nodes, const std::vector<NodeStencil>& stencils,
             Symbolic symbolic);
+  /// Shared, for a system may outlive the plan.
+  const std::shared_ptr<StokesMemory>& memory() const { return memory_; }
 
  private:
   static constexpr std::size_t kKept = 3;
@@ -50,6 +69,7 @@ class StokesPlan {
   };
   std::mutex mutex_;
   std::vector<Entry> entries_;  // latest last
+  std::shared_ptr<StokesMemory> memory_ = std::make_shared<StokesMemory>();
 };
 
 template <int D>
@@ -59,16 +79,20 @@ class FlowMatrix {
 
   std::int64_t num_nodes() const { return static_cast<std::int64_t>(stencils_.size()); }
   std::int64_t num_blocks() const { return indptr_.back(); }
-  /// From the plan where the pattern is known.
-  StokesPlan::Symbolic analyze(StokesPlan& plan) const;
+  /// Row starts, (num_nodes + 1,), and column nodes, ascending, (num_blocks,).
+  const std::vector<std::int64_t>& indptr() const { return indptr_; }
+  std::vector<std::int64_t> columns() const;
+  /// From the plan where the pattern is known; prescribed components take no part.
+  StokesPlan::Symbolic analyze(const std::uint8_t* fixed, StokesPlan& plan) const;
   /// @param fixed (num_grid_nodes, D) nonzero where the component is prescribed
+  /// @param bulk  on C' M^-1 C
   /// @return (num_blocks, D, D)
-  std::vector<double> assemble(const std::uint8_t* fixed, ThreadPool& pool) const;
+  std::vector<double> assemble(const std::uint8_t* fixed, double bulk, ThreadPool& pool) const;
 
  private:
   static constexpr int kCorners = 1 << D, kPatch = 3 * kCorners / 2;
 
-  void add_cells(double* values, ThreadPool& pool) const;
+  void add_cells(double bulk, double* values, ThreadPool& pool) const;
   void add_faces(double* values, ThreadPool& pool) const;
   double* block(double* values, std::int64_t row, int bit) const {
     return values + (indptr_[static_cast<std::size_t>(row)] +

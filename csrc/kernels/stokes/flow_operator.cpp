@@ -252,7 +252,7 @@ void FlowOperator<D>::gradient(const double* v, const double* z, const FlowData&
               double* out = by_value.data() + index * Cut::kSize;
               const bool high = inner ? side == 0 : kind == FaceKind::kHigh;
               out[Cut::kAperture + 2 * axis + high] +=
-                  (inner ? 0.5 : 1.0) * sum * terms[t].by_aperture;
+                  geometry_.face_share(cell, axis, kind) * sum * terms[t].by_aperture;
               const double by_volume = sum * terms[t].by_fraction[side] / grid.cell_volume;
               for (int q = 0; q < Cut::kPoints; ++q) out[Cut::kVolume + q] += by_volume;
             }

@@ -9,6 +9,8 @@
 
 namespace diffsim {
 
+enum class FlowSolver { kAuto, kDirect, kIterative };
+
 struct FlowOptions {
   bool slip = false;           // slip wall instead of no-slip
   double beta = 20.0;          // Nitsche penalty [-]
@@ -21,6 +23,8 @@ struct FlowOptions {
   bool incompressible = false;
   double tolerance = 1e-9;  // of the relative divergence, where incompressible
   int max_iters = 100;
+  FlowSolver solver = FlowSolver::kAuto;
+  double rtol = 1e-9;  // of the iterative solver's residual
 };
 
 /// Given fields; nullptr where absent.

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "kernels/stokes/flow_mixed.h"
 #include "kernels/stokes/flow_regions.h"
 
 namespace diffsim {
@@ -23,6 +24,15 @@ double* at_case(double* field, std::int64_t stride, std::int64_t k) {
   return field ? field + stride * k : nullptr;
 }
 
+/// Where the iterative path begins to be the faster one, by measurement: in two dimensions, and
+/// where incompressible (a solve per step of the pressure's iteration), beyond what fits into
+/// memory.
+template <int D>
+bool choose_iterative(const FlowOptions& options, std::int64_t num_nodes) {
+  if (options.solver != FlowSolver::kAuto) return options.solver == FlowSolver::kIterative;
+  return D == 3 && !options.incompressible && num_nodes > kMaxDirectNodes;
+}
+
 template <int D>
 class FlowSystem final : public StokesSystem {
  public:
@@ -31,7 +41,8 @@ class FlowSystem final : public StokesSystem {
       : start_(seconds()),
         op_(StokesGrid<D>(in.shape), in.phi, in.open, options, pool),
         regions_(op_, in.fixed),
-        fixed_(in.fixed, in.fixed + grid().num_nodes * D) {
+        fixed_(in.fixed, in.fixed + grid().num_nodes * D),
+        memory_(plan.memory()) {
     if (geometry().active_nodes().empty())
       throw std::invalid_argument("phi leaves no fluid: it must be > 0 somewhere in the box");
     for (std::int64_t cell = 0; cell < grid().num_cells; ++cell) {
@@ -42,31 +53,21 @@ class FlowSystem final : public StokesSystem {
       if (rigid) rigid_cells_.push_back(cell);
     }
     const FlowMatrix<D> matrix(op_, pool);
-    const double geometry_end = seconds();
-    factor_ = std::make_unique<CholeskyFactor>(matrix.analyze(plan));
-    const double analysis_end = seconds();
-    {
-      const std::vector<double> values = matrix.assemble(in.fixed, pool);
-      report_.assembly_s = seconds() - analysis_end;
-      try {
-        factor_->refactor(values.data(), pool);
-      } catch (const NotPositiveDefinite& e) {
-        const std::int64_t node = geometry().active_nodes()[u(e.unknown / D)];
-        throw NotPositiveDefinite(node * D + e.unknown % D, e.pivot);
-      }
-    }
-    factor_->release_refactor_memory();
-    report_.factor_s = seconds() - analysis_end - report_.assembly_s;
-    report_.geometry_s = geometry_end - start_;
-    report_.analysis_s = analysis_end - geometry_end;
+    report_.geometry_s = seconds() - start_;
     report_.num_cells = geometry().num_active_cells();
     for (std::int64_t cell : geometry().cut_cells())
       report_.num_cut_cells += geometry().active(cell);
     report_.num_nodes = matrix.num_nodes();
+    report_.iterative = choose_iterative<D>(options, matrix.num_nodes());
+    if (report_.iterative)
+      prepare_iterative(in, matrix, pool);
+    else
+      factorise(in, matrix, plan, pool);
     regions_.count(report_.num_regions, report_.num_loose_regions, report_.num_loose_cells);
-    report_.factor_nnz = factor_->nnz();
-    report_.factor_bytes = factor_->bytes();
-    report_.factor_flops = factor_->flops();
+  }
+
+  ~FlowSystem() override {
+    if (factor_) memory_->give_back(factor_->take_memory());
   }
 
   const FlowReport& report() const override { return report_; }
@@ -84,6 +85,7 @@ class FlowSystem final : public StokesSystem {
       });
       stats[k].net_inflow = regions_.net_inflow(op_, v + k * N, data_of(in, k).wall_velocity);
     }
+    if (mixed_) return solve_mixed(in, v, p, stats, pool);
     // K v = b with the pressure eliminated, -(bulk / M) C(v, g): one correction of the lifted
     // values.
     const double bulk = op_.options().bulk * in.viscosity;
@@ -122,42 +124,15 @@ class FlowSystem final : public StokesSystem {
     const double bulk = op_.options().bulk * in.viscosity;
     const bool strict = op_.options().incompressible;
     std::vector<double> z(u(N * cases)), pi(u(M * cases)), mu(u(M * cases)), mean(u(M));
-    std::vector<double> r(u(N)), C(u(M)), effective(u(M)), b(num_unknowns() * u(cases));
+    std::vector<double> r(u(N)), C(u(M)), effective(u(M));
     for (std::int64_t k = 0; k < cases; ++k) stats[k] = FlowStats();
     // Stationary points of L(v, p) - e(v, z) + p C(z) - pi (C(v, g) - mean V + p M / bulk) - mu p
     // V:
     //   e(., z) + C' pi = dL/dv,  C z + dL/dp = pi M / bulk  (or mu V where incompressible).
-    const auto excess = [&](std::int64_t k) {  // C z + dL/dp - mu V
-      op_.outflow(z.data() + k * N, nullptr, C.data(), pool);
-      for (std::int64_t cell = 0; cell < M; ++cell)
-        if (geometry().active(cell)) C[u(cell)] += grad_p[k * M + cell];
-      if (strict) constrain(C.data(), mu.data() + k * M);
-    };
-    for (std::int64_t k = 0; k < cases; ++k) {
-      excess(k);
-      std::fill(effective.begin(), effective.end(), 0.0);
-      add_pressure(-bulk, C.data(), effective.data());
-      op_.residual(z.data() + k * N, FlowData(), effective.data(), in.viscosity, r.data(), pool);
-      for_active([&](std::int64_t i, std::int64_t) { r[u(i)] -= grad_v[k * N + i]; });
-      gather(r.data(), b.data(), k, cases, -1.0 / in.viscosity);
-    }
-    factor_->solve(b.data(), b.data(), static_cast<int>(cases), workspace_, pool);
-    std::vector<double> remainder(u(M * cases));
-    for (std::int64_t k = 0; k < cases; ++k) {
-      scatter_add(b.data(), k, cases, 1.0, z.data() + k * N);
-      excess(k);
-      stats[k].num_iters = 1.0;
-      stats[k].divergence = divergence(C.data(), z.data() + k * N);
-      std::copy(C.begin(), C.end(), remainder.begin() + k * M);
-    }
-    if (strict) {
-      close(in.viscosity, cases, -1.0, z.data(), pi.data(), remainder.data(), stats, pool);
-      for (std::int64_t k = 0; k < cases; ++k) excess(k);  // mu of the final z
-    }
-    for (std::int64_t k = 0; k < cases; ++k) {
-      add_pressure(bulk, remainder.data() + k * M, pi.data() + k * M);
-      if (strict) regions_.subtract_level(op_, pi.data() + k * M);
-    }
+    if (mixed_)
+      adjoint_mixed(in, grad_v, grad_p, z.data(), pi.data(), mu.data(), stats, pool);
+    else
+      adjoint_direct(in, grad_v, grad_p, z.data(), pi.data(), mu.data(), stats, pool);
 
     const double inverse_bulk = strict ? 0.0 : 1.0 / bulk;
     for (std::int64_t k = 0; k < cases; ++k) {
@@ -225,6 +200,144 @@ class FlowSystem final : public StokesSystem {
             at_case(in.data.traction, in.traction_stride, k)};
   }
 
+  void factorise(const FlowGeometryInputs& in, const FlowMatrix<D>& matrix, StokesPlan& plan,
+                 ThreadPool& pool) {
+    const double start = seconds();
+    factor_ = std::make_unique<CholeskyFactor>(matrix.analyze(in.fixed, plan),
+                                               FactorPrecision::kFloat64, memory_->take());
+    const double analysis_end = seconds();
+    {
+      const std::vector<double> values = matrix.assemble(in.fixed, op_.options().bulk, pool);
+      report_.assembly_s = seconds() - analysis_end;
+      try {
+        factor_->refactor(values.data(), pool);
+      } catch (const NotPositiveDefinite& e) {
+        const std::int64_t node = geometry().active_nodes()[u(e.unknown / D)];
+        throw NotPositiveDefinite(node * D + e.unknown % D, e.pivot);
+      }
+    }
+    report_.factor_s = seconds() - analysis_end - report_.assembly_s;
+    report_.analysis_s = analysis_end - start;
+    report_.factor_nnz = factor_->nnz();
+    report_.solver_bytes = report_.factor_bytes = factor_->bytes();
+    report_.factor_flops = factor_->flops();
+  }
+  void prepare_iterative(const FlowGeometryInputs& in, const FlowMatrix<D>& matrix,
+                         ThreadPool& pool) {
+    const double start = seconds();
+    try {
+      mixed_ = std::make_unique<FlowMixed<D>>(op_, matrix, in.fixed, pool);
+    } catch (const NotPositiveDefinite& e) {
+      throw NotPositiveDefinite(-1, e.pivot);  // an unknown of a coarse grid means nothing outside
+    }
+    report_.assembly_s = seconds() - start;
+    report_.solver_bytes = mixed_->bytes();
+  }
+
+  /// The mixed system from the lifted values in v.
+  void solve_mixed(const FlowInputs& in, double* v, double* p, FlowStats* stats, ThreadPool& pool) {
+    const std::int64_t N = grid().num_nodes * D, M = grid().num_cells;
+    const bool strict = op_.options().incompressible;
+    std::vector<double> r(u(N)), C(u(M)), step(u(N)), pressure(u(M));
+    std::vector<double> remainder(strict ? u(M * in.num_cases) : 0);
+    const auto excess = [&](std::int64_t k) {
+      op_.outflow(v + k * N, data_of(in, k).wall_velocity, C.data(), pool);
+      if (strict) constrain(C.data(), nullptr);
+    };
+    for (std::int64_t k = 0; k < in.num_cases; ++k) {
+      excess(k);
+      op_.residual(v + k * N, data_of(in, k), nullptr, in.viscosity, r.data(), pool);
+      for (double& value : r) value /= -in.viscosity;
+      for (double& value : C) value = -value;
+      run_mixed(r.data(), C.data(), step.data(), pressure.data(), stats[k], pool);
+      for (std::int64_t i = 0; i < N; ++i) v[k * N + i] += step[u(i)];
+      for (std::int64_t cell = 0; cell < M; ++cell)
+        p[k * M + cell] = in.viscosity * pressure[u(cell)];
+      excess(k);
+      stats[k].divergence = divergence(C.data(), v + k * N);
+      for (std::int64_t cell = 0; cell < M && strict; ++cell)
+        remainder[u(k * M + cell)] = -C[u(cell)];
+    }
+    if (!strict) return;
+    close(in.viscosity, in.num_cases, 1.0, v, p, remainder.data(), stats, pool);
+    for (std::int64_t k = 0; k < in.num_cases; ++k) regions_.subtract_level(op_, p + k * M);
+  }
+  /// E z - C' p = dL/dv / eta, C z + p M / bulk = -dL/dp, pi = -eta p.
+  void adjoint_mixed(const FlowInputs& in, const double* grad_v, const double* grad_p, double* z,
+                     double* pi, double* mu, FlowStats* stats, ThreadPool& pool) {
+    const std::int64_t N = grid().num_nodes * D, M = grid().num_cells;
+    const bool strict = op_.options().incompressible;
+    std::vector<double> f(u(N)), C(u(M)), remainder(strict ? u(M * in.num_cases) : 0);
+    for (std::int64_t k = 0; k < in.num_cases; ++k) {
+      for (std::int64_t i = 0; i < N; ++i) f[u(i)] = grad_v[k * N + i] / in.viscosity;
+      adjoint_excess(k, z, grad_p, mu, C.data(), pool);
+      for (double& value : C) value = -value;
+      run_mixed(f.data(), C.data(), z + k * N, pi + k * M, stats[k], pool);
+      for (std::int64_t cell = 0; cell < M; ++cell) pi[k * M + cell] *= -in.viscosity;
+      adjoint_excess(k, z, grad_p, mu, C.data(), pool);
+      stats[k].divergence = divergence(C.data(), z + k * N);
+      if (strict) std::copy(C.begin(), C.end(), remainder.begin() + k * M);
+    }
+    if (!strict) return;
+    close(in.viscosity, in.num_cases, -1.0, z, pi, remainder.data(), stats, pool);
+    for (std::int64_t k = 0; k < in.num_cases; ++k) {
+      adjoint_excess(k, z, grad_p, mu, C.data(), pool);  // mu of the final z
+      regions_.subtract_level(op_, pi + k * M);
+    }
+  }
+  void run_mixed(const double* f, const double* g, double* v, double* p, FlowStats& stats,
+                 ThreadPool& pool) {
+    const FlowOptions& options = op_.options();
+    const KrylovResult result = mixed_->solve(f, g, v, p, options.rtol, options.max_iters, pool);
+    stats.num_iters = result.num_iters;
+    stats.residual = result.residual_norm;
+    stats.converged = result.converged;
+  }
+
+  /// C z + dL/dp - mu V of a case.
+  void adjoint_excess(std::int64_t k, const double* z, const double* grad_p, double* mu, double* C,
+                      ThreadPool& pool) const {
+    const std::int64_t N = grid().num_nodes * D, M = grid().num_cells;
+    op_.outflow(z + k * N, nullptr, C, pool);
+    for (std::int64_t cell = 0; cell < M; ++cell)
+      if (geometry().active(cell)) C[cell] += grad_p[k * M + cell];
+    if (op_.options().incompressible) constrain(C, mu + k * M);
+  }
+  /// @param[out] z, pi, mu zero on entry
+  void adjoint_direct(const FlowInputs& in, const double* grad_v, const double* grad_p, double* z,
+                      double* pi, double* mu, FlowStats* stats, ThreadPool& pool) {
+    const std::int64_t N = grid().num_nodes * D, M = grid().num_cells, cases = in.num_cases;
+    const double bulk = op_.options().bulk * in.viscosity;
+    const bool strict = op_.options().incompressible;
+    std::vector<double> r(u(N)), C(u(M)), effective(u(M)), b(num_unknowns() * u(cases));
+    const auto excess = [&](std::int64_t k) { adjoint_excess(k, z, grad_p, mu, C.data(), pool); };
+    for (std::int64_t k = 0; k < cases; ++k) {
+      excess(k);
+      std::fill(effective.begin(), effective.end(), 0.0);
+      add_pressure(-bulk, C.data(), effective.data());
+      op_.residual(z + k * N, FlowData(), effective.data(), in.viscosity, r.data(), pool);
+      for_active([&](std::int64_t i, std::int64_t) { r[u(i)] -= grad_v[k * N + i]; });
+      gather(r.data(), b.data(), k, cases, -1.0 / in.viscosity);
+    }
+    factor_->solve(b.data(), b.data(), static_cast<int>(cases), workspace_, pool);
+    std::vector<double> remainder(u(M * cases));
+    for (std::int64_t k = 0; k < cases; ++k) {
+      scatter_add(b.data(), k, cases, 1.0, z + k * N);
+      excess(k);
+      stats[k].num_iters = 1.0;
+      stats[k].divergence = divergence(C.data(), z + k * N);
+      std::copy(C.begin(), C.end(), remainder.begin() + k * M);
+    }
+    if (strict) {
+      close(in.viscosity, cases, -1.0, z, pi, remainder.data(), stats, pool);
+      for (std::int64_t k = 0; k < cases; ++k) excess(k);  // mu of the final z
+    }
+    for (std::int64_t k = 0; k < cases; ++k) {
+      add_pressure(bulk, remainder.data() + k * M, pi + k * M);
+      if (strict) regions_.subtract_level(op_, pi + k * M);
+    }
+  }
+
   /// Root mean square dilatation, relative to max |v| / (longest side of the box).
   double divergence(const double* C, const double* v) const {
     double sum = 0.0, volume = 0.0, largest = 0.0, side = 0.0;
@@ -264,6 +377,8 @@ class FlowSystem final : public StokesSystem {
     const double bulk = options.bulk * eta;
     std::vector<double> d(u(M * cases), 0.0), y(u(M)), rest(u(N), 0.0), r(u(N)), C(u(M));
     std::vector<double> b(num_unknowns() * u(cases)), ry(u(cases), 0.0), step(u(N));
+    std::vector<double> inner_iters(u(cases));
+    for (std::int64_t k = 0; k < cases; ++k) inner_iters[u(k)] = stats[k].num_iters;
     const auto dot = [&](const double* a, const double* c) {
       double sum = 0.0;
       for (std::int64_t cell = 0; cell < M; ++cell) sum += a[cell] * c[cell];
@@ -286,25 +401,33 @@ class FlowSystem final : public StokesSystem {
           d[u(k * M + cell)] = y[u(cell)] + beta * d[u(k * M + cell)];
       }
       if (done || iter >= options.max_iters) return;
-      for (std::int64_t k = 0; k < cases; ++k) {
+      for (std::int64_t k = 0; k < cases && factor_; ++k) {
         op_.residual(rest.data(), FlowData(), d.data() + k * M, eta, r.data(), pool);
         gather(r.data(), b.data(), k, cases, -1.0 / eta);
       }
-      factor_->solve(b.data(), b.data(), static_cast<int>(cases), workspace_, pool);
+      if (factor_) factor_->solve(b.data(), b.data(), static_cast<int>(cases), workspace_, pool);
       for (std::int64_t k = 0; k < cases; ++k) {
         std::fill(step.begin(), step.end(), 0.0);
-        scatter_add(b.data(), k, cases, 1.0, step.data());
+        if (factor_) {
+          scatter_add(b.data(), k, cases, 1.0, step.data());
+        } else {  // K v = C' d / eta as E v - C' p = 0, C v + p M / bulk = d M / (bulk eta)
+          for (std::int64_t cell = 0; cell < M; ++cell)
+            C[u(cell)] = d[u(k * M + cell)] / bulk * op_.pressure_volume(cell);
+          const KrylovResult inner = mixed_->solve(rest.data(), C.data(), step.data(), y.data(),
+                                                   options.rtol, options.max_iters, pool);
+          inner_iters[u(k)] += inner.num_iters;
+        }
         op_.outflow(step.data(), nullptr, C.data(), pool);
         constrain(C.data(), nullptr);
         const double curvature = dot(d.data() + k * M, C.data());
         if (!(curvature > 0.0)) continue;
         const double alpha = ry[u(k)] / curvature;
         for (std::int64_t cell = 0; cell < M; ++cell) {
-          multiplier[k * M + cell] += alpha * d[u(k * M + cell)];
+          multiplier[k * M + cell] += alpha * (factor_ ? d[u(k * M + cell)] : eta * y[u(cell)]);
           remainder[k * M + cell] -= alpha * C[u(cell)];
         }
         for (std::int64_t i = 0; i < N; ++i) x[k * N + i] += sign * alpha * step[u(i)];
-        stats[k].num_iters = iter + 1;
+        stats[k].num_iters = factor_ ? iter + 1 : inner_iters[u(k)];
       }
     }
   }
@@ -314,7 +437,9 @@ class FlowSystem final : public StokesSystem {
   FlowRegions<D> regions_;
   std::vector<std::uint8_t> fixed_;
   std::vector<std::int64_t> rigid_cells_;  // active, all velocities prescribed
-  std::unique_ptr<CholeskyFactor> factor_;
+  std::shared_ptr<StokesMemory> memory_;
+  std::unique_ptr<CholeskyFactor> factor_;  // or
+  std::unique_ptr<FlowMixed<D>> mixed_;
   CholeskyWorkspace workspace_;
   FlowReport report_;
 };

@@ -6,6 +6,7 @@
 // pressure with the same matrix (the augmented Lagrangian iteration, accelerated); in a region
 // without open faces C(v, g) = mean V (fluid volume) with the mean that the boundary values leave,
 // and sum V p = 0. The factor does not depend on viscosity, boundary values or loads.
+// Large systems keep their pressures and are solved iteratively: flow_mixed.h.
 #pragma once
 
 #include <cstdint>
@@ -22,13 +23,18 @@ struct FlowGeometryInputs {
   bool open[2 * kStokesMaxDim] = {};    // faces of the box, axis by axis, low side first
 };
 
+/// Active nodes up to which "auto" is direct, in three dimensions.
+constexpr std::int64_t kMaxDirectNodes = 80000;
+
 /// Numbers about a prepared system.
 struct FlowReport {
   std::int64_t num_cells = 0, num_cut_cells = 0, num_nodes = 0;  // active ones
   std::int64_t num_regions = 0;                                  // connected parts of the fluid
-  std::int64_t num_loose_regions = 0;  // those without prescribed values or an open face
-  std::int64_t num_loose_cells = 0;    // and their cells
-  std::int64_t factor_nnz = 0, factor_bytes = 0;
+  std::int64_t num_loose_regions = 0;             // those without prescribed values or an open face
+  std::int64_t num_loose_cells = 0;               // and their cells
+  bool iterative = false;                         // or direct
+  std::int64_t factor_nnz = 0, factor_bytes = 0;  // direct
+  std::int64_t solver_bytes = 0;                  // matrices kept
   double factor_flops = 0.0;
   double geometry_s = 0.0, assembly_s = 0.0, analysis_s = 0.0, factor_s = 0.0;  // wall time
 };
@@ -44,6 +50,7 @@ struct FlowInputs {
 /// Of one case; Python reads these as doubles.
 struct FlowStats {
   double num_iters = 0.0, divergence = 0.0, converged = 1.0, net_inflow = 0.0;
+  double residual = 0.0;  // iterative: |residual| / |right-hand side|
 };
 
 struct FlowGradients {
@@ -70,7 +77,7 @@ class StokesSystem {
                        FlowStats* stats, ThreadPool& pool) = 0;
 };
 
-/// @throws NotPositiveDefinite with the unknown as grid node * D + axis
+/// @throws NotPositiveDefinite with the unknown as grid node * D + axis, or -1 (coarse grid)
 std::shared_ptr<StokesSystem> make_stokes_system(const FlowGeometryInputs& in,
                                                  const FlowOptions& options, StokesPlan& plan,
                                                  ThreadPool& pool);

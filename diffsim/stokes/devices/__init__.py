@@ -15,6 +15,7 @@ from collections.abc import Callable
 from diffsim._check import require_choice
 from diffsim.stokes.devices.amplifier import amplifier
 from diffsim.stokes.devices.averager import averager
+from diffsim.stokes.devices.coarse_to_fine import CoarseStage, coarse_to_fine
 from diffsim.stokes.devices.device import Device, Parameter, State
 from diffsim.stokes.devices.funnel import funnel
 from diffsim.stokes.devices.gate import gate
@@ -46,12 +47,14 @@ def make(name: str, resolution: float = 1.0, **options: object) -> Device:
 
 __all__ = [
     "DEVICES",
+    "CoarseStage",
     "Device",
     "Optimum",
     "Parameter",
     "State",
     "amplifier",
     "averager",
+    "coarse_to_fine",
     "funnel",
     "gate",
     "make",

@@ -68,6 +68,8 @@ class Device:
         states: Geometries; the loss is the sum over them.
         num_samples: Random designs that the thesis draws for this many parameters.
         cases: Names of the inlet cases.
+        directions: Wanted direction (x, y) at the outlets for every case, where that is the aim;
+            pictures then show angles to it.
         slices: Heights of horizontal planes that pictures show, as shares of the box (3D).
         reference: Values of thesis table 4.5: "loss", "seconds" per call on its machine.
         options: What the device was made with.
@@ -79,6 +81,7 @@ class Device:
     states: tuple[State, ...]
     num_samples: int
     cases: tuple[str, ...] = ("flow",)
+    directions: tuple[tuple[float, float], ...] = ()
     slices: tuple[float, ...] = (0.5,)
     reference: Mapping[str, float] = field(default_factory=dict)
     options: Mapping[str, object] = field(default_factory=dict)

@@ -59,6 +59,7 @@ def funnel(resolution: float = 1.0, *, bump: float = 0.06) -> Device:
         states=(State("funnel", shape, inputs(), loss),),
         num_samples=10,
         cases=CASES,
+        directions=((1.0, 1.0), (1.0, 1.0)),
         reference={"loss": 2.3e-1, "seconds": 64.8},
         options={"resolution": resolution, "bump": bump},
     )

@@ -45,6 +45,7 @@ def gate(resolution: float = 1.0) -> Device:
         states=(State("gate", _walls, inputs(), loss),),
         num_samples=10,
         cases=CASES,
+        directions=((1.0, 0.0), (0.0, 1.0)),
         reference={"loss": 4.9e-1, "seconds": 4.9},
         options={"resolution": resolution},
     )

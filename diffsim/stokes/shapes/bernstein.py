@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import torch
@@ -12,23 +13,27 @@ _NOISE = 4e-16  # coefficients below this, relative to the largest, count as zer
 _MAX_STEPS = 80
 
 
+@functools.cache
 def binomials(degree: int) -> Tensor:
-    """C(n, 0), ..., C(n, n)."""
+    """C(n, 0), ..., C(n, n); shared, not to be written to."""
     return torch.tensor([math.comb(degree, k) for k in range(degree + 1)], dtype=torch.float64)
 
 
 def basis(t: Tensor, degree: int) -> Tensor:
     """C(n, k) t^k (1 - t)^(n - k), (..., n + 1)."""
-    k = torch.arange(degree + 1, dtype=torch.float64)
-    t = t[..., None]
-    return binomials(degree) * t**k * (1.0 - t) ** (degree - k)
+    rising, falling = [torch.ones_like(t)], [torch.ones_like(t)]
+    for _ in range(degree):
+        rising.append(rising[-1] * t)
+        falling.append(falling[-1] * (1.0 - t))
+    products = [up * down for up, down in zip(rising, reversed(falling), strict=True)]
+    return binomials(degree) * torch.stack(products, -1)
 
 
 def product(a: Tensor, b: Tensor) -> Tensor:
     """Coefficients (..., m + n + 1) of the product of two polynomials."""
     m, n = a.shape[-1] - 1, b.shape[-1] - 1
     scaled_a, scaled_b = a * binomials(m), b * binomials(n)
-    shape = torch.broadcast_shapes(a.shape[:-1], b.shape[:-1])
+    shape = (a[..., 0] + b[..., 0]).shape  # torch.broadcast_shapes takes 0.2 ms
     out = torch.zeros(*shape, m + n + 1, dtype=torch.float64)
     for i in range(m + 1):
         out[..., i : i + n + 1] += scaled_a[..., i : i + 1] * scaled_b
@@ -40,8 +45,12 @@ def derivative(a: Tensor) -> Tensor:
     return (a.shape[-1] - 1) * (a[..., 1:] - a[..., :-1])
 
 
+@functools.lru_cache(maxsize=256)
 def restriction(degree: int, start: float, end: float) -> Tensor:
-    """Matrix (n + 1, n + 1) from coefficients on [0, 1] to those on [start, end] (blossoming)."""
+    """Matrix (n + 1, n + 1) from coefficients on [0, 1] to those on [start, end] (blossoming).
+
+    Shared, not to be written to.
+    """
     rows = []
     for k in range(degree + 1):
         row = torch.eye(degree + 1, dtype=torch.float64)
@@ -53,12 +62,11 @@ def restriction(degree: int, start: float, end: float) -> Tensor:
 
 
 def value_and_slope(a: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
-    """Values and derivatives (N,) of polynomials a (N, n + 1), n > 0, at t (N,); de Casteljau."""
-    t = t[:, None]
-    degree = a.shape[1] - 1
+    """Values and derivatives (N,) of polynomials a (n + 1, N), n > 0, at t (N,); de Casteljau."""
+    degree, s = len(a) - 1, 1.0 - t
     for _ in range(degree - 1):
-        a = (1.0 - t) * a[:, :-1] + t * a[:, 1:]
-    return ((1.0 - t) * a[:, :1] + t * a[:, 1:])[:, 0], degree * (a[:, 1] - a[:, 0])
+        a = torch.addcmul(s * a[:-1], t, a[1:])
+    return torch.addcmul(s * a[0], t, a[1]), degree * (a[1] - a[0])
 
 
 def rising_roots(a: Tensor) -> tuple[Tensor, Tensor]:
@@ -115,20 +123,21 @@ def _sign_changes(a: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
 
 def _single_root(a: Tensor) -> Tensor:
     """The root of polynomials that rise through zero once in [0, 1]: Newton within a bracket."""
-    low, high = torch.zeros(len(a), dtype=torch.float64), torch.ones(len(a), dtype=torch.float64)
-    t = 0.5 * (low + high)
-    todo = torch.arange(len(a))
+    root = torch.full((len(a),), 0.5, dtype=torch.float64)
+    a, t, index = a.T.contiguous(), root, torch.arange(len(root))
+    low, high = torch.zeros_like(t), torch.ones_like(t)
     for _ in range(_MAX_STEPS):
-        if len(todo) == 0:
+        if len(index) == 0:
             break
-        now = t[todo]
-        value, slope = value_and_slope(a[todo], now)
-        low[todo] = torch.where(value <= 0, now, low[todo])
-        high[todo] = torch.where(value >= 0, now, high[todo])
-        step = now - value / torch.where(slope == 0, 1.0, slope)
-        inside = (slope > 0) & (step > low[todo]) & (step < high[todo])
-        new = torch.where(inside, step, 0.5 * (low[todo] + high[todo]))
-        new = torch.where(value == 0, now, new)
-        t[todo] = new
-        todo = todo[(new - now).abs() > 4e-16]
-    return t
+        value, slope = value_and_slope(a, t)
+        low = torch.where(value <= 0, t, low)
+        high = torch.where(value >= 0, t, high)
+        step = t - value / torch.where(slope == 0, 1.0, slope)
+        # Ends included: a step that moves no more has arrived, and must not be thrown back.
+        inside = (slope > 0) & (step >= low) & (step <= high)
+        new = torch.where(inside, step, 0.5 * (low + high))
+        going = torch.nonzero((new - t).abs() > 4e-16)[:, 0]
+        root[index] = new
+        index, t, a = index[going], new[going], a[:, going]
+        low, high = low[going], high[going]
+    return root

@@ -102,8 +102,12 @@ class _Parts:
         self.end_points = chain.point(self.ends)
 
 
+def _distances(p: Tensor, q: Tensor) -> Tensor:
+    return torch.cdist(p, q, compute_mode="donot_use_mm_for_euclid_dist")  # no cancellation
+
+
 def _closest(chain: Chain, parts: _Parts, p: Tensor, rays: Tensor | None) -> Tensor:
-    near, which = (p[:, None] - parts.end_points).norm(dim=2).min(1)
+    near, which = _distances(p, parts.end_points).min(1)
     point, tau, distance = [torch.arange(len(p))], [parts.ends[which]], [near]
     for end in range(0 if rays is None else 2):
         tip = parts.end_points[-end]
@@ -113,7 +117,7 @@ def _closest(chain: Chain, parts: _Parts, p: Tensor, rays: Tensor | None) -> Ten
         point.append(torch.nonzero(on)[:, 0])
         tau.append(-s[on] if end == 0 else chain.num_curves + s[on])
         distance.append(off.norm(dim=1))
-    bound = (p[:, None] - parts.center).norm(dim=2) - parts.radius
+    bound = _distances(p, parts.center) - parts.radius
     i, part = torch.nonzero(bound <= near[:, None] + 1e-12 * chain.size, as_tuple=True)
     g = parts.a[part] - (p[i, :, None] * parts.d[part]).sum(1)
     row, t = rising_roots(g)

@@ -1,0 +1,361 @@
+#include "kernels/stokes/flow_multigrid.h"
+
+#include <Eigen/Dense>
+#include <algorithm>
+
+namespace diffsim {
+namespace {
+
+std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
+
+constexpr std::int64_t kCoarsest = 1200;  // nodes that are factorised rather than coarsened
+constexpr int kMaxLevels = 12;
+constexpr std::int64_t kChunk = 256;
+
+template <typename F>
+void for_chunks(std::int64_t n, ThreadPool& pool, F&& f) {
+  pool.run((n + kChunk - 1) / kChunk, [&](std::int64_t task) {
+    for (std::int64_t i = task * kChunk; i < std::min(n, (task + 1) * kChunk); ++i) f(i);
+  });
+}
+
+constexpr int pow5(int d) { return d == 0 ? 1 : 5 * pow5(d - 1); }
+
+}  // namespace
+
+template <int D>
+FlowMultigrid<D>::FlowMultigrid(const NodeMatrix<D>& matrix, const NodePositions<D>& positions,
+                                const std::vector<std::uint8_t>& fixed, double scale,
+                                ThreadPool& pool) {
+  NodeMatrix<D> held;
+  NodePositions<D> at = positions;
+  const NodeMatrix<D>* A = &matrix;
+  std::vector<std::uint8_t> held_fixed = fixed;
+  while (A->num_nodes() > kCoarsest && levels_.size() < kMaxLevels) {
+    levels_.emplace_back();
+    levels_.back().fixed = std::move(held_fixed);
+    NodePositions<D> coarse = coarsen(at, levels_.back());
+    if (2 * coarse.size() > at.size()) {  // thin: nothing to gain
+      held_fixed = std::move(levels_.back().fixed);
+      levels_.pop_back();
+      break;
+    }
+    add_level(*A, at, scale, pool);
+    NodeMatrix<D> next = galerkin(*A, coarse, levels_.back(), pool);
+    held = std::move(next);
+    A = &held;
+    at = std::move(coarse);
+    held_fixed.assign(at.size() * D, 0);
+    for (std::int64_t i = 0; i < held.num_nodes(); ++i)
+      for (std::int64_t k = held.indptr[u(i)]; k < held.indptr[u(i) + 1]; ++k)
+        if (held.columns[u(k)] == i)
+          for (int a = 0; a < D; ++a) {
+            double& diagonal = held.values[u(k * D * D + a * D + a)];
+            if (diagonal > 0.0) continue;
+            diagonal = 1.0 / scale;
+            held_fixed[u(i * D + a)] = 1;
+          }
+  }
+  factorise(*A, at, scale, pool);
+}
+
+template <int D>
+NodePositions<D> FlowMultigrid<D>::coarsen(const NodePositions<D>& positions, Level& level) const {
+  std::int32_t size[D] = {};
+  for (const auto& p : positions)
+    for (int a = 0; a < D; ++a) size[a] = std::max(size[a], p[u(a)] / 2 + 2);
+  std::int64_t stride[D], total = 1;
+  for (int a = D - 1; a >= 0; --a) {
+    stride[a] = total;
+    total *= size[a];
+  }
+  // Parents of a fine node: along each axis one coarse node, or the two about it.
+  const auto for_parents = [&](const std::array<std::int32_t, D>& p, auto&& f) {
+    for (int bits = 0; bits < 1 << D; ++bits) {
+      std::int64_t index = 0;
+      float weight = 1.0f;
+      for (int a = 0; a < D; ++a) {
+        const bool odd = p[u(a)] % 2 != 0, high = (bits >> (D - 1 - a)) & 1;
+        if (high && !odd) weight = 0.0f;
+        if (odd) weight *= 0.5f;
+        index += (p[u(a)] / 2 + (high ? 1 : 0)) * stride[a];
+      }
+      if (weight > 0.0f) f(index, weight);
+    }
+  };
+  std::vector<std::int32_t> number(u(total), -1);
+  for (const auto& p : positions)
+    for_parents(p, [&](std::int64_t index, float) { number[u(index)] = 0; });
+  NodePositions<D> coarse;
+  for (std::int64_t index = 0; index < total; ++index) {
+    if (number[u(index)] < 0) continue;
+    number[u(index)] = static_cast<std::int32_t>(coarse.size());
+    std::array<std::int32_t, D> p;
+    std::int64_t rest = index;
+    for (int a = 0; a < D; ++a) {
+      p[u(a)] = static_cast<std::int32_t>(rest / stride[a]);
+      rest %= stride[a];
+    }
+    coarse.push_back(p);
+  }
+  level.parent_start.assign(1, 0);
+  level.child_start.assign(coarse.size() + 1, 0);
+  for (const auto& p : positions) {
+    for_parents(p, [&](std::int64_t index, float weight) {
+      level.parent.push_back(number[u(index)]);
+      level.parent_weight.push_back(weight);
+      ++level.child_start[u(number[u(index)]) + 1];
+    });
+    level.parent_start.push_back(static_cast<std::int64_t>(level.parent.size()));
+  }
+  for (std::size_t i = 0; i < coarse.size(); ++i) level.child_start[i + 1] += level.child_start[i];
+  level.child.resize(level.parent.size());
+  level.child_weight.resize(level.parent.size());
+  std::vector<std::int64_t> next(level.child_start.begin(), level.child_start.end() - 1);
+  for (std::size_t i = 0; i < positions.size(); ++i)
+    for (std::int64_t k = level.parent_start[i]; k < level.parent_start[i + 1]; ++k) {
+      const std::int64_t to = next[u(level.parent[u(k)])]++;
+      level.child[u(to)] = static_cast<std::int32_t>(i);
+      level.child_weight[u(to)] = level.parent_weight[u(k)];
+    }
+  return coarse;
+}
+
+template <int D>
+void FlowMultigrid<D>::add_level(const NodeMatrix<D>& A, const NodePositions<D>& positions,
+                                 double scale, ThreadPool& pool) {
+  Level& level = levels_.back();
+  const std::int64_t n = A.num_nodes(), num_blocks = A.indptr.back();
+  level.indptr = A.indptr;
+  level.columns = A.columns;
+  level.blocks.resize(u(num_blocks * D * kLanes));
+  level.inverse.assign(u(n * D * kLanes), 0.0f);
+  for (AlignedBuffer<float>* v : {&level.x, &level.b, &level.r}) {
+    v->resize(u(n * kLanes));
+    std::fill(v->data(), v->data() + n * kLanes, 0.0f);
+  }
+  for_chunks(n, pool, [&](std::int64_t i) {
+    for (std::int64_t k = A.indptr[u(i)]; k < A.indptr[u(i) + 1]; ++k) {
+      const double* from = A.values.data() + k * D * D;
+      float* to = level.blocks.data() + k * D * kLanes;
+      for (int b = 0; b < D; ++b)
+        for (int a = 0; a < kLanes; ++a)
+          to[b * kLanes + a] = a < D ? static_cast<float>(scale * from[a * D + b]) : 0.0f;
+      if (A.columns[u(k)] != i) continue;
+      Eigen::Map<const Eigen::Matrix<double, D, D, Eigen::RowMajor>> block(from);
+      const Eigen::Matrix<double, D, D> inverse = (scale * block).inverse();
+      for (int a = 0; a < D; ++a)
+        for (int b = 0; b < D; ++b)
+          level.inverse[u((i * D + b) * kLanes + a)] = static_cast<float>(inverse(a, b));
+    }
+  });
+  level.planes.assign(1, 0);
+  for (std::int64_t i = 1; i < n; ++i)
+    for (std::int32_t p = positions[u(i - 1)][0]; p < positions[u(i)][0]; ++p)
+      level.planes.push_back(i);
+  level.planes.push_back(n);
+  bytes_ += num_blocks * (D * kLanes * 4 + 4) + n * (D * kLanes + 3 * kLanes) * 4;
+}
+
+template <int D>
+NodeMatrix<D> FlowMultigrid<D>::galerkin(const NodeMatrix<D>& A, const NodePositions<D>& coarse,
+                                         const Level& level, ThreadPool& pool) const {
+  constexpr int kSlots = pow5(D);
+  constexpr std::int64_t kRows = 64;
+  const std::int64_t n = static_cast<std::int64_t>(coarse.size());
+  struct Part {
+    std::vector<std::int64_t> counts;
+    std::vector<std::int32_t> columns;
+    std::vector<double> values;
+  };
+  std::vector<Part> parts(u((n + kRows - 1) / kRows));
+  pool.run(static_cast<std::int64_t>(parts.size()), [&](std::int64_t task) {
+    Part& part = parts[u(task)];
+    std::vector<double> row(kSlots * D * D);
+    std::vector<std::int32_t> column(kSlots);
+    for (std::int64_t I = task * kRows; I < std::min(n, (task + 1) * kRows); ++I) {
+      std::fill(row.begin(), row.end(), 0.0);
+      std::fill(column.begin(), column.end(), -1);
+      for (std::int64_t c = level.child_start[u(I)]; c < level.child_start[u(I) + 1]; ++c) {
+        const std::int64_t i = level.child[u(c)];
+        const std::uint8_t* fixed_i = level.fixed.data() + i * D;
+        for (std::int64_t k = A.indptr[u(i)]; k < A.indptr[u(i) + 1]; ++k) {
+          const std::int64_t j = A.columns[u(k)];
+          const std::uint8_t* fixed_j = level.fixed.data() + j * D;
+          double block[D * D];
+          for (int a = 0; a < D; ++a)
+            for (int b = 0; b < D; ++b)
+              block[a * D + b] = fixed_i[a] || fixed_j[b]
+                                     ? 0.0
+                                     : static_cast<double>(level.child_weight[u(c)]) *
+                                           A.values[u(k * D * D + a * D + b)];
+          for (std::int64_t q = level.parent_start[u(j)]; q < level.parent_start[u(j) + 1]; ++q) {
+            const std::int32_t J = level.parent[u(q)];
+            int slot = 0;
+            for (int a = 0; a < D; ++a)
+              slot = 5 * slot + coarse[u(J)][u(a)] - coarse[u(I)][u(a)] + 2;
+            column[u(slot)] = J;
+            const double w = level.parent_weight[u(q)];
+            for (int e = 0; e < D * D; ++e) row[u(slot * D * D + e)] += w * block[e];
+          }
+        }
+      }
+      std::int64_t count = 0;
+      for (int slot = 0; slot < kSlots; ++slot) {
+        if (column[u(slot)] < 0) continue;
+        ++count;
+        part.columns.push_back(column[u(slot)]);
+        part.values.insert(part.values.end(), row.begin() + slot * D * D,
+                           row.begin() + (slot + 1) * D * D);
+      }
+      part.counts.push_back(count);
+    }
+  });
+  NodeMatrix<D> out;
+  out.indptr.assign(1, 0);
+  std::size_t total = 0;
+  for (const Part& part : parts) total += part.columns.size();
+  out.columns.reserve(total);
+  out.values.reserve(total * D * D);
+  for (const Part& part : parts) {
+    for (std::int64_t count : part.counts) out.indptr.push_back(out.indptr.back() + count);
+    out.columns.insert(out.columns.end(), part.columns.begin(), part.columns.end());
+    out.values.insert(out.values.end(), part.values.begin(), part.values.end());
+  }
+  return out;
+}
+
+template <int D>
+void FlowMultigrid<D>::factorise(const NodeMatrix<D>& A, const NodePositions<D>& positions,
+                                 double scale, ThreadPool& pool) {
+  std::vector<std::int64_t> indices(A.columns.begin(), A.columns.end());
+  std::vector<double> coords(positions.size() * 3, 0.0), values(A.values);
+  for (std::size_t i = 0; i < positions.size(); ++i)
+    for (std::size_t a = 0; a < D; ++a) coords[3 * i + a] = positions[i][a];
+  for (double& v : values) v *= scale;
+  // Coarse functions coincide where all the fine nodes that they reach do, at the fluid's edge:
+  // only what they give together counts.
+  constexpr double kRegular = 1e-7;
+  for (std::int64_t i = 0; i < A.num_nodes(); ++i)
+    for (std::int64_t k = A.indptr[u(i)]; k < A.indptr[u(i) + 1]; ++k)
+      for (int a = 0; a < D && A.columns[u(k)] == i; ++a)
+        values[u(k * D * D + a * D + a)] *= 1.0 + kRegular;
+  coarsest_ = std::make_unique<CholeskyFactor>(
+      analyze_cholesky(A.num_nodes(), A.indptr.data(), indices.data(), coords.data(), D));
+  coarsest_->refactor(values.data(), pool);
+  coarsest_->release_refactor_memory();
+  coarse_b_.assign(u(A.num_nodes() * D), 0.0);
+  bytes_ += coarsest_->bytes();
+}
+
+template <int D>
+void FlowMultigrid<D>::sweep(Level& level, bool backward, ThreadPool& pool) const {
+  const std::int64_t num_planes = static_cast<std::int64_t>(level.planes.size()) - 1;
+  const float* b = level.b.data();
+  float* x = level.x.data();
+  const auto update = [&](std::int64_t i) {
+    Lanes s = *reinterpret_cast<const Lanes*>(b + i * kLanes);
+    const std::int64_t end = level.indptr[u(i) + 1];
+    for (std::int64_t k = level.indptr[u(i)]; k < end; ++k) {
+      const Lanes* A = reinterpret_cast<const Lanes*>(level.blocks.data() + k * D * kLanes);
+      const float* y = x + static_cast<std::int64_t>(level.columns[u(k)]) * kLanes;
+      for (int c = 0; c < D; ++c) s -= A[c] * y[c];
+    }
+    Lanes step = {};
+    for (int c = 0; c < D; ++c) {
+      Lanes column;
+      for (int a = 0; a < kLanes; ++a) column[a] = level.inverse[u((i * D + c) * kLanes + a)];
+      step += column * s[c];
+    }
+    *reinterpret_cast<Lanes*>(x + i * kLanes) += step;
+  };
+  for (int turn = 0; turn < 3; ++turn) {
+    const std::int64_t colour = backward ? 2 - turn : turn;
+    pool.run((num_planes - colour + 2) / 3, [&](std::int64_t task) {
+      const std::int64_t p = 3 * task + colour;
+      const std::int64_t begin = level.planes[u(p)], end = level.planes[u(p) + 1];
+      if (backward)
+        for (std::int64_t i = end - 1; i >= begin; --i) update(i);
+      else
+        for (std::int64_t i = begin; i < end; ++i) update(i);
+    });
+  }
+}
+
+template <int D>
+void FlowMultigrid<D>::residual(Level& level, ThreadPool& pool) const {
+  const float *b = level.b.data(), *x = level.x.data();
+  float* r = level.r.data();
+  for_chunks(level.num_nodes(), pool, [&](std::int64_t i) {
+    Lanes s = *reinterpret_cast<const Lanes*>(b + i * kLanes);
+    for (std::int64_t k = level.indptr[u(i)]; k < level.indptr[u(i) + 1]; ++k) {
+      const Lanes* A = reinterpret_cast<const Lanes*>(level.blocks.data() + k * D * kLanes);
+      const float* y = x + static_cast<std::int64_t>(level.columns[u(k)]) * kLanes;
+      for (int c = 0; c < D; ++c) s -= A[c] * y[c];
+    }
+    for (int a = 0; a < D; ++a) r[i * kLanes + a] = level.fixed[u(i * D + a)] ? 0.0f : s[a];
+  });
+}
+
+template <int D>
+void FlowMultigrid<D>::cycle(std::size_t l, ThreadPool& pool) {
+  Level& level = levels_[l];
+  std::fill(level.x.data(), level.x.data() + level.num_nodes() * kLanes, 0.0f);
+  sweep(level, false, pool);
+  residual(level, pool);
+  const bool last = l + 1 == levels_.size();
+  const std::int64_t num_coarse = static_cast<std::int64_t>(level.child_start.size()) - 1;
+  for_chunks(num_coarse, pool, [&](std::int64_t I) {
+    Lanes s = {};
+    for (std::int64_t c = level.child_start[u(I)]; c < level.child_start[u(I) + 1]; ++c)
+      s += *reinterpret_cast<const Lanes*>(level.r.data() +
+                                           static_cast<std::int64_t>(level.child[u(c)]) * kLanes) *
+           level.child_weight[u(c)];
+    for (int a = 0; a < D; ++a)
+      if (last)
+        coarse_b_[u(I * D + a)] = static_cast<double>(s[a]);
+      else
+        levels_[l + 1].b.data()[I * kLanes + a] = s[a];
+  });
+  if (last)
+    coarsest_->solve(coarse_b_.data(), coarse_b_.data(), 1, workspace_, pool);
+  else
+    cycle(l + 1, pool);
+  for_chunks(level.num_nodes(), pool, [&](std::int64_t i) {
+    for (std::int64_t q = level.parent_start[u(i)]; q < level.parent_start[u(i) + 1]; ++q)
+      for (int a = 0; a < D; ++a) {
+        if (level.fixed[u(i * D + a)]) continue;
+        const std::int64_t J = level.parent[u(q)];
+        const float y = last ? static_cast<float>(coarse_b_[u(J * D + a)])
+                             : levels_[l + 1].x.data()[J * kLanes + a];
+        level.x.data()[i * kLanes + a] += level.parent_weight[u(q)] * y;
+      }
+  });
+  sweep(level, true, pool);
+}
+
+template <int D>
+void FlowMultigrid<D>::apply(const double* b, double* x, ThreadPool& pool) {
+  if (levels_.empty()) {
+    coarsest_->solve(b, x, 1, workspace_, pool);
+    return;
+  }
+  Level& level = levels_[0];
+  for_chunks(level.num_nodes(), pool, [&](std::int64_t i) {
+    for (int a = 0; a < D; ++a) level.b.data()[i * kLanes + a] = static_cast<float>(b[i * D + a]);
+  });
+  cycle(0, pool);
+  for_chunks(level.num_nodes(), pool, [&](std::int64_t i) {
+    for (int a = 0; a < D; ++a) x[i * D + a] = static_cast<double>(level.x.data()[i * kLanes + a]);
+  });
+}
+
+template <int D>
+std::int64_t FlowMultigrid<D>::bytes() const {
+  return bytes_;
+}
+
+template class FlowMultigrid<2>;
+template class FlowMultigrid<3>;
+
+}  // namespace diffsim

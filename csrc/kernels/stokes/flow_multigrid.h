@@ -1,0 +1,88 @@
+// Geometric multigrid for the velocity matrix on the active nodes of a grid: one V-cycle as an
+// approximate inverse, in single precision.
+//
+// Coarse grids have half the cells per axis; a coarse node is active where it carries a share of an
+// active fine node. Multilinear prolongation, Galerkin matrices, one sweep of Gauss-Seidel by nodes
+// before and after the coarse correction, backwards after, so that a cycle is symmetric. Planes of
+// nodes across axis 0 are swept in three colours (a node couples with nodes up to two planes away),
+// so the result does not depend on the number of threads. The coarsest matrix is factorised.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "kernels/linalg/aligned_buffer.h"
+#include "kernels/linalg/cholesky.h"
+#include "kernels/parallel.h"
+
+namespace diffsim {
+
+/// Blocks of D x D by rows of nodes; columns ascend.
+template <int D>
+struct NodeMatrix {
+  std::vector<std::int64_t> indptr;   // (num_nodes + 1,)
+  std::vector<std::int32_t> columns;  // (num_blocks,)
+  std::vector<double> values;         // (num_blocks, D, D)
+
+  std::int64_t num_nodes() const { return static_cast<std::int64_t>(indptr.size()) - 1; }
+};
+
+/// Where nodes lie on their grid: (num_nodes, D), sorted by the first axis, then the next.
+template <int D>
+using NodePositions = std::vector<std::array<std::int32_t, D>>;
+
+template <int D>
+class FlowMultigrid {
+ public:
+  /// @param matrix    symmetric positive definite; couples nodes at most two apart per axis
+  /// @param fixed     (num_nodes, D) nonzero: row and column are those of the identity
+  /// @param scale     on the matrix, so that its entries are about one
+  FlowMultigrid(const NodeMatrix<D>& matrix, const NodePositions<D>& positions,
+                const std::vector<std::uint8_t>& fixed, double scale, ThreadPool& pool);
+
+  /// x about (scale * matrix)^-1 b; both (num_nodes, D).
+  void apply(const double* b, double* x, ThreadPool& pool);
+  std::int64_t bytes() const;
+
+ private:
+  static constexpr int kLanes = 4;  // a node's components padded for vector registers
+  using Lanes = float __attribute__((vector_size(16)));
+
+  struct Level {
+    std::vector<std::int64_t> indptr;
+    std::vector<std::int32_t> columns;
+    AlignedBuffer<float> blocks;            // (num_blocks, D, kLanes), columns of the blocks
+    std::vector<float> inverse;             // (num_nodes, D, kLanes) of the diagonal blocks
+    std::vector<std::int64_t> planes;       // first row of each plane, and the end
+    std::vector<std::uint8_t> fixed;        // (num_nodes, D)
+    AlignedBuffer<float> x, b, r;           // (num_nodes, kLanes)
+    std::vector<std::int64_t> child_start;  // of coarse nodes: (num_coarse + 1,)
+    std::vector<std::int32_t> child;        // fine nodes
+    std::vector<float> child_weight;
+    std::vector<std::int64_t> parent_start;  // of fine nodes
+    std::vector<std::int32_t> parent;
+    std::vector<float> parent_weight;
+    std::int64_t num_nodes() const { return static_cast<std::int64_t>(indptr.size()) - 1; }
+  };
+
+  void add_level(const NodeMatrix<D>& A, const NodePositions<D>& positions, double scale,
+                 ThreadPool& pool);
+  NodePositions<D> coarsen(const NodePositions<D>& positions, Level& level) const;
+  NodeMatrix<D> galerkin(const NodeMatrix<D>& A, const NodePositions<D>& coarse, const Level& level,
+                         ThreadPool& pool) const;
+  void factorise(const NodeMatrix<D>& A, const NodePositions<D>& positions, double scale,
+                 ThreadPool& pool);
+  void cycle(std::size_t l, ThreadPool& pool);
+  void sweep(Level& level, bool backward, ThreadPool& pool) const;
+  void residual(Level& level, ThreadPool& pool) const;
+
+  std::vector<Level> levels_;
+  std::unique_ptr<CholeskyFactor> coarsest_;
+  CholeskyWorkspace workspace_;
+  std::vector<double> coarse_b_;
+  std::int64_t bytes_ = 0;
+};
+
+}  // namespace diffsim

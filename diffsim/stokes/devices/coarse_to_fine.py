@@ -1,0 +1,165 @@
+"""The same search for less: sample on a coarser grid, go on at full size from the best few."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from torch import Tensor
+
+from diffsim._files import to_plain
+from diffsim.errors import DiffsimError
+from diffsim.stokes.devices.device import Device
+from diffsim.stokes.devices.log import Log
+from diffsim.stokes.devices.optimise import (
+    Optimum,
+    as_optimum,
+    check_counts,
+    search_settings,
+)
+from diffsim.stokes.devices.sampling import Samples, draw, values
+from diffsim.stokes.devices.search import Descent, descend
+
+
+@dataclass(frozen=True)
+class CoarseStage:
+    """What the coarse grid contributed, and how its losses compare; none is normalised.
+
+    Attributes:
+        descents: L-BFGS on the coarse grid, from the best sample first.
+        fine_losses: Of their results on the fine grid, (num_starts,).
+        unit_loss: Mean of all samples on the coarse grid.
+        unit_error: Standard error of the fine grid's unit, for which only some samples were used.
+        checked_coarse: Losses of those samples on the coarse grid, (num_checked,).
+        checked_fine: The same designs on the fine grid, (num_checked,); infinite without flow.
+    """
+
+    descents: tuple[Descent, ...]
+    fine_losses: Tensor
+    unit_loss: float
+    unit_error: float
+    checked_coarse: Tensor
+    checked_fine: Tensor
+
+
+def coarse_to_fine(
+    device: Device,
+    coarse: Device,
+    num_samples: int | None = None,
+    seed: int = 0,
+    *,
+    num_starts: int = 3,
+    num_checked: int | None = None,
+    max_evaluations: int = 50,
+    max_coarse_evaluations: int = 50,
+    ftol: float = 1e-9,
+    path: str | Path | None = None,
+    progress: bool = True,
+) -> Optimum:
+    """Design a device; random designs are drawn and first improved on a coarser grid.
+
+    1. Random designs on the coarse grid, as ``optimise`` draws them.
+    2. L-BFGS there from each of the best ``num_starts``.
+    3. Of these results, the best on the device's own grid starts L-BFGS on that.
+    4. The unit of the loss on that grid, its mean over the random designs, from the first
+       ``num_checked`` of them: mean_coarse(all) * mean_fine(checked) / mean_coarse(checked).
+
+    Losses and gradients of the result are those of the device's own grid throughout; the coarse one
+    only chooses the start. Resumes as ``optimise`` does.
+
+    Args:
+        device: The device.
+        coarse: The same on a coarser grid.
+        num_samples: Random designs; ``device.num_samples`` if None.
+        seed: Of the samples.
+        num_starts: Of them, to improve on the coarse grid.
+        num_checked: Of them, to evaluate on both grids; 8, or all if there are fewer, if None. More
+            may be asked for in a later call.
+        max_evaluations: Of loss and gradient, at most.
+        max_coarse_evaluations: The same for each L-BFGS on the coarse grid.
+        ftol: Relative decrease of the loss below which L-BFGS stops.
+        path: JSON file of the state; none is kept if None.
+        progress: Show bars.
+
+    Returns:
+        ``Optimum``; its ``coarse`` says how the grids compare.
+
+    Raises:
+        ValueError: ``coarse`` is another device or no coarser; the file belongs to another search.
+        DiffsimError: too few random designs, or none of those found, let fluid through.
+    """
+    num_samples = device.num_samples if num_samples is None else num_samples
+    check_counts(
+        num_samples=num_samples,
+        num_starts=num_starts,
+        max_evaluations=max_evaluations,
+        max_coarse_evaluations=max_coarse_evaluations,
+    )
+    _check_coarse(device, coarse)
+    num_checked = min(8, num_samples) if num_checked is None else num_checked
+    if not 2 <= num_checked <= num_samples:
+        raise ValueError(f"num_checked must lie in [2, {num_samples}], got {num_checked}")
+    settings = search_settings(device, num_samples, seed)
+    log = Log(path, {**settings, "coarse": to_plain(dict(coarse.options))})
+    samples = draw(coarse, log, num_samples, seed, progress=progress)
+    unit = float(samples.losses.mean())
+
+    def improved(on: Device, start: Tensor, name: str, limit: int) -> Descent:
+        return descend(
+            on,
+            start,
+            log,
+            name,
+            unit=unit,
+            max_evaluations=limit,
+            ftol=ftol,
+            progress=progress,
+        )
+
+    starts = samples.best(num_starts)
+    descents = tuple(
+        improved(coarse, x, f"coarse {k + 1}", max_coarse_evaluations) for k, x in enumerate(starts)
+    )
+    found = [d.x for d in descents]
+    fine = values(device, log, "found", found, progress=progress)
+    start = found[int(fine.argmin())]
+    descent = improved(device, start, "evaluations", max_evaluations)
+    checked = values(device, log, "checked", list(samples.x[:num_checked]), progress=progress)
+    fine_unit, error = unit_on_fine_grid(samples, checked)
+    stage = CoarseStage(descents, fine, unit, error, samples.losses[:num_checked], checked)
+    return as_optimum(samples, start, descent, fine_unit, stage)
+
+
+def unit_on_fine_grid(samples: Samples, fine: Tensor) -> tuple[float, float]:
+    """Mean loss of all samples on the fine grid, and its standard error, from the first few.
+
+    The ratio estimator: designs that are bad on one grid are bad on the other, so that their ratio
+    varies less than they do.
+
+    Args:
+        samples: On the coarse grid, (num_samples,).
+        fine: Losses of the first of them on the fine grid; infinite ones are left out.
+    """
+    has_flow = fine.isfinite()
+    n = int(has_flow.sum())
+    if n < 2:
+        raise DiffsimError(f"only {n} of {len(fine)} random designs have a flow on the fine grid")
+    low, high = samples.losses[: len(fine)][has_flow], fine[has_flow]
+    ratio = float(high.sum() / low.sum())
+    scatter = float((high - ratio * low).square().sum()) / (n - 1)
+    share = 1.0 - n / len(samples.losses)  # nothing is left to chance if all were used
+    mean = float(samples.losses.mean())
+    return ratio * mean, mean / float(low.mean()) * math.sqrt(scatter / n * share)
+
+
+def _check_coarse(device: Device, coarse: Device) -> None:
+    if [p.name for p in coarse.parameters] != [p.name for p in device.parameters]:
+        raise ValueError(
+            f"coarse must be the same device as device, got {coarse.name} and {device.name}"
+        )
+    if coarse.grid.num_nodes >= device.grid.num_nodes:
+        raise ValueError(
+            f"coarse must have fewer cells than device, got {coarse.grid.shape} and "
+            f"{device.grid.shape}"
+        )

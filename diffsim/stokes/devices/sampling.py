@@ -1,0 +1,92 @@
+"""Random designs of a device, and what they are worth on its grid."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from diffsim.errors import DiffsimError
+from diffsim.stokes.devices.device import FAILURES, Device, quiet
+from diffsim.stokes.devices.log import Log
+
+_MAX_REJECTED = 50  # per accepted sample
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Random designs that let fluid through.
+
+    Attributes:
+        x: (num_samples, num_parameters).
+        losses: Not normalised, (num_samples,).
+        num_rejected: Designs without flow that were drawn again.
+    """
+
+    x: Tensor
+    losses: Tensor
+    num_rejected: int
+
+    def best(self, count: int) -> Tensor:
+        """The best ones, best first, (count, num_parameters)."""
+        return self.x[self.losses.argsort(stable=True)[:count]]
+
+
+def draw(device: Device, log: Log, count: int, seed: int, *, progress: bool) -> Samples:
+    """Random designs, those without flow drawn again; the log's are repeated, not their flows."""
+    generator = torch.Generator().manual_seed(seed)
+    kept = log["samples"]
+    for entry in kept:
+        for _ in range(entry["rejected"] + 1):
+            device.sample(generator)
+    show = tqdm(desc="random designs", total=count, initial=len(kept), disable=not progress)
+    with show, quiet():
+        while len(kept) < count:
+            for rejected in range(_MAX_REJECTED):
+                x = device.sample(generator)
+                try:
+                    loss = device.value(x)
+                except FAILURES as error:
+                    last = error
+                    continue
+                log.append("samples", {"x": x.tolist(), "loss": loss, "rejected": rejected})
+                break
+            else:
+                raise DiffsimError(
+                    f"{_MAX_REJECTED} random designs of {device.name} in a row have no flow; "
+                    f"the last one: {last}"
+                )
+            show.update()
+    return Samples(
+        torch.tensor([s["x"] for s in kept], dtype=torch.float64),
+        torch.tensor([s["loss"] for s in kept], dtype=torch.float64),
+        sum(s["rejected"] for s in kept),
+    )
+
+
+def values(
+    device: Device, log: Log, name: str, designs: Sequence[Tensor], *, progress: bool
+) -> Tensor:
+    """Losses of given designs, (len(designs),), infinite without flow; kept in the log's list.
+
+    The list may hold those of the first designs, or of more; other designs in it are dropped.
+    """
+    kept = log[name]
+    same = 0
+    while same < min(len(kept), len(designs)) and kept[same]["x"] == designs[same].tolist():
+        same += 1
+    if same < len(designs):
+        del kept[same:]
+    rest = designs[len(kept) :]
+    with quiet():
+        for x in tqdm(rest, desc=f"{name}, {device.grid.shape}", disable=not progress):
+            try:
+                loss: float | None = device.value(x)
+            except FAILURES:
+                loss = None
+            log.append(name, {"x": x.tolist(), "loss": loss})
+    losses = [torch.inf if e["loss"] is None else e["loss"] for e in kept[: len(designs)]]
+    return torch.tensor(losses, dtype=torch.float64)
