@@ -1,0 +1,86 @@
+"""Studies: recorded runs of one system under known commands, with noise and set-up facts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SYSTEMS = ("soft_body", "copter", "stokes")
+USES = ("fit", "holdout")
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One measured quantity.
+
+    Attributes:
+        name: Column of the run files, unit included, such as "tip_z_m".
+        unit: SI unit.
+        kind: What is measured: "position", "angle", "velocity", "pressure", "flow", ...
+        sd: Standard deviation of the sensor's noise, in ``unit``; None: estimated from repeats.
+    """
+
+    name: str
+    unit: str
+    kind: str
+    sd: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One execution of a command.
+
+    Attributes:
+        name: Unique in the study.
+        time_s: (num_samples,) strictly increasing [s].
+        measured: (num_samples, num_channels); NaN where nothing was recorded.
+        command: What was commanded, by name, (num_samples,) each, at ``time_s``.
+        group: Runs with equal command are repeats of each other.
+        order: Place in the sequence of experiments, from 0.
+        use: "fit" or "holdout".
+        setup: Known facts of this run, such as {"payload_kg": 0.2, "temperature_C": 23.0}.
+    """
+
+    name: str
+    time_s: Array
+    measured: Array
+    command: Mapping[str, Array]
+    group: str
+    order: int = 0
+    use: str = "fit"
+    setup: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """Recorded runs with what is known about them.
+
+    Attributes:
+        name: Short name.
+        system: One of ``SYSTEMS``.
+        channels: Columns of every run's ``measured``.
+        runs: In any order.
+        metadata: Geometry and settings that the model needs, source, licence.
+    """
+
+    name: str
+    system: str
+    channels: tuple[Channel, ...]
+    runs: tuple[Run, ...]
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def fit_runs(self) -> tuple[Run, ...]:
+        """Runs used for fitting, by order."""
+        return tuple(sorted((r for r in self.runs if r.use == "fit"), key=lambda r: r.order))
+
+    @property
+    def holdout_runs(self) -> tuple[Run, ...]:
+        """Runs never used for fitting, by order."""
+        return tuple(sorted((r for r in self.runs if r.use == "holdout"), key=lambda r: r.order))

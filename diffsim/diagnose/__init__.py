@@ -1,0 +1,6 @@
+"""Diagnosis: show what a simulation gets wrong, name the cause, extend the model, measure the gain."""
+
+from diffsim.diagnose.effect import Effect
+from diffsim.diagnose.model import Numerics, Scene, SimModel
+
+__all__ = ["Effect", "Numerics", "Scene", "SimModel"]

@@ -1,0 +1,83 @@
+"""A simulator as the diagnosis sees it: parameters and effects in, predicted channels out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import torch
+from torch import Tensor
+
+from diffsim.diagnose.effect import Effect
+from diffsim.identify.parameter import Parameter
+
+if TYPE_CHECKING:
+    from diffsim.data.study import Run
+
+
+@dataclass(frozen=True)
+class Numerics:
+    """Numerical settings relative to those that the model uses by default.
+
+    Attributes:
+        time_step: Factor on the time step.
+        mesh: Factor on the cell size.
+        tolerance: Factor on solver tolerances.
+    """
+
+    time_step: float = 1.0
+    mesh: float = 1.0
+    tolerance: float = 1.0
+
+
+class Scene(Protocol):
+    """One run, ready to be simulated; beds add the hooks that their effects use."""
+
+    def simulate(self) -> Tensor:
+        """Predicted channels at the run's sample times, (num_samples, num_channels)."""
+        ...
+
+
+Build = Callable[[Mapping[str, Tensor], "Run", Numerics], Scene]
+
+
+class SimModel:
+    """A simulator with base parameters.
+
+    Args:
+        build: Makes the scene of a run from values of the base parameters by name.
+        base: What is imperfectly known: materials, gains, and nuisances of the set-up.
+        name: Of the simulator.
+    """
+
+    def __init__(self, build: Build, base: Sequence[Parameter], name: str = "model"):
+        names = [p.name for p in base]
+        if repeated := {n for n in names if names.count(n) > 1}:
+            raise ValueError(f"base parameters repeat: {sorted(repeated)}")
+        self.build, self.base, self.name = build, tuple(base), name
+
+    def predict(
+        self,
+        run: Run,
+        q: Tensor,
+        sizes: Mapping[Effect, Tensor] | None = None,
+        numerics: Numerics | None = None,
+    ) -> Tensor:
+        """Predicted channels of a run, (num_samples, num_channels).
+
+        Args:
+            run: The run.
+            q: Standardised base parameters, (num_base,) float64.
+            sizes: Effects with their sizes [unit], (num_components,) each, applied in this order.
+            numerics: Settings; the model's own if None.
+        """
+        values = {p.name: p.value_at(q[i]) for i, p in enumerate(self.base)}
+        scene = self.build(values, run, Numerics() if numerics is None else numerics)
+        for effect, size in (sizes or {}).items():
+            scene = effect.apply(scene, size, run)
+        return scene.simulate()
+
+    def at_prior(self) -> Tensor:
+        """Standardised coordinates of the best guess, (num_base,)."""
+        return torch.zeros(len(self.base), dtype=torch.float64)
