@@ -37,8 +37,8 @@ class Parameter:
     def __post_init__(self) -> None:
         if not math.isfinite(self.value) or not self.lower <= self.value <= self.upper:
             raise ValueError(
-                f"parameter {self.name}: value {self.value:g} {self.unit} must be finite and within "
-                f"[{self.lower:g}, {self.upper:g}]"
+                f"parameter {self.name}: value {self.value:g} {self.unit} must be finite and "
+                f"within [{self.lower:g}, {self.upper:g}]"
             )
         if not (math.isfinite(self.sd) and self.sd > 0.0):
             raise ValueError(f"parameter {self.name}: sd must be above 0, got {self.sd:g}")
