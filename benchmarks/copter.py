@@ -13,11 +13,9 @@ times, which other programs disturb. The comparison with general solvers (thesis
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,9 +23,7 @@ import torch
 from torch import Tensor
 
 from benchmarks import copter_control, copter_flight
-from benchmarks.harness import Part, Store, cores, repeat_for, spread
-from benchmarks.machine import code_fingerprint, machine
-from diffsim._files import write_json_atomic, write_text_atomic
+from benchmarks.harness import Benchmark, Part, cores, repeat_for, spread
 from diffsim.copter import Feedback, Multicopter, fly, load_design, shipped_designs
 from diffsim.copter.codesign import CoDesignError, codesign
 from diffsim.copter.flight_state import FlightState
@@ -155,25 +151,35 @@ def flight_part(kind: str, batch: int, seconds: float) -> Part:
     return Part(f"flight/{kind}, {batch}", {"steps": steps, "seconds": seconds}, compute)
 
 
-def parts_of(plan: Plan) -> list[Part]:
-    """All stages, the short ones first."""
-    parts = [Part("gradients/all", {}, gradients)]
-    for kind in ("bare", "drag, wind, lag"):
-        parts += [flight_part(kind, batch, plan.seconds) for batch in plan.batches]
-    parts += [codesign_part(case, "joint", plan) for case in CASES]
-    if plan.alternations:
-        parts += [codesign_part(case, "alternating", plan) for case in CASES]
-    return parts
+def flight_parts(plan: Plan) -> list[Part]:
+    """Bare and with effects, from one vehicle to many."""
+    kinds = ("bare", "drag, wind, lag")
+    return [flight_part(kind, batch, plan.seconds) for kind in kinds for batch in plan.batches]
 
 
-def report(results: dict[str, Any]) -> str:
+def codesign_parts(plan: Plan) -> list[Part]:
+    """The joint solve, and the thesis's alternation if asked for."""
+    methods = ("joint", "alternating") if plan.alternations else ("joint",)
+    return [codesign_part(case, method, plan) for method in methods for case in CASES]
+
+
+def collect(results: dict[str, Any], plan: Plan) -> dict[str, Any]:
+    """Results by stage and name."""
+    found: dict[str, Any] = {}
+    for name, result in results.items():
+        stage, _, what = name.partition("/")
+        found.setdefault(stage, {})[what] = result
+    return found
+
+
+def report(results: dict[str, Any], figures: Sequence[str] = ()) -> str:
     """Tables in Markdown."""
     lines = ["# Multicopters", "", "## Gradients against differences of fourth order", ""]
     lines += ["| layer | relative error |", "|---|---|"]
-    lines += [f"| {k} | {v:.1e} |" for k, v in results.get("gradients/all", {}).items()]
+    lines += [f"| {k} | {v:.1e} |" for k, v in results.get("gradients", {}).get("all", {}).items()]
     lines += ["", "## Flight, one thread, million vehicle-steps per CPU second", ""]
     lines += ["| effects, vehicles | forward | forward + backward |", "|---|---|---|"]
-    for name, row in _stage(results, "flight"):
+    for name, row in results.get("flight", {}).items():
         cells = (
             f"{1e-6 * r['median']:.3f} ({1e-6 * r['q3']:.3f} to {1e-6 * r['q1']:.3f})"
             for r in row.values()
@@ -185,7 +191,7 @@ def report(results: dict[str, Any]) -> str:
         "| infeasible | wall seconds per start |",
         "|---|---|---|---|---|---|",
     ]
-    for name, row in _stage(results, "codesign"):
+    for name, row in results.get("codesign", {}).items():
         if "failed" in row:
             lines.append(f"| {name} | failed: {row['failed']} | | | | |")
             continue
@@ -199,34 +205,23 @@ def report(results: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _stage(results: dict[str, Any], stage: str) -> list[tuple[str, Any]]:
-    return [(k.partition("/")[2], v) for k, v in results.items() if k.startswith(f"{stage}/")]
+BENCHMARK = Benchmark(
+    name="copter",
+    about=__doc__,
+    stages={
+        "gradients": lambda plan: [Part("gradients/all", {}, gradients)],
+        "flight": flight_parts,
+        "codesign": codesign_parts,
+    },
+    collect=collect,
+    report=report,
+    rooms=("copter", "mesh"),
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.copter",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--out", type=Path, default=Path("runs/bench_copter"))
-    parser.add_argument("--quick", action="store_true", help="fewer starts, batches and repeats")
-    parser.add_argument("--resume", action="store_true", help="keep finished parts")
-    args = parser.parse_args(argv)
-    torch.set_num_threads(1)
-    plan = QUICK if args.quick else Plan()
-    store = Store(args.out / "parts", code_fingerprint("copter", "mesh"), args.resume)
-    try:
-        store.run(parts_of(plan))
-    except KeyboardInterrupt:
-        print(f"\ninterrupted; go on with --resume --out {args.out}", file=sys.stderr)
-        return 130
-    finally:
-        results = {"machine": machine(), "plan": asdict(plan), **store.results}
-        write_json_atomic(args.out / "results.json", results)
-        write_text_atomic(args.out / "report.md", report(store.results))
-    print(report(store.results))
-    return 0
+    args = BENCHMARK.parser("fewer starts, batches and repeats").parse_args(argv)
+    return BENCHMARK.command(QUICK if args.quick else Plan(), args)
 
 
 if __name__ == "__main__":

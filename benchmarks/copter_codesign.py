@@ -12,7 +12,6 @@ Currents need the measured motors (DIFFSIM_DATA).
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Sequence
@@ -21,13 +20,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from benchmarks.copter_codesign_plots import draw, tables
 from benchmarks.copter_soft_program import SoftProgram, solve_active_set, solve_scipy
-from benchmarks.harness import Part, Store
-from benchmarks.machine import code_fingerprint, machine
-from diffsim._files import write_json_atomic, write_text_atomic
+from benchmarks.harness import Benchmark, Part
 from diffsim._paths import data_folder
 from diffsim.copter import load_design
 from diffsim.copter.codesign import AlternatingOptions, CoDesignError, CurrentModel, codesign
@@ -211,31 +207,35 @@ def table_3_1(_: dict[str, Any], say: Any) -> dict[str, Any]:
     return rows
 
 
-def run(plan: Plan, out: Path, *, resume: bool) -> dict[str, Any]:
-    """Measure and write results.json, report.md and the figures."""
-    torch.set_num_threads(1)
-    store = Store(out / "parts", code_fingerprint("copter", "mesh"), resume)
-    parts = [case_part(case, method, plan) for case in plan.cases for method in METHODS]
-    try:
-        store.run([Part("table_3_1/all", {}, table_3_1), *parts])
-    finally:
-        results = {"machine": machine(), "plan": asdict(plan), **store.results}
-        write_json_atomic(out / "results.json", results)
-        cases = {c: {m: store.results.get(f"{c}/{m}") for m in METHODS} for c in plan.cases}
-        draw(cases, out / "fig_3_3")
-        write_text_atomic(out / "report.md", tables(cases, store.results.get("table_3_1/all")))
-    return results
+def collect(results: dict[str, Any], plan: Plan) -> dict[str, Any]:
+    """Curves by case and method, None where not run; the rows of Table 3.1."""
+    cases = {c: {m: results.get(f"{c}/{m}") for m in METHODS} for c in plan.cases}
+    return {"comparison": cases, "table": results.get("table_3_1/all")}
+
+
+def draw_figures(results: dict[str, Any], out: Path) -> list[str]:
+    draw(results["comparison"], out / "fig_3_3")
+    return ["fig_3_3"]
+
+
+BENCHMARK = Benchmark(
+    name="copter_codesign",
+    about=__doc__,
+    stages={
+        "table": lambda plan: [Part("table_3_1/all", {}, table_3_1)],
+        "comparison": lambda plan: [
+            case_part(case, method, plan) for case in plan.cases for method in METHODS
+        ],
+    },
+    collect=collect,
+    draw=draw_figures,
+    report=lambda results, figures: tables(results["comparison"], results["table"]),
+    rooms=("copter", "mesh"),
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.copter_codesign",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--out", type=Path, default=Path("runs/bench_copter_codesign"))
-    parser.add_argument("--quick", action="store_true", help="one start, few iterations")
-    parser.add_argument("--resume", action="store_true", help="keep finished parts")
+    parser = BENCHMARK.parser("one start, few iterations")
     parser.add_argument("--starts", type=int, help="starts per case")
     parser.add_argument("--max-iters", type=int, help="of the general solvers")
     parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
@@ -245,13 +245,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         plan = replace(plan, num_starts=args.starts)
     if args.max_iters is not None:
         plan = replace(plan, max_iters=args.max_iters)
-    try:
-        run(plan, args.out, resume=args.resume)
-    except KeyboardInterrupt:
-        print(f"\ninterrupted; go on with --resume --out {args.out}", file=sys.stderr)
-        return 130
-    print(f"report: {args.out / 'report.md'}")
-    return 0
+    return BENCHMARK.command(plan, args)
 
 
 if __name__ == "__main__":

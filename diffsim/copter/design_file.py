@@ -32,14 +32,13 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import fields
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from diffsim._check import require_choice
 from diffsim._files import to_plain, write_text_atomic
+from diffsim.copter._shipped import read_named, shipped
 from diffsim.copter.assemble import build_design
 from diffsim.copter.design import Design
 from diffsim.copter.parts.database import PART_KINDS, option_names
@@ -54,8 +53,7 @@ _PART = {"kind", "bounds", "rotation", "place", "anchored", "direction", "propel
 
 def shipped_designs() -> tuple[str, ...]:
     """Names of the designs that come with the package."""
-    folder = resources.files("diffsim.copter") / "designs"
-    return tuple(sorted(Path(f.name).stem for f in folder.iterdir() if f.name.endswith(".yaml")))
+    return shipped("designs")
 
 
 def load_design(name: str | Path) -> Design:
@@ -69,16 +67,7 @@ def load_design(name: str | Path) -> Design:
         ValueError: unknown name, key or value; names file, line and key.
         InfeasibleDesignError: constraints that exclude each other.
     """
-    if isinstance(name, str) and Path(name).suffix == "" and os.sep not in name:
-        require_choice("design", name, shipped_designs())
-        entry = resources.files("diffsim.copter") / "designs" / f"{name}.yaml"
-        return design_from_text(entry.read_text(encoding="utf-8"), f"{name}.yaml", None)
-    path = Path(name)
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"no design file {path}; the shipped ones are {', '.join(shipped_designs())}"
-        )
-    return design_from_text(path.read_text(encoding="utf-8"), str(path), path.parent)
+    return design_from_text(*read_named("designs", "design", name))
 
 
 def design_from_text(text: str, source: str = "design", folder: Path | None = None) -> Design:

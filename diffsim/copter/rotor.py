@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import resources
 from typing import Any
 
 import torch
 import yaml
 from torch import Tensor
 
-from diffsim._check import require_choice
+from diffsim.copter._shipped import read_shipped, shipped
 from diffsim.copter.effects import MotorLag, ThrustCurve
 
 Number = float | Tensor
@@ -140,8 +139,7 @@ class RotorModel:
 
 def rotor_names() -> list[str]:
     """Names of the models that come with the package."""
-    folder = resources.files("diffsim.copter.rotors")
-    return sorted(f.name[:-5] for f in folder.iterdir() if f.name.endswith(".yaml"))
+    return list(shipped("rotors"))
 
 
 def rotor_record(name: str) -> dict[str, Any]:
@@ -150,9 +148,7 @@ def rotor_record(name: str) -> dict[str, Any]:
     Raises:
         ValueError: no such model; the message offers the closest names.
     """
-    require_choice("name", name, rotor_names())
-    text = (resources.files("diffsim.copter.rotors") / f"{name}.yaml").read_text(encoding="utf-8")
-    return yaml.safe_load(text)
+    return yaml.safe_load(read_shipped("rotors", "name", name))
 
 
 def rotor_model(name: str) -> RotorModel:

@@ -1,14 +1,15 @@
 """The benchmark of all copter stages runs, and its gradients are right."""
 
-import pytest
+from dataclasses import replace
 
 from benchmarks.copter import (
+    BENCHMARK,
     QUICK,
     codesign_part,
+    collect,
     flight_layer,
     flight_part,
     mass_layer,
-    parts_of,
     report,
 )
 from benchmarks.copter_control import gradient_error
@@ -32,11 +33,18 @@ def test_a_wrong_gradient_is_seen():
 
 
 def test_stages_and_report(tmp_path):
-    pytest.importorskip("cvxpy")
-    names = [p.name for p in parts_of(QUICK)]
+    names = [p.name for stage in BENCHMARK.stages.values() for p in stage(QUICK)]
     assert len(names) == len(set(names)) == 1 + 2 * len(QUICK.batches) + 4
     store = Store(tmp_path, "code", resume=False)
     store.run([flight_part("bare", 4, 0.0), codesign_part("quadcopter, size", "joint", QUICK)])
-    text = report(store.results)
+    text = report(collect(store.results, QUICK))
     assert "| bare, 4 |" in text
     assert "| quadcopter, size, joint | +66.7 %" in text
+
+
+def test_command_writes_what_it_measured(tmp_path):
+    plan = replace(QUICK, batches=(2,), seconds=0.0)
+    results = BENCHMARK.run(plan, tmp_path, stages=["flight"])
+    assert set(results["flight"]) == {"bare, 2", "drag, wind, lag, 2"}
+    assert "codesign" not in results
+    assert "| bare, 2 |" in (tmp_path / "report.md").read_text()

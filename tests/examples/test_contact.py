@@ -1,29 +1,20 @@
 """Do the contact stories end as told? Each runs at its small size."""
 
-import importlib.util
 import math
-import sys
-from pathlib import Path
 
 import pytest
 
+from tests.examples.stories import EXAMPLES, load_story
+
 pytestmark = pytest.mark.example
-CONTACT = Path(__file__).resolve().parents[2] / "examples/contact"
 
 
 @pytest.fixture
 def story(monkeypatch):
     """Load a story as it loads when run as a script: beside its helper module."""
-    monkeypatch.syspath_prepend(str(CONTACT))
+    monkeypatch.syspath_prepend(str(EXAMPLES / "contact"))
 
-    def load(name):
-        spec = importlib.util.spec_from_file_location(name, CONTACT / f"{name}.py")
-        module = importlib.util.module_from_spec(spec)
-        monkeypatch.setitem(sys.modules, name, module)  # its dataclasses look there
-        spec.loader.exec_module(module)
-        return module
-
-    return load
+    return lambda name: load_story(f"contact/{name}.py")
 
 
 def test_rolling_sphere_gradient_is_the_central_difference(story, tmp_path):

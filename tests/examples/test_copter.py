@@ -1,25 +1,14 @@
 """Do the stories of multicopters end as told?"""
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import pytest
 
+from tests.examples.stories import load_story
+
 pytestmark = pytest.mark.example
-COPTER = Path(__file__).resolve().parents[2] / "examples/copter"
 
 
-def load(name, monkeypatch):
-    spec = importlib.util.spec_from_file_location(name, COPTER / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, name, module)  # its dataclass looks there
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_all_designs_fly_to_the_target(monkeypatch, tmp_path):
-    story = load("designs", monkeypatch)
+def test_all_designs_fly_to_the_target(tmp_path):
+    story = load_story("copter/designs.py")
     numbers = story.main()
     assert len(numbers) == 7
     for name, row in numbers.items():
@@ -35,17 +24,17 @@ def test_all_designs_fly_to_the_target(monkeypatch, tmp_path):
     assert numbers["bunny"][life] != numbers["bunny"][life]  # not a number: never measured
 
 
-def test_picture_and_fabrication(monkeypatch, tmp_path):
-    story = load("designs", monkeypatch)
+def test_picture_and_fabrication(tmp_path):
+    story = load_story("copter/designs.py")
     story.main(("x_quadcopter",), 1.0, str(tmp_path), fabricate=True)
     assert (tmp_path / "x_quadcopter.png").stat().st_size > 10_000
     assert (tmp_path / "x_quadcopter_parts.png").stat().st_size > 10_000
     assert (tmp_path / "x_quadcopter_fabrication" / "stl" / "frame.stl").is_file()
 
 
-def test_table_3_1(monkeypatch, tmp_path, capsys):
+def test_table_3_1(tmp_path, capsys):
     pytest.importorskip("cvxpy")
-    numbers = load("table31", monkeypatch).main(2, out=str(tmp_path))
+    numbers = load_story("copter/table31.py").main(2, out=str(tmp_path))
     # five motors at full thrust instead of four are the limit
     assert 24.9 < numbers["gain [%]"] < 25.0
     assert numbers["gap to the bound [%]"] < 0.1

@@ -1,24 +1,15 @@
 """Do the flights of thesis Figs. 3-9 and 3-10 end as told?"""
 
-import importlib.util
-from pathlib import Path
-
 import pytest
 
+from tests.examples.stories import load_story
+
 pytestmark = pytest.mark.example
-COPTER = Path(__file__).resolve().parents[2] / "examples/copter"
-
-
-def story(name):
-    spec = importlib.util.spec_from_file_location(name, COPTER / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def test_rectangular_quadcopter_needs_less_current_and_keeps_more_voltage(tmp_path):
     pytest.importorskip("matplotlib")
-    numbers = story("hover_endurance").main(out=str(tmp_path))
+    numbers = load_story("copter/hover_endurance.py").main(out=str(tmp_path))
     standard, optimised = (
         {k.partition(": ")[2]: v for k, v in numbers.items() if k.startswith(f"{name}:")}
         for name in ("quadcopter", "quadcopter_flight_time")
@@ -35,7 +26,7 @@ def test_rectangular_quadcopter_needs_less_current_and_keeps_more_voltage(tmp_pa
 
 @pytest.mark.slow
 def test_loaded_pentacopters(tmp_path):
-    numbers = story("loaded_flight").main(out=str(tmp_path))
+    numbers = load_story("copter/loaded_flight.py").main(out=str(tmp_path))
     flat, optimised = (
         {k.partition(": ")[2]: v for k, v in numbers.items() if k.startswith(f"{name}, derated:")}
         for name in ("pentacopter", "pentacopter_payload")

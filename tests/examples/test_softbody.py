@@ -1,26 +1,16 @@
 """Do the stories end as told?"""
 
-import importlib.util
-from pathlib import Path
-
 import pytest
 
 from diffsim import mesh
+from tests.examples.stories import load_story
 
 pytestmark = pytest.mark.example
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-
-
-def story(path):
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def test_muscle_arm_reaches_its_target(tmp_path):
     picture = tmp_path / "arm.png"
-    numbers = story(EXAMPLES / "softbody/muscle_arm.py").main(cells=3, plot=str(picture))
+    numbers = load_story("softbody/muscle_arm.py").main(cells=3, plot=str(picture))
     assert numbers["start_mm"] > 50.0
     assert numbers["static_mm"] < 0.1  # the two claims of the story's docstring
     assert numbers["after_3_s_mm"] < 1.0
@@ -30,9 +20,7 @@ def test_muscle_arm_reaches_its_target(tmp_path):
 def test_swimmer_learns_to_swim(tmp_path):
     """Three iterations on two periods instead of eight on three: 4.1 mm/s from -0.1 mm/s."""
     picture = tmp_path / "swimmer.png"
-    numbers = story(EXAMPLES / "softbody/swimmer.py").main(
-        iterations=3, periods=2, plot=str(picture)
-    )
+    numbers = load_story("softbody/swimmer.py").main(iterations=3, periods=2, plot=str(picture))
     assert abs(numbers["before_mm_per_s"]) < 1.0
     assert numbers["after_mm_per_s"] > 3.0
     assert picture.stat().st_size > 10_000
@@ -40,7 +28,7 @@ def test_swimmer_learns_to_swim(tmp_path):
 
 def test_twisting_armadillo_ends_alike_by_both_solvers(tmp_path):
     picture = tmp_path / "armadillo.png"
-    module = story(EXAMPLES / "softbody/twisting_armadillo.py")
+    module = load_story("softbody/twisting_armadillo.py")
     numbers = module.main(
         **{**module.SMALL, "frames": 3},
         rtol=1e-8,
@@ -56,7 +44,7 @@ def test_twisting_armadillo_ends_alike_by_both_solvers(tmp_path):
 
 
 def test_twisting_armadillo_takes_a_users_mesh(tmp_path):
-    module = story(EXAMPLES / "softbody/twisting_armadillo.py")
+    module = load_story("softbody/twisting_armadillo.py")
     file = tmp_path / "body.msh"
     mesh.save(module.make_mesh(0.06, None), file)
     numbers = module.main(file=str(file), frames=1, degrees=90.0)

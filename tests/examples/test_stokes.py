@@ -1,23 +1,14 @@
 """Do the stories of slow flow end as told? Each runs at its small size."""
 
-import importlib.util
-from pathlib import Path
-
 import pytest
 
+from tests.examples.stories import load_story
+
 pytestmark = pytest.mark.example
-STOKES = Path(__file__).resolve().parents[2] / "examples/stokes"
-
-
-def load(name):
-    spec = importlib.util.spec_from_file_location(name, STOKES / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def test_amplifier_triples_the_speed(tmp_path):
-    numbers = load("amplifier").main(0.5, 4, out=str(tmp_path), with_export=True)
+    numbers = load_story("stokes/amplifier.py").main(0.5, 4, out=str(tmp_path), with_export=True)
     assert numbers["loss"] < 0.01 * numbers["first loss"]
     # the loss of a hundredth of a random design's, a few m^2/s^2, is a tenth of a metre per second
     assert numbers["outlet speed"] == pytest.approx(3.0, abs=0.1)

@@ -1,28 +1,19 @@
 """Two tennis balls: does the story's simulator keep momentum and find its own parameters again?"""
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
 
 from diffsim._paths import data_folder
+from tests.examples.stories import load_story
 
 pytestmark = pytest.mark.example
-PATH = Path(__file__).resolve().parents[2] / "examples/contact/two_tennis_balls.py"
 FOLDER = data_folder()
 
 
 @pytest.fixture(scope="module")
 def story():
-    spec = importlib.util.spec_from_file_location("two_tennis_balls", PATH)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
+    return load_story("contact/two_tennis_balls.py")
 
 
 @pytest.fixture(scope="module")

@@ -125,75 +125,114 @@ KrylovResult minres(Apply&& apply, Precondition&& precondition, const Vector& b,
   return result;
 }
 
+/// One cycle of restarted GMRES: an orthonormal basis, and the least-squares problem of the
+/// residual made triangular by Givens rotations as its columns come.
+class GmresCycle {
+ public:
+  GmresCycle(int restart, std::size_t n)
+      : restart_(restart),
+        n_(n),
+        H_(u(restart * (restart + 1))),
+        cs_(u(restart)),
+        sn_(u(restart)),
+        g_(u(restart + 1)) {}
+
+  void start(const Vector& r, double norm) {
+    beta_ = norm;
+    size_ = 0;
+    grow(0);
+    for (std::size_t i = 0; i < n_; ++i) basis_[0][i] = r[i] / norm;
+    std::fill(g_.begin(), g_.end(), 0.0);
+    g_[0] = norm;
+  }
+  int size() const { return size_; }
+  bool full() const { return size_ == restart_; }
+  const Vector& basis(int i) const { return basis_[u(i)]; }
+  /// The direction whose image is wanted next, and where to put that image.
+  const Vector& latest() const { return basis_[u(size_)]; }
+  Vector& image() {
+    grow(size_ + 1);
+    return basis_[u(size_ + 1)];
+  }
+  /// Takes the image in; true where the residual is at the target or the space is exhausted.
+  bool take(double target, VectorOps& ops) {
+    const int k = size_++;
+    Vector& w = basis_[u(k + 1)];
+    for (int i = 0; i <= k; ++i) {
+      h(i, k) = ops.dot(basis_[u(i)], w);
+      ops.add(-h(i, k), basis_[u(i)], w);
+    }
+    const double next = ops.norm(w);
+    for (int i = 0; i < k; ++i) {  // the earlier rotations
+      const double upper = h(i, k), lower = h(i + 1, k);
+      h(i, k) = cs_[u(i)] * upper + sn_[u(i)] * lower;
+      h(i + 1, k) = cs_[u(i)] * lower - sn_[u(i)] * upper;
+    }
+    const double length = std::max(std::hypot(h(k, k), next), std::numeric_limits<double>::min());
+    cs_[u(k)] = h(k, k) / length;
+    sn_[u(k)] = next / length;
+    h(k, k) = length;
+    g_[u(k + 1)] = -sn_[u(k)] * g_[u(k)];
+    g_[u(k)] *= cs_[u(k)];
+    if (std::abs(g_[u(k + 1)]) <= target || next <= 1e-15 * beta_) return true;
+    for (double& v : w) v /= next;
+    return false;
+  }
+  /// Coefficients of the solution, one per column taken; ends the cycle.
+  const std::vector<double>& coefficients() {
+    for (int i = size_ - 1; i >= 0; --i) {  // back substitution
+      for (int j = i + 1; j < size_; ++j) g_[u(i)] -= h(i, j) * g_[u(j)];
+      g_[u(i)] /= h(i, i);
+    }
+    return g_;
+  }
+
+ private:
+  static std::size_t u(int i) { return static_cast<std::size_t>(i); }
+  double& h(int i, int j) { return H_[u(j * (restart_ + 1) + i)]; }
+  void grow(int i) {
+    if (basis_.size() == u(i)) basis_.emplace_back(n_);
+  }
+
+  int restart_, size_ = 0;
+  std::size_t n_;
+  double beta_ = 0.0;
+  std::vector<Vector> basis_;
+  std::vector<double> H_, cs_, sn_, g_;
+};
+
 /// Restarted GMRES (Saad and Schultz 1986), preconditioned from the right, for any A; starts from
 /// zero. The residual norm is that of b - A x itself.
 template <typename Apply, typename Precondition>
 KrylovResult gmres(Apply&& apply, Precondition&& precondition, const Vector& b, Vector& x,
                    double tolerance, int max_iters, VectorOps& ops) {
-  constexpr int kRestart = 60;
   const std::size_t n = b.size();
   KrylovResult result;
   x.assign(n, 0.0);
   Vector r = b, z(n), combined(n);
-  std::vector<Vector> basis(1, r);
-  std::vector<double> H(kRestart * (kRestart + 1)), cs(kRestart), sn(kRestart), g(kRestart + 1);
-  const auto h = [&](int i, int j) -> double& {
-    return H[static_cast<std::size_t>(j * (kRestart + 1) + i)];
-  };
+  GmresCycle cycle(60, n);
   while (true) {
     const double beta = ops.norm(r);
     result.residual_norm = beta;
     result.converged = beta <= tolerance;
     if (result.converged || result.num_iters >= max_iters || !std::isfinite(beta)) return result;
-    basis[0] = r;
-    for (double& v : basis[0]) v /= beta;
-    std::fill(g.begin(), g.end(), 0.0);
-    g[0] = beta;
-    int k = 0;
-    for (; k < kRestart && result.num_iters < max_iters; ++k) {
-      const std::size_t j = static_cast<std::size_t>(k);
-      precondition(basis[j], z);
-      if (basis.size() == j + 1) basis.emplace_back(n);
-      apply(z, basis[j + 1]);
-      Vector& w = basis[j + 1];
-      for (int i = 0; i <= k; ++i) {
-        h(i, k) = ops.dot(basis[static_cast<std::size_t>(i)], w);
-        ops.add(-h(i, k), basis[static_cast<std::size_t>(i)], w);
-      }
-      const double next = ops.norm(w);
-      for (int i = 0; i < k; ++i) {  // the earlier rotations
-        const std::size_t u = static_cast<std::size_t>(i);
-        const double a = h(i, k), c = h(i + 1, k);
-        h(i, k) = cs[u] * a + sn[u] * c;
-        h(i + 1, k) = cs[u] * c - sn[u] * a;
-      }
-      const double length = std::max(std::hypot(h(k, k), next), std::numeric_limits<double>::min());
-      cs[j] = h(k, k) / length;
-      sn[j] = next / length;
-      h(k, k) = length;
-      g[j + 1] = -sn[j] * g[j];
-      g[j] *= cs[j];
+    cycle.start(r, beta);
+    for (bool done = false; !done && !cycle.full() && result.num_iters < max_iters;) {
+      precondition(cycle.latest(), z);
+      apply(z, cycle.image());
+      done = cycle.take(0.5 * tolerance, ops);
       ++result.num_iters;
-      if (std::abs(g[j + 1]) <= 0.5 * tolerance || next <= 1e-15 * beta) {
-        ++k;
-        break;
-      }
-      for (double& v : w) v /= next;
     }
-    for (int i = k - 1; i >= 0; --i) {  // back substitution
-      double& v = g[static_cast<std::size_t>(i)];
-      for (int j = i + 1; j < k; ++j) v -= h(i, j) * g[static_cast<std::size_t>(j)];
-      v /= h(i, i);
-    }
+    const std::vector<double>& y = cycle.coefficients();
     std::fill(combined.begin(), combined.end(), 0.0);
-    for (int i = 0; i < k; ++i)
-      ops.add(g[static_cast<std::size_t>(i)], basis[static_cast<std::size_t>(i)], combined);
+    for (int i = 0; i < cycle.size(); ++i)
+      ops.add(y[static_cast<std::size_t>(i)], cycle.basis(i), combined);
     precondition(combined, z);
     ops.add(1.0, z, x);
     apply(x, r);
     for (std::size_t i = 0; i < n; ++i) r[i] = b[i] - r[i];
     // A restart that gains nothing will gain nothing next time either.
-    if (k == 0 || ops.norm(r) > 0.999 * beta) {
+    if (cycle.size() == 0 || ops.norm(r) > 0.999 * beta) {
       result.residual_norm = ops.norm(r);
       result.converged = result.residual_norm <= tolerance;
       return result;

@@ -16,14 +16,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim._check import require_choice, require_number
+from diffsim._check import require_number
+from diffsim.copter._shipped import read_named, shipped
 from diffsim.copter.simulator.setpoint import Setpoint
 from diffsim.copter.yaml_lines import Located, read_yaml
 
@@ -107,8 +107,7 @@ class Mission:
 
 def shipped_missions() -> tuple[str, ...]:
     """Names of the missions that come with the package."""
-    folder = resources.files("diffsim.copter.simulator.flights")
-    return tuple(sorted(Path(f.name).stem for f in folder.iterdir() if f.name.endswith(".yaml")))
+    return shipped("simulator/flights")
 
 
 def load_mission(name: str | Path) -> Mission:
@@ -121,16 +120,8 @@ def load_mission(name: str | Path) -> Mission:
         FileNotFoundError: a path without a file.
         ValueError: unknown name, step or value; names file, line and step.
     """
-    if isinstance(name, str) and Path(name).suffix == "" and Path(name).name == name:
-        require_choice("mission", name, shipped_missions())
-        entry = resources.files("diffsim.copter.simulator.flights") / f"{name}.yaml"
-        return mission_from_text(entry.read_text(encoding="utf-8"), f"{name}.yaml")
-    path = Path(name)
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"no mission file {path}; the shipped ones are {', '.join(shipped_missions())}"
-        )
-    return mission_from_text(path.read_text(encoding="utf-8"), str(path))
+    text, source, _ = read_named("simulator/flights", "mission", name)
+    return mission_from_text(text, source)
 
 
 def mission_from_text(text: str, source: str = "mission") -> Mission:

@@ -1,0 +1,43 @@
+"""YAML files that come with the package, found by name, or a user's own, by path."""
+
+from __future__ import annotations
+
+import os
+from importlib import resources
+from pathlib import Path
+
+from diffsim._check import require_choice
+
+
+def shipped(folder: str) -> tuple[str, ...]:
+    """Names of the files in a folder of ``diffsim.copter``, such as "designs"."""
+    entries = resources.files("diffsim.copter").joinpath(folder).iterdir()
+    return tuple(sorted(Path(e.name).stem for e in entries if e.name.endswith(".yaml")))
+
+
+def read_shipped(folder: str, kind: str, name: str) -> str:
+    """Text of a shipped file.
+
+    Raises:
+        ValueError: no such ``kind``; the message offers the closest names.
+    """
+    require_choice(kind, name, shipped(folder))
+    entry = resources.files("diffsim.copter").joinpath(folder, f"{name}.yaml")
+    return entry.read_text(encoding="utf-8")
+
+
+def read_named(folder: str, kind: str, name: str | Path) -> tuple[str, str, Path | None]:
+    """Text of a shipped file or of the one at a path; what to call it; the folder of the latter.
+
+    Raises:
+        FileNotFoundError: a path without a file.
+        ValueError: unknown name.
+    """
+    if isinstance(name, str) and Path(name).suffix == "" and os.sep not in name:
+        return read_shipped(folder, kind, name), f"{name}.yaml", None
+    path = Path(name)
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"no {kind} file {path}; the shipped ones are {', '.join(shipped(folder))}"
+        )
+    return path.read_text(encoding="utf-8"), str(path), path.parent
