@@ -29,6 +29,7 @@ class WallOffset(Effect):
 
     name, family, kind, unit = "wall_offset", "wall", "environment", "m"
     typical = 4e-5
+    smooth = False  # walls that pass nodes give the grid's flow kinks
     also_looks_like = ("slip", "over-etching", "print shrinkage", "coating", "coarse mesh")
 
     def apply(self, scene: StokesScene, size: Tensor, run: Run) -> StokesScene:
@@ -77,6 +78,7 @@ class Compliance(_NeedsLevels):
 
     name, family, kind, unit = "compliance", "drive_dependent", "material", "1/Pa"
     typical, signed = 2e-4, False
+    smooth = False  # as for the wall offset
     also_looks_like = ("thinning", "inertia", "soft walls (PDMS)", "soft tubing")
 
     def apply(self, scene: StokesScene, size: Tensor, run: Run) -> StokesScene:
@@ -156,6 +158,7 @@ class BlockedBranch(Effect):
 
     family, kind, unit = "blockage", "environment", "-"
     typical, signed = 0.15, False
+    smooth = False  # as for the wall offset
     also_looks_like = ("bubble", "debris", "meter_gain", "one channel printed narrow")
 
     def __init__(self, outlet: int):

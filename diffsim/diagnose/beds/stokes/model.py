@@ -22,6 +22,9 @@ from diffsim.stokes import FlowField
 
 SWEEP_RTOL = 1e-8
 MAX_SWEEPS = 60
+WALL_SWEEPS = 3
+"""Walls follow the pressure so often, each time ten times closer. Not to the last digit: the flow
+jumps by some 1e-4 where a wall passes nodes, and such a map may have no fixed point."""
 _ZERO = torch.zeros((), dtype=torch.float64)
 
 
@@ -92,12 +95,14 @@ class StokesScene:
 
     def _steady(self, drive: Tensor) -> FlowField:
         """The flow at some levels, (levels, num_inlets): repeated until the terms agree with it."""
-        flow = self._solve(drive, None)
+        flow = self._solve(drive, None, self._rigid)
         if not self._sweeping:
             return flow
-        change = float("inf")
-        for _ in range(MAX_SWEEPS):
-            before, flow = flow, self._solve(drive, flow)
+        change, phi = float("inf"), flow.phi
+        for sweep in range(MAX_SWEEPS):
+            if sweep < WALL_SWEEPS:
+                phi = self._moved(flow)
+            before, flow = flow, self._solve(drive, flow, phi)
             with torch.no_grad():
                 # Nodes beyond the wall come and go with the cells that need them.
                 inside = self.rig.phi > max(self.rig.grid.spacing)
@@ -119,18 +124,17 @@ class StokesScene:
         given = {t: getattr(self, t) for t in terms if getattr(self, t) is not None}
         return ", ".join(f"{name} {float(value.detach()):.3g}" for name, value in given.items())
 
-    def _solve(self, drive: Tensor, before: FlowField | None) -> FlowField:
+    @property
+    def _rigid(self) -> Tensor:
+        """Level set without the pressure's doing."""
+        phi = self.rig.phi + self.wall_offset
+        return phi if self.narrowing is None else phi - self.narrowing
+
+    def _solve(self, drive: Tensor, before: FlowField | None, phi: Tensor) -> FlowField:
         """Linear flow with the loads that the flow before asks for."""
-        rig = self.rig
-        rigid = self.rig.phi + self.wall_offset
-        if self.narrowing is not None:
-            rigid = rigid - self.narrowing
-        phi, loads = rigid, {}
+        rig, loads = self.rig, {}
         if before is not None:
-            # Stencils of the rigid shape: were they those of the last sweep's, cells on the verge
-            # would come and go for ever.
-            d = rig.derivatives(rigid)
-            phi, loads = self._moved(rigid, before, d), self._loads(before, rigid, d)
+            loads = self._loads(before, phi)
         slip = _ZERO if self.slip_length is None else self.slip_length
         if rig.device.drive == "flow":
             if self.leak is not None and before is not None:
@@ -141,14 +145,17 @@ class StokesScene:
             inlet, traction = None, rig.traction(drive, self.outlet_pressure)
         return rig.solver(phi, inlet, viscosity=self.viscosity, traction=traction, **loads)
 
-    def _moved(self, phi: Tensor, before: FlowField, d: FlowDerivatives) -> Tensor:
+    def _moved(self, before: FlowField) -> Tensor:
         """The level set of walls that give way to the pressure."""
         if self.compliance is None:
-            return phi
-        return phi + 0.5 * self.compliance * self.rig.width * d.pressure_at_nodes(before.pressure)[0]
+            return self._rigid
+        # Stencils of the rigid shape: cells on the verge would come and go with the sweeps.
+        at_nodes = self.rig.derivatives(self._rigid).pressure_at_nodes(before.pressure)[0]
+        return self._rigid + 0.5 * self.compliance * self.rig.width * at_nodes
 
-    def _loads(self, before: FlowField, phi: Tensor, d: FlowDerivatives) -> dict[str, Tensor]:
+    def _loads(self, before: FlowField, phi: Tensor) -> dict[str, Tensor]:
         """Body force and wall velocity by name."""
+        d = self.rig.derivatives(self._rigid)
         loads: dict[str, Tensor] = {}
         gradient = d.gradient(before.velocity)
         extra = self._extra_viscosity(gradient, d.centers)
