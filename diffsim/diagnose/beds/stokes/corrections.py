@@ -15,20 +15,20 @@ from diffsim.stokes import Grid
 
 
 class FlowDerivatives:
-    """Derivatives of grid flows, at cells and nodes near the fluid.
+    """Derivatives of grid flows, at cells and nodes of the fluid.
 
     Args:
         grid: Two-dimensional.
-        fluid: Cells with fluid, (nx, ny) bool.
-        inside: Cells whose pressure is to be trusted, (nx, ny) bool.
+        phi: Level set at the nodes; results are given at all nodes of cells with fluid.
+        fluid: Cells whose velocities are used, (nx, ny) bool.
+        inside: Cells whose pressures are used, (nx, ny) bool.
     """
 
-    def __init__(self, grid: Grid, fluid: Tensor, inside: Tensor):
+    def __init__(self, grid: Grid, phi: Tensor, fluid: Tensor, inside: Tensor):
         self.grid, self.cells = grid, fluid.reshape(-1).nonzero()[:, 0]
-        touched = torch.zeros(grid.node_shape, dtype=torch.bool)
-        for i in (0, 1):
-            for j in (0, 1):
-                touched[i : i + grid.shape[0], j : j + grid.shape[1]] |= fluid
+        # a node belongs to a cell with fluid if it or one of its eight neighbours is in the fluid
+        wet = (phi > 0.0).to(torch.float64)[None, None]
+        touched = torch.nn.functional.max_pool2d(wet, 3, stride=1, padding=1)[0, 0] > 0.0
         self.nodes = touched.reshape(-1).nonzero()[:, 0]
         self.centers = grid.centers.reshape(-1, 2)[self.cells]
         targets = grid.nodes.reshape(-1, 2)[self.nodes]
@@ -36,6 +36,9 @@ class FlowDerivatives:
         self.fit = MovingFit(self.centers.numpy(), targets.numpy(), spacing)
         self.inside = inside.reshape(-1).nonzero()[:, 0]
         sources = grid.centers.reshape(-1, 2)[self.inside]
+        around = torch.nn.functional.max_pool2d(wet, 7, stride=1, padding=3)[0, 0] > 0.0
+        self.around = around.reshape(-1).nonzero()[:, 0]  # walls may move by two cells
+        targets = grid.nodes.reshape(-1, 2)[self.around]
         self.fit_inside = MovingFit(sources.numpy(), targets.numpy(), spacing)
 
     def gradient(self, velocity: Tensor) -> Tensor:
@@ -81,15 +84,17 @@ class FlowDerivatives:
         return self._spread(tangential)
 
     def pressure_at_nodes(self, pressure: Tensor) -> Tensor:
-        """A cell field (cases, nx, ny) at the nodes near the fluid, (cases, *node_shape); zero
-        elsewhere."""
-        return self._spread(self.fit_inside.at(pressure.flatten(1)[:, None, self.inside]))[..., 0]
+        """A cell field (cases, nx, ny) at the nodes in the fluid and three around it,
+        (cases, *node_shape); zero elsewhere."""
+        at_nodes = self.fit_inside.at(pressure.flatten(1)[:, None, self.inside])
+        return self._spread(at_nodes, self.around)[..., 0]
 
-    def _spread(self, at_nodes: Tensor) -> Tensor:
+    def _spread(self, at_nodes: Tensor, nodes: Tensor | None = None) -> Tensor:
         """(cases, components, nodes) -> (cases, *node_shape, components)."""
+        nodes = self.nodes if nodes is None else nodes
         cases, components, _ = at_nodes.shape
         full = at_nodes.new_zeros(cases, self.grid.num_nodes, components)
-        full = full.index_copy(1, self.nodes, at_nodes.transpose(1, 2))
+        full = full.index_copy(1, nodes, at_nodes.transpose(1, 2))
         return full.reshape(cases, *self.grid.node_shape, components)
 
 

@@ -98,11 +98,12 @@ class StokesScene:
         flow = self._solve(drive, None, self._rigid)
         if not self._sweeping:
             return flow
-        change, phi = float("inf"), flow.phi
+        change, phi, loads = float("inf"), flow.phi, dict[str, Tensor]()
         for sweep in range(MAX_SWEEPS):
             if sweep < WALL_SWEEPS:
                 phi = self._moved(flow)
-            before, flow = flow, self._solve(drive, flow, phi)
+            loads = self._loads(flow, phi, loads.get("wall_velocity"))
+            before, flow = flow, self._solve(drive, flow, phi, loads)
             with torch.no_grad():
                 # Nodes beyond the wall come and go with the cells that need them.
                 inside = self.rig.phi > max(self.rig.grid.spacing)
@@ -130,11 +131,15 @@ class StokesScene:
         phi = self.rig.phi + self.wall_offset
         return phi if self.narrowing is None else phi - self.narrowing
 
-    def _solve(self, drive: Tensor, before: FlowField | None, phi: Tensor) -> FlowField:
-        """Linear flow with the loads that the flow before asks for."""
-        rig, loads = self.rig, {}
-        if before is not None:
-            loads = self._loads(before, phi)
+    def _solve(
+        self,
+        drive: Tensor,
+        before: FlowField | None,
+        phi: Tensor,
+        loads: Mapping[str, Tensor] | None = None,
+    ) -> FlowField:
+        """Linear flow under loads; leaks are those at the pressures before."""
+        rig = self.rig
         slip = _ZERO if self.slip_length is None else self.slip_length
         if rig.device.drive == "flow":
             if self.leak is not None and before is not None:
@@ -143,7 +148,7 @@ class StokesScene:
             traction = rig.traction(None, self.outlet_pressure)
         else:
             inlet, traction = None, rig.traction(drive, self.outlet_pressure)
-        return rig.solver(phi, inlet, viscosity=self.viscosity, traction=traction, **loads)
+        return rig.solver(phi, inlet, viscosity=self.viscosity, traction=traction, **(loads or {}))
 
     def _moved(self, before: FlowField) -> Tensor:
         """The level set of walls that give way to the pressure."""
@@ -153,8 +158,10 @@ class StokesScene:
         at_nodes = self.rig.derivatives(self._rigid).pressure_at_nodes(before.pressure)[0]
         return self._rigid + 0.5 * self.compliance * self.rig.width * at_nodes
 
-    def _loads(self, before: FlowField, phi: Tensor) -> dict[str, Tensor]:
-        """Body force and wall velocity by name."""
+    def _loads(
+        self, before: FlowField, phi: Tensor, wall_before: Tensor | None
+    ) -> dict[str, Tensor]:
+        """Body force and wall velocity by name, as the flow before asks for."""
         d = self.rig.derivatives(self._rigid)
         loads: dict[str, Tensor] = {}
         gradient = d.gradient(before.velocity)
@@ -165,7 +172,12 @@ class StokesScene:
             inertia = -self.density * d.convection(before.velocity, gradient)
             loads["body_force"] = loads.get("body_force", 0.0) + inertia
         if self.slip_length is not None:
-            loads["wall_velocity"] = self.slip_length * d.slip_velocity(gradient, phi)
+            wall = self.slip_length * d.slip_velocity(gradient, phi)
+            # Waves of the wall velocity over two cells would grow by slip over cell size.
+            share = 1.0 / (1.0 + 1.5 * float(self.slip_length.detach()) / min(self.rig.grid.spacing))
+            loads["wall_velocity"] = share * wall
+            if wall_before is not None:
+                loads["wall_velocity"] = loads["wall_velocity"] + (1.0 - share) * wall_before
         return loads
 
     def _extra_viscosity(self, gradient: Tensor, centers: Tensor) -> Tensor | None:

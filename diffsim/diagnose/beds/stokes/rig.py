@@ -58,13 +58,15 @@ class Rig:
         return lambda points: (points[:, 1] - opening.y).abs() < reach
 
     def derivatives(self, phi: Tensor) -> FlowDerivatives:
-        """Derivative stencils of the cells that have fluid; the last ones are kept."""
-        wet = phi.detach() > 0.0
-        fluid = wet[1:, 1:] | wet[:-1, 1:] | wet[1:, :-1] | wet[:-1, :-1]
-        if self._known is None or not torch.equal(self._known[0], fluid):
-            inside = _mean_of_corners(phi.detach()) > DEEP * max(self.grid.spacing)
-            self._known = fluid, FlowDerivatives(self.grid, fluid, inside)
-        return self._known[1]
+        """Derivative stencils of a shape; the last ones are kept. Their sources are cells whose
+        centre is in the fluid: velocities beyond the wall are held by little."""
+        phi = phi.detach()
+        level = _mean_of_corners(phi) / max(self.grid.spacing)
+        known = self._known  # read once: threads may share the rig
+        if known is None or not torch.equal(known[0], phi):
+            known = phi, FlowDerivatives(self.grid, phi, level > 0.0, level > DEEP)
+            self._known = known
+        return known[1]
 
     def inflow(
         self, phi: Tensor, flow: Tensor, skew: Tensor, offset: Tensor, slip: Tensor
