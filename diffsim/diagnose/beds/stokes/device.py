@@ -115,7 +115,9 @@ class ChannelDevice:
         unit = "m2_s" if self.drive == "flow" else "Pa"
         return tuple(f"{self.drive}_in_{i + 1}_{unit}" for i in range(len(self.inlets)))
 
-    def channels(self, flow_sd: float, pressure_sd: float, velocity_sd: float) -> tuple[Channel, ...]:
+    def channels(
+        self, flow_sd: float, pressure_sd: float, velocity_sd: float
+    ) -> tuple[Channel, ...]:
         """What a run measures: outlet flows, inlet pressures, then the velocity profile.
 
         Args:

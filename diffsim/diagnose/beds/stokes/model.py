@@ -174,7 +174,9 @@ class StokesScene:
         if self.slip_length is not None:
             wall = self.slip_length * d.slip_velocity(gradient, phi)
             # Waves of the wall velocity over two cells would grow by slip over cell size.
-            share = 1.0 / (1.0 + 1.5 * float(self.slip_length.detach()) / min(self.rig.grid.spacing))
+            share = 1.0 / (
+                1.0 + 1.5 * float(self.slip_length.detach()) / min(self.rig.grid.spacing)
+            )
             loads["wall_velocity"] = share * wall
             if wall_before is not None:
                 loads["wall_velocity"] = loads["wall_velocity"] + (1.0 - share) * wall_before
