@@ -26,8 +26,8 @@ def diagnose_command(args: argparse.Namespace) -> None:
     step = CONNECTED.get(args.step)
     if step is None:
         raise NotConnectedError(
-            f"diffsim diagnose {args.step} is not connected to the command line yet; nothing was read "
-            "or written. Use diffsim.diagnose from Python"
+            f"diffsim diagnose {args.step} is not connected to the command line yet; nothing was "
+            "read or written. Use diffsim.diagnose from Python"
         )
     step(args)
 

@@ -270,20 +270,20 @@ def _over_frequency(ax: Axes, kinds: Sequence[_Residuals]) -> None:
 
 
 def mean_periodogram(runs: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Frequencies [Hz] of the longest run and the mean power there; white noise of variance 1 has 1.
+    """Frequencies [Hz] of the longest run and the mean power there; unit white noise has 1.
 
     Args:
         runs: Times (n,) [s] and residuals (n, channels); missing ones count as zero.
     """
     longest = max(runs, key=lambda run: len(run[0]))[0]
     step = float(np.median(np.diff(longest)))
-    frequency = np.fft.rfftfreq(len(longest), step)
+    frequency: Array = np.fft.rfftfreq(len(longest), step).astype(np.float64)
     curves = []
     for time, left in runs:
         own = np.fft.rfftfreq(len(time), float(np.median(np.diff(time))))
         power = (np.abs(np.fft.rfft(np.nan_to_num(left), axis=0)) ** 2 / len(time)).mean(1)
         curves.append(np.interp(frequency, own, power, right=np.nan))
-    return frequency, np.nanmean(curves, 0)
+    return frequency, np.nanmean(np.stack(curves), 0)
 
 
 def _over_channels(

@@ -210,8 +210,8 @@ def _held_out(f: DiagnosisFigures) -> page.Section:
 
 def _residuals(f: DiagnosisFigures) -> page.Section:
     caption = (
-        "Measured minus predicted over the noise's standard deviation, all runs and channels. Grey: "
-        "95 % of noise alone. What stands out of the noise over the command's phase or at a "
+        "Measured minus predicted over the noise's standard deviation, all runs and channels. "
+        "Grey: 95 % of noise alone. What stands out of the noise over the command's phase or at a "
         "frequency acts there."
     )
     picture = page.Picture(uri=_png(draw.residual_views(f.runs, f.channels)), caption=caption)

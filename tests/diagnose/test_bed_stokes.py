@@ -1,4 +1,4 @@
-"""The flow device: effects vanish at size 0, scores are exact, and each does what its physics says."""
+"""The flow device: effects vanish at size 0, scores are exact, each acts as its physics says."""
 
 from __future__ import annotations
 

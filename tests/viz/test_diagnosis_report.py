@@ -90,7 +90,7 @@ def test_page_has_its_parts_in_order(tmp_path):
     ]
     places = [text.find(part) for part in parts]
     assert min(places) > 0 and places == sorted(places)
-    assert "0.021 ± 0.00165 s" in text and "hold and release" in text and "FAILED" in text
+    assert "0.021 ± 0.00164 s" in text and "hold and release" in text and "FAILED" in text
     assert "lag &lt;b&gt;" in text and "lag <b>" not in text  # escaped
     assert text.count("data:image/png") == 4 and "http" not in text.replace("http-equiv", "")
 

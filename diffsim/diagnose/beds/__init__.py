@@ -1,1 +1,1 @@
-"""Testbeds of the diagnosis: for each simulator its scene with hooks, its models and its effects."""
+"""Simulators with the hooks that candidate causes need."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -47,8 +48,9 @@ class Opening:
 class ChannelDevice:
     """Inlets, a manifold across them, and outlet branches in a box.
 
-    The odd sizes keep all straight walls about a quarter of a cell or more from the nodes of the grids of
-    96 and 192 cells: the flow's slope in the wall's place is worth little where nodes are passed.
+    The odd sizes keep all straight walls about a quarter of a cell or more from the nodes of the
+    grids of 96 and 192 cells: the flow's slope in the wall's place is worth little where nodes are
+    passed.
 
     Attributes:
         inlets, outlets: Channels, from bottom to top.
@@ -91,7 +93,7 @@ class ChannelDevice:
         for name, openings in (("inlets", self.inlets), ("outlets", self.outlets)):
             if not openings:
                 raise ValueError(f"{name} must hold one channel or more")
-            for below, above in zip(openings, openings[1:], strict=False):
+            for below, above in pairwise(openings):
                 if above.low - below.high < MIN_GAP_CELLS * spacing:
                     raise ValueError(
                         f"{name} must be ordered from bottom to top with {MIN_GAP_CELLS:g} cells "
@@ -188,8 +190,8 @@ class ChannelDevice:
         return width
 
     def throat(self, branch: int, points: Tensor) -> Tensor:
-        """Where something may lodge in an outlet branch, (...) in [0, 1]: 1 over the middle third of
-        its length, falling to 0 over a width on both sides."""
+        """Where something may lodge in an outlet branch, (...) in [0, 1]: 1 over the middle third
+        of its length, falling to 0 over a width on both sides."""
         opening = self.outlets[branch]
         start, end = self.manifold[1], self.size[0]
         away = (points[..., 0] - 0.5 * (start + end)).abs() - (end - start) / 6.0

@@ -86,8 +86,8 @@ class Compliance(_NeedsLevels):
 
 
 class Thinning(_NeedsLevels):
-    """Viscosity times (1 + (rate / nominal rate)^2)^(-size / 2): a power law of exponent 1 - size at
-    high rates."""
+    """Viscosity times (1 + (rate / nominal rate)^2)^(-size / 2): at high rates a power law of
+    exponent 1 - size."""
 
     name, family, kind, unit = "thinning", "drive_dependent", "material", "-"
     typical = 0.1

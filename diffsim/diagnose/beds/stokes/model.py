@@ -6,13 +6,14 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from diffsim.data.study import Run
-from diffsim.diagnose.beds.stokes.corrections import FlowDerivatives, shear_rate_squared
+from diffsim.diagnose.beds.stokes.corrections import shear_rate_squared
 from diffsim.diagnose.beds.stokes.device import ChannelDevice
 from diffsim.diagnose.beds.stokes.rig import Rig
 from diffsim.diagnose.model import Numerics, SimModel
@@ -279,5 +280,7 @@ def _levels(device: ChannelDevice, run: Run) -> tuple[Tensor, Tensor]:
 def with_added(scene: StokesScene, **changes: Tensor) -> StokesScene:
     """The scene with sizes added to those that it has."""
     present = {name: getattr(scene, name) for name in changes}
-    total = {k: v if present[k] is None else present[k] + v for k, v in changes.items()}
+    total: dict[str, Any] = {
+        k: v if present[k] is None else present[k] + v for k, v in changes.items()
+    }
     return dataclasses.replace(scene, **total)

@@ -1,4 +1,4 @@
-"""Values and slopes of a field known in fluid cells, at nodes and points, also just beyond walls."""
+"""Values and slopes of a field known in fluid cells, at nodes and points and just beyond walls."""
 
 from __future__ import annotations
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -37,7 +38,7 @@ class Rig:
             inlets = [
                 Inlet("x-", f"in_{i + 1}", self._nodes_near(i)) for i in range(len(device.inlets))
             ]
-            faces = [*inlets, Open("x+")]
+            faces: list[Inlet | Open] = [*inlets, Open("x+")]
         else:
             faces = [Open("x-"), Open("x+")]
         self.solver = StokesFlow(
@@ -111,7 +112,7 @@ class Rig:
         return torch.stack([along, torch.zeros_like(along)], -1)
 
     def _through_face(self, phi: Tensor, along_x: Tensor, face: str) -> Tensor:
-        """Integral over the fluid part of a face, (cases,), of nodal values (cases, *node_shape)."""
+        """Integral of nodal values (cases, *node_shape) over the fluid part of a face, (cases,)."""
         empty = phi.new_zeros(0)
         field = FlowField(self.grid, phi, along_x[..., None], empty, empty, {})
         return integral(field, face, on_face(self.grid, along_x, face))
@@ -145,9 +146,7 @@ def _mean_of_corners(nodal: Tensor) -> Tensor:
 
 def _territories(openings) -> list[tuple[float, float]]:
     """Bounds in y that part the openings of one side: middles of the walls between them [m]."""
-    middles = [
-        0.5 * (below.high + above.low) for below, above in zip(openings, openings[1:], strict=False)
-    ]
+    middles = [0.5 * (below.high + above.low) for below, above in pairwise(openings)]
     return list(zip([-np.inf, *middles], [*middles, np.inf], strict=True))
 
 
