@@ -26,6 +26,7 @@ MAX_SWEEPS = 60
 WALL_SWEEPS = 3
 """Walls follow the pressure so often, each time ten times closer. Not to the last digit: the flow
 jumps by some 1e-4 where a wall passes nodes, and such a map may have no fixed point."""
+SWEPT = ("leak", "slip_length", "compliance", "viscosity_gradient", "thinning", "density")
 _ZERO = torch.zeros((), dtype=torch.float64)
 
 
@@ -91,8 +92,7 @@ class StokesScene:
 
     @property
     def _sweeping(self) -> bool:
-        terms = ("leak", "slip_length", "compliance", "viscosity_gradient", "thinning", "density")
-        return any(getattr(self, term) is not None for term in terms)
+        return any(getattr(self, term) is not None for term in SWEPT)
 
     def _steady(self, drive: Tensor) -> FlowField:
         """The flow at some levels, (levels, num_inlets): repeated until the terms agree with it."""
@@ -122,8 +122,7 @@ class StokesScene:
         )
 
     def _sizes(self) -> str:
-        terms = ("leak", "slip_length", "compliance", "viscosity_gradient", "thinning", "density")
-        given = {t: getattr(self, t) for t in terms if getattr(self, t) is not None}
+        given = {t: getattr(self, t) for t in SWEPT if getattr(self, t) is not None}
         return ", ".join(f"{name} {float(value.detach()):.3g}" for name, value in given.items())
 
     @property
