@@ -63,9 +63,12 @@ class Rig:
         centre is in the fluid: velocities beyond the wall are held by little."""
         phi = phi.detach()
         level = _mean_of_corners(phi) / max(self.grid.spacing)
+        fluid, inside = level > 0.0, level > DEEP
+        # All that the stencils depend on: small moves of the walls leave them.
+        key = torch.cat([m.reshape(-1) for m in (phi > 0.0, fluid, inside)])
         known = self._known  # read once: threads may share the rig
-        if known is None or not torch.equal(known[0], phi):
-            known = phi, FlowDerivatives(self.grid, phi, level > 0.0, level > DEEP)
+        if known is None or not torch.equal(known[0], key):
+            known = key, FlowDerivatives(self.grid, phi, fluid, inside)
             self._known = known
         return known[1]
 
