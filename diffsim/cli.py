@@ -1,4 +1,4 @@
-"""The ``diffsim`` command: ``diffsim demo``, ``fly``, ``fabricate`` and ``info``."""
+"""The ``diffsim`` command: ``diffsim demo``, ``diagnose``, ``fly``, ``fabricate`` and ``info``."""
 
 from __future__ import annotations
 
@@ -16,6 +16,13 @@ from diffsim.errors import DiffsimError
 
 EXIT_MISTAKE = 2  # what argparse uses too
 EXIT_INTERRUPTED = 130  # 128 + SIGINT
+DIAGNOSE_STEPS = {
+    "check": "are the runs fit to be judged: clocks, shapes, repeats, held-out runs",
+    "fit": "fit the model without effects, and say what misfit is left",
+    "explain": "find the cause: verdict, evidence, report.html",
+    "extend": "write the extended model, and its gain on held-out runs",
+    "next": "which run to record next to settle what is open",
+}
 
 
 def _positive(text: str) -> int:
@@ -63,6 +70,12 @@ def parser() -> argparse.ArgumentParser:
     fly = commands.add_parser("fly", parents=[common], help="fly a multicopter in simulation")
     _add_fly_arguments(fly)
     fly.set_defaults(run=_fly)
+
+    diagnose = commands.add_parser(
+        "diagnose", parents=[common], help="what a simulation gets wrong against recorded runs"
+    )
+    _add_diagnose_arguments(diagnose)
+    diagnose.set_defaults(run=_diagnose)
 
     info = commands.add_parser("info", parents=[common], help="versions, processor, data folder")
     info.set_defaults(run=_info)
@@ -134,6 +147,28 @@ def _fly(args: argparse.Namespace) -> None:
     from diffsim.copter.simulator.command import fly_command
 
     fly_command(args)
+
+
+def _add_diagnose_arguments(diagnose: argparse.ArgumentParser) -> None:
+    steps = "; ".join(f"{name}: {what}" for name, what in DIAGNOSE_STEPS.items())
+    diagnose.add_argument("step", choices=DIAGNOSE_STEPS, help=steps)
+    diagnose.add_argument("study", type=Path, metavar="STUDY.yaml", help="of the recorded runs")
+    diagnose.add_argument(
+        "--out", type=Path, default=Path("runs/diagnose"), help="default: %(default)s"
+    )
+    diagnose.add_argument("--seed", type=int, default=0, help="of the bootstrap")
+    diagnose.add_argument(
+        "--accept-numerics",
+        action="store_true",
+        help="go on although step, mesh or tolerance move the prediction by more than the noise",
+    )
+
+
+def _diagnose(args: argparse.Namespace) -> None:
+    # as for the demo
+    from diffsim.diagnose.command import diagnose_command
+
+    diagnose_command(args)
 
 
 def _info(_args: argparse.Namespace) -> None:

@@ -1,0 +1,1 @@
+"""Simulators with the hooks that candidate causes need."""

@@ -1,0 +1,18 @@
+"""The flow device: a planar channel network on the Stokes simulator, and what real ones add to it.
+
+The flow is steady at every sample, so a run is a sequence of drive levels. Flows are per depth
+(m^2/s), as everywhere in two dimensions.
+"""
+
+from diffsim.diagnose.beds.stokes.device import ChannelDevice, Opening
+from diffsim.diagnose.beds.stokes.effects import stokes_library
+from diffsim.diagnose.beds.stokes.model import StokesScene, device_base, device_model
+
+__all__ = [
+    "ChannelDevice",
+    "Opening",
+    "StokesScene",
+    "device_base",
+    "device_model",
+    "stokes_library",
+]
