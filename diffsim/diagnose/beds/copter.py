@@ -1,0 +1,276 @@
+"""A multicopter under recorded commands in one run, with the places where causes act."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from diffsim.copter import Flight, FlightEffects, Multicopter, fly
+from diffsim.copter.sensors import finite_acceleration
+from diffsim.copter.vehicle import GRAVITY
+from diffsim.diagnose.beds.shooting import Shooting, flight_state
+
+SENSORS = {
+    "position": ("x_m", "y_m", "z_m"),
+    "attitude": ("roll_rad", "pitch_rad", "yaw_rad"),
+    "body_rates": ("p_rad_s", "q_rad_s", "r_rad_s"),
+    "accelerometer": ("ax_m_s2", "ay_m_s2", "az_m_s2"),
+}
+_PASSES = 3  # over causes that depend on the motion: right to third order in their size
+
+CommandMap = Callable[[Tensor, float], Tensor]
+Schedule = Callable[["Motion", Tensor], Tensor]
+
+
+def _origin() -> Tensor:
+    return torch.zeros(3, dtype=torch.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What a cause may depend on, at the start of every control step.
+
+    Attributes:
+        vehicle: That flies.
+        velocity: World frame, (num_windows, length, 3) [m/s].
+        rotation: World from body, (num_windows, length, 3, 3).
+        body_rates: (num_windows, length, 3) [rad/s].
+    """
+
+    vehicle: Multicopter
+    velocity: Tensor
+    rotation: Tensor
+    body_rates: Tensor
+
+    @property
+    def body_velocity(self) -> Tensor:
+        """(num_windows, length, 3) [m/s]."""
+        return (self.rotation.mT @ self.velocity[..., None])[..., 0]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CopterScene:
+    """One run; effects return changed copies.
+
+    A constant force is exact without a term of its own in the dynamics: seen from a frame that
+    accelerates with a = F / m it is absent, and the drags feel a wind that grows as -a t. (Ground
+    effect then sees a height that is off by a_z t^2 / 2.)
+
+    Attributes:
+        vehicle: The multicopter.
+        commands: Thrusts at every sample, held until the next, (num_samples, n_rotors) [N].
+        dt: Between samples [s].
+        sensors: Groups of channels of the record, in order; keys of ``SENSORS``.
+        shooting: Windows and their initial states.
+        substeps: Integration steps per sample.
+        flight_effects: Of :func:`diffsim.copter.fly`; tensors without batch axis.
+        terrain_height: Of the ground above the origin [m].
+        command_maps: What happens to the commands, in order: f(commands, dt).
+        schedules: What happens to thrusts in flight: f(motion, thrusts) with thrusts of
+            (num_windows, length, n_rotors); iterated to a fixed point.
+        world_force: (3,) [N].
+        marker: Place of the captured point in the body frame, (3,) [m].
+        imu_tilt: Rotation vector of the inertial unit in the body frame, small, (3,) [rad].
+        position_scale: Of the captured position [-].
+    """
+
+    vehicle: Multicopter
+    commands: Tensor
+    dt: float
+    sensors: tuple[str, ...]
+    shooting: Shooting
+    substeps: int = 2
+    flight_effects: FlightEffects = field(default_factory=FlightEffects)
+    terrain_height: float = 0.0
+    command_maps: tuple[CommandMap, ...] = ()
+    schedules: tuple[Schedule, ...] = ()
+    world_force: Tensor = field(default_factory=_origin)
+    marker: Tensor = field(default_factory=_origin)
+    imu_tilt: Tensor = field(default_factory=_origin)
+    position_scale: Tensor = field(default_factory=lambda: torch.ones((), dtype=torch.float64))
+
+    def changed(self, **changes: Any) -> CopterScene:
+        """A copy with some entries replaced."""
+        return replace(self, **changes)
+
+    def with_command(self, change: CommandMap) -> CopterScene:
+        """A copy whose commands are changed on their way: f(commands, dt) -> commands."""
+        return self.changed(command_maps=(*self.command_maps, change))
+
+    def with_schedule(self, change: Schedule) -> CopterScene:
+        """A copy whose thrusts depend on the motion."""
+        return self.changed(schedules=(*self.schedules, change))
+
+    def with_flight_effect(self, name: str, value: Any) -> CopterScene:
+        """A copy with one entry of ``flight_effects`` replaced."""
+        return self.changed(flight_effects=replace(self.flight_effects, **{name: value}))
+
+    def simulate(self) -> Tensor:
+        """Predicted channels, (num_samples, num_channels)."""
+        return simulate_many([self])[0]
+
+
+def simulate_many(scenes: Sequence[CopterScene]) -> list[Tensor]:
+    """Predictions of scenes of one run, flown as one batch.
+
+    Returns:
+        (num_samples, num_channels) each.
+    """
+    first = scenes[0]
+    windows, length, _ = first.shooting.measured.shape
+    thrusts = torch.stack([windowed(_heard(s), windows, length) for s in scenes])
+
+    def predict(start: Tensor) -> Tensor:
+        return fly_windows(scenes, start, thrusts)
+
+    channels = first.shooting.profile(predict, len(scenes))
+    samples = first.commands.shape[0]
+    return [c.reshape(windows * length, -1)[:samples] for c in channels]
+
+
+def fly_windows(scenes: Sequence[CopterScene], start: Tensor, thrusts: Tensor) -> Tensor:
+    """Channels of all windows of all scenes.
+
+    Args:
+        scenes: Of one run.
+        start: States of 12, (num_scenes, num_windows, 12).
+        thrusts: (num_scenes, num_windows, length, n_rotors) [N].
+
+    Returns:
+        (num_scenes, num_windows, length, num_channels).
+    """
+    flown = thrusts
+    motions, acceleration = _fly(scenes, start, flown)
+    if any(s.schedules for s in scenes):
+        for _ in range(_PASSES - 1):
+            flown = torch.stack(
+                [_scheduled(s, m[0], u) for s, m, u in zip(scenes, motions, thrusts, strict=True)]
+            )
+            motions, acceleration = _fly(scenes, start, flown)
+    return torch.stack(
+        [
+            _read(s, motion, position, rpy, a)
+            for s, (motion, position, rpy), a in zip(scenes, motions, acceleration, strict=True)
+        ]
+    )
+
+
+def windowed(values: Tensor, windows: int, length: int) -> Tensor:
+    """(num_samples, width) -> (windows, length, width); the last row fills up the last window."""
+    missing = windows * length - values.shape[0]
+    padded = torch.cat([values, values[-1:].expand(missing, -1)])
+    return padded.reshape(windows, length, -1)
+
+
+def _heard(scene: CopterScene) -> Tensor:
+    commands = scene.commands
+    for change in scene.command_maps:
+        commands = change(commands, scene.dt)
+    return commands
+
+
+def _scheduled(scene: CopterScene, motion: Motion, thrusts: Tensor) -> Tensor:
+    for change in scene.schedules:
+        thrusts = change(motion, thrusts)
+    return thrusts
+
+
+def _fly(
+    scenes: Sequence[CopterScene], start: Tensor, thrusts: Tensor
+) -> tuple[list[tuple[Motion, Tensor, Tensor]], Tensor]:
+    """(motion, position, roll-pitch-yaw) of every scene, and accelerations in the world frame."""
+    first = scenes[0]
+    many, windows, length, rotors = thrusts.shape
+    pull = torch.stack([s.world_force / s.vehicle.mass for s in scenes])  # (many, 3) [m/s^2]
+    pull = pull.repeat_interleave(windows, 0)[:, None]
+    vehicles = [s.vehicle for s in scenes for _ in range(windows)]
+    flight = fly(
+        vehicles if many > 1 else first.vehicle,
+        flight_state(start.reshape(-1, 12)),
+        thrusts.reshape(-1, length, rotors).contiguous(),
+        dt=first.dt,
+        substeps=first.substeps,
+        effects=_merged(scenes, windows, pull, length),
+    )
+    time = flight.time[:, None]
+    position = flight.state.position + 0.5 * pull * time**2
+    velocity = flight.state.velocity + pull * time
+    acceleration = finite_acceleration(velocity, first.dt)[:, :length]
+    return _split(scenes, flight, position, velocity, windows, length), acceleration.reshape(
+        many, windows, length, 3
+    )
+
+
+def _split(
+    scenes: Sequence[CopterScene],
+    flight: Flight,
+    position: Tensor,
+    velocity: Tensor,
+    windows: int,
+    length: int,
+) -> list[tuple[Motion, Tensor, Tensor]]:
+    def parts(value: Tensor) -> Tensor:
+        return value[:, :length].reshape(len(scenes), windows, length, *value.shape[2:])
+
+    state = flight.state
+    many = zip(
+        scenes,
+        parts(position),
+        parts(velocity),
+        parts(state.rotation),
+        parts(state.rpy),
+        parts(state.body_rates),
+        strict=True,
+    )
+    return [(Motion(s.vehicle, v, R, w), p, rpy) for s, p, v, R, rpy, w in many]
+
+
+def _merged(
+    scenes: Sequence[CopterScene], windows: int, pull: Tensor, length: int
+) -> FlightEffects:
+    """The scenes' effects with a batch axis, and the wind of their accelerating frames."""
+    together: dict[str, Any] = {}
+    for entry in fields(FlightEffects):
+        values = [getattr(s.flight_effects, entry.name) for s in scenes]
+        if entry.name == "wind" or all(v is None for v in values):
+            continue
+        if any(v is None for v in values):
+            raise ValueError(f"either all scenes of a batch have {entry.name} or none")
+        rows = {
+            f.name: torch.stack([getattr(v, f.name) for v in values]).repeat_interleave(windows, 0)
+            for f in fields(values[0])
+        }
+        together[entry.name] = type(values[0])(**rows)
+    if "rotor_drag" in together or "body_drag" in together:
+        middle = scenes[0].dt * (torch.arange(length, dtype=torch.float64) + 0.5)
+        wind = -pull * middle[:, None]
+        steady = [s.flight_effects.wind for s in scenes]
+        if any(w is not None for w in steady):
+            rows = [torch.zeros(3, dtype=torch.float64) if w is None else w for w in steady]
+            wind = wind + torch.stack(rows).repeat_interleave(windows, 0)[:, None]
+        together["wind"] = wind
+    return FlightEffects(**together)
+
+
+def _read(
+    scene: CopterScene, motion: Motion, position: Tensor, rpy: Tensor, acceleration: Tensor
+) -> Tensor:
+    """What the sensors show, (num_windows, length, num_channels)."""
+    seen = position + (motion.rotation @ scene.marker[:, None])[..., 0]
+    gravity = position.new_tensor([0.0, 0.0, GRAVITY])
+    specific = (motion.rotation.mT @ (acceleration - gravity)[..., None])[..., 0]
+
+    def in_unit(value: Tensor) -> Tensor:
+        return value - torch.linalg.cross(scene.imu_tilt.expand_as(value), value)
+
+    channels = {
+        "position": scene.position_scale * seen,
+        "attitude": rpy,
+        "body_rates": in_unit(motion.body_rates),
+        "accelerometer": in_unit(specific),
+    }
+    return torch.cat([channels[name] for name in scene.sensors], -1)

@@ -1,0 +1,189 @@
+"""A ready model of flights under recorded commands, made from a multicopter's design."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim._check import require_choice
+from diffsim.copter import Multicopter
+from diffsim.diagnose.beds.copter import SENSORS, CopterScene, fly_windows, simulate_many, windowed
+from diffsim.diagnose.beds.shooting import Shooting, filled, guess_states
+from diffsim.diagnose.beds.signals import lagged
+from diffsim.diagnose.effect import Effect
+from diffsim.diagnose.model import Build, Numerics, SimModel
+from diffsim.identify import Parameter
+
+if TYPE_CHECKING:
+    from diffsim.data.study import Run
+
+Point = tuple[Tensor, Mapping[Effect, Tensor]]
+
+FLIGHT_BASE = (
+    Parameter("thrust_gain", 1.0, 0.05, log=True),
+    Parameter("torque_gain", 1.0, 0.2, log=True),
+    Parameter("inertia_gain", 1.0, 0.1, log=True),
+    Parameter("motor_time_constant", 0.03, 0.3, "s", log=True),
+)
+# Noise of a channel while nothing better is known: motion capture and a small inertial unit.
+SENSOR_SD = {"position": 2e-3, "attitude": 5e-3, "body_rates": 1e-2, "accelerometer": 0.1}
+_UNEVEN = 1e-3  # of the mean step
+
+
+class CopterModel(SimModel):
+    """A model that flies many parameter points as one batch."""
+
+    def predict_many(
+        self, run: Run, points: Sequence[Point], numerics: Numerics | None = None
+    ) -> list[Tensor]:
+        """``predict`` of many points (q, sizes), each (num_samples, num_channels)."""
+        scenes = []
+        for q, sizes in points:
+            values = {p.name: p.value_at(q[i]) for i, p in enumerate(self.base)}
+            scene = self.build(values, run, Numerics() if numerics is None else numerics)
+            for effect, size in sizes.items():
+                scene = effect.apply(scene, size, run)
+            if not isinstance(scene, CopterScene):
+                raise TypeError(f"build must make a CopterScene, got {type(scene).__name__}")
+            scenes.append(scene)
+        alike: dict[object, list[int]] = {}
+        for i, scene in enumerate(scenes):
+            alike.setdefault(_kind(scene), []).append(i)
+        out: list[Tensor] = [torch.empty(0)] * len(scenes)
+        for members in alike.values():
+            for i, y in zip(members, simulate_many([scenes[i] for i in members]), strict=True):
+                out[i] = y
+        return out
+
+
+def _kind(scene: CopterScene) -> object:
+    """Scenes of one kind can share a batch."""
+    names = tuple(name for name, _ in scene.flight_effects.present())
+    return names, bool(scene.schedules), scene.substeps
+
+
+def flight_model(
+    vehicle: Multicopter,
+    *,
+    commands: Sequence[str],
+    sensors: Sequence[str] = ("position", "attitude", "body_rates", "accelerometer"),
+    sensor_sd: Mapping[str, float] | None = None,
+    window_s: float = 1.0,
+    substeps: int = 2,
+    base: Sequence[Parameter] = FLIGHT_BASE,
+) -> CopterModel:
+    """Flights of one vehicle under its recorded thrust commands.
+
+    A run is cut into windows; the initial state of each is fitted away (see
+    :class:`~diffsim.diagnose.beds.shooting.Shooting`), so no parameter is needed for it. Channels
+    must come in the groups of ``sensors``, three columns each, NED; yaw must be free of jumps.
+
+    Args:
+        vehicle: As designed.
+        commands: Names of the runs' commands, commanded thrust of each rotor in order [N].
+        sensors: Groups of channels: "position" and "attitude", with "body_rates" and
+            "accelerometer" if there are.
+        sensor_sd: Noise by group, in the unit of the group; weighs the fit of initial states.
+        window_s: Length of a window [s].
+        substeps: Integration steps per sample.
+        base: Any of thrust_gain, torque_gain (reaction torque), inertia_gain [-] and
+            motor_time_constant [s].
+    """
+    groups = tuple(require_choice("sensors", s, SENSORS) for s in sensors)
+    if not {"position", "attitude"} <= set(groups):
+        raise ValueError(f'sensors must have "position" and "attitude", got {list(groups)}')
+    if len(commands) != vehicle.num_rotors:
+        raise ValueError(
+            f"commands must name one column per rotor, {vehicle.num_rotors}, got {list(commands)}"
+        )
+    for parameter in base:
+        require_choice("base", parameter.name, [p.name for p in FLIGHT_BASE])
+    sd_of = SENSOR_SD | dict(sensor_sd or {})
+    sd = torch.tensor([sd_of[g] for g in groups for _ in range(3)], dtype=torch.float64)
+    prior = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in base}
+    prepared: dict[Run, Shooting] = {}
+
+    def scene(
+        values: Mapping[str, Tensor], run: Run, factor: float, shooting: Shooting
+    ) -> CopterScene:
+        unit = torch.ones((), dtype=torch.float64)
+        result = CopterScene(
+            vehicle=vehicle.replace(
+                inertia=vehicle.inertia * values.get("inertia_gain", unit),
+                torque_ratios=vehicle.torque_ratios * values.get("torque_gain", unit),
+            ),
+            commands=_columns(run, commands) * values.get("thrust_gain", unit),
+            dt=_spacing(run),
+            sensors=groups,
+            shooting=shooting,
+            substeps=max(1, round(substeps / factor)),
+            terrain_height=float(run.setup.get("terrain_height_m", 0.0)),
+        )
+        if "motor_time_constant" in values:
+            tau = values["motor_time_constant"]
+            result = result.with_command(lambda u, dt: lagged(u, dt, tau))
+        return result
+
+    def shooting_of(run: Run) -> Shooting:
+        if run not in prepared:
+            prepared[run] = prepare(run)
+        return prepared[run]
+
+    def prepare(run: Run) -> Shooting:
+        measured = torch.as_tensor(np.asarray(run.measured), dtype=torch.float64)
+        if measured.shape[1] != len(sd):
+            raise ValueError(
+                f"run {run.name} has {measured.shape[1]} channels, the sensors {list(groups)} need "
+                f"{len(sd)}"
+            )
+        dt = _spacing(run)
+        length = min(max(5, round(window_s / dt)), len(measured))
+        windows = -(-len(measured) // length)
+        whole = filled(measured)
+        by_group = {g: whole[:, 3 * i : 3 * i + 3] for i, g in enumerate(groups)}
+        states = guess_states(
+            by_group["position"], by_group["attitude"], by_group.get("body_rates"), dt
+        )
+        start = states[::length].contiguous()
+        empty = Shooting(start, measured[:0], measured[:0], measured[:0])
+        plain = scene(prior, run, 1.0, empty)
+        heard = plain.commands
+        for change in plain.command_maps:
+            heard = change(heard, dt)
+        thrusts = windowed(heard, windows, length)
+
+        def predict(starts: Tensor) -> Tensor:
+            copies = starts.shape[0] // windows
+            return fly_windows([plain], starts[None], thrusts.repeat(copies, 1, 1)[None])[0]
+
+        recorded = torch.full((windows * length, measured.shape[1]), np.nan, dtype=torch.float64)
+        recorded[: len(measured)] = measured
+        return Shooting.prepare(predict, start, recorded.reshape(windows, length, -1), sd)
+
+    def build(values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> CopterScene:
+        return scene(values, run, numerics.time_step, shooting_of(run))
+
+    make: Build = build
+    return CopterModel(make, tuple(base), "multicopter")
+
+
+def _columns(run: Run, names: Sequence[str]) -> Tensor:
+    for name in names:
+        require_choice(f"run {run.name}: command", name, run.command)
+    rows = [np.asarray(run.command[name], dtype=np.float64) for name in names]
+    return torch.from_numpy(np.stack(rows, -1))
+
+
+def _spacing(run: Run) -> float:
+    steps = np.diff(run.time_s)
+    dt = float(steps.mean())
+    if np.abs(steps - dt).max() > _UNEVEN * dt:
+        raise ValueError(
+            f"run {run.name}: flights need evenly spaced samples, got steps of {steps.min():.4g} "
+            f"to {steps.max():.4g} s; resample the record"
+        )
+    return dt
