@@ -1,4 +1,4 @@
-"""Diagnosis: show what a simulation gets wrong, name the cause, extend the model, measure the gain."""
+"""Diagnosis: what a simulation gets wrong, its cause, an extended model, and the gain."""
 
 from diffsim.diagnose.candidates import library
 from diffsim.diagnose.effect import Effect

@@ -250,8 +250,8 @@ def _merged(
         wind = -pull * middle[:, None]
         steady = [s.flight_effects.wind for s in scenes]
         if any(w is not None for w in steady):
-            rows = [torch.zeros(3, dtype=torch.float64) if w is None else w for w in steady]
-            wind = wind + torch.stack(rows).repeat_interleave(windows, 0)[:, None]
+            blown = [torch.zeros(3, dtype=torch.float64) if w is None else w for w in steady]
+            wind = wind + torch.stack(blown).repeat_interleave(windows, 0)[:, None]
         together["wind"] = wind
     return FlightEffects(**together)
 

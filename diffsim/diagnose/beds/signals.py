@@ -12,7 +12,9 @@ _SHORTEST_LAG = 1e-3  # of a step: below it exp(-dt / tau) is zero to the last d
 
 
 def sample(values: Tensor, dt: float, times: Tensor) -> Tensor:
-    """Values at any times, by a cubic that follows slopes of fourth order; held beyond the ends.
+    """Values of what starts at rest at any times; held beyond the ends.
+
+    By cubics with slopes of fourth order, none at the start.
 
     Args:
         values: (num_steps + 1, width), five steps or more, at 0, dt, 2 dt, ...
@@ -35,9 +37,9 @@ def sample(values: Tensor, dt: float, times: Tensor) -> Tensor:
 
 
 def _slopes(y: Tensor) -> Tensor:
-    """Change per step at every sample: five-point differences, one-sided at the ends."""
+    """Change per step at every sample: none at first, else five-point differences."""
     middle = (y[:-4] - 8.0 * y[1:-3] + 8.0 * y[3:-1] - y[4:]) / 12.0
-    first = (-25.0 * y[0] + 48.0 * y[1] - 36.0 * y[2] + 16.0 * y[3] - 3.0 * y[4]) / 12.0
+    first = torch.zeros_like(y[0])
     second = (-3.0 * y[0] - 10.0 * y[1] + 18.0 * y[2] - 6.0 * y[3] + y[4]) / 12.0
     z = y.flip(0)
     end = (25.0 * z[0] - 48.0 * z[1] + 36.0 * z[2] - 16.0 * z[3] + 3.0 * z[4]) / 12.0

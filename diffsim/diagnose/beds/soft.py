@@ -145,7 +145,8 @@ class SoftScene:
         """Predicted channels, (num_samples, num_channels)."""
         dt = self.body.dt
         times = (self.sample_times - self.clock_offset) * self.time_scale
-        num_steps = max(5, math.ceil(float(times.detach().max()) / dt - 1e-9))
+        # two more than asked for: the interpolation looks that far ahead
+        num_steps = max(5, math.ceil(float(times.detach().max()) / dt - 1e-9) + 2)
         activation = self._activation(num_steps)
         physics = self.body.physics(**self.parameters)
         trajectory = soft.rollout(

@@ -186,13 +186,14 @@ class WeakRotor(Effect):
         share[self.index] = 1.0
         return scene.with_command(lambda u, dt: u * (1.0 - size[0] * share))
 
+    def __reduce__(self) -> tuple[Callable[[int], WeakRotor], tuple[int]]:
+        return weak_rotor, (self.index,)  # its class has no name that another process could find
+
 
 def weak_rotor(index: int) -> WeakRotor:
     """The effect of a certain rotor, counted from 0; named weak_rotor_1 for the first."""
-    new = type(f"WeakRotor{index + 1}", (WeakRotor,), {})
-    new.name, new.index = f"weak_rotor_{index + 1}", index
-    new.__doc__ = WeakRotor.__doc__
-    return new()
+    own = {"name": f"weak_rotor_{index + 1}", "index": index, "__doc__": WeakRotor.__doc__}
+    return type(f"WeakRotor{index + 1}", (WeakRotor,), own)()
 
 
 class VoltageExponent(Effect):

@@ -106,10 +106,15 @@ def _gravity_axes(gravity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 class Current(Effect):
-    """The fluid moves: every drag acts on v - size."""
+    """The fluid moves: every drag acts on v - size.
+
+    Not smooth: the drag of :class:`diffsim.soft.Hydrodynamics` jumps where a face turns edge-on,
+    as faces along the motion do as soon as there is a current across.
+    """
 
     name, family, kind, unit, typical = "current", "flow", "environment", "m/s", 0.05
     components = ("x", "y", "z")
+    smooth = False
     also_looks_like = ("tilt",)
 
     def needs(self, study: Study) -> str | None:
