@@ -9,10 +9,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from diffsim.copter import Flight, FlightEffects, Multicopter, fly
+from diffsim.copter import FlightEffects, Multicopter, fly
 from diffsim.copter.sensors import finite_acceleration
 from diffsim.copter.vehicle import GRAVITY
 from diffsim.diagnose.beds.shooting import Shooting, flight_state
+from diffsim.errors import ConvergenceError
 
 SENSORS = {
     "position": ("x_m", "y_m", "z_m"),
@@ -20,7 +21,8 @@ SENSORS = {
     "body_rates": ("p_rad_s", "q_rad_s", "r_rad_s"),
     "accelerometer": ("ax_m_s2", "ay_m_s2", "az_m_s2"),
 }
-_PASSES = 3  # over causes that depend on the motion: right to third order in their size
+_MAX_PASSES = 40  # over causes that depend on the motion
+_SETTLED = 1e-9  # change of thrusts from pass to pass [N]
 
 CommandMap = Callable[[Tensor, float], Tensor]
 Schedule = Callable[["Motion", Tensor], Tensor]
@@ -32,7 +34,7 @@ def _origin() -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What a cause may depend on, at the start of every control step.
+    """What a cause may depend on, in the middle of every control step.
 
     Attributes:
         vehicle: That flies.
@@ -142,21 +144,14 @@ def fly_windows(scenes: Sequence[CopterScene], start: Tensor, thrusts: Tensor) -
 
     Returns:
         (num_scenes, num_windows, length, num_channels).
+
+    Raises:
+        ConvergenceError: thrusts that depend on the motion did not settle.
     """
-    flown = thrusts
-    motions, acceleration = _fly(scenes, start, flown)
+    records = _fly(scenes, start, thrusts)
     if any(s.schedules for s in scenes):
-        for _ in range(_PASSES - 1):
-            flown = torch.stack(
-                [_scheduled(s, m[0], u) for s, m, u in zip(scenes, motions, thrusts, strict=True)]
-            )
-            motions, acceleration = _fly(scenes, start, flown)
-    return torch.stack(
-        [
-            _read(s, motion, position, rpy, a)
-            for s, (motion, position, rpy), a in zip(scenes, motions, acceleration, strict=True)
-        ]
-    )
+        records = _settle(scenes, start, thrusts, records)
+    return torch.stack([_read(s, r) for s, r in zip(scenes, records, strict=True)])
 
 
 def windowed(values: Tensor, windows: int, length: int) -> Tensor:
@@ -173,16 +168,59 @@ def _heard(scene: CopterScene) -> Tensor:
     return commands
 
 
+@dataclass(frozen=True, eq=False)
+class _Record:
+    """States of a scene's windows, (num_windows, length + 1, ...), the one after the last too."""
+
+    position: Tensor
+    velocity: Tensor
+    rotation: Tensor
+    rpy: Tensor
+    body_rates: Tensor
+
+    def motion(self, vehicle: Multicopter) -> Motion:
+        """In the middle of steps, where causes are right to second order."""
+        middle = [
+            0.5 * (value[:, :-1] + value[:, 1:])
+            for value in (self.velocity, self.rotation, self.body_rates)
+        ]
+        return Motion(vehicle, *middle)
+
+
+def _settle(
+    scenes: Sequence[CopterScene], start: Tensor, thrusts: Tensor, records: list[_Record]
+) -> list[_Record]:
+    """Thrusts follow from the motion, and it from them: repeated until they stay."""
+    before = thrusts.detach()
+    change = torch.zeros(())
+    for _ in range(_MAX_PASSES):
+        flown = torch.stack(
+            [
+                _scheduled(s, r.motion(s.vehicle), u)
+                for s, r, u in zip(scenes, records, thrusts, strict=True)
+            ]
+        )
+        records = _fly(scenes, start, flown)
+        change = (flown.detach() - before).abs().max()
+        if float(change) < _SETTLED:
+            return records
+        before = flown.detach()
+    raise ConvergenceError(
+        f"thrusts that depend on the motion still change by {float(change):.1e} N after "
+        f"{_MAX_PASSES} passes; shorten the windows or reduce the effects' sizes",
+        residual_norm=float(change),
+        tolerance=_SETTLED,
+        num_iters=_MAX_PASSES,
+    )
+
+
 def _scheduled(scene: CopterScene, motion: Motion, thrusts: Tensor) -> Tensor:
     for change in scene.schedules:
         thrusts = change(motion, thrusts)
     return thrusts
 
 
-def _fly(
-    scenes: Sequence[CopterScene], start: Tensor, thrusts: Tensor
-) -> tuple[list[tuple[Motion, Tensor, Tensor]], Tensor]:
-    """(motion, position, roll-pitch-yaw) of every scene, and accelerations in the world frame."""
+def _fly(scenes: Sequence[CopterScene], start: Tensor, thrusts: Tensor) -> list[_Record]:
     first = scenes[0]
     many, windows, length, rotors = thrusts.shape
     pull = torch.stack([s.world_force / s.vehicle.mass for s in scenes])  # (many, 3) [m/s^2]
@@ -196,37 +234,16 @@ def _fly(
         substeps=first.substeps,
         effects=_merged(scenes, windows, pull, length),
     )
-    time = flight.time[:, None]
-    position = flight.state.position + 0.5 * pull * time**2
-    velocity = flight.state.velocity + pull * time
-    acceleration = finite_acceleration(velocity, first.dt)[:, :length]
-    return _split(scenes, flight, position, velocity, windows, length), acceleration.reshape(
-        many, windows, length, 3
+    state, time = flight.state, flight.time[:, None]
+    parts = (
+        state.position + 0.5 * pull * time**2,
+        state.velocity + pull * time,
+        state.rotation,
+        state.rpy,
+        state.body_rates,
     )
-
-
-def _split(
-    scenes: Sequence[CopterScene],
-    flight: Flight,
-    position: Tensor,
-    velocity: Tensor,
-    windows: int,
-    length: int,
-) -> list[tuple[Motion, Tensor, Tensor]]:
-    def parts(value: Tensor) -> Tensor:
-        return value[:, :length].reshape(len(scenes), windows, length, *value.shape[2:])
-
-    state = flight.state
-    many = zip(
-        scenes,
-        parts(position),
-        parts(velocity),
-        parts(state.rotation),
-        parts(state.rpy),
-        parts(state.body_rates),
-        strict=True,
-    )
-    return [(Motion(s.vehicle, v, R, w), p, rpy) for s, p, v, R, rpy, w in many]
+    shaped = [p.reshape(many, windows, length + 1, *p.shape[2:]) for p in parts]
+    return [_Record(*(p[i] for p in shaped)) for i in range(many)]
 
 
 def _merged(
@@ -256,21 +273,21 @@ def _merged(
     return FlightEffects(**together)
 
 
-def _read(
-    scene: CopterScene, motion: Motion, position: Tensor, rpy: Tensor, acceleration: Tensor
-) -> Tensor:
+def _read(scene: CopterScene, record: _Record) -> Tensor:
     """What the sensors show, (num_windows, length, num_channels)."""
-    seen = position + (motion.rotation @ scene.marker[:, None])[..., 0]
-    gravity = position.new_tensor([0.0, 0.0, GRAVITY])
-    specific = (motion.rotation.mT @ (acceleration - gravity)[..., None])[..., 0]
+    acceleration = finite_acceleration(record.velocity, scene.dt)[:, :-1]
+    rotation = record.rotation[:, :-1]
+    seen = record.position[:, :-1] + (rotation @ scene.marker[:, None])[..., 0]
+    gravity = seen.new_tensor([0.0, 0.0, GRAVITY])
+    specific = (rotation.mT @ (acceleration - gravity)[..., None])[..., 0]
 
     def in_unit(value: Tensor) -> Tensor:
         return value - torch.linalg.cross(scene.imu_tilt.expand_as(value), value)
 
     channels = {
         "position": scene.position_scale * seen,
-        "attitude": rpy,
-        "body_rates": in_unit(motion.body_rates),
+        "attitude": record.rpy[:, :-1],
+        "body_rates": in_unit(record.body_rates[:, :-1]),
         "accelerometer": in_unit(specific),
     }
     return torch.cat([channels[name] for name in scene.sensors], -1)
