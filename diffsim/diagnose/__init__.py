@@ -1,7 +1,7 @@
 """Diagnosis: what a simulation gets wrong, its cause, an extended model, and the gain."""
 
-from diffsim.diagnose.candidates import library
 from diffsim.diagnose.effect import Effect
+from diffsim.diagnose.libraries import library
 from diffsim.diagnose.model import Numerics, Scene, SimModel
 
 __all__ = ["Effect", "Numerics", "Scene", "SimModel", "library"]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from scipy import signal
+from scipy import interpolate, signal
 
 from diffsim.diagnose.beds import signals
 
@@ -66,6 +66,19 @@ def test_delay_shifts_samples():
     u = column([0, 1, 4, 9, 16, 25])
     got = signals.delayed(u, 0.1, torch.tensor(0.2, dtype=torch.float64))
     torch.testing.assert_close(got, column([0, 0, 0, 1, 4, 9]))
+
+
+def test_delay_between_samples_is_a_monotone_cubic():
+    rng = np.random.default_rng(0)
+    u, dt = np.round(rng.standard_normal(30), 1), 0.1
+    delay = 0.034
+    got = signals.delayed(column(u), dt, torch.tensor(delay, dtype=torch.float64))[
+        2:-1, 0
+    ]  # pchip's ends differ
+    t = dt * np.arange(30)
+    np.testing.assert_allclose(
+        got, interpolate.PchipInterpolator(t, u)(t[2:-1] - delay), atol=1e-12
+    )
 
 
 def test_dead_band_backlash_and_saturation_by_hand():

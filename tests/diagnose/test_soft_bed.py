@@ -9,10 +9,13 @@ import torch
 from diffsim.data.beam import BeamGeometry
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import Numerics, library
-from diffsim.diagnose.beds import beam_model, tendon_model
-from diffsim.diagnose.beds.soft import Moment
-from diffsim.diagnose.beds.soft_models import BEAM_BASE
-from diffsim.diagnose.candidates import actuator, soft_forces, soft_material, soft_sensor
+from diffsim.diagnose.beds import actuator
+from diffsim.diagnose.beds.soft import beam_model, tendon_model, unknown_force
+from diffsim.diagnose.beds.soft import forces as soft_forces
+from diffsim.diagnose.beds.soft import material as soft_material
+from diffsim.diagnose.beds.soft import sensor as soft_sensor
+from diffsim.diagnose.beds.soft.models import BEAM_BASE
+from diffsim.diagnose.beds.soft.scene import Moment
 from diffsim.identify import Parameter
 from tests.diagnose.gate import score_error, typical
 
@@ -298,6 +301,16 @@ def test_numerics_change_step_mesh_and_tolerance():
     assert finer.body.dt == pytest.approx(0.5 * scene.body.dt)
     assert finer.body.mesh.num_elements == 8 * scene.body.mesh.num_elements
     assert finer.body.solver.rtol == pytest.approx(1e-12)
+
+
+def test_unknown_force_of_even_knots_is_weight():
+    """Force per volume rho dg, the same at all times: as if gravity were dg larger."""
+    model, unknown = beam(), unknown_force(3, 0.2)
+    knots = torch.zeros(3, 2, 3, dtype=torch.float64)
+    knots[2, 0] = -1070.0 * 0.5
+    found = predict(model, RUN, unknown, knots.flatten())
+    want = predict(model, RUN, soft_forces.Weight(), size(0.5))
+    torch.testing.assert_close(found, want, atol=1e-9, rtol=0)
 
 
 def test_missing_command_is_named():

@@ -1,6 +1,6 @@
 """What may happen to a sampled signal on its way: differentiable, and the identity at size 0.
 
-Signals are (num_samples, width) at evenly spaced times and straight in between.
+Signals are (num_samples, width) at evenly spaced times.
 """
 
 from __future__ import annotations
@@ -27,8 +27,13 @@ def sample(values: Tensor, dt: float, times: Tensor) -> Tensor:
     last = values.shape[0] - 1
     if last < 5:
         raise ValueError(f"values must hold five steps or more to be interpolated, got {last}")
-    slope = _slopes(values)
-    place = (times / dt).clamp(0.0, float(last))
+    return _cubic(values, _slopes(values), times / dt)
+
+
+def _cubic(values: Tensor, slope: Tensor, place: Tensor) -> Tensor:
+    """Cubics through values with slopes per step, at places counted in steps; ends held."""
+    last = values.shape[0] - 1
+    place = place.clamp(0.0, float(last))
     left = place.detach().floor().long().clamp(max=last - 1)
     s = (place - left)[:, None]
     y0, y1, d0, d1 = values[left], values[left + 1], slope[left], slope[left + 1]
@@ -57,14 +62,24 @@ def straight(values: Tensor, dt: float, times: Tensor) -> Tensor:
 
 
 def delayed(u: Tensor, dt: float, delay: Tensor) -> Tensor:
-    """u(t - delay); what came before the record equals its first sample.
+    """u(t - delay); before and after the record it stays as it was at the ends.
+
+    In between u is the monotone cubic of Fritsch and Carlson: smooth, so that a delay has a
+    derivative, and without overshoot at steps.
 
     Args:
         u: (num_samples, width).
         dt: [s].
-        delay: () [s]; its derivative at a sample is that of the straight line after it.
+        delay: () [s].
     """
-    return straight(u, dt, dt * torch.arange(u.shape[0], dtype=u.dtype) - delay)
+    rise = u.diff(dim=0)
+    before, after = rise[:-1], rise[1:]
+    alike = before * after > 0.0
+    both = torch.where(alike, before + after, 1.0)
+    inner = torch.where(alike, 2.0 * before * after / both, 0.0)
+    flat = torch.zeros_like(u[:1])
+    place = torch.arange(u.shape[0], dtype=u.dtype) - delay / dt
+    return _cubic(u, torch.cat([flat, inner, flat]), place)
 
 
 def lagged(u: Tensor, dt: float, time_constant: Tensor) -> Tensor:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from diffsim.data.study import Run, Study
-from diffsim.diagnose.beds.soft import Force, Moment, SoftScene, node_areas
+from diffsim.diagnose.beds.soft.scene import Force, Moment, SoftScene, node_areas
 from diffsim.diagnose.effect import Effect
 from diffsim.soft import added_mass
 

@@ -13,7 +13,7 @@ from torch import Tensor
 from diffsim import mesh, soft
 from diffsim.data.beam import BeamGeometry
 from diffsim.demo.model import Beam, Setup
-from diffsim.diagnose.beds.soft import SoftScene
+from diffsim.diagnose.beds.soft.scene import SoftScene
 from diffsim.diagnose.model import Numerics, SimModel
 from diffsim.identify import Parameter
 

@@ -11,8 +11,14 @@ from torch import Tensor
 
 from diffsim._check import require_choice
 from diffsim.copter import Multicopter
-from diffsim.diagnose.beds.copter import SENSORS, CopterScene, fly_windows, simulate_many, windowed
-from diffsim.diagnose.beds.shooting import Shooting, filled, guess_states
+from diffsim.diagnose.beds.copter.scene import (
+    SENSORS,
+    CopterScene,
+    fly_windows,
+    simulate_many,
+    windowed,
+)
+from diffsim.diagnose.beds.copter.shooting import Shooting, filled, guess_states
 from diffsim.diagnose.beds.signals import lagged
 from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.model import Build, Numerics, SimModel
@@ -21,14 +27,13 @@ from diffsim.identify import Parameter
 if TYPE_CHECKING:
     from diffsim.data.study import Run
 
-Point = tuple[Tensor, Mapping[Effect, Tensor]]
-
 FLIGHT_BASE = (
     Parameter("thrust_gain", 1.0, 0.05, log=True),
     Parameter("torque_gain", 1.0, 0.2, log=True),
     Parameter("inertia_gain", 1.0, 0.1, log=True),
     Parameter("motor_time_constant", 0.03, 0.3, "s", log=True),
 )
+BASE_NAMES = (*(p.name for p in FLIGHT_BASE), "mass_gain")
 # Noise of a channel while nothing better is known: motion capture and a small inertial unit.
 SENSOR_SD = {"position": 2e-3, "attitude": 5e-3, "body_rates": 1e-2, "accelerometer": 0.1}
 _UNEVEN = 1e-3  # of the mean step
@@ -38,32 +43,30 @@ class CopterModel(SimModel):
     """A model that flies many parameter points as one batch."""
 
     def predict_many(
-        self, run: Run, points: Sequence[Point], numerics: Numerics | None = None
-    ) -> list[Tensor]:
-        """``predict`` of many points (q, sizes), each (num_samples, num_channels)."""
+        self,
+        run: Run,
+        q: Tensor,
+        sizes: Mapping[Effect, Tensor] | None = None,
+        numerics: Numerics | None = None,
+    ) -> Tensor:
+        """Predictions at many points, (num_points, num_samples, num_channels).
+
+        Args:
+            run: The run.
+            q: (num_points, num_base).
+            sizes: (num_points, num_components) each.
+            numerics: As for ``predict``.
+        """
         scenes = []
-        for q, sizes in points:
-            values = {p.name: p.value_at(q[i]) for i, p in enumerate(self.base)}
+        for k, at in enumerate(q):
+            values = {p.name: p.value_at(at[i]) for i, p in enumerate(self.base)}
             scene = self.build(values, run, Numerics() if numerics is None else numerics)
-            for effect, size in sizes.items():
-                scene = effect.apply(scene, size, run)
+            for effect, size in (sizes or {}).items():
+                scene = effect.apply(scene, size[k], run)
             if not isinstance(scene, CopterScene):
                 raise TypeError(f"build must make a CopterScene, got {type(scene).__name__}")
             scenes.append(scene)
-        alike: dict[object, list[int]] = {}
-        for i, scene in enumerate(scenes):
-            alike.setdefault(_kind(scene), []).append(i)
-        out: list[Tensor] = [torch.empty(0)] * len(scenes)
-        for members in alike.values():
-            for i, y in zip(members, simulate_many([scenes[i] for i in members]), strict=True):
-                out[i] = y
-        return out
-
-
-def _kind(scene: CopterScene) -> object:
-    """Scenes of one kind can share a batch."""
-    names = tuple(name for name, _ in scene.flight_effects.present())
-    return names, bool(scene.schedules), scene.substeps
+        return torch.stack(simulate_many(scenes))
 
 
 def flight_model(
@@ -78,9 +81,9 @@ def flight_model(
 ) -> CopterModel:
     """Flights of one vehicle under its recorded thrust commands.
 
-    A run is cut into windows; the initial state of each is fitted away (see
-    :class:`~diffsim.diagnose.beds.shooting.Shooting`), so no parameter is needed for it. Channels
-    must come in the groups of ``sensors``, three columns each, NED; yaw must be free of jumps.
+    A run is cut into windows; the initial state of each is fitted away, so no parameter is needed
+    for it (:class:`~diffsim.diagnose.beds.copter.shooting.Shooting`). Channels must come in the
+    groups of ``sensors``, three columns each, NED; yaw must be free of jumps.
 
     Args:
         vehicle: As designed.
@@ -90,8 +93,8 @@ def flight_model(
         sensor_sd: Noise by group, in the unit of the group; weighs the fit of initial states.
         window_s: Length of a window [s].
         substeps: Integration steps per sample.
-        base: Any of thrust_gain, torque_gain (reaction torque), inertia_gain [-] and
-            motor_time_constant [s].
+        base: Any of thrust_gain, torque_gain (reaction torque), inertia_gain, mass_gain [-] and
+            motor_time_constant [s]; without the last, motors follow at once.
     """
     groups = tuple(require_choice("sensors", s, SENSORS) for s in sensors)
     if not {"position", "attitude"} <= set(groups):
@@ -101,7 +104,7 @@ def flight_model(
             f"commands must name one column per rotor, {vehicle.num_rotors}, got {list(commands)}"
         )
     for parameter in base:
-        require_choice("base", parameter.name, [p.name for p in FLIGHT_BASE])
+        require_choice("base", parameter.name, BASE_NAMES)
     sd_of = SENSOR_SD | dict(sensor_sd or {})
     sd = torch.tensor([sd_of[g] for g in groups for _ in range(3)], dtype=torch.float64)
     prior = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in base}
@@ -113,6 +116,7 @@ def flight_model(
         unit = torch.ones((), dtype=torch.float64)
         result = CopterScene(
             vehicle=vehicle.replace(
+                mass=vehicle.mass * values.get("mass_gain", unit),
                 inertia=vehicle.inertia * values.get("inertia_gain", unit),
                 torque_ratios=vehicle.torque_ratios * values.get("torque_gain", unit),
             ),

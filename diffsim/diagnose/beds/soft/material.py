@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from diffsim.data.study import Run, Study
-from diffsim.diagnose.beds.soft import Force, Moment, SoftScene
+from diffsim.diagnose.beds.soft.scene import Force, Moment, SoftScene
 from diffsim.diagnose.effect import Effect
 
 # Branches of the loss factor: half a decade apart, flat from about 0.6 to 50 Hz.

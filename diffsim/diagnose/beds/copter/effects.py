@@ -12,7 +12,7 @@ from torch import Tensor
 from diffsim.copter.effects import BodyDrag, GroundEffect, RotorDrag
 from diffsim.copter.vehicle import Multicopter
 from diffsim.data.study import Run, Study
-from diffsim.diagnose.beds.copter import CopterScene, Motion
+from diffsim.diagnose.beds.copter.scene import CopterScene, Motion
 from diffsim.diagnose.effect import Effect
 
 _VOLTAGE = "battery_voltage_V"
@@ -109,12 +109,12 @@ class Gyroscopic(Effect):
             # the other way about it
             spin = -(speed * vehicle.spins) @ vehicle.directions
             turning = -torch.linalg.cross(motion.body_rates, size[0] * spin)
-            return thrusts + turning @ _torque_allocation(vehicle).T
+            return thrusts + turning @ torque_allocation(vehicle).T
 
         return scene.with_schedule(torque)
 
 
-def _torque_allocation(vehicle: Multicopter) -> Tensor:
+def torque_allocation(vehicle: Multicopter) -> Tensor:
     """(n_rotors, 3): thrusts of least size with a given torque and no force along z."""
     wrench = torch.cat([vehicle.force_matrix[2:], vehicle.torque_matrix])
     return torch.linalg.pinv(wrench)[:, 1:]

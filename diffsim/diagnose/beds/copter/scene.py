@@ -12,7 +12,7 @@ from torch import Tensor
 from diffsim.copter import FlightEffects, Multicopter, fly
 from diffsim.copter.sensors import finite_acceleration
 from diffsim.copter.vehicle import GRAVITY
-from diffsim.diagnose.beds.shooting import Shooting, flight_state
+from diffsim.diagnose.beds.copter.shooting import Shooting, flight_state
 from diffsim.errors import ConvergenceError
 
 SENSORS = {
@@ -58,9 +58,9 @@ class Motion:
 class CopterScene:
     """One run; effects return changed copies.
 
-    A constant force is exact without a term of its own in the dynamics: seen from a frame that
-    accelerates with a = F / m it is absent, and the drags feel a wind that grows as -a t. (Ground
-    effect then sees a height that is off by a_z t^2 / 2.)
+    A force in the world is exact without a term of its own in the dynamics: seen from a frame that
+    accelerates with a = F / m it is absent, and the drags feel a wind, less the frame's velocity.
+    (Ground effect then sees a height that is off by the frame's way, a_z t^2 / 2.)
 
     Attributes:
         vehicle: The multicopter.
@@ -74,7 +74,7 @@ class CopterScene:
         command_maps: What happens to the commands, in order: f(commands, dt).
         schedules: What happens to thrusts in flight: f(motion, thrusts) with thrusts of
             (num_windows, length, n_rotors); iterated to a fixed point.
-        world_force: (3,) [N].
+        world_force: (3,), or (num_samples, 3) held over each step [N].
         marker: Place of the captured point in the body frame, (3,) [m].
         imu_tilt: Rotation vector of the inertial unit in the body frame, small, (3,) [rad].
         position_scale: Of the captured position [-].
@@ -223,8 +223,8 @@ def _scheduled(scene: CopterScene, motion: Motion, thrusts: Tensor) -> Tensor:
 def _fly(scenes: Sequence[CopterScene], start: Tensor, thrusts: Tensor) -> list[_Record]:
     first = scenes[0]
     many, windows, length, rotors = thrusts.shape
-    pull = torch.stack([s.world_force / s.vehicle.mass for s in scenes])  # (many, 3) [m/s^2]
-    pull = pull.repeat_interleave(windows, 0)[:, None]
+    copies = windows // first.shooting.start.shape[0]
+    frame = _Frame.of(torch.cat([_pull(s, length).repeat(copies, 1, 1) for s in scenes]), first.dt)
     vehicles = [s.vehicle for s in scenes for _ in range(windows)]
     flight = fly(
         vehicles if many > 1 else first.vehicle,
@@ -232,12 +232,12 @@ def _fly(scenes: Sequence[CopterScene], start: Tensor, thrusts: Tensor) -> list[
         thrusts.reshape(-1, length, rotors).contiguous(),
         dt=first.dt,
         substeps=first.substeps,
-        effects=_merged(scenes, windows, pull, length),
+        effects=_merged(scenes, windows, frame),
     )
-    state, time = flight.state, flight.time[:, None]
+    state = flight.state
     parts = (
-        state.position + 0.5 * pull * time**2,
-        state.velocity + pull * time,
+        state.position + frame.way,
+        state.velocity + frame.velocity,
         state.rotation,
         state.rpy,
         state.body_rates,
@@ -246,9 +246,36 @@ def _fly(scenes: Sequence[CopterScene], start: Tensor, thrusts: Tensor) -> list[
     return [_Record(*(p[i] for p in shaped)) for i in range(many)]
 
 
-def _merged(
-    scenes: Sequence[CopterScene], windows: int, pull: Tensor, length: int
-) -> FlightEffects:
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """The accelerating frame in which forces in the world are absent.
+
+    Attributes:
+        way, velocity: Since the window began, (batch, length + 1, 3) [m], [m/s].
+    """
+
+    way: Tensor
+    velocity: Tensor
+
+    @classmethod
+    def of(cls, pull: Tensor, dt: float) -> _Frame:
+        """From accelerations held over each step, (batch, length, 3) [m/s^2]."""
+        zero = torch.zeros_like(pull[:, :1])
+        velocity = torch.cat([zero, (dt * pull).cumsum(1)], 1)
+        steps = dt * (velocity[:, :-1] + 0.5 * dt * pull)
+        return cls(torch.cat([zero, steps.cumsum(1)], 1), velocity)
+
+
+def _pull(scene: CopterScene, length: int) -> Tensor:
+    """Acceleration by the world's force, (num_windows, length, 3) [m/s^2]."""
+    windows = scene.shooting.start.shape[0]
+    pull = scene.world_force / scene.vehicle.mass
+    if pull.dim() == 1:
+        return pull.expand(windows, length, 3)
+    return windowed(pull, windows, length)
+
+
+def _merged(scenes: Sequence[CopterScene], windows: int, frame: _Frame) -> FlightEffects:
     """The scenes' effects with a batch axis, and the wind of their accelerating frames."""
     together: dict[str, Any] = {}
     for entry in fields(FlightEffects):
@@ -263,8 +290,7 @@ def _merged(
         }
         together[entry.name] = type(values[0])(**rows)
     if "rotor_drag" in together or "body_drag" in together:
-        middle = scenes[0].dt * (torch.arange(length, dtype=torch.float64) + 0.5)
-        wind = -pull * middle[:, None]
+        wind = -0.5 * (frame.velocity[:, :-1] + frame.velocity[:, 1:])
         steady = [s.flight_effects.wind for s in scenes]
         if any(w is not None for w in steady):
             blown = [torch.zeros(3, dtype=torch.float64) if w is None else w for w in steady]

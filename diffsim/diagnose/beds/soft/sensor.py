@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from diffsim.data.study import Run
-from diffsim.diagnose.beds.soft import SoftScene
+from diffsim.diagnose.beds.soft.scene import SoftScene
 from diffsim.diagnose.effect import Effect
 
 
