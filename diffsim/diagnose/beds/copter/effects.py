@@ -15,7 +15,7 @@ from diffsim.data.study import Run, Study
 from diffsim.diagnose.beds.copter.scene import CopterScene, Motion
 from diffsim.diagnose.effect import Effect
 
-_VOLTAGE = "battery_voltage_V"
+_VOLTAGE = "voltage_V"
 _THRUST_COEFFICIENT = 1e-5  # of a small propeller, where a design states none [N s^2]
 _WAKE_SPEED = 3.0  # forward speed at which half of the wake's loss is there [m/s]
 
@@ -34,14 +34,31 @@ class RotorDragEffect(Effect):
 
 
 class ParasiticDrag(Effect):
-    """Force -size |v| v along each axis of the body."""
+    """Force -size |v| v, v the speed through still air."""
 
     name, family, kind, unit, typical = "parasitic_drag", "drag", "force", "N s^2/m^2", 0.02
     signed = False
     also_looks_like = ("rotor drag below 2 m/s",)
 
     def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
-        return _with_drag(scene, torch.zeros(3, dtype=size.dtype), size.expand(3))
+        def drag(motion: Motion) -> Tensor:
+            v = motion.velocity
+            # smooth at rest, where the root alone is not
+            speed = ((v * v).sum(-1, keepdim=True) + 1e-12).sqrt()
+            return -size[0] * speed * v
+
+        return scene.with_air(drag)
+
+
+class LinearDrag(Effect):
+    """Force -size v across the body's z axis."""
+
+    name, family, kind, unit, typical = "linear_drag", "drag", "force", "N s/m", 0.1
+    signed = False
+    also_looks_like = ("rotor drag at equal thrust", "parasitic drag at one speed")
+
+    def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        return _with_drag(scene, size * size.new_tensor([1.0, 1.0, 0.0]), size.new_zeros(3))
 
 
 class Inflow(Effect):
@@ -230,16 +247,14 @@ class ThrustCurvature(Effect):
 
 
 class GroundEffectCause(Effect):
-    """Thrust times 1 / (1 - size (radius / 4 height)^2) above level ground."""
+    """Thrust times 1 / (1 - size (radius / 4 height)^2) above level ground.
+
+    The ground is at the height ``setup["terrain_height_m"]`` of the run, 0 by default.
+    """
 
     name, family, kind, unit, typical = "ground_effect", "thrust", "environment", "-", 1.0
     signed = False
     also_looks_like = ("thrust gain at one height",)
-
-    def needs(self, study: Study) -> str | None:
-        if all("terrain_height_m" in run.setup for run in study.runs):
-            return None
-        return "the height of the ground in every run (setup terrain_height_m)"
 
     def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
         height = torch.tensor(scene.terrain_height, dtype=size.dtype)
@@ -285,6 +300,7 @@ class PositionScale(Effect):
 
 COPTER: tuple[Callable[[], Effect], ...] = (
     RotorDragEffect,
+    LinearDrag,
     ParasiticDrag,
     Wind,
     BodyTilt,

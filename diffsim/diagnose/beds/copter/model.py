@@ -16,6 +16,7 @@ from diffsim.diagnose.beds.copter.scene import (
     CopterScene,
     fly_windows,
     simulate_many,
+    steps_of,
     windowed,
 )
 from diffsim.diagnose.beds.copter.shooting import Shooting, filled, guess_states
@@ -152,13 +153,14 @@ def flight_model(
         states = guess_states(
             by_group["position"], by_group["attitude"], by_group.get("body_rates"), dt
         )
-        start = states[::length].contiguous()
+        before = (torch.arange(windows) * length - 1).clamp(min=0)
+        start = states[before]
         empty = Shooting(start, measured[:0], measured[:0], measured[:0])
         plain = scene(prior, run, 1.0, empty)
         heard = plain.commands
         for change in plain.command_maps:
             heard = change(heard, dt)
-        thrusts = windowed(heard, windows, length)
+        thrusts = windowed(steps_of(heard), windows, length)
 
         def predict(starts: Tensor) -> Tensor:
             copies = starts.shape[0] // windows

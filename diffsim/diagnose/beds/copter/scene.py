@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from diffsim.copter import FlightEffects, Multicopter, fly
-from diffsim.copter.sensors import finite_acceleration
 from diffsim.copter.vehicle import GRAVITY
 from diffsim.diagnose.beds.copter.shooting import Shooting, flight_state
 from diffsim.errors import ConvergenceError
@@ -22,10 +21,11 @@ SENSORS = {
     "accelerometer": ("ax_m_s2", "ay_m_s2", "az_m_s2"),
 }
 _MAX_PASSES = 40  # over causes that depend on the motion
-_SETTLED = 1e-9  # change of thrusts from pass to pass [N]
+_SETTLED = 1e-9  # change of forces from pass to pass [N]
 
 CommandMap = Callable[[Tensor, float], Tensor]
 Schedule = Callable[["Motion", Tensor], Tensor]
+Air = Callable[["Motion"], Tensor]
 
 
 def _origin() -> Tensor:
@@ -74,6 +74,8 @@ class CopterScene:
         command_maps: What happens to the commands, in order: f(commands, dt).
         schedules: What happens to thrusts in flight: f(motion, thrusts) with thrusts of
             (num_windows, length, n_rotors); iterated to a fixed point.
+        air: Forces in the world that depend on the motion: f(motion) of (num_windows, length, 3)
+            [N]; iterated likewise.
         world_force: (3,), or (num_samples, 3) held over each step [N].
         marker: Place of the captured point in the body frame, (3,) [m].
         imu_tilt: Rotation vector of the inertial unit in the body frame, small, (3,) [rad].
@@ -90,6 +92,7 @@ class CopterScene:
     terrain_height: float = 0.0
     command_maps: tuple[CommandMap, ...] = ()
     schedules: tuple[Schedule, ...] = ()
+    air: tuple[Air, ...] = ()
     world_force: Tensor = field(default_factory=_origin)
     marker: Tensor = field(default_factory=_origin)
     imu_tilt: Tensor = field(default_factory=_origin)
@@ -106,6 +109,10 @@ class CopterScene:
     def with_schedule(self, change: Schedule) -> CopterScene:
         """A copy whose thrusts depend on the motion."""
         return self.changed(schedules=(*self.schedules, change))
+
+    def with_air(self, force: Air) -> CopterScene:
+        """A copy with one more force that depends on the motion."""
+        return self.changed(air=(*self.air, force))
 
     def with_flight_effect(self, name: str, value: Any) -> CopterScene:
         """A copy with one entry of ``flight_effects`` replaced."""
@@ -124,7 +131,7 @@ def simulate_many(scenes: Sequence[CopterScene]) -> list[Tensor]:
     """
     first = scenes[0]
     windows, length, _ = first.shooting.measured.shape
-    thrusts = torch.stack([windowed(_heard(s), windows, length) for s in scenes])
+    thrusts = torch.stack([windowed(steps_of(_heard(s)), windows, length) for s in scenes])
 
     def predict(start: Tensor) -> Tensor:
         return fly_windows(scenes, start, thrusts)
@@ -140,16 +147,17 @@ def fly_windows(scenes: Sequence[CopterScene], start: Tensor, thrusts: Tensor) -
     Args:
         scenes: Of one run.
         start: States of 12, (num_scenes, num_windows, 12).
-        thrusts: (num_scenes, num_windows, length, n_rotors) [N].
+        thrusts: Held over the steps from the start, (num_scenes, num_windows, length, n_rotors)
+            [N].
 
     Returns:
-        (num_scenes, num_windows, length, num_channels).
+        At the end of every step, (num_scenes, num_windows, length, num_channels).
 
     Raises:
-        ConvergenceError: thrusts that depend on the motion did not settle.
+        ConvergenceError: forces that depend on the motion did not settle.
     """
     records = _fly(scenes, start, thrusts)
-    if any(s.schedules for s in scenes):
+    if any(s.schedules or s.air for s in scenes):
         records = _settle(scenes, start, thrusts, records)
     return torch.stack([_read(s, r) for s, r in zip(scenes, records, strict=True)])
 
@@ -159,6 +167,15 @@ def windowed(values: Tensor, windows: int, length: int) -> Tensor:
     missing = windows * length - values.shape[0]
     padded = torch.cat([values, values[-1:].expand(missing, -1)])
     return padded.reshape(windows, length, -1)
+
+
+def steps_of(values: Tensor) -> Tensor:
+    """What is held over the step that ends at each sample, (num_samples, width).
+
+    Windows start one sample early, for the accelerometer shows the mean over the step before. What
+    came before the record equals its first sample.
+    """
+    return torch.cat([values[:1], values[:-1]])
 
 
 def _heard(scene: CopterScene) -> Tensor:
@@ -190,23 +207,23 @@ class _Record:
 def _settle(
     scenes: Sequence[CopterScene], start: Tensor, thrusts: Tensor, records: list[_Record]
 ) -> list[_Record]:
-    """Thrusts follow from the motion, and it from them: repeated until they stay."""
-    before = thrusts.detach()
+    """Forces follow from the motion, and it from them: repeated until they stay."""
+    before = torch.cat([thrusts.detach(), torch.zeros_like(thrusts[..., :3])], -1)
     change = torch.zeros(())
     for _ in range(_MAX_PASSES):
+        motions = [r.motion(s.vehicle) for s, r in zip(scenes, records, strict=True)]
         flown = torch.stack(
-            [
-                _scheduled(s, r.motion(s.vehicle), u)
-                for s, r, u in zip(scenes, records, thrusts, strict=True)
-            ]
+            [_scheduled(s, m, u) for s, m, u in zip(scenes, motions, thrusts, strict=True)]
         )
-        records = _fly(scenes, start, flown)
-        change = (flown.detach() - before).abs().max()
+        air = torch.stack([_air(s, m) for s, m in zip(scenes, motions, strict=True)])
+        records = _fly(scenes, start, flown, air)
+        now = torch.cat([flown.detach(), air.detach()], -1)
+        change = (now - before).abs().max()
         if float(change) < _SETTLED:
             return records
-        before = flown.detach()
+        before = now
     raise ConvergenceError(
-        f"thrusts that depend on the motion still change by {float(change):.1e} N after "
+        f"forces that depend on the motion still change by {float(change):.1e} N after "
         f"{_MAX_PASSES} passes; shorten the windows or reduce the effects' sizes",
         residual_norm=float(change),
         tolerance=_SETTLED,
@@ -220,11 +237,24 @@ def _scheduled(scene: CopterScene, motion: Motion, thrusts: Tensor) -> Tensor:
     return thrusts
 
 
-def _fly(scenes: Sequence[CopterScene], start: Tensor, thrusts: Tensor) -> list[_Record]:
+def _air(scene: CopterScene, motion: Motion) -> Tensor:
+    total = torch.zeros_like(motion.velocity)
+    for force in scene.air:
+        total = total + force(motion)
+    return total
+
+
+def _fly(
+    scenes: Sequence[CopterScene], start: Tensor, thrusts: Tensor, air: Tensor | None = None
+) -> list[_Record]:
+    """Flights under thrusts, and forces ``air`` in the world, (num_scenes, ..., 3) [N]."""
     first = scenes[0]
     many, windows, length, rotors = thrusts.shape
     copies = windows // first.shooting.start.shape[0]
-    frame = _Frame.of(torch.cat([_pull(s, length).repeat(copies, 1, 1) for s in scenes]), first.dt)
+    force = torch.stack([_world_force(s, length).repeat(copies, 1, 1) for s in scenes])
+    mass = torch.stack([s.vehicle.mass for s in scenes])
+    pull = (force if air is None else force + air) / mass[:, None, None, None]
+    frame = _Frame.of(pull.reshape(-1, length, 3), first.dt)
     vehicles = [s.vehicle for s in scenes for _ in range(windows)]
     flight = fly(
         vehicles if many > 1 else first.vehicle,
@@ -266,13 +296,12 @@ class _Frame:
         return cls(torch.cat([zero, steps.cumsum(1)], 1), velocity)
 
 
-def _pull(scene: CopterScene, length: int) -> Tensor:
-    """Acceleration by the world's force, (num_windows, length, 3) [m/s^2]."""
+def _world_force(scene: CopterScene, length: int) -> Tensor:
+    """(num_windows, length, 3) [N]."""
     windows = scene.shooting.start.shape[0]
-    pull = scene.world_force / scene.vehicle.mass
-    if pull.dim() == 1:
-        return pull.expand(windows, length, 3)
-    return windowed(pull, windows, length)
+    if scene.world_force.dim() == 1:
+        return scene.world_force.expand(windows, length, 3)
+    return windowed(steps_of(scene.world_force), windows, length)
 
 
 def _merged(scenes: Sequence[CopterScene], windows: int, frame: _Frame) -> FlightEffects:
@@ -301,19 +330,21 @@ def _merged(scenes: Sequence[CopterScene], windows: int, frame: _Frame) -> Fligh
 
 def _read(scene: CopterScene, record: _Record) -> Tensor:
     """What the sensors show, (num_windows, length, num_channels)."""
-    acceleration = finite_acceleration(record.velocity, scene.dt)[:, :-1]
-    rotation = record.rotation[:, :-1]
-    seen = record.position[:, :-1] + (rotation @ scene.marker[:, None])[..., 0]
+    rotation = record.rotation[:, 1:]
+    seen = record.position[:, 1:] + (rotation @ scene.marker[:, None])[..., 0]
+    # the mean over the step before
+    acceleration = record.velocity.diff(dim=1) / scene.dt
+    halfway = 0.5 * (record.rotation[:, :-1] + rotation)
     gravity = seen.new_tensor([0.0, 0.0, GRAVITY])
-    specific = (rotation.mT @ (acceleration - gravity)[..., None])[..., 0]
+    specific = (halfway.mT @ (acceleration - gravity)[..., None])[..., 0]
 
     def in_unit(value: Tensor) -> Tensor:
         return value - torch.linalg.cross(scene.imu_tilt.expand_as(value), value)
 
     channels = {
         "position": scene.position_scale * seen,
-        "attitude": record.rpy[:, :-1],
-        "body_rates": in_unit(record.body_rates[:, :-1]),
+        "attitude": record.rpy[:, 1:],
+        "body_rates": in_unit(record.body_rates[:, 1:]),
         "accelerometer": in_unit(specific),
     }
     return torch.cat([channels[name] for name in scene.sensors], -1)
