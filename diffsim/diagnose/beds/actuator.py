@@ -51,6 +51,22 @@ class CommandDelay(ActuatorEffect):
         return scene.with_command(lambda u, dt: signals.delayed(u, dt, size[0]))
 
 
+class HeldLag(Lag):
+    """First-order lag with the time constant size, of a command that is held over each step."""
+
+    def apply(self, scene: Commanded, size: Tensor, run: Run) -> Any:
+        return scene.with_command(lambda u, dt: signals.held_lagged(u, dt, size[0]))
+
+
+class HeldDelay(CommandDelay):
+    """The actuators hear the command, held over each step, size later."""
+
+    signed = False
+
+    def apply(self, scene: Commanded, size: Tensor, run: Run) -> Any:
+        return scene.with_command(lambda u, dt: signals.held_delayed(u, dt, size[0]))
+
+
 class DeadBand(ActuatorEffect):
     """Nothing happens until the command exceeds size, then it acts less size."""
 

@@ -5,6 +5,8 @@ Signals are (num_samples, width) at evenly spaced times.
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import torch
 from torch import Tensor
 
@@ -101,6 +103,30 @@ def lagged(u: Tensor, dt: float, time_constant: Tensor) -> Tensor:
         error = target + (error - target) * decay
         errors.append(error)
     return u - torch.stack(errors)
+
+
+def held_lagged(u: Tensor, dt: float, time_constant: Tensor) -> Tensor:
+    """First-order lag of a command that is held over each step: mean over the step, (n, width).
+
+    With y the lagged value at the step's start, the mean is u + (y - u) (tau / dt) (1 - D),
+    D = exp(-dt / tau); at first y = u.
+    """
+    decay = torch.exp(-dt / time_constant.clamp(min=_SHORTEST_LAG * dt))
+    share = time_constant / dt * (1.0 - decay)
+    error, out = torch.zeros_like(u[0]), [u[0]]
+    for before, now in pairwise(u):
+        error = error * decay + before - now
+        out.append(now + error * share)
+    return torch.stack(out)
+
+
+def held_delayed(u: Tensor, dt: float, delay: Tensor) -> Tensor:
+    """A command that is held over each step, late by ``delay`` >= 0: mean over the step."""
+    last = u.shape[0] - 1
+    place = (torch.arange(last + 1, dtype=u.dtype) - delay / dt).clamp(0.0, float(last))
+    right = place.detach().ceil().long()
+    left = (right - 1).clamp(min=0)
+    return u[right] - (right - place)[:, None] * (u[right] - u[left])
 
 
 def dead_band(u: Tensor, half_width: Tensor) -> Tensor:

@@ -62,7 +62,10 @@ class LinearDrag(Effect):
 
 
 class Inflow(Effect):
-    """Thrust 1 - size (speed along the thrust): what a climbing rotor loses."""
+    """Thrust 1 - size (speed along the thrust): what a climbing rotor loses.
+
+    The speed is the body's; what its turning adds at the hubs is left out.
+    """
 
     name, family, kind, unit, typical = "inflow", "thrust", "force", "s/m", 0.03
     signed = False
@@ -70,8 +73,7 @@ class Inflow(Effect):
 
     def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
         def loss(motion: Motion, thrusts: Tensor) -> Tensor:
-            hub = _hub_velocity(motion)
-            climb = (hub * motion.vehicle.directions).sum(-1)
+            climb = motion.body_velocity @ motion.vehicle.directions.T
             return thrusts * (1.0 - size[0] * climb)
 
         return scene.with_schedule(loss)
@@ -135,14 +137,6 @@ def torque_allocation(vehicle: Multicopter) -> Tensor:
     """(n_rotors, 3): thrusts of least size with a given torque and no force along z."""
     wrench = torch.cat([vehicle.force_matrix[2:], vehicle.torque_matrix])
     return torch.linalg.pinv(wrench)[:, 1:]
-
-
-def _hub_velocity(motion: Motion) -> Tensor:
-    """Body frame, (num_windows, length, n_rotors, 3) [m/s]."""
-    arms = motion.vehicle.positions
-    rates = motion.body_rates[..., None, :].expand(*motion.body_rates.shape[:-1], *arms.shape)
-    turning = torch.linalg.cross(rates, arms.expand_as(rates))
-    return motion.body_velocity[..., None, :] + turning
 
 
 def _with_drag(scene: CopterScene, linear: Tensor, quadratic: Tensor) -> CopterScene:
@@ -298,6 +292,27 @@ class PositionScale(Effect):
         return scene.changed(position_scale=scene.position_scale * (1.0 + size[0]))
 
 
+class AccelerometerScale(Effect):
+    """The accelerometer shows 1 + size times what is there."""
+
+    name, family, kind, unit, typical = "accelerometer_scale", "sensor", "sensor", "-", 0.02
+    also_looks_like = ("mass with the thrust gain",)
+
+    def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        return scene.changed(accelerometer_scale=scene.accelerometer_scale * (1.0 + size[0]))
+
+
+class GyroOffset(Effect):
+    """The gyro shows size more."""
+
+    name, family, kind, unit, typical = "gyro_offset", "sensor", "sensor", "rad/s", 0.02
+    components = ("x", "y", "z")
+    also_looks_like = ("warming gyro",)
+
+    def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        return scene.changed(body_rates_offset=scene.body_rates_offset + size)
+
+
 COPTER: tuple[Callable[[], Effect], ...] = (
     RotorDragEffect,
     LinearDrag,
@@ -314,4 +329,6 @@ COPTER: tuple[Callable[[], Effect], ...] = (
     MarkerPlacement,
     ImuTilt,
     PositionScale,
+    AccelerometerScale,
+    GyroOffset,
 )

@@ -20,7 +20,7 @@ from diffsim.diagnose.beds.copter.scene import (
     windowed,
 )
 from diffsim.diagnose.beds.copter.shooting import Shooting, filled, guess_states
-from diffsim.diagnose.beds.signals import lagged
+from diffsim.diagnose.beds.signals import held_lagged
 from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.model import Build, Numerics, SimModel
 from diffsim.identify import Parameter
@@ -34,7 +34,27 @@ FLIGHT_BASE = (
     Parameter("inertia_gain", 1.0, 0.1, log=True),
     Parameter("motor_time_constant", 0.03, 0.3, "s", log=True),
 )
-BASE_NAMES = (*(p.name for p in FLIGHT_BASE), "mass_gain")
+_OFFSETS = ("attitude_offset", "body_rates_offset", "accelerometer_offset")
+BASE_NAMES = (
+    *(p.name for p in FLIGHT_BASE),
+    "mass_gain",
+    *(f"{o}_{axis}" for o in _OFFSETS for axis in "xyz"),
+)
+
+
+def flight_nuisances(
+    runs: Sequence[str],
+    attitude_rad: float = 3e-3,
+    accelerometer_m_s2: float = 0.03,
+    gain: float = 5e-3,
+) -> tuple[Parameter, ...]:
+    """Set-up facts that no flight is without: sensor offsets, and the thrust gain of each run."""
+    spread = {"attitude_offset": attitude_rad, "accelerometer_offset": accelerometer_m_s2}
+    units = {"attitude_offset": "rad", "accelerometer_offset": "m/s^2"}
+    offsets = [Parameter(f"{o}_{a}", 0.0, sd, units[o]) for o, sd in spread.items() for a in "xyz"]
+    return (*offsets, *(Parameter(f"thrust_gain@{run}", 1.0, gain, log=True) for run in runs))
+
+
 # Noise of a channel while nothing better is known: motion capture and a small inertial unit.
 SENSOR_SD = {"position": 2e-3, "attitude": 5e-3, "body_rates": 1e-2, "accelerometer": 0.1}
 _UNEVEN = 1e-3  # of the mean step
@@ -95,7 +115,8 @@ def flight_model(
         window_s: Length of a window [s].
         substeps: Integration steps per sample.
         base: Any of thrust_gain, torque_gain (reaction torque), inertia_gain, mass_gain [-] and
-            motor_time_constant [s]; without the last, motors follow at once.
+            motor_time_constant [s]; without the last, motors follow at once. Nuisances as
+            ``flight_nuisances`` makes them.
     """
     groups = tuple(require_choice("sensors", s, SENSORS) for s in sensors)
     if not {"position", "attitude"} <= set(groups):
@@ -105,7 +126,8 @@ def flight_model(
             f"commands must name one column per rotor, {vehicle.num_rotors}, got {list(commands)}"
         )
     for parameter in base:
-        require_choice("base", parameter.name, BASE_NAMES)
+        if not parameter.name.startswith("thrust_gain@"):
+            require_choice("base", parameter.name, BASE_NAMES)
     sd_of = SENSOR_SD | dict(sensor_sd or {})
     sd = torch.tensor([sd_of[g] for g in groups for _ in range(3)], dtype=torch.float64)
     prior = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in base}
@@ -121,7 +143,12 @@ def flight_model(
                 inertia=vehicle.inertia * values.get("inertia_gain", unit),
                 torque_ratios=vehicle.torque_ratios * values.get("torque_gain", unit),
             ),
-            commands=_columns(run, commands) * values.get("thrust_gain", unit),
+            commands=_columns(run, commands)
+            * values.get("thrust_gain", unit)
+            * values.get(f"thrust_gain@{run.name}", unit),
+            attitude_offset=_vector(values, "attitude_offset"),
+            body_rates_offset=_vector(values, "body_rates_offset"),
+            accelerometer_offset=_vector(values, "accelerometer_offset"),
             dt=_spacing(run),
             sensors=groups,
             shooting=shooting,
@@ -130,7 +157,7 @@ def flight_model(
         )
         if "motor_time_constant" in values:
             tau = values["motor_time_constant"]
-            result = result.with_command(lambda u, dt: lagged(u, dt, tau))
+            result = result.with_command(lambda u, dt: held_lagged(u, dt, tau))
         return result
 
     def shooting_of(run: Run) -> Shooting:
@@ -175,6 +202,12 @@ def flight_model(
 
     make: Build = build
     return CopterModel(make, tuple(base), "multicopter")
+
+
+def _vector(values: Mapping[str, Tensor], name: str) -> Tensor:
+    """(3,) of the parameters name_x, name_y, name_z; 0 where there are none."""
+    zero = torch.zeros((), dtype=torch.float64)
+    return torch.stack([values.get(f"{name}_{axis}", zero) for axis in "xyz"])
 
 
 def _columns(run: Run, names: Sequence[str]) -> Tensor:

@@ -32,6 +32,10 @@ def _origin() -> Tensor:
     return torch.zeros(3, dtype=torch.float64)
 
 
+def _unit() -> Tensor:
+    return torch.ones((), dtype=torch.float64)
+
+
 @dataclass(frozen=True, eq=False)
 class Motion:
     """What a cause may depend on, in the middle of every control step.
@@ -79,7 +83,9 @@ class CopterScene:
         world_force: (3,), or (num_samples, 3) held over each step [N].
         marker: Place of the captured point in the body frame, (3,) [m].
         imu_tilt: Rotation vector of the inertial unit in the body frame, small, (3,) [rad].
-        position_scale: Of the captured position [-].
+        position_scale, accelerometer_scale: What these show over what is there [-].
+        attitude_offset, body_rates_offset, accelerometer_offset: Added to what these show, (3,)
+            [rad], [rad/s], [m/s^2].
     """
 
     vehicle: Multicopter
@@ -96,7 +102,11 @@ class CopterScene:
     world_force: Tensor = field(default_factory=_origin)
     marker: Tensor = field(default_factory=_origin)
     imu_tilt: Tensor = field(default_factory=_origin)
-    position_scale: Tensor = field(default_factory=lambda: torch.ones((), dtype=torch.float64))
+    position_scale: Tensor = field(default_factory=_unit)
+    accelerometer_scale: Tensor = field(default_factory=_unit)
+    attitude_offset: Tensor = field(default_factory=_origin)
+    body_rates_offset: Tensor = field(default_factory=_origin)
+    accelerometer_offset: Tensor = field(default_factory=_origin)
 
     def changed(self, **changes: Any) -> CopterScene:
         """A copy with some entries replaced."""
@@ -343,8 +353,8 @@ def _read(scene: CopterScene, record: _Record) -> Tensor:
 
     channels = {
         "position": scene.position_scale * seen,
-        "attitude": record.rpy[:, 1:],
-        "body_rates": in_unit(record.body_rates[:, 1:]),
-        "accelerometer": in_unit(specific),
+        "attitude": record.rpy[:, 1:] + scene.attitude_offset,
+        "body_rates": in_unit(record.body_rates[:, 1:]) + scene.body_rates_offset,
+        "accelerometer": scene.accelerometer_scale * in_unit(specific) + scene.accelerometer_offset,
     }
     return torch.cat([channels[name] for name in scene.sensors], -1)
