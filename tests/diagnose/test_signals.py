@@ -86,3 +86,34 @@ def test_dead_band_backlash_and_saturation_by_hand():
     neutral = torch.zeros(1, dtype=torch.float64)
     got = signals.saturated(u, torch.tensor(1 / 3, dtype=torch.float64), neutral)
     torch.testing.assert_close(got, column([0, 1, 2, 2, 1, -2]))
+
+
+def held_means(u, dt, response, fine=4000):
+    """Mean over each step of a response to a held command, by brute force."""
+    t = (np.arange(len(u) * fine) + 0.5) * dt / fine
+    return response(np.repeat(u, fine), t).reshape(len(u), fine).mean(1)
+
+
+def test_held_lag_and_delay_are_means_over_steps():
+    rng = np.random.default_rng(0)
+    u, dt, tau = rng.standard_normal(8), 0.01, 0.013
+
+    def late(fine, t):
+        return u[np.clip(np.floor((t - 0.024) / dt).astype(int), 0, 7)]
+
+    got = signals.held_delayed(column(u), dt, torch.tensor(0.024, dtype=torch.float64))[:, 0]
+    np.testing.assert_allclose(got, held_means(u, dt, late), atol=1e-12)
+
+    def lagging(fine, t):
+        h = t[1] - t[0]
+        share = -np.expm1(-h / tau)
+        y, out = u[0], []
+        for target in fine:
+            out.append(y + (target - y) * 0.5 * share)
+            y += (target - y) * share
+        return np.array(out)
+
+    got = signals.held_lagged(column(u), dt, torch.tensor(tau, dtype=torch.float64))[:, 0]
+    np.testing.assert_allclose(got, held_means(u, dt, lagging), atol=1e-6)  # midpoints
+    none = signals.held_lagged(column(u), dt, torch.zeros((), dtype=torch.float64))[:, 0]
+    np.testing.assert_allclose(none, u)
