@@ -1,1 +1,1 @@
-"""Simulators with the hooks that candidate causes need."""
+"""Testbeds of the diagnosis: for each simulator a scene with hooks, models and effects."""

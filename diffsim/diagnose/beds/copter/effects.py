@@ -1,0 +1,334 @@
+"""Causes in the flight of a multicopter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from diffsim.copter.effects import BodyDrag, GroundEffect, RotorDrag
+from diffsim.copter.vehicle import Multicopter
+from diffsim.data.study import Run, Study
+from diffsim.diagnose.beds.copter.scene import CopterScene, Motion
+from diffsim.diagnose.effect import Effect
+
+_VOLTAGE = "voltage_V"
+_THRUST_COEFFICIENT = 1e-5  # of a small propeller, where a design states none [N s^2]
+_WAKE_SPEED = 3.0  # forward speed at which half of the wake's loss is there [m/s]
+
+
+class RotorDragEffect(Effect):
+    """In-plane force of each rotor, -size thrust (velocity of the hub across its axis)."""
+
+    name, family, kind, unit, typical = "rotor_drag", "drag", "force", "s/m", 0.01
+    signed = False
+    also_looks_like = ("blade flapping", "induced drag", "parasitic drag at one speed")
+
+    def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        base = scene.flight_effects.rotor_drag
+        total = size[0] if base is None else base.coefficient + size[0]
+        return scene.with_flight_effect("rotor_drag", RotorDrag(coefficient=total))
+
+
+class ParasiticDrag(Effect):
+    """Force -size |v| v, v the speed through still air."""
+
+    name, family, kind, unit, typical = "parasitic_drag", "drag", "force", "N s^2/m^2", 0.02
+    signed = False
+    also_looks_like = ("rotor drag below 2 m/s",)
+
+    def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        def drag(motion: Motion) -> Tensor:
+            v = motion.velocity
+            # smooth at rest, where the root alone is not
+            speed = ((v * v).sum(-1, keepdim=True) + 1e-12).sqrt()
+            return -size[0] * speed * v
+
+        return scene.with_air(drag)
+
+
+class LinearDrag(Effect):
+    """Force -size v across the body's z axis."""
+
+    name, family, kind, unit, typical = "linear_drag", "drag", "force", "N s/m", 0.1
+    signed = False
+    also_looks_like = ("rotor drag at equal thrust", "parasitic drag at one speed")
+
+    def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        return _with_drag(scene, size * size.new_tensor([1.0, 1.0, 0.0]), size.new_zeros(3))
+
+
+class Inflow(Effect):
+    """Thrust 1 - size (speed along the thrust): what a climbing rotor loses.
+
+    The speed is the body's; what its turning adds at the hubs is left out.
+    """
+
+    name, family, kind, unit, typical = "inflow", "thrust", "force", "s/m", 0.03
+    signed = False
+    also_looks_like = ("parasitic drag along z", "thrust gain in hover")
+
+    def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        def loss(motion: Motion, thrusts: Tensor) -> Tensor:
+            climb = motion.body_velocity @ motion.vehicle.directions.T
+            return thrusts * (1.0 - size[0] * climb)
+
+        return scene.with_schedule(loss)
+
+
+class Wake(Effect):
+    """Rotors at the rear of the motion lose the share size of their thrust in fast flight.
+
+    The loss grows as v^2 / (v^2 + v_h^2), v the horizontal speed, v_h = 3 m/s, and as the place of
+    the hub against the motion, from 0 at the centre to 1 at the largest arm.
+    """
+
+    name, family, kind, unit, typical = "wake", "thrust", "force", "-", 0.05
+    signed = False
+    also_looks_like = ("pitching moment of the rotors in forward flight", "centre of mass")
+
+    def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        def loss(motion: Motion, thrusts: Tensor) -> Tensor:
+            across = motion.body_velocity[..., :2]
+            square = (across * across).sum(-1, keepdim=True)
+            # v v_rear / (v^2 + v_h^2) without the direction of a vehicle at rest
+            speed = (square + 1e-12).sqrt()
+            rear = -(across @ motion.vehicle.positions[:, :2].T)
+            rear = rear / motion.vehicle.positions[:, :2].norm(dim=-1).max()
+            share = rear.clamp(min=0.0) * speed / (square + _WAKE_SPEED**2)
+            return thrusts * (1.0 - size[0] * share)
+
+        return scene.with_schedule(loss)
+
+
+class Gyroscopic(Effect):
+    """Torque -w x sum_i size W_i a_i of spinning rotors: size their inertia, W_i a_i their spin.
+
+    Given to the vehicle through the thrusts that have this torque and no lift, which is exact up to
+    forces across for level rotors. W_i = sqrt(thrust / 1e-5 N s^2).
+    """
+
+    name, family, kind, unit, typical = "gyroscopic", "torque", "force", "kg m^2", 1e-5
+    signed = False
+    also_looks_like = ("products of inertia",)
+
+    def needs(self, study: Study) -> str | None:
+        if int(study.metadata.get("num_rotors", 4)) < 4:
+            return "four rotors or more"
+        return None
+
+    def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        def torque(motion: Motion, thrusts: Tensor) -> Tensor:
+            vehicle = motion.vehicle
+            speed = (thrusts.clamp(min=1e-9) / _THRUST_COEFFICIENT).sqrt()
+            # the reaction on the vehicle is along +thrust where spins is +1: the rotor turns
+            # the other way about it
+            spin = -(speed * vehicle.spins) @ vehicle.directions
+            turning = -torch.linalg.cross(motion.body_rates, size[0] * spin)
+            return thrusts + turning @ torque_allocation(vehicle).T
+
+        return scene.with_schedule(torque)
+
+
+def torque_allocation(vehicle: Multicopter) -> Tensor:
+    """(n_rotors, 3): thrusts of least size with a given torque and no force along z."""
+    wrench = torch.cat([vehicle.force_matrix[2:], vehicle.torque_matrix])
+    return torch.linalg.pinv(wrench)[:, 1:]
+
+
+def _with_drag(scene: CopterScene, linear: Tensor, quadratic: Tensor) -> CopterScene:
+    base = scene.flight_effects.body_drag
+    if base is not None:
+        linear, quadratic = base.linear + linear, base.quadratic + quadratic
+    return scene.with_flight_effect("body_drag", BodyDrag(linear=linear, quadratic=quadratic))
+
+
+class Wind(Effect):
+    """Constant force in the world, north and east."""
+
+    name, family, kind, unit, typical = "wind", "constant", "environment", "N", 0.2
+    components = ("north", "east")
+    also_looks_like = ("tether", "body tilt at fixed yaw")
+
+    def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        return scene.changed(world_force=scene.world_force + torch.cat([size, size.new_zeros(1)]))
+
+
+class BodyTilt(Effect):
+    """All thrusts turned about the body's x and y by a small angle; turns with yaw."""
+
+    name, family, kind, unit, typical = "body_tilt", "constant", "material", "rad", 0.02
+    components = ("roll", "pitch")
+    also_looks_like = ("tilted attitude sensor", "wind at fixed yaw")
+
+    def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        axis = torch.cat([size, size.new_zeros(1)])
+        d = scene.vehicle.directions
+        turned = d + torch.linalg.cross(axis.expand_as(d), d)
+        turned = turned / turned.norm(dim=-1, keepdim=True)
+        return scene.changed(vehicle=scene.vehicle.replace(directions=turned))
+
+
+class CentreOfMass(Effect):
+    """The centre of mass lies at size in the body frame instead of its origin."""
+
+    name, family, kind, unit, typical = "centre_of_mass", "balance", "material", "m", 3e-3
+    components = ("x", "y")
+    also_looks_like = ("one weak rotor without yaw data", "trim of the speed controllers")
+
+    def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        shift = torch.cat([size, size.new_zeros(1)])
+        vehicle = scene.vehicle.replace(positions=scene.vehicle.positions - shift)
+        return scene.changed(vehicle=vehicle)
+
+
+class WeakRotor(Effect):
+    """One rotor gives the share 1 - size of its thrust; see :func:`weak_rotor`."""
+
+    name, family, kind, unit, typical = "weak_rotor", "balance", "actuator", "-", 0.05
+    also_looks_like = ("centre of mass without yaw data", "damaged or swapped propeller")
+    index: ClassVar[int] = 0
+
+    def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        share = torch.zeros(scene.vehicle.num_rotors, dtype=size.dtype)
+        share[self.index] = 1.0
+        return scene.with_command(lambda u, dt: u * (1.0 - size[0] * share))
+
+    def __reduce__(self) -> tuple[Callable[[int], WeakRotor], tuple[int]]:
+        return weak_rotor, (self.index,)  # its class has no name that another process could find
+
+
+def weak_rotor(index: int) -> WeakRotor:
+    """The effect of a certain rotor, counted from 0; named weak_rotor_1 for the first."""
+    own = {"name": f"weak_rotor_{index + 1}", "index": index, "__doc__": WeakRotor.__doc__}
+    return type(f"WeakRotor{index + 1}", (WeakRotor,), own)()
+
+
+class VoltageExponent(Effect):
+    """Thrust times (V / V_0)^size with the measured voltage V, V_0 its value at the start."""
+
+    name, family, kind, unit, typical = "voltage_exponent", "thrust", "actuator", "-", 1.0
+    also_looks_like = ("loss of thrust as motors warm", "falling mass")
+
+    def needs(self, study: Study) -> str | None:
+        if all(_VOLTAGE in run.command for run in study.runs):
+            return None
+        return f"the battery's voltage in every run (command {_VOLTAGE})"
+
+    def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        if _VOLTAGE not in run.command:
+            raise ValueError(f"run {run.name}: voltage_exponent needs the command {_VOLTAGE}")
+        voltage = torch.as_tensor(run.command[_VOLTAGE], dtype=torch.float64)[:, None]
+        return scene.with_command(lambda u, dt: u * (voltage / voltage[0]) ** size[0])
+
+
+class ThrustCurvature(Effect):
+    """Thrust u_0 (u / u_0)^(1 + size), u_0 the mean command of the rotor."""
+
+    name, family, kind, unit, typical = "thrust_curvature", "thrust", "actuator", "-", 0.1
+    also_looks_like = ("thrust gain at one load", "wrong exponent of the speed controller")
+
+    def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        def curved(u: Tensor, dt: float) -> Tensor:
+            mean = u.mean(0)
+            share = (u / mean).clamp(min=1e-6)
+            return torch.where(u > 0.0, mean * share ** (1.0 + size[0]), u)
+
+        return scene.with_command(curved)
+
+
+class GroundEffectCause(Effect):
+    """Thrust times 1 / (1 - size (radius / 4 height)^2) above level ground.
+
+    The ground is at the height ``setup["terrain_height_m"]`` of the run, 0 by default.
+    """
+
+    name, family, kind, unit, typical = "ground_effect", "thrust", "environment", "-", 1.0
+    signed = False
+    also_looks_like = ("thrust gain at one height",)
+
+    def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        height = torch.tensor(scene.terrain_height, dtype=size.dtype)
+        base = scene.flight_effects.ground_effect
+        if base is None:
+            new = GroundEffect(coefficient=size[0], terrain_height=height)
+        else:
+            new = replace(base, coefficient=base.coefficient + size[0])
+        return scene.with_flight_effect("ground_effect", new)
+
+
+class MarkerPlacement(Effect):
+    """The captured point lies at size in the body frame instead of the centre of mass."""
+
+    name, family, kind, unit, typical = "placement", "sensor", "sensor", "m", 5e-3
+    components = ("x", "y", "z")
+    also_looks_like = ("body origin of the capture system",)
+
+    def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        return scene.changed(marker=scene.marker + size)
+
+
+class ImuTilt(Effect):
+    """Gyro and accelerometer sit turned by size, a small rotation vector in the body frame."""
+
+    name, family, kind, unit, typical = "sensor_tilt", "sensor", "sensor", "rad", 0.02
+    components = ("x", "y", "z")
+    also_looks_like = ("body tilt, if only the accelerometer is seen",)
+
+    def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        return scene.changed(imu_tilt=scene.imu_tilt + size)
+
+
+class PositionScale(Effect):
+    """The captured position is larger by the share size."""
+
+    name, family, kind, unit, typical = "sensor_scale", "sensor", "sensor", "-", 0.02
+    also_looks_like = ("thrust gain and mass in vertical flight",)
+
+    def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        return scene.changed(position_scale=scene.position_scale * (1.0 + size[0]))
+
+
+class AccelerometerScale(Effect):
+    """The accelerometer shows 1 + size times what is there."""
+
+    name, family, kind, unit, typical = "accelerometer_scale", "sensor", "sensor", "-", 0.02
+    also_looks_like = ("mass with the thrust gain",)
+
+    def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        return scene.changed(accelerometer_scale=scene.accelerometer_scale * (1.0 + size[0]))
+
+
+class GyroOffset(Effect):
+    """The gyro shows size more."""
+
+    name, family, kind, unit, typical = "gyro_offset", "sensor", "sensor", "rad/s", 0.02
+    components = ("x", "y", "z")
+    also_looks_like = ("warming gyro",)
+
+    def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        return scene.changed(body_rates_offset=scene.body_rates_offset + size)
+
+
+COPTER: tuple[Callable[[], Effect], ...] = (
+    RotorDragEffect,
+    LinearDrag,
+    ParasiticDrag,
+    Wind,
+    BodyTilt,
+    VoltageExponent,
+    CentreOfMass,
+    GroundEffectCause,
+    Inflow,
+    Wake,
+    ThrustCurvature,
+    Gyroscopic,
+    MarkerPlacement,
+    ImuTilt,
+    PositionScale,
+    AccelerometerScale,
+    GyroOffset,
+)

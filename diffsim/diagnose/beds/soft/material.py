@@ -1,0 +1,141 @@
+"""Causes in the material of a soft body."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from diffsim.data.study import Run, Study
+from diffsim.diagnose.beds.soft.scene import Force, Moment, SoftScene
+from diffsim.diagnose.effect import Effect
+
+# Branches of the loss factor: half a decade apart, flat from about 0.6 to 50 Hz.
+_BRANCH_HZ = (0.316, 1.0, 3.16, 10.0, 31.6, 100.0)
+_STRENGTH = 2.0 / math.pi * math.log(10.0) / 2.0  # of a branch, per loss factor
+
+
+class StiffnessDamping(Effect):
+    """Force -size K v: damping ratio size w / 2, growing with the frequency w."""
+
+    name, family, kind, unit, typical = "stiffness_damping", "damping", "material", "s", 2e-3
+    signed = False
+    also_looks_like = ("numerical damping of implicit steps", "viscosity of the solid")
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        beta = scene.parameter("rayleigh_beta") + size[0]
+        return scene.with_parameter("rayleigh_beta", beta)
+
+
+class LossFactor(Effect):
+    """Loss factor that does not depend on the frequency: damping ratio size / 2.
+
+    Maxwell branches of equal strength, half a decade apart: the solid's force f is joined by
+    sum_k g (f - m_k), tau_k m_k' = f - m_k, with g = (2 / pi) ln(spacing) size. Long loads relax:
+    the stiffness is E at rest and E (1 + size (2 / pi) ln(...)) in fast motion. Memory is kept in
+    world axes, so rotations of the body must stay small (a bending bar, not a tumbling one).
+    """
+
+    name, family, kind, unit, typical = "loss_factor", "damping", "material", "-", 0.1
+    signed = False
+    also_looks_like = ("friction inside filled rubber", "damping at a clamp")
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        strength = _STRENGTH * size[0]
+        # the branches' instantaneous part is stiffness, which the implicit step takes
+        young = scene.parameter("youngs_modulus")
+        stiff = scene.with_parameter("youngs_modulus", young * (1.0 + len(_BRANCH_HZ) * strength))
+        return stiff.with_force(lambda: _Relaxation(scene, strength))
+
+
+class _Relaxation(Force):
+    """- sum_k g m_k with m_k following the solid's force, exact for straight lines of it."""
+
+    def __init__(self, plain: SoftScene, strength: Tensor):
+        self._plain, self._strength = plain, strength
+        self._tau = 1.0 / (2.0 * math.pi * torch.tensor(_BRANCH_HZ, dtype=torch.float64))
+        self._memory: Tensor | None = None
+        self._before: Tensor | None = None
+
+    def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
+        force, _ = self._plain.solid_force(moment.x)
+        tau = self._tau[:, None, None]
+        if self._memory is None or self._before is None:
+            self._memory = force.expand(len(_BRANCH_HZ), *force.shape)
+        else:
+            steady = tau * (force - self._before) / moment.dt
+            error = (self._before - self._memory - steady) * torch.exp(-moment.dt / tau) + steady
+            self._memory = force - error
+        self._before = force
+        # minus the branches' share of E, plus (f - m): together g (f - m) beside the plain solid
+        return -self._strength * self._memory.sum(0)
+
+
+class Stiffening(Effect):
+    """E (1 + size e^2), e^2 the body's mean square strain 2 U / (E V)."""
+
+    name, family, kind, unit, typical = "stiffening", "stiffness", "material", "-", 20.0
+    also_looks_like = ("strain softening (negative)", "saturating drive")
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        return scene.with_force(lambda: _Stiffening(size[0]))
+
+
+class _Stiffening(Force):
+    """The force of the energy U + size U^2 / (E V) beside that of U."""
+
+    def __init__(self, size: Tensor):
+        self._size = size
+
+    def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
+        force, strain_squared = scene.solid_force(moment.x)
+        return self._size * strain_squared * force
+
+
+class StiffnessLoss(Effect):
+    """E (1 - sum_i size_i hat_i) with straight-sided hats at the ends and the middle of the body.
+
+    Places are shares of its length along its longest axis.
+    """
+
+    name, family, kind, unit, typical = "stiffness_loss", "stiffness_field", "material", "-", 0.2
+    components = ("root", "middle", "tip")
+    also_looks_like = ("loose clamp", "tear", "uneven cure", "Young's modulus, all three alike")
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        mesh = scene.body.mesh
+        spread = mesh.x_rest.amax(0) - mesh.x_rest.amin(0)
+        axis = int(spread.argmax())
+        centre = mesh.x_rest[mesh.elements][:, :, axis].mean(1)
+        share = (centre - mesh.x_rest[:, axis].min()) / spread[axis]
+        places = torch.tensor([0.0, 0.5, 1.0], dtype=share.dtype)
+        hats = (1.0 - 2.0 * (share[:, None] - places).abs()).clamp(min=0.0)
+        young = scene.parameter("youngs_modulus")
+        return scene.with_parameter("youngs_modulus", young * (1.0 - hats @ size))
+
+
+class TemperatureDrift(Effect):
+    """E (1 + size order), order the place of the run in the series."""
+
+    name, family, kind, unit, typical = "temperature_drift", "drift", "environment", "1/run", 0.01
+    also_looks_like = ("ageing", "softening by repeated strain (Mullins)", "drying")
+
+    def needs(self, study: Study) -> str | None:
+        if len({run.order for run in study.fit_runs}) < 3:
+            return "three runs or more of known order"
+        return None
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        young = scene.parameter("youngs_modulus")
+        return scene.with_parameter("youngs_modulus", young * (1.0 + size[0] * run.order))
+
+
+MATERIAL: tuple[Callable[[], Effect], ...] = (
+    StiffnessDamping,
+    LossFactor,
+    Stiffening,
+    StiffnessLoss,
+    TemperatureDrift,
+)

@@ -1,0 +1,237 @@
+"""A soft body in one run, with the places where candidate causes act."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from diffsim import soft
+from diffsim.diagnose.beds.signals import sample, straight
+from diffsim.errors import ConvergenceError
+from diffsim.mesh import HexMesh, TetMesh, surface_triangles
+
+# What explicit forces are extrapolated to, in steps ahead of the step's start.
+_AHEAD = {"implicit_euler": 1.0, "bdf2": 1.0, "implicit_midpoint": 0.5, "semi_implicit_euler": 0.0}
+_STATIC_ITERATIONS = 60
+_STATIC_RTOL = 1e-9  # of the largest displacement
+_NO_FIBRES = 1e-12  # share of the fibres' stiffness that is left in the solid's own force
+
+CommandMap = Callable[[Tensor, float], Tensor]
+OutputMap = Callable[[Tensor, Tensor], Tensor]
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What a force may depend on.
+
+    Attributes:
+        x, v: (num_vertices, 3) [m], [m/s].
+        time: Since the start [s].
+        dt: Step [s].
+    """
+
+    x: Tensor
+    v: Tensor
+    time: float
+    dt: float
+
+
+class Force:
+    """A force that may remember; made anew for every simulation.
+
+    ``__call__`` returns nodal forces (num_vertices, 3) [N] of one moment; called once per step, in
+    order.
+    """
+
+    def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SoftScene:
+    """One run of a soft body; effects return changed copies.
+
+    Forces of hooks are evaluated at the start of steps and extrapolated from the last two to where
+    the integrator wants them, which keeps its second order; stiff ones need small steps.
+
+    Attributes:
+        body: The body, with its time step and solver.
+        sample_times: When channels were recorded, since the start of the simulation, (num_samples,)
+            [s]. Before 0 the body rests as it starts.
+        observe: Positions (num_vertices, 3) [m] -> channels (num_channels,).
+        axes: Of every channel: 0, 1, 2 for x, y, z, so that maps of space find their components.
+        parameters: For ``body.physics``; scalars or fields.
+        start: "rest" (the unstrained shape, released at 0) or "equilibrium" under the first
+            command.
+        command: (num_commands, width) evenly spaced, or None.
+        command_dt: Its spacing [s].
+        actuate: Command (width,) -> activation (num_muscles,); None: the command itself.
+        command_maps: What happens to the command, in order.
+        forces: Makers of extra forces.
+        water: Drag and thrust of a fluid, explicit; None: there is none.
+        current: Of the fluid and of every drag force, (3,) [m/s].
+        fluid_density: For added mass [kg/m^3].
+        friction_shares: (num_vertices,) of dry friction, summing to 1; None: evenly by volume.
+        time_scale: True seconds per second of the record.
+        clock_offset: The record's clock is late by this [s].
+        output_maps: What happens to channels, in order; they get (num_samples, num_channels) and
+            the sample times.
+    """
+
+    body: soft.SoftBody
+    sample_times: Tensor
+    observe: Callable[[Tensor], Tensor]
+    axes: tuple[int, ...]
+    parameters: Mapping[str, Tensor] = field(default_factory=dict)
+    start: str = "rest"
+    command: Tensor | None = None
+    command_dt: float = math.nan
+    actuate: Callable[[Tensor], Tensor] | None = None
+    command_maps: tuple[CommandMap, ...] = ()
+    forces: tuple[Callable[[], Force], ...] = ()
+    water: soft.Hydrodynamics | None = None
+    current: Tensor = field(default_factory=lambda: torch.zeros(3, dtype=torch.float64))
+    fluid_density: float = 1000.0
+    friction_shares: Tensor | None = None
+    time_scale: Tensor = field(default_factory=lambda: torch.ones((), dtype=torch.float64))
+    clock_offset: Tensor = field(default_factory=lambda: torch.zeros((), dtype=torch.float64))
+    output_maps: tuple[OutputMap, ...] = ()
+
+    def changed(self, **changes: Any) -> SoftScene:
+        """A copy with some entries replaced."""
+        return replace(self, **changes)
+
+    def parameter(self, name: str) -> Tensor:
+        """A physical parameter as it is in this run; 0 where the body has none."""
+        value = self.parameters.get(name, getattr(self.body, name))
+        return torch.zeros((), dtype=torch.float64) if value is None else value
+
+    def with_parameter(self, name: str, value: Tensor) -> SoftScene:
+        """A copy with one physical parameter replaced."""
+        return self.changed(parameters={**self.parameters, name: value})
+
+    def with_force(self, make: Callable[[], Force]) -> SoftScene:
+        """A copy with one more force."""
+        return self.changed(forces=(*self.forces, make))
+
+    def with_command(self, change: CommandMap) -> SoftScene:
+        """A copy whose command is changed on its way: f(command, dt) -> command."""
+        return self.changed(command_maps=(*self.command_maps, change))
+
+    def with_output(self, change: OutputMap) -> SoftScene:
+        """A copy whose channels are changed: f(channels, times) -> channels."""
+        return self.changed(output_maps=(*self.output_maps, change))
+
+    def solid_force(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Elastic force without fibres (num_vertices, 3) [N], and mean square strain () [-].
+
+        The strain is that of a bar with the same energy: 2 U / (E V), whatever E.
+        """
+        values: dict[str, Any] = dict(self.parameters)
+        values["fibre_stiffness"] = _NO_FIBRES * self.parameter("fibre_stiffness")
+        physics = self.body.physics(**values)
+        energy = self.body.elastic_energy(x, physics=physics)
+        # a field of moduli weighs the strain; the energy carries gradients in x alone
+        stiffness = self.parameter("youngs_modulus").detach().mean()
+        volume = self.body.nodal_volume.sum()
+        return self.body.elastic_force(x, physics=physics), 2.0 * energy / (stiffness * volume)
+
+    def simulate(self) -> Tensor:
+        """Predicted channels, (num_samples, num_channels)."""
+        dt = self.body.dt
+        times = (self.sample_times - self.clock_offset) * self.time_scale
+        # two more than asked for: the interpolation looks that far ahead
+        num_steps = max(5, math.ceil(float(times.detach().max()) / dt - 1e-9) + 2)
+        activation = self._activation(num_steps)
+        physics = self.body.physics(**self.parameters)
+        trajectory = soft.rollout(
+            self.body,
+            self._initial_state(None if activation is None else activation(0), physics),
+            num_steps,
+            external_force=self._external_force(),
+            activation=None if activation is None else lambda k, state: activation(k),
+            physics=physics,
+            keep=lambda state: self.observe(state.x),
+        )
+        channels = sample(trajectory.x, dt, times)
+        for change in self.output_maps:
+            channels = change(channels, self.sample_times)
+        return channels
+
+    def _initial_state(self, activation: Tensor | None, physics: soft.Physics) -> soft.State:
+        if self.start == "rest":
+            return self.body.rest_state()
+        state = self.body.static_equilibrium(activation=activation, physics=physics)
+        if not self.forces and self.water is None:
+            return state
+        for _ in range(_STATIC_ITERATIONS):
+            force = self._force_at(0, state, [make() for make in self.forces])
+            before = state.x.detach()
+            state = self.body.static_equilibrium(
+                guess=before, external_force=force, activation=activation, physics=physics
+            )
+            change = float((state.x.detach() - before).abs().max())
+            if change < _STATIC_RTOL * float((before - self.body.x_rest).abs().max()):
+                return state
+        raise ConvergenceError(
+            f"no equilibrium with the extra forces: after {_STATIC_ITERATIONS} iterations the body "
+            f"still moves by {change:.1e} m; reduce the effects' sizes",
+            residual_norm=change,
+            tolerance=_STATIC_RTOL * float((before - self.body.x_rest).abs().max()),
+            num_iters=_STATIC_ITERATIONS,
+        )
+
+    def _activation(self, num_steps: int) -> Callable[[int], Tensor] | None:
+        """Activation of step k: the command where the integrator wants it."""
+        if self.command is None:
+            return None
+        command = self.command
+        for change in self.command_maps:
+            command = change(command, self.command_dt)
+        ahead = _AHEAD[self.body.integrator]
+        times = self.body.dt * (torch.arange(num_steps, dtype=torch.float64) + ahead)
+        at_steps = straight(command, self.command_dt, times)
+        if self.actuate is not None:
+            at_steps = torch.stack([self.actuate(row) for row in at_steps])
+        return lambda k: at_steps[k]
+
+    def _external_force(self) -> Callable[[int, soft.State], Tensor] | None:
+        """All hooks' forces, extrapolated; remembers, so it serves one rollout."""
+        if not self.forces and self.water is None:
+            return None
+        forces = [make() for make in self.forces]
+        ahead = _AHEAD[self.body.integrator]
+        before: list[Tensor] = []
+
+        def total(k: int, state: soft.State) -> Tensor:
+            now = self._force_at(k, state, forces)
+            past = before.pop() if before else now
+            before.append(now)
+            return now + ahead * (now - past)
+
+        return total
+
+    def _force_at(self, k: int, state: soft.State, forces: Sequence[Force]) -> Tensor:
+        """Sum of the hooks' forces at the start of step k, (num_vertices, 3) [N]."""
+        dt = self.body.dt
+        moment = Moment(state.x, state.v, k * dt, dt)
+        total = torch.zeros_like(state.x)
+        if self.water is not None:
+            total = total + self.water(state.x, state.v, water_velocity=self.current)
+        for force in forces:
+            total = total + force(self, moment)
+        return total
+
+
+def node_areas(mesh: HexMesh | TetMesh) -> Tensor:
+    """Share of the surface at rest that belongs to each node, (num_vertices,) [m^2]."""
+    faces = surface_triangles(mesh).faces
+    a, b, c = mesh.x_rest[faces].unbind(1)
+    area = 0.5 * torch.linalg.cross(b - a, c - a).norm(dim=-1)
+    areas = torch.zeros(mesh.num_vertices, dtype=torch.float64)
+    return areas.index_add(0, faces.flatten(), (area / 3.0).repeat_interleave(3))

@@ -1,0 +1,52 @@
+"""A generic smooth force on a soft body: a cause without a form."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from diffsim.data.study import Run
+from diffsim.diagnose.beds.signals import straight
+from diffsim.diagnose.beds.soft.scene import Force, Moment, SoftScene
+from diffsim.diagnose.effect import Effect
+
+_SHAPES = ("even", "growing")
+
+
+class _UnknownForce(Effect):
+    """Force per volume: per axis of space evenly spread, and growing along the body's length.
+
+    Components: knots of time fastest, then shapes, then axes; straight lines between knots.
+    """
+
+    name, family, kind, unit, typical = "unknown_force", "unknown", "force", "N/m^3", 100.0
+    also_looks_like = ("anything",)
+
+    def __init__(self, num_knots: int, until_s: float):
+        self._num_knots, self._spacing = num_knots, until_s / (num_knots - 1)
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        x = scene.body.mesh.x_rest
+        spread = x.amax(0) - x.amin(0)
+        axis = int(spread.argmax())
+        along = (x[:, axis] - x[:, axis].min()) / spread[axis]
+        shapes = torch.stack([torch.ones_like(along), along]) * scene.body.nodal_volume
+        knots = size.reshape(3, len(_SHAPES), self._num_knots)
+        return scene.with_force(lambda: _Knots(knots, shapes, self._spacing))
+
+
+class _Knots(Force):
+    def __init__(self, knots: Tensor, shapes: Tensor, spacing: float):
+        self._rows = knots.reshape(-1, knots.shape[-1]).T  # (num_knots, 3 * num_shapes)
+        self._shapes, self._spacing = shapes, spacing
+
+    def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
+        time = torch.tensor([moment.time], dtype=torch.float64)
+        now = straight(self._rows, self._spacing, time).reshape(3, -1)
+        return (now @ self._shapes).T
+
+
+def unknown_force(num_knots: int, until_s: float) -> Effect:
+    """The effect with ``num_knots`` >= 2 knots from 0 to ``until_s`` [s]."""
+    names = tuple(f"{a}_{s}_{k}" for a in "xyz" for s in _SHAPES for k in range(num_knots))
+    return type("UnknownForce", (_UnknownForce,), {"components": names})(num_knots, until_s)

@@ -1,0 +1,28 @@
+"""Libraries of candidate causes by system, imported when asked for."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+from diffsim._check import require_choice
+from diffsim.diagnose.effect import Effect
+
+_LIBRARIES = {
+    "soft_body": ("diffsim.diagnose.beds.soft", "soft_body_library"),
+    "copter": ("diffsim.diagnose.beds.copter", "copter_library"),
+}
+
+
+def library(system: str, **options: Any) -> list[Effect]:
+    """Candidate causes of a system, to which own ones may be added.
+
+    Args:
+        system: "soft_body" or "copter".
+        **options: Of that library; "copter" takes num_rotors, 4 by default.
+
+    Raises:
+        ValueError: no such system; the message offers the closest names.
+    """
+    module, name = _LIBRARIES[require_choice("system", system, _LIBRARIES)]
+    return list(getattr(import_module(module), name)(**options))
