@@ -1,6 +1,34 @@
-"""Diagnosis: show what a simulation gets wrong, name the cause, extend the model, measure the gain."""
+"""Diagnosis: show what a simulator gets wrong, name the cause, extend the model, measure the gain."""
 
+from diffsim.diagnose.diagnosis import DiagnosisSettings, diagnose
 from diffsim.diagnose.effect import Effect
+from diffsim.diagnose.extended import extended_model
+from diffsim.diagnose.gain import Gain, gain
 from diffsim.diagnose.model import Numerics, Scene, SimModel
+from diffsim.diagnose.next_run import NextRun, next_run
+from diffsim.diagnose.report import EffectRow, GateResult, HypothesisRow, Report
+from diffsim.diagnose.search import SearchSettings
+from diffsim.diagnose.unknown import Unknown, UnknownDrift, UnknownForce, smooth_covariance
 
-__all__ = ["Effect", "Numerics", "Scene", "SimModel"]
+__all__ = [
+    "DiagnosisSettings",
+    "Effect",
+    "EffectRow",
+    "Gain",
+    "GateResult",
+    "HypothesisRow",
+    "NextRun",
+    "Numerics",
+    "Report",
+    "Scene",
+    "SearchSettings",
+    "SimModel",
+    "Unknown",
+    "UnknownDrift",
+    "UnknownForce",
+    "diagnose",
+    "extended_model",
+    "gain",
+    "next_run",
+    "smooth_covariance",
+]

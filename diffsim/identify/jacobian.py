@@ -13,8 +13,7 @@ from torch import Tensor
 from diffsim._check import require_choice, require_number
 
 Array = NDArray[np.float64]
-Predict = Callable[[Tensor], Tensor]
-PredictMany = Callable[[list[Tensor]], list[Tensor]]
+PredictMany = Callable[[Sequence[Tensor]], Tensor]  # K points -> (K, ...)
 METHODS = ("differences", "forward_mode")
 
 
@@ -67,7 +66,7 @@ class Jacobian:
                 moved[i] += offset
                 points.append(moved)
         with torch.no_grad():
-            rows = [r.detach().numpy().ravel() for r in many(points)]
+            rows = many(points).detach().numpy().reshape(len(points), -1)
         here, out, k = rows[0], np.zeros((rows[0].size, len(idx))), 1
         for j, i in enumerate(idx):
             if secant[i] > 0.0:

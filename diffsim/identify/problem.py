@@ -84,7 +84,7 @@ class Problem:
         sizes, k = {}, self.num_base
         for effect in self.effects:
             count = len(effect.components)
-            sizes[effect] = PRIOR_WIDTH * effect.typical * x[k : k + count]
+            sizes[effect] = PRIOR_WIDTH * effect.typical * x[..., k : k + count]
             k += count
         return sizes
 
@@ -92,10 +92,20 @@ class Problem:
         """Predicted channels, (num_samples, num_channels)."""
         sizes = self.sizes_at(x)
         out = self.model.predict(run, x[: self.num_base], sizes, self.numerics)
-        if out.shape != run.measured.shape:
+        return self._of_shape(run, out, run.measured.shape)
+
+    def predict_many(self, run: Run, points: Sequence[Tensor]) -> Tensor:
+        """(K, num_samples, num_channels) at K points."""
+        x = torch.stack(list(points))
+        sizes = self.sizes_at(x)
+        out = self.model.predict_many(run, x[:, : self.num_base], sizes, self.numerics)
+        return self._of_shape(run, out, (len(x), *run.measured.shape))
+
+    def _of_shape(self, run: Run, out: Tensor, shape: tuple[int, ...]) -> Tensor:
+        if tuple(out.shape) != shape:
             raise ValueError(
-                f"model {self.model.name} predicts {tuple(out.shape)} for run {run.name}, which "
-                f"has {run.measured.shape} (samples, channels)"
+                f"model {self.model.name} predicts {tuple(out.shape)} for run {run.name}, "
+                f"expected {shape}: samples and channels of its ``measured``"
             )
         return out
 
@@ -136,7 +146,7 @@ class Problem:
             idx = [i for i in range(len(x)) if _touches(names[i], run)]
             idx = [i for i in idx if only is None or i in only]
             here, columns = self.jacobian.columns(
-                lambda points: [self.predict(run, p) for p in points],
+                lambda points: self.predict_many(run, points),
                 point,
                 idx,
                 one_sided=one_sided,
