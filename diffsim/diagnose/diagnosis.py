@@ -66,8 +66,13 @@ class _Case:
     def fit(self, runs: Sequence[Run], whitener: Whitener, start: Array | None = None) -> Fit:
         s = self.settings
         return fit_runs(
-            self.model, runs, self.study.channels, start=start, whitener=whitener,
-            jacobian=s.jacobian, workers=s.workers,
+            self.model,
+            runs,
+            self.study.channels,
+            start=start,
+            whitener=whitener,
+            jacobian=s.jacobian,
+            workers=s.workers,
         )
 
     def wide(self, null: Fit) -> Problem:
@@ -122,7 +127,9 @@ def diagnose(
         residual, jacobian = wide.linearise(at, screen=True)
         seen = screen(wide, residual, jacobian, at)
         decision = Decision("numerical", frozenset(), (), None, 0.0)
-        return _report(case, decision, None, null, noise, seen, gates, unmet, seed, bank, num_spikes)
+        return _report(
+            case, decision, None, null, noise, seen, gates, unmet, seed, bank, num_spikes
+        )
 
     search, noise, null = _search(case, noise, null)
     linear = search.null_linear
@@ -138,8 +145,11 @@ def _null_fit(case: _Case) -> tuple[Study, NoiseFloor, Fit, int]:
     study = case.study
     raw = {r.name: r.measured for r in study.runs}
     channels = [
-        c if c.sd is not None else replace(c, sd=noise_floor(study.fit_runs, (c,), {
-            n: m[:, [i]] for n, m in raw.items()}).sd[0])
+        c
+        if c.sd is not None
+        else replace(
+            c, sd=noise_floor(study.fit_runs, (c,), {n: m[:, [i]] for n, m in raw.items()}).sd[0]
+        )
         for i, c in enumerate(study.channels)
     ]
     rough = case.fit(study.fit_runs, WhiteNoise(channels))

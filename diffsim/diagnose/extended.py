@@ -48,8 +48,13 @@ def extended_model(fit: Fit) -> SimModel:
         for p in inner.base
     ]
     sizes = [
-        Parameter(name, fit.values[name], fit.sd[name], effect.unit,
-                  lower=-np.inf if effect.signed else 0.0)
+        Parameter(
+            name,
+            fit.values[name],
+            fit.sd[name],
+            effect.unit,
+            lower=-np.inf if effect.signed else 0.0,
+        )
         for effect, components in zip(problem.effects, names, strict=True)
         for name in components
     ]

@@ -77,8 +77,15 @@ def gradient_gate(problem: Problem, x: Array) -> list[GateResult]:
         # relative to the largest score a residual of this length could have
         size = np.linalg.norm(residual) * np.linalg.norm(jacobian[:, c])
         error = float(np.linalg.norm(adjoint[c] - score[c]) / size) if size > 0.0 else 0.0
-        out.append(GateResult(f"gradient:{effect.name}", error < GRADIENT_RTOL, error,
-                              GRADIENT_RTOL, "adjoint against finite differences"))
+        out.append(
+            GateResult(
+                f"gradient:{effect.name}",
+                error < GRADIENT_RTOL,
+                error,
+                GRADIENT_RTOL,
+                "adjoint against finite differences",
+            )
+        )
     return out
 
 
@@ -93,8 +100,15 @@ def numerics_gate(fit: Fit) -> list[GateResult]:
         change = fit.residual - replace(problem, numerics=finer).residual(fit.x)
         left = change - j @ (posterior_covariance(j) @ (j.T @ change))
         size = float(np.linalg.norm(left))
-        out.append(GateResult(name, size < NUMERICS_LAMBDA, size, NUMERICS_LAMBDA,
-                              "noise sd that refining moves the record, refit allowed"))
+        out.append(
+            GateResult(
+                name,
+                size < NUMERICS_LAMBDA,
+                size,
+                NUMERICS_LAMBDA,
+                "noise sd that refining moves the record, refit allowed",
+            )
+        )
     return out
 
 

@@ -54,7 +54,9 @@ def _nearest_pair(rivals: Sequence[Fit], run: Run) -> float:
     linear = []
     for fit in rivals:
         residual, jacobian = replace(fit.problem, runs=(run,)).linearise(fit.x)
-        linear.append((residual, jacobian @ linalg.cholesky(_symmetric(fit.covariance), lower=True)))
+        linear.append(
+            (residual, jacobian @ linalg.cholesky(_symmetric(fit.covariance), lower=True))
+        )
     distances = []
     for a in range(len(linear)):
         for b in range(a + 1, len(linear)):

@@ -152,8 +152,9 @@ def _twins(effects: Sequence[Effect], seen: Screen, i: int) -> tuple[str, ...]:
     owner = [k for k, e in enumerate(effects) for _ in e.components]
     own = [c for c, k in enumerate(owner) if k == i]
     close = np.abs(seen.confounding[own]).max(axis=0) > TWINS
-    return tuple(dict.fromkeys(effects[owner[c]].name for c in np.flatnonzero(close)
-                               if owner[c] != i))
+    return tuple(
+        dict.fromkeys(effects[owner[c]].name for c in np.flatnonzero(close) if owner[c] != i)
+    )
 
 
 def _by_component(effect: Effect, values) -> dict[str, float]:

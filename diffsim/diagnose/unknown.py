@@ -77,9 +77,7 @@ class UnknownDrift(Unknown):
         num_knots: At most, over the longest run.
     """
 
-    def __init__(
-        self, channel: int, name: str, knots_per_s: float = 5.0, num_knots: int = 30
-    ):
+    def __init__(self, channel: int, name: str, knots_per_s: float = 5.0, num_knots: int = 30):
         self.channel, self.name = channel, name
         self.knots_per_s, self.num_knots = knots_per_s, num_knots
 
@@ -126,5 +124,3 @@ def _by_group(problem: Problem, columns: Array) -> Array:
 def drifts(channels: Sequence[str]) -> list[Unknown]:
     """One ``UnknownDrift`` per channel."""
     return [UnknownDrift(i, f"unknown drift of {name}") for i, name in enumerate(channels)]
-
-

@@ -55,8 +55,11 @@ def sentences(
         )
     if np.isnan(noise.scatter_ratio).all():
         out.append("Repeatability was not judged: that needs repeats and a stated sensor noise.")
-    out += [f"{g.name}: {g.value:g}, wanted {g.limit:g} ({g.note})." for g in gates
-            if not g.passed and g.name not in ("time_step", "mesh", "tolerance")]
+    out += [
+        f"{g.name}: {g.value:g}, wanted {g.limit:g} ({g.note})."
+        for g in gates
+        if not g.passed and g.name not in ("time_step", "mesh", "tolerance")
+    ]
     return tuple(out)
 
 

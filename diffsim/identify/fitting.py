@@ -120,9 +120,7 @@ def fit(
         raise ValueError(f"start must have shape ({n},), got {x0.shape}")
     solve = _gauss_newton if method == "gauss_newton" else _lbfgs
     found = solve(problem, x0, max_evaluations, gradient)
-    return summarise(
-        problem, found.x, bool(found.success), str(found.message), int(found.nfev)
-    )
+    return summarise(problem, found.x, bool(found.success), str(found.message), int(found.nfev))
 
 
 def summarise(

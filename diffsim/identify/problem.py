@@ -73,8 +73,13 @@ class Problem:
     @property
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds of the coordinates, (n,) each."""
-        low = [p.coordinate_of(p.lower) if _inside(p.lower, p.log) else -np.inf for p in self.model.base]
-        high = [p.coordinate_of(p.upper) if np.isfinite(p.upper) else np.inf for p in self.model.base]
+        low = [
+            p.coordinate_of(p.lower) if _inside(p.lower, p.log) else -np.inf
+            for p in self.model.base
+        ]
+        high = [
+            p.coordinate_of(p.upper) if np.isfinite(p.upper) else np.inf for p in self.model.base
+        ]
         low += [-np.inf if e.signed else 0.0 for e, _ in self.owners]
         high += [np.inf] * len(self.owners)
         return np.array(low), np.array(high)

@@ -23,8 +23,8 @@ from diffsim.identify import Parameter
 RATE_HZ, DURATION_S = 50.0, 4.0
 TIME = np.arange(round(RATE_HZ * DURATION_S)) / RATE_HZ
 CHANNELS = (
-    Channel("position_m", "m", "position", sd=0.01),
-    Channel("velocity_m_s", "m/s", "velocity", sd=0.08),
+    Channel("position_m", "m", "position", sd=0.03),
+    Channel("velocity_m_s", "m/s", "velocity", sd=0.3),
 )
 COMMANDS = {
     "chirp": np.sin(2 * np.pi * (0.4 * TIME + 0.3 * TIME**2)),
@@ -58,8 +58,11 @@ class OscillatorScene:
         stages = np.linspace(0.0, TIME[-1], 2 * len(TIME) - 1)
         shifted = stages[None, :] - column.get("delay", zero)
         u = np.interp(shifted, TIME, self.run.command["u"], left=self.run.command["u"][0])
-        u = lagged(np.broadcast_to(u, (count, len(stages))), stages[1], column.get("lag", zero))
-        push = get["gain"] * u + column.get("bias", zero)
+        u = np.broadcast_to(u, (count, len(stages)))
+        if np.any(tau := column.get("lag", zero)):
+            u = lagged(u, stages[1], tau)
+        gain = get["gain"] * get.get(f"gain_factor@{self.run.name}", zero + 1.0)
+        push = gain * u + column.get("bias", zero)
         if "knots" in terms:
             knots = np.linspace(0.0, TIME[-1], terms["knots"].shape[-1])
             hats = np.stack([np.interp(stages, knots, e) for e in np.eye(len(knots))])
@@ -68,7 +71,7 @@ class OscillatorScene:
 
         def acceleration(x, v, f):
             return (
-                w * w * (f - x - hard * x**3)
+                w * w * (f - x - hard * x * x * x)
                 - 2 * zeta * w * v
                 - drag * np.abs(v) * v
                 - rub * np.tanh(v / 0.02)
@@ -133,9 +136,11 @@ def lagged(u, h, tau):
 class _Term(Effect):
     kind = "force"
     unit = "-"
+    term = ""
 
     def apply(self, scene, size, run):
-        return replace(scene, terms={**scene.terms, self.name: size[..., 0]})
+        before = scene.terms.get(self.term or self.name, 0.0)
+        return replace(scene, terms={**scene.terms, self.term or self.name: before + size[..., 0]})
 
 
 class Drag(_Term):
@@ -174,10 +179,7 @@ class Warming(_Term):
 class ClockOffset(Delay):
     """Exactly the delay under another name."""
 
-    name = "clock_offset"
-
-    def apply(self, scene, size, run):
-        return replace(scene, terms={**scene.terms, "delay": size[..., 0]})
+    name, term = "clock_offset", "delay"
 
 
 class Knots(Effect):
@@ -204,6 +206,7 @@ def model(runs, implicit_step: float | None = None) -> SimModel:
         Parameter("damping_ratio", 0.08, 0.3, "-", log=True),
         Parameter("gain", 1.0, 0.1, "-", log=True),
         *(Parameter(f"offset@{r.name}", 0.0, 0.02, "m") for r in runs),
+        *(Parameter(f"gain_factor@{r.name}", 1.0, 0.005, "-") for r in runs),
     ]
     return SimModel(
         lambda values, run, numerics: OscillatorScene(dict(values), run, numerics, implicit_step),
@@ -223,6 +226,7 @@ def generate(
     scatter: float = 0.0,
     lost_repeat: bool = False,
     far_base: float = 1.0,
+    noise: float = 1.0,
 ) -> Study:
     """Recordings of a hidden truth: 3 commands x 2 repeats to fit, one command held out."""
     rng = np.random.default_rng(seed)
@@ -238,11 +242,11 @@ def generate(
         if lost_repeat and (command, repeat) == ("steps", "b"):
             continue
         clean = _integrate(truth, COMMANDS[command], hidden, order, rng, scatter)
-        noise = _noise(rng, colour, tails)
-        measured = clean + noise * [c.sd for c in CHANNELS] + [rng.normal(0.0, 0.01), 0.0]
+        disturbed = noise * _noise(rng, colour, tails)
+        measured = clean + disturbed * [c.sd for c in CHANNELS] + [rng.normal(0.0, 0.01), 0.0]
         if spikes:
             hit = rng.random(measured.shape) < 0.005
-            measured = measured + hit * rng.choice([-1, 1], measured.shape) * [0.3, 2.0]
+            measured = measured + hit * rng.choice([-1, 1], measured.shape) * [0.8, 8.0]
         runs.append(
             Run(
                 f"{command}_{repeat}",
@@ -262,8 +266,10 @@ def _prior(rng) -> float:
 
 
 def _noise(rng, colour, tails):
-    white = rng.standard_t(3, (len(TIME) + 50, 2)) / np.sqrt(3) if tails else rng.normal(
-        size=(len(TIME) + 50, 2)
+    white = (
+        rng.standard_t(3, (len(TIME) + 50, 2)) / np.sqrt(3)
+        if tails
+        else rng.normal(size=(len(TIME) + 50, 2))
     )
     return lfilter([np.sqrt(1 - colour**2)], [1, -colour], white, axis=0)[50:]
 
@@ -280,7 +286,8 @@ def _integrate(truth, command, hidden, order, rng, scatter):
         u = np.interp(t - get("delay", 0.0), TIME, command)
         pushed = gain * (a if tau > 0 else u) + get("bias", 0.0)
         pushed += get("pulse", 0.0) * np.exp(-(((t - 1.7) / 0.2) ** 2))
-        pushed += scatter * sum(k * np.sin((i + 1) * t) for i, k in enumerate(kick)) / 2
+        if scatter:
+            pushed += scatter * sum(k * np.sin((i + 1) * t) for i, k in enumerate(kick)) / 2
         stop = get("stop", 0.0) * max(x - 0.35, 0.0)
         tide = 1 + get("tide", 0.0) * np.sin(2 * np.pi * 0.6 * t)
         force = w * w * (pushed - tide * x - get("stiffening", 0.0) * x**3 - stop)
@@ -290,8 +297,14 @@ def _integrate(truth, command, hidden, order, rng, scatter):
 
     method = "LSODA" if get("friction", 0.0) else "DOP853"
     found = integrate.solve_ivp(
-        slope, (0, TIME[-1]), [0, 0, command[0]], t_eval=TIME, rtol=1e-7, atol=1e-8,
-        method=method, max_step=0.05,
+        slope,
+        (0, TIME[-1]),
+        [0, 0, command[0]],
+        t_eval=TIME,
+        rtol=1e-7,
+        atol=1e-8,
+        method=method,
+        max_step=0.05,
     )
     x, v = found.y[:2]
     return np.column_stack([x, v * (1 + get("scale", 0.0))])
