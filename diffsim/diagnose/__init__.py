@@ -1,4 +1,4 @@
-"""Diagnosis: show what a simulator gets wrong, name the cause, extend the model, measure the gain."""
+"""Show what a simulator gets wrong, name the cause, extend the model, measure the gain."""
 
 from diffsim.diagnose.diagnosis import DiagnosisSettings, diagnose
 from diffsim.diagnose.effect import Effect

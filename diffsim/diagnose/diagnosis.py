@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from diffsim.data.study import Run, Study
 from diffsim.diagnose import decide as rules
+from diffsim.diagnose.crosscheck import swap_probability
 from diffsim.diagnose.decide import Decision, decide
 from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.evidence import Hypothesis
@@ -31,6 +32,7 @@ from diffsim.identify import Fit, Jacobian, Problem, Whitener, WhiteNoise
 from diffsim.identify import fit as fit_runs
 
 Array = NDArray[np.float64]
+SWAP_LIMIT = 0.02  # of noise alone: about three of 200 swapped draws may reach the statistic
 NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
 
 
@@ -134,7 +136,7 @@ def diagnose(
     search, noise, null = _search(case, noise, null)
     linear = search.null_linear
     seen = screen(search.wide, linear.residual, linear.jacobian, linear.x0)
-    decision = _decide(search)
+    decision = _confirmed(_decide(search), search, gates, seed)
     if not noise.is_repeatable:
         decision = replace(decision, verdict="unrepeatable", rivals=())
     return _report(case, decision, search, null, noise, seen, gates, unmet, seed, bank, num_spikes)
@@ -190,6 +192,24 @@ def _decide(search: Search) -> Decision:
         {h: e.weighed.chi2 for h, e in entries.items() if h.unknown is None},
         null.num_samples - fitted,
     )
+
+
+def _confirmed(decision: Decision, search: Search, gates: list[GateResult], seed: int) -> Decision:
+    """An unknown cause that repeats do not confirm is withdrawn; the check joins the gates."""
+    if decision.unknown is None or decision.unknown.unknown is None:
+        return decision
+    best = search.entries[Hypothesis(decision.best)].fit
+    assert best is not None
+    cause = search.unknowns[decision.unknown.unknown]
+    p = swap_probability(best.problem, best.x, best.residual, cause, seed=seed)
+    if p is None:
+        return decision
+    gates.append(
+        GateResult("swap", p <= SWAP_LIMIT, p, SWAP_LIMIT, f"{cause.name}: repeats as noise scale")
+    )
+    if p <= SWAP_LIMIT:
+        return decision
+    return replace(decision, verdict="named" if decision.best else "none", unknown=None)
 
 
 def _report(

@@ -4,7 +4,7 @@ With W S ~ W S(x0) + A (x - x0), coordinates of prior N(0, 1), and an unknown ca
 z ~ N(0, a^2), columns B = [A_base, A_effects, a H] and r = W (y - S(x0)) + A x0:
 
     E = -1/2 r' (1 + B B')^-1 r - 1/2 ln|1 + B'B| + sum_half-normal ln(2 Phi(t / s))
-        - (number of effects + unknown) ln(number of families)
+        - (number of effects + unknown) ln(number of families) - unknown ln(number of unknowns)
 
 t and s are mean and standard deviation of an unsigned size where its sign is left free: exact for
 one such size in a linear problem, and ln 2 each (the half-normal's height) where t >> s. The
@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,9 +88,7 @@ class Linearisation:
     def _from_matrices(self, right: Array, jacobian: Array, blocks: list[Array]) -> None:
         stacked = np.hstack([jacobian, *blocks])
         edges = np.cumsum([jacobian.shape[1], *(b.shape[1] for b in blocks)])
-        self.unknown_columns = [
-            list(range(a, b)) for a, b in zip(edges[:-1], edges[1:], strict=True)
-        ]
+        self.unknown_columns = [list(range(a, b)) for a, b in pairwise(edges)]
         self.gram = stacked.T @ stacked
         self.projection = stacked.T @ right
         self.power = float(right @ right)
@@ -108,7 +107,9 @@ class Linearisation:
         best = int(np.argmax(evidences))
         mean = special.logsumexp(evidences) - np.log(len(AMPLITUDES))
         _, x, sd, chi2 = tried[best]
-        return Weighed(mean - (len(members) + 1) * price, x, sd, chi2, AMPLITUDES[best])
+        # the unknown causes share what one more family may claim
+        price_unknown = price + np.log(len(self.unknown_columns))
+        return Weighed(mean - len(members) * price - price_unknown, x, sd, chi2, AMPLITUDES[best])
 
     def _gaussian(
         self, free: list[int], members: list[int], extra: list[int], amplitude: float

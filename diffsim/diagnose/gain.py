@@ -125,4 +125,4 @@ def _blocks(run: Run, block_s: float, null: Array, extended: Array, fit: Fit) ->
     size = label.max() + 1
     rows = [np.bincount(label, w, size) for w in (np.ones_like(null), null**2, extended**2)]
     table = np.column_stack(rows)
-    return table[table[:, 0] > 0]
+    return np.asarray(table[table[:, 0] > 0], dtype=np.float64)

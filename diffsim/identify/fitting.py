@@ -199,7 +199,7 @@ def _lbfgs(problem: Problem, x0: Array, max_evaluations: int, gradient: str) -> 
 
 
 def _values(problem: Problem, x: Array) -> dict[str, float]:
-    base = [float(p.value_at(torch.tensor(q))) for p, q in _base(problem, x)]
+    base = [float(p.value_at(torch.tensor(q, dtype=torch.float64))) for p, q in _base(problem, x)]
     sizes = _effect_scales(problem) * x[problem.num_base :]
     return dict(zip(problem.names, [*base, *sizes.tolist()], strict=True))
 

@@ -92,7 +92,7 @@ def _forward_mode(many: PredictMany, at: Tensor, idx: Sequence[int]) -> tuple[Ar
     for i in idx:
         direction = torch.zeros_like(at)
         direction[i] = 1.0
-        value, column = torch.func.jvp(lambda x: many([x])[0], (at,), (direction,))
+        value, column, *_ = torch.func.jvp(lambda x: many([x])[0], (at,), (direction,))
         here = value.detach().numpy().ravel()
         columns.append(column.detach().numpy().ravel())
     if here is None:

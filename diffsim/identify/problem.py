@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -47,7 +47,7 @@ class Problem:
     runs: tuple[Run, ...]
     whitener: Whitener
     effects: tuple[Effect, ...] = ()
-    jacobian: Jacobian = Jacobian()
+    jacobian: Jacobian = field(default_factory=Jacobian)
     numerics: Numerics | None = None
     workers: int = 1
 

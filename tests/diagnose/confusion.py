@@ -1,4 +1,4 @@
-"""Fresh toy cases and what the diagnosis says of them: `python -m tests.diagnose.confusion SEED`."""
+"""Fresh toy cases and their verdicts: `python -m tests.diagnose.confusion SEED`."""
 
 from __future__ import annotations
 

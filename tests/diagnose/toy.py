@@ -1,8 +1,8 @@
 """A toy bed: a driven oscillator with two sensors, and a generator that shares no code with it.
 
 Model: x'' = w^2 (g u(t) - x) - 2 zeta w x' + terms, RK4 at the sample times, many points at once,
-smoothed friction. Generator: scipy's DOP853 at rtol 1e-9, sharp nonlinearities, coloured noise, 0.5 %
-gain jitter, placement errors.
+smoothed friction. Generator: scipy's DOP853 at rtol 1e-7, sharp nonlinearities, coloured noise,
+0.5 % gain jitter, placement errors.
 """
 
 from __future__ import annotations
