@@ -271,6 +271,9 @@ def _report(
             "explained": rules.EXPLAINED,
             "unrepeatable": UNREPEATABLE,
             "search": asdict(case.settings.search),
+            "could_not_be_simulated": []
+            if search is None
+            else [" + ".join(set_names(h, effects, case.unknowns)) for h in search.failed],
             "versions": {
                 "python": platform.python_version(),
                 "numpy": np.__version__,
@@ -297,16 +300,17 @@ def _with_gains(
     assert null is not None
     gains = {}
     for i in decision.best:
-        without = search.refit(decision.best - {i}).fit
-        assert without is not None
-        gains[i] = gain(runs, without, best, seed=seed)
-    kept = frozenset(i for i in decision.best if gains[i].status != "withdrawn")
+        without = search.refit(decision.best - {i})
+        if without is not None and without.fit is not None:
+            gains[i] = gain(runs, without.fit, best, seed=seed)
+    kept = frozenset(i for i in decision.best if i not in gains or gains[i].status != "withdrawn")
     if kept != decision.best:
         verdict = decision.verdict if kept else "unknown"
         decision = replace(decision, best=kept, verdict=verdict)
-        best_kept = search.refit(kept).fit
-        assert best_kept is not None
-        best = best_kept
+        entry = search.refit(kept)
+        if entry is None or entry.fit is None:
+            return replace(decision, best=frozenset(), verdict="unknown"), None, gains
+        best = entry.fit
     return decision, gain(runs, null, best, seed=seed) if kept else None, gains
 
 

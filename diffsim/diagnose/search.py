@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.evidence import Hypothesis, Linearisation, Weighed, families
 from diffsim.diagnose.unknown import Unknown
+from diffsim.errors import DiffsimError
 from diffsim.identify import Fit, Problem
 from diffsim.identify import fit as fit_runs
 
@@ -63,7 +64,7 @@ class Entry:
 
 
 class Search:
-    """Holds what was refitted.
+    """Holds what was refitted (``entries``) and what could not be simulated (``failed``).
 
     Args:
         wide: Problem with all candidate effects.
@@ -83,6 +84,7 @@ class Search:
         self.settings = settings or SearchSettings()
         self.num_families = families(wide.effects, unknowns)
         self.entries: dict[Hypothesis, Entry] = {}
+        self.failed: dict[Hypothesis, str] = {}
         self.null_linear = self.linearise(self._widened(null))
         weighed = self.null_linear.weigh(Hypothesis())
         self.entries[Hypothesis()] = Entry(Hypothesis(), weighed, null)
@@ -113,34 +115,46 @@ class Search:
         swapped = [(members - {i}) | {j} for i in members for j in others]
         return [*more, *less, *swapped]
 
-    def refit(self, members: frozenset[int], start: Array | None = None) -> Entry:
-        """Fit a set, linearise at the answer, weigh; done once per set."""
+    def refit(self, members: frozenset[int], start: Array | None = None) -> Entry | None:
+        """Fit a set, linearise at the answer, weigh; once. None where it cannot be simulated."""
         key = Hypothesis(members)
         if key in self.entries:
             return self.entries[key]
-        chosen = self._chosen(members)
-        x0 = None if start is None else self._narrowed(start, members)
-        found = fit_runs(
-            self.wide.model,
-            self.wide.runs,
-            (),
-            effects=chosen,
-            start=x0,
-            whitener=self.wide.whitener,
-            jacobian=self.wide.jacobian,
-            workers=self.wide.workers,
-        )
+        if key in self.failed:
+            return None
+        found = self._fit(members, start)
+        if found is None:
+            return None
         # the Laplace evidence needs the set's own columns only: no second linearisation
         own = OwnLinearisation(found, self.num_families)
         self.entries[key] = Entry(key, own.weigh_all(len(members)), found)
         return self.entries[key]
 
+    def _fit(self, members: frozenset[int], start: Array | None) -> Fit | None:
+        """From ``start``, or from the prior where that cannot be simulated."""
+        starts = [None] if start is None else [self._narrowed(start, members), None]
+        for x0 in starts:
+            try:
+                return fit_runs(
+                    self.wide.model,
+                    self.wide.runs,
+                    (),
+                    effects=self._chosen(members),
+                    start=x0,
+                    whitener=self.wide.whitener,
+                    jacobian=self.wide.jacobian,
+                    workers=self.wide.workers,
+                )
+            except DiffsimError as error:
+                self.failed[Hypothesis(members)] = str(error)
+        return None
+
     def linear_at(self, members: frozenset[int]) -> Linearisation:
         """Everything linearised at the refit of a set."""
         if members not in self._centres:
-            fit = self.refit(members).fit
-            assert fit is not None
-            self._centres[members] = self.linearise(self._widened(fit))
+            entry = self.refit(members)
+            assert entry is not None and entry.fit is not None  # callers have seen it succeed
+            self._centres[members] = self.linearise(self._widened(entry.fit))
         return self._centres[members]
 
     def linearise(self, x: Array) -> Linearisation:
@@ -161,6 +175,8 @@ class Search:
         """The best set and its subsets, each with every unknown cause."""
         sets = {centre, frozenset(), *(centre - {i} for i in centre)}
         for members in sets:
+            if self.refit(members) is None:
+                continue
             for u in range(len(self.unknowns)):
                 self._with_unknown(Hypothesis(members, u))
 
@@ -171,7 +187,11 @@ class Search:
             x = weighed.x
             if np.abs(x - linear.x0).max(initial=0.0) < 0.05:
                 break
-            linear = self.linearise(x)
+            try:
+                linear = self.linearise(x)
+            except DiffsimError as error:  # the step left what can be simulated: keep the last
+                self.failed[key] = str(error)
+                break
             weighed = linear.weigh(key)
         self.entries[key] = Entry(key, weighed, None)
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import linalg, optimize
 
 from diffsim._check import require_choice
+from diffsim.errors import DiffsimError
 from diffsim.identify.jacobian import Jacobian
 from diffsim.identify.noise_model import Whitener, WhiteNoise
 from diffsim.identify.parameter import Parameter
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 METHODS = ("gauss_newton", "lbfgs")
+IMPOSSIBLE = 1e8  # noise sd per sample
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,15 +121,17 @@ def fit(
     if x0.shape != (n,):
         raise ValueError(f"start must have shape ({n},), got {x0.shape}")
     solve = _gauss_newton if method == "gauss_newton" else _lbfgs
-    found = solve(problem, x0, max_evaluations, gradient)
-    return summarise(problem, found.x, bool(found.success), str(found.message), int(found.nfev))
+    latest = _Latest(problem)
+    found = solve(latest, x0, max_evaluations, gradient)
+    return _summarise(latest, found.x, bool(found.success), str(found.message), int(found.nfev))
 
 
-def summarise(
-    problem: Problem, x: Array, converged: bool, message: str, num_evaluations: int
+def _summarise(
+    latest: _Latest, x: Array, converged: bool, message: str, num_evaluations: int
 ) -> Fit:
     """``Fit`` at coordinates x: uncertainties from the Gauss-Newton matrix there."""
-    residual, jacobian = problem.linearise(x)
+    problem = latest.problem
+    residual, jacobian = latest.linearise(x)
     covariance = posterior_covariance(jacobian)
     sd_x = np.sqrt(np.diag(covariance))
     low, high = problem.bounds
@@ -146,7 +150,9 @@ def summarise(
         ),
         undetermined=tuple(n for n, s in zip(names, sd_x, strict=True) if s > 0.9),
         converged=converged,
-        message=message,
+        message=message + f"; {latest.num_failed} trial points could not be simulated"
+        if latest.num_failed
+        else message,
         num_evaluations=num_evaluations,
         residual=residual,
         jacobian=jacobian,
@@ -159,15 +165,45 @@ def posterior_covariance(jacobian: Array) -> Array:
     return linalg.inv(jacobian.T @ jacobian + np.eye(n)) if n else np.zeros((0, 0))
 
 
-def _gauss_newton(problem: Problem, x0: Array, max_evaluations: int, _: str) -> Any:
-    low, high = problem.bounds
+class _Latest:
+    """Linearisations of a problem, the latest kept: solvers ask for the same point twice."""
+
+    def __init__(self, problem: Problem):
+        self.problem, self.at = problem, np.zeros(0)
+        self.kept: tuple[Array, Array] | None = None
+        self.num_failed = 0
+
+    def linearise(self, x: Array) -> tuple[Array, Array]:
+        if self.kept is None or not np.array_equal(x, self.at):
+            self.at, self.kept = x.copy(), self.problem.linearise(x)
+        return self.kept
+
+    def residual(self, x: Array) -> Array:
+        """Where the simulation of a trial point fails: so large that the solver turns back."""
+        if self.kept is None:
+            return self.linearise(x)[0]  # the start must be possible
+        try:
+            return self._residual(x)
+        except DiffsimError:
+            self.num_failed += 1
+            return np.full(len(self.kept[0]), IMPOSSIBLE)
+
+    def _residual(self, x: Array) -> Array:
+        # a batched model makes the whole stencil at about the price of one point
+        if self.problem.model.batched or (self.kept is not None and np.array_equal(x, self.at)):
+            return self.linearise(x)[0]
+        return self.problem.residual(x)
+
+
+def _gauss_newton(latest: _Latest, x0: Array, max_evaluations: int, _: str) -> Any:
+    low, high = latest.problem.bounds
     if not len(x0):
         return optimize.OptimizeResult(x=x0, success=True, message="nothing to fit", nfev=0)
     n = len(x0)
     return optimize.least_squares(
-        lambda x: np.concatenate([problem.residual(x), x]),
+        lambda x: np.concatenate([latest.residual(x), x]),
         np.clip(x0, low, high),
-        jac=lambda x: np.vstack([-problem.linearise(x)[1], np.eye(n)]),
+        jac=lambda x: np.vstack([-latest.linearise(x)[1], np.eye(n)]),
         bounds=(low, high),
         method="dogbox",  # may rest on a bound, where trf only creeps towards it
         ftol=1e-7,  # of a cost of about N / 2 nats: far below the 0.1 nat that would matter
@@ -177,7 +213,8 @@ def _gauss_newton(problem: Problem, x0: Array, max_evaluations: int, _: str) -> 
     )
 
 
-def _lbfgs(problem: Problem, x0: Array, max_evaluations: int, gradient: str) -> Any:
+def _lbfgs(latest: _Latest, x0: Array, max_evaluations: int, gradient: str) -> Any:
+    problem = latest.problem
     low, high = problem.bounds
 
     def cost(x: Array) -> tuple[float, Array]:

@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.errors import DiffsimError
 from diffsim.identify.jacobian import Jacobian
 from diffsim.identify.noise_model import Whitener
 
@@ -27,6 +28,10 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 PRIOR_WIDTH = 1.5  # of a component, in units of its typical size
 SECANT = 0.1  # of the typical size
+
+
+class PredictionError(DiffsimError):
+    """A simulation left the range of numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +218,7 @@ def _finite(predicted: Array, run: Run) -> Array:
     flat = np.asarray(predicted).ravel()
     if not np.isfinite(flat).all():
         bad = int((~np.isfinite(flat)).sum())
-        raise ValueError(
+        raise PredictionError(
             f"the prediction of run {run.name} has {bad} NaN or infinite entries; narrow the "
             "priors or bounds of the parameters, or mend the scene"
         )

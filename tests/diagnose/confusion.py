@@ -32,7 +32,9 @@ def cases(seed: int, scale: int = 1) -> Iterator[Case]:
         }
 
     def size(effect: Any) -> float:
-        sign = rng.choice([-1.0, 1.0]) if effect.signed else 1.0
+        # a softening spring may run away
+        both = effect.signed and effect.name != "stiffening"
+        sign = rng.choice([-1.0, 1.0]) if both else 1.0
         return float(sign * effect.typical * np.exp(rng.uniform(np.log(0.05), np.log(0.8))))
 
     for _ in range(scale):
@@ -117,7 +119,10 @@ def main() -> None:
     args = parser.parse_args()
     done = []
     with ProcessPoolExecutor(args.workers) as pool, open(args.out, "w") as file:
-        for case in pool.map(solve, cases(args.seed, args.scale)):
+        plan = list(cases(args.seed, args.scale))
+        # in random order: a run that is cut short still saw every kind
+        plan = [plan[i] for i in np.random.default_rng(args.seed).permutation(len(plan))]
+        for case in pool.map(solve, plan):
             case["right"] = is_right(case)
             done.append(case)
             file.write(json.dumps(case) + "\n")

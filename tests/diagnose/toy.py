@@ -306,5 +306,7 @@ def _integrate(truth, command, hidden, order, rng, scatter):
         method=method,
         max_step=0.05,
     )
+    if not found.success:
+        raise RuntimeError(f"generator: {found.message} with {hidden}")
     x, v = found.y[:2]
     return np.column_stack([x, v * (1 + get("scale", 0.0))])
