@@ -1,6 +1,6 @@
 """Show what a simulator gets wrong, name the cause, extend the model, measure the gain."""
 
-from diffsim.diagnose.diagnosis import DiagnosisSettings, diagnose
+from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.extended import extended_model
 from diffsim.diagnose.gain import Gain, gain
@@ -8,6 +8,7 @@ from diffsim.diagnose.model import Numerics, Scene, SimModel
 from diffsim.diagnose.next_run import NextRun, next_run
 from diffsim.diagnose.report import EffectRow, GateResult, HypothesisRow, Report
 from diffsim.diagnose.search import SearchSettings
+from diffsim.diagnose.stages import DiagnosisSettings
 from diffsim.diagnose.unknown import Unknown, UnknownDrift, UnknownForce, smooth_covariance
 
 __all__ = [

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from diffsim.diagnose.decide import Decision
+from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.noise import NoiseFloor
 from diffsim.diagnose.report import EffectRow, GateResult
@@ -22,10 +22,10 @@ def sentences(
     gained: Gain | None,
     gates: Sequence[GateResult],
     noise: NoiseFloor,
-    case: Any,
+    effects: Sequence[Effect],
 ) -> tuple[str, ...]:
     """Two to four sentences with numbers and units."""
-    members = [r for r in rows if r.effect in {case.effects[i].name for i in decision.best}]
+    members = [r for r in rows if r.effect in {effects[i].name for i in decision.best}]
     first = {
         "none": lambda: "The misfit is noise: no effect of the library pays for itself.",
         "named": lambda: f"The model lacks {_sizes(members)}.",
