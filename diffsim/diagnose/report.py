@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -140,7 +140,6 @@ class Report:
     study: Study
     model: SimModel
     next_run: Mapping[str, Any] | None = None
-    figures: Mapping[str, Any] = field(default_factory=dict)
 
     def extended_model(self) -> SimModel:
         """The model with the named effects; base parameters and sizes at their posterior."""
@@ -151,7 +150,7 @@ class Report:
         plain = {
             name: getattr(self, name)
             for name in self.__dataclass_fields__
-            if name not in ("null", "best", "study", "model", "gain", "figures")
+            if name not in ("null", "best", "study", "model", "gain")
         }
         for name in ("hypotheses", "table", "gates"):
             plain[name] = [asdict(row) for row in plain[name]]
