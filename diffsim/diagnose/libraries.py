@@ -11,6 +11,7 @@ from diffsim.diagnose.effect import Effect
 _LIBRARIES = {
     "soft_body": ("diffsim.diagnose.beds.soft", "soft_body_library"),
     "copter": ("diffsim.diagnose.beds.copter", "copter_library"),
+    "stokes": ("diffsim.diagnose.beds.stokes", "stokes_library"),
 }
 
 
@@ -18,8 +19,8 @@ def library(system: str, **options: Any) -> list[Effect]:
     """Candidate causes of a system, to which own ones may be added.
 
     Args:
-        system: "soft_body" or "copter".
-        **options: Of that library; "copter" takes num_rotors, 4 by default.
+        system: "soft_body", "copter" or "stokes".
+        **options: Of that library; "copter" takes num_rotors, 4 by default, "stokes" the device.
 
     Raises:
         ValueError: no such system; the message offers the closest names.

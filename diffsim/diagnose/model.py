@@ -49,13 +49,22 @@ class SimModel:
         build: Makes the scene of a run from values of the base parameters by name.
         base: What is imperfectly known: materials, gains, and nuisances of the set-up.
         name: Of the simulator.
+        batched: Whether scenes and effects take many points at once: then values may be (K,),
+            sizes (K, num_components) and predictions (K, num_samples, num_channels).
     """
 
-    def __init__(self, build: Build, base: Sequence[Parameter], name: str = "model"):
+    def __init__(
+        self,
+        build: Build,
+        base: Sequence[Parameter],
+        name: str = "model",
+        *,
+        batched: bool = False,
+    ):
         names = [p.name for p in base]
         if repeated := {n for n in names if names.count(n) > 1}:
             raise ValueError(f"base parameters repeat: {sorted(repeated)}")
-        self.build, self.base, self.name = build, tuple(base), name
+        self.build, self.base, self.name, self.batched = build, tuple(base), name, batched
 
     def predict(
         self,
@@ -72,11 +81,34 @@ class SimModel:
             sizes: Effects with their sizes [unit], (num_components,) each, applied in this order.
             numerics: Settings; the model's own if None.
         """
-        values = {p.name: p.value_at(q[i]) for i, p in enumerate(self.base)}
+        values = {p.name: p.value_at(q[..., i]) for i, p in enumerate(self.base)}
         scene = self.build(values, run, Numerics() if numerics is None else numerics)
         for effect, size in (sizes or {}).items():
             scene = effect.apply(scene, size, run)
         return scene.simulate()
+
+    def predict_many(
+        self,
+        run: Run,
+        q: Tensor,
+        sizes: Mapping[Effect, Tensor] | None = None,
+        numerics: Numerics | None = None,
+    ) -> Tensor:
+        """Predictions at many points, (K, num_samples, num_channels): at once where ``batched``.
+
+        Args:
+            run: The run.
+            q: (K, num_base).
+            sizes: (K, num_components) each.
+            numerics: As for ``predict``.
+        """
+        if self.batched:
+            return self.predict(run, q, sizes, numerics)
+        points = [
+            self.predict(run, q[k], {e: s[k] for e, s in (sizes or {}).items()}, numerics)
+            for k in range(len(q))
+        ]
+        return torch.stack(points)
 
     def at_prior(self) -> Tensor:
         """Standardised coordinates of the best guess, (num_base,)."""

@@ -1,0 +1,98 @@
+"""Is an unknown cause real? Repeats say so without any model of the noise.
+
+With two repeats, mean and half-difference of the residuals have the same distribution if there is
+nothing but noise; whatever is repeatable is in the mean only. Swapping them (with random signs) in
+blocks of time gives the distribution of any statistic under noise alone.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from diffsim.data.study import Run
+from diffsim.diagnose.unknown import Unknown
+from diffsim.identify import Problem
+
+Array = NDArray[np.float64]
+BLOCK_S = 0.3
+DRAWS = 200
+
+
+def swap_probability(
+    problem: Problem, x: Array, residual: Array, unknown: Unknown, *, seed: int
+) -> float | None:
+    """Share of swapped draws whose statistic reaches that of the mean residual.
+
+    The statistic is what the unknown's responses explain of the whitened residual, its amplitude
+    taken large: b' (H'H + 1)^-1 b with b = H'r.
+
+    Args:
+        problem: Of the fit that left the residual.
+        x: (n,) its coordinates.
+        residual: (num_valid,) whitened.
+        unknown: The cause in question.
+        seed: Of the draws.
+
+    Returns:
+        (hits + 1) / (draws + 1), or None without two repeats of any command.
+    """
+    pairs = _pairs(problem.runs)
+    if not pairs:
+        return None
+    grids = _on_grid(problem, residual[:, None])
+    responses = _on_grid(problem, unknown.responses(problem, x))
+    mean = [0.5 * (grids[a] + grids[b])[..., 0] for a, b in pairs]
+    half = [0.5 * (grids[a] - grids[b])[..., 0] for a, b in pairs]
+    h = np.concatenate([responses[a].reshape(-1, responses[a].shape[-1]) for a, _ in pairs])
+    h = h * np.sqrt(h.size / h.shape[1]) / linalg.norm(h)  # one noise sd per sample
+    factor = linalg.cho_factor(h.T @ h + np.eye(h.shape[1]))
+
+    def statistic(records: list[Array]) -> float:
+        b = h.T @ np.concatenate([r.ravel() for r in records])
+        return float(b @ linalg.cho_solve(factor, b))
+
+    labels = [_blocks(problem.runs[a]) for a, _ in pairs]
+    rng, found = np.random.default_rng(seed), statistic(mean)
+    hits = 0
+    for _ in range(DRAWS):
+        drawn = []
+        for m, d, label in zip(mean, half, labels, strict=True):
+            count = label.max() + 1
+            take = rng.integers(2, size=count)[label][:, None]
+            sign = rng.choice([-1.0, 1.0], count)[label][:, None]
+            drawn.append(sign * np.where(take, m, d))
+        hits += statistic(drawn) >= found
+    return (hits + 1) / (DRAWS + 1)
+
+
+def _pairs(runs: tuple[Run, ...]) -> list[tuple[int, int]]:
+    """First two runs of every command that has them, of equal length."""
+    groups: dict[str, list[int]] = defaultdict(list)
+    for i, run in enumerate(runs):
+        groups[run.group].append(i)
+    return [
+        (g[0], g[1])
+        for g in groups.values()
+        if len(g) > 1 and len(runs[g[0]].time_s) == len(runs[g[1]].time_s)
+    ]
+
+
+def _on_grid(problem: Problem, rows: Array) -> list[Array]:
+    """(num_samples, num_channels, m) by run: a whitened row stands at its newest sample."""
+    out, start = [], 0
+    for run in problem.runs:
+        matrix = problem.whitener.matrix(run)
+        newest = np.maximum.reduceat(matrix.indices, matrix.indptr[:-1])
+        grid = np.zeros((run.measured.size, rows.shape[1]))
+        grid[newest] = rows[start : start + matrix.shape[0]]
+        out.append(grid.reshape(*run.measured.shape, -1))
+        start += matrix.shape[0]
+    return out
+
+
+def _blocks(run: Run) -> NDArray[np.int64]:
+    return ((run.time_s - run.time_s[0]) / BLOCK_S).astype(np.int64)

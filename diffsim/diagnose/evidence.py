@@ -1,0 +1,146 @@
+"""Laplace evidence of hypotheses, in nats, from one linearisation of everything.
+
+With W S ~ W S(x0) + A (x - x0), coordinates of prior N(0, 1), and an unknown cause H z with
+z ~ N(0, a^2), columns B = [A_base, A_effects, a H] and r = W (y - S(x0)) + A x0:
+
+    E = -1/2 r' (1 + B B')^-1 r - 1/2 ln|1 + B'B| + sum_half-normal ln(2 Phi(t / s))
+        - (number of effects + unknown) ln(number of families) - unknown ln(number of unknowns)
+
+t and s are mean and standard deviation of an unsigned size where its sign is left free: exact for
+one such size in a linear problem, and ln 2 each (the half-normal's height) where t >> s. The
+amplitude a is averaged over ``AMPLITUDES``. The constant -N/2 ln(2 pi) + ln|W| is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, special
+
+from diffsim.diagnose.effect import Effect
+from diffsim.diagnose.unknown import Unknown
+from diffsim.identify import Problem
+
+Array = NDArray[np.float64]
+# root mean square of the unknown's part of the record, in noise standard deviations
+AMPLITUDES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A set of effects and at most one unknown cause, by index."""
+
+    effects: frozenset[int] = frozenset()
+    unknown: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """Evidence of a hypothesis and where its posterior lies.
+
+    Attributes:
+        nats: Evidence.
+        x: (n,) coordinates, zero for effects not in the set; an unsigned size of negative mean is
+            cut at zero.
+        sd: (n,) of the coordinates, zero for effects not in the set.
+        chi2: |r - B x|^2, after the unknown cause's part.
+        amplitude: Of the unknown cause that is most probable; 0 without.
+    """
+
+    nats: float
+    x: Array
+    sd: Array
+    chi2: float
+    amplitude: float
+
+
+class Linearisation:
+    """Gram matrix of all columns at a point; weighs any hypothesis without a simulation.
+
+    Args:
+        problem: With all candidate effects.
+        x: (n,) where to linearise.
+        unknowns: Generic causes.
+        num_families: Of effects and unknown causes, for the price of a choice.
+        responses: (N, m) each, of the unknowns; computed at x if None.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        x: Array,
+        unknowns: Sequence[Unknown],
+        num_families: int,
+        *,
+        screen: bool = True,
+    ):
+        residual, jacobian = problem.linearise(x, screen=screen)
+        self.problem, self.x0, self.num_families = problem, x, num_families
+        self.residual, self.jacobian = residual, jacobian
+        blocks = [_unit_power(u.responses(problem, x)) for u in unknowns]
+        self._from_matrices(residual + jacobian @ x, jacobian, blocks)
+        self.columns = [problem.columns_of(e) for e in problem.effects]
+
+    def _from_matrices(self, right: Array, jacobian: Array, blocks: list[Array]) -> None:
+        stacked = np.hstack([jacobian, *blocks])
+        edges = np.cumsum([jacobian.shape[1], *(b.shape[1] for b in blocks)])
+        self.unknown_columns = [list(range(a, b)) for a, b in pairwise(edges)]
+        self.gram = stacked.T @ stacked
+        self.projection = stacked.T @ right
+        self.power = float(right @ right)
+
+    def weigh(self, hypothesis: Hypothesis) -> Weighed:
+        """Evidence of a hypothesis."""
+        price = np.log(max(self.num_families, 1))
+        members = sorted(hypothesis.effects)
+        free = list(range(self.problem.num_base)) + [c for i in members for c in self.columns[i]]
+        if hypothesis.unknown is None:
+            nats, x, sd, chi2 = self._gaussian(free, members, [], 0.0)
+            return Weighed(nats - len(members) * price, x, sd, chi2, 0.0)
+        extra = self.unknown_columns[hypothesis.unknown]
+        tried = [self._gaussian(free, members, extra, a) for a in AMPLITUDES]
+        evidences = np.array([t[0] for t in tried])
+        best = int(np.argmax(evidences))
+        mean = special.logsumexp(evidences) - np.log(len(AMPLITUDES))
+        _, x, sd, chi2 = tried[best]
+        # the unknown causes share what one more family may claim
+        price_unknown = price + np.log(len(self.unknown_columns))
+        return Weighed(mean - len(members) * price - price_unknown, x, sd, chi2, AMPLITUDES[best])
+
+    def _gaussian(
+        self, free: list[int], members: list[int], extra: list[int], amplitude: float
+    ) -> tuple[float, Array, Array, float]:
+        idx = free + extra
+        scale = np.concatenate([np.ones(len(free)), np.full(len(extra), amplitude)])
+        b = scale * self.projection[idx]
+        gram = self.gram[np.ix_(idx, idx)] * np.outer(scale, scale)
+        factor = linalg.cho_factor(gram + np.eye(len(idx)), lower=True)
+        mean = linalg.cho_solve(factor, b)
+        log_det = 2.0 * np.log(np.diag(factor[0])).sum()
+        nats = -0.5 * (self.power - b @ mean) - 0.5 * log_det
+        chi2 = self.power - 2.0 * (b @ mean) + mean @ gram @ mean
+        inverse = linalg.cho_solve(factor, np.eye(len(idx)))
+        sd = np.sqrt(np.diag(inverse))
+        x, deviation = np.zeros(len(self.x0)), np.zeros(len(self.x0))
+        x[free], deviation[free] = mean[: len(free)], sd[: len(free)]
+        for i in members:
+            if not self.problem.effects[i].signed:
+                c = self.columns[i]
+                nats += float(np.sum(np.log(2.0) + special.log_ndtr(x[c] / deviation[c])))
+                x[c] = np.maximum(x[c], 0.0)
+        return float(nats), x, deviation, float(chi2)
+
+
+def families(effects: Sequence[Effect], unknowns: Sequence[Unknown]) -> int:
+    """How many kinds of causes there are to choose from."""
+    return len({e.family for e in effects}) + (1 if unknowns else 0)
+
+
+def _unit_power(responses: Array) -> Array:
+    """Scaled so that N(0, 1) coefficients move a sample by one noise sd, root mean square."""
+    power = np.sqrt(np.sum(responses**2) / len(responses))
+    return responses / power if power > 0.0 else responses

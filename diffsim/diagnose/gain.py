@@ -1,0 +1,128 @@
+"""What an extension is worth on runs that no fit has seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from diffsim.data.study import Run
+from diffsim.identify import Fit
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Share of the excess error removed: 1 - (e_ext^2 - n^2) / (e_null^2 - n^2).
+
+    Attributes:
+        value: The share; 1: down to the noise, 0: no better, below 0: worse.
+        low, high: 90 % block-bootstrap interval.
+        excess: (e_null^2 - n^2) in noise variances per sample; where it is small the share means
+            little.
+        num_blocks: Resampled.
+    """
+
+    value: float
+    low: float
+    high: float
+    excess: float
+    num_blocks: int
+
+    @property
+    def status(self) -> str:
+        """ "confirmed", "not confirmed" (the interval holds zero) or "withdrawn" (below zero)."""
+        if self.high < 0.0:
+            return "withdrawn"
+        return "confirmed" if self.low > 0.0 else "not confirmed"
+
+
+def gain(
+    runs: Sequence[Run],
+    null: Fit,
+    extended: Fit,
+    *,
+    seed: int,
+    block_s: float = 0.3,
+    draws: int = 1000,
+) -> Gain:
+    """Compare two fits on held-out runs.
+
+    Nuisances of a held-out run ("offset@run") are fitted to it, for both alike; nothing else is.
+
+    Args:
+        runs: Held out.
+        null, extended: Fits of the same model, with and without effects.
+        seed: Of the bootstrap.
+        block_s: Length of a block; longer than the memory of what the models leave.
+        draws: Of the bootstrap.
+    """
+    if not runs:
+        raise ValueError("runs is empty; the gain needs at least one held-out run")
+    pairs = [
+        _blocks(run, block_s, held_out_residual(null, run), held_out_residual(extended, run), null)
+        for run in runs
+    ]
+    return share_removed(np.concatenate(pairs), seed=seed, draws=draws)
+
+
+def share_removed(blocks: Array, *, seed: int, draws: int = 1000) -> Gain:
+    """The share and its interval from blocks.
+
+    Args:
+        blocks: (num_blocks, 3): samples, sum of squares of the null model, of the extended one,
+            in noise variances.
+    """
+    rng = np.random.default_rng(seed)
+    picks = rng.integers(len(blocks), size=(draws, len(blocks)))
+    count, null, extended = np.moveaxis(blocks[picks].sum(axis=1), -1, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = (null - extended) / (null - count)
+    # a resample whose null error is below the noise has no excess to remove: it says nothing
+    shares = np.where(null > count, shares, 0.0)
+    low, high = np.quantile(shares, [0.05, 0.95])
+    total = blocks.sum(axis=0)
+    excess = (total[1] - total[0]) / total[0]
+    value = (total[1] - total[2]) / (total[1] - total[0]) if excess > 0.0 else 0.0
+    return Gain(float(value), float(low), float(high), float(excess), len(blocks))
+
+
+def held_out_residual(fit: Fit, run: Run) -> Array:
+    """(num_valid,) whitened residual with the fit's parameters, nuisances of this run refitted."""
+    problem = replace(fit.problem, runs=(run,))
+    own = [i for i, n in enumerate(problem.names) if n.endswith(f"@{run.name}")]
+    if not own:
+        return problem.residual(fit.x)
+
+    def full(part: Array) -> Array:
+        x = fit.x.copy()
+        x[own] = part
+        return x
+
+    found = optimize.least_squares(
+        lambda part: np.concatenate([problem.residual(full(part)), part]),
+        np.zeros(len(own)),
+        jac=lambda part: np.vstack(
+            [-problem.linearise(full(part), only=own)[1][:, own], np.eye(len(own))]
+        ),
+        method="trf",
+        max_nfev=20,
+    )
+    return problem.residual(full(found.x))
+
+
+def _blocks(run: Run, block_s: float, null: Array, extended: Array, fit: Fit) -> Array:
+    """(num_blocks, 3) sums over blocks of time."""
+    matrix = fit.problem.whitener.matrix(run)
+    # a whitened row belongs to its newest sample: the largest column it uses
+    newest = np.maximum.reduceat(matrix.indices, matrix.indptr[:-1])
+    time = run.time_s[newest // run.measured.shape[1]]
+    label = ((time - run.time_s[0]) / block_s).astype(int)
+    size = label.max() + 1
+    rows = [np.bincount(label, w, size) for w in (np.ones_like(null), null**2, extended**2)]
+    table = np.column_stack(rows)
+    return np.asarray(table[table[:, 0] > 0], dtype=np.float64)

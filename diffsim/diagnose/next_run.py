@@ -1,0 +1,72 @@
+"""Which run to record next: the one on which rivals differ most, whatever is refitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from diffsim.data.study import Run
+from diffsim.identify import Fit
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NextRun:
+    """Advice.
+
+    Attributes:
+        best: Name of the run of the bank that separates the rivals best.
+        chi2_gain: By run of the bank: expected chi2 between the nearest pair of rivals.
+        over_median: The best one's over the bank's median.
+    """
+
+    best: str
+    chi2_gain: dict[str, float]
+    over_median: float
+
+
+def next_run(rivals: Sequence[Fit], bank: Sequence[Run]) -> NextRun:
+    """Projected distance of rivals on every run of a bank.
+
+    d^2 = D' (1 + J C J')^-1 D, D = W (S_a - S_b), J and posterior covariance C of the parameters of
+    both rivals: what refitting either could absorb does not count.
+
+    Args:
+        rivals: Fits of the rival sets (two or more).
+        bank: Runs that could be recorded; ``measured`` only gives the shape (any finite values).
+    """
+    if len(rivals) < 2:
+        raise ValueError(f"rivals must hold at least two fits, got {len(rivals)}")
+    if not bank:
+        raise ValueError("bank is empty; give at least one run that could be recorded")
+    gains = {run.name: _nearest_pair(rivals, run) for run in bank}
+    best = max(gains, key=lambda name: gains[name])
+    median = float(np.median(list(gains.values())))
+    return NextRun(best, gains, gains[best] / median if median > 0.0 else float("inf"))
+
+
+def _nearest_pair(rivals: Sequence[Fit], run: Run) -> float:
+    linear = []
+    for fit in rivals:
+        residual, jacobian = replace(fit.problem, runs=(run,)).linearise(fit.x)
+        linear.append(
+            (residual, jacobian @ linalg.cholesky(_symmetric(fit.covariance), lower=True))
+        )
+    distances = []
+    for a in range(len(linear)):
+        for b in range(a + 1, len(linear)):
+            apart = linear[a][0] - linear[b][0]
+            blur = np.hstack([linear[a][1], linear[b][1]])
+            inner = np.eye(blur.shape[1]) + blur.T @ blur
+            seen = blur.T @ apart
+            distances.append(float(apart @ apart - seen @ np.linalg.solve(inner, seen)))
+    return min(distances)
+
+
+def _symmetric(matrix: Array) -> Array:
+    return 0.5 * (matrix + matrix.T)

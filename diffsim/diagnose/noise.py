@@ -1,0 +1,225 @@
+"""The noise floor: how large, what colour, and whether repeats scatter more than the sensor."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+from scipy.ndimage import median_filter
+
+from diffsim.data.signal import noise_std
+from diffsim.data.study import Channel, Run
+
+Array = NDArray[np.float64]
+MAX_ORDER = 4
+UNREPEATABLE = 1.4  # clean data of the prototypes: at most 1.38
+SPIKE = 6.0  # robust standard deviations from the neighbours' median
+MAX_SPIKES = 0.03  # a larger share is no spikes, but a heavy-tailed sensor
+
+
+class ArWhitener:
+    """Whitens autoregressive noise, channel by channel; samples are taken as evenly spaced.
+
+    x_t = sum_k a_k x_{t-k} + e_t: a row is e_t / sd(e). Where a stretch without gaps begins, the
+    stationary covariance stands for the missing past, so that |W x|^2 is the exact Gaussian form.
+
+    Args:
+        sd: (num_channels,) of the noise itself [unit of the channel].
+        coefficients: a_1, a_2, ... by channel.
+    """
+
+    def __init__(self, sd: Array, coefficients: Sequence[Array]):
+        self.sd, self.coefficients = np.asarray(sd, dtype=np.float64), tuple(coefficients)
+        self._made: dict[int, tuple[Run, sparse.csr_array]] = {}
+
+    def matrix(self, run: Run) -> sparse.csr_array:
+        """(num_valid, num_samples * num_channels), sparse; made once per run."""
+        if id(run) not in self._made:
+            self._made[id(run)] = (run, self._make(run))  # the run is kept, so its id stays its own
+        return self._made[id(run)][1]
+
+    def _make(self, run: Run) -> sparse.csr_array:
+        num_samples, num_channels = run.measured.shape
+        rows, cols, values, count = [], [], [], 0
+        for c in range(num_channels):
+            for start, stop in _stretches(np.isfinite(run.measured[:, c])):
+                block = _whitening_block(stop - start, self.coefficients[c]).tocoo()
+                rows.append(block.row + count)
+                cols.append((block.col + start) * num_channels + c)
+                values.append(block.data / self.sd[c])
+                count += stop - start
+        matrix = sparse.coo_array(
+            (np.concatenate(values), (np.concatenate(rows), np.concatenate(cols))),
+            shape=(count, num_samples * num_channels),
+        )
+        return matrix.tocsr()
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseFloor:
+    """What the sensor cannot know.
+
+    Attributes:
+        whitener: Of the noise.
+        sd: (num_channels,) [unit of the channel].
+        source: "repeats", "stated sd" or "second differences", by channel.
+        scatter_ratio: (num_channels,) scatter of repeats over the stated sensor noise; NaN where
+            either is missing: repeatability cannot be judged then.
+    """
+
+    whitener: ArWhitener
+    sd: Array
+    source: tuple[str, ...]
+    scatter_ratio: Array
+
+    @property
+    def is_repeatable(self) -> bool:
+        """False if any channel's repeats scatter more than 1.4 times the sensor noise."""
+        return not bool((self.scatter_ratio > UNREPEATABLE).any())
+
+
+def noise_floor(
+    runs: Sequence[Run], channels: Sequence[Channel], left: Mapping[str, Array]
+) -> NoiseFloor:
+    """Noise from repeats, else from the stated sd, else from second differences.
+
+    Args:
+        runs: To be fitted.
+        channels: Of the runs.
+        left: (num_samples, num_channels) measured minus predicted, by run; set-up nuisances of
+            each run must have been fitted, or they would pass as scatter.
+
+    Raises:
+        ValueError: a channel without noise at all.
+    """
+    scatter = repeat_deviations(runs, left)
+    sd, source, ratio, coefficients = [], [], [], []
+    for c, channel in enumerate(channels):
+        series = [d[:, c] for d in scatter]
+        measured = _rms(series)
+        stated = channel.sd
+        ratio.append(measured / stated if stated is not None and np.isfinite(measured) else np.nan)
+        if np.isfinite(measured) and not ratio[-1] > UNREPEATABLE:
+            sd.append(measured)
+            source.append("repeats")
+            coefficients.append(fit_ar(series))
+        elif stated is not None:
+            sd.append(stated)
+            source.append("stated sd")
+            coefficients.append(np.zeros(0))
+        else:
+            sd.append(float(np.median([noise_std(r.measured[:, c]) for r in runs])))
+            source.append("second differences")
+            coefficients.append(np.zeros(0))
+        if not sd[-1] > 0.0:
+            raise ValueError(
+                f"channel {channel.name} has no noise (sd {sd[-1]:g} {channel.unit}); state its sd"
+            )
+    return NoiseFloor(
+        ArWhitener(np.array(sd), coefficients), np.array(sd), tuple(source), np.array(ratio)
+    )
+
+
+def repeat_deviations(runs: Sequence[Run], left: Mapping[str, Array]) -> list[Array]:
+    """Deviations from the mean of each group of repeats, scaled to the sd of a single run.
+
+    Groups whose runs differ in length are cut to the shortest.
+    """
+    groups: dict[str, list[Array]] = defaultdict(list)
+    for run in runs:
+        groups[run.group].append(left[run.name])
+    out = []
+    for members in groups.values():
+        k = len(members)
+        if k < 2:
+            continue
+        length = min(len(m) for m in members)
+        stack = np.stack([m[:length] for m in members])
+        out += list((stack - stack.mean(axis=0)) * np.sqrt(k / (k - 1)))
+    return out
+
+
+def fit_ar(series: Sequence[Array], max_order: int = MAX_ORDER) -> Array:
+    """Coefficients of an autoregressive model, order by the Bayesian information criterion.
+
+    Yule-Walker on the autocovariance pooled over all series; gaps are left out.
+    """
+    lags = range(max_order + 1)
+    sums, counts = np.zeros(max_order + 1), np.zeros(max_order + 1)
+    for x in series:
+        for k in lags:
+            product = x[k:] * x[: len(x) - k]
+            valid = np.isfinite(product)
+            sums[k] += product[valid].sum()
+            counts[k] += valid.sum()
+    if not counts.all() or sums[0] <= 0.0:
+        return np.zeros(0)
+    covariance = sums / counts[0]  # the biased estimate is positive definite
+    best, best_score = np.zeros(0), counts[0] * np.log(covariance[0])
+    for p in range(1, max_order + 1):
+        a = linalg.solve_toeplitz(covariance[:p], covariance[1 : p + 1])
+        variance = covariance[0] - a @ covariance[1 : p + 1]
+        score = counts[0] * np.log(variance) + p * np.log(counts[0])
+        if variance > 0.0 and score < best_score:
+            best, best_score = a, score
+    return best
+
+
+def without_spikes(run: Run, left: Array) -> tuple[Run, int]:
+    """The run with isolated spikes marked as missing, and how many there were.
+
+    A spike is a sample of the residual ``left`` (num_samples, num_channels) far from the median of
+    itself and its four neighbours; what lasts longer than two samples is not one.
+    """
+    away = np.abs(left - median_filter(left, size=(5, 1), mode="nearest"))
+    scale = 1.4826 * np.nanmedian(away, axis=0)
+    spikes = away > SPIKE * np.where(scale > 0.0, scale, np.inf)
+    if not spikes.any() or spikes.mean() > MAX_SPIKES:
+        return run, 0
+    return replace(run, measured=np.where(spikes, np.nan, run.measured)), int(spikes.sum())
+
+
+def _rms(series: Sequence[Array]) -> float:
+    values = np.concatenate(series) if series else np.zeros(0)
+    values = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(values**2))) if len(values) > 20 else float("nan")
+
+
+def _stretches(valid: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """[start, stop) of consecutive True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], valid.astype(np.int8), [0]])))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _whitening_block(length: int, a: Array) -> sparse.sparray:
+    """(length, length) whitening of a stretch of noise with standard deviation one."""
+    p = min(len(a), length)
+    if len(a) == 0:
+        return sparse.eye_array(length)
+    rho = _autocorrelation(a, max(p, 1))
+    innovation = np.sqrt(1.0 - a @ _autocorrelation(a, len(a) + 1)[1 : len(a) + 1])
+    start = linalg.inv(linalg.cholesky(linalg.toeplitz(rho[:p]), lower=True))
+    top = sparse.hstack([sparse.csr_array(start), sparse.csr_array((p, length - p))])
+    if length <= len(a):
+        return top
+    diagonals = [np.full(length - p, c / innovation) for c in [*(-a[::-1]), 1.0]]
+    rest = sparse.diags_array(diagonals, offsets=range(p + 1), shape=(length - p, length))
+    return sparse.vstack([top, rest])
+
+
+def _autocorrelation(a: Array, count: int) -> Array:
+    """rho_0 .. rho_{count-1} of x_t = sum a_k x_{t-k} + e_t, from the Yule-Walker equations."""
+    p = len(a)
+    system, right = np.eye(p), a.copy()
+    for k in range(1, p + 1):  # rho_k - sum_j a_j rho_|k-j| = 0, rho_0 = 1
+        for j in range(1, p + 1):
+            if k != j:
+                system[k - 1, abs(k - j) - 1] -= a[j - 1]
+    rho = [1.0, *np.linalg.solve(system, right)]
+    while len(rho) < count:
+        rho.append(float(a @ np.array(rho[-1 : -p - 1 : -1])))
+    return np.array(rho[:count])

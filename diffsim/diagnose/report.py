@@ -1,0 +1,206 @@
+"""What a diagnosis found, ready to be read, saved, and simulated with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from diffsim._files import to_plain, write_json_atomic, write_text_atomic
+from diffsim.data.study import Study
+from diffsim.diagnose.extended import extended_model
+from diffsim.diagnose.gain import Gain
+from diffsim.diagnose.model import SimModel
+from diffsim.identify import Fit
+
+Array = NDArray[np.float64]
+
+VERDICTS = ("none", "named", "ambiguous", "unknown", "unrepeatable", "numerical")
+
+
+@dataclass(frozen=True)
+class EffectRow:
+    """One candidate cause in the table.
+
+    Attributes:
+        effect, family, kind, unit: Of the effect.
+        status: "named", "rival", "mimic" (explains part of an unknown cause), "screened", or
+            "not judged".
+        size: By component, [unit]; from the refit where there was one, else from the screen.
+        sd: Of the sizes, statistical and 1 % model form.
+        nats: Evidence of the best hypothesis with this effect minus that of the best without it.
+        z: Score over its standard deviation at the null fit, the length for a vector.
+        smallest_visible: By component, [unit]: 6 / sqrt(information).
+        gain: On held-out runs, of having this effect in the best set; None if not computed.
+        share: Of chi2_null - N that this effect alone explains; None if it was not refitted alone.
+        aliases: What these data may not tell from it.
+        note: Why it was not judged, or that its gain is not confirmed.
+    """
+
+    effect: str
+    family: str
+    kind: str
+    unit: str
+    status: str
+    size: Mapping[str, float]
+    sd: Mapping[str, float]
+    nats: float | None
+    z: float
+    smallest_visible: Mapping[str, float]
+    gain: Gain | None
+    share: float | None
+    aliases: tuple[str, ...]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class HypothesisRow:
+    """A set of effects, with or without a generic unknown cause.
+
+    Attributes:
+        effects: Names.
+        unknown: Name of the generic cause, or None.
+        nats: Evidence relative to the plain model.
+        chi2: |W (y - S)|^2, after the unknown cause's part.
+    """
+
+    effects: tuple[str, ...]
+    unknown: str | None
+    nats: float
+    chi2: float
+
+
+@dataclass(frozen=True)
+class GateResult:
+    """One check before any physics is blamed.
+
+    Attributes:
+        name: Such as "time_step".
+        passed: Whether.
+        value: Measured, such as lambda.
+        limit: What it is held against.
+        note: In words.
+    """
+
+    name: str
+    passed: bool
+    value: float
+    limit: float
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """The verdict with its evidence.
+
+    Attributes:
+        verdict: One of ``VERDICTS``.
+        sentences: The verdict in words, with numbers and units.
+        named: Effects of the best set; empty unless "named" or "ambiguous".
+        rivals: Sets within 3 nats of it, each a tuple of effect names; a generic unknown cause
+            stands as "unknown force" or the like.
+        hypotheses: By evidence, best first.
+        table: By evidence, best first.
+        confounding_names: Components, in the order of ``confounding``.
+        confounding: (n, n) cosines between what base parameters cannot absorb.
+        cannot_see: Effect or component -> why, or the smallest visible size.
+        gates: Data, gradients, numerics.
+        noise: Source of the noise floor, sd by channel, repeat scatter over sensor noise.
+        gain: Of the best set on held-out runs, None without such runs.
+        chi2_null, chi2_best, num_samples: Of the runs fitted.
+        next_run: Advice, None if no bank of commands was given.
+        settings: Thresholds, seed, versions.
+        null, best: Fits.
+        study, model: As given.
+    """
+
+    verdict: str
+    sentences: tuple[str, ...]
+    named: tuple[str, ...]
+    rivals: tuple[tuple[str, ...], ...]
+    hypotheses: tuple[HypothesisRow, ...]
+    table: tuple[EffectRow, ...]
+    confounding_names: tuple[str, ...]
+    confounding: Array
+    cannot_see: Mapping[str, str]
+    gates: tuple[GateResult, ...]
+    noise: Mapping[str, Any]
+    gain: Gain | None
+    chi2_null: float
+    chi2_best: float
+    num_samples: int
+    settings: Mapping[str, Any]
+    null: Fit
+    best: Fit
+    study: Study
+    model: SimModel
+    next_run: Mapping[str, Any] | None = None
+
+    def extended_model(self) -> SimModel:
+        """The model with the named effects; base parameters and sizes at their posterior."""
+        return extended_model(self.best)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything but the fits' matrices and the recordings, in types that JSON has."""
+        plain = {
+            name: getattr(self, name)
+            for name in self.__dataclass_fields__
+            if name not in ("null", "best", "study", "model", "gain")
+        }
+        for name in ("hypotheses", "table", "gates"):
+            plain[name] = [asdict(row) for row in plain[name]]
+        plain["gain"] = None if self.gain is None else asdict(self.gain)
+        plain["study"], plain["model"] = self.study.name, self.model.name
+        for name in ("null", "best"):
+            plain[name] = _fit_to_dict(getattr(self, name))
+        return to_plain(plain)
+
+    def save(self, folder: str | Path) -> Path:
+        """Write report.json and extended_model.yaml.
+
+        Returns:
+            ``folder``.
+        """
+        folder = Path(folder)
+        write_json_atomic(folder / "report.json", self.to_dict())
+        text = yaml.safe_dump(self._extended_to_dict(), sort_keys=False)
+        write_text_atomic(folder / "extended_model.yaml", text)
+        return folder
+
+    def _extended_to_dict(self) -> dict[str, Any]:
+        problem, fit = self.best.problem, self.best
+        units = [p.unit for p in self.model.base] + [e.unit for e, _ in problem.owners]
+        entries = {
+            name: {"value": fit.values[name], "sd": fit.sd[name], "unit": unit}
+            for name, unit in zip(problem.names, units, strict=True)
+        }
+        count = problem.num_base
+        return to_plain(
+            {
+                "model": self.model.name,
+                "study": self.study.name,
+                "verdict": self.verdict,
+                "parameters": dict(list(entries.items())[:count]),
+                "effects": dict(list(entries.items())[count:]),
+            }
+        )
+
+
+def _fit_to_dict(fit: Fit) -> dict[str, Any]:
+    return {
+        "values": dict(fit.values),
+        "sd": dict(fit.sd),
+        "names": list(fit.problem.names),
+        "correlation": fit.correlation,
+        "chi2": fit.chi2,
+        "num_samples": fit.num_samples,
+        "at_bound": fit.at_bound,
+        "undetermined": fit.undetermined,
+        "converged": fit.converged,
+        "message": fit.message,
+    }

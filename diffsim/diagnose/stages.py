@@ -1,0 +1,174 @@
+"""Stages of a diagnosis: null fit and noise, search, cross-check, gains on held-out runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from diffsim.data.study import Run, Study
+from diffsim.diagnose.crosscheck import swap_probability
+from diffsim.diagnose.decide import Decision, decide
+from diffsim.diagnose.effect import Effect
+from diffsim.diagnose.evidence import Hypothesis
+from diffsim.diagnose.gain import Gain, gain
+from diffsim.diagnose.model import SimModel
+from diffsim.diagnose.noise import NoiseFloor, noise_floor, without_spikes
+from diffsim.diagnose.report import GateResult
+from diffsim.diagnose.search import Search, SearchSettings
+from diffsim.diagnose.unknown import Unknown
+from diffsim.identify import Fit, Jacobian, Problem, Whitener, WhiteNoise
+from diffsim.identify import fit as fit_runs
+
+Array = NDArray[np.float64]
+SWAP_LIMIT = 0.02  # of noise alone: about three of 200 swapped draws may reach the statistic
+NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnosisSettings:
+    """Effort and choices; the thresholds of the verdict are constants of ``decide``.
+
+    Attributes:
+        search: Effort of the search.
+        jacobian: How to differentiate.
+        workers: Threads over runs.
+        accept_numerics: Go on although the numerics gate fails.
+        noise_rounds: At most; the floor is estimated again after each.
+    """
+
+    search: SearchSettings = field(default_factory=SearchSettings)
+    jacobian: Jacobian = field(default_factory=Jacobian)
+    workers: int = 1
+    accept_numerics: bool = False
+    noise_rounds: int = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """What every step needs."""
+
+    study: Study
+    model: SimModel
+    effects: tuple[Effect, ...]
+    unknowns: tuple[Unknown, ...]
+    settings: DiagnosisSettings
+
+    def fit(self, runs: Sequence[Run], whitener: Whitener, start: Array | None = None) -> Fit:
+        s = self.settings
+        return fit_runs(
+            self.model,
+            runs,
+            self.study.channels,
+            start=start,
+            whitener=whitener,
+            jacobian=s.jacobian,
+            workers=s.workers,
+        )
+
+    def wide(self, null: Fit) -> Problem:
+        return replace(null.problem, effects=self.effects)
+
+
+def null_fit(case: Case) -> tuple[Study, NoiseFloor, Fit, int]:
+    """Fit with rough noise, then spikes out, noise from what is left, and once more."""
+    study = case.study
+    raw = {r.name: r.measured for r in study.runs}
+    channels = [
+        c
+        if c.sd is not None
+        else replace(
+            c, sd=noise_floor(study.fit_runs, (c,), {n: m[:, [i]] for n, m in raw.items()}).sd[0]
+        )
+        for i, c in enumerate(study.channels)
+    ]
+    rough = case.fit(study.fit_runs, WhiteNoise(channels))
+    cleaned = [without_spikes(r, left_of(rough, r)) for r in study.runs]
+    num_spikes = sum(count for _, count in cleaned)
+    study = replace(study, runs=tuple(run for run, _ in cleaned))
+    left = {r.name: left_of(rough, r) for r in study.fit_runs}
+    noise = noise_floor(study.fit_runs, study.channels, left)
+    return study, noise, case.fit(study.fit_runs, noise.whitener, rough.x), num_spikes
+
+
+def search_rounds(case: Case, noise: NoiseFloor, null: Fit) -> tuple[Search, NoiseFloor, Fit]:
+    """Search; estimate the noise from what the best set leaves; again if it has changed."""
+    runs = case.study.fit_runs
+    for round_ in range(case.settings.noise_rounds):
+        search = Search(case.wide(null), case.unknowns, null, case.settings.search)
+        search.run()
+        best = search.entries[Hypothesis(decision_of(search).best)].fit
+        assert best is not None
+        after = noise_floor(runs, case.study.channels, {r.name: left_of(best, r) for r in runs})
+        is_same = after.source == noise.source and bool(
+            (np.abs(after.sd / noise.sd - 1.0) < NOISE_CHANGED).all()
+        )
+        if is_same or round_ == case.settings.noise_rounds - 1:
+            break
+        noise, null = after, case.fit(runs, after.whitener, null.x)
+    return search, after, null
+
+
+def decision_of(search: Search) -> Decision:
+    entries = search.entries
+    null = entries[Hypothesis()].fit
+    assert null is not None
+    # samples less effectively fitted parameters: tr (J'J) (J'J + 1)^-1
+    fitted = null.problem.num_base - float(np.trace(null.covariance))
+    return decide(
+        {h: e.nats for h, e in entries.items()},
+        {h: e.weighed.chi2 for h, e in entries.items() if h.unknown is None},
+        null.num_samples - fitted,
+    )
+
+
+def confirmed(decision: Decision, search: Search, gates: list[GateResult], seed: int) -> Decision:
+    """An unknown cause that repeats do not confirm is withdrawn; the check joins the gates."""
+    if decision.unknown is None or decision.unknown.unknown is None:
+        return decision
+    best = search.entries[Hypothesis(decision.best)].fit
+    assert best is not None
+    cause = search.unknowns[decision.unknown.unknown]
+    p = swap_probability(best.problem, best.x, best.residual, cause, seed=seed)
+    if p is None:
+        return decision
+    gates.append(
+        GateResult("swap", p <= SWAP_LIMIT, p, SWAP_LIMIT, f"{cause.name}: repeats as noise scale")
+    )
+    if p <= SWAP_LIMIT:
+        return decision
+    return replace(decision, verdict="named" if decision.best else "none", unknown=None)
+
+
+def with_gains(
+    case: Case, decision: Decision, search: Search, best: Fit, seed: int
+) -> tuple[Decision, Gain | None, dict[int, Gain]]:
+    """Gains on held-out runs; a name whose gain lies below zero is withdrawn."""
+    runs = case.study.holdout_runs
+    if not runs or not decision.best or decision.verdict not in ("named", "ambiguous"):
+        return decision, None, {}
+    null = search.entries[Hypothesis()].fit
+    assert null is not None
+    gains = {}
+    for i in decision.best:
+        without = search.refit(decision.best - {i})
+        if without is not None and without.fit is not None:
+            gains[i] = gain(runs, without.fit, best, seed=seed)
+    kept = frozenset(i for i in decision.best if i not in gains or gains[i].status != "withdrawn")
+    if kept != decision.best:
+        verdict = decision.verdict if kept else "unknown"
+        decision = replace(decision, best=kept, verdict=verdict)
+        entry = search.refit(kept)
+        if entry is None or entry.fit is None:
+            return replace(decision, best=frozenset(), verdict="unknown"), None, gains
+        best = entry.fit
+    return decision, gain(runs, null, best, seed=seed) if kept else None, gains
+
+
+def left_of(fit: Fit, run: Run) -> Array:
+    """(num_samples, num_channels) measured minus predicted [unit of the channel]."""
+    with torch.no_grad():
+        return run.measured - fit.problem.predict(run, torch.from_numpy(fit.x)).numpy()

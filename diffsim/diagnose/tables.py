@@ -1,0 +1,161 @@
+"""Rows of the report from the search and the screen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from diffsim.data.study import Study
+from diffsim.diagnose.decide import Decision
+from diffsim.diagnose.effect import Effect
+from diffsim.diagnose.evidence import Hypothesis
+from diffsim.diagnose.gain import Gain
+from diffsim.diagnose.report import EffectRow, HypothesisRow
+from diffsim.diagnose.screen import Screen
+from diffsim.diagnose.search import Search
+from diffsim.diagnose.unknown import Unknown
+from diffsim.identify.problem import effect_coordinates
+
+MODEL_FORM = 0.01  # relative uncertainty of a size, beside the statistical one
+BLIND = 3.0  # smallest visible size over the typical one
+TWINS = 0.995  # confounding from which two effects are the same to these data
+
+
+def effect_rows(
+    effects: Sequence[Effect],
+    decision: Decision,
+    search: Search | None,
+    seen: Screen,
+    gains: Mapping[int, Gain],
+) -> tuple[EffectRow, ...]:
+    """One row per effect, by evidence."""
+    in_rivals = {i for h in decision.rivals for i in h.effects}
+    rows, k = [], 0
+    for i, effect in enumerate(effects):
+        c = slice(k, k + len(effect.components))
+        k = c.stop
+        size, sd = seen.size[c], np.full(len(effect.components), np.nan)
+        nats = share = None
+        if search is not None:
+            nats = evidence_for(search, i)
+            share = _share_alone(search, i)
+            size, sd = _refitted(search, decision, i, size, sd)
+        gained = gains.get(i)
+        rows.append(
+            EffectRow(
+                effect=effect.name,
+                family=effect.family,
+                kind=effect.kind,
+                unit=effect.unit,
+                status=_status(i, decision, in_rivals),
+                size=_by_component(effect, size),
+                sd=_by_component(effect, np.hypot(sd, MODEL_FORM * size)),
+                nats=nats,
+                z=float(seen.block_z[i]),
+                smallest_visible=_by_component(effect, seen.smallest_visible[c]),
+                gain=gained,
+                share=share,
+                aliases=(*effect.also_looks_like, *_twins(effects, seen, i)),
+                note="" if gained is None or gained.status == "confirmed" else gained.status,
+            )
+        )
+    return tuple(sorted(rows, key=lambda r: -(r.nats if r.nats is not None else r.z)))
+
+
+def evidence_for(search: Search, i: int) -> float:
+    """Best evidence with an effect minus the best without it, among what was refitted.
+
+    An effect that no refitted set holds is weighed alone at the null linearisation.
+    """
+    plain = {h: e.nats for h, e in search.entries.items() if h.unknown is None}
+    with_it = [n for h, n in plain.items() if i in h.effects]
+    without = max(n for h, n in plain.items() if i not in h.effects)
+    if not with_it:
+        alone = search.null_linear.weigh(Hypothesis(frozenset({i}))).nats
+        return alone - plain[Hypothesis()]
+    return max(with_it) - without
+
+
+def hypothesis_rows(
+    search: Search | None, effects: Sequence[Effect], unknowns: Sequence[Unknown]
+) -> tuple[HypothesisRow, ...]:
+    """Everything that was refitted, best first."""
+    if search is None:
+        return ()
+    base = search.entries[Hypothesis()].nats
+    rows = [
+        HypothesisRow(
+            effects=tuple(effects[i].name for i in sorted(h.effects)),
+            unknown=None if h.unknown is None else unknowns[h.unknown].name,
+            nats=e.nats - base,
+            chi2=e.weighed.chi2,
+        )
+        for h, e in search.entries.items()
+    ]
+    return tuple(sorted(rows, key=lambda r: -r.nats))
+
+
+def cannot_see(
+    study: Study, effects: Sequence[Effect], seen: Screen, unmet: Mapping[str, str]
+) -> dict[str, str]:
+    """What these data could not show, and why."""
+    out = {name: f"not judged: {why}" for name, why in unmet.items()}
+    names = effect_coordinates(effects)
+    units = [(e.unit, e.typical) for e in effects for _ in e.components]
+    for name, (unit, typical), smallest in zip(names, units, seen.smallest_visible, strict=True):
+        if not np.isfinite(smallest):
+            out[name] = "leaves no trace that the base parameters could not absorb"
+        elif smallest > BLIND * typical:
+            out[name] = f"below {smallest:.3g} {unit} ({smallest / typical:.1f} x a usual size)"
+    return out
+
+
+def set_names(
+    h: Hypothesis, effects: Sequence[Effect], unknowns: Sequence[Unknown]
+) -> tuple[str, ...]:
+    """Names of a hypothesis."""
+    names = tuple(effects[i].name for i in sorted(h.effects))
+    return names if h.unknown is None else (*names, unknowns[h.unknown].name)
+
+
+def _refitted(search: Search, decision: Decision, i: int, size, sd):
+    """Size and sd from the best refit that holds the effect; the decision's set comes first."""
+    holding = [h for h in search.entries if h.unknown is None and i in h.effects]
+    if not holding:
+        return size, sd
+    best = max(holding, key=lambda h: (h.effects == decision.best, search.entries[h].nats))
+    fit = search.entries[best].fit
+    assert fit is not None
+    names = effect_coordinates([search.wide.effects[i]])
+    return np.array([fit.values[n] for n in names]), np.array([fit.sd[n] for n in names])
+
+
+def _share_alone(search: Search, i: int) -> float | None:
+    alone = search.entries.get(Hypothesis(frozenset({i})))
+    null = search.entries[Hypothesis()]
+    assert null.fit is not None
+    missing = null.weighed.chi2 - null.fit.num_samples
+    if alone is None or missing <= 0.0:
+        return None
+    return (null.weighed.chi2 - alone.weighed.chi2) / missing
+
+
+def _status(i: int, decision: Decision, in_rivals: set[int]) -> str:
+    if i in decision.best:
+        return {"unknown": "mimic", "unrepeatable": "mimic"}.get(decision.verdict, "named")
+    return "rival" if i in in_rivals else "screened"
+
+
+def _twins(effects: Sequence[Effect], seen: Screen, i: int) -> tuple[str, ...]:
+    """Other effects of the library that these data cannot tell from this one."""
+    owner = [k for k, e in enumerate(effects) for _ in e.components]
+    own = [c for c, k in enumerate(owner) if k == i]
+    close = np.abs(seen.confounding[own]).max(axis=0) > TWINS
+    return tuple(
+        dict.fromkeys(effects[owner[c]].name for c in np.flatnonzero(close) if owner[c] != i)
+    )
+
+
+def _by_component(effect: Effect, values) -> dict[str, float]:
+    return {c: float(v) for c, v in zip(effect.components, values, strict=True)}

@@ -1,0 +1,255 @@
+"""Fit parameters, and sizes of effects, to recorded runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy import linalg, optimize
+
+from diffsim._check import require_choice
+from diffsim.errors import DiffsimError
+from diffsim.identify.jacobian import Jacobian
+from diffsim.identify.noise_model import Whitener, WhiteNoise
+from diffsim.identify.parameter import Parameter
+from diffsim.identify.problem import PRIOR_WIDTH, Problem
+
+if TYPE_CHECKING:
+    from diffsim.data.study import Channel, Run
+    from diffsim.diagnose.effect import Effect
+    from diffsim.diagnose.model import SimModel
+
+Array = NDArray[np.float64]
+METHODS = ("gauss_newton", "lbfgs")
+IMPOSSIBLE = 1e8  # noise sd per sample
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The most probable parameters and what is known of them.
+
+    Attributes:
+        problem: What was fitted.
+        x: (n,) standardised coordinates.
+        values: By name, [unit].
+        sd: Posterior standard deviation by name, [unit], from (A'A + 1)^-1 with prior.
+        correlation: (n, n) posterior, in the order of ``values``.
+        chi2: |W (y - S)|^2.
+        prior: |x|^2.
+        num_samples: Measured samples.
+        at_bound: Names on a bound; their sd says nothing.
+        undetermined: Names that the data tell little about: posterior sd above 0.9 of the prior's.
+        converged: Whether the solver's tolerance was met.
+        message: The solver's reason to stop.
+        num_evaluations: Residual evaluations of all runs, those for derivatives not counted.
+        residual: (num_samples,) whitened, at x.
+        jacobian: (num_samples, n) d(W S)/dx at x.
+    """
+
+    problem: Problem
+    x: Array
+    values: Mapping[str, float]
+    sd: Mapping[str, float]
+    correlation: Array
+    chi2: float
+    prior: float
+    num_samples: int
+    at_bound: tuple[str, ...]
+    undetermined: tuple[str, ...]
+    converged: bool
+    message: str
+    num_evaluations: int
+    residual: Array
+    jacobian: Array
+
+    @property
+    def covariance(self) -> Array:
+        """(n, n) posterior covariance of the standardised coordinates."""
+        return posterior_covariance(self.jacobian)
+
+
+def fit(
+    model: SimModel,
+    runs: Sequence[Run],
+    channels: Sequence[Channel],
+    *,
+    effects: Sequence[Effect] = (),
+    method: str = "gauss_newton",
+    start: Array | None = None,
+    whitener: Whitener | None = None,
+    jacobian: Jacobian | None = None,
+    gradient: str = "differences",
+    workers: int = 1,
+    max_evaluations: int = 40,
+) -> Fit:
+    """Most probable parameters: the minimum of |W (y - S(x))|^2 + |x|^2 within the bounds.
+
+    Args:
+        model: With base parameters; nuisances of one run are called "name@run".
+        runs: All used at once; repeats stay separate.
+        channels: Of the runs; their ``sd`` is the noise unless ``whitener`` is given.
+        effects: Whose sizes are fitted too.
+        method: "gauss_newton" (scipy's dogleg within bounds) or "lbfgs".
+        start: (n,) standardised coordinates; the prior's centre if None.
+        whitener: Of coloured noise.
+        jacobian: How to differentiate.
+        gradient: For "lbfgs": "differences", or "autograd" where the scene is differentiable.
+        workers: Threads over runs.
+        max_evaluations: Of the residual.
+
+    Returns:
+        ``Fit``; look at ``converged``.
+    """
+    require_choice("method", method, METHODS)
+    require_choice("gradient", gradient, ("differences", "autograd"))
+    if not runs:
+        raise ValueError("runs is empty; a fit needs at least one recorded run")
+    problem = Problem(
+        model,
+        tuple(runs),
+        whitener or WhiteNoise(channels),
+        tuple(effects),
+        jacobian or Jacobian(),
+        workers=workers,
+    )
+    n = len(problem.names)
+    x0 = np.zeros(n) if start is None else np.array(start, dtype=np.float64)
+    if x0.shape != (n,):
+        raise ValueError(f"start must have shape ({n},), got {x0.shape}")
+    solve = _gauss_newton if method == "gauss_newton" else _lbfgs
+    latest = _Latest(problem)
+    found = solve(latest, x0, max_evaluations, gradient)
+    return _summarise(latest, found.x, bool(found.success), str(found.message), int(found.nfev))
+
+
+def _summarise(
+    latest: _Latest, x: Array, converged: bool, message: str, num_evaluations: int
+) -> Fit:
+    """``Fit`` at coordinates x: uncertainties from the Gauss-Newton matrix there."""
+    problem = latest.problem
+    residual, jacobian = latest.linearise(x)
+    covariance = posterior_covariance(jacobian)
+    sd_x = np.sqrt(np.diag(covariance))
+    low, high = problem.bounds
+    names = problem.names
+    return Fit(
+        problem=problem,
+        x=x,
+        values=_values(problem, x),
+        sd=dict(zip(names, _scales(problem, x) * sd_x, strict=True)),
+        correlation=covariance / np.outer(sd_x, sd_x),
+        chi2=float(residual @ residual),
+        prior=float(x @ x),
+        num_samples=len(residual),
+        at_bound=tuple(
+            n for n, v, a, b in zip(names, x, low, high, strict=True) if v <= a or v >= b
+        ),
+        undetermined=tuple(n for n, s in zip(names, sd_x, strict=True) if s > 0.9),
+        converged=converged,
+        message=message + f"; {latest.num_failed} trial points could not be simulated"
+        if latest.num_failed
+        else message,
+        num_evaluations=num_evaluations,
+        residual=residual,
+        jacobian=jacobian,
+    )
+
+
+def posterior_covariance(jacobian: Array) -> Array:
+    """(A'A + 1)^-1."""
+    n = jacobian.shape[1]
+    return linalg.inv(jacobian.T @ jacobian + np.eye(n)) if n else np.zeros((0, 0))
+
+
+class _Latest:
+    """Linearisations of a problem, the latest kept: solvers ask for the same point twice."""
+
+    def __init__(self, problem: Problem):
+        self.problem, self.at = problem, np.zeros(0)
+        self.kept: tuple[Array, Array] | None = None
+        self.num_failed = 0
+
+    def linearise(self, x: Array) -> tuple[Array, Array]:
+        if self.kept is None or not np.array_equal(x, self.at):
+            self.at, self.kept = x.copy(), self.problem.linearise(x)
+        return self.kept
+
+    def residual(self, x: Array) -> Array:
+        """Where the simulation of a trial point fails: so large that the solver turns back."""
+        if self.kept is None:
+            return self.linearise(x)[0]  # the start must be possible
+        try:
+            return self._residual(x)
+        except DiffsimError:
+            self.num_failed += 1
+            return np.full(len(self.kept[0]), IMPOSSIBLE)
+
+    def _residual(self, x: Array) -> Array:
+        # a batched model makes the whole stencil at about the price of one point
+        if self.problem.model.batched or (self.kept is not None and np.array_equal(x, self.at)):
+            return self.linearise(x)[0]
+        return self.problem.residual(x)
+
+
+def _gauss_newton(latest: _Latest, x0: Array, max_evaluations: int, _: str) -> Any:
+    low, high = latest.problem.bounds
+    if not len(x0):
+        return optimize.OptimizeResult(x=x0, success=True, message="nothing to fit", nfev=0)
+    n = len(x0)
+    return optimize.least_squares(
+        lambda x: np.concatenate([latest.residual(x), x]),
+        np.clip(x0, low, high),
+        jac=lambda x: np.vstack([-latest.linearise(x)[1], np.eye(n)]),
+        bounds=(low, high),
+        method="dogbox",  # may rest on a bound, where trf only creeps towards it
+        ftol=1e-7,  # of a cost of about N / 2 nats: far below the 0.1 nat that would matter
+        xtol=1e-6,
+        gtol=1e-6,
+        max_nfev=max_evaluations,
+    )
+
+
+def _lbfgs(latest: _Latest, x0: Array, max_evaluations: int, gradient: str) -> Any:
+    problem = latest.problem
+    low, high = problem.bounds
+
+    def cost(x: Array) -> tuple[float, Array]:
+        if gradient == "autograd":
+            value, slope = problem.gradient(x)
+        else:
+            r, a = problem.linearise(x)
+            value, slope = 0.5 * float(r @ r), -a.T @ r
+        return value + 0.5 * float(x @ x), slope + x
+
+    return optimize.minimize(
+        cost,
+        np.clip(x0, low, high),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=list(zip(low, high, strict=True)),
+        options={"maxfun": max_evaluations, "ftol": 1e-10, "gtol": 1e-6},
+    )
+
+
+def _values(problem: Problem, x: Array) -> dict[str, float]:
+    base = [float(p.value_at(torch.tensor(q, dtype=torch.float64))) for p, q in _base(problem, x)]
+    sizes = _effect_scales(problem) * x[problem.num_base :]
+    return dict(zip(problem.names, [*base, *sizes.tolist()], strict=True))
+
+
+def _scales(problem: Problem, x: Array) -> Array:
+    """d value / d x."""
+    base = [p.value * np.exp(p.sd * q) * p.sd if p.log else p.sd for p, q in _base(problem, x)]
+    return np.array([*base, *_effect_scales(problem)])
+
+
+def _base(problem: Problem, x: Array) -> list[tuple[Parameter, float]]:
+    return list(zip(problem.model.base, x[: problem.num_base].tolist(), strict=True))
+
+
+def _effect_scales(problem: Problem) -> Array:
+    return np.array([PRIOR_WIDTH * e.typical for e, _ in problem.owners])

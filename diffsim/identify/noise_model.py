@@ -1,0 +1,43 @@
+"""White sensor noise as a weight of residuals; coloured noise is in ``diffsim.diagnose.noise``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from scipy import sparse
+
+if TYPE_CHECKING:
+    from diffsim.data.study import Channel, Run
+
+
+class Whitener(Protocol):
+    """Makes the noise of a run white with standard deviation one."""
+
+    def matrix(self, run: Run) -> sparse.csr_array:
+        """(num_valid, num_samples * num_channels); missing samples have no row."""
+        ...
+
+
+class WhiteNoise:
+    """Independent noise of known standard deviation in every channel.
+
+    Args:
+        channels: With ``sd``.
+    """
+
+    def __init__(self, channels: Sequence[Channel]):
+        missing = [c.name for c in channels if c.sd is None]
+        if missing:
+            raise ValueError(
+                f"channels {missing} have no sd; state it, or estimate it from repeats with "
+                "diffsim.diagnose.noise.noise_floor"
+            )
+        self.sd = np.array([c.sd for c in channels], dtype=np.float64)
+
+    def matrix(self, run: Run) -> sparse.csr_array:
+        """Rows of the measured samples of ``diag(1 / sd)``."""
+        valid = np.isfinite(run.measured).ravel()
+        weight = np.tile(1.0 / self.sd, len(run.time_s))
+        return sparse.csr_array(sparse.diags_array(weight).tocsr()[np.flatnonzero(valid)])

@@ -1,0 +1,225 @@
+"""Model, runs and noise as one least-squares problem in standardised coordinates.
+
+Coordinates x: first the base parameters, then the components of the effects. All have the prior
+N(0, 1); a component has the size 1.5 typical x, and x >= 0 unless the effect is signed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from diffsim.errors import DiffsimError
+from diffsim.identify.jacobian import Jacobian
+from diffsim.identify.noise_model import Whitener
+
+if TYPE_CHECKING:
+    from diffsim.data.study import Run
+    from diffsim.diagnose.effect import Effect
+    from diffsim.diagnose.model import Numerics, SimModel
+
+Array = NDArray[np.float64]
+PRIOR_WIDTH = 1.5  # of a component, in units of its typical size
+SECANT = 0.1  # of the typical size
+
+
+class PredictionError(DiffsimError):
+    """A simulation left the range of numbers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Residuals r = W (y - S(x)) of several runs and their derivatives.
+
+    Attributes:
+        model: The simulator.
+        runs: Recorded runs.
+        whitener: Of the noise.
+        effects: Whose components are coordinates after the base parameters.
+        jacobian: How to differentiate.
+        numerics: Settings; the model's own if None.
+        workers: Threads over runs; the compiled kernels release the interpreter.
+    """
+
+    model: SimModel
+    runs: tuple[Run, ...]
+    whitener: Whitener
+    effects: tuple[Effect, ...] = ()
+    jacobian: Jacobian = field(default_factory=Jacobian)
+    numerics: Numerics | None = None
+    workers: int = 1
+
+    @property
+    def num_base(self) -> int:
+        """Base parameters."""
+        return len(self.model.base)
+
+    @property
+    def owners(self) -> list[tuple[Effect, str]]:
+        """Effect and component of every coordinate after the base parameters."""
+        return [(e, c) for e in self.effects for c in e.components]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the coordinates; components of vector effects as "wind.x"."""
+        return (*(p.name for p in self.model.base), *effect_coordinates(self.effects))
+
+    def columns_of(self, effect: Effect) -> list[int]:
+        """Coordinates of an effect."""
+        return [self.num_base + i for i, (e, _) in enumerate(self.owners) if e is effect]
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds of the coordinates, (n,) each."""
+        low = [
+            p.coordinate_of(p.lower) if _inside(p.lower, p.log) else -np.inf
+            for p in self.model.base
+        ]
+        high = [
+            p.coordinate_of(p.upper) if np.isfinite(p.upper) else np.inf for p in self.model.base
+        ]
+        low += [-np.inf if e.signed else 0.0 for e, _ in self.owners]
+        high += [np.inf] * len(self.owners)
+        return np.array(low), np.array(high)
+
+    def sizes_at(self, x: Tensor) -> dict[Effect, Tensor]:
+        """Sizes [unit] of the effects."""
+        sizes, k = {}, self.num_base
+        for effect in self.effects:
+            count = len(effect.components)
+            sizes[effect] = PRIOR_WIDTH * effect.typical * x[..., k : k + count]
+            k += count
+        return sizes
+
+    def predict(self, run: Run, x: Tensor) -> Tensor:
+        """Predicted channels, (num_samples, num_channels)."""
+        sizes = self.sizes_at(x)
+        out = self.model.predict(run, x[: self.num_base], sizes, self.numerics)
+        return self._of_shape(run, out, run.measured.shape)
+
+    def predict_many(self, run: Run, points: Sequence[Tensor]) -> Tensor:
+        """(K, num_samples, num_channels) at K points."""
+        x = torch.stack(list(points))
+        sizes = self.sizes_at(x)
+        out = self.model.predict_many(run, x[:, : self.num_base], sizes, self.numerics)
+        return self._of_shape(run, out, (len(x), *run.measured.shape))
+
+    def _of_shape(self, run: Run, out: Tensor, shape: tuple[int, ...]) -> Tensor:
+        if tuple(out.shape) != shape:
+            raise ValueError(
+                f"model {self.model.name} predicts {tuple(out.shape)} for run {run.name}, "
+                f"expected {shape}: samples and channels of its ``measured``"
+            )
+        return out
+
+    def residual(self, x: Array) -> Array:
+        """(num_valid,) whitened residual of all runs."""
+        point = torch.from_numpy(np.ascontiguousarray(x))
+
+        def one(run: Run) -> Array:
+            with torch.no_grad():
+                predicted = self.predict(run, point).numpy()
+            return self.whiten(run, np.nan_to_num(run.measured).ravel() - _finite(predicted, run))
+
+        return np.concatenate(self._each(one))
+
+    def linearise(
+        self, x: Array, *, screen: bool = False, only: Sequence[int] | None = None
+    ) -> tuple[Array, Array]:
+        """Residual and A = d(W S)/dx at x.
+
+        Args:
+            x: (n,).
+            screen: Non-smooth effects by their secant from here to a tenth of the typical size.
+            only: Coordinates to differentiate; the other columns are zero.
+
+        Returns:
+            (num_valid,) and (num_valid, n).
+        """
+        point = torch.from_numpy(np.ascontiguousarray(x, dtype=np.float64))
+        low, _ = self.bounds
+        step = self.jacobian.step
+        one_sided = [bool(x[i] - step < low[i]) for i in range(len(x))]
+        secant = [0.0] * self.num_base + [
+            SECANT / PRIOR_WIDTH if screen and not e.smooth else 0.0 for e, _ in self.owners
+        ]
+        names = self.names
+
+        def one(run: Run) -> tuple[Array, Array]:
+            idx = [i for i in range(len(x)) if _touches(names[i], run)]
+            idx = [i for i in idx if only is None or i in only]
+            here, columns = self.jacobian.columns(
+                lambda points: self.predict_many(run, points),
+                point,
+                idx,
+                one_sided=one_sided,
+                secant=secant,
+            )
+            matrix = self.whitener.matrix(run)
+            full = np.zeros((matrix.shape[0], len(x)))
+            full[:, idx] = matrix @ columns
+            left = np.nan_to_num(run.measured).ravel() - _finite(here, run)
+            return np.asarray(matrix @ left), full
+
+        parts = self._each(one)
+        return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+
+    def gradient(self, x: Array) -> tuple[float, Array]:
+        """½ |r|² and its gradient by reverse mode: one backward pass per run."""
+        leaf = torch.tensor(x, dtype=torch.float64, requires_grad=True)
+
+        def one(run: Run) -> tuple[float, Array]:
+            predicted = self.predict(run, leaf)
+            matrix = self.whitener.matrix(run)
+            left = np.nan_to_num(run.measured).ravel() - predicted.detach().numpy().ravel()
+            r = matrix @ left
+            cotangent = torch.from_numpy(np.asarray(-(matrix.T @ r))).view_as(predicted)
+            (grad,) = torch.autograd.grad(predicted, leaf, cotangent)
+            return 0.5 * float(r @ r), grad.numpy()
+
+        parts = self._each(one)
+        return sum(p[0] for p in parts), np.sum([p[1] for p in parts], axis=0)
+
+    def whiten(self, run: Run, record: Array) -> Array:
+        """(num_valid, ...) of a flattened record (num_samples * num_channels, ...)."""
+        return np.asarray(self.whitener.matrix(run) @ record)
+
+    def _each(self, job):
+        if self.workers > 1:
+            with ThreadPoolExecutor(self.workers) as pool:
+                return list(pool.map(job, self.runs))
+        return [job(run) for run in self.runs]
+
+
+def effect_coordinates(effects: Sequence[Effect]) -> tuple[str, ...]:
+    """Names of the components; the effect's own where it has only one."""
+    return tuple(
+        e.name if len(e.components) == 1 else f"{e.name}.{c}" for e in effects for c in e.components
+    )
+
+
+def _touches(name: str, run: Run) -> bool:
+    """Whether a coordinate acts in a run: "offset@run_3" acts in run_3 only."""
+    return "@" not in name or name.rsplit("@", 1)[1] == run.name
+
+
+def _inside(lower: float, log: bool) -> bool:
+    return bool(np.isfinite(lower)) and not (log and lower <= 0.0)
+
+
+def _finite(predicted: Array, run: Run) -> Array:
+    flat = np.asarray(predicted).ravel()
+    if not np.isfinite(flat).all():
+        bad = int((~np.isfinite(flat)).sum())
+        raise PredictionError(
+            f"the prediction of run {run.name} has {bad} NaN or infinite entries; narrow the "
+            "priors or bounds of the parameters, or mend the scene"
+        )
+    return flat

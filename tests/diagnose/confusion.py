@@ -1,0 +1,139 @@
+"""Fresh toy cases and their verdicts: `python -m tests.diagnose.confusion SEED`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any
+
+import numpy as np
+
+from diffsim.diagnose import diagnose
+from diffsim.identify import fit
+from tests.diagnose import toy
+
+Case = dict[str, Any]
+OUTSIDE = {"pulse": 0.3, "stop": 3.0, "tide": 0.25}
+
+
+def cases(seed: int, scale: int = 1) -> Iterator[Case]:
+    """72 cases at scale 1, sizes and seeds drawn from ``seed``."""
+    rng = np.random.default_rng(seed)
+
+    def case(kind: str, hidden: dict[str, float] | None = None, **options: Any) -> Case:
+        return {
+            "kind": kind,
+            "seed": int(rng.integers(2**31)),
+            "hidden": hidden or {},
+            "options": options,
+        }
+
+    def size(effect: Any) -> float:
+        # a softening spring may run away
+        both = effect.signed and effect.name != "stiffening"
+        sign = rng.choice([-1.0, 1.0]) if both else 1.0
+        return float(sign * effect.typical * np.exp(rng.uniform(np.log(0.05), np.log(0.8))))
+
+    for _ in range(scale):
+        for _ in range(10):
+            yield case("null")
+        for option in (
+            {"tails": True},
+            {"spikes": True},
+            {"colour": 0.7},
+            {"far_base": 1.5},
+            {"lost_repeat": True},
+        ):
+            for _ in range(2):
+                yield case("decoy", **option)
+        for effect in toy.LIBRARY:
+            for _ in range(3):
+                yield case("single", {effect.name: size(effect)})
+        for name, large in OUTSIDE.items():
+            for _ in range(3):
+                yield case("outside", {name: large * rng.uniform(0.5, 1.0)})
+        for _ in range(5):
+            a, b = rng.choice(len(toy.LIBRARY), 2, replace=False)
+            pair = [toy.LIBRARY[a], toy.LIBRARY[b]]
+            yield case("pair", {e.name: float(np.sign(size(e)) * 0.5 * e.typical) for e in pair})
+        for _ in range(5):
+            yield case("unrepeatable", scatter=rng.uniform(0.1, 0.2))
+        for _ in range(4):
+            yield case("numerical")
+        for _ in range(5):
+            yield case("twins", {"delay": rng.uniform(0.01, 0.03)})
+
+
+def solve(case: Case) -> Case:
+    """The case with the verdict; lambda of single effects from noise-free data."""
+    study = toy.generate(case["seed"], case["hidden"], **case["options"])
+    step = 0.02 if case["kind"] == "numerical" else None
+    library = toy.LIBRARY + ((toy.ClockOffset(),) if case["kind"] == "twins" else ())
+    model = toy.model(study.runs, step)
+    report = diagnose(study, model, library, seed=0, unknowns=[toy.unknown_force()])
+    out = {
+        **case,
+        "verdict": report.verdict,
+        "named": sorted(report.named),
+        "rivals": [sorted(r) for r in report.rivals],
+        "scatter": float(np.max(report.noise["scatter_ratio"])),
+        "top": [(h.effects, h.unknown, round(h.nats, 1)) for h in report.hypotheses[:4]],
+        "gain": None
+        if report.gain is None
+        else [report.gain.value, report.gain.low, report.gain.high, report.gain.excess],
+    }
+    rows = {r.effect: r for r in report.table}
+    if case["kind"] == "single":
+        (name,) = case["hidden"]
+        out["size"], out["sd"] = rows[name].size["size"], rows[name].sd["size"]
+        clean = toy.generate(case["seed"], case["hidden"], noise=0.0)
+        whitener = report.null.problem.whitener
+        null = fit(model, clean.fit_runs, clean.channels, whitener=whitener)
+        out["lambda"] = float(np.sqrt(null.chi2))
+    return out
+
+
+def is_right(case: Case) -> bool:
+    """The verdict asked for, with the truth alone or in the set."""
+    truth, verdict, kind = sorted(case["hidden"]), case["verdict"], case["kind"]
+    if kind in ("null", "decoy"):
+        return verdict == "none"
+    if kind in ("single", "pair", "twins"):
+        if kind == "twins" and verdict != "ambiguous":
+            return False
+        sets = [case["named"], *case["rivals"]]
+        return verdict in ("named", "ambiguous") and truth in sets
+    return verdict == {"outside": "unknown"}.get(kind, kind)
+
+
+def main() -> None:
+    """Print the table; write all cases as JSON lines."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("seed", type=int)
+    parser.add_argument("--scale", type=int, default=1)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--out", default="confusion.jsonl")
+    args = parser.parse_args()
+    done = []
+    with ProcessPoolExecutor(args.workers) as pool, open(args.out, "w") as file:
+        plan = list(cases(args.seed, args.scale))
+        # in random order: a run that is cut short still saw every kind
+        plan = [plan[i] for i in np.random.default_rng(args.seed).permutation(len(plan))]
+        for case in pool.map(solve, plan):
+            case["right"] = is_right(case)
+            done.append(case)
+            file.write(json.dumps(case) + "\n")
+            file.flush()
+    table: dict[str, Counter[str]] = defaultdict(Counter)
+    for case in done:
+        table[case["kind"]][case["verdict"]] += 1
+        table[case["kind"]]["right"] += case["right"]
+    for kind, counts in table.items():
+        print(f"{kind:14s}", dict(counts))
+
+
+if __name__ == "__main__":
+    main()

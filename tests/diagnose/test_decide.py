@@ -1,0 +1,48 @@
+import pytest
+
+from diffsim.diagnose.decide import decide
+from diffsim.diagnose.evidence import Hypothesis as H
+
+NULL, A, B, AB = H(), H(frozenset({0})), H(frozenset({1})), H(frozenset({0, 1}))
+U, AU = H(frozenset(), 0), H(frozenset({0}), 0)
+N = 1000.0
+
+
+def verdict(nats, chi2_null=1200.0, chi2_a=1000.0):
+    chi2 = {h: chi2_a for h in nats if h.unknown is None} | {NULL: chi2_null}
+    return decide(nats, chi2, N)
+
+
+def test_a_name_must_pay_four_nats():
+    assert verdict({NULL: 0.0, A: 3.9}).verdict == "none"
+    found = verdict({NULL: 0.0, A: 4.1})
+    assert (found.verdict, found.best) == ("named", frozenset({0}))
+
+
+@pytest.mark.parametrize(("behind", "expected"), [(2.9, "ambiguous"), (3.1, "named")])
+def test_a_rival_within_three_nats(behind, expected):
+    found = verdict({NULL: 0.0, A: 20.0, B: 20.0 - behind})
+    assert found.verdict == expected
+    assert found.rivals == ((B,) if expected == "ambiguous" else ())
+
+
+def test_a_larger_set_with_the_same_name_is_no_rival():
+    assert verdict({NULL: 0.0, A: 20.0, AB: 19.0, B: 2.0}).verdict == "named"
+
+
+def test_members_that_cost_little_are_dropped():
+    found = verdict({NULL: 0.0, A: 20.0, B: 1.0, AB: 23.0})
+    assert found.best == frozenset({0})
+    assert verdict({NULL: 0.0, A: 20.0, B: 1.0, AB: 24.5}).best == frozenset({0, 1})
+
+
+def test_unknown_wins_only_where_names_explain_too_little():
+    assert verdict({NULL: 0.0, U: 10.0}).verdict == "unknown"
+    nats = {NULL: 0.0, A: 30.0, AU: 50.0, U: 20.0}
+    assert verdict(nats, chi2_a=1050.0).verdict == "unknown"  # 75 %
+    assert verdict(nats, chi2_a=1030.0).verdict == "named"  # 85 %
+
+
+def test_unknown_as_good_as_the_name_is_a_rival():
+    found = verdict({NULL: 0.0, A: 10.0, U: 9.0})
+    assert (found.verdict, found.rivals) == ("ambiguous", (U,))

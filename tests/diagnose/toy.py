@@ -1,0 +1,312 @@
+"""A toy bed: a driven oscillator with two sensors, and a generator that shares no code with it.
+
+Model: x'' = w^2 (g u(t) - x) - 2 zeta w x' + terms, RK4 at the sample times, many points at once,
+smoothed friction. Generator: scipy's DOP853 at rtol 1e-7, sharp nonlinearities, coloured noise,
+0.5 % gain jitter, placement errors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import torch
+from scipy import integrate
+from scipy.signal import lfilter
+
+from diffsim.data.study import Channel, Run, Study
+from diffsim.diagnose import Effect, Numerics, SimModel
+from diffsim.diagnose.unknown import UnknownForce, smooth_covariance
+from diffsim.identify import Parameter
+
+RATE_HZ, DURATION_S = 50.0, 4.0
+TIME = np.arange(round(RATE_HZ * DURATION_S)) / RATE_HZ
+CHANNELS = (
+    Channel("position_m", "m", "position", sd=0.03),
+    Channel("velocity_m_s", "m/s", "velocity", sd=0.3),
+)
+COMMANDS = {
+    "chirp": np.sin(2 * np.pi * (0.4 * TIME + 0.3 * TIME**2)),
+    "steps": np.interp(TIME, [0, 0.3, 0.5, 2.0, 2.2, 4.0], [0, 0, 0.8, 0.8, -0.4, -0.4]),
+    "small": 0.35 * np.sin(2 * np.pi * 1.3 * TIME) * np.minimum(TIME, 1.0),
+    "held": 0.9 * np.sin(2 * np.pi * 0.9 * TIME) * np.minimum(2.0 * TIME, 1.0),
+}
+
+
+@dataclass
+class OscillatorScene:
+    """Terms of the model; effects add to them. All entries may carry a batch axis (K,)."""
+
+    values: dict[str, Any]
+    run: Run
+    numerics: Numerics
+    implicit_step: float | None
+    terms: dict[str, Any] = field(default_factory=dict)
+
+    def simulate(self) -> torch.Tensor:
+        """(..., T, 2) position and velocity."""
+        get = {k: np.atleast_1d(v.detach().numpy())[:, None] for k, v in self.values.items()}
+        terms = {k: np.atleast_1d(v.detach().numpy()) for k, v in self.terms.items()}
+        single = self.values["frequency"].ndim == 0
+        count = len(get["frequency"])
+        column = {k: v[:, None] if v.ndim == 1 else v for k, v in terms.items()}
+        zero = np.zeros((count, 1))
+        order = self.run.order
+        w = 2 * np.pi * get["frequency"][:, 0] * (1 + column.get("warming", zero)[:, 0] * order)
+        zeta = get["damping_ratio"][:, 0]
+        stages = np.linspace(0.0, TIME[-1], 2 * len(TIME) - 1)
+        shifted = stages[None, :] - column.get("delay", zero)
+        u = np.interp(shifted, TIME, self.run.command["u"], left=self.run.command["u"][0])
+        u = np.broadcast_to(u, (count, len(stages)))
+        if np.any(tau := column.get("lag", zero)):
+            u = lagged(u, stages[1], tau)
+        gain = get["gain"] * get.get(f"gain_factor@{self.run.name}", zero + 1.0)
+        push = gain * u + column.get("bias", zero)
+        if "knots" in terms:
+            knots = np.linspace(0.0, TIME[-1], terms["knots"].shape[-1])
+            hats = np.stack([np.interp(stages, knots, e) for e in np.eye(len(knots))])
+            push = push + terms["knots"].reshape(count, -1) @ hats
+        drag, rub, hard = (column.get(k, zero)[:, 0] for k in ("drag", "friction", "stiffening"))
+
+        def acceleration(x, v, f):
+            return (
+                w * w * (f - x - hard * x * x * x)
+                - 2 * zeta * w * v
+                - drag * np.abs(v) * v
+                - rub * np.tanh(v / 0.02)
+            )
+
+        if self.implicit_step is None:
+            x, v = _rk4(acceleration, push, TIME[1])
+        else:
+            x, v = _implicit_euler(w, zeta, push, self.implicit_step * self.numerics.time_step)
+        place = get.get(f"offset@{self.run.name}", zero)
+        out = np.stack([x + place, v * (1 + column.get("scale", zero))], axis=-1)
+        return torch.from_numpy(out[0] if single else out)
+
+
+def _rk4(acceleration, push, h):
+    x = v = np.zeros(len(push))
+    xs, vs = [x], [v]
+    for k in range(0, push.shape[1] - 2, 2):
+        f0, f1, f2 = push[:, k], push[:, k + 1], push[:, k + 2]
+        a0 = acceleration(x, v, f0)
+        v1 = v + 0.5 * h * a0
+        a1 = acceleration(x + 0.5 * h * v, v1, f1)
+        v2 = v + 0.5 * h * a1
+        a2 = acceleration(x + 0.5 * h * v1, v2, f1)
+        v3 = v + h * a2
+        a3 = acceleration(x + h * v2, v3, f2)
+        x = x + h / 6 * (v + 2 * v1 + 2 * v2 + v3)
+        v = v + h / 6 * (a0 + 2 * a1 + 2 * a2 + a3)
+        xs.append(x)
+        vs.append(v)
+    return np.stack(xs, 1), np.stack(vs, 1)
+
+
+def _implicit_euler(w, zeta, push, step):
+    """Linear oscillator only; step divides the sample distance."""
+    substeps = max(round(TIME[1] / step), 1)
+    h = TIME[1] / substeps
+    x = v = np.zeros(len(push))
+    xs, vs = [x], [v]
+    for k in range(len(TIME) - 1):
+        for s in range(1, substeps + 1):
+            share = s / substeps
+            f = (1 - share) * push[:, 2 * k] + share * push[:, 2 * k + 2]
+            v = (v + h * w * w * (f - x)) / (1 + 2 * zeta * w * h + (w * h) ** 2)
+            x = x + h * v
+        xs.append(x)
+        vs.append(v)
+    return np.stack(xs, 1), np.stack(vs, 1)
+
+
+def lagged(u, h, tau):
+    """First-order lag of a piecewise linear signal, exactly; starts settled."""
+    tau = np.maximum(np.abs(tau[:, 0]), 1e-9)
+    decay, out = np.exp(-h / tau), np.array(u)
+    for k in range(u.shape[1] - 1):
+        slope = (u[:, k + 1] - u[:, k]) / h
+        behind = out[:, k] - u[:, k] + tau * slope
+        out[:, k + 1] = u[:, k + 1] - tau * slope + behind * decay
+    return out
+
+
+class _Term(Effect):
+    kind = "force"
+    unit = "-"
+    term = ""
+
+    def apply(self, scene, size, run):
+        before = scene.terms.get(self.term or self.name, 0.0)
+        return replace(scene, terms={**scene.terms, self.term or self.name: before + size[..., 0]})
+
+
+class Drag(_Term):
+    name, family, typical, signed = "drag", "damping", 0.3, False
+    also_looks_like = ("turbulent drag of the surroundings",)
+
+
+class Friction(_Term):
+    name, family, typical, signed, smooth = "friction", "friction", 1.0, False, False
+
+
+class Stiffening(_Term):
+    name, family, typical = "stiffening", "stiffness", 0.1
+
+
+class Delay(_Term):
+    name, family, typical, signed, kind = "delay", "timing", 0.03, False, "actuator"
+
+
+class Lag(_Term):
+    name, family, typical, signed, kind = "lag", "timing", 0.03, False, "actuator"
+
+
+class Bias(_Term):
+    name, family, typical = "bias", "load", 0.1
+
+
+class Scale(_Term):
+    name, family, typical, kind = "scale", "sensor", 0.1, "sensor"
+
+
+class Warming(_Term):
+    name, family, typical, kind = "warming", "temperature", 0.01, "environment"
+
+
+class ClockOffset(Delay):
+    """Exactly the delay under another name."""
+
+    name, term = "clock_offset", "delay"
+
+
+class Knots(Effect):
+    """The unknown force's coefficients, in units of the command."""
+
+    name, family, kind, unit, typical = "knots", "unknown", "force", "-", 0.1
+    components = tuple(f"t{i}" for i in range(21))
+
+    def apply(self, scene, size, run):
+        return replace(scene, terms={**scene.terms, "knots": size})
+
+
+LIBRARY = (Drag(), Friction(), Stiffening(), Delay(), Lag(), Bias(), Scale(), Warming())
+
+
+def unknown_force() -> UnknownForce:
+    knots = np.linspace(0.0, TIME[-1], 21)
+    return UnknownForce(Knots(), smooth_covariance(knots, 0.3))
+
+
+def model(runs, implicit_step: float | None = None) -> SimModel:
+    base = [
+        Parameter("frequency", 1.5, 0.1, "Hz", log=True),
+        Parameter("damping_ratio", 0.08, 0.3, "-", log=True),
+        Parameter("gain", 1.0, 0.1, "-", log=True),
+        *(Parameter(f"offset@{r.name}", 0.0, 0.02, "m") for r in runs),
+        *(Parameter(f"gain_factor@{r.name}", 1.0, 0.005, "-") for r in runs),
+    ]
+    return SimModel(
+        lambda values, run, numerics: OscillatorScene(dict(values), run, numerics, implicit_step),
+        base,
+        "oscillator",
+        batched=True,
+    )
+
+
+def generate(
+    seed: int,
+    hidden: dict[str, float] | None = None,
+    *,
+    colour: float = 0.4,
+    tails: bool = False,
+    spikes: bool = False,
+    scatter: float = 0.0,
+    lost_repeat: bool = False,
+    far_base: float = 1.0,
+    noise: float = 1.0,
+) -> Study:
+    """Recordings of a hidden truth: 3 commands x 2 repeats to fit, one command held out."""
+    rng = np.random.default_rng(seed)
+    hidden = hidden or {}
+    truth = {
+        "w": 2 * np.pi * 1.5 * np.exp(0.1 * far_base * _prior(rng)),
+        "zeta": 0.08 * np.exp(0.3 * far_base * _prior(rng)),
+        "gain": np.exp(0.1 * far_base * _prior(rng)),
+    }
+    runs = []
+    plan = [(c, r) for r in "ab" for c in ("chirp", "steps", "small")] + [("held", "a")]
+    for order, (command, repeat) in enumerate(plan):
+        if lost_repeat and (command, repeat) == ("steps", "b"):
+            continue
+        clean = _integrate(truth, COMMANDS[command], hidden, order, rng, scatter)
+        disturbed = noise * _noise(rng, colour, tails)
+        measured = clean + disturbed * [c.sd for c in CHANNELS] + [rng.normal(0.0, 0.01), 0.0]
+        if spikes:
+            hit = rng.random(measured.shape) < 0.005
+            measured = measured + hit * rng.choice([-1, 1], measured.shape) * [0.8, 8.0]
+        runs.append(
+            Run(
+                f"{command}_{repeat}",
+                TIME,
+                measured,
+                {"u": COMMANDS[command]},
+                command,
+                order,
+                "holdout" if command == "held" else "fit",
+            )
+        )
+    return Study("toy", "soft_body", CHANNELS, tuple(runs))
+
+
+def _prior(rng) -> float:
+    return float(np.clip(rng.normal(), -2, 2))
+
+
+def _noise(rng, colour, tails):
+    white = (
+        rng.standard_t(3, (len(TIME) + 50, 2)) / np.sqrt(3)
+        if tails
+        else rng.normal(size=(len(TIME) + 50, 2))
+    )
+    return lfilter([np.sqrt(1 - colour**2)], [1, -colour], white, axis=0)[50:]
+
+
+def _integrate(truth, command, hidden, order, rng, scatter):
+    get = hidden.get
+    w = truth["w"] * (1 + get("warming", 0.0) * order)
+    gain = truth["gain"] * (1 + 0.005 * rng.normal()) * (1 + scatter * rng.normal())
+    tau = get("lag", 0.0)
+    kick = scatter * rng.normal(size=8)
+
+    def slope(t, y):
+        x, v, a = y
+        u = np.interp(t - get("delay", 0.0), TIME, command)
+        pushed = gain * (a if tau > 0 else u) + get("bias", 0.0)
+        pushed += get("pulse", 0.0) * np.exp(-(((t - 1.7) / 0.2) ** 2))
+        if scatter:
+            pushed += scatter * sum(k * np.sin((i + 1) * t) for i, k in enumerate(kick)) / 2
+        stop = get("stop", 0.0) * max(x - 0.35, 0.0)
+        tide = 1 + get("tide", 0.0) * np.sin(2 * np.pi * 0.6 * t)
+        force = w * w * (pushed - tide * x - get("stiffening", 0.0) * x**3 - stop)
+        force -= 2 * truth["zeta"] * w * v + get("drag", 0.0) * abs(v) * v
+        force -= get("friction", 0.0) * np.tanh(v / 0.004)
+        return [v, force, (u - a) / tau if tau > 0 else 0.0]
+
+    method = "LSODA" if get("friction", 0.0) else "DOP853"
+    found = integrate.solve_ivp(
+        slope,
+        (0, TIME[-1]),
+        [0, 0, command[0]],
+        t_eval=TIME,
+        rtol=1e-7,
+        atol=1e-8,
+        method=method,
+        max_step=0.05,
+    )
+    if not found.success:
+        raise RuntimeError(f"generator: {found.message} with {hidden}")
+    x, v = found.y[:2]
+    return np.column_stack([x, v * (1 + get("scale", 0.0))])
