@@ -83,8 +83,8 @@ class NetworkLab(Lab):
                 back = rise * np.floor(t / 10.0)
                 plans.append(_plan(f"{name}_{repeat}", name, "fit", t, pump, back))
         unseen = level * (1.2 + 0.8 * np.sin(2 * np.pi * t / 23.0))
-        back = 20.0 * (t > 30.0)
-        return [*plans, _plan("mixed", "mixed", "holdout", t, unseen, back)]
+        raised = np.where(t > 30.0, 20.0, 0.0)
+        return [*plans, _plan("mixed", "mixed", "holdout", t, unseen, raised)]
 
     def nuisances(self, rng: np.random.Generator) -> dict[str, Any]:
         return {

@@ -136,14 +136,20 @@ class _Flight:
         nominal = np.vstack([np.ones(4), -ROTORS_M[:, 1], ROTORS_M[:, 0], -TORQUE_RATIO_M * SPINS])
         self.mixer = np.linalg.inv(nominal)
 
-    def run(self, time_s: Array) -> tuple[Array, Array]:
-        """Sensor rows (num_samples, 12) and commands (num_samples, 4)."""
+    def start(self) -> Array:
+        """State at time zero: level, nearly at rest, rotors at hover."""
         place, _ = self.path(0.0)
         hover = np.full(4, self.mass * GRAVITY / 4.0)
         x = np.concatenate([place, [1.0, 0.0, 0.0, 0.0], np.zeros(6), hover])
         rng = np.random.default_rng(self.truth["seed"])
         x[0:3] += rng.normal(0.0, 0.02, 3)  # nobody starts on the spot
         x[7:10] += rng.normal(0.0, 0.02, 3)
+        return x
+
+    def run(self, time_s: Array) -> tuple[Array, Array]:
+        """Sensor rows (num_samples, 12) and commands (num_samples, 4)."""
+        x = self.start()
+        hover = x[13:].copy()
         h = 1.0 / RATE_HZ / SUBSTEPS
         rows, commands = np.empty((len(time_s), 12)), np.empty((len(time_s), 4))
         asked = [hover] * (3 + int(self.delay / h))  # at earlier substeps, newest last

@@ -1,0 +1,175 @@
+"""The soft-beam laboratory against closed forms, another discretisation and finer steps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import find_peaks
+
+import diffsim.data.labs.soft_beam as soft_beam
+from diffsim.data.labs import SoftBeamLab
+from diffsim.data.labs.beam_modes import BeamShape, beam_modes
+from diffsim.data.labs.common import Plan
+from diffsim.data.virtual_lab import VirtualBeam, bending_modes
+from tests.data.labs.truths import exact
+
+pytestmark = pytest.mark.reference
+STILL = {"marker_place_m": np.zeros(2), "zero_seed": 0}
+
+
+@pytest.fixture(scope="module")
+def lab():
+    return SoftBeamLab()
+
+
+def measure(lab, command, *, youngs=None, beta=None, **effects):
+    """Tip [m] without the zero error."""
+    truth = exact(lab, STILL, **effects)
+    truth["base"]["youngs_modulus"] = youngs or truth["base"]["youngs_modulus"]
+    truth["base"]["rayleigh_beta"] = truth["base"]["rayleigh_beta"] if beta is None else beta
+    t = np.arange(len(command)) / soft_beam.RATE_HZ
+    out, _ = lab.measure(Plan("r", "g", "fit", t, {"tendon_N": np.asarray(command)}), truth)
+    zero = np.random.default_rng([0, 0]).normal(0.0, 0.1e-3, 2)
+    return (out - zero)[:, 0]
+
+
+def released(num=300):
+    """Held at 1 N, let go within a sample at 0.1 s."""
+    return np.where(np.arange(num) < 10, 1.0, 0.0)
+
+
+def peaks(tip):
+    at = find_peaks(np.abs(tip[11:]))[0] + 11
+    return np.abs(tip[at])
+
+
+def test_static_tip_under_a_moment(lab):
+    tip = measure(lab, np.ones(5))[-1]
+    expected = soft_beam.TENDON_OFFSET_M * 0.1**2 / (2 * 280e3 * lab.shape.inertia)
+    # pure bending: no shear; five modes of an infinite series leave 0.5 %
+    assert tip == pytest.approx(expected, rel=6e-3)
+
+
+def test_frequencies_against_finite_elements():
+    beam = VirtualBeam(youngs_modulus=280e3, poissons_ratio=0.45, num_elements=48)
+    ours = beam_modes(BeamShape(), 280e3).omega[:3]
+    np.testing.assert_allclose(ours, bending_modes(beam).omega[:3], rtol=[5e-4, 1e-3, 2e-3])
+
+
+def test_frequencies_converge_in_second_order():
+    n = np.array([20, 40, 80])
+    first = np.array([beam_modes(BeamShape(num_cells=int(k)), 280e3).omega[1] for k in (*n, 640)])
+    error = np.abs(first[:3] - first[3])
+    assert np.polyfit(np.log(1 / n), np.log(error), 1)[0] == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("effects", "rate"),
+    [
+        ({"beta": 1.5e-3}, lambda w: 0.5 * 1.5e-3 * w**2),
+        ({"beta": 0.0, "stiffness_damping": 1e-3}, lambda w: 0.5 * 1e-3 * w**2),
+        ({"beta": 0.0, "loss_factor": 0.06}, lambda w: 0.03 * w),
+        ({"beta": 0.0, "linear_drag": 4e3}, lambda w: 0.5 * 4e3 / 1070.0),
+    ],
+)
+def test_decay_rate(lab, effects, rate):
+    """Envelope of the free vibration against the damping of the first mode."""
+    tip = measure(lab, released(), **effects)
+    w = beam_modes(lab.shape, 280e3).omega[0]
+    t = np.arange(300) / 100.0
+    late = t > 0.4  # by then the second mode is gone or small
+    basis = np.exp(-rate(w) * t[late])[:, None] * np.column_stack(
+        [f(np.sqrt(w**2 - rate(w) ** 2) * t[late]) for f in (np.cos, np.sin)]
+    )
+    fit, *_ = np.linalg.lstsq(basis, tip[late], rcond=None)
+    left = tip[late] - basis @ fit
+    # rotary inertia feels no drag: 1 % of the rate, hence the tolerance; a rate 5 % off leaves > 5 %
+    assert left.std() < 0.03 * tip[late].std()
+
+
+def test_dry_friction_stops_the_tip_in_a_dead_zone(lab):
+    tip = measure(lab, released(), beta=0.0, dry_friction=0.02)
+    high = peaks(tip)[:6]
+    stiffness = 1.0 / (0.1**3 / (3 * 280e3 * lab.shape.inertia))  # at the tip, without shear
+    # Coulomb friction takes 2 F / k per half swing, of the modal and not the static stiffness
+    np.testing.assert_allclose(-np.diff(high), 2 * 0.02 / stiffness, rtol=0.25)
+    assert np.abs(tip[-1]) < 1.2 * 0.02 / stiffness
+    assert np.ptp(tip[-20:]) < 2e-5
+
+
+def test_quadratic_drag_decays_hyperbolically(lab):
+    high = peaks(measure(lab, released(), beta=0.0, quadratic_drag=2e5))[:8]
+    rates = -np.diff(np.log(high))
+    assert rates[0] > 2 * rates[-1]
+    inverse = np.diff(1.0 / high)
+    assert inverse.std() < 0.15 * inverse.mean()
+
+
+def test_added_mass_lowers_the_frequency():
+    w0 = beam_modes(BeamShape(), 280e3).omega[0]
+    w1 = beam_modes(BeamShape(), 280e3, added_density=300.0).omega[0]
+    assert w1 / w0 == pytest.approx((1070.0 / 1370.0) ** 0.5, rel=5e-3)  # no rotary inertia
+
+
+def test_delay_moves_the_response(lab):
+    plain, late = (measure(lab, released(), delay=d) for d in (0.0, 0.02))
+    np.testing.assert_allclose(late[2:], plain[:-2], atol=1e-9)
+
+
+def test_tilt_against_the_uniformly_loaded_cantilever(lab):
+    tip = measure(lab, np.zeros(300), beta=5e-3, tilt=0.5)[-1]
+    shape = lab.shape
+    load = 1070.0 * shape.area * 0.5
+    shear = 280e3 / 2.9 * (10 * 1.45 / (12 + 11 * 0.45)) * shape.area
+    expected = load * 0.1**4 / (8 * 280e3 * shape.inertia) + load * 0.1**2 / (2 * shear)
+    assert tip == pytest.approx(expected, rel=2e-3)
+
+
+def test_stiffening_against_the_moment_curvature_law(lab):
+    k = 300.0
+    tip = [measure(lab, np.ones(300), beta=8e-3, stiffening=s)[-1] for s in (0.0, k)]
+    shape, moment = lab.shape, soft_beam.TENDON_OFFSET_M
+    depth4 = shape.width * shape.depth**5 / 80.0
+    roots = np.roots([280e3 * k * depth4, 0.0, 280e3 * shape.inertia, -moment])
+    curvature = float(roots[np.abs(roots.imag) < 1e-12].real[0])
+    linear = moment / (280e3 * shape.inertia)
+    assert tip[1] / tip[0] == pytest.approx(curvature / linear, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("effect", "size", "given", "expected"),
+    [
+        ("dead_band", 0.1, [0.05, 0.3], [0.0, 0.2]),
+        ("saturation", 0.2, [1.0, 1.5], [1.0, 1.28]),
+        ("quantisation", 0.1, [0.44, 0.46], [0.4, 0.5]),
+        ("backlash", 0.2, [0.5, 0.45], [0.5, 0.5]),
+    ],
+)
+def test_static_actuator_laws(lab, effect, size, given, expected):
+    for u, out in zip(given, expected, strict=True):
+        command = np.full(20, u) if effect != "backlash" else np.linspace(0.5, u, 20)
+        t = np.arange(20) / 100.0
+        plan = Plan("r", "g", "fit", t, {"tendon_N": command})
+        tension = soft_beam._actuator(plan, exact(lab, STILL, **{effect: size}))
+        assert tension[-1] == pytest.approx(out, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["quadratic_drag", "stiffening", "dry_friction", "stop", "lag"])
+def test_finer_steps_change_less_than_a_tenth_of_the_noise(lab, name, monkeypatch):
+    command = lab.plans(np.random.default_rng(0))[1].command["tendon_N"]
+    coarse = measure(lab, command, **{name: lab.effects[name].typical})
+    monkeypatch.setattr(soft_beam, "SUBSTEPS", 80)
+    fine = measure(lab, command, **{name: lab.effects[name].typical})
+    assert np.abs(coarse - fine).max() < 0.1 * soft_beam.SD_M
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(SoftBeamLab.effects))
+def test_every_effect_shows_and_is_off_at_zero(lab, name):
+    null, off, on = (lab(1, e, s) for e, s in ((None, None), (name, 0.0), (name, None)))
+    for a, b in zip(null.runs, off.runs, strict=True):
+        np.testing.assert_array_equal(a.measured, b.measured)
+    change = [
+        np.abs(a.measured - b.measured).max() for a, b in zip(null.runs, on.runs, strict=True)
+    ]
+    assert max(change) > 3 * soft_beam.SD_M
