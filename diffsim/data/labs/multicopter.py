@@ -63,7 +63,7 @@ class CopterLab(Lab):
         "gyroscopic": LabEffect("kg m^2", 4e-5, "spin momentum of rotors, speed ~ sqrt(thrust)"),
         "lag": LabEffect("s", 0.03, "first-order lag of the thrust"),
         "delay": LabEffect("s", 0.02, "thrust late by a dead time"),
-        "dead_band": LabEffect("N", 0.5, "commands change the thrust in steps of this size"),
+        "quantisation": LabEffect("N", 0.5, "commands change the thrust in steps of this size"),
         "accelerometer_scale": LabEffect("-", 0.02, "accelerometer times 1 + size"),
         "gyro_offset": LabEffect("rad/s", 0.02, "constant reading added, x, y and z", 3),
         "updraught": LabEffect("N", 0.8, "lift above a place, 0.5 m wide", outside=True),
@@ -202,7 +202,7 @@ class _Flight:
     def _thrusts(self, x: Array, rot: Array, t: float) -> Array:
         """Thrusts that the rotors really give [N]."""
         truth, u = self.truth, x[13:]
-        if (grain := size_of(truth, "dead_band")) > 0.0:
+        if (grain := size_of(truth, "quantisation")) > 0.0:
             u = grain * np.round(u / grain)
         u = self.gains * np.clip(u, 0.0, MAX_THRUST_N)
         u = u * (1.0 + size_of(truth, "thrust_curvature") * (u - 3.4) / MAX_THRUST_N)

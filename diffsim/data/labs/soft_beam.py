@@ -129,7 +129,8 @@ class _Motion:
 
     def __init__(self, modes: BeamModes, shape: BeamShape, stiffness: float, truth: dict[str, Any]):
         self.modes, self.truth = modes, truth
-        self.step = 1.0 / RATE_HZ / SUBSTEPS
+        self.substeps = _substeps(truth)
+        self.step = 1.0 / RATE_HZ / self.substeps
         beta = truth["base"]["rayleigh_beta"] + size_of(truth, "stiffness_damping")
         damping = beta * modes.omega**2 + size_of(truth, "loss_factor") * modes.omega
         self.propagators = [
@@ -154,14 +155,12 @@ class _Motion:
         out = []
         force = self._force(state, tension[0], 0.0)
         for i in range(len(tension)):
-            if i % SUBSTEPS == 0:
+            if i % self.substeps == 0:
                 out.append(state[:, 0].copy())
             following = tension[min(i + 1, len(tension) - 1)]
             guess = np.einsum("ijk,ik->ij", decay, state) + held * force[:, None]
             later = self._force(guess, following, (i + 1) * self.step)
-            state = guess + ramp * (later - force)[:, None]
-            if self.friction > 0.0:
-                state = self._stick(state)
+            state = self._rub(guess + ramp * (later - force)[:, None], held)
             force = self._force(state, following, (i + 1) * self.step)
         return np.array(out)
 
@@ -188,15 +187,17 @@ class _Motion:
         inside = 1.2 <= t < 1.26
         return push + (size_of(self.truth, "knock") * np.sin(np.pi * (t - 1.2) / 0.06) * inside)
 
-    def _stick(self, state: Array) -> Array:
-        """Coulomb friction as an impulse that may stop the tip within a substep, not reverse it."""
-        mobility = float(self.tip @ self.tip)
-        speed = float(self.tip @ state[:, 1])
-        most = self.friction * self.step
-        impulse = -np.clip(speed / mobility, -most, most)
-        state = state.copy()
-        state[:, 1] += self.tip * impulse
-        return state
+    def _rub(self, state: Array, held: Array) -> Array:
+        """Coulomb friction at the tip, held over the substep that ends in ``state``.
+
+        It is the force that would bring the tip to rest, up to ``friction``: a tip that sticks
+        stays where it is.
+        """
+        if self.friction == 0.0:
+            return state
+        response = held * self.tip[:, None]  # modal place and speed per newton
+        needed = -float(self.tip @ state[:, 1]) / float(self.tip @ response[:, 1])
+        return state + response * np.clip(needed, -self.friction, self.friction)
 
 
 def _phi_functions(omega: float, damping: float, h: float) -> tuple[Array, Array, Array]:
@@ -218,9 +219,15 @@ def _steps(t: Array, levels: Array) -> Array:
     return np.interp(t, times, np.ravel(np.column_stack([before, levels])))
 
 
+def _substeps(truth: dict[str, Any]) -> int:
+    """Per sample; friction is of first order where the tip turns back, and needs finer ones."""
+    return SUBSTEPS * (3 if size_of(truth, "dry_friction") else 1)
+
+
 def _actuator(plan: Plan, truth: dict[str, Any]) -> Array:
     """Tension in the tendon at all substeps [N]."""
-    t = np.arange(len(plan.time_s) * SUBSTEPS) / RATE_HZ / SUBSTEPS
+    substeps = _substeps(truth)
+    t = np.arange(len(plan.time_s) * substeps) / RATE_HZ / substeps
     u = np.interp(t, plan.time_s, plan.command["tendon_N"])
     if (grain := size_of(truth, "quantisation")) > 0.0:
         u = grain * np.round(u / grain)
@@ -228,7 +235,7 @@ def _actuator(plan: Plan, truth: dict[str, Any]) -> Array:
     if (play := size_of(truth, "backlash")) > 0.0:
         u = _backlash(u, 0.5 * play)
     u = np.minimum(u, MAX_TENSION_N * (1.0 - size_of(truth, "saturation")))
-    step = 1.0 / RATE_HZ / SUBSTEPS
+    step = 1.0 / RATE_HZ / substeps
     return truth["gain"] * delayed(t, u, size_of(truth, "delay"), size_of(truth, "lag"), step)
 
 
