@@ -1,4 +1,4 @@
-"""Studies of the published recordings against facts from their own notes, not from the importers."""
+"""Studies of the published recordings against facts from their own notes."""
 
 from __future__ import annotations
 
@@ -8,11 +8,7 @@ import pytest
 from diffsim.data import IMPORTERS, check_study, import_study, load_study, save_study
 from tests.measured import data_folder
 
-FOLDER = data_folder()
-pytestmark = [
-    pytest.mark.reference,
-    pytest.mark.skipif(FOLDER is None, reason="no measured data: set DIFFSIM_DATA"),
-]
+pytestmark = pytest.mark.reference
 
 #: name: runs, channels, held out, errors that the data cannot help having
 EXPECTED = {
@@ -22,7 +18,7 @@ EXPECTED = {
     "pneumatic_arm": (6, 9, 1, 0),
     "pneumatic_arm_p25": (10, 9, 1, 0),
     "fish_tail": (1, 12, 0, 2),
-    "rotor_bench": (27, 6, 7, 4),  # noise of four channels unknown
+    "rotor_bench": (27, 6, 4, 4),  # noise of four channels unknown
     "cube_toss": (64, 7, 8, 0),
     "silicone_tensile": (5, 1, 0, 1),
 }
@@ -30,6 +26,8 @@ EXPECTED = {
 
 @pytest.fixture(scope="module")
 def studies():
+    for folder, _ in IMPORTERS.values():
+        data_folder(folder)  # skips where it is absent
     return {name: import_study(name) for name in IMPORTERS}
 
 
@@ -96,7 +94,7 @@ def test_arm_bends_more_at_more_pressure(studies):
 
 def test_repeated_samples_of_the_stream_are_gaps(studies):
     shares = [np.isnan(r.measured[:, 0]).mean() for r in studies["pneumatic_arm_p25"].runs]
-    assert 0.13 < min(shares) and max(shares) < 0.28  # 15-26 % (README)
+    assert min(shares) > 0.13 and max(shares) < 0.28  # 15-26 % (README)
 
 
 def test_thrust_falls_with_the_square_of_the_speed(studies):

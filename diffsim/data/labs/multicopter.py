@@ -163,27 +163,25 @@ class _Flight:
                 late, part = divmod(self.delay / h, 1.0)
                 old = -1 - int(late)
                 held = (1.0 - part) * asked[old] + part * asked[old - 1]  # mean over the substep
-                before = x[7:10]
+                before = x
                 x = self._step(x, held, h, now + k * h)
-                change = (x[7:10] - before) / h - np.array([0.0, 0.0, GRAVITY])
-                felt += _matrix(x[3:7]).T @ change / SUBSTEPS
+                change = (x[7:10] - before[7:10]) / h - np.array([0.0, 0.0, GRAVITY])
+                felt += _matrix(before[3:7] + x[3:7]).T @ change / SUBSTEPS  # attitude half way
         return rows, commands
 
     def _step(self, x: Array, asked: Array, h: float, t: float) -> Array:
-        thrusts = asked
-        if self.lag > 0.0:
-            thrusts = asked + (x[13:] - asked) * np.exp(-h / self.lag)
         x = x.copy()
-        x[13:] = thrusts
-        k1 = self._rate(x, t)
-        k2 = self._rate(x + 0.5 * h * k1, t + 0.5 * h)
-        k3 = self._rate(x + 0.5 * h * k2, t + 0.5 * h)
-        k4 = self._rate(x + h * k3, t + h)
+        if self.lag <= 0.0:
+            x[13:] = asked
+        k1 = self._rate(x, t, asked)
+        k2 = self._rate(x + 0.5 * h * k1, t + 0.5 * h, asked)
+        k3 = self._rate(x + 0.5 * h * k2, t + 0.5 * h, asked)
+        k4 = self._rate(x + h * k3, t + h, asked)
         x = x + h / 6.0 * (k1 + 2 * k2 + 2 * k3 + k4)
         x[3:7] /= np.linalg.norm(x[3:7])
         return x
 
-    def _rate(self, x: Array, t: float) -> Array:
+    def _rate(self, x: Array, t: float, asked: Array) -> Array:
         v, w = x[7:10], x[10:13]
         rot = _matrix(x[3:7])
         u = self._thrusts(x, rot, t)
@@ -195,6 +193,8 @@ class _Flight:
         out = np.zeros(17)
         out[0:3] = v
         out[3:7] = 0.5 * _product(x[3:7], np.array([0.0, *w]))
+        if self.lag > 0.0:
+            out[13:] = (asked - x[13:]) / self.lag
         out[7:10] = force / self.mass + np.array([0.0, 0.0, GRAVITY])
         out[10:13] = (torque - _cross(w, momentum)) / self.inertia
         return out
@@ -266,8 +266,8 @@ def _climb(t: float) -> tuple[Array, float]:
 
 
 def _figure_eight(t: float) -> tuple[Array, float]:
-    s = 1.8 * t - 1.2 * (1.0 - np.exp(-1.5 * t))  # starts from rest
-    return np.array([1.5 * np.sin(s), np.sin(2.0 * s) * 0.8, -0.7 - 0.4 * np.sin(s)]), -0.5 * t
+    s = 1.3 * t - (1.0 - np.exp(-1.3 * t))  # starts from rest
+    return np.array([1.5 * np.sin(s), 0.7 * np.sin(2.0 * s), -0.7 - 0.4 * np.sin(s)]), -0.5 * t
 
 
 MANOEUVRES: dict[str, Path] = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 import diffsim.data.labs.multicopter as lab_module
 from diffsim.copter.flight import fly
@@ -32,7 +33,7 @@ def hover_rate(lab, velocity=(0, 0, 0), rates=(0, 0, 0), height=5.0, **effects):
     """Acceleration [m/s^2] and angular acceleration [rad/s^2], level, at hover thrust."""
     hovering = np.full(4, 1.4 * GRAVITY / 4)
     x = np.concatenate([[0, 0, -height], [1, 0, 0, 0], velocity, rates, hovering]).astype(float)
-    rate = flight(lab, **effects)._rate(x, 0.0)
+    rate = flight(lab, **effects)._rate(x, 0.0, hovering)
     return rate[7:10], rate[10:13]
 
 
@@ -94,7 +95,7 @@ def test_spin_momentum_does_no_work(lab):
     np.testing.assert_allclose(plain, odd, atol=1e-12)
     x = np.concatenate([[0, 0, -5], [1, 0, 0, 0], [0] * 3, turning["rates"], [5, 2, 5, 2]])
     torque = [
-        (flight(lab, gyroscopic=g)._rate(x.astype(float), 0.0)[10:13]) * lab_module.INERTIA
+        (flight(lab, gyroscopic=g)._rate(x.astype(float), 0.0, x[13:])[10:13]) * lab_module.INERTIA
         for g in (0.0, 4e-5)
     ]
     change = torque[1] - torque[0]
@@ -142,7 +143,7 @@ def test_the_controller_follows_the_path(lab):
 def test_the_accelerometer_is_the_change_of_speed_less_gravity(lab):
     rows, _ = flight(lab).run(TIME_S)
     rot = np.array([lab_module._matrix(_quaternion(r[3:6])) for r in rows])
-    world = np.einsum("tij,tj->ti", rot, rows[:, 9:12]) + [0, 0, GRAVITY]
+    world = np.einsum("tij,tj->ti", rot, rows[:, 9:12]) + np.array([0.0, 0.0, GRAVITY])
     change = (rows[2:, 0:3] - 2 * rows[1:-1, 0:3] + rows[:-2, 0:3]) / 0.01**2
     # mean over the sample before, against a central difference: half a sample of jerk
     mean = 0.5 * (world[1:-1] + world[2:])
@@ -150,8 +151,6 @@ def test_the_accelerometer_is_the_change_of_speed_less_gravity(lab):
 
 
 def _quaternion(angles):
-    from scipy.spatial.transform import Rotation
-
     x, y, z, w = Rotation.from_euler("ZYX", angles[::-1]).as_quat()
     return np.array([w, x, y, z])
 
@@ -174,6 +173,7 @@ def test_a_delay_is_a_shift_of_the_command(lab):
 
 
 def test_finer_steps_change_less_than_a_tenth_of_the_noise(lab, monkeypatch):
+    """Feedback and all, so that the commands differ, too."""
     sd = np.array([c.sd for c in lab.channels])
     effects = {"linear_drag": 0.25, "lag": 0.03, "ground_effect": 1.0, "gyroscopic": 4e-5}
     coarse, _ = flight(lab, "climb", **effects).run(TIME_S)
