@@ -10,17 +10,17 @@ command group, the number of the manoeuvre is in ``setup``.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.data.labs.common import Base, Lab, LabEffect, Plan, size_of, vector_of
+from diffsim.data.labs.manoeuvres import MANOEUVRES, Path
+from diffsim.data.labs.quaternions import angles, cross, matrix, product
 from diffsim.data.study import Channel
 
 Array = NDArray[np.float64]
-Path = Callable[[float], tuple[Array, float]]
 
 GRAVITY = 9.81
 RATE_HZ, DURATION_S, SUBSTEPS = 100.0, 4.0, 5
@@ -156,7 +156,7 @@ class _Flight:
         felt = np.array([0.0, 0.0, -GRAVITY])
         for i, now in enumerate(time_s):
             commands[i] = self._control(x, now)
-            rows[i] = np.concatenate([x[0:3], _angles(x[3:7]), x[10:13], felt])
+            rows[i] = np.concatenate([x[0:3], angles(x[3:7]), x[10:13], felt])
             felt = np.zeros(3)
             for k in range(SUBSTEPS):
                 asked.append(commands[i])
@@ -166,7 +166,7 @@ class _Flight:
                 before = x
                 x = self._step(x, held, h, now + k * h)
                 change = (x[7:10] - before[7:10]) / h - np.array([0.0, 0.0, GRAVITY])
-                felt += _matrix(before[3:7] + x[3:7]).T @ change / SUBSTEPS  # attitude half way
+                felt += matrix(before[3:7] + x[3:7]).T @ change / SUBSTEPS  # attitude half way
         return rows, commands
 
     def _step(self, x: Array, asked: Array, h: float, t: float) -> Array:
@@ -183,20 +183,20 @@ class _Flight:
 
     def _rate(self, x: Array, t: float, asked: Array) -> Array:
         v, w = x[7:10], x[10:13]
-        rot = _matrix(x[3:7])
+        rot = matrix(x[3:7])
         u = self._thrusts(x, rot, t)
         force = rot @ (self.axis * u.sum()) + self._air(v, rot, x[0:3])
-        torque = _cross(self.arms.T @ u, self.axis)
+        torque = cross(self.arms.T @ u, self.axis)
         torque += self.torque_ratio * float(SPINS @ u) * self.axis
         spin = size_of(self.truth, "gyroscopic") * float(-SPINS @ np.sqrt(np.maximum(u, 0.0)))
         momentum = self.inertia * w + np.array([0.0, 0.0, spin * 284.0])
         out = np.zeros(17)
         out[0:3] = v
-        out[3:7] = 0.5 * _product(x[3:7], np.array([0.0, *w]))
+        out[3:7] = 0.5 * product(x[3:7], np.array([0.0, *w]))
         if self.lag > 0.0:
             out[13:] = (asked - x[13:]) / self.lag
         out[7:10] = force / self.mass + np.array([0.0, 0.0, GRAVITY])
-        out[10:13] = (torque - _cross(w, momentum)) / self.inertia
+        out[10:13] = (torque - cross(w, momentum)) / self.inertia
         return out
 
     def _thrusts(self, x: Array, rot: Array, t: float) -> Array:
@@ -229,10 +229,10 @@ class _Flight:
         lift = np.array([0.0, 0.0, GRAVITY]) - wish  # wanted along body z (down): minus the thrust
         lift = lift * min(1.0, 2.0 * GRAVITY / float(np.linalg.norm(lift)))
         z = lift / np.linalg.norm(lift)
-        y = _cross(z, np.array([np.cos(yaw), np.sin(yaw), 0.0]))
+        y = cross(z, np.array([np.cos(yaw), np.sin(yaw), 0.0]))
         y /= np.linalg.norm(y)
-        aim = np.column_stack([_cross(y, z), y, z])
-        rot = _matrix(x[3:7])
+        aim = np.column_stack([cross(y, z), y, z])
+        rot = matrix(x[3:7])
         twist = 0.5 * (aim.T @ rot - rot.T @ aim)
         error = np.array([twist[2, 1], twist[0, 2], twist[1, 0]])
         gain = np.array([120.0, 120.0, 30.0])
@@ -243,39 +243,6 @@ class _Flight:
 
 def _setup(name: str) -> dict[str, float]:
     return {"manoeuvre": float(list(MANOEUVRES).index(name))}
-
-
-def _smooth(t: float, start: float, length: float) -> float:
-    """From 0 to 1 with continuous acceleration."""
-    s = min(max((t - start) / length, 0.0), 1.0)
-    return s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
-
-
-def _hover_yaw(t: float) -> tuple[Array, float]:
-    return np.array([0.0, 0.0, -1.0]), 1.5 * (_smooth(t, 0.5, 1.2) - _smooth(t, 2.3, 1.2))
-
-
-def _sprint(t: float) -> tuple[Array, float]:
-    out = _smooth(t, 0.2, 1.7) - _smooth(t, 2.1, 1.7)
-    return np.array([3.5 * out, 0.5 * np.sin(3.0 * t), -1.0]), 0.8 * _smooth(t, 0.0, 4.0)
-
-
-def _climb(t: float) -> tuple[Array, float]:
-    height = 0.25 + 1.8 * (_smooth(t, 0.5, 1.2) - _smooth(t, 2.2, 1.3))
-    return np.array([0.4 * np.sin(2.0 * t), 0.0, -height]), 0.3
-
-
-def _figure_eight(t: float) -> tuple[Array, float]:
-    s = 1.3 * t - (1.0 - np.exp(-1.3 * t))  # starts from rest
-    return np.array([1.5 * np.sin(s), 0.7 * np.sin(2.0 * s), -0.7 - 0.4 * np.sin(s)]), -0.5 * t
-
-
-MANOEUVRES: dict[str, Path] = {
-    "hover_yaw": _hover_yaw,
-    "sprint": _sprint,
-    "climb": _climb,
-    "figure_eight": _figure_eight,
-}
 
 
 def _voltage(t: Array) -> Array:
@@ -289,48 +256,3 @@ def _thrust_axis(tilt: Array) -> Array:
     about_x = np.array([0.0, np.sin(a), -np.cos(a)])
     x, y, z = about_x
     return np.array([x * np.cos(b) + z * np.sin(b), y, z * np.cos(b) - x * np.sin(b)])
-
-
-def _matrix(q: Array) -> Array:
-    """Rotation matrix, world from body."""
-    w, x, y, z = (q / np.sqrt(q @ q)).tolist()
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def _product(p: Array, q: Array) -> Array:
-    """Hamilton product."""
-    a, b, c, d = p.tolist()
-    e, f, g, h = q.tolist()
-    return np.array(
-        [
-            a * e - b * f - c * g - d * h,
-            a * f + b * e + c * h - d * g,
-            a * g - b * h + c * e + d * f,
-            a * h + b * g - c * f + d * e,
-        ]
-    )
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """np.cross of two vectors, ten times as fast."""
-    x, y, z = a.tolist()
-    u, v, w = b.tolist()
-    return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
-
-
-def _angles(q: Array) -> Array:
-    """Roll, pitch, yaw."""
-    rot = _matrix(q)
-    return np.array(
-        [
-            np.arctan2(rot[2, 1], rot[2, 2]),
-            -np.arcsin(np.clip(rot[2, 0], -1.0, 1.0)),
-            np.arctan2(rot[1, 0], rot[0, 0]),
-        ]
-    )

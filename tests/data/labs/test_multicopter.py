@@ -13,6 +13,7 @@ from diffsim.copter.flight_state import FlightState
 from diffsim.copter.vehicle import Multicopter
 from diffsim.data.labs import CopterLab
 from diffsim.data.labs.multicopter import GRAVITY, MANOEUVRES, _Flight
+from diffsim.data.labs.quaternions import matrix
 from tests.data.labs.truths import exact
 
 pytestmark = pytest.mark.reference
@@ -144,7 +145,7 @@ def test_the_accelerometer_is_the_change_of_speed_less_gravity(lab):
     rows, _ = flight(lab).run(TIME_S)
     quats = np.array([_quaternion(r[3:6]) for r in rows])
     between = quats + np.vstack([quats[:1], quats[:-1]])  # each reading is a mean since the last
-    rot = np.array([lab_module._matrix(q) for q in between])
+    rot = np.array([matrix(q) for q in between])
     world = np.einsum("tij,tj->ti", rot, rows[:, 9:12]) + np.array([0.0, 0.0, GRAVITY])
     change = (rows[2:, 0:3] - 2 * rows[1:-1, 0:3] + rows[:-2, 0:3]) / 0.01**2
     mean = 0.5 * (world[1:-1] + world[2:])
