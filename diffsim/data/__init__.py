@@ -1,14 +1,32 @@
-"""Recordings of real robots: loading, signal analysis, and virtual laboratories."""
+"""Recordings of real robots: loading, checking, signal analysis, and virtual laboratories.
+
+A *study* is the recordings of one system with what is known about them: ``load_study``,
+``save_study``, ``check_study``, and ``import_study`` for the published data sets. Laboratories
+that make studies with hidden causes are in ``diffsim.data.labs``.
+"""
 
 from diffsim.data.beam import BeamGeometry, BeamStudy, BeamTrial, load_beam_study
+from diffsim.data.importers import IMPORTERS, import_study
 from diffsim.data.recording import Recording, find_dataset, load_csv
+from diffsim.data.study import Channel, Run, Study
+from diffsim.data.study_check import Problem, check_study
+from diffsim.data.study_file import load_study, save_study
 
 __all__ = [
+    "IMPORTERS",
     "BeamGeometry",
     "BeamStudy",
     "BeamTrial",
+    "Channel",
+    "Problem",
     "Recording",
+    "Run",
+    "Study",
+    "check_study",
     "find_dataset",
+    "import_study",
     "load_beam_study",
     "load_csv",
+    "load_study",
+    "save_study",
 ]

@@ -7,8 +7,6 @@ seen); everything else that is not a finite number is refused, with file, row an
 
 from __future__ import annotations
 
-import csv
-import difflib
 import math
 import os
 import re
@@ -21,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim._paths import data_candidates
+from diffsim.data.table import did_you_mean, open_table, parse_number, parse_time, time_column
 
 Array = NDArray[np.float64]
 
 _COORDINATE = re.compile(r"^(?P<marker>.+)_(?P<axis>[xyz])_m$")
 _OTHER_UNIT = re.compile(r"^(?P<marker>.+)_(?P<axis>[xyz])_(?P<unit>mm|cm|um|in|ft)$")
-_OTHER_TIME = re.compile(r"^(t|time|timestamp|time_?ms|time_?us|t_s|t_ms|seconds)$", re.IGNORECASE)
 #: Largest coordinate accepted [m]: no marker system sees further, and millimetres read as metres
 #: are nearly always beyond it.
 MAX_COORDINATE_M = 100.0
@@ -94,7 +92,7 @@ class Recording:
         if marker not in self.markers:
             raise ValueError(
                 f"recording {self.name!r} has no marker {marker!r}; it has "
-                f"{', '.join(self.markers)}{_did_you_mean(marker, self.markers)}"
+                f"{', '.join(self.markers)}{did_you_mean(marker, self.markers)}"
             )
         return self.markers.index(marker)
 
@@ -120,41 +118,16 @@ def load_csv(
             increase, a marker is never seen, or there are fewer than ``min_frames`` rows.
     """
     path = Path(path)
-    if not path.is_file():
-        beside = sorted(p.name for p in path.parent.glob("*.csv")) if path.parent.is_dir() else []
-        there = f"; that folder has {', '.join(beside)}" if beside else ""
-        raise FileNotFoundError(
-            f"{path}: no such recording{there}{_did_you_mean(path.name, beside)}"
-        )
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        rows = csv.reader(file)
-        header = [name.strip() for name in next(rows, [])]
-        if not header:
-            raise ValueError(f"{path}: the file is empty; expected a header line with time_s")
+    time_s: list[float] = []
+    position_m: list[list[float]] = []
+    with open_table(path, "recording") as (header, rows):
         time_col, coordinates = _columns(path, header, markers)
-        time_s: list[float] = []
-        position_m: list[list[float]] = []
-        for row in rows:
-            if not any(cell.strip() for cell in row):
-                continue  # blank line, usually the last
-            line = rows.line_num
-            if len(row) != len(header):
-                raise ValueError(
-                    f"{path}, row {line}: {len(row)} cells, but the header has {len(header)} "
-                    "columns; a cell without a value must still have its comma"
-                )
-            now = _number(path, line, header[time_col], row[time_col])
-            if math.isnan(now):
-                raise ValueError(f"{path}, row {line}, column {header[time_col]}: time is missing")
-            if time_s and now <= time_s[-1]:
-                raise ValueError(
-                    f"{path}, row {line}, column {header[time_col]}: time must increase, got "
-                    f"{now:g} s after {time_s[-1]:g} s; remove repeated rows or sort the file"
-                )
-            time_s.append(now)
+        for line, row in rows:
+            before = time_s[-1] if time_s else None
+            time_s.append(parse_time(path, line, header[time_col], row[time_col], before))
             position_m.append(
                 [
-                    _number(path, line, header[col], row[col], limit=MAX_COORDINATE_M)
+                    _coordinate(path, line, header[col], row[col])
                     for cols in coordinates.values()
                     for col in cols
                 ]
@@ -219,7 +192,7 @@ def find_dataset(name: str, data: str | Path | None = None) -> Path | None:
         state = "does not exist" if has is None else f"holds {', '.join(has) or 'no folders'}"
         raise FileNotFoundError(
             f"{label}={base} must be the folder that holds {name}/metadata.yaml; it {state}"
-            f"{_did_you_mean(name, has or [])}"
+            f"{did_you_mean(name, has or [])}"
         )
     folders = (base / name for base in data_candidates())
     return next((folder for folder in folders if (folder / "metadata.yaml").is_file()), None)
@@ -229,16 +202,7 @@ def _columns(
     path: Path, header: list[str], markers: Sequence[str] | None
 ) -> tuple[int, dict[str, list[int]]]:
     """Index of the time column and, per marker, of its x, y and z columns."""
-    repeated = sorted({name for name in header if name and header.count(name) > 1})
-    if repeated:
-        raise ValueError(f"{path}: column {repeated[0]!r} occurs more than once in the header")
-    if "time_s" not in header:
-        close = [name for name in header if _OTHER_TIME.match(name)]
-        hint = f"; column {close[0]!r} looks like it: rename it, in seconds" if close else ""
-        raise ValueError(
-            f"{path}: column time_s is missing{hint or _did_you_mean('time_s', header)}; "
-            f"the file has {', '.join(header)}"
-        )
+    time_col = time_column(path, header)
     for name in header:
         if wrong := _OTHER_UNIT.match(name):
             raise ValueError(
@@ -258,36 +222,18 @@ def _columns(
         missing = [name for name in wanted if name not in header]
         if missing:
             raise ValueError(
-                f"{path}: column {missing[0]} is missing{_did_you_mean(missing[0], header)}; "
+                f"{path}: column {missing[0]} is missing{did_you_mean(missing[0], header)}; "
                 f"the file has markers {', '.join(dict.fromkeys(found)) or 'none'}"
             )
         coordinates[marker] = [header.index(name) for name in wanted]
-    return header.index("time_s"), coordinates
+    return time_col, coordinates
 
 
-def _number(path: Path, line: int, column: str, cell: str, limit: float = math.inf) -> float:
-    """One cell; an empty one or ``nan`` is a gap."""
-    text = cell.strip()
-    if text == "" or text.lower() in ("nan", "na"):
-        return math.nan
-    try:
-        value = float(text)
-    except ValueError:
-        comma = "; use a decimal point" if re.fullmatch(r"-?\d+,\d+", text) else ""
-        raise ValueError(
-            f"{path}, row {line}, column {column}: {text!r} is not a number{comma}; "
-            "leave the cell empty where the marker was not seen"
-        ) from None
-    if not math.isfinite(value):
-        raise ValueError(f"{path}, row {line}, column {column}: {text!r} is not a finite number")
-    if abs(value) > limit:
+def _coordinate(path: Path, line: int, column: str, cell: str) -> float:
+    value = parse_number(path, line, column, cell, missing="the marker was not seen")
+    if abs(value) > MAX_COORDINATE_M:
         raise ValueError(
             f"{path}, row {line}, column {column}: {value:g} m is not a marker position "
-            f"(limit {limit:g} m); are these millimetres?"
+            f"(limit {MAX_COORDINATE_M:g} m); are these millimetres?"
         )
     return value
-
-
-def _did_you_mean(name: str, known: Sequence[str]) -> str:
-    close = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
-    return f"; did you mean {' or '.join(close)}?" if close else ""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-SYSTEMS = ("soft_body", "copter", "stokes")
+SYSTEMS = ("soft_body", "copter", "stokes", "rigid_body")
 USES = ("fit", "holdout")
 
 

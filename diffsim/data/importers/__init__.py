@@ -1,0 +1,59 @@
+"""Studies made from published recordings, by the name of their data set.
+
+Each importer states which run is held out and why, and what of the set-up is known; what a data
+set lacks for a diagnosis says :func:`diffsim.data.check_study`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from diffsim._check import require_choice
+from diffsim.data.importers.cube_toss import import_cube_toss
+from diffsim.data.importers.fish_tail import import_fish_tail
+from diffsim.data.importers.pneumatic_arm import import_arm_p25, import_arm_step
+from diffsim.data.importers.rotor_bench import import_rotor_bench
+from diffsim.data.importers.silicone_beam import import_silicone_beam
+from diffsim.data.importers.silicone_tensile import import_silicone_tensile
+from diffsim.data.importers.starfish import import_starfish
+from diffsim.data.importers.tennis_balls import import_tennis_balls
+from diffsim.data.recording import find_dataset
+from diffsim.data.study import Study
+
+#: Name of the study -> folder of the data set, function that reads it.
+IMPORTERS: dict[str, tuple[str, Callable[[Path], Study]]] = {
+    "silicone_beam": ("silicone_beam", import_silicone_beam),
+    "starfish": ("starfish", import_starfish),
+    "tennis_balls": ("tennis_balls", import_tennis_balls),
+    "pneumatic_arm": ("pneumatic_arm", import_arm_step),
+    "pneumatic_arm_p25": ("pneumatic_arm", import_arm_p25),
+    "fish_tail": ("fish_tail", import_fish_tail),
+    "rotor_bench": ("rotor_bench", import_rotor_bench),
+    "cube_toss": ("cube_toss", import_cube_toss),
+    "silicone_tensile": ("silicone_tensile", import_silicone_tensile),
+}
+
+
+def import_study(name: str, data: str | Path | None = None) -> Study:
+    """The study of a published data set.
+
+    Args:
+        name: One of ``IMPORTERS``.
+        data: Folder that holds the data sets; by default as :func:`diffsim.data.find_dataset`.
+
+    Raises:
+        ValueError: unknown name.
+        FileNotFoundError: the data is not there.
+    """
+    folder_name, read = IMPORTERS[require_choice("name", name, IMPORTERS)]
+    folder = find_dataset(folder_name, data)
+    if folder is None:
+        raise FileNotFoundError(
+            f"no folder {folder_name} with measured data; give data= or set DIFFSIM_DATA to the "
+            "folder that holds it"
+        )
+    return read(folder)
+
+
+__all__ = ["IMPORTERS", "import_study"]

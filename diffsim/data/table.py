@@ -1,0 +1,107 @@
+"""Rows and cells of CSV files, refused with file, row and column where they cannot be right."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import math
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+_OTHER_TIME = re.compile(r"^(t|time|timestamp|time_?ms|time_?us|t_s|t_ms|seconds)$", re.IGNORECASE)
+
+
+@contextmanager
+def open_table(
+    path: Path, what: str
+) -> Iterator[tuple[list[str], Iterator[tuple[int, list[str]]]]]:
+    """Header and numbered rows of a CSV file; blank lines are skipped.
+
+    Args:
+        path: The file.
+        what: What it should be, for the message, such as "recording".
+
+    Raises:
+        FileNotFoundError: no such file; the message lists the CSV files beside it.
+        ValueError: no header, a column occurs twice, or a row has another number of cells.
+    """
+    if not path.is_file():
+        beside = sorted(p.name for p in path.parent.glob("*.csv")) if path.parent.is_dir() else []
+        there = f"; that folder has {', '.join(beside)}" if beside else ""
+        raise FileNotFoundError(f"{path}: no such {what}{there}{did_you_mean(path.name, beside)}")
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        rows = csv.reader(file)
+        header = [name.strip() for name in next(rows, [])]
+        if not header:
+            raise ValueError(f"{path}: the file is empty; expected a header line with time_s")
+        if repeated := sorted({name for name in header if name and header.count(name) > 1}):
+            raise ValueError(f"{path}: column {repeated[0]!r} occurs more than once in the header")
+        yield header, _numbered(path, header, rows)
+
+
+def _numbered(
+    path: Path, header: list[str], rows: Iterator[list[str]]
+) -> Iterator[tuple[int, list[str]]]:
+    for row in rows:
+        line: int = rows.line_num  # type: ignore[attr-defined]
+        if not any(cell.strip() for cell in row):
+            continue  # blank line, usually the last
+        if len(row) != len(header):
+            raise ValueError(
+                f"{path}, row {line}: {len(row)} cells, but the header has {len(header)} "
+                "columns; a cell without a value must still have its comma"
+            )
+        yield line, row
+
+
+def time_column(path: Path, header: list[str]) -> int:
+    """Index of ``time_s``; a column that looks like it is named in the message."""
+    if "time_s" not in header:
+        close = [name for name in header if _OTHER_TIME.match(name)]
+        hint = f"; column {close[0]!r} looks like it: rename it, in seconds" if close else ""
+        raise ValueError(
+            f"{path}: column time_s is missing{hint or did_you_mean('time_s', header)}; "
+            f"the file has {', '.join(header)}"
+        )
+    return header.index("time_s")
+
+
+def parse_time(path: Path, line: int, column: str, cell: str, before: float | None) -> float:
+    """A time [s], later than the one before."""
+    now = parse_number(path, line, column, cell)
+    if math.isnan(now):
+        raise ValueError(f"{path}, row {line}, column {column}: time is missing")
+    if before is not None and now <= before:
+        raise ValueError(
+            f"{path}, row {line}, column {column}: time must increase, got "
+            f"{now:g} s after {before:g} s; remove repeated rows or sort the file"
+        )
+    return now
+
+
+def parse_number(
+    path: Path, line: int, column: str, cell: str, *, missing: str = "nothing was measured"
+) -> float:
+    """One cell; an empty one, ``nan`` or ``na`` is NaN, anything else must be a finite number."""
+    text = cell.strip()
+    if text == "" or text.lower() in ("nan", "na"):
+        return math.nan
+    try:
+        value = float(text)
+    except ValueError:
+        comma = "; use a decimal point" if re.fullmatch(r"-?\d+,\d+", text) else ""
+        raise ValueError(
+            f"{path}, row {line}, column {column}: {text!r} is not a number{comma}; "
+            f"leave the cell empty where {missing}"
+        ) from None
+    if not math.isfinite(value):
+        raise ValueError(f"{path}, row {line}, column {column}: {text!r} is not a finite number")
+    return value
+
+
+def did_you_mean(name: str, known: Sequence[str]) -> str:
+    """A hint with the closest known names; empty if none is close."""
+    close = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
+    return f"; did you mean {' or '.join(close)}?" if close else ""

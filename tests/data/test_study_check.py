@@ -1,0 +1,114 @@
+"""Gates on data: a good study passes, and each defect is named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diffsim.data import Channel, Study, check_study
+from tests.data.test_study_file import make_study
+
+
+def problems(study: Study, severity: str | None = None) -> str:
+    return "\n".join(str(p) for p in check_study(study) if severity in (None, p.severity))
+
+
+def with_run(study: Study, idx: int, **changes) -> Study:
+    runs = list(study.runs)
+    runs[idx] = replace(runs[idx], **changes)
+    return replace(study, runs=tuple(runs))
+
+
+def test_a_good_study_has_no_problems():
+    assert check_study(make_study()) == []
+
+
+def test_two_commands_are_needed():
+    study = make_study()
+    assert "at least two commands" in problems(with_run(study, 2, use="holdout"), "error")
+
+
+def test_a_held_out_run_is_needed():
+    assert "no held-out run" in problems(with_run(make_study(), 3, use="fit"), "error")
+
+
+def test_a_held_out_repeat_is_a_warning():
+    assert "repeats a fitted command" in problems(
+        with_run(make_study(), 3, group="down", command=make_study().runs[2].command), "warning"
+    )
+
+
+def test_clock_that_steps_back():
+    t = make_study().runs[1].time_s.copy()
+    t[7] = t[5]
+    assert "run b: time_s does not increase at sample 7" in problems(
+        with_run(make_study(), 1, time_s=t), "error"
+    )
+
+
+def test_gap_in_the_clock():
+    t = make_study().runs[1].time_s.copy()
+    t[7:] += 0.1
+    assert "run b: 1 gaps in the clock, the first after 0.2 s" in problems(
+        with_run(make_study(), 1, time_s=t), "warning"
+    )
+
+
+def test_unit_against_name():
+    study = replace(make_study(), channels=(Channel("tip_z_mm", "m", "position", 1e-6),) * 2)
+    found = problems(study, "error")
+    assert "channel tip_z_mm: unit is 'm', but the name does not end in '_m'" in found
+    assert "the name is used twice" in found
+
+
+def test_unknown_noise():
+    study = make_study()
+    assert "noise unknown" not in problems(study)  # a and b are repeats
+    alone = with_run(study, 1, group="other")
+    found = problems(alone, "error")
+    assert "channel rate_rad_s: noise unknown" in found
+    assert "channel tip_z_m" not in found  # its sd is given
+
+
+def test_repeats_with_another_command():
+    moved = {"tendon_N": make_study().runs[1].command["tendon_N"] + 0.1}
+    found = problems(with_run(make_study(), 1, command=moved), "warning")
+    assert "run b: command tendon_N differs from that of run a in the same group 'up'" in found
+
+
+def test_repeats_on_another_clock_are_compared_in_time():
+    run = make_study().runs[1]
+    t = np.linspace(run.time_s[0], run.time_s[-1], 40)
+    measured = np.random.default_rng(1).normal(size=(40, 2))
+    study = with_run(make_study(), 1, time_s=t, measured=measured, command={"tendon_N": t})
+    assert check_study(study) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"measured": np.zeros((25, 3))}, "measured must have shape .* (25, 2), got (25, 3)"),
+        ({"measured": np.full((25, 2), np.nan)}, "nothing was measured"),
+        ({"measured": np.ones((25, 2))}, "never changes"),
+        ({"command": {}}, "different command columns"),
+        ({"command": {"tendon_N": np.full(25, np.nan)}}, "is unknown in 100%"),
+        (
+            {"command": {"tendon_N": np.zeros(3)}},
+            "command tendon_N must have shape (25,), got (3,)",
+        ),
+        ({"name": "a"}, "the name is used twice"),
+        ({"order": 0}, "share a place in the order"),
+    ],
+)
+def test_defects_of_a_run(changes, message):
+    found = problems(with_run(make_study(), 1, **changes))
+    assert all(part in found for part in message.split(" .* "))
+
+
+def test_errors_come_first():
+    t = make_study().runs[2].time_s.copy()
+    t[7:] += 0.1
+    found = check_study(with_run(with_run(make_study(), 2, time_s=t), 3, use="fit"))
+    assert [p.severity for p in found] == ["error", "warning"]

@@ -1,0 +1,166 @@
+"""Study files: round trip, and messages that name file, row and column."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import diffsim.data.study_file as study_file
+from diffsim.data import Channel, Run, Study, load_study, save_study
+
+
+def make_study() -> Study:
+    rng = np.random.default_rng(0)
+    t = np.arange(25) / 30.0  # not exact in decimal
+    runs = []
+    for order, (name, group) in enumerate([("a", "up"), ("b", "up"), ("c", "down"), ("d", "new")]):
+        measured = rng.normal(size=(25, 2))
+        measured[3, 1] = np.nan
+        level = {"up": t, "down": 1.0 - t, "new": t**2}[group]
+        use = "holdout" if name == "d" else "fit"
+        runs.append(
+            Run(name, t, measured, {"tendon_N": level}, group, order, use, {"temperature_C": 22.5})
+        )
+    channels = (
+        Channel("tip_z_m", "m", "position", 3e-6),
+        Channel("rate_rad_s", "rad/s", "angular_velocity"),
+    )
+    return Study("beam", "soft_body", channels, tuple(runs), {"geometry": {"length_m": 0.1}})
+
+
+@pytest.fixture
+def folder(tmp_path):
+    save_study(make_study(), tmp_path / "beam")
+    return tmp_path / "beam"
+
+
+def test_round_trip_is_exact(folder):
+    before, after = make_study(), load_study(folder / "study.yaml")
+    assert (after.name, after.system, after.channels) == ("beam", "soft_body", before.channels)
+    assert after.metadata == before.metadata
+    for a, b in zip(before.runs, after.runs, strict=True):
+        assert (a.name, a.group, a.order, a.use, a.setup) == (
+            b.name, b.group, b.order, b.use, b.setup
+        )  # fmt: skip
+        np.testing.assert_array_equal(a.time_s, b.time_s)
+        np.testing.assert_array_equal(a.measured, b.measured)  # NaN included
+        np.testing.assert_array_equal(a.command["tendon_N"], b.command["tendon_N"])
+
+
+def test_a_missing_value_is_an_empty_cell(folder):
+    lines = (folder / "a.csv").read_text().splitlines()
+    assert lines[0] == "time_s,tip_z_m,rate_rad_s,tendon_N"
+    assert lines[4].split(",")[2] == ""
+
+
+def change(folder, file, old, new):
+    path = folder / file
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "message"),
+    [
+        (
+            "a.csv",
+            "tip_z_m",
+            "tip_z_mm",
+            r"a\.csv: column tip_z_m is missing; did you mean tip_z_mm",
+        ),
+        ("a.csv", "time_s", "time_ms", r"a\.csv: column time_s is missing; column 'time_ms' looks"),
+        ("study.yaml", "use: fit", "use: fitt", r"runs\[0\]\.use must be one of .* mean 'fit'"),
+        (
+            "study.yaml",
+            "group: up",
+            "gruop: up",
+            r"key of runs\[0\] must be .* did you mean 'group'",
+        ),
+        ("study.yaml", "system: soft_body", "system: softbody", "did you mean 'soft_body'"),
+        ("study.yaml", "file: b.csv", "file: bb.csv", r"bb\.csv: no such run.*did you mean b\.csv"),
+        ("study.yaml", "sd: 3.0e-06", "sd: -1", r"channels\[0\]\.sd must be above 0, got -1"),
+        (
+            "study.yaml",
+            "temperature_C: 22.5",
+            "temperature_C: warm",
+            r"setup\.temperature_C must be",
+        ),
+        ("study.yaml", "order: 0", "order: 0.5", r"runs\[0\]\.order must be a whole number"),
+        ("study.yaml", "kind: position", "sd: 1.0", r"channels\[0\] has no kind"),
+        ("study.yaml", "runs:", "runs: {", "not YAML"),
+    ],
+)
+def test_errors_name_the_place(folder, file, old, new, message):
+    change(folder, file, old, new)
+    with pytest.raises((ValueError, FileNotFoundError), match=message):
+        load_study(folder)
+
+
+def with_cell(folder, row, column, text):
+    path = folder / "c.csv"
+    lines = [line.split(",") for line in path.read_text().splitlines()]
+    lines[row - 1][column] = text
+    path.write_text("\n".join(",".join(line) for line in lines) + "\n")
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "text", "message"),
+    [
+        (7, 1, "abc", r"c\.csv, row 7, column tip_z_m: 'abc' is not a number"),
+        (7, 3, "inf", r"c\.csv, row 7, column tendon_N: 'inf' is not a finite number"),
+        (9, 0, "0.0", r"c\.csv, row 9, column time_s: time must increase"),
+        (9, 0, "", r"c\.csv, row 9, column time_s: time is missing"),
+        (5, 2, "1,5", r"c\.csv, row 5: 5 cells, but the header has 4"),
+    ],
+)
+def test_bad_cells_name_row_and_column(folder, row, column, text, message):
+    with_cell(folder, row, column, text)
+    with pytest.raises(ValueError, match=message):
+        load_study(folder)
+
+
+def test_an_sd_without_a_point_is_read(folder):
+    change(folder, "study.yaml", "sd: 3.0e-06", "sd: 3e-6")  # YAML 1.1 takes this for text
+    assert load_study(folder).channels[0].sd == 3e-6
+
+
+def test_existing_folders_are_not_replaced_by_accident(folder, tmp_path):
+    with pytest.raises(FileExistsError, match="overwrite=True"):
+        save_study(make_study(), folder)
+    other = tmp_path / "thesis"
+    other.mkdir()
+    (other / "chapter.txt").write_text("years of work")
+    with pytest.raises(FileExistsError, match="holds no study"):
+        save_study(make_study(), other, overwrite=True)
+    save_study(replace(make_study(), name="new"), folder, overwrite=True)
+    assert load_study(folder).name == "new"
+    assert {p.name for p in tmp_path.iterdir()} == {"beam", "thesis"}  # no temporary left
+
+
+def test_an_interrupted_save_leaves_the_old_study(folder, tmp_path, monkeypatch):
+    written = []
+
+    def fail_late(path, text):
+        written.append(path)
+        if len(written) == 3:
+            raise KeyboardInterrupt
+        path.write_text(text)
+
+    monkeypatch.setattr(study_file, "write_text_atomic", fail_late)
+    with pytest.raises(KeyboardInterrupt):
+        save_study(replace(make_study(), name="new"), folder, overwrite=True)
+    assert len(written) == 3
+    assert load_study(folder).name == "beam"
+    assert [p.name for p in tmp_path.iterdir()] == ["beam"]
+
+
+def test_a_run_name_that_is_a_path_is_refused(tmp_path):
+    study = make_study()
+    bad = replace(study, runs=(replace(study.runs[0], name="../up"),))
+    with pytest.raises(ValueError, match=re.escape("'../up' cannot be a file name")):
+        save_study(bad, tmp_path / "out")
+    assert not list(tmp_path.iterdir())

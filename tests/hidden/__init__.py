@@ -1,0 +1,1 @@
+"""Sealed cases: the label is drawn and hidden before any diagnosis sees the data."""
