@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import torch
 from torch import Tensor
@@ -81,11 +81,7 @@ class SimModel:
             sizes: Effects with their sizes [unit], (num_components,) each, applied in this order.
             numerics: Settings; the model's own if None.
         """
-        values = {p.name: p.value_at(q[..., i]) for i, p in enumerate(self.base)}
-        scene = self.build(values, run, Numerics() if numerics is None else numerics)
-        for effect, size in (sizes or {}).items():
-            scene = effect.apply(scene, size, run)
-        return scene.simulate()
+        return self.scene(run, q, sizes, numerics).simulate()
 
     def predict_many(
         self,
@@ -104,11 +100,29 @@ class SimModel:
         """
         if self.batched:
             return self.predict(run, q, sizes, numerics)
-        points = [
-            self.predict(run, q[k], {e: s[k] for e, s in (sizes or {}).items()}, numerics)
+        scenes = [
+            self.scene(run, q[k], {e: s[k] for e, s in (sizes or {}).items()}, numerics)
             for k in range(len(q))
         ]
-        return torch.stack(points)
+        return torch.stack(self.simulate_scenes(scenes))
+
+    def scene(
+        self,
+        run: Run,
+        q: Tensor,
+        sizes: Mapping[Effect, Tensor] | None = None,
+        numerics: Numerics | None = None,
+    ) -> Scene:
+        """The run at one point, ready to be simulated; arguments as for ``predict``."""
+        values = {p.name: p.value_at(q[..., i]) for i, p in enumerate(self.base)}
+        scene = self.build(values, run, Numerics() if numerics is None else numerics)
+        for effect, size in (sizes or {}).items():
+            scene = effect.apply(scene, size, run)
+        return scene
+
+    def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
+        """Predictions of several scenes of one run; models that have a faster way override this."""
+        return [scene.simulate() for scene in scenes]
 
     def at_prior(self) -> Tensor:
         """Standardised coordinates of the best guess, (num_base,)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -21,7 +21,6 @@ from diffsim.diagnose.beds.copter.scene import (
 )
 from diffsim.diagnose.beds.copter.shooting import Shooting, filled, guess_states
 from diffsim.diagnose.beds.signals import held_lagged
-from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.model import Build, Numerics, SimModel
 from diffsim.identify import Parameter
 
@@ -63,31 +62,12 @@ _UNEVEN = 1e-3  # of the mean step
 class CopterModel(SimModel):
     """A model that flies many parameter points as one batch."""
 
-    def predict_many(
-        self,
-        run: Run,
-        q: Tensor,
-        sizes: Mapping[Effect, Tensor] | None = None,
-        numerics: Numerics | None = None,
-    ) -> Tensor:
-        """Predictions at many points, (num_points, num_samples, num_channels).
-
-        Args:
-            run: The run.
-            q: (num_points, num_base).
-            sizes: (num_points, num_components) each.
-            numerics: As for ``predict``.
-        """
-        scenes = []
-        for k, at in enumerate(q):
-            values = {p.name: p.value_at(at[i]) for i, p in enumerate(self.base)}
-            scene = self.build(values, run, Numerics() if numerics is None else numerics)
-            for effect, size in (sizes or {}).items():
-                scene = effect.apply(scene, size[k], run)
+    def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
+        """All flights in one call of the kernel."""
+        for scene in scenes:
             if not isinstance(scene, CopterScene):
                 raise TypeError(f"build must make a CopterScene, got {type(scene).__name__}")
-            scenes.append(scene)
-        return torch.stack(simulate_many(scenes))
+        return simulate_many(scenes)
 
 
 def flight_model(
