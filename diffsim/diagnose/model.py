@@ -124,6 +124,17 @@ class SimModel:
         """Predictions of several scenes of one run; models that have a faster way override this."""
         return [scene.simulate() for scene in scenes]
 
+    def prepared_at(self, q: Tensor) -> SimModel:
+        """The model with whatever it prepares once prepared again at these base coordinates.
+
+        Args:
+            q: (num_base,) standardised.
+
+        Returns:
+            The model itself where nothing is prepared.
+        """
+        return self
+
     def at_prior(self) -> Tensor:
         """Standardised coordinates of the best guess, (num_base,)."""
         return torch.zeros(len(self.base), dtype=torch.float64)

@@ -47,6 +47,7 @@ class NetworkLab(Lab):
     """See the module; channels are the flows at the outlets, pump and junction pressure."""
 
     system: ClassVar[str] = "stokes"
+    setup: ClassVar[str] = "lab_network"
     channels: ClassVar[tuple[Channel, ...]] = tuple(Channel(*s) for s in _SENSORS)
     base: ClassVar[dict[str, Base]] = {
         "viscosity": Base(1.0e-3, 0.03, "Pa s"),

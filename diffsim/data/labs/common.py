@@ -91,9 +91,11 @@ class Lab(ABC):
         channels: What it measures; ``sd`` is that of the noise it adds.
         effects: What it can hide, by name.
         base: Base parameters; the truth is drawn from their priors.
+        setup: Name of the model that a diagnosis may use.
     """
 
     system: ClassVar[str]
+    setup: ClassVar[str]
     channels: ClassVar[tuple[Channel, ...]]
     effects: ClassVar[Mapping[str, LabEffect]]
     base: ClassVar[Mapping[str, Base]]
@@ -213,6 +215,7 @@ class Lab(ABC):
                 "title": f"VIRTUAL {self.system}: computed by diffsim.data.labs, not measured",
                 "base_priors": base,
                 "gain_jitter": GAIN_JITTER,
+                "setup": self.setup,
                 **self.facts(),
             },
         )

@@ -42,6 +42,7 @@ class CopterLab(Lab):
     """See the module; channels are camera poses, gyroscope and accelerometer."""
 
     system: ClassVar[str] = "copter"
+    setup: ClassVar[str] = "lab_copter"
     channels: ClassVar[tuple[Channel, ...]] = tuple(Channel(*s) for s in _SENSORS)
     base: ClassVar[dict[str, Base]] = {
         "mass": Base(1.4, 0.02, "kg"),

@@ -36,6 +36,7 @@ class SoftBeamLab(Lab):
     """See the module; channels are displacements sideways of the tip and of mid-length."""
 
     system: ClassVar[str] = "soft_body"
+    setup: ClassVar[str] = "lab_beam"
     channels: ClassVar[tuple[Channel, ...]] = tuple(
         Channel(name, "m", "position", SD_M) for name in MARKERS_M
     )
