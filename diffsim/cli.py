@@ -12,24 +12,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from diffsim import __version__, _paths
+from diffsim._cli_diagnose import add_diagnose_arguments, positive
 from diffsim.errors import DiffsimError
 
 EXIT_MISTAKE = 2  # what argparse uses too
 EXIT_INTERRUPTED = 130  # 128 + SIGINT
-DIAGNOSE_STEPS = {
-    "check": "are the runs fit to be judged: clocks, shapes, repeats, held-out runs",
-    "fit": "fit the model without effects, and say what misfit is left",
-    "explain": "find the cause: verdict, evidence, report.html",
-    "extend": "write the extended model, and its gain on held-out runs",
-    "next": "which run to record next to settle what is open",
-}
-
-
-def _positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"must be 1 or more, got {value}")
-    return value
 
 
 def parser() -> argparse.ArgumentParser:
@@ -47,7 +34,7 @@ def parser() -> argparse.ArgumentParser:
     demo.add_argument("--out", type=Path, default=Path("runs/demo"), help="default: %(default)s")
     demo.add_argument("--quick", action="store_true", help="fewer steps, smaller meshes")
     demo.add_argument("--resume", action="store_true", help="go on with what --out holds")
-    demo.add_argument("--threads", type=_positive, default=os.cpu_count() or 1, metavar="N")
+    demo.add_argument("--threads", type=positive, default=os.cpu_count() or 1, metavar="N")
     demo.set_defaults(run=_demo)
 
     fabricate = commands.add_parser(
@@ -72,9 +59,9 @@ def parser() -> argparse.ArgumentParser:
     fly.set_defaults(run=_fly)
 
     diagnose = commands.add_parser(
-        "diagnose", parents=[common], help="what a simulation gets wrong against recorded runs"
+        "diagnose", help="what a simulation gets wrong against recorded runs"
     )
-    _add_diagnose_arguments(diagnose)
+    add_diagnose_arguments(diagnose)
     diagnose.set_defaults(run=_diagnose)
 
     info = commands.add_parser("info", parents=[common], help="versions, processor, data folder")
@@ -149,23 +136,13 @@ def _fly(args: argparse.Namespace) -> None:
     fly_command(args)
 
 
-def _add_diagnose_arguments(diagnose: argparse.ArgumentParser) -> None:
-    steps = "; ".join(f"{name}: {what}" for name, what in DIAGNOSE_STEPS.items())
-    diagnose.add_argument("step", choices=DIAGNOSE_STEPS, help=steps)
-    diagnose.add_argument("study", type=Path, metavar="STUDY.yaml", help="of the recorded runs")
-    diagnose.add_argument(
-        "--out", type=Path, default=Path("runs/diagnose"), help="default: %(default)s"
-    )
-    diagnose.add_argument("--seed", type=int, default=0, help="of the bootstrap")
-    diagnose.add_argument(
-        "--accept-numerics",
-        action="store_true",
-        help="go on although step, mesh or tolerance move the prediction by more than the noise",
-    )
-
-
 def _diagnose(args: argparse.Namespace) -> None:
     # as for the demo
+    if args.step == "blind":
+        from diffsim.diagnose.blind import blind_command
+
+        blind_command(args)
+        return
     from diffsim.diagnose.command import diagnose_command
 
     diagnose_command(args)
@@ -211,9 +188,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return status
     except KeyboardInterrupt:
         print("\ninterrupted; finished work is kept", file=sys.stderr)
-        if args.command == "demo":
-            again = list(sys.argv[1:] if argv is None else argv)
-            again += [] if args.resume else ["--resume"]
+        again = list(sys.argv[1:] if argv is None else argv)
+        if args.command == "demo" and not args.resume:
+            again.append("--resume")
+        if args.command in ("demo", "diagnose"):
             print(f"go on with: diffsim {shlex.join(again)}", file=sys.stderr)
         return EXIT_INTERRUPTED
     except BrokenPipeError:  # `diffsim info | head`: nobody reads on

@@ -2,10 +2,11 @@
 
 from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.effect import Effect
-from diffsim.diagnose.extended import extended_model
+from diffsim.diagnose.extended import ExtendedModel, extended_model
 from diffsim.diagnose.gain import Gain, gain
 from diffsim.diagnose.libraries import library
 from diffsim.diagnose.model import Numerics, Scene, SimModel
+from diffsim.diagnose.model_file import load_extended, save_extended
 from diffsim.diagnose.next_run import NextRun, next_run
 from diffsim.diagnose.report import EffectRow, GateResult, HypothesisRow, Report
 from diffsim.diagnose.search import SearchSettings
@@ -16,6 +17,7 @@ __all__ = [
     "DiagnosisSettings",
     "Effect",
     "EffectRow",
+    "ExtendedModel",
     "Gain",
     "GateResult",
     "HypothesisRow",
@@ -32,6 +34,8 @@ __all__ = [
     "extended_model",
     "gain",
     "library",
+    "load_extended",
     "next_run",
+    "save_extended",
     "smooth_covariance",
 ]

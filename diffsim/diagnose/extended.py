@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.model import Numerics, Scene, SimModel
 from diffsim.identify import Fit, Parameter
 from diffsim.identify.problem import effect_coordinates
@@ -17,7 +18,41 @@ if TYPE_CHECKING:
     from diffsim.data.study import Run
 
 
-def extended_model(fit: Fit) -> SimModel:
+class ExtendedModel(SimModel):
+    """A model whose base parameters are those of another one, then the sizes of effects.
+
+    Args:
+        inner: The plain model.
+        effects: Built in, in this order.
+        base: Parameters of ``inner``, then the components of the effects ("wind.x").
+    """
+
+    def __init__(self, inner: SimModel, effects: Sequence[Effect], base: Sequence[Parameter]):
+        suffix = "".join(f" + {e.name}" for e in effects)
+        super().__init__(self._build, base, inner.name + suffix, batched=inner.batched)
+        self.inner, self.effects = inner, tuple(effects)
+        self._components = [effect_coordinates([e]) for e in effects]
+
+    def _build(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> Scene:
+        scene = self.inner.build({p.name: values[p.name] for p in self.inner.base}, run, numerics)
+        for effect, components in zip(self.effects, self._components, strict=True):
+            size = torch.stack([values[c] for c in components], dim=-1)
+            scene = effect.apply(scene, size, run)
+        return scene
+
+    def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
+        """As the plain model simulates several at once."""
+        return self.inner.simulate_scenes(scenes)
+
+    def prepared_at(self, q: Tensor) -> SimModel:
+        """With the plain model prepared at the values of its own parameters at ``q``."""
+        values = [float(p.value_at(x)) for p, x in zip(self.base, q, strict=True)]
+        inner_q = [p.coordinate_of(v) for p, v in zip(self.inner.base, values, strict=False)]
+        inner = self.inner.prepared_at(torch.tensor(inner_q, dtype=torch.float64))
+        return ExtendedModel(inner, self.effects, self.base)
+
+
+def extended_model(fit: Fit) -> ExtendedModel:
     """The fitted model and its effects as one model.
 
     Args:
@@ -26,20 +61,26 @@ def extended_model(fit: Fit) -> SimModel:
     Returns:
         A model whose base parameters are the old ones, then the sizes ("wind.x").
     """
-    problem, inner = fit.problem, fit.problem.model
-    names = [effect_coordinates([e]) for e in problem.effects]
+    problem = fit.problem
+    return extended_at(problem.model, problem.effects, fit.values, fit.sd)
 
-    def build(values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> Scene:
-        scene = inner.build({p.name: values[p.name] for p in inner.base}, run, numerics)
-        for effect, components in zip(problem.effects, names, strict=True):
-            scene = effect.apply(scene, torch.stack([values[c] for c in components]), run)
-        return scene
 
+def extended_at(
+    inner: SimModel, effects: Sequence[Effect], values: Mapping[str, float], sd: Mapping[str, float]
+) -> ExtendedModel:
+    """A model with effects built in, at given values.
+
+    Args:
+        inner: The plain model.
+        effects: To build in.
+        values, sd: By name of base parameter or component, [unit]: centre and width of the new
+            priors.
+    """
     base = [
         Parameter(
             p.name,
-            fit.values[p.name],
-            fit.sd[p.name] / (fit.values[p.name] if p.log else 1.0),
+            values[p.name],
+            sd[p.name] / (values[p.name] if p.log else 1.0),
             p.unit,
             p.log,
             p.lower,
@@ -50,13 +91,12 @@ def extended_model(fit: Fit) -> SimModel:
     sizes = [
         Parameter(
             name,
-            fit.values[name],
-            fit.sd[name],
+            values[name],
+            sd[name],
             effect.unit,
             lower=-np.inf if effect.signed else 0.0,
         )
-        for effect, components in zip(problem.effects, names, strict=True)
-        for name in components
+        for effect in effects
+        for name in effect_coordinates([effect])
     ]
-    suffix = "".join(f" + {e.name}" for e in problem.effects)
-    return SimModel(build, [*base, *sizes], name=inner.name + suffix)
+    return ExtendedModel(inner, effects, [*base, *sizes])

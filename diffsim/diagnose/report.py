@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
-from diffsim._files import to_plain, write_json_atomic, write_text_atomic
+from diffsim._files import to_plain, write_json_atomic
 from diffsim.data.study import Study
 from diffsim.diagnose.extended import extended_model
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.model import SimModel
+from diffsim.diagnose.model_file import MODEL_FILE, save_extended
 from diffsim.identify import Fit
 
 Array = NDArray[np.float64]
@@ -157,7 +157,7 @@ class Report:
         plain["gain"] = None if self.gain is None else asdict(self.gain)
         plain["study"], plain["model"] = self.study.name, self.model.name
         for name in ("null", "best"):
-            plain[name] = _fit_to_dict(getattr(self, name))
+            plain[name] = fit_to_dict(getattr(self, name))
         return to_plain(plain)
 
     def save(self, folder: str | Path) -> Path:
@@ -168,30 +168,12 @@ class Report:
         """
         folder = Path(folder)
         write_json_atomic(folder / "report.json", self.to_dict())
-        text = yaml.safe_dump(self._extended_to_dict(), sort_keys=False)
-        write_text_atomic(folder / "extended_model.yaml", text)
+        save_extended(self.best, folder / MODEL_FILE, study=self.study, verdict=self.verdict)
         return folder
 
-    def _extended_to_dict(self) -> dict[str, Any]:
-        problem, fit = self.best.problem, self.best
-        units = [p.unit for p in self.model.base] + [e.unit for e, _ in problem.owners]
-        entries = {
-            name: {"value": fit.values[name], "sd": fit.sd[name], "unit": unit}
-            for name, unit in zip(problem.names, units, strict=True)
-        }
-        count = problem.num_base
-        return to_plain(
-            {
-                "model": self.model.name,
-                "study": self.study.name,
-                "verdict": self.verdict,
-                "parameters": dict(list(entries.items())[:count]),
-                "effects": dict(list(entries.items())[count:]),
-            }
-        )
 
-
-def _fit_to_dict(fit: Fit) -> dict[str, Any]:
+def fit_to_dict(fit: Fit) -> dict[str, Any]:
+    """A fit without its matrices but the correlations."""
     return {
         "values": dict(fit.values),
         "sd": dict(fit.sd),

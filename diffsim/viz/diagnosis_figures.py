@@ -136,13 +136,18 @@ def blocks_of(confounding: Array, limit: float = CONFOUNDED) -> list[list[int]]:
     return sorted((g for g in groups if len(g) > 1), key=len, reverse=True)
 
 
-def confounding_matrix(names: Sequence[str], confounding: Array) -> Figure:
+def confounding_matrix(
+    names: Sequence[str],
+    confounding: Array,
+    bar: str = "cosine of what the base parameters cannot absorb",
+) -> Figure:
     """Cosines between the responses of candidates; sets that the data hardly part stand together,
     boxed.
 
     Args:
         names: Components.
         confounding: (n, n), in their order.
+        bar: What the colours mean.
     """
     blocks = blocks_of(confounding)
     grouped = [i for block in blocks for i in block]
@@ -159,8 +164,7 @@ def confounding_matrix(names: Sequence[str], confounding: Array) -> Figure:
         x = np.array([start, start + len(block)]) - 0.5
         ax.plot(x[[0, 1, 1, 0, 0]], x[[0, 0, 1, 1, 0]], color=INK, lw=2.0, clip_on=False)
         start += len(block)
-    bar = figure.colorbar(drawn, ax=ax, shrink=0.7)
-    bar.set_label("cosine of what the base parameters cannot absorb", color=SOFT)
+    figure.colorbar(drawn, ax=ax, shrink=0.7).set_label(bar, color=SOFT)
     return figure
 
 

@@ -335,22 +335,8 @@ def figures_of(report: Any, *, force_map: page.Picture | None = None) -> Diagnos
         model=report.model.name,
         verdict=report.verdict,
         sentences=report.sentences,
-        channels=[
-            MeasuredChannel(name=c.name, unit=c.unit, sd=float(report.noise["sd"][c.name]))
-            for c in study.channels
-        ],
-        runs=[
-            RunComparison(
-                name=run.name,
-                use=run.use,
-                time_s=run.time_s,
-                command=run.command,
-                measured=run.measured,
-                null=_predicted(report.null, run),
-                extended=None if extended is None else _predicted(extended, run),
-            )
-            for run in (*study.fit_runs, *study.holdout_runs)
-        ],
+        channels=measured_channels(study, report.noise["sd"]),
+        runs=comparisons(study, report.null, extended),
         causes=[row for effect in report.table for row in _cause_rows(effect)],
         confounding_names=report.confounding_names,
         confounding=report.confounding,
@@ -372,7 +358,34 @@ def figures_of(report: Any, *, force_map: page.Picture | None = None) -> Diagnos
     )
 
 
-def _predicted(fit: Any, run: Any) -> Array:
+def measured_channels(study: Any, sd: Mapping[str, float]) -> list[MeasuredChannel]:
+    """Channels of a study with the noise that was estimated, by name."""
+    return [MeasuredChannel(name=c.name, unit=c.unit, sd=float(sd[c.name])) for c in study.channels]
+
+
+def comparisons(study: Any, null: Any, extended: Any = None) -> list[RunComparison]:
+    """Measured and predicted, runs for fitting first.
+
+    Args:
+        study: ``diffsim.data.Study``.
+        null, extended: ``diffsim.identify.Fit`` without and with effects.
+    """
+    return [
+        RunComparison(
+            name=run.name,
+            use=run.use,
+            time_s=run.time_s,
+            command=run.command,
+            measured=run.measured,
+            null=predicted(null, run),
+            extended=None if extended is None else predicted(extended, run),
+        )
+        for run in (*study.fit_runs, *study.holdout_runs)
+    ]
+
+
+def predicted(fit: Any, run: Any) -> Array:
+    """(num_samples, num_channels) of a ``diffsim.identify.Fit`` at its parameters."""
     with torch.no_grad():
         return fit.problem.predict(run, torch.as_tensor(fit.x)).numpy()
 

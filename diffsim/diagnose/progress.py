@@ -1,0 +1,33 @@
+"""How far a diagnosis is, shown as a bar."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from tqdm import tqdm
+
+Progress = Callable[[str, float, str], None]
+"""(stage, fraction done in [0, 1], message)."""
+
+
+@contextmanager
+def progress_bar(title: str, *, quiet: bool = False) -> Iterator[Progress]:
+    """A bar over the whole, with stage and message beside it.
+
+    Args:
+        title: Before the bar.
+        quiet: Show nothing.
+    """
+    with tqdm(total=100, desc=title, unit="%", disable=quiet, bar_format=_FORMAT) as bar:
+
+        def show(stage: str, fraction: float, message: str) -> None:
+            bar.n = round(100 * min(max(fraction, 0.0), 1.0))
+            bar.set_postfix_str(f"{stage} {message}".strip())
+
+        yield show
+        bar.n = 100
+        bar.refresh()
+
+
+_FORMAT = "{desc} |{bar:20}| {percentage:3.0f} % [{elapsed}] {postfix}"

@@ -1,0 +1,207 @@
+"""Steps of a diagnosis on their own: the null fit, a saved model refitted, advice from a report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim._check import require_choice
+from diffsim._files import to_plain, write_json_atomic
+from diffsim.data.study import Study
+from diffsim.diagnose.effect import Effect
+from diffsim.diagnose.extended import ExtendedModel, extended_model
+from diffsim.diagnose.gain import Gain, gain
+from diffsim.diagnose.inputs import Inputs
+from diffsim.diagnose.model_file import MODEL_FILE, SavedModel, effects_of, save_extended
+from diffsim.diagnose.next_run import NextRun, next_run
+from diffsim.diagnose.noise import NoiseFloor
+from diffsim.diagnose.report import fit_to_dict
+from diffsim.diagnose.stages import Case, null_fit
+from diffsim.identify import Fit
+from diffsim.identify import fit as fit_runs
+from diffsim.identify.problem import PRIOR_WIDTH, effect_coordinates
+
+Array = NDArray[np.float64]
+CORRELATED = 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class NullFit:
+    """The model without effects.
+
+    Attributes:
+        study: Without spikes.
+        noise: Its floor.
+        fit: To the runs for fitting.
+        num_spikes: Samples taken out.
+    """
+
+    study: Study
+    noise: NoiseFloor
+    fit: Fit
+    num_spikes: int
+
+    def strongest_correlations(self, limit: float = CORRELATED) -> Iterator[tuple[str, str, float]]:
+        """Pairs of parameters above the limit, strongest first."""
+        names, r = self.fit.problem.names, self.fit.correlation
+        rows, cols = np.triu_indices(len(names), 1)
+        for k in np.argsort(-np.abs(r[rows, cols])):
+            value = float(r[rows[k], cols[k]])
+            if abs(value) <= limit:
+                return
+            yield names[rows[k]], names[cols[k]], value
+
+    def to_dict(self) -> dict[str, Any]:
+        """In types that JSON has."""
+        channels = [c.name for c in self.study.channels]
+        return to_plain(
+            {
+                "study": self.study.name,
+                "model": self.fit.problem.model.name,
+                **fit_to_dict(self.fit),
+                "noise": {
+                    "sd": dict(zip(channels, self.noise.sd.tolist(), strict=True)),
+                    "source": self.noise.source,
+                    "num_spikes": self.num_spikes,
+                },
+            }
+        )
+
+
+def fit_null(inputs: Inputs) -> NullFit:
+    """Noise floor and fit of the plain model."""
+    return NullFit(*null_fit(_case(inputs)))
+
+
+@dataclass(frozen=True, eq=False)
+class Extension:
+    """A saved model, refitted.
+
+    Attributes:
+        study: What it was fitted to.
+        null, fit: Without and with the effects, to the same runs with the same noise.
+        gain: On held-out runs, None without any.
+        verdict: Of the diagnosis behind it.
+    """
+
+    study: Study
+    null: Fit
+    fit: Fit
+    gain: Gain | None
+    verdict: str
+
+    def model(self) -> ExtendedModel:
+        """At the refitted values."""
+        return extended_model(self.fit)
+
+    def save(self, folder: Path) -> Path:
+        """Write extended_model.yaml and extend.json; the path of the first."""
+        content = {
+            "gain": None if self.gain is None else asdict(self.gain),
+            "chi2_null": self.null.chi2,
+            "chi2_extended": self.fit.chi2,
+            "null": fit_to_dict(self.null),
+            "extended": fit_to_dict(self.fit),
+        }
+        write_json_atomic(folder / "extend.json", content)
+        return save_extended(self.fit, folder / MODEL_FILE, study=self.study, verdict=self.verdict)
+
+
+def extend(inputs: Inputs, saved: SavedModel) -> Extension:
+    """Refit a saved model's parameters and sizes jointly on the runs for fitting.
+
+    The priors are those of the setup, not the saved posterior: the same runs must not count twice.
+
+    Raises:
+        ValueError: the setup does not have an effect of the saved model.
+    """
+    effects = effects_of(saved, inputs.setup.effects)
+    null = fit_null(inputs)
+    refitted = _refit(null, effects, inputs, saved.values)
+    runs = null.study.holdout_runs
+    gained = gain(runs, null.fit, refitted, seed=inputs.seed) if runs and effects else None
+    return Extension(null.study, null.fit, refitted, gained, saved.verdict)
+
+
+def rival_sets(report: Mapping[str, Any]) -> tuple[list[tuple[str, ...]], str]:
+    """Sets of effects between which a report leaves the choice, and that in words.
+
+    Args:
+        report: ``report.json``.
+    """
+    effects = {row["effect"] for row in report["table"]}
+    sets = [tuple(report["named"])]
+    sets += [tuple(r) for r in report["rivals"] if set(r) <= effects]
+    left_out = len(report["rivals"]) + 1 - len(sets)
+    note = (
+        f" ({left_out} with an unknown cause left out: it predicts no new run)" if left_out else ""
+    )
+    if len(sets) > 1:
+        return sets, "open: " + ", or ".join(_words(s) for s in sets) + note
+    if not report["named"]:
+        return [], f"verdict {report['verdict']}: no set of effects stands, none can be settled"
+    for row in report["hypotheses"]:
+        rival = tuple(row["effects"])
+        if row["unknown"] is None and not set(rival) >= set(sets[0]):
+            why = f"{_words(sets[0])} stands alone; against the nearest other set, {_words(rival)}"
+            return [*sets, rival], why + note
+    return sets, f"{_words(sets[0])} stands alone, and nothing else was refitted{note}"
+
+
+def advise(inputs: Inputs, sets: Sequence[Sequence[str]]) -> NextRun:
+    """Refit each set and take the run of the setup's bank on which they differ most.
+
+    Raises:
+        ValueError: the setup has no bank, or not these effects.
+    """
+    setup = inputs.setup
+    if not setup.bank:
+        raise ValueError(
+            f"the setup of study {inputs.study.name} has no bank of runs that could be recorded"
+        )
+    by_name = {e.name: e for e in setup.effects}
+    chosen = [
+        tuple(by_name[require_choice("effect", name, by_name)] for name in names) for names in sets
+    ]
+    null = fit_null(inputs)
+    return next_run([_refit(null, effects, inputs, {}) for effects in chosen], setup.bank)
+
+
+def _refit(
+    null: NullFit, effects: Sequence[Effect], inputs: Inputs, values: Mapping[str, float]
+) -> Fit:
+    """Base parameters from the null fit or ``values``, sizes from ``values`` or 0."""
+    if not effects:
+        return null.fit
+    problem = null.fit.problem
+    start = [
+        p.coordinate_of(values[p.name]) if p.name in values else x
+        for p, x in zip(problem.model.base, null.fit.x, strict=True)
+    ]
+    for effect in effects:
+        scale = PRIOR_WIDTH * effect.typical
+        start += [values.get(name, 0.0) / scale for name in effect_coordinates([effect])]
+    return fit_runs(
+        problem.model,
+        problem.runs,
+        null.study.channels,
+        effects=effects,
+        start=np.array(start),
+        whitener=problem.whitener,
+        jacobian=problem.jacobian,
+        workers=inputs.setup.settings.workers,
+    )
+
+
+def _case(inputs: Inputs) -> Case:
+    setup = inputs.setup
+    return Case(inputs.study, setup.model, setup.effects, setup.unknowns, setup.settings)
+
+
+def _words(names: Sequence[str]) -> str:
+    return " + ".join(names) if names else "no effect"

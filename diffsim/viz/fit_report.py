@@ -1,0 +1,103 @@
+"""The page of a fit without effects: parameters, their correlations, and the misfit left."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from diffsim.viz import diagnosis_figures as draw
+from diffsim.viz import report as page
+from diffsim.viz.diagnosis_report import comparisons, measured_channels
+from diffsim.viz.figures import data_uri
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from diffsim.diagnose.refit import NullFit
+
+
+def write_fit(found: NullFit, path: str | Path) -> Path:
+    """Write the page, one static HTML file."""
+    fit, study = found.fit, found.study
+    sd = dict(zip([c.name for c in study.channels], found.noise.sd.tolist(), strict=True))
+    channels, runs = measured_channels(study, sd), comparisons(study, fit)
+    per_sample = fit.chi2 / fit.num_samples
+    held = [run for run in runs if run.use == "holdout"][:4]
+    worst = [page.Picture(uri=_png(draw.before_after(held or runs[:4], channels)), caption=_RUNS)]
+    left = [page.Picture(uri=_png(draw.residual_views(runs, channels)), caption=_LEFT)]
+    names = fit.problem.names
+    matrix = draw.confounding_matrix(names, fit.correlation, bar="posterior correlation")
+    return page.write(
+        page.Report(
+            title=f"Fit of {study.name}",
+            subtitle=f"The model “{fit.problem.model.name}”, without any effect",
+            verdict=[
+                f"What is left is {per_sample:.3g} noise variances per sample; noise alone "
+                "would leave 1. `diffsim diagnose explain` looks for the cause."
+            ],
+            numbers=[
+                page.Number(label="chi2 per sample", value=f"{per_sample:.3g}", note="1: noise")
+            ],
+            sections=[
+                page.Section(title="Parameters", content=[_parameters(found)]),
+                page.Section(title="Measured and predicted", content=worst),
+                page.Section(title="Where and when the model is off", content=left),
+                page.Section(
+                    title="What the data cannot part",
+                    content=[page.Picture(uri=_png(matrix), caption=_CORRELATION)],
+                ),
+            ],
+            held_fixed=[
+                ("noise floor from", str(found.noise.source)),
+                ("spikes taken out", str(found.num_spikes)),
+                ("converged", f"{fit.converged}: {fit.message}"),
+            ],
+        ),
+        path,
+    )
+
+
+_RUNS = "Dots: measured. Dashed: the fitted model. The channels with the largest misfit."
+_LEFT = (
+    "Measured minus predicted over the noise's standard deviation, all runs and channels. Grey: "
+    "95 % of noise alone."
+)
+_CORRELATION = "Posterior correlations of the parameters, priors included; beyond ±0.95 boxed."
+
+
+def _parameters(found: NullFit) -> page.Table:
+    fit = found.fit
+    rows = []
+    for p, name in zip(fit.problem.model.base, fit.problem.names, strict=True):
+        notes = [
+            word
+            for word, names in (
+                ("prior only", fit.undetermined),
+                ("on its bound", fit.at_bound),
+            )
+            if name in names
+        ]
+        width = p.sd * p.value if p.log else p.sd
+        moved = (fit.values[name] - p.value) / width if width else np.nan
+        rows.append(
+            [
+                name,
+                f"{fit.values[name]:.6g} ± {fit.sd[name]:.2g}",
+                "" if p.unit == "-" else p.unit,
+                f"{p.value:.6g} ± {width:.2g}",
+                f"{moved:+.1f}",
+                ", ".join(notes),
+            ]
+        )
+    return page.Table(
+        columns=["parameter", "value ± sd", "unit", "prior", "moved [prior sd]", "note"],
+        rows=rows,
+        caption="Standard deviations with the prior. A parameter that moved by more than two "
+        "prior standard deviations may stand for something that the model lacks.",
+    )
+
+
+def _png(figure: Figure) -> str:
+    return data_uri(figure, png=True)
