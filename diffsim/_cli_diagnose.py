@@ -99,6 +99,9 @@ def _blind(step: argparse.ArgumentParser) -> None:
     )
     step.add_argument("--quick", action="store_true", help="fewer refits")
     step.add_argument(
+        "--setup", type=Path, metavar="FILE.py", help="own model of the laboratory: setup(study)"
+    )
+    step.add_argument(
         "--timeout", type=float, default=3600.0, metavar="S", help="per case (default: 3600)"
     )
     step.add_argument(

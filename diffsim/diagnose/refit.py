@@ -122,7 +122,7 @@ def extend(inputs: Inputs, saved: SavedModel) -> Extension:
     """
     effects = effects_of(saved, inputs.setup.effects)
     null = fit_null(inputs)
-    refitted = _refit(null, effects, inputs, saved.values)
+    refitted = refit(null, effects, inputs, saved.values)
     runs = null.study.holdout_runs
     gained = gain(runs, null.fit, refitted, seed=inputs.seed) if runs and effects else None
     return Extension(null.study, null.fit, refitted, gained, saved.verdict)
@@ -169,10 +169,10 @@ def advise(inputs: Inputs, sets: Sequence[Sequence[str]]) -> NextRun:
         tuple(by_name[require_choice("effect", name, by_name)] for name in names) for names in sets
     ]
     null = fit_null(inputs)
-    return next_run([_refit(null, effects, inputs, {}) for effects in chosen], setup.bank)
+    return next_run([refit(null, effects, inputs, {}) for effects in chosen], setup.bank)
 
 
-def _refit(
+def refit(
     null: NullFit, effects: Sequence[Effect], inputs: Inputs, values: Mapping[str, float]
 ) -> Fit:
     """Base parameters from the null fit or ``values``, sizes from ``values`` or 0."""

@@ -122,7 +122,14 @@ class Lab(ABC):
         """A study with at most one effect; ``size`` None is its typical size."""
         return self.case(seed, {} if effect is None else {effect: size}).study
 
-    def case(self, seed: int, effects: Sizes | None = None, decoys: Sequence[str] = ()) -> LabCase:
+    def case(
+        self,
+        seed: int,
+        effects: Sizes | None = None,
+        decoys: Sequence[str] = (),
+        *,
+        noise: float = 1.0,
+    ) -> LabCase:
         """A study with hidden effects.
 
         Args:
@@ -131,6 +138,7 @@ class Lab(ABC):
             effects: Sizes by name, in the effect's unit; a scalar is the first component, None
                 the typical size.
             decoys: Names of ``DECOYS``.
+            noise: Factor on the noise; 0 gives what sensors without noise would have read.
 
         Raises:
             ValueError: unknown effect or decoy, or a wrong number of components.
@@ -138,7 +146,7 @@ class Lab(ABC):
         sizes = {name: self._components(name, size) for name, size in (effects or {}).items()}
         for name in decoys:
             require_choice("decoys", name, DECOYS)
-        places, gains, noise = (
+        places, gains, drawn = (
             np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3)
         )
         reach = 3.0 if "far_prior" in decoys else None
@@ -154,7 +162,7 @@ class Lab(ABC):
             gain = 1.0 + jitter * float(gains.standard_normal())
             hidden = truth | {"gain": gain, "order": order, "seed": int(gains.integers(2**31))}
             clean, command = self.measure(plan, hidden)
-            measured = clean + self._noise(noise, len(clean), decoys)
+            measured = clean + noise * self._noise(drawn, len(clean), decoys)
             runs.append(
                 Run(
                     plan.name,

@@ -1,0 +1,135 @@
+"""Diagnose one sealed case: ``python -m diffsim.diagnose.blind_case STUDY RESULT``.
+
+Runs in a process of its own that is given the folder of the data and nothing else.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from diffsim._files import write_json_atomic
+from diffsim.data.labs.sealed import OPTIONS_FILE
+from diffsim.data.study_file import load_study
+from diffsim.diagnose.diagnosis import diagnose
+from diffsim.diagnose.effect import Effect
+from diffsim.diagnose.inputs import Inputs, inputs_of
+from diffsim.diagnose.model import Numerics, Scene, SimModel
+from diffsim.diagnose.report import Report
+from diffsim.errors import DiffsimError
+
+TWIN = "{}_again"
+
+
+class Twin(Effect):
+    """An effect under a second name: no data can tell the two apart.
+
+    Args:
+        of: The effect.
+    """
+
+    def __init__(self, of: Effect):
+        self.of = of
+        self.name = TWIN.format(of.name)  # type: ignore[misc]
+        for field in ("family", "kind", "unit", "typical", "signed", "components", "smooth"):
+            setattr(self, field, getattr(of, field))
+
+    def needs(self, study: Any) -> str | None:
+        return self.of.needs(study)
+
+    def apply(self, scene: Any, size: Tensor, run: Any) -> Any:
+        return self.of.apply(scene, size, run)
+
+
+def coarse(model: SimModel, factors: Mapping[str, float]) -> SimModel:
+    """The model with coarser numerical settings as its own.
+
+    Args:
+        model: Whose ``build`` honours ``Numerics``.
+        factors: By field of ``Numerics``.
+    """
+
+    def build(values: Mapping[str, Tensor], run: Any, numerics: Numerics) -> Scene:
+        scaled = {name: factor * getattr(numerics, name) for name, factor in factors.items()}
+        return model.build(values, run, replace(numerics, **scaled))
+
+    out = copy.copy(model)
+    out.build = build
+    return out
+
+
+def case_inputs(
+    folder: Path, *, quick: bool = False, setup_file: Path | None = None, workers: int = 1
+) -> Inputs:
+    """Study and setup of a sealed case, with the library and settings that it prescribes."""
+    options = json.loads((folder / OPTIONS_FILE).read_text(encoding="utf-8"))
+    inputs = inputs_of(
+        load_study(folder), seed=0, setup_file=setup_file, quick=quick, workers=workers
+    )
+    setup = inputs.setup
+    # names of a laboratory's effect with several components: "weak_rotor" is weak_rotor_1, ...
+    left_out = tuple(options.get("without", ()))
+    effects = [e for e in setup.effects if not _is_or_part(e.name, left_out)]
+    effects += [Twin(e) for e in effects if e.name in options.get("twins", ())]
+    model = coarse(setup.model, options["coarse"]) if "coarse" in options else setup.model
+    return replace(inputs, setup=replace(setup, effects=tuple(effects), model=model))
+
+
+def _is_or_part(name: str, names: Sequence[str]) -> bool:
+    return name in names or name.rstrip("0123456789").rstrip("_") in names
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("study", type=Path)
+    parser.add_argument("result", type=Path)
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--setup", type=Path)
+    args = parser.parse_args(arguments)
+    start = time.process_time()
+    inputs = case_inputs(args.study, quick=args.quick, setup_file=args.setup)
+    setup = inputs.setup
+    try:
+        report = diagnose(
+            inputs.study,
+            setup.model,
+            setup.effects,
+            seed=inputs.seed,
+            unknowns=setup.unknowns,
+            bank=setup.bank,
+            settings=setup.settings,
+        )
+        content = answer_of(report)
+    except (DiffsimError, ValueError) as error:  # counts as a wrong answer, with its reason
+        content = {"verdict": "failed", "error": f"{type(error).__name__}: {error}"}
+    write_json_atomic(args.result, content | {"cpu_s": time.process_time() - start})
+
+
+def answer_of(report: Report) -> dict[str, Any]:
+    """What is scored."""
+    return {
+        "verdict": report.verdict,
+        "sentences": list(report.sentences),
+        "named": sorted(report.named),
+        "rivals": [sorted(r) for r in report.rivals],
+        "sizes": {row.effect: {"size": row.size, "sd": row.sd} for row in report.table},
+        "cannot_see": dict(report.cannot_see),
+        "failed_gates": [g.name for g in report.gates if not g.passed],
+        "gain": None if report.gain is None else [report.gain.value, report.gain.status],
+        "chi2": [report.chi2_null, report.chi2_best, report.num_samples],
+        "hypotheses": [
+            [list(h.effects), h.unknown, round(h.nats, 2)] for h in report.hypotheses[:6]
+        ],
+    }
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,217 @@
+"""Blind diagnosis: scoring rules, resuming, and the whole procedure on the toy."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from diffsim import cli
+from diffsim.diagnose import blind as blind_module
+from diffsim.diagnose.blind import Blind
+from diffsim.diagnose.blind_case import Twin, coarse
+from diffsim.diagnose.blind_score import score_answer, true_sizes
+from diffsim.diagnose.blind_table import confusion, figures, markdown
+from diffsim.diagnose.model import Numerics, SimModel
+from tests.diagnose import toy, toy_setup
+from tests.hidden.toy_lab import TOY
+
+SETUP = Path(toy_setup.__file__)
+QUICK_SEED = 11  # fixed: the quick set must give the same cases every time
+
+
+def label(kind, effects=None, **more):
+    return {"kind": kind, "effects": effects or {}, "decoys": [], "options": {}, **more}
+
+
+def answer(verdict, named=(), rivals=(), **more):
+    return {"verdict": verdict, "named": list(named), "rivals": list(rivals), "sizes": {}, **more}
+
+
+@pytest.mark.parametrize(
+    ("hidden", "given", "right"),
+    [
+        (label("null"), answer("none"), True),
+        (label("null"), answer("named", ["drag"]), False),
+        (label("null"), answer("unknown"), False),
+        (label("decoy", decoys=["spikes"]), answer("none"), True),
+        (label("decoy", decoys=["scatter"]), answer("none"), False),
+        (label("decoy", decoys=["scatter"]), answer("unrepeatable"), True),
+        (label("single", {"drag": [0.1]}), answer("named", ["drag"]), True),
+        (label("single", {"drag": [0.1]}), answer("ambiguous", ["lag"], [["drag"]]), True),
+        (label("single", {"drag": [0.1]}), answer("named", ["drag", "lag"]), False),
+        (label("single", {"drag": [0.1]}), answer("unknown", ["drag"]), False),
+        (label("pair", {"drag": [0.1], "lag": [0.1]}), answer("named", ["drag", "lag"]), True),
+        (label("pair", {"drag": [0.1], "lag": [0.1]}), answer("named", ["drag"]), False),
+        (label("outside", {"pulse": [0.1]}), answer("unknown"), True),
+        (label("outside", {"pulse": [0.1]}), answer("named", ["drag"]), False),
+        # what this library lacks is outside, whatever the laboratory calls it
+        (label("single", {"pulse": [0.1]}), answer("unknown"), True),
+        (label("look_alike", {"delay": [0.1]}), answer("named", ["lag"]), True),
+        (label("look_alike", {"delay": [0.1]}), answer("unknown"), True),
+        (label("look_alike", {"delay": [0.1]}), answer("named", ["lag", "drag"]), False),
+        (label("look_alike", {"delay": [0.1]}), answer("none"), False),
+        (label("twins", {"lag": [0.1]}), answer("ambiguous", ["lag"], [["lag_again"]]), True),
+        (label("twins", {"lag": [0.1]}), answer("ambiguous", ["lag"], [["delay"]]), False),
+        (label("twins", {"lag": [0.1]}), answer("named", ["lag"]), False),
+        (label("invisible", {"scale": [0.1]}), answer("none", cannot_see={"scale": ""}), True),
+        (label("invisible", {"scale": [0.1]}), answer("none", cannot_see={}), False),
+        (label("numerical"), answer("numerical"), True),
+        (label("numerical"), answer("none"), False),
+        (label("single", {"drag": [0.1]}), {"verdict": "failed", "error": "x"}, False),
+    ],
+)
+def test_what_counts_as_right(hidden, given, right):
+    assert score_answer(hidden, given, toy.LIBRARY)["right"] is right
+
+
+def test_a_class_counts_as_given_only_whole():
+    hidden = label("confounded", {"lag": [0.1]}, **{"class": ["lag", "delay"]})
+    whole = answer("ambiguous", ["delay"], [["lag"]])
+    assert score_answer(hidden, whole, toy.LIBRARY)["class_given"]
+    alone = score_answer(hidden, answer("named", ["lag"]), toy.LIBRARY)
+    assert alone["right"] and not alone["class_given"]
+
+
+def test_places_of_a_laboratory_are_effects_of_a_library():
+    known = {name: toy.Drag() for name in ("weak_rotor_1", "weak_rotor_2", "drag")}
+    hidden = label("single", {"weak_rotor": [0.0, 0.1]})
+    assert true_sizes(hidden, known) == {"weak_rotor_2": (0.1,)}
+    assert true_sizes(label("single", {"drag": [0.2]}), known) == {"drag": (0.2,)}
+    assert true_sizes(label("single", {"stop": [0.2]}), known) == {"stop": None}
+
+
+def test_size_is_held_against_its_90_percent_interval():
+    given = answer(
+        "named", ["drag"], sizes={"drag": {"size": {"size": 0.12}, "sd": {"size": 0.01}}}
+    )
+    inside = score_answer(label("single", {"drag": [0.135]}), given, toy.LIBRARY)
+    assert inside["sizes"]["drag"]["inside"]  # 1.5 sd
+    outside = score_answer(label("single", {"drag": [0.14]}), given, toy.LIBRARY)
+    assert not outside["sizes"]["drag"]["inside"]  # 2 sd
+
+
+def test_figures_count_by_hand():
+    scores = []
+    for i, strength in enumerate((20.0, 9.0, 6.0, 2.0)):
+        right = i != 1
+        given = answer("named", ["drag"] if right else ["lag"])
+        score = score_answer(label("single", {"drag": [0.1]}), given, toy.LIBRARY)
+        scores.append({"case": f"c{i}", **score, "lambda": {"drag": strength}})
+    scores.append({"case": "n", **score_answer(label("null"), answer("unknown"), toy.LIBRARY)})
+    found = {row["what"]: row for row in figures(scores)}
+    assert found["one effect, lambda >= 8: right, alone or in the set"]["value"] == 0.5
+    assert found["one effect, lambda 5 to 8: right, alone or in the set"]["value"] == 1.0
+    assert found["name given alone, wrong"]["hits"] == 1
+    assert found["nulls and decoys with a name or unknown"]["value"] == 1.0
+    assert confusion(scores)["single"]["named"] == 4
+    page = markdown(scores, title="t", command="c")
+    assert "| c1 | single:, drag | 9.0 | named lag  |" in page and "c0 |" not in page
+
+
+def test_twins_predict_the_same_and_coarse_models_are_coarser():
+    run = toy.generate(0).runs[0]
+    model = toy.model([run], implicit_step=0.01)
+    q = model.at_prior()
+    delay = toy.Delay()
+    twin = Twin(delay)
+    assert twin.name == "delay_again" and twin.family == delay.family
+    size = q.new_tensor([0.02])
+    np.testing.assert_array_equal(
+        model.predict(run, q, {delay: size}), model.predict(run, q, {twin: size})
+    )
+    rough = coarse(model, {"time_step": 2.0})
+    expected = SimModel.predict(model, run, q, None, Numerics(time_step=2.0))
+    np.testing.assert_array_equal(rough.predict(run, q), expected)
+    half = rough.predict(run, q, None, Numerics(time_step=0.5))
+    np.testing.assert_array_equal(half, model.predict(run, q))
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory):
+    root = tmp_path_factory.mktemp("blind")
+    blind = Blind(
+        TOY, "toy", QUICK_SEED, root / "out", root / "vault", ("null", "single"),
+        quick=True, setup_file=SETUP,
+    )  # fmt: skip
+    return blind, blind.run(2)
+
+
+def test_cases_are_diagnosed_in_their_own_process_and_scored(solved):
+    blind, scores = solved
+    assert all(s["verdict"] != "failed" for s in scores), scores
+    assert all(s["cpu_s"] > 0.0 for s in scores)
+    hidden = [s for s in scores if s["truth"]]
+    assert all(s["lambda"].keys() == s["truth"].keys() for s in hidden)
+    page = (blind.out / "confusion.md").read_text()
+    assert page.startswith("# Sealed cases of the toy") and f"--seed {QUICK_SEED}" in page
+
+
+def test_answers_and_scores_are_kept(solved, monkeypatch):
+    blind, scores = solved
+    monkeypatch.setattr(Blind, "_run", lambda *_: pytest.fail("the case was diagnosed again"))
+    assert blind.run(2) == scores
+
+
+def test_an_exchanged_label_stops_the_scoring(solved, tmp_path):
+    blind, _ = solved
+    for path in blind.vault.glob("case_*.json"):
+        stored = json.loads(path.read_text())
+        stored["salt"] = "0" * 64
+        (tmp_path / path.name).write_text(json.dumps(stored))
+    other = Blind(TOY, "toy", QUICK_SEED, blind.out, tmp_path, blind.kinds, True)
+    with pytest.raises(ValueError, match="not the one that was sealed"):
+        other.score("case_000")
+
+
+def test_the_process_gets_the_data_and_a_bare_environment(solved, monkeypatch, tmp_path):
+    blind, _ = solved
+    monkeypatch.setenv("SECRET_LABEL", "drag")
+    seen = {}
+
+    def spy(command, folder, environment, timeout_s):
+        seen.update(command=command, environment=environment, files=sorted(Path(folder).iterdir()))
+        return 1, "stop here"
+
+    monkeypatch.setattr(blind._processes, "run", spy)
+    (blind.out / "answers" / "case_000.json").rename(tmp_path / "kept.json")
+    try:
+        given = blind.answer("case_000")
+    finally:
+        (tmp_path / "kept.json").rename(blind.out / "answers" / "case_000.json")
+    assert given == {"verdict": "failed", "error": "status 1: stop here"}
+    assert "SECRET_LABEL" not in seen["environment"]
+    assert not any(str(blind.vault) in word for word in seen["command"])
+    assert {p.name for p in seen["files"]} >= {"study.yaml", "options.json", "label.sha256"}
+
+
+def test_another_set_in_the_same_folder_is_refused(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(Blind, "run", lambda *_: [])
+    argv = ["diagnose", "blind", "--system", "network", "--out", str(tmp_path / "o")]
+    assert cli.main([*argv, "--seed", "4", "--n", "2"]) == 0
+    assert "seed 4;" in capsys.readouterr().out
+    assert cli.main([*argv, "--n", "3"]) == 0  # goes on with the seed it finds
+    assert "seed 4;" in capsys.readouterr().out
+    assert cli.main([*argv, "--seed", "5"]) == 2
+    assert "holds other cases" in capsys.readouterr().err
+
+
+def test_a_fresh_seed_is_printed(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(Blind, "run", lambda *_: [])
+    monkeypatch.setattr(blind_module.secrets, "randbits", lambda _: 123456)
+    assert cli.main(["diagnose", "blind", "--out", str(tmp_path / "o")]) == 0
+    assert "seed 123456;" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "kind", ["decoy", "outside", "look_alike", "confounded", "twins", "invisible", "pair"]
+)
+def test_every_kind_runs_on_the_toy(kind, tmp_path):
+    blind = Blind(
+        TOY, "toy", QUICK_SEED, tmp_path / "out", tmp_path / "vault", (kind,), setup_file=SETUP
+    )
+    (score,) = blind.run(1)
+    assert score["verdict"] != "failed", score["error"]
