@@ -113,7 +113,8 @@ def flight_model(
 
     A run is cut into windows; the initial state of each is fitted away, so no parameter is needed
     for it (:class:`~diffsim.diagnose.beds.copter.shooting.Shooting`). Channels must come in the
-    groups of ``sensors``, three columns each, NED; yaw must be free of jumps.
+    groups of ``sensors``, three columns each, NED; yaw must be free of jumps. A run's set-up may
+    have a ``payload_kg`` at the centre of mass and a ``terrain_height_m``.
 
     Args:
         vehicle: As designed.
@@ -193,7 +194,7 @@ class Flights:
         limits = self.vehicle.max_thrusts[:, None]
         scene = CopterScene(
             vehicle=self.vehicle.replace(
-                mass=self.vehicle.mass * of("mass_gain"),
+                mass=self.vehicle.mass * of("mass_gain") + float(run.setup.get("payload_kg", 0.0)),
                 inertia=self.vehicle.inertia * of("inertia_gain")[:, None, None],
                 torque_ratios=self.vehicle.torque_ratios * of("torque_gain")[:, None],
             ),
