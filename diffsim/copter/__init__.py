@@ -19,6 +19,7 @@ from diffsim.copter.control_metrics import (
 from diffsim.copter.design import Design
 from diffsim.copter.design_file import load_design, save_design, shipped_designs
 from diffsim.copter.effects import FlightEffects
+from diffsim.copter.fleet import Fleet
 from diffsim.copter.flight import Feedback, Flight, FlightError, fly
 from diffsim.copter.flight_state import FlightState
 from diffsim.copter.hover import Hover, hover, hover_thrusts
@@ -40,6 +41,7 @@ __all__ = [
     "Design",
     "DesignSpec",
     "Feedback",
+    "Fleet",
     "Flight",
     "FlightEffects",
     "FlightError",

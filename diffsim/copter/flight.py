@@ -12,6 +12,7 @@ from torch import Tensor
 from diffsim import _ops_flight
 from diffsim._check import require, require_number
 from diffsim.copter.effects import FlightEffects
+from diffsim.copter.fleet import Fleet
 from diffsim.copter.flight_state import FlightState
 from diffsim.copter.vehicle import GRAVITY, Multicopter
 from diffsim.errors import DiffsimError
@@ -65,7 +66,7 @@ class Flight:
 
 
 def fly(
-    vehicle: Multicopter | Sequence[Multicopter],
+    vehicle: Multicopter | Sequence[Multicopter] | Fleet,
     start: FlightState,
     commands: Tensor,
     *,
@@ -83,7 +84,8 @@ def fly(
     has no gradient to the command; at a bound the gradient is that of the inside.
 
     Args:
-        vehicle: One for all, or one per member of the batch with equal rotor counts.
+        vehicle: One for all, or one per member of the batch with equal rotor counts; many are
+            given faster as one ``Fleet``.
         start: Leading axis (batch or 1,).
         commands: Thrusts, (batch or 1, steps, n_rotors) [N].
         dt: Control period [s].
@@ -106,8 +108,8 @@ def fly(
         if count != int(count) or count < 1:
             raise ValueError(f"{name} must be a whole number >= 1, got {count}")
     effects = FlightEffects() if effects is None else effects
-    vehicles = [vehicle] if isinstance(vehicle, Multicopter) else list(vehicle)
-    n = _rotor_count(vehicles)
+    fleet = vehicle if isinstance(vehicle, Fleet) else _fleet(vehicle)
+    n = fleet.num_rotors
     require("commands", commands, ("batch", "steps", n))
     steps = commands.shape[1]
     inputs = {
@@ -116,7 +118,7 @@ def fly(
         "gain": commands.new_empty(0, 0, 0),
         "reference": commands.new_empty(0, 0, 0),
         "wind": commands.new_zeros(1, 1, 3) if effects.wind is None else _rows(effects.wind),
-        "parameters": _parameters(vehicles, effects, dt / substeps),
+        "parameters": _parameters(fleet, effects, dt / substeps),
     }
     if feedback is not None:
         gain = require("gain", feedback.gain, ("...", n, 12))
@@ -140,13 +142,14 @@ def fly(
     return Flight(state, dt * torch.arange(steps + 1, dtype=torch.float64))
 
 
-def _rotor_count(vehicles: Sequence[Multicopter]) -> int:
+def _fleet(vehicle: Multicopter | Sequence[Multicopter]) -> Fleet:
+    vehicles = [vehicle] if isinstance(vehicle, Multicopter) else list(vehicle)
     counts = sorted({v.num_rotors for v in vehicles})
     if len(counts) != 1:
         raise ValueError(f"vehicles of one flight need equal rotor counts, got {counts}")
     if counts[0] > _ops_flight.MAX_ROTORS:
         raise ValueError(f"flights take up to {_ops_flight.MAX_ROTORS} rotors, got {counts[0]}")
-    return counts[0]
+    return Fleet.of(vehicles)
 
 
 def _common(what: str, sizes: dict[str, int]) -> int:
@@ -187,13 +190,10 @@ def _start_rows(start: FlightState, commands: Tensor) -> Tensor:
     return require("start", row, ("batch", row.shape[1]))[:, None]
 
 
-def _parameters(vehicles: Sequence[Multicopter], effects: FlightEffects, dt: float) -> Tensor:
+def _parameters(fleet: Fleet, effects: FlightEffects, dt: float) -> Tensor:
     """Rows of the kernel's parameters, (batch or 1, 1, size)."""
-    n = vehicles[0].num_rotors
-    values: dict[str, Tensor] = {}
-    designs = [_design_row(v) for v in vehicles]
-    for name in designs[0]:
-        values[name] = torch.stack([design[name] for design in designs])
+    n = fleet.num_rotors
+    values = fleet.rows()
     for _, effect in effects.present():
         values |= effect.row(dt)
     pieces = []
@@ -212,21 +212,6 @@ def _parameters(vehicles: Sequence[Multicopter], effects: FlightEffects, dt: flo
         },
     )
     return torch.cat([piece.expand(batch, -1) for piece in pieces], dim=-1)[:, None]
-
-
-def _design_row(vehicle: Multicopter) -> dict[str, Tensor]:
-    return {
-        "inverse_mass": 1.0 / vehicle.mass[None],
-        "inertia": vehicle.inertia.flatten(),
-        "inertia_inverse": torch.linalg.inv(vehicle.inertia).flatten(),
-        "arms": vehicle.positions.flatten(),
-        "axes": vehicle.directions.flatten(),
-        "reactions": (
-            (vehicle.spins * vehicle.torque_ratios)[:, None] * vehicle.directions
-        ).flatten(),
-        "max_thrusts": vehicle.max_thrusts,
-        "radii": vehicle.radii,
-    }
 
 
 def _require_airborne(records: Tensor, effects: FlightEffects) -> None:

@@ -15,7 +15,8 @@ from diffsim.diagnose import Numerics, library
 from diffsim.diagnose.beds import actuator
 from diffsim.diagnose.beds.copter import effects as causes
 from diffsim.diagnose.beds.copter import flight_model, unknown_wrench
-from diffsim.diagnose.beds.copter.scene import Motion, fly_windows
+from diffsim.copter.fleet import Fleet
+from diffsim.diagnose.beds.copter.flying import Flyer, Motion
 from diffsim.diagnose.beds.copter.shooting import Shooting
 from diffsim.identify import Parameter
 from tests.diagnose.gate import score_error, typical
@@ -182,11 +183,12 @@ def straight_up(effect, at, thrust=1.2 * HOVER, steps=50, velocity=(0.0, 0.0, 0.
     x12 = tensor([[0, 0, 0, 0, 0, 0, *velocity, 0, 0, 0]]).clone()
     for place, value in start.items():
         x12[0, {"yaw": 5, "p": 9, "q": 10, "r": 11}[place]] = value
-    thrusts = scene.commands
+    # the thrusts of every sample, not of the one before
+    thrusts = torch.cat([scene.commands, scene.commands[:, -1:]], 1)
     for change in scene.command_maps:
         thrusts = change(thrusts, DT)
     with torch.no_grad():
-        return fly_windows([scene], x12[None], thrusts[None, None])[0, 0], run.time_s + DT
+        return Flyer(scene, 1).fly_thrusts(x12[None], thrusts[:, None, 1:])[0, 0], run.time_s + DT
 
 
 def test_wind_with_drag_is_the_closed_form():
@@ -242,9 +244,10 @@ def test_weak_rotor_centre_of_mass_and_curvature_push_as_levers_do():
     np.testing.assert_allclose(weak[0, 6:9] / DT, want, rtol=1e-3)
     heavy, _ = straight_up(causes.CentreOfMass(), size(0.003, 0.0), thrust=thrust, steps=5)
     np.testing.assert_allclose(heavy[0, 7] / DT, -0.003 * GRAVITY / 0.012, rtol=1e-6)
-    curved, _ = straight_up(causes.ThrustCurvature(), size(0.1), steps=5)
-    plain, _ = straight_up(causes.ThrustCurvature(), size(0.0), steps=5)
-    torch.testing.assert_close(curved, plain)  # at one load it is not there
+    curved, _ = straight_up(causes.ThrustCurvature(), size(0.1), thrust=HOVER, steps=5)
+    np.testing.assert_allclose(curved[:, 11], -GRAVITY, rtol=1e-12)  # in hover it is not there
+    loaded, _ = straight_up(causes.ThrustCurvature(), size(0.1), thrust=2 * HOVER, steps=5)
+    np.testing.assert_allclose(loaded[:, 11], -2 * GRAVITY * (1 + 0.1 * HOVER / 8.0), rtol=1e-12)
 
 
 def test_voltage_exponent_is_the_power_of_the_voltage():
@@ -285,12 +288,16 @@ def test_gyroscopic_torque_is_minus_rates_cross_spin():
     thrusts = size(2.0, 2.5, 1.0, 1.5)
 
     class Scene:
+        vehicle = Fleet.of([quadcopter()])
+        thrust_coefficient = 1e-5
+
         def with_schedule(self, change):
             return change
 
     change = causes.Gyroscopic().apply(Scene(), size(amount), None)
-    motion = Motion(vehicle, torch.zeros(3), torch.eye(3), rates)
-    more = change(motion, thrusts) - thrusts
+    still = torch.zeros(1, 1, 1, 3)
+    motion = Motion(Scene.vehicle, still, still, torch.eye(3)[None, None, None], rates + still)
+    more = (change(motion, thrusts[None, None, None]) - thrusts)[0, 0, 0]
     # seen from above (z down), spins +1 turns clockwise: about +z
     spin = amount * np.sum(np.sqrt(thrusts.numpy() / 1e-5) * np.array([1, 1, -1, -1]))
     want = -np.cross(rates.numpy(), [0.0, 0.0, spin])
@@ -313,13 +320,13 @@ def test_sensors_by_their_formulas():
     np.testing.assert_allclose(tilted[:, 10], plain[:, 10] + 0.02 * plain[:, 11], atol=1e-12)
 
 
-def test_ground_effect_is_that_of_cheeseman_and_bennett():
+def test_ground_effect_falls_with_the_square_of_the_height():
     class Near(causes.GroundEffectCause):
         def apply(self, scene, amount, run):
             return super().apply(scene.changed(terrain_height=-0.3), amount, run)
 
     channels, _ = straight_up(Near(), size(1.0), thrust=HOVER, steps=6)
-    gain = 1 / (1 - (0.12 / (4 * 0.3)) ** 2)
+    gain = 1 + (0.12 / (4 * 0.3)) ** 2
     np.testing.assert_allclose(channels[0, 11], -GRAVITY * gain, rtol=1e-4)
 
 
@@ -351,16 +358,16 @@ def test_weak_rotors_travel_between_processes():
 
 def test_profile_of_a_linear_model_is_ridge_regression():
     rng = np.random.default_rng(0)
-    tangent = tensor(rng.standard_normal((20, 12)))
+    tangent = tensor(rng.standard_normal((20, 16)))
     measured = tensor(rng.standard_normal((1, 20, 1)))
 
     def predict(start):
         return (start @ tangent.T)[..., None]
 
-    start = torch.zeros(1, 12, dtype=torch.float64)
+    start = torch.zeros(1, 16, dtype=torch.float64)
     shooting = Shooting.prepare(predict, start, measured, tensor([0.5]))
-    spread = np.array([0.3] * 3 + [0.2] * 3 + [1.0] * 6)
+    spread = np.array([0.3] * 3 + [0.2] * 3 + [1.0] * 10)
     normal = 4 * tangent.T.numpy() @ tangent.numpy() + np.diag(spread**-2)
     best = np.linalg.solve(normal, 4 * tangent.T.numpy() @ measured[0, :, 0].numpy())
-    found = shooting.profile(predict, 1)[0, 0, :, 0]
+    found = shooting.profile(predict)[0, :, 0]
     np.testing.assert_allclose(found, tangent.numpy() @ best, atol=1e-9)

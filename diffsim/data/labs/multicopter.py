@@ -4,8 +4,8 @@ World frame NED, body frame forward-right-down, quaternion (w, x, y, z) world fr
 by the classical Runge-Kutta method at 2 ms on a plain numpy state; rotor commands are held for
 10 ms. The flight controller sees the true state and knows the nominal vehicle only, so that it
 flies with whatever effect is hidden; the study has the rotor commands that came out. As in any
-flight with feedback, the commands of two flights of one manoeuvre differ: every flight is its own
-command group, the number of the manoeuvre is in ``setup``.
+flight with feedback, the commands of two flights of one manoeuvre differ a little; they are one
+group all the same, for what a model leaves of them is comparable.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ ARM_M, MAX_THRUST_N, RADIUS_M, TORQUE_RATIO_M = 0.20, 8.0, 0.127, 0.0147
 ROTORS_M = ARM_M * np.array([[1.0, 1, 0], [1, -1, 0], [-1, -1, 0], [-1, 1, 0]]) / np.sqrt(2.0)
 SPINS = np.array([1.0, -1.0, 1.0, -1.0])  # +1: reaction torque along the thrust (upwards)
 FULL_V = 12.4
+SPEED_PER_ROOT = 284.0  # rotor speed over the root of its thrust [rad/s / N^0.5]
 
 _SENSORS = (
     *((f"{axis}_m", "m", "position", 1e-3) for axis in ("north", "east", "down")),
@@ -58,9 +59,9 @@ class CopterLab(Lab):
         "voltage_exponent": LabEffect("-", 1.0, "thrust times (voltage / 12.4 V)^size"),
         "weak_rotor": LabEffect("-", 0.05, "thrust of one rotor times 1 - size", 4),
         "centre_of_mass": LabEffect("m", 0.005, "forward and right of where it should be", 2),
-        "ground_effect": LabEffect("-", 1.0, "thrust times 1 + size (R / 4 z)^2"),
+        "ground_effect": LabEffect("-", 1.0, "thrust of a rotor times 1 + size (R / 4 z)^2"),
         "inflow": LabEffect("s/m", 0.03, "thrust times 1 - size (climb speed along the axis)"),
-        "thrust_curvature": LabEffect("-", 0.1, "thrust times 1 + size (u - 3.4 N) / 8 N"),
+        "thrust_curvature": LabEffect("-", 0.1, "thrust u times 1 + size (u - 3.4 N) / 8 N"),
         "gyroscopic": LabEffect("kg m^2", 4e-5, "spin momentum of rotors, speed ~ sqrt(thrust)"),
         "lag": LabEffect("s", 0.03, "first-order lag of the thrust"),
         "delay": LabEffect("s", 0.02, "thrust late by a dead time"),
@@ -70,11 +71,20 @@ class CopterLab(Lab):
         "updraught": LabEffect("N", 0.8, "lift above a place, 0.5 m wide", outside=True),
     }
 
+    def __init__(self, turns: bool = True):
+        """A laboratory.
+
+        Args:
+            turns: Whether manoeuvres turn about the yaw axis; without, what is fixed in the world
+                and what is fixed in the body look alike.
+        """
+        self.turns = turns
+
     def plans(self, rng: np.random.Generator) -> list[Plan]:
         t = np.arange(round(RATE_HZ * DURATION_S)) / RATE_HZ
         fit = ("hover_yaw", "sprint", "climb")
         return [
-            Plan(f"{name}_{flight}", f"{name}_{flight}", "fit", t, {}, _setup(name))
+            Plan(f"{name}_{flight}", name, "fit", t, {}, _setup(name))
             for flight in "ab"
             for name in fit
         ] + [Plan("figure_eight", "figure_eight", "holdout", t, {}, _setup("figure_eight"))]
@@ -88,13 +98,17 @@ class CopterLab(Lab):
     def measure(self, plan: Plan, truth: dict[str, Any]) -> tuple[Array, dict[str, Array]]:
         """What cameras and inertial sensors read, and the thrusts that were commanded."""
         name = list(MANOEUVRES)[int(plan.setup["manoeuvre"])]
-        rows, commands = _Flight(truth, MANOEUVRES[name]).run(plan.time_s)
+        rows, commands = _Flight(truth, self._path(name)).run(plan.time_s)
         rows[:, 3:6] += truth["nuisances"]["camera_to_body_rad"]
         rows[:, 6:9] += vector_of(truth, "gyro_offset", 3)
         rows[:, 9:12] *= 1.0 + size_of(truth, "accelerometer_scale")
         rows[:, 9:12] += truth["nuisances"]["accelerometer_offset_m_s2"]
         recorded = {f"command_{i}_N": commands[:, i] for i in range(4)}
         return rows, {**recorded, "voltage_V": _voltage(plan.time_s)}
+
+    def _path(self, name: str) -> Path:
+        path = MANOEUVRES[name]
+        return path if self.turns else lambda t: (path(t)[0], 0.0)
 
     def facts(self) -> dict[str, Any]:
         return {
@@ -107,6 +121,7 @@ class CopterLab(Lab):
                 "radii_m": np.full(4, RADIUS_M),
                 "max_thrusts_N": np.full(4, MAX_THRUST_N),
             },
+            "thrust_coefficient_N_s2": SPEED_PER_ROOT**-2,
             "gravity_m_s2": GRAVITY,
             "command": "thrusts held from one sample to the next",
             "accelerometer": "specific force in the body frame, mean over the sample before",
@@ -189,8 +204,10 @@ class _Flight:
         force = rot @ (self.axis * u.sum()) + self._air(v, rot, x[0:3])
         torque = cross(self.arms.T @ u, self.axis)
         torque += self.torque_ratio * float(SPINS @ u) * self.axis
-        spin = size_of(self.truth, "gyroscopic") * float(-SPINS @ np.sqrt(np.maximum(u, 0.0)))
-        momentum = self.inertia * w + np.array([0.0, 0.0, spin * 284.0])
+        # a rotor that is turned one way turns its body the other: reaction up, spin down (+z)
+        speeds = SPEED_PER_ROOT * np.sqrt(np.maximum(u, 0.0))
+        spin = size_of(self.truth, "gyroscopic") * float(SPINS @ speeds)
+        momentum = self.inertia * w + np.array([0.0, 0.0, spin])
         out = np.zeros(17)
         out[0:3] = v
         out[3:7] = 0.5 * product(x[3:7], np.array([0.0, *w]))
@@ -209,7 +226,7 @@ class _Flight:
         u = u * (1.0 + size_of(truth, "thrust_curvature") * (u - 3.4) / MAX_THRUST_N)
         u = u * float(_voltage(np.array(t)) / FULL_V) ** size_of(truth, "voltage_exponent")
         u = u * (1.0 - size_of(truth, "inflow") * -float(rot[:, 2] @ x[7:10]))
-        height = max(-float(x[2]), RADIUS_M)
+        height = np.maximum(-x[2] - self.arms @ rot[2], RADIUS_M)
         return u * (1.0 + size_of(truth, "ground_effect") * (RADIUS_M / (4.0 * height)) ** 2)
 
     def _air(self, v: Array, rot: Array, place: Array) -> Array:

@@ -55,7 +55,7 @@ class HeldLag(Lag):
     """First-order lag with the time constant size, of a command that is held over each step."""
 
     def apply(self, scene: Commanded, size: Tensor, run: Run) -> Any:
-        return scene.with_command(lambda u, dt: signals.held_lagged(u, dt, size[0]))
+        return scene.with_command(lambda u, dt: signals.held_lagged(u, dt, size[..., 0]))
 
 
 class HeldDelay(CommandDelay):
@@ -64,7 +64,7 @@ class HeldDelay(CommandDelay):
     signed = False
 
     def apply(self, scene: Commanded, size: Tensor, run: Run) -> Any:
-        return scene.with_command(lambda u, dt: signals.held_delayed(u, dt, size[0]))
+        return scene.with_command(lambda u, dt: signals.held_delayed(u, dt, size[..., 0]))
 
 
 class DeadBand(ActuatorEffect):

@@ -1,11 +1,10 @@
 """What may happen to a sampled signal on its way: differentiable, and the identity at size 0.
 
-Signals are (num_samples, width) at evenly spaced times.
+Signals are (num_samples, width) at evenly spaced times; those of held commands may have leading
+axes.
 """
 
 from __future__ import annotations
-
-from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -106,27 +105,45 @@ def lagged(u: Tensor, dt: float, time_constant: Tensor) -> Tensor:
 
 
 def held_lagged(u: Tensor, dt: float, time_constant: Tensor) -> Tensor:
-    """First-order lag of a command that is held over each step: mean over the step, (n, width).
+    """First-order lag of a command that is held over each step: mean over the step.
 
     With y the lagged value at the step's start, the mean is u + (y - u) (tau / dt) (1 - D),
     D = exp(-dt / tau); at first y = u.
+
+    Args:
+        u: (..., num_samples, width).
+        dt: [s].
+        time_constant: tau, () or of the leading axes of u [s].
     """
-    decay = torch.exp(-dt / time_constant.clamp(min=_SHORTEST_LAG * dt))
-    share = time_constant / dt * (1.0 - decay)
-    error, out = torch.zeros_like(u[0]), [u[0]]
-    for before, now in pairwise(u):
-        error = error * decay + before - now
-        out.append(now + error * share)
-    return torch.stack(out)
+    decay = torch.exp(-dt / time_constant.clamp(min=_SHORTEST_LAG * dt))[..., None]
+    share = (time_constant / dt)[..., None] * (1.0 - decay)
+    error, out = torch.zeros_like(u[..., 0, :]), [torch.zeros_like(u[..., 0, :])]
+    for fall in (-u.diff(dim=-2)).unbind(-2):
+        error = error * decay + fall
+        out.append(error)
+    return u + torch.stack(torch.broadcast_tensors(*out), -2) * share[..., None]
 
 
 def held_delayed(u: Tensor, dt: float, delay: Tensor) -> Tensor:
-    """A command that is held over each step, late by ``delay`` >= 0: mean over the step."""
-    last = u.shape[0] - 1
-    place = (torch.arange(last + 1, dtype=u.dtype) - delay / dt).clamp(0.0, float(last))
+    """A command that is held over each step, late by ``delay`` >= 0: mean over the step.
+
+    Args:
+        u: (..., num_samples, width).
+        dt: [s].
+        delay: () or of the leading axes of u [s].
+    """
+    last = u.shape[-2] - 1
+    steps = torch.arange(last + 1, dtype=u.dtype)
+    place = (steps - (delay / dt)[..., None]).clamp(0.0, float(last))
     right = place.detach().ceil().long()
     left = (right - 1).clamp(min=0)
-    return u[right] - (right - place)[:, None] * (u[right] - u[left])
+    lead = torch.broadcast_shapes(u.shape[:-2], place.shape[:-1])
+
+    def at(index: Tensor) -> Tensor:
+        wide = index[..., None].expand(*lead, last + 1, u.shape[-1])
+        return u.expand(*lead, *u.shape[-2:]).gather(-2, wide)
+
+    return at(right) - (right - place)[..., None] * (at(right) - at(left))
 
 
 def dead_band(u: Tensor, half_width: Tensor) -> Tensor:

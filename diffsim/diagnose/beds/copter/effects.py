@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from diffsim.copter.effects import BodyDrag, GroundEffect, RotorDrag
-from diffsim.copter.vehicle import Multicopter
+from diffsim.copter.effects import BodyDrag, RotorDrag
+from diffsim.copter.fleet import Fleet
+from diffsim.copter.vehicle import GRAVITY
 from diffsim.data.study import Run, Study
-from diffsim.diagnose.beds.copter.scene import CopterScene, Motion
+from diffsim.diagnose.beds.copter.flying import Motion, by_rotor
+from diffsim.diagnose.beds.copter.scene import CopterScene, amount, vector
 from diffsim.diagnose.effect import Effect
 
 _VOLTAGE = "voltage_V"
-_THRUST_COEFFICIENT = 1e-5  # of a small propeller, where a design states none [N s^2]
 _WAKE_SPEED = 3.0  # forward speed at which half of the wake's loss is there [m/s]
+_LEAST_HEIGHT = 0.5  # of a hub above the ground, in radii
 
 
 class RotorDragEffect(Effect):
@@ -29,7 +30,7 @@ class RotorDragEffect(Effect):
 
     def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
         base = scene.flight_effects.rotor_drag
-        total = size[0] if base is None else base.coefficient + size[0]
+        total = amount(size, 0) if base is None else base.coefficient + amount(size, 0)
         return scene.with_flight_effect("rotor_drag", RotorDrag(coefficient=total))
 
 
@@ -45,7 +46,7 @@ class ParasiticDrag(Effect):
             v = motion.velocity
             # smooth at rest, where the root alone is not
             speed = ((v * v).sum(-1, keepdim=True) + 1e-12).sqrt()
-            return -size[0] * speed * v
+            return -amount(size, 3) * speed * v
 
         return scene.with_air(drag)
 
@@ -58,7 +59,12 @@ class LinearDrag(Effect):
     also_looks_like = ("rotor drag at equal thrust", "parasitic drag at one speed")
 
     def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
-        return _with_drag(scene, size * size.new_tensor([1.0, 1.0, 0.0]), size.new_zeros(3))
+        linear = amount(size, 1) * size.new_tensor([1.0, 1.0, 0.0])
+        base = scene.flight_effects.body_drag
+        quadratic = torch.zeros_like(linear)
+        if base is not None:
+            linear, quadratic = base.linear + linear, base.quadratic + quadratic
+        return scene.with_flight_effect("body_drag", BodyDrag(linear=linear, quadratic=quadratic))
 
 
 class Inflow(Effect):
@@ -73,8 +79,8 @@ class Inflow(Effect):
 
     def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
         def loss(motion: Motion, thrusts: Tensor) -> Tensor:
-            climb = motion.body_velocity @ motion.vehicle.directions.T
-            return thrusts * (1.0 - size[0] * climb)
+            climb = by_rotor(motion.body_velocity, motion.vehicle.directions)
+            return thrusts * (1.0 - amount(size, 3) * climb)
 
         return scene.with_schedule(loss)
 
@@ -96,22 +102,28 @@ class Wake(Effect):
             square = (across * across).sum(-1, keepdim=True)
             # v v_rear / (v^2 + v_h^2) without the direction of a vehicle at rest
             speed = (square + 1e-12).sqrt()
-            rear = -(across @ motion.vehicle.positions[:, :2].T)
-            rear = rear / motion.vehicle.positions[:, :2].norm(dim=-1).max()
+            hubs = motion.vehicle.positions[..., :2]
+            rear = by_rotor(-across, hubs / hubs.norm(dim=-1).amax(-1)[:, None, None])
             share = rear.clamp(min=0.0) * speed / (square + _WAKE_SPEED**2)
-            return thrusts * (1.0 - size[0] * share)
+            return thrusts * (1.0 - amount(size, 3) * share)
 
         return scene.with_schedule(loss)
 
 
 class Gyroscopic(Effect):
-    """Torque -w x sum_i size W_i a_i of spinning rotors: size their inertia, W_i a_i their spin.
+    """Torque -w x h of spinning rotors, h = sum_i size W_i s_i: size their inertia about the shaft.
+
+    The angular momentum of vehicle and rotors is J w + h in the body frame, which turns with w:
+    its change J w' + w x (J w + h) is the torque from outside (h' is left out), so that rotors add
+    -w x h. A rotor whose reaction on the vehicle is along its thrust (spins +1) turns the other
+    way, s_i = -spins_i thrust direction: about +z, clockwise from above, if its thrust is upwards.
+    W_i = sqrt(thrust / thrust coefficient).
 
     Given to the vehicle through the thrusts that have this torque and no lift, which is exact up to
-    forces across for level rotors. W_i = sqrt(thrust / 1e-5 N s^2).
+    forces across for level rotors.
     """
 
-    name, family, kind, unit, typical = "gyroscopic", "torque", "force", "kg m^2", 1e-5
+    name, family, kind, unit, typical = "gyroscopic", "torque", "force", "kg m^2", 3e-5
     signed = False
     also_looks_like = ("products of inertia",)
 
@@ -121,29 +133,24 @@ class Gyroscopic(Effect):
         return None
 
     def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+        allocation = torque_allocation(scene.vehicle)
+
         def torque(motion: Motion, thrusts: Tensor) -> Tensor:
             vehicle = motion.vehicle
-            speed = (thrusts.clamp(min=1e-9) / _THRUST_COEFFICIENT).sqrt()
-            # the reaction on the vehicle is along +thrust where spins is +1: the rotor turns
-            # the other way about it
-            spin = -(speed * vehicle.spins) @ vehicle.directions
-            turning = -torch.linalg.cross(motion.body_rates, size[0] * spin)
-            return thrusts + turning @ torque_allocation(vehicle).T
+            speed = (thrusts.clamp(min=1e-9) / scene.thrust_coefficient).sqrt()
+            shafts = -vehicle.spins[..., None] * vehicle.directions
+            momentum = amount(size, 3) * (speed @ shafts[:, None])
+            rates, momentum = torch.broadcast_tensors(motion.body_rates, momentum)
+            return thrusts + by_rotor(-torch.linalg.cross(rates, momentum), allocation)
 
         return scene.with_schedule(torque)
 
 
-def torque_allocation(vehicle: Multicopter) -> Tensor:
-    """(n_rotors, 3): thrusts of least size with a given torque and no force along z."""
-    wrench = torch.cat([vehicle.force_matrix[2:], vehicle.torque_matrix])
-    return torch.linalg.pinv(wrench)[:, 1:]
-
-
-def _with_drag(scene: CopterScene, linear: Tensor, quadratic: Tensor) -> CopterScene:
-    base = scene.flight_effects.body_drag
-    if base is not None:
-        linear, quadratic = base.linear + linear, base.quadratic + quadratic
-    return scene.with_flight_effect("body_drag", BodyDrag(linear=linear, quadratic=quadratic))
+def torque_allocation(vehicle: Fleet) -> Tensor:
+    """(points, n_rotors, 3): thrusts of least size with a given torque and no force along z."""
+    lift, torque = torch.broadcast_tensors(vehicle.directions[..., 2:], vehicle.torque_matrix.mT)
+    wrench = torch.cat([lift[..., :1], torque], -1)
+    return torch.linalg.pinv(wrench.mT)[..., 1:]
 
 
 class Wind(Effect):
@@ -154,7 +161,7 @@ class Wind(Effect):
     also_looks_like = ("tether", "body tilt at fixed yaw")
 
     def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
-        return scene.changed(world_force=scene.world_force + torch.cat([size, size.new_zeros(1)]))
+        return scene.changed(world_force=scene.world_force + vector(size)[:, None])
 
 
 class BodyTilt(Effect):
@@ -165,9 +172,8 @@ class BodyTilt(Effect):
     also_looks_like = ("tilted attitude sensor", "wind at fixed yaw")
 
     def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
-        axis = torch.cat([size, size.new_zeros(1)])
-        d = scene.vehicle.directions
-        turned = d + torch.linalg.cross(axis.expand_as(d), d)
+        axis, d = torch.broadcast_tensors(vector(size)[:, None], scene.vehicle.directions)
+        turned = d + torch.linalg.cross(axis, d)
         turned = turned / turned.norm(dim=-1, keepdim=True)
         return scene.changed(vehicle=scene.vehicle.replace(directions=turned))
 
@@ -180,8 +186,8 @@ class CentreOfMass(Effect):
     also_looks_like = ("one weak rotor without yaw data", "trim of the speed controllers")
 
     def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
-        shift = torch.cat([size, size.new_zeros(1)])
-        vehicle = scene.vehicle.replace(positions=scene.vehicle.positions - shift)
+        shifted = scene.vehicle.positions - vector(size)[:, None]
+        vehicle = scene.vehicle.replace(positions=shifted)
         return scene.changed(vehicle=vehicle)
 
 
@@ -195,7 +201,7 @@ class WeakRotor(Effect):
     def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
         share = torch.zeros(scene.vehicle.num_rotors, dtype=size.dtype)
         share[self.index] = 1.0
-        return scene.with_command(lambda u, dt: u * (1.0 - size[0] * share))
+        return scene.with_command(lambda u, dt: u * (1.0 - amount(size, 2) * share))
 
     def __reduce__(self) -> tuple[Callable[[int], WeakRotor], tuple[int]]:
         return weak_rotor, (self.index,)  # its class has no name that another process could find
@@ -221,29 +227,29 @@ class VoltageExponent(Effect):
     def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
         if _VOLTAGE not in run.command:
             raise ValueError(f"run {run.name}: voltage_exponent needs the command {_VOLTAGE}")
-        voltage = torch.as_tensor(run.command[_VOLTAGE], dtype=torch.float64)[:, None]
-        return scene.with_command(lambda u, dt: u * (voltage / voltage[0]) ** size[0])
+        voltage = torch.as_tensor(run.command[_VOLTAGE], dtype=torch.float64)
+        share = torch.cat([voltage[:1], voltage])[:, None] / voltage[0]  # before the record, too
+        return scene.with_command(lambda u, dt: u * share ** amount(size, 2))
 
 
 class ThrustCurvature(Effect):
-    """Thrust u_0 (u / u_0)^(1 + size), u_0 the mean command of the rotor."""
+    """Thrust u (1 + size (u - u_0) / u_max) instead of u; u_0 what the rotors need in hover."""
 
     name, family, kind, unit, typical = "thrust_curvature", "thrust", "actuator", "-", 0.1
     also_looks_like = ("thrust gain at one load", "wrong exponent of the speed controller")
 
     def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
-        def curved(u: Tensor, dt: float) -> Tensor:
-            mean = u.mean(0)
-            share = (u / mean).clamp(min=1e-6)
-            return torch.where(u > 0.0, mean * share ** (1.0 + size[0]), u)
-
-        return scene.with_command(curved)
+        vehicle = scene.vehicle
+        hover = vehicle.mass[:, None, None] * GRAVITY / vehicle.num_rotors
+        largest = vehicle.max_thrusts[:, None]
+        return scene.with_command(lambda u, dt: u * (1.0 + amount(size, 2) * (u - hover) / largest))
 
 
 class GroundEffectCause(Effect):
-    """Thrust times 1 / (1 - size (radius / 4 height)^2) above level ground.
+    """Thrust times 1 + size (radius / 4 height)^2 of each hub above level ground.
 
-    The ground is at the height ``setup["terrain_height_m"]`` of the run, 0 by default.
+    To first order that of Cheeseman and Bennett (1955), 1 / (1 - (radius / 4 height)^2). The ground
+    is at the height ``setup["terrain_height_m"]`` of the run, 0 by default.
     """
 
     name, family, kind, unit, typical = "ground_effect", "thrust", "environment", "-", 1.0
@@ -251,13 +257,14 @@ class GroundEffectCause(Effect):
     also_looks_like = ("thrust gain at one height",)
 
     def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
-        height = torch.tensor(scene.terrain_height, dtype=size.dtype)
-        base = scene.flight_effects.ground_effect
-        if base is None:
-            new = GroundEffect(coefficient=size[0], terrain_height=height)
-        else:
-            new = replace(base, coefficient=base.coefficient + size[0])
-        return scene.with_flight_effect("ground_effect", new)
+        def cushion(motion: Motion, thrusts: Tensor) -> Tensor:
+            vehicle = motion.vehicle
+            radius = vehicle.radii[:, None, None]
+            down = motion.position[..., 2:] + by_rotor(motion.rotation[..., 2, :], vehicle.positions)
+            height = (-down - scene.terrain_height).maximum(_LEAST_HEIGHT * radius)
+            return thrusts * (1.0 + amount(size, 3) * (radius / (4.0 * height)) ** 2)
+
+        return scene.with_schedule(cushion)
 
 
 class MarkerPlacement(Effect):
@@ -268,7 +275,7 @@ class MarkerPlacement(Effect):
     also_looks_like = ("body origin of the capture system",)
 
     def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
-        return scene.changed(marker=scene.marker + size)
+        return scene.changed(marker=scene.marker + vector(size))
 
 
 class ImuTilt(Effect):
@@ -279,7 +286,7 @@ class ImuTilt(Effect):
     also_looks_like = ("body tilt, if only the accelerometer is seen",)
 
     def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
-        return scene.changed(imu_tilt=scene.imu_tilt + size)
+        return scene.changed(imu_tilt=scene.imu_tilt + vector(size))
 
 
 class PositionScale(Effect):
@@ -289,7 +296,7 @@ class PositionScale(Effect):
     also_looks_like = ("thrust gain and mass in vertical flight",)
 
     def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
-        return scene.changed(position_scale=scene.position_scale * (1.0 + size[0]))
+        return scene.changed(position_scale=scene.position_scale * (1.0 + amount(size, 0)))
 
 
 class AccelerometerScale(Effect):
@@ -299,7 +306,8 @@ class AccelerometerScale(Effect):
     also_looks_like = ("mass with the thrust gain",)
 
     def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
-        return scene.changed(accelerometer_scale=scene.accelerometer_scale * (1.0 + size[0]))
+        scale = scene.accelerometer_scale * (1.0 + amount(size, 0))
+        return scene.changed(accelerometer_scale=scale)
 
 
 class GyroOffset(Effect):
@@ -310,7 +318,7 @@ class GyroOffset(Effect):
     also_looks_like = ("warming gyro",)
 
     def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
-        return scene.changed(body_rates_offset=scene.body_rates_offset + size)
+        return scene.changed(body_rates_offset=scene.body_rates_offset + vector(size))
 
 
 COPTER: tuple[Callable[[], Effect], ...] = (

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -11,17 +12,13 @@ from torch import Tensor
 
 from diffsim._check import require_choice
 from diffsim.copter import Multicopter
-from diffsim.diagnose.beds.copter.scene import (
-    SENSORS,
-    CopterScene,
-    fly_windows,
-    simulate_many,
-    steps_of,
-    windowed,
-)
+from diffsim.copter.fleet import Fleet
+from diffsim.diagnose.beds.copter.flying import Flyer, windowed
+from diffsim.diagnose.beds.copter.scene import SENSORS, CopterScene
 from diffsim.diagnose.beds.copter.shooting import Shooting, filled, guess_states
 from diffsim.diagnose.beds.signals import held_lagged
-from diffsim.diagnose.model import Build, Numerics, SimModel
+from diffsim.diagnose.effect import Effect
+from diffsim.diagnose.model import Numerics, SimModel
 from diffsim.identify import Parameter
 
 if TYPE_CHECKING:
@@ -57,17 +54,48 @@ def flight_nuisances(
 # Noise of a channel while nothing better is known: motion capture and a small inertial unit.
 SENSOR_SD = {"position": 2e-3, "attitude": 5e-3, "body_rates": 1e-2, "accelerometer": 0.1}
 _UNEVEN = 1e-3  # of the mean step
+_PREPARATIONS = 2
+THRUST_COEFFICIENT = 1e-5  # of a small propeller, where a design states none [N s^2]
 
 
 class CopterModel(SimModel):
-    """A model that flies many parameter points as one batch."""
+    """A model that flies many parameter points as one batch.
 
-    def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
-        """All flights in one call of the kernel."""
-        for scene in scenes:
-            if not isinstance(scene, CopterScene):
-                raise TypeError(f"build must make a CopterScene, got {type(scene).__name__}")
-        return simulate_many(scenes)
+    Args:
+        flights: Makes the scenes.
+        base: Base parameters.
+    """
+
+    def __init__(self, flights: Flights, base: Sequence[Parameter]):
+        super().__init__(flights, base, "multicopter")
+        self.flights = flights
+
+    def predict_many(
+        self,
+        run: Run,
+        q: Tensor,
+        sizes: Mapping[Effect, Tensor] | None = None,
+        numerics: Numerics | None = None,
+    ) -> Tensor:
+        """Points with the same effects in one batch: what is absent costs nothing."""
+        sizes = sizes or {}
+        present = torch.stack(
+            [torch.zeros(len(q), dtype=torch.bool), *((s != 0.0).any(1) for s in sizes.values())], 1
+        )
+        kinds, kind = torch.unique(present, dim=0, return_inverse=True)
+        out = q.new_empty(len(q), *run.measured.shape)
+        for k, row in enumerate(kinds[:, 1:]):
+            mine = torch.nonzero(kind == k)[:, 0]
+            there = {e: s[mine] for (e, s), on in zip(sizes.items(), row, strict=True) if on}
+            scene = self.scene(run, q[mine], there, numerics)
+            assert isinstance(scene, CopterScene)
+            out[mine] = scene.simulate_many(len(mine))
+        return out
+
+    def prepared_at(self, q: Tensor) -> CopterModel:
+        """With initial states and their tangents from these base parameters."""
+        values = {p.name: p.value_at(q[i : i + 1]).detach() for i, p in enumerate(self.base)}
+        return CopterModel(replace(self.flights, at=values, known={}), self.base)
 
 
 def flight_model(
@@ -79,12 +107,14 @@ def flight_model(
     window_s: float = 1.0,
     substeps: int = 2,
     base: Sequence[Parameter] = FLIGHT_BASE,
+    thrust_coefficient: float = THRUST_COEFFICIENT,
 ) -> CopterModel:
     """Flights of one vehicle under its recorded thrust commands.
 
     A run is cut into windows; the initial state of each is fitted away, so no parameter is needed
     for it (:class:`~diffsim.diagnose.beds.copter.shooting.Shooting`). Channels must come in the
-    groups of ``sensors``, three columns each, NED; yaw must be free of jumps.
+    groups of ``sensors``, three columns each, NED; yaw must be free of jumps. A run's set-up may
+    have a ``payload_kg`` at the centre of mass and a ``terrain_height_m``.
 
     Args:
         vehicle: As designed.
@@ -97,6 +127,7 @@ def flight_model(
         base: Any of thrust_gain, torque_gain (reaction torque), inertia_gain, mass_gain [-] and
             motor_time_constant [s]; without the last, motors follow at once. Nuisances as
             ``flight_nuisances`` makes them.
+        thrust_coefficient: Thrust over the square of a rotor's speed [N s^2].
     """
     groups = tuple(require_choice("sensors", s, SENSORS) for s in sensors)
     if not {"position", "attitude"} <= set(groups):
@@ -109,92 +140,131 @@ def flight_model(
         if not parameter.name.startswith("thrust_gain@"):
             require_choice("base", parameter.name, BASE_NAMES)
     sd_of = SENSOR_SD | dict(sensor_sd or {})
-    sd = torch.tensor([sd_of[g] for g in groups for _ in range(3)], dtype=torch.float64)
-    prior = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in base}
-    prepared: dict[Run, Shooting] = {}
+    flights = Flights(
+        vehicle=Fleet.of([vehicle]),
+        commands=tuple(commands),
+        sensors=groups,
+        sd=torch.tensor([sd_of[g] for g in groups for _ in range(3)], dtype=torch.float64),
+        window_s=window_s,
+        substeps=substeps,
+        thrust_coefficient=thrust_coefficient,
+        at={p.name: torch.tensor([p.value], dtype=torch.float64) for p in base},
+    )
+    return CopterModel(flights, tuple(base))
 
-    def scene(
-        values: Mapping[str, Tensor], run: Run, factor: float, shooting: Shooting
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Flights:
+    """Makes the scene of a run at values of the base parameters, () or (points,) each.
+
+    Attributes:
+        vehicle: As designed, one.
+        commands: Names of the runs' commands.
+        sensors: Groups of channels.
+        sd: Noise of the channels, (num_channels,).
+        window_s: [s].
+        substeps: Integration steps per sample.
+        thrust_coefficient: [N s^2].
+        at: Values at which initial states and their tangents are prepared, (1,) each.
+        known: Windows of runs that were prepared.
+    """
+
+    vehicle: Fleet
+    commands: tuple[str, ...]
+    sensors: tuple[str, ...]
+    sd: Tensor
+    window_s: float
+    substeps: int
+    thrust_coefficient: float
+    at: Mapping[str, Tensor]
+    known: dict[Run, Shooting] = field(default_factory=dict)
+
+    def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> CopterScene:
+        if run not in self.known:
+            self.known[run] = self._prepared(run)
+        return self._scene(values, run, numerics.time_step, self.known[run])
+
+    def _scene(
+        self, values: Mapping[str, Tensor], run: Run, factor: float, shooting: Shooting
     ) -> CopterScene:
-        unit = torch.ones((), dtype=torch.float64)
-        result = CopterScene(
-            vehicle=vehicle.replace(
-                mass=vehicle.mass * values.get("mass_gain", unit),
-                inertia=vehicle.inertia * values.get("inertia_gain", unit),
-                torque_ratios=vehicle.torque_ratios * values.get("torque_gain", unit),
+        def of(name: str) -> Tensor:
+            return values[name].reshape(-1) if name in values else self.sd.new_ones(1)
+
+        gain = (of("thrust_gain") * of(f"thrust_gain@{run.name}"))[:, None, None]
+        limits = self.vehicle.max_thrusts[:, None]
+        scene = CopterScene(
+            vehicle=self.vehicle.replace(
+                mass=self.vehicle.mass * of("mass_gain") + float(run.setup.get("payload_kg", 0.0)),
+                inertia=self.vehicle.inertia * of("inertia_gain")[:, None, None],
+                torque_ratios=self.vehicle.torque_ratios * of("torque_gain")[:, None],
             ),
-            commands=_columns(run, commands)
-            * values.get("thrust_gain", unit)
-            * values.get(f"thrust_gain@{run.name}", unit),
+            commands=_columns(run, self.commands).clamp(min=0.0).minimum(limits) * gain,
             attitude_offset=_vector(values, "attitude_offset"),
             body_rates_offset=_vector(values, "body_rates_offset"),
             accelerometer_offset=_vector(values, "accelerometer_offset"),
             dt=_spacing(run),
-            sensors=groups,
+            sensors=self.sensors,
             shooting=shooting,
-            substeps=max(1, round(substeps / factor)),
+            substeps=max(1, round(self.substeps / factor)),
             terrain_height=float(run.setup.get("terrain_height_m", 0.0)),
+            thrust_coefficient=self.thrust_coefficient,
         )
         if "motor_time_constant" in values:
-            tau = values["motor_time_constant"]
-            result = result.with_command(lambda u, dt: held_lagged(u, dt, tau))
-        return result
+            tau = of("motor_time_constant")
+            scene = scene.with_command(lambda u, dt: held_lagged(u, dt, tau))
+        return scene
 
-    def shooting_of(run: Run) -> Shooting:
-        if run not in prepared:
-            prepared[run] = prepare(run)
-        return prepared[run]
-
-    def prepare(run: Run) -> Shooting:
+    def _prepared(self, run: Run) -> Shooting:
+        """Tangents at the first guess, and again at the best initial states from there."""
         measured = torch.as_tensor(np.asarray(run.measured), dtype=torch.float64)
-        if measured.shape[1] != len(sd):
+        if measured.shape[1] != len(self.sd):
             raise ValueError(
-                f"run {run.name} has {measured.shape[1]} channels, the sensors {list(groups)} need "
-                f"{len(sd)}"
+                f"run {run.name} has {measured.shape[1]} channels, the sensors "
+                f"{list(self.sensors)} need {len(self.sd)}"
             )
         dt = _spacing(run)
-        length = min(max(5, round(window_s / dt)), len(measured))
+        length = min(max(5, round(self.window_s / dt)), len(measured))
         windows = -(-len(measured) // length)
+        record = torch.full((1, windows * length, len(self.sd)), np.nan, dtype=torch.float64)
+        record[0, : len(measured)] = measured
+        record = windowed(record, windows, length)[0]
+        start = self._guess(run, measured, windows, length, dt)
+        empty = Shooting(start, record, measured[:0], measured[:0])
+        for _ in range(_PREPARATIONS):
+            scene = self._scene(self.at, run, 1.0, empty)
+            found = Shooting.prepare(
+                lambda moved, scene=scene: Flyer(scene, len(moved))(moved), start, record, self.sd
+            )
+            with torch.no_grad():
+                start = found.best(Flyer(scene, 1))
+        return found
+
+    def _guess(self, run: Run, measured: Tensor, windows: int, length: int, dt: float) -> Tensor:
+        """(num_windows, 12 + n_rotors); windows start one sample early, for the accelerometer shows
+        the mean over the step before."""
         whole = filled(measured)
-        by_group = {g: whole[:, 3 * i : 3 * i + 3] for i, g in enumerate(groups)}
+        groups = {g: whole[:, 3 * i : 3 * i + 3] for i, g in enumerate(self.sensors)}
         states = guess_states(
-            by_group["position"], by_group["attitude"], by_group.get("body_rates"), dt
+            groups["position"], groups["attitude"], groups.get("body_rates"), dt
         )
         before = (torch.arange(windows) * length - 1).clamp(min=0)
-        start = states[before]
-        empty = Shooting(start, measured[:0], measured[:0], measured[:0])
-        plain = scene(prior, run, 1.0, empty)
-        heard = plain.commands
-        for change in plain.command_maps:
-            heard = change(heard, dt)
-        thrusts = windowed(steps_of(heard), windows, length)
-
-        def predict(starts: Tensor) -> Tensor:
-            copies = starts.shape[0] // windows
-            return fly_windows([plain], starts[None], thrusts.repeat(copies, 1, 1)[None])[0]
-
-        recorded = torch.full((windows * length, measured.shape[1]), np.nan, dtype=torch.float64)
-        recorded[: len(measured)] = measured
-        return Shooting.prepare(predict, start, recorded.reshape(windows, length, -1), sd)
-
-    def build(values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> CopterScene:
-        return scene(values, run, numerics.time_step, shooting_of(run))
-
-    make: Build = build
-    return CopterModel(make, tuple(base), "multicopter")
+        past = _columns(run, self.commands)[0, :1].expand(windows, -1)
+        return torch.cat([states[before], past], 1)
 
 
 def _vector(values: Mapping[str, Tensor], name: str) -> Tensor:
-    """(3,) of the parameters name_x, name_y, name_z; 0 where there are none."""
-    zero = torch.zeros((), dtype=torch.float64)
-    return torch.stack([values.get(f"{name}_{axis}", zero) for axis in "xyz"])
+    """(points, 3) of the parameters name_x, name_y, name_z; 0 where there are none."""
+    zero = torch.zeros(1, dtype=torch.float64)
+    parts = [values.get(f"{name}_{axis}", zero).reshape(-1) for axis in "xyz"]
+    return torch.stack(torch.broadcast_tensors(*parts), -1)
 
 
 def _columns(run: Run, names: Sequence[str]) -> Tensor:
+    """(1, num_samples, n_rotors) [N]."""
     for name in names:
         require_choice(f"run {run.name}: command", name, run.command)
     rows = [np.asarray(run.command[name], dtype=np.float64) for name in names]
-    return torch.from_numpy(np.stack(rows, -1))
+    return torch.from_numpy(np.stack(rows, -1))[None]
 
 
 def _spacing(run: Run) -> float:

@@ -16,11 +16,13 @@ from torch import Tensor
 from diffsim.copter import FlightState
 from diffsim.copter.attitude import body_rates_from_rpy_rates, quaternion_from_rpy
 
-# What is known of an initial state beyond its first guess: hardly anything [m, rad, m/s, rad/s].
-_SPREAD = torch.tensor([0.3] * 3 + [0.2] * 3 + [1.0] * 3 + [1.0] * 3, dtype=torch.float64)
-_NUDGE = 1e-4 * _SPREAD / _SPREAD.max()
+RIGID = 12  # entries of the rigid body's state; thrusts held before the record follow
+# What is known of an initial state beyond its first guess: hardly anything.
+_SPREAD = (0.3, 0.2, 1.0, 1.0)  # [m, rad, m/s, rad/s]
+_PAST_SPREAD = 1.0  # of the thrusts before the record [N]
+_NUDGE = 1e-4  # of the spread
 _SMOOTH_S = 0.15  # over which position is differentiated
-_CORRECTIONS = 2
+_CORRECTIONS = 3  # flights; a last one is linear
 
 
 def flight_state(x12: Tensor) -> FlightState:
@@ -63,16 +65,17 @@ def filled(values: Tensor) -> Tensor:
 class Shooting:
     """Windows of one run, and how their initial states follow from what was measured.
 
-    The initial states d (departures from the first guess) minimise
-    |W (measured - predicted(d))|^2 + |d / spread|^2 by Gauss-Newton with the tangents of the model
-    at its prior; they are then a smooth function of all other parameters. The prediction is the
+    An initial state is that of 12 and, for the first window, the thrusts that were commanded before
+    the record starts: a lag or a dead time brings them into it. The departures d from the first
+    guess minimise |W (measured - predicted(d))|^2 + |d / spread|^2 by Gauss-Newton with tangents
+    prepared once; they are then a smooth function of all other parameters. The prediction is the
     profile over d: misfit that an initial state can explain is no evidence for anything.
 
     Attributes:
-        start: First guess, (num_windows, 12).
+        start: First guess, (num_windows, 12 + n_rotors).
         measured: (num_windows, length, num_channels), zero where nothing was recorded.
-        tangent: d predicted / d start, (num_windows, length * num_channels, 12).
-        gain: Misfit to states, (num_windows, 12, length * num_channels).
+        tangent: d predicted / d start, (num_windows, length * num_channels, 12 + n_rotors).
+        gain: Misfit to states, (num_windows, 12 + n_rotors, length * num_channels).
     """
 
     start: Tensor
@@ -87,41 +90,49 @@ class Shooting:
         """Tangents by central differences.
 
         Args:
-            predict: Starts (n * num_windows, 12), windows fastest, -> channels
-                (n * num_windows, length, num_channels).
-            start: First guess, (num_windows, 12).
+            predict: Starts (many, num_windows, 12 + n_rotors) -> channels (many, num_windows,
+                length, num_channels).
+            start: First guess, (num_windows, 12 + n_rotors).
             measured: (num_windows, length, num_channels), NaN where nothing was recorded.
             sd: Noise of the channels, (num_channels,).
         """
         windows, length, channels = measured.shape
-        nudges = torch.diag(_NUDGE)
-        moved = torch.cat([start + s * n for n in nudges for s in (1.0, -1.0)])
+        spread = start.new_tensor(
+            [s for s in _SPREAD for _ in range(3)] + [_PAST_SPREAD] * (start.shape[1] - RIGID)
+        )
+        nudges = torch.diag(_NUDGE * spread)
+        moved = torch.stack([start + s * n for n in nudges for s in (1.0, -1.0)])
         with torch.no_grad():
-            there = predict(moved).reshape(12, 2, windows, length * channels)
-        tangent = (there[:, 0] - there[:, 1]) / (2.0 * _NUDGE[:, None, None])
+            there = predict(moved).reshape(len(spread), 2, windows, length * channels)
+        tangent = (there[:, 0] - there[:, 1]) / (2.0 * _NUDGE * spread[:, None, None])
         tangent = tangent.permute(1, 2, 0).contiguous()
         weight = (torch.isfinite(measured) / sd**2).reshape(windows, -1, 1)
-        normal = tangent.mT @ (weight * tangent) + torch.diag(_SPREAD**-2)
+        normal = tangent.mT @ (weight * tangent) + torch.diag(spread**-2)
         gain = torch.linalg.solve(normal, (weight * tangent).mT)
         return cls(start, measured.nan_to_num(0.0), tangent, gain)
 
-    def profile(self, predict: Callable[[Tensor], Tensor], many: int) -> Tensor:
-        """Predictions with the best initial states.
+    def profile(self, predict: Callable[[Tensor], Tensor]) -> Tensor:
+        """Predictions with the best initial states, (many, num_windows * length, num_channels).
 
         Args:
-            predict: Starts (many, num_windows, 12) -> channels of the same leading axes.
-            many: Number of models that ``predict`` flies at once.
-
-        Returns:
-            (many, num_windows, length, num_channels).
+            predict: Starts (many or 1, num_windows, 12 + n_rotors) -> channels (many, num_windows,
+                length, num_channels).
         """
-        windows, length, channels = self.measured.shape
-        change = torch.zeros(many, windows, 12, 1, dtype=torch.float64)
+        here, better, change = self._corrected(predict)
+        here = here + self.tangent @ (better - change)
+        return here.permute(2, 0, 1).reshape(here.shape[-1], -1, self.measured.shape[-1])
+
+    def best(self, predict: Callable[[Tensor], Tensor]) -> Tensor:
+        """The best initial states of one point, (num_windows, 12 + n_rotors)."""
+        _, better, _ = self._corrected(predict)
+        return self.start + better[..., 0]
+
+    def _corrected(self, predict: Callable[[Tensor], Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+        """Predictions (num_windows, length * num_channels, many), and the next and last changes."""
+        windows = len(self.start)
         measured = self.measured.reshape(windows, -1, 1)
-        for k in range(_CORRECTIONS + 1):
-            here = predict(self.start + change[..., 0]).reshape(many, windows, -1, 1)
-            better = self.gain @ (measured - here + self.tangent @ change)
-            if k == _CORRECTIONS:
-                here = here + self.tangent @ (better - change)
-            change = better
-        return here.reshape(many, windows, length, channels)
+        change = self.start[..., None] * 0.0
+        for _ in range(_CORRECTIONS):
+            here = predict(self.start + change.permute(2, 0, 1)).flatten(2).permute(1, 2, 0)
+            last, change = change, self.gain @ (measured - here + self.tangent @ change)
+        return here, change, last

@@ -27,11 +27,13 @@ class _UnknownWrench(Effect):
         self._num_knots, self._spacing = num_knots, until_s / (num_knots - 1)
 
     def apply(self, scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
-        knots = size.reshape(6, self._num_knots).T
-        times = scene.dt * (torch.arange(scene.commands.shape[0], dtype=torch.float64) + 0.5)
-        wrench = straight(knots, self._spacing, times)
-        more = _TORQUE_PER_FORCE * wrench[:, 3:] @ torque_allocation(scene.vehicle).T
-        pushed = scene.changed(world_force=scene.world_force + wrench[:, :3])
+        knots = size.reshape(-1, 6, self._num_knots)
+        # half a step before the record (which starts one early), then in the middle of steps
+        times = scene.dt * (torch.arange(scene.commands.shape[1] + 1, dtype=torch.float64) - 0.5)
+        hats = straight(torch.eye(self._num_knots, dtype=torch.float64), self._spacing, times)
+        wrench = hats @ knots.mT
+        more = _TORQUE_PER_FORCE * wrench[..., 3:] @ torque_allocation(scene.vehicle).mT
+        pushed = scene.changed(world_force=scene.world_force + wrench[:, 1:, :3])
         return pushed.with_command(lambda u, dt: u + more)
 
 
