@@ -6,7 +6,6 @@ Runs in a process of its own that is given the folder of the data and nothing el
 from __future__ import annotations
 
 import argparse
-import copy
 import json
 import time
 from collections.abc import Mapping, Sequence
@@ -22,7 +21,7 @@ from diffsim.data.study_file import load_study
 from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.inputs import Inputs, inputs_of
-from diffsim.diagnose.model import Numerics, Scene, SimModel
+from diffsim.diagnose.model import Numerics, SimModel
 from diffsim.diagnose.report import Report
 from diffsim.errors import DiffsimError
 
@@ -49,21 +48,38 @@ class Twin(Effect):
         return self.of.apply(scene, size, run)
 
 
-def coarse(model: SimModel, factors: Mapping[str, float]) -> SimModel:
-    """The model with coarser numerical settings as its own.
+class CoarseModel(SimModel):
+    """A model with coarser numerical settings as its own.
 
     Args:
-        model: Whose ``build`` honours ``Numerics``.
+        inner: The model; must honour ``Numerics``.
         factors: By field of ``Numerics``.
     """
 
-    def build(values: Mapping[str, Tensor], run: Any, numerics: Numerics) -> Scene:
-        scaled = {name: factor * getattr(numerics, name) for name, factor in factors.items()}
-        return model.build(values, run, replace(numerics, **scaled))
+    def __init__(self, inner: SimModel, factors: Mapping[str, float]):
+        super().__init__(inner.build, inner.base, inner.name, batched=inner.batched)
+        self.inner, self.factors, self.simulations = inner, dict(factors), inner.simulations
 
-    out = copy.copy(model)
-    out.build = build
-    return out
+    def _scaled(self, numerics: Numerics | None) -> Numerics:
+        own = numerics or Numerics()
+        return replace(own, **{name: f * getattr(own, name) for name, f in self.factors.items()})
+
+    def predict(
+        self, run: Any, q: Tensor, sizes: Any = None, numerics: Numerics | None = None
+    ) -> Tensor:
+        """As the model, coarser."""
+        return self.inner.predict(run, q, sizes, self._scaled(numerics))
+
+    def predict_many(
+        self, run: Any, q: Tensor, sizes: Any = None, numerics: Numerics | None = None
+    ) -> Tensor:
+        """As the model, coarser."""
+        return self.inner.predict_many(run, q, sizes, self._scaled(numerics))
+
+    def prepared_at(self, q: Tensor) -> SimModel:
+        """The model prepared there, coarser."""
+        inner = self.inner.prepared_at(q)
+        return self if inner is self.inner else CoarseModel(inner, self.factors)
 
 
 def case_inputs(
@@ -79,7 +95,7 @@ def case_inputs(
     left_out = tuple(options.get("without", ()))
     effects = [e for e in setup.effects if not _is_or_part(e.name, left_out)]
     effects += [Twin(e) for e in effects if e.name in options.get("twins", ())]
-    model = coarse(setup.model, options["coarse"]) if "coarse" in options else setup.model
+    model = CoarseModel(setup.model, options["coarse"]) if "coarse" in options else setup.model
     return replace(inputs, setup=replace(setup, effects=tuple(effects), model=model))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -31,6 +31,7 @@ class ExtendedModel(SimModel):
         suffix = "".join(f" + {e.name}" for e in effects)
         super().__init__(self._build, base, inner.name + suffix, batched=inner.batched)
         self.inner, self.effects = inner, tuple(effects)
+        self.simulations = inner.simulations
         self._components = [effect_coordinates([e]) for e in effects]
 
     def _build(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> Scene:
@@ -40,16 +41,45 @@ class ExtendedModel(SimModel):
             scene = effect.apply(scene, size, run)
         return scene
 
-    def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
-        """As the plain model simulates several at once."""
-        return self.inner.simulate_scenes(scenes)
+    def predict(
+        self,
+        run: Run,
+        q: Tensor,
+        sizes: Mapping[Effect, Tensor] | None = None,
+        numerics: Numerics | None = None,
+    ) -> Tensor:
+        """By the plain model, with its effects."""
+        return self.inner.predict(run, self._inner_q(q), self._sizes(q, sizes), numerics)
+
+    def predict_many(
+        self,
+        run: Run,
+        q: Tensor,
+        sizes: Mapping[Effect, Tensor] | None = None,
+        numerics: Numerics | None = None,
+    ) -> Tensor:
+        """As many at once as the plain model can."""
+        return self.inner.predict_many(run, self._inner_q(q), self._sizes(q, sizes), numerics)
+
+    def _inner_q(self, q: Tensor) -> Tensor:
+        """Standardised coordinates of the plain model, (..., num_base): the same values."""
+        columns = []
+        for i, (own, plain) in enumerate(zip(self.base, self.inner.base, strict=False)):
+            offset = plain.coordinate_of(own.value)
+            width = own.sd / plain.sd  # both of the value, or both of its logarithm
+            columns.append(offset + width * q[..., i])
+        return torch.stack(columns, dim=-1) if columns else q[..., :0]
+
+    def _sizes(self, q: Tensor, more: Mapping[Effect, Tensor] | None) -> dict[Effect, Tensor]:
+        sizes, k = {}, len(self.inner.base)
+        for effect in self.effects:
+            own = range(k, k := k + len(effect.components))
+            sizes[effect] = torch.stack([self.base[i].value_at(q[..., i]) for i in own], dim=-1)
+        return sizes | dict(more or {})
 
     def prepared_at(self, q: Tensor) -> SimModel:
         """With the plain model prepared at the values of its own parameters at ``q``."""
-        values = [float(p.value_at(x)) for p, x in zip(self.base, q, strict=True)]
-        inner_q = [p.coordinate_of(v) for p, v in zip(self.inner.base, values, strict=False)]
-        inner = self.inner.prepared_at(torch.tensor(inner_q, dtype=torch.float64))
-        return ExtendedModel(inner, self.effects, self.base)
+        return ExtendedModel(self.inner.prepared_at(self._inner_q(q)), self.effects, self.base)
 
 
 def extended_model(fit: Fit) -> ExtendedModel:

@@ -64,7 +64,12 @@ class SimModel:
         name: Of the simulator.
         batched: Whether scenes and effects take many points at once: then values may be (K,),
             sizes (K, num_components) and predictions (K, num_samples, num_channels).
+
+    Attributes:
+        prepared_q: Where ``prepared_at`` made this model, None where nothing is prepared.
     """
+
+    prepared_q: Tensor | None = None
 
     def __init__(
         self,

@@ -6,6 +6,7 @@
     study: lab_flights
     setup: lab_copter            # which model and effects the names below belong to
     verdict: named
+    prepared_at: null            # where the model prepared what it prepares once (standardised)
     parameters:                  # of the plain model, nuisances too
       mass: {value: 1.41, sd: 0.004, unit: kg}
     effects:                     # sizes; components of vector effects as "wind.north"
@@ -19,12 +20,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import torch
 import yaml
 
 from diffsim._check import require_choice
 from diffsim._files import to_plain, write_text_atomic
 from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.extended import ExtendedModel, extended_at
+from diffsim.diagnose.model import SimModel
 from diffsim.identify import Fit
 from diffsim.identify.problem import effect_coordinates
 
@@ -47,6 +50,8 @@ class SavedModel:
         components: Names of the effects' components.
         verdict: Of the diagnosis behind it.
         setup: What the study named.
+        units: By name.
+        prepared_at: Standardised parameters at which the model prepared what it prepares once.
     """
 
     path: Path
@@ -57,6 +62,7 @@ class SavedModel:
     verdict: str = ""
     setup: Any = None
     units: Mapping[str, str] = field(default_factory=dict)
+    prepared_at: Mapping[str, float] | None = None
 
 
 def save_extended(fit: Fit, path: str | Path, *, study: Study, verdict: str) -> Path:
@@ -74,12 +80,15 @@ def save_extended(fit: Fit, path: str | Path, *, study: Study, verdict: str) -> 
         name: {"value": fit.values[name], "sd": fit.sd[name], "unit": unit}
         for name, unit in zip(problem.names, units, strict=True)
     }
-    count = problem.num_base
+    count, prepared = problem.num_base, problem.model.prepared_q
     content = {
         "model": problem.model.name,
         "study": study.name,
         "setup": study.metadata.get("setup"),
         "verdict": verdict,
+        "prepared_at": None
+        if prepared is None
+        else dict(zip(problem.names, prepared.tolist(), strict=False)),
         "parameters": dict(list(entries.items())[:count]),
         "effects": dict(list(entries.items())[count:]),
     }
@@ -124,6 +133,7 @@ def read_extended(path: str | Path) -> SavedModel:
         verdict=str(content.get("verdict", "")),
         setup=content.get("setup"),
         units={name: str(entry.get("unit", "-")) for name, entry in entries.items()},
+        prepared_at=content.get("prepared_at"),
     )
 
 
@@ -158,7 +168,7 @@ def load_extended(
     values = {name: p.value for name, p in known.items()} | dict(saved.values)
     sd = {name: p.sd * (p.value if p.log else 1.0) for name, p in known.items()} | dict(saved.sd)
     _require_units(saved, {**{n: p.unit for n, p in known.items()}, **_units(effects)})
-    return extended_at(setup.model, effects, values, sd)
+    return extended_at(_prepared(setup.model, saved), effects, values, sd)
 
 
 def effects_of(saved: SavedModel, candidates: Sequence[Effect]) -> tuple[Effect, ...]:
@@ -182,6 +192,16 @@ def effects_of(saved: SavedModel, candidates: Sequence[Effect]) -> tuple[Effect,
             )
         found.append(by_name[name])
     return tuple(found)
+
+
+def _prepared(model: SimModel, saved: SavedModel) -> SimModel:
+    if saved.prepared_at is None:
+        return model
+    at = [float(saved.prepared_at.get(p.name, 0.0)) for p in model.base]
+    q = torch.tensor(at, dtype=torch.float64)
+    prepared = model.prepared_at(q)
+    prepared.prepared_q = q
+    return prepared
 
 
 def _units(effects: Sequence[Effect]) -> dict[str, str]:

@@ -75,7 +75,8 @@ class NullFit:
 
 def fit_null(inputs: Inputs) -> NullFit:
     """Noise floor and fit of the plain model."""
-    return NullFit(*null_fit(_case(inputs)))
+    case, noise, found, num_spikes = null_fit(_case(inputs))
+    return NullFit(case.study, noise, found.fit, num_spikes)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ import pytest
 from diffsim import cli
 from diffsim.diagnose import blind as blind_module
 from diffsim.diagnose.blind import Blind
-from diffsim.diagnose.blind_case import Twin, coarse
+from diffsim.diagnose.blind_case import CoarseModel, Twin
 from diffsim.diagnose.blind_score import score_answer, true_sizes
 from diffsim.diagnose.blind_table import confusion, figures, markdown
 from diffsim.diagnose.model import Numerics, SimModel
@@ -122,7 +122,7 @@ def test_twins_predict_the_same_and_coarse_models_are_coarser():
     np.testing.assert_array_equal(
         model.predict(run, q, {delay: size}), model.predict(run, q, {twin: size})
     )
-    rough = coarse(model, {"time_step": 2.0})
+    rough = CoarseModel(model, {"time_step": 2.0})
     expected = SimModel.predict(model, run, q, None, Numerics(time_step=2.0))
     np.testing.assert_array_equal(rough.predict(run, q), expected)
     half = rough.predict(run, q, None, Numerics(time_step=0.5))

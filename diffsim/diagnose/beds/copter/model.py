@@ -244,9 +244,7 @@ class Flights:
         the mean over the step before."""
         whole = filled(measured)
         groups = {g: whole[:, 3 * i : 3 * i + 3] for i, g in enumerate(self.sensors)}
-        states = guess_states(
-            groups["position"], groups["attitude"], groups.get("body_rates"), dt
-        )
+        states = guess_states(groups["position"], groups["attitude"], groups.get("body_rates"), dt)
         before = (torch.arange(windows) * length - 1).clamp(min=0)
         past = _columns(run, self.commands)[0, :1].expand(windows, -1)
         return torch.cat([states[before], past], 1)
