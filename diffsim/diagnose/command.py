@@ -88,9 +88,10 @@ def _fit(args: argparse.Namespace) -> None:
         print(f"not determined by the data: {name}")
     for name in fit.at_bound:
         print(f"on its bound: {name}")
+    source = ", ".join(dict.fromkeys(found.noise.source))
     print(
         f"chi2 {fit.chi2:.6g} of {fit.num_samples} samples: {fit.chi2 / fit.num_samples:.3g} per "
-        f"sample, 1 would be noise alone ({found.noise.source})"
+        f"sample, 1 would be noise alone (noise from {source})"
     )
     if not fit.converged:
         print(f"the fit did not converge: {fit.message}")

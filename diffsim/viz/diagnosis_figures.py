@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 from scipy.sparse.csgraph import connected_components
 
 from diffsim.viz.figures import COLOURS, INK, LINE, SOFT, new_figure
@@ -46,11 +47,12 @@ class RunComparison:
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredChannel:
-    """A channel of the study: its name, unit, and the sd of its noise in that unit."""
+    """A channel of the study: its name, unit, the sd of its noise in that unit, its kind."""
 
     name: str
     unit: str
     sd: float
+    kind: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +118,53 @@ def residual_views(
     _over_channels(axes[1, 1], kinds, channels)
     _shared_legend(figure, axes[0, 0])
     return figure
+
+
+def over_position(
+    runs: Sequence[RunComparison], channels: Sequence[MeasuredChannel], most: int = 3
+) -> Figure | None:
+    """Residuals of all channels over where the system is: a panel per position channel, those of
+    the largest range first.
+
+    Dots: residuals over the position that the model before predicts. Lines: their rms in ten bins;
+    noise alone has 1.
+
+    Args:
+        runs: One or more.
+        channels: All channels of the study; positions are those of kind "position".
+        most: Panels.
+
+    Returns:
+        None where no position was measured.
+    """
+    places = [i for i, c in enumerate(channels) if c.kind == "position"]
+    if not places:
+        return None
+    spans = {i: float(np.ptp(np.concatenate([run.null[:, i] for run in runs]))) for i in places}
+    places = sorted(places, key=lambda i: -spans[i])[:most]
+    kinds = [_residuals("model before", NULL, runs, channels, extended=False)]
+    if all(run.extended is not None for run in runs):
+        kinds.append(_residuals("extended", EXTENDED, runs, channels, extended=True))
+    figure, axes = new_figure(1, len(places), height=3.2, squeeze=False)
+    for ax, i in zip(axes[0], places, strict=True):
+        _noise_band(ax)
+        for kind in kinds:
+            x = np.concatenate([run.null[:, i] for run, _ in kind.runs])
+            left = kind.stacked
+            wide = np.repeat(x[:, None], left.shape[1], 1)
+            ax.plot(wide.ravel(), left.ravel(), ".", ms=2, alpha=0.25, color=kind.colour)
+            middle, rms = _binned_rms(x, left)
+            ax.plot(middle, rms, "o-", ms=3.5, lw=1.4, color=kind.colour, label=kind.label)
+        ax.set_xlabel(f"{channels[i].name} as predicted", color=SOFT)
+    _shared_legend(figure, axes[0, 0])
+    return figure
+
+
+def _binned_rms(x: Array, left: Array, bins: int = 10) -> tuple[Array, Array]:
+    """Middle of equally filled bins of x (n,), and rms of left (n, channels) in them."""
+    parts = [p for p in np.array_split(np.argsort(x), bins) if len(p)]
+    middle = np.array([x[p].mean() for p in parts])
+    return middle, np.array([np.sqrt(np.nanmean(left[p] ** 2)) for p in parts])
 
 
 def worst_channels(runs: Sequence[RunComparison], channels: Sequence[MeasuredChannel]) -> list[int]:
@@ -262,7 +311,10 @@ def command_phase(time_s: Array, command: Array) -> Array | None:
 
 
 def _over_frequency(ax: Axes, kinds: Sequence[_Residuals]) -> None:
-    """Mean periodogram over runs and channels; 1 is white noise."""
+    """Mean periodogram over runs and channels; 1 is white noise, grey its 95 %."""
+    count = 2 * sum(left.shape[1] for _, left in kinds[0].runs)
+    low, high = stats.chi2.ppf([0.025, 0.975], count) / count
+    ax.axhspan(low, high, color=LINE, lw=0, alpha=0.7)
     for kind in kinds:
         frequency, power = mean_periodogram([(r.time_s, left) for r, left in kind.runs])
         ax.plot(frequency, power, lw=1.2, color=kind.colour)

@@ -50,7 +50,7 @@ def write_fit(found: NullFit, path: str | Path) -> Path:
                 ),
             ],
             held_fixed=[
-                ("noise floor from", str(found.noise.source)),
+                ("noise floor from", ", ".join(dict.fromkeys(found.noise.source))),
                 ("spikes taken out", str(found.num_spikes)),
                 ("converged", f"{fit.converged}: {fit.message}"),
             ],

@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("matplotlib", reason="reports need pip install 'diffsim-robot[viz]'")
 pytest.importorskip("jinja2", reason="reports need pip install 'diffsim-robot[viz]'")
 
+from diffsim.identify import WhiteNoise
 from diffsim.viz import diagnosis_figures as draw
 from diffsim.viz import diagnosis_report as dr
 from diffsim.viz import report as page
@@ -176,8 +177,13 @@ def test_filled_from_a_report():
     def fit(predicted):
         import torch
 
-        problem = space(predict=lambda run, x: torch.from_numpy(predicted) * x[0])
-        return space(problem=problem, x=np.array([1.0]))
+        problem = space(
+            predict=lambda run, x: torch.from_numpy(predicted) * x[0],
+            runs=(run,),
+            whitener=WhiteNoise(CHANNELS),
+        )
+        left = problem.whitener.matrix(run) @ (run.measured - predicted + 1e-5).ravel()
+        return space(problem=problem, x=np.array([1.0]), residual=left)
 
     row = space(
         effect="tilt", status="named", size={"x": 0.1, "y": 0.2}, sd={"x": 0.01, "y": 0.02},
@@ -186,11 +192,12 @@ def test_filled_from_a_report():
     )  # fmt: skip
     source = example()
     report = space(
-        study=space(name="s", channels=CHANNELS, fit_runs=(run,), holdout_runs=()),
-        model=space(name="m"), verdict="named", sentences=("It is tilted.",), named=("tilt",),
+        study=space(name="s", channels=CHANNELS, fit_runs=(run,), holdout_runs=(),
+                    metadata={"geometry": {}}),
+        model=space(name="m", base=(space(name="a"), space(name="offset@a"))), verdict="named", sentences=("It is tilted.",), named=("tilt",),
         rivals=(), table=(row,), confounding_names=source.confounding_names,
         confounding=source.confounding, cannot_see={}, gates=(), noise={"sd": {"tip_z_m": 2e-4,
-        "tip_x_m": 3e-4}}, gain=gain, chi2_null=9.0, chi2_best=3.0, num_samples=3, settings={},
+        "tip_x_m": 3e-4}, "source": ("repeats", "repeats"), "num_spikes": 2}, gain=gain, chi2_null=9.0, chi2_best=3.0, num_samples=3, settings={},
         null=fit(run.null), best=fit(run.measured),
         next_run={"best": "a", "chi2_gain": {"a": 4.0}, "over_median": 1.0},
     )  # fmt: skip
@@ -200,4 +207,33 @@ def test_filled_from_a_report():
     assert [c.sd for c in found.channels] == [2e-4, 3e-4]
     np.testing.assert_array_equal(found.runs[0].null, run.null)
     np.testing.assert_array_equal(found.runs[0].extended, run.measured)
+    assert found.settings["fitted"] == "a; 1 nuisances of single runs"
+    assert found.settings["taken from the study"] == ["geometry"]
+    assert len(found.whiteness) == 2 and found.whiteness[0][0] < 0.01  # the model leads
     assert page.render(dr.diagnosis_page(found)).count("tilt.x") >= 2
+
+
+def test_residuals_stand_over_the_place_and_whiteness_is_shown(tmp_path):
+    placed = [MeasuredChannel(name=c.name, unit="m", sd=c.sd, kind="position") for c in CHANNELS]
+    more = {"channels": placed, "whiteness": [[0.001, 0.4], [0.3, float("nan")]]}
+    text = dr.write_diagnosis(example(**more), tmp_path / "report.html").read_text("utf-8")
+    assert text.count("<img") == 1 + example_images(tmp_path)
+    assert "Shown, not used" in text and "0.001" in text
+
+
+def example_images(folder) -> int:
+    """Pictures of the example, whose channels have no kind."""
+    return dr.write_diagnosis(example(), folder / "plain.html").read_text("utf-8").count("<img")
+
+
+def test_rms_over_position_rises_where_the_model_is_off():
+    t = np.linspace(0.0, 1.0, 200)
+    left = np.where(t > 0.8, 5.0, 1.0)[:, None]
+    middle, rms = draw._binned_rms(t, left)
+    assert (np.diff(middle) > 0).all()
+    np.testing.assert_allclose(rms, [1.0] * 8 + [5.0] * 2)
+
+
+def test_settings_are_said_in_lines_not_brackets():
+    pairs = dict(dr._pairs({"keep_nats": 4.0, "failed": [], "search": {"max_effects": 3}}))
+    assert pairs == {"keep nats": "4.0", "failed": "none", "search: max effects": "3"}
