@@ -2,12 +2,22 @@
 
 from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.effect import Effect
+<<<<<<< HEAD
 from diffsim.diagnose.extended import ExtendedModel, extended_model
 from diffsim.diagnose.gain import Gain, gain
 from diffsim.diagnose.libraries import library
 from diffsim.diagnose.model import Numerics, Scene, SimModel
 from diffsim.diagnose.model_file import load_extended, save_extended
+=======
+from diffsim.diagnose.extended import extended_model
+from diffsim.diagnose.force_map import ForceMap, force_map
+from diffsim.diagnose.gain import Gain, gain
+from diffsim.diagnose.libraries import library
+from diffsim.diagnose.model import Scene, SimModel
+>>>>>>> dcore2
 from diffsim.diagnose.next_run import NextRun, next_run
+from diffsim.diagnose.numerical import NumericalEffect
+from diffsim.diagnose.numerics import Numerics
 from diffsim.diagnose.report import EffectRow, GateResult, HypothesisRow, Report
 from diffsim.diagnose.search import SearchSettings
 from diffsim.diagnose.stages import DiagnosisSettings
@@ -17,11 +27,16 @@ __all__ = [
     "DiagnosisSettings",
     "Effect",
     "EffectRow",
+<<<<<<< HEAD
     "ExtendedModel",
+=======
+    "ForceMap",
+>>>>>>> dcore2
     "Gain",
     "GateResult",
     "HypothesisRow",
     "NextRun",
+    "NumericalEffect",
     "Numerics",
     "Report",
     "Scene",
@@ -32,6 +47,7 @@ __all__ = [
     "UnknownForce",
     "diagnose",
     "extended_model",
+    "force_map",
     "gain",
     "library",
     "load_extended",

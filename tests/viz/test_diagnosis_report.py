@@ -192,15 +192,33 @@ def test_filled_from_a_report():
     )  # fmt: skip
     source = example()
     report = space(
-        study=space(name="s", channels=CHANNELS, fit_runs=(run,), holdout_runs=(),
-                    metadata={"geometry": {}}),
-        model=space(name="m", base=(space(name="a"), space(name="offset@a"))), verdict="named", sentences=("It is tilted.",), named=("tilt",),
-        rivals=(), table=(row,), confounding_names=source.confounding_names,
-        confounding=source.confounding, cannot_see={}, gates=(), noise={"sd": {"tip_z_m": 2e-4,
-        "tip_x_m": 3e-4}, "source": ("repeats", "repeats"), "num_spikes": 2}, gain=gain, chi2_null=9.0, chi2_best=3.0, num_samples=3, settings={},
-        null=fit(run.null), best=fit(run.measured),
+        study=space(
+            name="s", channels=CHANNELS, fit_runs=(run,), holdout_runs=(), metadata={"geometry": {}}
+        ),
+        model=space(name="m", base=(space(name="a"), space(name="offset@a"))),
+        verdict="named",
+        sentences=("It is tilted.",),
+        named=("tilt",),
+        rivals=(),
+        table=(row,),
+        confounding_names=source.confounding_names,
+        confounding=source.confounding,
+        cannot_see={},
+        gates=(),
+        noise={
+            "sd": {"tip_z_m": 2e-4, "tip_x_m": 3e-4},
+            "source": ("repeats", "repeats"),
+            "num_spikes": 2,
+        },
+        gain=gain,
+        chi2_null=9.0,
+        chi2_best=3.0,
+        num_samples=3,
+        settings={},
+        null=fit(run.null),
+        best=fit(run.measured),
         next_run={"best": "a", "chi2_gain": {"a": 4.0}, "over_median": 1.0},
-    )  # fmt: skip
+    )
     found = dr.figures_of(report)
     assert [c.name for c in found.causes] == ["tilt.x", "tilt.y"]
     assert found.causes[1].smallest_visible == 0.04 and found.gain == (0.9, 0.8, 0.95)
