@@ -2,19 +2,12 @@
 
 from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.effect import Effect
-<<<<<<< HEAD
 from diffsim.diagnose.extended import ExtendedModel, extended_model
-from diffsim.diagnose.gain import Gain, gain
-from diffsim.diagnose.libraries import library
-from diffsim.diagnose.model import Numerics, Scene, SimModel
-from diffsim.diagnose.model_file import load_extended, save_extended
-=======
-from diffsim.diagnose.extended import extended_model
 from diffsim.diagnose.force_map import ForceMap, force_map
 from diffsim.diagnose.gain import Gain, gain
 from diffsim.diagnose.libraries import library
 from diffsim.diagnose.model import Scene, SimModel
->>>>>>> dcore2
+from diffsim.diagnose.model_file import load_extended, save_extended
 from diffsim.diagnose.next_run import NextRun, next_run
 from diffsim.diagnose.numerical import NumericalEffect
 from diffsim.diagnose.numerics import Numerics
@@ -27,11 +20,8 @@ __all__ = [
     "DiagnosisSettings",
     "Effect",
     "EffectRow",
-<<<<<<< HEAD
     "ExtendedModel",
-=======
     "ForceMap",
->>>>>>> dcore2
     "Gain",
     "GateResult",
     "HypothesisRow",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from diffsim.diagnose.refit import advise, extend, fit_null, rival_sets
 from diffsim.diagnose.report import Report
 from diffsim.errors import DiffsimError
 
-INPUTS_FILE, REPORT_FILE = "inputs.json", "report.json"
+INPUTS_FILE, REPORT_FILE, CACHE = "inputs.json", "report.json", "interrupted"
 
 
 class StudyError(DiffsimError):
@@ -116,7 +117,12 @@ def _explain(args: argparse.Namespace) -> None:
             return
         print(f"{out} holds a diagnosis of other inputs ({', '.join(differs)}): diagnosing again")
     setup = inputs.setup
-    with progress_bar("diagnose"):
+    cache = out / CACHE / inputs.key  # an interrupted diagnosis goes on from what is there
+    if args.force:
+        shutil.rmtree(out / CACHE, ignore_errors=True)
+    elif cache.is_dir():
+        print(f"going on with what an interrupted diagnosis left in {cache}")
+    with progress_bar("diagnose") as progress:
         report = diagnose(
             inputs.study,
             setup.model,
@@ -125,8 +131,11 @@ def _explain(args: argparse.Namespace) -> None:
             unknowns=setup.unknowns,
             bank=setup.bank,
             settings=setup.settings,
+            progress=progress,
+            cache=cache,
         )
     _write(report, inputs, out)
+    shutil.rmtree(out / CACHE, ignore_errors=True)
     print(f"verdict: {report.verdict}")
     for sentence in report.sentences[:2]:
         print(sentence)

@@ -40,6 +40,12 @@ class Inputs:
     seed: int
     fingerprint: Mapping[str, Any]
 
+    @property
+    def key(self) -> str:
+        """The fingerprint in one short word."""
+        text = json.dumps(to_plain(dict(self.fingerprint)), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
 
 def read_study(given: str) -> Study:
     """A study from a file, a folder, or the name of a published data set.

@@ -28,6 +28,7 @@ from diffsim._files import to_plain, write_text_atomic
 from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.extended import ExtendedModel, extended_at
 from diffsim.diagnose.model import SimModel
+from diffsim.diagnose.numerical import NumericalEffect
 from diffsim.identify import Fit
 from diffsim.identify.problem import effect_coordinates
 
@@ -177,7 +178,10 @@ def effects_of(saved: SavedModel, candidates: Sequence[Effect]) -> tuple[Effect,
     Raises:
         ValueError: an effect that is not among the candidates, or lacks a component.
     """
-    by_name = {e.name: e for e in candidates}
+    from diffsim.diagnose.gates import REFINEMENTS  # which needs the report, and that this module
+
+    numerical = [NumericalEffect(name, finer) for name, finer in REFINEMENTS.items()]
+    by_name: dict[str, Effect] = {e.name: e for e in (*numerical, *candidates)}
     names = dict.fromkeys(
         c if c in by_name else c.rsplit(".", 1)[0] for c in saved.components
     )  # a component is "wind.north", an effect with one component its own name

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 from tqdm import tqdm
 
-Progress = Callable[[str, float, str], None]
-"""(stage, fraction done in [0, 1], message)."""
+from diffsim.diagnose.stages import Progress
 
 
 @contextmanager

@@ -93,11 +93,8 @@ def null_fit(case: Case) -> tuple[Case, NoiseFloor, Descended, int]:
     found = descend(problem, local_at(problem, np.zeros(problem.num_base)))
     prepared = case.model.prepared_at(torch.from_numpy(found.fit.x))
     if prepared is not case.model:
-<<<<<<< HEAD
         prepared.prepared_q = torch.from_numpy(found.fit.x)
-=======
         prepared.simulations = case.model.simulations  # goes on counting
->>>>>>> dcore2
         case = replace(case, model=prepared)
         problem = case.problem(WhiteNoise(channels))
         found = descend(problem, local_at(problem, found.fit.x))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
+_KNOT = re.compile(r"(?P<shape>.*?)(?P<knot>\d+)")
 CONFOUNDED = 0.95
 NULL, EXTENDED = COLOURS["published"], COLOURS["fitted"]
 
@@ -214,6 +216,37 @@ def confounding_matrix(
         ax.plot(x[[0, 1, 1, 0, 0]], x[[0, 0, 1, 1, 0]], color=INK, lw=2.0, clip_on=False)
         start += len(block)
     figure.colorbar(drawn, ax=ax, shrink=0.7).set_label(bar, color=SOFT)
+    return figure
+
+
+def force_map(components: Sequence[str], groups: Sequence[str], z: Array) -> Figure:
+    """Scores of a generic force: a panel per command, a row per shape, knots from left to right.
+
+    Args:
+        components: Of the force; a number at the end is the knot in time.
+        groups: Commands.
+        z: (num_groups, num_components) scores in noise standard deviations.
+    """
+    parts = [_KNOT.fullmatch(name) for name in components]
+    shapes = [m["shape"].strip("_") if m else n for m, n in zip(parts, components, strict=True)]
+    knots = [int(m["knot"]) if m else 0 for m in parts]
+    rows = list(dict.fromkeys(shapes))
+    high = max(float(np.abs(z).max(initial=0.0)), 3.0)
+    figure, axes = new_figure(
+        len(groups), 1, height=0.7 + len(groups) * (0.7 + 0.24 * len(rows)), squeeze=False
+    )
+    for ax, group, scores in zip(axes[:, 0], groups, z, strict=True):
+        table = np.full((len(rows), max(knots) + 1), np.nan)
+        for shape, knot, score in zip(shapes, knots, scores, strict=True):
+            table[rows.index(shape), knot] = score
+        drawn = ax.imshow(table, cmap="RdBu_r", vmin=-high, vmax=high, aspect="auto")
+        ax.set_yticks(range(len(rows)), rows, fontsize=8)
+        ax.set_title(group, loc="left", fontsize=9.5, color=INK)
+        ax.grid(False)
+    axes[-1, 0].set_xlabel("knot in time", color=SOFT)
+    figure.colorbar(drawn, ax=axes[:, 0].tolist(), shrink=0.8).set_label(
+        "score [noise sd]", color=SOFT
+    )
     return figure
 
 

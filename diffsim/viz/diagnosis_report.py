@@ -24,6 +24,7 @@ from diffsim.viz.diagnosis_figures import MeasuredChannel, RunComparison
 from diffsim.viz.figures import data_uri
 
 Array = NDArray[np.float64]
+MAPPED = 6  # commands in the force map
 VERDICTS = {
     "none": "good",
     "named": "good",
@@ -364,7 +365,7 @@ def figures_of(report: Any, *, force_map: page.Picture | None = None) -> Diagnos
 
     Args:
         report: ``diffsim.diagnose.Report``.
-        force_map: Picture of where and when a force is missing.
+        force_map: In place of the report's own map.
     """
     study = report.study
     extended = report.best if report.named else None
@@ -393,9 +394,27 @@ def figures_of(report: Any, *, force_map: page.Picture | None = None) -> Diagnos
         next_run=None
         if next_run is None
         else (next_run["best"], next_run["chi2_gain"], next_run["over_median"]),
-        force_map=force_map,
+        force_map=_mapped(report.force_map) if force_map is None else force_map,
         settings=_held_fixed(report),
         whiteness=[ljung_box(fit).tolist() for fit in fits],
+    )
+
+
+def _mapped(found: Any) -> page.Picture | None:
+    """Picture of ``diffsim.diagnose.ForceMap``, commands with the largest scores first."""
+    if found is None:
+        return None
+    order = np.argsort(-np.abs(found.z).max(axis=1))[:MAPPED]
+    groups = [found.groups[i] for i in order]
+    caption = (
+        f"Score of {found.name} at the model before: how much a force of that shape and time would "
+        "lower the misfit, over what noise alone makes of it (from repeats where there are). "
+        "Beyond ±3: a force is missing there and then."
+    )
+    if len(groups) < len(found.groups):
+        caption += f" The {MAPPED} commands with the largest scores of {len(found.groups)}."
+    return page.Picture(
+        uri=_png(draw.force_map(found.components, groups, found.z[order])), caption=caption
     )
 
 

@@ -71,6 +71,25 @@ def test_explain_again_tells_and_keeps(explained, study_folder, capsys):
     assert (explained / "report.json").stat().st_mtime_ns == before
 
 
+def test_an_interrupted_explanation_goes_on(study_folder, tmp_path, monkeypatch, capsys):
+    # interrupted while the gain is computed: all that was fitted is kept
+    monkeypatch.setattr("diffsim.diagnose.diagnosis._report", stopped_report)
+    assert run("explain", study_folder, tmp_path, "--quick") == 130
+    assert "go on with: diffsim diagnose explain" in capsys.readouterr().err
+    kept = list((tmp_path / "interrupted").rglob("*.npz"))
+    assert kept and not (tmp_path / "report.json").exists()
+    monkeypatch.undo()
+    assert run("explain", study_folder, tmp_path, "--quick") == 0
+    assert "going on with what an interrupted diagnosis left" in capsys.readouterr().out
+    assert (tmp_path / "report.json").exists() and not (tmp_path / "interrupted").exists()
+    again = json.loads((tmp_path / "report.json").read_text())
+    assert again["named"] == ["drag"]
+
+
+def stopped_report(*_):
+    raise KeyboardInterrupt
+
+
 def test_changed_inputs_are_named():
     study = toy.generate(2, {"drag": 0.2})
     setup = Path(SETUP)

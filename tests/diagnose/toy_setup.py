@@ -17,6 +17,7 @@ def setup(study: Study, **_options: object) -> DiagnosisSetup:
     return DiagnosisSetup(
         model=toy.model(study.runs),
         effects=EFFECTS,
+        unknowns=(toy.unknown_force(),),
         bank=bank(study),
         settings=DiagnosisSettings(search=SearchSettings(num_refits=2)),
     )

@@ -191,6 +191,12 @@ def test_filled_from_a_report():
         smallest_visible={"x": 0.03, "y": 0.04},
     )  # fmt: skip
     source = example()
+    force = space(
+        name="unknown force",
+        groups=("calm", "pushed"),
+        components=("north_0", "north_1", "down_0", "down_1"),
+        z=np.array([[0.1, 0.2, 0.0, 0.3], [9.0, 1.0, 0.5, -4.0]]),
+    )
     report = space(
         study=space(
             name="s", channels=CHANNELS, fit_runs=(run,), holdout_runs=(), metadata={"geometry": {}}
@@ -218,6 +224,7 @@ def test_filled_from_a_report():
         null=fit(run.null),
         best=fit(run.measured),
         next_run={"best": "a", "chi2_gain": {"a": 4.0}, "over_median": 1.0},
+        force_map=force,
     )
     found = dr.figures_of(report)
     assert [c.name for c in found.causes] == ["tilt.x", "tilt.y"]
@@ -228,6 +235,7 @@ def test_filled_from_a_report():
     assert found.settings["fitted"] == "a; 1 nuisances of single runs"
     assert found.settings["taken from the study"] == ["geometry"]
     assert len(found.whiteness) == 2 and found.whiteness[0][0] < 0.01  # the model leads
+    assert found.force_map is not None and "unknown force" in found.force_map.caption
     assert page.render(dr.diagnosis_page(found)).count("tilt.x") >= 2
 
 
@@ -255,3 +263,13 @@ def test_rms_over_position_rises_where_the_model_is_off():
 def test_settings_are_said_in_lines_not_brackets():
     pairs = dict(dr._pairs({"keep_nats": 4.0, "failed": [], "search": {"max_effects": 3}}))
     assert pairs == {"keep nats": "4.0", "failed": "none", "search: max effects": "3"}
+
+
+def test_force_map_has_a_row_per_shape_and_a_column_per_knot():
+    names = ("north_0", "north_1", "down_0", "down_1")
+    z = np.array([[0.1, 0.2, 0.0, 0.3], [9.0, 1.0, 0.5, -4.0]])
+    figure = draw.force_map(names, ("calm", "pushed"), z)
+    calm, pushed = figure.axes[:2]
+    np.testing.assert_array_equal(pushed.images[0].get_array(), [[9.0, 1.0], [0.5, -4.0]])
+    assert [t.get_text() for t in pushed.get_yticklabels()] == ["north", "down"]
+    assert calm.images[0].get_clim() == (-9.0, 9.0) == pushed.images[0].get_clim()
