@@ -231,7 +231,7 @@ def force_map(components: Sequence[str], groups: Sequence[str], z: Array) -> Fig
     shapes = [m["shape"].strip("_") if m else n for m, n in zip(parts, components, strict=True)]
     knots = [int(m["knot"]) if m else 0 for m in parts]
     rows = list(dict.fromkeys(shapes))
-    high = max(float(np.abs(z).max(initial=0.0)), 3.0)
+    high = max(float(np.abs(z).max(initial=0.0)), 5.0)  # noise alone stays pale
     figure, axes = new_figure(
         len(groups), 1, height=0.7 + len(groups) * (0.7 + 0.24 * len(rows)), squeeze=False
     )
