@@ -29,4 +29,4 @@ def progress_bar(title: str, *, quiet: bool = False) -> Iterator[Progress]:
         bar.refresh()
 
 
-_FORMAT = "{desc} |{bar:20}| {percentage:3.0f} % [{elapsed}] {postfix}"
+_FORMAT = "{desc} |{bar:20}| {percentage:3.0f} % [{elapsed}{postfix}]"

@@ -241,6 +241,7 @@ def force_map(components: Sequence[str], groups: Sequence[str], z: Array) -> Fig
             table[rows.index(shape), knot] = score
         drawn = ax.imshow(table, cmap="RdBu_r", vmin=-high, vmax=high, aspect="auto")
         ax.set_yticks(range(len(rows)), rows, fontsize=8)
+        ax.xaxis.get_major_locator().set_params(integer=True)
         ax.set_title(group, loc="left", fontsize=9.5, color=INK)
         ax.grid(False)
     axes[-1, 0].set_xlabel("knot in time", color=SOFT)

@@ -12,12 +12,13 @@ import torch
 import yaml
 
 from diffsim import cli
+from diffsim.data.labs import CopterLab
 from diffsim.data.study import Study
 from diffsim.data.study_file import load_study, save_study
 from diffsim.diagnose import diagnose, load_extended, save_extended
 from diffsim.diagnose.inputs import changed, choose, inputs_of
 from diffsim.diagnose.model_file import read_extended
-from diffsim.diagnose.refit import rival_sets
+from diffsim.diagnose.refit import fit_null, refit, rival_sets
 from diffsim.diagnose.setups import DiagnosisSetup
 from diffsim.identify import fit
 from tests.diagnose import linear, toy, toy_setup
@@ -250,3 +251,28 @@ def test_loaded_model_is_differentiable_in_parameters_and_sizes(tmp_path):
     ]
     sd = torch.tensor([found.sd[p.name] for p in loaded.base], dtype=torch.float64)
     np.testing.assert_allclose(slope, torch.cat(shapes, -1) * sd, atol=1e-12)
+
+
+def test_loaded_copter_model_is_prepared_where_the_fitted_one_was(tmp_path):
+    study = CopterLab()(1, "wind")
+    runs = tuple(r for r in study.runs if r.name in ("hover_yaw_a", "sprint_a"))
+    study = replace(study, runs=runs)
+    inputs = inputs_of(study, seed=0)
+    wind = next(e for e in inputs.setup.effects if e.name == "wind")
+    found = refit(fit_null(inputs), [wind], inputs, {})
+    assert found.problem.model.prepared_q is not None
+    save_extended(found, tmp_path / "extended_model.yaml", study=study, verdict="named")
+    loaded = load_extended(tmp_path, study)  # a setup of its own
+    q = torch.full((len(loaded.base),), 0.3, dtype=torch.float64)
+    for r in found.problem.runs:
+        direct = found.problem.predict(r, torch.from_numpy(found.x))
+        np.testing.assert_allclose(loaded.predict(r, loaded.at_prior()), direct, atol=1e-12)
+        many = loaded.predict_many(r, torch.stack([q, loaded.at_prior()]))
+        np.testing.assert_allclose(many[0], loaded.predict(r, q), atol=1e-12)
+    leaf = q.clone().requires_grad_()
+    (slope,) = torch.autograd.grad(loaded.predict(r, leaf).sum(), leaf)
+    step = torch.zeros_like(q)
+    step[-1] = 1e-4  # the wind's east component
+    with torch.no_grad():
+        change = (loaded.predict(r, q + step) - loaded.predict(r, q - step)).sum() / 2e-4
+    assert float(slope[-1]) == pytest.approx(float(change), rel=1e-5)
