@@ -24,7 +24,7 @@ import diffsim
 from diffsim._files import write_json_atomic, write_text_atomic
 from diffsim.data.labs.sealed import BENCHES, Bench, draw_label, is_sealed, open_label, seal
 from diffsim.data.study_file import load_study
-from diffsim.diagnose.blind_score import score_answer, score_simulated
+from diffsim.diagnose.blind_score import score_answer, score_simulated, with_strength
 from diffsim.diagnose.blind_table import confusion, figures, markdown
 from diffsim.diagnose.inputs import inputs_of
 from diffsim.errors import DiffsimError
@@ -78,8 +78,8 @@ class Blind:
 
     def answer(self, case: str) -> dict[str, Any]:
         """Diagnose a case in a process of its own; an answer that is there is kept."""
-        path = self.out / "answers" / f"{case}.json"
-        if not path.is_file():
+        path = self._answer_path(case)
+        if not self._is_answered(case):
             path.parent.mkdir(parents=True, exist_ok=True)
             # a copy: nothing of the other cases lies beside what the process is given
             with tempfile.TemporaryDirectory(prefix="blind_") as room:
@@ -87,12 +87,23 @@ class Blind:
                 shutil.copytree(self.data / case, folder)
                 error = self._run(folder, Path(room) / "answer.json")
                 if error is not None:
-                    answer = {"verdict": "failed", "error": error}
+                    answer = {"verdict": "failed", "error": error, "timeout_s": self.timeout_s}
                 else:
                     answer = json.loads((Path(room) / "answer.json").read_text("utf-8"))
             write_json_atomic(path, answer)
         found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         return found
+
+    def _answer_path(self, case: str) -> Path:
+        return self.out / "answers" / f"{case}.json"
+
+    def _is_answered(self, case: str) -> bool:
+        """Whether an answer is there; a failure within less time than there is now is none."""
+        path = self._answer_path(case)
+        if not path.is_file():
+            return False
+        answer = json.loads(path.read_text(encoding="utf-8"))
+        return bool(answer.get("timeout_s", np.inf) >= self.timeout_s)
 
     def _run(self, folder: Path, result: Path) -> str | None:
         """What went wrong, or None."""
@@ -120,7 +131,7 @@ class Blind:
         """
         path = self.out / "scores" / f"{case}.json"
         label = open_label(self.data, self.vault, case)["label"]
-        if not path.is_file():
+        if not (path.is_file() and self._is_answered(case)):
             answer = self.answer(case)
             folder = self.data / case
             setup = inputs_of(load_study(folder), seed=0, setup_file=self.setup_file).setup
@@ -130,7 +141,7 @@ class Blind:
                     score |= score_simulated(self.bench, label, folder, score, self.setup_file)
                 except DiffsimError as error:
                     score["not_simulated"] = str(error)
-            write_json_atomic(path, score)
+            write_json_atomic(path, with_strength(score))
         found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         return found
 

@@ -24,6 +24,7 @@ from diffsim.identify.problem import effect_coordinates
 
 Array = NDArray[np.float64]
 Z90 = 1.645
+ABSORBED = 3.0  # lambda: 4.5 nats, of which about 9 are needed to be seen
 LARGE_EXCESS = 0.05  # noise variances per sample; below it a share of the excess means nothing
 
 
@@ -147,6 +148,17 @@ def _sizes(
                 "inside": abs(size - true) <= half,
             }
     return out
+
+
+def with_strength(score: Mapping[str, Any]) -> dict[str, Any]:
+    """The score, where what the library lacks turned out to be absorbed by the base parameters.
+
+    With a lambda below ``ABSORBED`` nothing is missing from the fitted model: to say so is right.
+    """
+    strength = max(score.get("lambda", {}).values(), default=np.inf)
+    if score["scored_as"] in ("outside", "look_alike") and strength < ABSORBED:
+        return {**score, "scored_as": "absorbed", "right": score["verdict"] == "none"}
+    return dict(score)
 
 
 def score_simulated(

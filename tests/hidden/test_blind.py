@@ -12,7 +12,7 @@ from diffsim import cli
 from diffsim.diagnose import blind as blind_module
 from diffsim.diagnose.blind import Blind
 from diffsim.diagnose.blind_case import CoarseModel, Twin
-from diffsim.diagnose.blind_score import score_answer, true_sizes
+from diffsim.diagnose.blind_score import score_answer, true_sizes, with_strength
 from diffsim.diagnose.blind_table import confusion, figures, markdown
 from diffsim.diagnose.model import Numerics, SimModel
 from tests.diagnose import toy, toy_setup
@@ -181,10 +181,38 @@ def test_the_process_gets_the_data_and_a_bare_environment(solved, monkeypatch, t
         given = blind.answer("case_000")
     finally:
         (tmp_path / "kept.json").rename(blind.out / "answers" / "case_000.json")
-    assert given == {"verdict": "failed", "error": "status 1: stop here"}
+    assert given == {"verdict": "failed", "error": "status 1: stop here", "timeout_s": 3600.0}
     assert "SECRET_LABEL" not in seen["environment"]
     assert not any(str(blind.vault) in word for word in seen["command"])
     assert {p.name for p in seen["files"]} >= {"study.yaml", "options.json", "label.sha256"}
+
+
+def test_a_case_that_ran_out_of_time_is_asked_again_with_more(tmp_path, monkeypatch):
+    asked = []
+
+    def late(self, folder, result):
+        asked.append(self.timeout_s)
+        return f"no answer within {self.timeout_s:g} s"
+
+    monkeypatch.setattr(Blind, "_run", late)
+    for timeout_s in (10.0, 10.0, 20.0, 5.0):
+        blind = Blind(
+            TOY, "toy", QUICK_SEED, tmp_path / "out", tmp_path / "vault", ("null",), True,
+            timeout_s, SETUP,
+        )  # fmt: skip
+        (score,) = blind.run(1)
+        assert score["verdict"] == "failed" and not score["right"]
+    assert asked == [10.0, 20.0]
+
+
+def test_what_the_base_parameters_absorb_is_rightly_not_found():
+    hidden = label("single", {"pulse": [0.1]})  # not in the library
+    none = score_answer(hidden, answer("none"), toy.LIBRARY)
+    assert not with_strength({**none, "lambda": {"pulse": 12.0}})["right"]
+    absorbed = with_strength({**none, "lambda": {"pulse": 0.4}})
+    assert absorbed["right"] and absorbed["scored_as"] == "absorbed"
+    blamed = score_answer(hidden, answer("unknown"), toy.LIBRARY)
+    assert not with_strength({**blamed, "lambda": {"pulse": 0.4}})["right"]
 
 
 def test_another_set_in_the_same_folder_is_refused(tmp_path, monkeypatch, capsys):

@@ -112,11 +112,11 @@ BENCHES: dict[str, Bench] = {
         SoftBeamLab,
         # one frequency cannot tell how a loss depends on it
         confounded=(
-            (("stiffness_damping", "loss_factor"), Blindfold(without_runs=("chirp", "steps"))),
+            (("linear_drag", "loss_factor"), Blindfold(without_runs=("chirp", "steps"))),
         ),
         # the chirp stays below the tension that saturates
         invisible=(("saturation", Blindfold(without_runs=("release", "steps"))),),
-        look_alike=("stiffness_damping", "linear_drag", "lag", "delay"),
+        look_alike=("loss_factor", "linear_drag", "lag", "delay"),
         coarse={"time_step": 8.0},
     ),
     "copter": Bench(
