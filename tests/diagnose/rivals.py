@@ -1,12 +1,17 @@
 """What is done elsewhere, on the same cases: naive refit, BIC, held-out error, sparse regression.
 
 None of them weighs an unknown cause, says that the data cannot decide, or looks at repeats; all
-take the noise as stated, white.
+take the noise as stated, white. `python -m tests.diagnose.rivals confusion.jsonl` holds them
+against the verdicts that `tests.diagnose.confusion` wrote.
 """
 
 from __future__ import annotations
 
+import json
+import sys
+from collections import Counter
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -14,6 +19,8 @@ from diffsim.data.study import Study
 from diffsim.diagnose import Effect, SimModel
 from diffsim.diagnose.gain import held_out_residual
 from diffsim.identify import Fit, Problem, fit
+from tests.diagnose import toy
+from tests.diagnose.confusion import Case
 
 Array = np.ndarray
 NAIVE_Z = 1.645  # two-sided 90 %
@@ -137,3 +144,43 @@ def _bic(found: Fit, null: Fit) -> float:
 def _held_out(found: Fit, study: Study) -> float:
     """Sum of squares on the held-out runs, their own nuisances refitted."""
     return sum(float(np.sum(held_out_residual(found, run) ** 2)) for run in study.holdout_runs)
+
+
+def outcome(case: Case, names: Sequence[str] | None) -> str:
+    """ "right", "wrong", or "false alarm" (a name where there is none to give).
+
+    Args:
+        case: With our verdict.
+        names: Of another method; None: our verdict.
+    """
+    has_name = case["kind"] in ("single", "pair", "twins")
+    if names is not None:
+        is_right = sorted(names) == sorted(case["hidden"]) if has_name else not names
+        is_alarm = not has_name
+    else:
+        is_right = case["right"]
+        is_named = case["verdict"] in ("named", "ambiguous")
+        is_alarm = not has_name and (is_named or case["kind"] in ("null", "decoy"))
+    return "right" if is_right else "false alarm" if is_alarm else "wrong"
+
+
+def main() -> None:
+    """Print the table; write the names beside the cases."""
+    path = Path(sys.argv[1])
+    done = [json.loads(line) for line in path.read_text().splitlines()]
+    with path.with_suffix(".rivals.jsonl").open("w") as file:
+        for case in done:
+            study = toy.generate(case["seed"], case["hidden"], **case["options"])
+            step = 0.02 if case["kind"] == "numerical" else None
+            extra = (toy.ClockOffset(),) if case["kind"] == "twins" else ()
+            model = toy.model(study.runs, step)
+            case["others"] = rival_names(study, model, toy.LIBRARY + extra)
+            file.write(json.dumps(case) + "\n")
+            file.flush()
+    for method in (None, *METHODS):
+        found = Counter(outcome(c, None if method is None else c["others"][method]) for c in done)
+        print(f"{method or 'diagnosis':12s}", dict(found))
+
+
+if __name__ == "__main__":
+    main()

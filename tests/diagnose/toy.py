@@ -85,7 +85,8 @@ class OscillatorScene:
             return out
 
         if self.implicit_step is None:
-            x, v = _rk4(acceleration, push, TIME[1])
+            solve = _rk4 if has_drag or has_rub or has_hard else _rk4_linear
+            x, v = solve(acceleration, push, TIME[1])
         else:
             x, v = _implicit_euler(w, zeta, push, self.implicit_step * self.numerics.time_step)
         place = get.get(f"offset@{self.run.name}", zero)
@@ -97,19 +98,36 @@ def _rk4(acceleration, push, h):
     x = v = np.zeros(len(push))
     xs, vs = [x], [v]
     for k in range(0, push.shape[1] - 2, 2):
-        f0, f1, f2 = push[:, k], push[:, k + 1], push[:, k + 2]
-        a0 = acceleration(x, v, f0)
-        v1 = v + 0.5 * h * a0
-        a1 = acceleration(x + 0.5 * h * v, v1, f1)
-        v2 = v + 0.5 * h * a1
-        a2 = acceleration(x + 0.5 * h * v1, v2, f1)
-        v3 = v + h * a2
-        a3 = acceleration(x + h * v2, v3, f2)
-        x = x + h / 6 * (v + 2 * v1 + 2 * v2 + v3)
-        v = v + h / 6 * (a0 + 2 * a1 + 2 * a2 + a3)
+        x, v = _rk4_step(acceleration, x, v, push[:, k], push[:, k + 1], push[:, k + 2], h)
         xs.append(x)
         vs.append(v)
     return np.stack(xs, 1), np.stack(vs, 1)
+
+
+def _rk4_step(acceleration, x, v, f0, f1, f2, h):
+    a0 = acceleration(x, v, f0)
+    v1 = v + 0.5 * h * a0
+    a1 = acceleration(x + 0.5 * h * v, v1, f1)
+    v2 = v + 0.5 * h * a1
+    a2 = acceleration(x + 0.5 * h * v1, v2, f1)
+    v3 = v + h * a2
+    a3 = acceleration(x + h * v2, v3, f2)
+    return x + h / 6 * (v + 2 * v1 + 2 * v2 + v3), v + h / 6 * (a0 + 2 * a1 + 2 * a2 + a3)
+
+
+def _rk4_linear(acceleration, push, h):
+    """The same steps as one matrix: what a step makes of unit states and unit pushes."""
+    one, zero = np.ones(len(push)), np.zeros(len(push))
+    units = [[one if i == j else zero for i in range(5)] for j in range(5)]
+    (xx, vx), (xv, vv), *forced = [_rk4_step(acceleration, *u, h) for u in units]
+    pushes = (push[:, 0:-2:2], push[:, 1:-1:2], push[:, 2::2])
+    bx = sum(f[0][:, None] * p for f, p in zip(forced, pushes, strict=True)).T
+    bv = sum(f[1][:, None] * p for f, p in zip(forced, pushes, strict=True)).T
+    xs, vs = np.zeros((2, len(bx) + 1, len(push)))
+    for k in range(len(bx)):
+        xs[k + 1] = xx * xs[k] + xv * vs[k] + bx[k]
+        vs[k + 1] = vx * xs[k] + vv * vs[k] + bv[k]
+    return xs.T, vs.T
 
 
 def _implicit_euler(w, zeta, push, step):
