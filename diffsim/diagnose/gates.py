@@ -13,6 +13,7 @@ from diffsim.data.study import Study
 from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.evidence import Linearisation
 from diffsim.diagnose.local import Local, record_at, whitened
+from diffsim.diagnose.model import has_tangents
 from diffsim.diagnose.numerical import NumericalEffect
 from diffsim.diagnose.numerics import Numerics
 from diffsim.diagnose.report import GateResult
@@ -78,7 +79,7 @@ def gradient_gate(linear: Linearisation) -> list[GateResult]:
         return []
     _, adjoint = problem.gradient(x)
     score = -linear.jacobian.T @ residual
-    is_sound = problem.jacobian.method == "differences" or _agrees_along(linear, effects)
+    is_sound = _are_differences(problem) or _agrees_along(linear, effects)
     out = []
     for effect in effects:
         c = problem.columns_of(effect)
@@ -99,6 +100,11 @@ def gradient_gate(linear: Linearisation) -> list[GateResult]:
             )
         )
     return out
+
+
+def _are_differences(problem: Problem) -> bool:
+    method = problem.jacobian.method
+    return method == "differences" or (method == "auto" and not has_tangents(problem.model))
 
 
 def _agrees_along(linear: Linearisation, effects: Sequence[Effect]) -> bool:
@@ -127,7 +133,9 @@ def _extrapolated(problem: Problem, x: Array, only: list[int]) -> Array:
     """Scores of some coordinates by differences of two steps."""
     step, scores = problem.jacobian.step, []
     for h in (step, step / 2):
-        residual, jacobian = replace(problem, jacobian=Jacobian(step=h)).linearise(x, only=only)
+        residual, jacobian = replace(
+            problem, jacobian=Jacobian(method="differences", step=h)
+        ).linearise(x, only=only)
         scores.append(-jacobian[:, only].T @ residual)
     return np.asarray((4.0 * scores[1] - scores[0]) / 3.0)
 
