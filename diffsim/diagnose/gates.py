@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,10 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim.data.study import Study
-from diffsim.diagnose.model import Numerics
+from diffsim.diagnose.evidence import Linearisation
+from diffsim.diagnose.local import Local, record_at, whitened
+from diffsim.diagnose.numerical import NumericalEffect
+from diffsim.diagnose.numerics import Numerics
 from diffsim.diagnose.report import GateResult
 from diffsim.identify import Fit, Jacobian, Problem
 from diffsim.identify.fitting import posterior_covariance
@@ -55,28 +59,33 @@ def data_gate(study: Study) -> list[GateResult]:
     ]
 
 
-def gradient_gate(problem: Problem, x: Array) -> list[GateResult]:
+def gradient_gate(linear: Linearisation) -> list[GateResult]:
     """Adjoint score of every effect against differences; skipped where the scene has no gradient.
 
-    The differences are central or second-order one-sided at half the usual step and the usual one,
-    extrapolated (Richardson), so that they are good to the fourth (third) order.
+    The slopes of the linearisation are central differences, good to the second order, and cost
+    nothing here. Only an effect that disagrees is differenced again, at the usual step and half of
+    it, extrapolated (Richardson): good to the fourth (third, one-sided) order. Slopes of another
+    method are not differences; then all effects are.
+
+    Args:
+        linear: At the null fit.
     """
+    problem, x, residual = linear.problem, linear.x0, linear.residual
     effects = [e for e in problem.effects if e.smooth]
     if not effects or not _has_gradient(problem, x):
         return []
     _, adjoint = problem.gradient(x)
-    step = problem.jacobian.step
-    scores = []
-    for h in (step, step / 2):
-        residual, jacobian = replace(problem, jacobian=Jacobian(step=h)).linearise(x)
-        scores.append(-jacobian.T @ residual)
-    score = (4.0 * scores[1] - scores[0]) / 3.0
+    score = -linear.jacobian.T @ residual
     out = []
     for effect in effects:
         c = problem.columns_of(effect)
         # relative to the largest score a residual of this length could have
-        size = np.linalg.norm(residual) * np.linalg.norm(jacobian[:, c])
-        error = float(np.linalg.norm(adjoint[c] - score[c]) / size) if size > 0.0 else 0.0
+        size = np.linalg.norm(residual) * np.linalg.norm(linear.jacobian[:, c])
+        if size == 0.0:
+            continue
+        error = float(np.linalg.norm(adjoint[c] - score[c]) / size)
+        if error >= GRADIENT_RTOL or problem.jacobian.method != "differences":
+            error = float(np.linalg.norm(adjoint[c] - _extrapolated(problem, x, c)) / size)
         out.append(
             GateResult(
                 f"gradient:{effect.name}",
@@ -89,15 +98,36 @@ def gradient_gate(problem: Problem, x: Array) -> list[GateResult]:
     return out
 
 
-def numerics_gate(fit: Fit) -> list[GateResult]:
+def _extrapolated(problem: Problem, x: Array, only: list[int]) -> Array:
+    """Scores of some coordinates by differences of two steps."""
+    step, scores = problem.jacobian.step, []
+    for h in (step, step / 2):
+        residual, jacobian = replace(problem, jacobian=Jacobian(step=h)).linearise(x, only=only)
+        scores.append(-jacobian[:, only].T @ residual)
+    return np.asarray((4.0 * scores[1] - scores[0]) / 3.0)
+
+
+def numerics_changes(problem: Problem, local: Local) -> dict[str, Array]:
+    """(N,) change of the record by refining each setting; zero where the model has no such one.
+
+    Args:
+        problem: Whose runs are simulated again.
+        local: Point and record with the settings in use.
+    """
+    return {
+        name: record_at(replace(problem, numerics=finer), local.x) - local.record
+        for name, finer in REFINEMENTS.items()
+    }
+
+
+def numerics_gate(fit: Fit, changes: Mapping[str, Array]) -> list[GateResult]:
     """How far refining each numerical setting moves the record, in noise units.
 
     lambda = |(1 - J (J'J + 1)^-1 J') W (S(refined) - S)|: what base parameters cannot absorb.
     """
-    problem, j = fit.problem, fit.jacobian
-    out = []
-    for name, finer in REFINEMENTS.items():
-        change = fit.residual - replace(problem, numerics=finer).residual(fit.x)
+    j, out = fit.jacobian, []
+    for name, raw in changes.items():
+        change = whitened(fit.problem, raw)
         left = change - j @ (posterior_covariance(j) @ (j.T @ change))
         size = float(np.linalg.norm(left))
         out.append(
@@ -110,6 +140,23 @@ def numerics_gate(fit: Fit) -> list[GateResult]:
             )
         )
     return out
+
+
+def numerical_effects(changes: Mapping[str, Array]) -> tuple[NumericalEffect, ...]:
+    """One candidate per setting that the model knows."""
+    return tuple(
+        NumericalEffect(name, REFINEMENTS[name]) for name, change in changes.items() if change.any()
+    )
+
+
+def numerical_shift(fit: Fit, changes: Mapping[str, Array]) -> Array:
+    """(n,) how far refined settings would move the coordinates of a fit, all settings in
+    quadrature: (J'J + 1)^-1 J' W (S(refined) - S), no simulation."""
+    j = fit.jacobian
+    total = np.zeros(j.shape[1])
+    for raw in changes.values():
+        total += (posterior_covariance(j) @ (j.T @ whitened(fit.problem, raw))) ** 2
+    return np.asarray(np.sqrt(total))
 
 
 def _has_gradient(problem: Problem, x: Array) -> bool:

@@ -3,32 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from threading import Lock
 from typing import TYPE_CHECKING, Any, Protocol
 
 import torch
 from torch import Tensor
 
 from diffsim.diagnose.effect import Effect
+from diffsim.diagnose.numerical import NumericalEffect
+from diffsim.diagnose.numerics import Numerics
 from diffsim.identify.parameter import Parameter
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
-
-
-@dataclass(frozen=True)
-class Numerics:
-    """Numerical settings relative to those that the model uses by default.
-
-    Attributes:
-        time_step: Factor on the time step.
-        mesh: Factor on the cell size.
-        tolerance: Factor on solver tolerances.
-    """
-
-    time_step: float = 1.0
-    mesh: float = 1.0
-    tolerance: float = 1.0
 
 
 class Scene(Protocol):
@@ -37,6 +24,18 @@ class Scene(Protocol):
     def simulate(self) -> Tensor:
         """Predicted channels at the run's sample times, (num_samples, num_channels)."""
         ...
+
+
+class Tally:
+    """How many simulations were asked for; threads may count at once."""
+
+    def __init__(self) -> None:
+        self.count, self._lock = 0, Lock()
+
+    def add(self, number: int) -> None:
+        """Count more."""
+        with self._lock:
+            self.count += number
 
 
 Build = Callable[[Mapping[str, Tensor], "Run", Numerics], Scene]
@@ -65,6 +64,7 @@ class SimModel:
         if repeated := {n for n in names if names.count(n) > 1}:
             raise ValueError(f"base parameters repeat: {sorted(repeated)}")
         self.build, self.base, self.name, self.batched = build, tuple(base), name, batched
+        self.simulations = Tally()
 
     def predict(
         self,
@@ -81,7 +81,15 @@ class SimModel:
             sizes: Effects with their sizes [unit], (num_components,) each, applied in this order.
             numerics: Settings; the model's own if None.
         """
-        return self.scene(run, q, sizes, numerics).simulate()
+        physical, numerical = _parted(sizes)
+        self.simulations.add(len(q) if q.ndim > 1 else 1)
+        out = plain = self.scene(run, q, physical, numerics).simulate()
+        for effect, size in numerical.items():
+            if size.requires_grad or bool((size != 0.0).any()):
+                finer = (numerics or Numerics()).refined(effect.refined)
+                refined = self.predict(run, q, physical, finer)
+                out = out + size[..., None] * (refined - plain)
+        return out
 
     def predict_many(
         self,
@@ -100,11 +108,20 @@ class SimModel:
         """
         if self.batched:
             return self.predict(run, q, sizes, numerics)
+        physical, numerical = _parted(sizes)
+        self.simulations.add(len(q))
         scenes = [
-            self.scene(run, q[k], {e: s[k] for e, s in (sizes or {}).items()}, numerics)
+            self.scene(run, q[k], {e: s[k] for e, s in physical.items()}, numerics)
             for k in range(len(q))
         ]
-        return torch.stack(self.simulate_scenes(scenes))
+        out = plain = torch.stack(self.simulate_scenes(scenes))
+        for effect, size in numerical.items():
+            if (rows := torch.nonzero(size[:, 0])[:, 0]).numel():
+                finer = (numerics or Numerics()).refined(effect.refined)
+                there = {e: s[rows] for e, s in physical.items()}
+                change = self.predict_many(run, q[rows], there, finer) - plain[rows]
+                out = out.index_add(0, rows, size[rows, :, None] * change)
+        return out
 
     def scene(
         self,
@@ -138,3 +155,12 @@ class SimModel:
     def at_prior(self) -> Tensor:
         """Standardised coordinates of the best guess, (num_base,)."""
         return torch.zeros(len(self.base), dtype=torch.float64)
+
+
+def _parted(
+    sizes: Mapping[Effect, Tensor] | None,
+) -> tuple[dict[Effect, Tensor], dict[NumericalEffect, Tensor]]:
+    """What acts in the scene, and what on its prediction."""
+    given = sizes or {}
+    numerical = {e: s for e, s in given.items() if isinstance(e, NumericalEffect)}
+    return {e: s for e, s in given.items() if e not in numerical}, numerical
