@@ -21,7 +21,7 @@ from diffsim.diagnose.crosscheck import swap_probability
 from diffsim.diagnose.evidence import Linearisation
 from diffsim.diagnose.gates import data_gate, gradient_gate
 from diffsim.diagnose.unknown import UnknownDrift
-from diffsim.identify import Problem, WhiteNoise, fit
+from diffsim.identify import Jacobian, Problem, WhiteNoise, fit
 from tests.diagnose import linear, toy
 
 FEW = (toy.Drag(), toy.Delay(), toy.Bias(), toy.Scale())
@@ -148,7 +148,8 @@ def test_repeats_confirm_a_repeatable_cause_and_not_noise():
 
 
 @pytest.mark.grad
-def test_gradient_gate_passes_and_sees_a_wrong_gradient():
+@pytest.mark.parametrize("method", ["differences", "forward_mode"])
+def test_gradient_gate_passes_and_sees_a_wrong_gradient(method):
     class Wrong(linear.Line):
         def apply(self, scene, size, run):
             scene = super().apply(scene, size, run)
@@ -159,12 +160,24 @@ def test_gradient_gate_passes_and_sees_a_wrong_gradient():
                 + 0.01 * (linear.shapes(self.name, run) @ (size - size.detach())),
             )
 
-    effects = (linear.Line("push"), Wrong("pull"))
-    problem, x = linear.problem(effects), np.zeros(4)
+    effects = (linear.Line("push"), *(linear.Line(f"more {i}") for i in range(8)), Wrong("pull"))
+    problem, x = linear.problem(effects), np.zeros(12)
+    problem = replace(problem, jacobian=Jacobian(method=method))
     at = Linearisation(problem, x, *problem.linearise(x), [], 1)
     gates = {g.name: g for g in gradient_gate(at)}
-    assert gates["gradient:push"].passed
-    assert not gates["gradient:pull"].passed
+    assert not gates.pop("gradient:pull").passed
+    assert all(g.passed for g in gates.values()) and len(gates) == 9
+
+
+@pytest.mark.grad
+def test_sound_gradients_are_checked_by_three_simulations_of_a_run():
+    effects = tuple(linear.Line(f"push {i}") for i in range(8))
+    problem = replace(linear.problem(effects), jacobian=Jacobian(method="forward_mode"))
+    at = Linearisation(problem, np.zeros(10), *problem.linearise(np.zeros(10)), [], 1)
+    before = problem.model.simulations.count
+    assert all(g.passed for g in gradient_gate(at))
+    # one to see whether there is a gradient, one for the adjoint, three for the direction
+    assert problem.model.simulations.count - before == 1 + len(problem.runs) * 4
 
 
 def test_data_gate_refuses_what_cannot_be_judged():
