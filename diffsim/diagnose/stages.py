@@ -103,7 +103,10 @@ def null_fit(case: Case) -> tuple[Case, NoiseFloor, Descended, int]:
     study = replace(study, runs=tuple(run for run, _ in cleaned))
     case = replace(case, study=study)
     noise = noise_floor(study.fit_runs, study.channels, left_in(study.fit_runs, found.local))
-    return case, noise, descend(case.problem(noise.whitener), found.local), num_spikes
+    problem, local = case.problem(noise.whitener), found.local
+    if num_spikes:  # a model that fits initial states to the record predicts otherwise without them
+        local = local_at(problem, found.fit.x)
+    return case, noise, descend(problem, local), num_spikes
 
 
 def search_rounds(

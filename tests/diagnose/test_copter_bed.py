@@ -17,7 +17,7 @@ from diffsim.diagnose.beds.copter import effects as causes
 from diffsim.diagnose.beds.copter import flight_model, unknown_wrench
 from diffsim.copter.fleet import Fleet
 from diffsim.diagnose.beds.copter.flying import Flyer, Motion
-from diffsim.diagnose.beds.copter.shooting import Shooting
+from diffsim.diagnose.beds.copter.shooting import Windows
 from diffsim.identify import Parameter
 from tests.diagnose.gate import score_error, typical
 
@@ -107,8 +107,9 @@ def test_initial_states_are_fitted_away(model, flown):
     assert float(misfit) / (SAMPLES * 12 - 3 * 12) == pytest.approx(1.0, abs=0.1)
     # another first guess of the same windows ends in the same place
     scene = model.build({}, run, Numerics())
-    moved = replace(scene.shooting, start=scene.shooting.start + 0.02)
-    other = scene.changed(shooting=moved).simulate()
+    moved = replace(scene.windows, guess=scene.windows.guess + 0.02, latest=[])
+    other = scene.changed(windows=moved).simulate()
+    # but for the pull of the prior
     assert float(((other - scene.simulate()) / SD).abs().max()) < 0.05
 
 
@@ -132,7 +133,8 @@ def test_many_points_are_as_one_by_one(model, flown):
     many = model.predict_many(run, q, sizes)
     for k in range(3):
         alone = model.predict(run, q[k], {e: s[k] for e, s in sizes.items()})
-        torch.testing.assert_close(many[k], alone, atol=1e-8, rtol=0)  # thrusts settle to 1e-9
+        # initial states follow by the tangents of the first point: of second order in noise units
+        assert float(((many[k] - alone) / SD).abs().max()) < (1e-4 if k == 0 else 0.05)
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
@@ -150,7 +152,11 @@ def test_scores(effect, model, flown):
     run, _ = flown
 
     def at(amount):
-        return model.predict(run, model.at_prior(), {effect: amount})
+        if amount.requires_grad:
+            return model.predict(run, model.at_prior(), {effect: amount})
+        # about size zero, as in a linearisation
+        q = model.at_prior().expand(2, -1)
+        return model.predict_many(run, q, {effect: torch.stack([0 * amount, amount])})[1]
 
     # the cubic of a delayed command has a first derivative only: differences of first order
     step = 1e-4 if effect.name == "delay" else 1e-3
@@ -364,9 +370,9 @@ def test_profile_of_a_linear_model_is_ridge_regression():
     def predict(start):
         return (start @ tangent.T)[..., None]
 
-    start = torch.zeros(1, 16, dtype=torch.float64)
-    shooting = Shooting.prepare(predict, start, measured, tensor([0.5]))
-    spread = np.array([0.3] * 3 + [0.2] * 3 + [1.0] * 10)
+    windows = Windows(torch.zeros(1, 16, dtype=torch.float64), measured, tensor([0.5]), [])
+    shooting = windows.settled(predict)
+    spread = np.array([0.3] * 3 + [0.2] * 3 + [1.0] * 6 + [2.0] * 4)
     normal = 4 * tangent.T.numpy() @ tangent.numpy() + np.diag(spread**-2)
     best = np.linalg.solve(normal, 4 * tangent.T.numpy() @ measured[0, :, 0].numpy())
     found = shooting.profile(predict)[0, :, 0]

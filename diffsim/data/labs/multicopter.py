@@ -169,7 +169,8 @@ class _Flight:
         h = 1.0 / RATE_HZ / SUBSTEPS
         rows, commands = np.empty((len(time_s), 12)), np.empty((len(time_s), 4))
         asked = [hover] * (3 + int(self.delay / h))  # at earlier substeps, newest last
-        felt = np.array([0.0, 0.0, -GRAVITY])
+        force = self._rate(x, 0.0, hover)[7:10] - np.array([0.0, 0.0, GRAVITY])
+        felt = matrix(x[3:7]).T @ force  # as if it had gone on like that before
         for i, now in enumerate(time_s):
             commands[i] = self._control(x, now)
             rows[i] = np.concatenate([x[0:3], angles(x[3:7]), x[10:13], felt])

@@ -37,7 +37,7 @@ BASE = {
 BANK_S, BANK_HZ = 4.0, 100.0
 
 
-def setup(study: Study, *, window_s: float = 1.0, knot_s: float = 0.2) -> DiagnosisSetup:
+def setup(study: Study, *, window_s: float = 0.5, knot_s: float = 0.2) -> DiagnosisSetup:
     """Model, causes and further runs.
 
     Args:

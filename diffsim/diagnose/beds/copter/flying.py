@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from diffsim.copter import FlightEffects, fly
+from diffsim.copter.attitude import rpy_from_rotation
 from diffsim.copter.fleet import Fleet
 from diffsim.copter.vehicle import GRAVITY
 from diffsim.diagnose.beds.copter.shooting import RIGID, flight_state
@@ -89,7 +90,7 @@ class Flyer:
         Raises:
             ConvergenceError: forces that depend on the motion did not settle.
         """
-        windows, length = self.scene.shooting.measured.shape[:2]
+        windows, length = self.scene.windows.measured.shape[:2]
         start = start.expand(self.points, -1, -1)
         heard = self.scene.heard(start[:, 0, RIGID:])
         return self.fly_thrusts(start[..., :RIGID], windowed(heard, windows, length))
@@ -163,7 +164,6 @@ class Flyer:
             shaped(state.position) + frame.way,
             shaped(state.velocity) + frame.velocity,
             shaped(state.rotation),
-            shaped(state.rpy),
             shaped(state.body_rates),
         )
 
@@ -205,7 +205,6 @@ class _Record:
     position: Tensor
     velocity: Tensor
     rotation: Tensor
-    rpy: Tensor
     body_rates: Tensor
 
     def motion(self, vehicle: Fleet) -> Motion:
@@ -261,7 +260,7 @@ def _read(scene: CopterScene, record: _Record) -> Tensor:
 
     channels = {
         "position": scaled(scene.position_scale, seen),
-        "attitude": record.rpy[:, :, 1:] + wide(scene.attitude_offset),
+        "attitude": rpy_from_rotation(rotation) + wide(scene.attitude_offset),
         "body_rates": in_unit(record.body_rates[:, :, 1:]) + wide(scene.body_rates_offset),
         "accelerometer": scaled(scene.accelerometer_scale, in_unit(specific))
         + wide(scene.accelerometer_offset),

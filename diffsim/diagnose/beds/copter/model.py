@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,9 +13,8 @@ from torch import Tensor
 from diffsim._check import require_choice
 from diffsim.copter import Multicopter
 from diffsim.copter.fleet import Fleet
-from diffsim.diagnose.beds.copter.flying import Flyer, windowed
 from diffsim.diagnose.beds.copter.scene import SENSORS, CopterScene
-from diffsim.diagnose.beds.copter.shooting import Shooting, filled, guess_states
+from diffsim.diagnose.beds.copter.shooting import Windows, filled, guess_states
 from diffsim.diagnose.beds.signals import held_lagged
 from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.model import Numerics, SimModel
@@ -54,7 +53,6 @@ def flight_nuisances(
 # Noise of a channel while nothing better is known: motion capture and a small inertial unit.
 SENSOR_SD = {"position": 2e-3, "attitude": 5e-3, "body_rates": 1e-2, "accelerometer": 0.1}
 _UNEVEN = 1e-3  # of the mean step
-_PREPARATIONS = 2
 THRUST_COEFFICIENT = 1e-5  # of a small propeller, where a design states none [N s^2]
 
 
@@ -68,7 +66,6 @@ class CopterModel(SimModel):
 
     def __init__(self, flights: Flights, base: Sequence[Parameter]):
         super().__init__(flights, base, "multicopter")
-        self.flights = flights
 
     def predict_many(
         self,
@@ -77,25 +74,36 @@ class CopterModel(SimModel):
         sizes: Mapping[Effect, Tensor] | None = None,
         numerics: Numerics | None = None,
     ) -> Tensor:
-        """Points with the same effects in one batch: what is absent costs nothing."""
+        """Points with the same effects in one batch: what is absent costs nothing.
+
+        Best initial states are found with the tangents of the first point, the centre of a stencil.
+        """
         sizes = sizes or {}
         present = torch.stack(
             [torch.zeros(len(q), dtype=torch.bool), *((s != 0.0).any(1) for s in sizes.values())], 1
         )
         kinds, kind = torch.unique(present, dim=0, return_inverse=True)
         out = q.new_empty(len(q), *run.measured.shape)
+        shooting = self._scene(run, q[:1], sizes, present[0, 1:], numerics).settled()
         for k, row in enumerate(kinds[:, 1:]):
             mine = torch.nonzero(kind == k)[:, 0]
-            there = {e: s[mine] for (e, s), on in zip(sizes.items(), row, strict=True) if on}
-            scene = self.scene(run, q[mine], there, numerics)
-            assert isinstance(scene, CopterScene)
-            out[mine] = scene.simulate_many(len(mine))
+            mine_only = {e: s[mine] for e, s in sizes.items()}
+            scene = self._scene(run, q[mine], mine_only, row, numerics)
+            out[mine] = scene.simulate_many(len(mine), shooting)
         return out
 
-    def prepared_at(self, q: Tensor) -> CopterModel:
-        """With initial states and their tangents from these base parameters."""
-        values = {p.name: p.value_at(q[i : i + 1]).detach() for i, p in enumerate(self.base)}
-        return CopterModel(replace(self.flights, at=values, known={}), self.base)
+    def _scene(
+        self,
+        run: Run,
+        q: Tensor,
+        sizes: Mapping[Effect, Tensor],
+        present: Tensor,
+        numerics: Numerics | None,
+    ) -> CopterScene:
+        there = {e: s for (e, s), on in zip(sizes.items(), present, strict=True) if on}
+        scene = self.scene(run, q, {e: s[: len(q)] for e, s in there.items()}, numerics)
+        assert isinstance(scene, CopterScene)
+        return scene
 
 
 def flight_model(
@@ -148,7 +156,6 @@ def flight_model(
         window_s=window_s,
         substeps=substeps,
         thrust_coefficient=thrust_coefficient,
-        at={p.name: torch.tensor([p.value], dtype=torch.float64) for p in base},
     )
     return CopterModel(flights, tuple(base))
 
@@ -165,8 +172,7 @@ class Flights:
         window_s: [s].
         substeps: Integration steps per sample.
         thrust_coefficient: [N s^2].
-        at: Values at which initial states and their tangents are prepared, (1,) each.
-        known: Windows of runs that were prepared.
+        known: Windows of runs.
     """
 
     vehicle: Fleet
@@ -176,17 +182,12 @@ class Flights:
     window_s: float
     substeps: int
     thrust_coefficient: float
-    at: Mapping[str, Tensor]
-    known: dict[Run, Shooting] = field(default_factory=dict)
+    known: dict[Run, Windows] = field(default_factory=dict)
 
     def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> CopterScene:
         if run not in self.known:
-            self.known[run] = self._prepared(run)
-        return self._scene(values, run, numerics.time_step, self.known[run])
+            self.known[run] = self._windows(run)
 
-    def _scene(
-        self, values: Mapping[str, Tensor], run: Run, factor: float, shooting: Shooting
-    ) -> CopterScene:
         def of(name: str) -> Tensor:
             return values[name].reshape(-1) if name in values else self.sd.new_ones(1)
 
@@ -204,8 +205,8 @@ class Flights:
             accelerometer_offset=_vector(values, "accelerometer_offset"),
             dt=_spacing(run),
             sensors=self.sensors,
-            shooting=shooting,
-            substeps=max(1, round(self.substeps / factor)),
+            windows=self.known[run],
+            substeps=max(1, round(self.substeps / numerics.time_step)),
             terrain_height=float(run.setup.get("terrain_height_m", 0.0)),
             thrust_coefficient=self.thrust_coefficient,
         )
@@ -214,8 +215,8 @@ class Flights:
             scene = scene.with_command(lambda u, dt: held_lagged(u, dt, tau))
         return scene
 
-    def _prepared(self, run: Run) -> Shooting:
-        """Tangents at the first guess, and again at the best initial states from there."""
+    def _windows(self, run: Run) -> Windows:
+        """Start one sample early, for the accelerometer shows the mean over the step before."""
         measured = torch.as_tensor(np.asarray(run.measured), dtype=torch.float64)
         if measured.shape[1] != len(self.sd):
             raise ValueError(
@@ -225,29 +226,15 @@ class Flights:
         dt = _spacing(run)
         length = min(max(5, round(self.window_s / dt)), len(measured))
         windows = -(-len(measured) // length)
-        record = torch.full((1, windows * length, len(self.sd)), np.nan, dtype=torch.float64)
-        record[0, : len(measured)] = measured
-        record = windowed(record, windows, length)[0]
-        start = self._guess(run, measured, windows, length, dt)
-        empty = Shooting(start, record, measured[:0], measured[:0])
-        for _ in range(_PREPARATIONS):
-            scene = self._scene(self.at, run, 1.0, empty)
-            found = Shooting.prepare(
-                lambda moved, scene=scene: Flyer(scene, len(moved))(moved), start, record, self.sd
-            )
-            with torch.no_grad():
-                start = found.best(Flyer(scene, 1))
-        return found
-
-    def _guess(self, run: Run, measured: Tensor, windows: int, length: int, dt: float) -> Tensor:
-        """(num_windows, 12 + n_rotors); windows start one sample early, for the accelerometer shows
-        the mean over the step before."""
+        record = torch.full((windows * length, len(self.sd)), np.nan, dtype=torch.float64)
+        record[: len(measured)] = measured
         whole = filled(measured)
         groups = {g: whole[:, 3 * i : 3 * i + 3] for i, g in enumerate(self.sensors)}
         states = guess_states(groups["position"], groups["attitude"], groups.get("body_rates"), dt)
         before = (torch.arange(windows) * length - 1).clamp(min=0)
-        past = _columns(run, self.commands)[0, :1].expand(windows, -1)
-        return torch.cat([states[before], past], 1)
+        past = _columns(run, self.commands).mean(1).expand(windows, -1)
+        guess = torch.cat([states[before], past], 1)
+        return Windows(guess, record.reshape(windows, length, -1), self.sd, [])
 
 
 def _vector(values: Mapping[str, Tensor], name: str) -> Tensor:

@@ -12,7 +12,7 @@ from torch import Tensor
 from diffsim.copter import FlightEffects
 from diffsim.copter.fleet import Fleet
 from diffsim.diagnose.beds.copter.flying import Flyer, Motion
-from diffsim.diagnose.beds.copter.shooting import Shooting
+from diffsim.diagnose.beds.copter.shooting import Shooting, Windows
 
 SENSORS = {
     "position": ("x_m", "y_m", "z_m"),
@@ -47,7 +47,7 @@ class CopterScene:
         commands: Thrusts at every sample, held until the next, (points, num_samples, n_rotors) [N].
         dt: Between samples [s].
         sensors: Groups of channels of the record, in order; keys of ``SENSORS``.
-        shooting: Windows and their initial states.
+        windows: The record in windows, whose initial states are fitted away.
         substeps: Integration steps per sample.
         flight_effects: Of :func:`diffsim.copter.fly`; tensors with the leading axis.
         terrain_height: Of the ground above the origin [m].
@@ -71,7 +71,7 @@ class CopterScene:
     commands: Tensor
     dt: float
     sensors: tuple[str, ...]
-    shooting: Shooting
+    windows: Windows
     substeps: int = 2
     flight_effects: FlightEffects = field(default_factory=FlightEffects)
     terrain_height: float = 0.0
@@ -110,18 +110,23 @@ class CopterScene:
 
     def simulate(self) -> Tensor:
         """Predicted channels of one point, (num_samples, num_channels)."""
-        return self.simulate_many(1)[0]
+        return self.simulate_many(1, self.settled())[0]
 
-    def simulate_many(self, points: int) -> Tensor:
+    def settled(self) -> Shooting:
+        """Best initial states of one point and their tangents there."""
+        return self.windows.settled(lambda starts: Flyer(self, len(starts))(starts))
+
+    def simulate_many(self, points: int, shooting: Shooting) -> Tensor:
         """Predicted channels with the best initial states.
 
         Args:
             points: How many the leading axes stand for.
+            shooting: Of a point near all of them.
 
         Returns:
             (points, num_samples, num_channels).
         """
-        return self.shooting.profile(Flyer(self, points))[:, : self.commands.shape[1]]
+        return shooting.profile(Flyer(self, points))[:, : self.commands.shape[1]]
 
     def heard(self, past: Tensor) -> Tensor:
         """Thrusts over the steps that end at the samples, (points, num_samples, n_rotors) [N].

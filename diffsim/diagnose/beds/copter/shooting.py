@@ -15,14 +15,17 @@ from torch import Tensor
 
 from diffsim.copter import FlightState
 from diffsim.copter.attitude import body_rates_from_rpy_rates, quaternion_from_rpy
+from diffsim.errors import ConvergenceError
 
 RIGID = 12  # entries of the rigid body's state; thrusts held before the record follow
 # What is known of an initial state beyond its first guess: hardly anything.
 _SPREAD = (0.3, 0.2, 1.0, 1.0)  # [m, rad, m/s, rad/s]
-_PAST_SPREAD = 1.0  # of the thrusts before the record [N]
+_PAST_SPREAD = 2.0  # of the thrusts before the record [N]
 _NUDGE = 1e-4  # of the spread
 _SMOOTH_S = 0.15  # over which position is differentiated
-_CORRECTIONS = 3  # flights; a last one is linear
+_MAX_STEPS = 12
+_SETTLED = 1e-4  # step of an initial state over its spread
+_LINEAR = 1e-2  # likewise, where the tangents suffice without another flight
 
 
 def flight_state(x12: Tensor) -> FlightState:
@@ -62,77 +65,131 @@ def filled(values: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True, eq=False)
-class Shooting:
-    """Windows of one run, and how their initial states follow from what was measured.
+class Windows:
+    """Windows of one run.
 
     An initial state is that of 12 and, for the first window, the thrusts that were commanded before
-    the record starts: a lag or a dead time brings them into it. The departures d from the first
-    guess minimise |W (measured - predicted(d))|^2 + |d / spread|^2 by Gauss-Newton with tangents
-    prepared once; they are then a smooth function of all other parameters. The prediction is the
-    profile over d: misfit that an initial state can explain is no evidence for anything.
+    the record starts: a lag or a dead time brings them into it.
 
     Attributes:
-        start: First guess, (num_windows, 12 + n_rotors).
-        measured: (num_windows, length, num_channels), zero where nothing was recorded.
+        guess: Of the initial states from the record, (num_windows, 12 + n_rotors).
+        measured: (num_windows, length, num_channels), NaN where nothing was recorded.
+        sd: Noise of the channels, (num_channels,).
+        latest: The best states that were found last (or none): where the next search starts.
+    """
+
+    guess: Tensor
+    measured: Tensor
+    sd: Tensor
+    latest: list[Tensor]
+
+    @property
+    def spread(self) -> Tensor:
+        """Of the initial states about the guess, (12 + n_rotors,)."""
+        rigid = [s for s in _SPREAD for _ in range(3)]
+        return self.guess.new_tensor(rigid + [_PAST_SPREAD] * (self.guess.shape[1] - RIGID))
+
+    def settled(self, predict: Callable[[Tensor], Tensor]) -> Shooting:
+        """The best initial states for one model, by Gauss-Newton with new tangents at every step.
+
+        Args:
+            predict: Starts (1 + 2 (12 + n_rotors), num_windows, 12 + n_rotors) -> channels of the
+                same leading axes, (..., length, num_channels).
+
+        Raises:
+            ConvergenceError: the model is too far from the record for windows of this length.
+        """
+        with torch.no_grad():
+            for change in [*(best - self.guess for best in self.latest), 0.0 * self.guess]:
+                for _ in range(_MAX_STEPS):
+                    shooting, step = self._step(predict, change)
+                    size = float((step / self.spread).abs().max())
+                    if size < _SETTLED:
+                        self.latest[:] = [self.guess + change]
+                        return shooting
+                    change = change + step / max(1.0, size)
+        raise ConvergenceError(
+            f"initial states of a flight still change by {size:.1e} of their spread after "
+            f"{_MAX_STEPS} steps; shorten the windows or reduce the effects' sizes",
+            residual_norm=size,
+            tolerance=_SETTLED,
+            num_iters=_MAX_STEPS,
+        )
+
+    def _step(
+        self, predict: Callable[[Tensor], Tensor], change: Tensor
+    ) -> tuple[Shooting, Tensor]:
+        """Tangents by central differences, and the step to be taken, (num_windows, m)."""
+        windows, length, channels = self.measured.shape
+        spread = self.spread
+        start = self.guess + change
+        nudges = torch.diag(_NUDGE * spread)
+        moved = torch.stack([start, *(start + s * n for n in nudges for s in (1.0, -1.0))])
+        there = predict(moved).reshape(-1, windows, length * channels)
+        tangent = (there[1::2] - there[2::2]) / (2.0 * _NUDGE * spread[:, None, None])
+        tangent = tangent.permute(1, 2, 0).contiguous()
+        weight = (torch.isfinite(self.measured) / self.sd**2).reshape(windows, -1, 1)
+        normal = tangent.mT @ (weight * tangent) + torch.diag(spread**-2)
+        gain = torch.linalg.solve(normal, (weight * tangent).mT)
+        measured = self.measured.nan_to_num(0.0).reshape(windows, -1, 1)
+        shooting = Shooting(self, measured, change[..., None], tangent, gain)
+        return shooting, (shooting.better(there[0][..., None], change[..., None]))[..., 0] - change
+
+
+@dataclass(frozen=True, eq=False)
+class Shooting:
+    """How the best initial states of one run follow from all other parameters.
+
+    Departures d from the guess minimise |W (measured - predicted(d))|^2 + |d / spread|^2, here by
+    Gauss-Newton with the tangents of one model: the prediction is the profile over d. Misfit that
+    an initial state can explain is no evidence for anything.
+
+    Attributes:
+        windows: Of the run.
+        measured: (num_windows, length * num_channels, 1), zero where nothing was recorded.
+        change: d of that model, (num_windows, 12 + n_rotors, 1).
         tangent: d predicted / d start, (num_windows, length * num_channels, 12 + n_rotors).
         gain: Misfit to states, (num_windows, 12 + n_rotors, length * num_channels).
     """
 
-    start: Tensor
+    windows: Windows
     measured: Tensor
+    change: Tensor
     tangent: Tensor
     gain: Tensor
 
-    @classmethod
-    def prepare(
-        cls, predict: Callable[[Tensor], Tensor], start: Tensor, measured: Tensor, sd: Tensor
-    ) -> Shooting:
-        """Tangents by central differences.
+    def better(self, here: Tensor, change: Tensor) -> Tensor:
+        """The next d, (num_windows, 12 + n_rotors, many).
 
         Args:
-            predict: Starts (many, num_windows, 12 + n_rotors) -> channels (many, num_windows,
-                length, num_channels).
-            start: First guess, (num_windows, 12 + n_rotors).
-            measured: (num_windows, length, num_channels), NaN where nothing was recorded.
-            sd: Noise of the channels, (num_channels,).
+            here: Prediction at d, (num_windows, length * num_channels, many).
+            change: d.
         """
-        windows, length, channels = measured.shape
-        spread = start.new_tensor(
-            [s for s in _SPREAD for _ in range(3)] + [_PAST_SPREAD] * (start.shape[1] - RIGID)
-        )
-        nudges = torch.diag(_NUDGE * spread)
-        moved = torch.stack([start + s * n for n in nudges for s in (1.0, -1.0)])
-        with torch.no_grad():
-            there = predict(moved).reshape(len(spread), 2, windows, length * channels)
-        tangent = (there[:, 0] - there[:, 1]) / (2.0 * _NUDGE * spread[:, None, None])
-        tangent = tangent.permute(1, 2, 0).contiguous()
-        weight = (torch.isfinite(measured) / sd**2).reshape(windows, -1, 1)
-        normal = tangent.mT @ (weight * tangent) + torch.diag(spread**-2)
-        gain = torch.linalg.solve(normal, (weight * tangent).mT)
-        return cls(start, measured.nan_to_num(0.0), tangent, gain)
+        return self.gain @ (self.measured - here + self.tangent @ change)
 
     def profile(self, predict: Callable[[Tensor], Tensor]) -> Tensor:
         """Predictions with the best initial states, (many, num_windows * length, num_channels).
 
         Args:
             predict: Starts (many or 1, num_windows, 12 + n_rotors) -> channels (many, num_windows,
-                length, num_channels).
+                length, num_channels) of models near that of the tangents.
+
+        Raises:
+            ConvergenceError: a model is too far from that of the tangents.
         """
-        here, better, change = self._corrected(predict)
-        here = here + self.tangent @ (better - change)
-        return here.permute(2, 0, 1).reshape(here.shape[-1], -1, self.measured.shape[-1])
-
-    def best(self, predict: Callable[[Tensor], Tensor]) -> Tensor:
-        """The best initial states of one point, (num_windows, 12 + n_rotors)."""
-        _, better, _ = self._corrected(predict)
-        return self.start + better[..., 0]
-
-    def _corrected(self, predict: Callable[[Tensor], Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-        """Predictions (num_windows, length * num_channels, many), and the next and last changes."""
-        windows = len(self.start)
-        measured = self.measured.reshape(windows, -1, 1)
-        change = self.start[..., None] * 0.0
-        for _ in range(_CORRECTIONS):
-            here = predict(self.start + change.permute(2, 0, 1)).flatten(2).permute(1, 2, 0)
-            last, change = change, self.gain @ (measured - here + self.tangent @ change)
-        return here, change, last
+        windows, change = self.windows, self.change
+        for _ in range(_MAX_STEPS):
+            here = predict(windows.guess + change.permute(2, 0, 1)).flatten(2).permute(1, 2, 0)
+            better = self.better(here, change)
+            size = float(((better - change).detach() / windows.spread[:, None]).abs().max())
+            if size < _LINEAR:
+                here = here + self.tangent @ (better - change)
+                return here.permute(2, 0, 1).reshape(here.shape[-1], -1, len(windows.sd))
+            change = better
+        raise ConvergenceError(
+            f"initial states of a flight still change by {size:.1e} of their spread after "
+            f"{_MAX_STEPS} steps with the tangents of another point",
+            residual_norm=size,
+            tolerance=_LINEAR,
+            num_iters=_MAX_STEPS,
+        )
