@@ -9,13 +9,13 @@ import torch
 
 from diffsim import copter
 from diffsim.copter import GRAVITY
+from diffsim.copter.fleet import Fleet
 from diffsim.copter.sensors import finite_acceleration
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import Numerics, library
 from diffsim.diagnose.beds import actuator
 from diffsim.diagnose.beds.copter import effects as causes
 from diffsim.diagnose.beds.copter import flight_model, unknown_wrench
-from diffsim.copter.fleet import Fleet
 from diffsim.diagnose.beds.copter.flying import Flyer, Motion
 from diffsim.diagnose.beds.copter.shooting import Windows
 from diffsim.identify import Parameter

@@ -111,9 +111,7 @@ BENCHES: dict[str, Bench] = {
     "beam": Bench(
         SoftBeamLab,
         # one frequency cannot tell how a loss depends on it
-        confounded=(
-            (("linear_drag", "loss_factor"), Blindfold(without_runs=("chirp", "steps"))),
-        ),
+        confounded=((("linear_drag", "loss_factor"), Blindfold(without_runs=("chirp", "steps"))),),
         # the chirp stays below the tension that saturates
         invisible=(("saturation", Blindfold(without_runs=("release", "steps"))),),
         look_alike=("loss_factor", "linear_drag", "lag", "delay"),

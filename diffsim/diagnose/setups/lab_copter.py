@@ -69,12 +69,12 @@ def setup(study: Study, *, window_s: float = 0.5, knot_s: float = 0.2) -> Diagno
     knots = np.linspace(0.0, longest, max(2, round(longest / knot_s) + 1))
     wrench = UnknownForce(
         unknown_wrench(len(knots), longest),
-        np.kron(np.eye(6), smooth_covariance(knots, 2.0 * knots[1])),
+        np.kron(np.eye(6), smooth_covariance(knots, 2.0 * knots[1])).astype(np.float64),
         "unknown wrench",
     )
     return DiagnosisSetup(
         model,
-        library("copter", num_rotors=vehicle.num_rotors),
+        tuple(library("copter", num_rotors=vehicle.num_rotors)),
         (wrench,),
         bank(vehicle),
         DiagnosisSettings(),
