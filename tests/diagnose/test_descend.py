@@ -9,6 +9,7 @@ from diffsim.diagnose.descend import descend
 from diffsim.diagnose.local import Local, local_at, measured_of, record_at, whitened
 from diffsim.diagnose.points import Points
 from diffsim.identify import Problem, WhiteNoise, fit
+from diffsim.identify.problem import PredictionError
 from tests.diagnose import linear, toy
 
 
@@ -110,3 +111,13 @@ def test_joined_keeps_its_own_slopes():
     b = Local(np.zeros(3), np.zeros(2), (0, 2), np.full((2, 2), 5.0))
     both = a.joined(b)
     np.testing.assert_array_equal(both.slopes([2, 0]), [[5.0, 1.0]] * 2)
+
+
+def test_a_slope_that_is_not_finite_names_its_coordinate(study):
+    class Brittle(toy.Bias):
+        def apply(self, scene, size, run):
+            return super().apply(scene, size / (size == 0.0), run)
+
+    problem = problem_of(study, (toy.Drag(), Brittle()))
+    with pytest.raises(PredictionError, match="small step along bias;"):
+        local_at(problem, np.zeros(len(problem.names)))

@@ -19,7 +19,7 @@ from diffsim.diagnose import (
 )
 from diffsim.diagnose.crosscheck import swap_probability
 from diffsim.diagnose.evidence import Linearisation
-from diffsim.diagnose.gates import data_gate, gradient_gate
+from diffsim.diagnose.gates import data_gate, gradient_gate, numerical_shift
 from diffsim.diagnose.unknown import UnknownDrift
 from diffsim.identify import Jacobian, Problem, WhiteNoise, fit
 from tests.diagnose import linear, toy
@@ -235,12 +235,20 @@ def test_numerical_cause_is_named_where_accepted():
     assert 1.0 < row.size["size"] < 3.0
 
 
-def test_numerical_shift_widens_the_interval():
-    fine, coarse = (
-        next(r for r in solve(12, {"scale": 0.1}, step=h, settings=s).table if r.effect == "scale")
-        for h, s in ((0.0005, QUICK), (0.02, replace(QUICK, accept_numerics=True)))
-    )
-    assert coarse.sd["size"] > fine.sd["size"]
+@pytest.mark.reference
+def test_numerical_shift_is_what_a_refit_to_the_refined_record_moves():
+    runs = [linear.run("r1", 1), linear.run("r2", 2)]
+    effect = linear.Line("push")
+    rng = np.random.default_rng(0)
+    changes = [rng.normal(size=(2, *runs[0].measured.shape)) for _ in range(2)]
+    before = fit(linear.model(), runs, linear.CHANNELS, effects=(effect,))
+    moved = []
+    for change in changes:
+        shifted = [replace(r, measured=r.measured + c) for r, c in zip(runs, change, strict=True)]
+        after = fit(linear.model(), shifted, linear.CHANNELS, effects=(effect,))
+        moved.append(after.x - before.x)
+    found = numerical_shift(before, {str(k): c.ravel() for k, c in enumerate(changes)})
+    np.testing.assert_allclose(found, np.linalg.norm(moved, axis=0), rtol=1e-4)
 
 
 def test_numerical_cause_blends_predictions_one_by_one_and_many():
