@@ -19,6 +19,7 @@ from diffsim.diagnose.unknown import Unknown
 from diffsim.errors import DiffsimError
 from diffsim.identify import Fit, Problem
 from diffsim.identify import fit as fit_runs
+from diffsim.identify.fitting import posterior_covariance
 
 Array = NDArray[np.float64]
 NOT_YET = -np.inf
@@ -87,6 +88,7 @@ class Search:
         self.failed: dict[Hypothesis, str] = {}
         self.null_linear = self.linearise(self._widened(null))
         weighed = self.null_linear.weigh(Hypothesis())
+        weighed = replace(weighed, nats=weighed.nats - unrealised(null))
         self.entries[Hypothesis()] = Entry(Hypothesis(), weighed, null)
         self._centres: dict[frozenset[int], Linearisation] = {frozenset(): self.null_linear}
 
@@ -219,7 +221,7 @@ class OwnLinearisation(Linearisation):
     """The linearisation that a fit already holds, of its own columns."""
 
     def __init__(self, fit: Fit, num_families: int):
-        self.problem, self.x0, self.num_families = fit.problem, fit.x, num_families
+        self.fit, self.problem, self.x0, self.num_families = fit, fit.problem, fit.x, num_families
         self.residual, self.jacobian = fit.residual, fit.jacobian
         self._from_matrices(fit.residual + fit.jacobian @ fit.x, fit.jacobian, [])
         self.columns = [fit.problem.columns_of(e) for e in fit.problem.effects]
@@ -227,4 +229,17 @@ class OwnLinearisation(Linearisation):
     def weigh_all(self, count: int) -> Weighed:
         """Evidence of the fit with all its effects."""
         weighed = self.weigh(Hypothesis(frozenset(range(count))))
-        return replace(weighed, chi2=float(self.residual @ self.residual))
+        nats = weighed.nats - unrealised(self.fit)
+        return replace(weighed, nats=nats, chi2=float(self.residual @ self.residual))
+
+
+def unrealised(fit: Fit) -> float:
+    """Nats that a Gauss-Newton step from a fit promises but the fit did not find.
+
+    The evidence from a linearisation holds at its optimum; a fit that stopped elsewhere (a kink, a
+    fold, too few steps) must not be credited with an optimum that nobody has seen.
+    """
+    free = [i for i, n in enumerate(fit.problem.names) if n not in fit.at_bound]
+    j = fit.jacobian[:, free]
+    slope = j.T @ fit.residual - fit.x[free]
+    return 0.5 * float(slope @ posterior_covariance(j) @ slope)
