@@ -27,8 +27,8 @@ def import_arm_step(folder: Path) -> Study:
         folder,
         "step",
         held_out=("step_250mbar", "step_450mbar"),
-        because="step_250mbar: a level between the fitted ones; step_450mbar: beyond them, where the "
-        "arm bends 2.5 times as far as at 350 mbar",
+        because="step_250mbar: a level between the fitted ones; step_450mbar: beyond them, "
+        "where the arm bends 2.5 times as far as at 350 mbar",
     )
 
 
@@ -72,8 +72,8 @@ def _campaign(folder: Path, campaign: str, *, held_out: tuple[str, ...], because
                 setup={"set_pressure_Pa": float(entry["set_pressure_Pa"])},
             )
         )
-    # the trackers' noise is 4 to 20 um, but no trial was repeated: the start position, which moves by
-    # up to 0.4 mm between trials, is the only hint at what a repeat would show
+    # the trackers' noise is 4 to 20 um, but no trial was repeated: the start position, which moves
+    # by up to 0.4 mm between trials, is the only hint at what a repeat would show
     return Study(
         name="pneumatic_arm" if campaign == "step" else f"pneumatic_arm_{campaign}",
         system="soft_body",
@@ -84,8 +84,8 @@ def _campaign(folder: Path, campaign: str, *, held_out: tuple[str, ...], because
             held_out=because,
             notes="places as recorded; the start position moves by up to 0.4 mm between trials; "
             "the command switches where motion was detected, the pressure in the chamber was not "
-            "recorded; no level was repeated: the noise stated is the trials' start positions', not "
-            "the tracker's 4 to 20 um; beyond 1 s after a switch every tenth sample is kept",
+            "recorded; no level was repeated: the noise stated is the start positions', not the "
+            " tracker's 4 to 20 um; beyond 1 s after a switch every tenth sample is kept",
         ),
     )
 

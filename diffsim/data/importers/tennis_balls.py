@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.data.importers.common import facts, read_columns, read_metadata
+from diffsim.data.importers.common import Array, facts, read_columns, read_metadata
 from diffsim.data.study import Channel, Run, Study
 
 #: Channel -> noise [px]: rms third difference over sqrt(20) of frames 162 to 170, free motion after
@@ -32,13 +32,19 @@ def import_tennis_balls(folder: Path) -> Study:
         "ball_diameter_m": float(meta["geometry"]["ball_diameter_m"]),
         "ball_mass_kg": float(meta["geometry"]["ball_mass_kg_typical"]),
     }
+    points, what = read_columns(
+        folder / "calibration_points.csv", ["u_px", "v_px", "x_m", "y_m", "z_m"], ["what"]
+    )
+    clicks = np.column_stack([points["u_px"], points["v_px"]])
     parts = {"collision": slice(0, HELD_OUT_FROM), "after": slice(HELD_OUT_FROM, None)}
     runs = [
         Run(
             name=name,
             time_s=data["time_s"][part],
-            measured=_padded(balls[part], first=0),
-            command={},
+            measured=_with_clicks(balls[part], clicks if name == "collision" else clicks[:0]),
+            command={
+                f"corner_{a}_m": _filled_up(points[f"{a}_m"], len(balls[part])) for a in "xyz"
+            },
             group=name,
             order=order,
             use="holdout" if name == "after" else "fit",
@@ -46,9 +52,6 @@ def import_tennis_balls(folder: Path) -> Study:
         )
         for order, (name, part) in enumerate(parts.items())
     ]
-    points, what = read_columns(
-        folder / "calibration_points.csv", ["u_px", "v_px", "x_m", "y_m", "z_m"], ["what"]
-    )
     extra: dict[str, Any] = {
         "camera_by_authors": meta["camera_by_authors"],
         "calibration_points": {**points, **what},
@@ -57,34 +60,30 @@ def import_tennis_balls(folder: Path) -> Study:
         name="tennis_balls",
         system="rigid_body",
         channels=tuple(Channel(c, "px", "image", sd) for c, sd in CHANNELS.items()),
-        runs=(*runs, _clicks(points)),
+        runs=tuple(runs),
         metadata=facts(
             meta,
             held_out="after: frames 171 to 182 of the one video; the model is started at frame "
             "150 and fitted until 170, so that they judge a prediction in time, not another "
             "collision",
-            notes="the run corners is no motion: its samples are the corners clicked in the first "
-            "frame, in the order of the file, one per frame interval",
+            notes="the channels corner_u_px and corner_v_px are no motion: the first eight samples "
+            "of collision hold the corners clicked in the first frame, in the order of the file; "
+            "the command corner_*_m says where they are",
         )
         | extra,
     )
 
 
-def _clicks(points: dict[str, Any]) -> Run:
-    """The eight corners as a run without time."""
-    count = len(points["u_px"])
-    return Run(
-        name="corners",
-        time_s=np.arange(count) / 60.0,
-        measured=_padded(np.column_stack([points["u_px"], points["v_px"]]), first=4),
-        command={f"corner_{a}_m": points[f"{a}_m"] for a in "xyz"},
-        group="corners",
-        order=2,
-    )
+def _with_clicks(balls: Array, clicks: Array) -> Array:
+    """All channels: a corner's click per sample while they last."""
+    out = np.full((len(balls), len(CHANNELS)), np.nan)
+    out[:, :4] = balls
+    out[: len(clicks), 4:] = clicks
+    return out
 
 
-def _padded(values: Any, *, first: int) -> Any:
-    """All channels, those not measured in this run as gaps."""
-    out = np.full((len(values), len(CHANNELS)), np.nan)
-    out[:, first : first + values.shape[1]] = values
+def _filled_up(values: Array, length: int) -> Array:
+    """The first values, then zeros."""
+    out = np.zeros(length)
+    out[: min(len(values), length)] = values[:length]
     return out

@@ -40,19 +40,19 @@ MERGE_LENGTH = 0.004  # [m] gap over which two regions stop touching
 
 @dataclass(frozen=True, eq=False)
 class BallScene:
-    """One video, or the corners clicked in it.
+    """A part of the video, and the corners clicked in it.
 
     Attributes:
         values: Base parameters and ``PLAIN``, (...,) each.
         time: (T,) of the samples [s].
         rotation: (3, 3) of the camera before its small turn.
-        corners: (T, 3) places of the clicked corners [m] where this run is the clicks.
+        corners: (T, 3) places of the clicked corners [m], one per sample.
     """
 
     values: Mapping[str, Tensor]
     time: Tensor
     rotation: Tensor
-    corners: Tensor | None = None
+    corners: Tensor
 
     def with_added(self, name: str, size: Tensor) -> BallScene:
         """A copy with one number larger by ``size`` (...,)."""
@@ -60,9 +60,6 @@ class BallScene:
 
     def simulate(self) -> Tensor:
         """(..., T, 6): u, v of the resting ball, of the coming one, and of the corner [px]."""
-        if self.corners is not None:
-            pixels = self._projected(self.corners.expand(*self._batch, -1, 3))
-            return torch.cat([torch.zeros_like(pixels), torch.zeros_like(pixels), pixels], -1)
         time = (self.time * (1.0 + self.values["clock"][..., None])).expand(*self._batch, -1)
         pixels, _ = self._seen(time)
         late = self.values["readout"][..., None]
@@ -71,7 +68,8 @@ class BallScene:
         first, _ = self._seen(time + late * rows[0])
         second, _ = self._seen(time + late * rows[1])
         both = torch.cat([first[..., :2], second[..., 2:]], -1)
-        return torch.cat([both, torch.zeros_like(both[..., :2])], -1)
+        clicks = self._projected(self.corners.expand(*self._batch, -1, 3))
+        return torch.cat([both, clicks], -1)
 
     @property
     def _batch(self) -> tuple[int, ...]:
@@ -98,7 +96,7 @@ class BallScene:
         return torch.cat(out, -1), gap
 
     def _motion(self, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Places (..., T, 2) of both balls and height of the coming one above the table (..., T)."""
+        """Places (..., T, 2) of both balls, height of the coming one above the table (..., T)."""
         laws, late_laws = self._laws(), self._laws(over_time=True)
         still = torch.zeros_like(self._vector("x0", "y0"))
         resting = Ball(self._vector("x0", "y0"), still, still)
@@ -161,16 +159,14 @@ class BallScene:
 
 
 def ball_scene(values: Mapping[str, Tensor], run: Run, rotation: np.ndarray) -> BallScene:
-    """The scene of a run; a run of clicks has the corners' places in its command."""
+    """The scene of a run, with the corners' places in its command."""
     shape = values["focal"].shape
     plain = {n: torch.full(shape, v, dtype=torch.float64) for n, v in PLAIN.items()}
-    corners = None
-    if "corner_x_m" in run.command:
-        corners = torch.from_numpy(
-            np.column_stack([run.command[f"corner_{a}_m"] for a in "xyz"]).astype(np.float64)
-        )
+    corners = np.column_stack([run.command[f"corner_{a}_m"] for a in "xyz"])
     time = torch.from_numpy(np.asarray(run.time_s, dtype=np.float64))
-    return BallScene({**plain, **values}, time, torch.from_numpy(rotation), corners)
+    return BallScene(
+        {**plain, **values}, time, torch.from_numpy(rotation), torch.from_numpy(corners)
+    )
 
 
 def _over_time(ball: Ball) -> Ball:

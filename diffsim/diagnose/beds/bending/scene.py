@@ -135,7 +135,7 @@ class BendingScene:
         forgotten = np.exp(-h / v["slow_time"])
         moment = w2 * self._moment(pressure)
         softened = w2 * np.maximum(1.0 - v["stiffness_loss"] * pressure, LEAST)
-        damped = rate * (1.0 + v["damping_growth"] * pressure)
+        damped = rate * np.maximum(1.0 + v["damping_growth"] * pressure, LEAST)
         drag, cubic = v["quadratic_drag"], w2 * v["stiffening"]
         hanging, sideways = w2 * v["hanging"], w2 * v["sideways"]
         has_gravity = bool(np.any(hanging) or np.any(sideways))
@@ -146,7 +146,7 @@ class BendingScene:
             stiffness = 0.5 * (softened[n] + softened[n + 1])
             damping = 0.5 * (damped[n] + damped[n + 1])
             if has_more:
-                stiffness = stiffness + cubic * q * q
+                stiffness = np.maximum(stiffness + cubic * q * q, LEAST * w2)
                 damping = damping + drag * np.abs(qd)
             force = 0.5 * (moment[n] + moment[n + 1]) + w2 * held * memory
             if has_gravity:
