@@ -23,7 +23,8 @@ from scipy import linalg, special
 
 from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.unknown import Unknown
-from diffsim.identify import Problem
+from diffsim.identify import Fit, Problem
+from diffsim.identify.fitting import posterior_covariance
 
 Array = NDArray[np.float64]
 # root mean square of the unknown's part of the record, in noise standard deviations
@@ -134,6 +135,18 @@ class Linearisation:
                 nats += float(np.sum(np.log(2.0) + special.log_ndtr(x[c] / deviation[c])))
                 x[c] = np.maximum(x[c], 0.0)
         return float(nats), x, deviation, float(chi2)
+
+
+def unrealised(fit: Fit) -> float:
+    """Nats that a Gauss-Newton step from a fit promises but the fit did not find.
+
+    The evidence from a linearisation holds at its optimum; a fit that stopped elsewhere (a kink, a
+    fold, too few steps) must not be credited with an optimum that nobody has seen.
+    """
+    free = [i for i, n in enumerate(fit.problem.names) if n not in fit.at_bound]
+    j = fit.jacobian[:, free]
+    slope = j.T @ fit.residual - fit.x[free]
+    return 0.5 * float(slope @ posterior_covariance(j) @ slope)
 
 
 def families(effects: Sequence[Effect], unknowns: Sequence[Unknown]) -> int:

@@ -13,6 +13,7 @@ from diffsim.data.study import Run
 from diffsim.identify import Fit
 
 Array = NDArray[np.float64]
+MIN_BLOCKS = 4  # per run
 
 
 @dataclass(frozen=True)
@@ -124,6 +125,8 @@ def held_out_residual(fit: Fit, run: Run) -> Array:
 def _blocks(run: Run, block_s: float, null: Array, extended: Array, fit: Fit) -> Array:
     """(num_blocks, 3) sums over blocks of time."""
     matrix = fit.problem.whitener.matrix(run)
+    # a short run has four blocks at least: one block would have an interval of no width
+    block_s = min(block_s, float(run.time_s[-1] - run.time_s[0]) / MIN_BLOCKS)
     # a whitened row belongs to its newest sample: the largest column it uses
     newest = np.maximum.reduceat(matrix.indices, matrix.indptr[:-1])
     time = run.time_s[newest // run.measured.shape[1]]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from diffsim.diagnose.decide import ALONE_NATS, KEEP_NATS
 from diffsim.diagnose.descend import Descended
-from diffsim.diagnose.evidence import Hypothesis, Linearisation, Weighed, families
+from diffsim.diagnose.evidence import Hypothesis, Linearisation, Weighed, families, unrealised
 from diffsim.diagnose.local import Local, local_at, measured_of, whitened
 from diffsim.diagnose.points import Members, Points
 from diffsim.diagnose.unknown import Unknown
@@ -174,7 +174,8 @@ class Search:
         own = Linearisation(fit.problem, fit.x, fit.residual, fit.jacobian, [], self.num_families)
         weighed = own.weigh(Hypothesis(frozenset(range(len(members)))))
         key = Hypothesis(members)
-        self.entries[key] = Entry(key, replace(weighed, chi2=fit.chi2), fit)
+        nats = weighed.nats - unrealised(fit)
+        self.entries[key] = Entry(key, replace(weighed, nats=nats, chi2=fit.chi2), fit)
         return self.entries[key]
 
     def _centre(self, members: Members, last: Centre | None) -> Centre:

@@ -14,10 +14,10 @@ pytestmark = pytest.mark.reference
 EXPECTED = {
     "silicone_beam": (4, 9, 1, 0),
     "starfish": (4, 8, 1, 0),
-    "tennis_balls": (1, 4, 0, 2),  # one run: neither two commands nor a held-out run
-    "pneumatic_arm": (6, 9, 1, 0),
+    "tennis_balls": (2, 6, 1, 1),  # first and last frames of one video: one command
+    "pneumatic_arm": (6, 9, 2, 0),
     "pneumatic_arm_p25": (10, 9, 1, 0),
-    "fish_tail": (1, 12, 0, 2),
+    "fish_tail": (1, 3, 0, 2),
     "rotor_bench": (27, 6, 4, 4),  # noise of four channels unknown
     "cube_toss": (64, 7, 8, 0),
     "silicone_tensile": (5, 1, 0, 1),

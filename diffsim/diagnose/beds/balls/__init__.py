@@ -1,0 +1,1 @@
+"""Two balls on a table in one camera: closed-form rolling, sliding and impact."""

@@ -1,0 +1,160 @@
+"""Two rigid balls on a table: sliding, rolling and one impact with friction, in closed form.
+
+A ball's spin about a horizontal axis is given as the velocity w of the rolling that it belongs to
+(spin z x w / r), that about the vertical as the speed of its equator. While it slips, friction acts
+against v - w, whose direction stays; small extra accelerations (table's tilt, losses) are held over
+each phase. Sources: Marlow, "The physics of pocket billiards", 1995, for the phases; impulses with
+Coulomb friction as in Alciatore, "Pool and billiards physics", TP A.5 and A.14.
+
+All numbers may carry batch axes in front; vectors are (..., 2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+GRAVITY = 9.81  # [m/s^2]
+NEWTON_STEPS = 12
+_TINY = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Ball:
+    """One ball: place and velocity of its centre, spin as the velocity of rolling [m, m/s]."""
+
+    place: Tensor
+    velocity: Tensor
+    rolling: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Laws:
+    """Numbers of the motion.
+
+    Attributes:
+        table_friction: Coulomb coefficient while a ball slips [-].
+        rolling_resistance: Deceleration over gravity [-].
+        tilt: (..., 2) slope of the table, downhill positive [rad].
+        air_drag: Deceleration over speed squared [1/m].
+        inertia: I / (m r^2) [-].
+    """
+
+    table_friction: Tensor
+    rolling_resistance: Tensor
+    tilt: Tensor
+    air_drag: Tensor
+    inertia: Tensor
+
+
+def moved(ball: Ball, time: Tensor, laws: Laws) -> Ball:
+    """The ball after ``time`` [s] (...,): slipping until it rolls, then rolling."""
+    slip = ball.velocity - ball.rolling
+    speed_of_slip = _length(slip)
+    push = laws.table_friction * GRAVITY
+    rate = push * (1.0 + 1.0 / laws.inertia)  # at which the slip falls
+    slipping = torch.minimum(time, speed_of_slip / rate.clamp(min=_TINY))
+    direction = slip / speed_of_slip[..., None]
+    sliding = _advance(
+        ball, slipping, -push[..., None] * direction + GRAVITY * laws.tilt + _loss(ball, laws)
+    )
+    turned = ball.rolling + (push / laws.inertia * slipping)[..., None] * direction
+    left = time - slipping
+    downhill = GRAVITY * laws.tilt / (1.0 + laws.inertia)[..., None]
+    rolled = _advance(sliding, left, downhill + _loss(sliding, laws))
+    return Ball(
+        rolled.place, rolled.velocity, torch.where((left > 0)[..., None], rolled.velocity, turned)
+    )
+
+
+def time_of_impact(resting: Ball, coming: Ball, diameter: Tensor, laws: Laws) -> Tensor:
+    """When the centres are one diameter apart [s], by Newton's method."""
+    time = torch.zeros_like(diameter)
+    for _ in range(NEWTON_STEPS):
+        a, b = moved(resting, time, laws), moved(coming, time, laws)
+        apart = b.place - a.place
+        distance = _length(apart)
+        closing = ((b.velocity - a.velocity) * apart).sum(-1) / distance
+        # the slope is held, so that the last step alone carries the right derivative
+        slope = closing.detach().clamp(max=-0.05)
+        time = (time.detach() - (distance - diameter) / slope).clamp(0.0, 1.0)
+    return time
+
+
+def impact(
+    resting: Ball, coming: Ball, laws: Laws, values: Mapping[str, Tensor]
+) -> tuple[Ball, Ball, Tensor]:
+    """Both balls after the impact, and the upward velocity of the one that came [m/s].
+
+    Friction between the balls acts against the slip of their surfaces, sideways and up or down; it
+    presses the struck ball onto the table, whose own friction acts at once.
+
+    Args:
+        resting, coming: At the impact.
+        laws: Of the table.
+        values: "restitution", "ball_friction", "mass_ratio" (struck over coming), "sidespin"
+            [m/s].
+    """
+    normal = resting.place - coming.place
+    normal = normal / _length(normal)[..., None]
+    across = torch.stack([-normal[..., 1], normal[..., 0]], -1)
+    relative = coming.velocity - resting.velocity
+    mass = values["mass_ratio"]
+    share = 1.0 / (1.0 + 1.0 / mass)  # reduced mass over that of the coming ball
+    blow = (1.0 + values["restitution"]) * _dot(relative, normal) * share
+    sideways = _dot(relative, across) + values["sidespin"]
+    upwards = -_dot(coming.rolling + resting.rolling, normal)
+    surface = torch.sqrt(sideways**2 + upwards**2 + _TINY**2)
+    sticking = surface * share / (1.0 + 1.0 / laws.inertia)
+    rubbing = _least(values["ball_friction"] * blow, sticking) / surface
+    along, lift = -rubbing * sideways, -rubbing * upwards
+    push = blow[..., None] * normal - along[..., None] * across
+    spun = (lift / laws.inertia)[..., None] * normal
+    came = Ball(coming.place, coming.velocity - push, coming.rolling - spun)
+    struck = Ball(
+        resting.place,
+        resting.velocity + push / mass[..., None],
+        resting.rolling - spun / mass[..., None],
+    )
+    return _pressed(struck, lift.clamp(min=0.0) / mass, laws), came, lift.clamp(min=0.0)
+
+
+def _pressed(ball: Ball, blow: Tensor, laws: Laws) -> Ball:
+    """Friction of a blow onto the table (over the mass, m/s); it cannot reverse the slip."""
+    slip = ball.velocity - ball.rolling
+    size = _length(slip)
+    rub = _least(laws.table_friction * blow, size / (1.0 + 1.0 / laws.inertia))
+    step = (rub / size)[..., None] * slip
+    return Ball(ball.place, ball.velocity - step, ball.rolling + step / laws.inertia[..., None])
+
+
+def _advance(ball: Ball, time: Tensor, acceleration: Tensor) -> Ball:
+    t = time[..., None]
+    return Ball(
+        ball.place + t * ball.velocity + 0.5 * t**2 * acceleration,
+        ball.velocity + t * acceleration,
+        ball.rolling,
+    )
+
+
+def _loss(ball: Ball, laws: Laws) -> Tensor:
+    """Deceleration by rolling resistance and air, none at rest."""
+    speed = torch.sqrt((ball.velocity**2).sum(-1) + 1e-6)
+    drag = laws.rolling_resistance * GRAVITY / speed + laws.air_drag * speed
+    return -drag[..., None] * ball.velocity
+
+
+def _least(a: Tensor, b: Tensor) -> Tensor:
+    """The smaller of two forces, without a kink: 16 % less where they are equal."""
+    return a / (1.0 + (a / b.clamp(min=_TINY)) ** 4) ** 0.25
+
+
+def _length(vector: Tensor) -> Tensor:
+    return torch.sqrt((vector**2).sum(-1) + _TINY**2)
+
+
+def _dot(a: Tensor, b: Tensor) -> Tensor:
+    return (a * b).sum(-1)
