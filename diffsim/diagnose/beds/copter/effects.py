@@ -260,7 +260,9 @@ class GroundEffectCause(Effect):
         def cushion(motion: Motion, thrusts: Tensor) -> Tensor:
             vehicle = motion.vehicle
             radius = vehicle.radii[:, None, None]
-            down = motion.position[..., 2:] + by_rotor(motion.rotation[..., 2, :], vehicle.positions)
+            down = (
+                by_rotor(motion.rotation[..., 2, :], vehicle.positions) + motion.position[..., 2:]
+            )
             height = (-down - scene.terrain_height).maximum(_LEAST_HEIGHT * radius)
             return thrusts * (1.0 + amount(size, 3) * (radius / (4.0 * height)) ** 2)
 

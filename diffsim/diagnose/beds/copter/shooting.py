@@ -116,9 +116,7 @@ class Windows:
             num_iters=_MAX_STEPS,
         )
 
-    def _step(
-        self, predict: Callable[[Tensor], Tensor], change: Tensor
-    ) -> tuple[Shooting, Tensor]:
+    def _step(self, predict: Callable[[Tensor], Tensor], change: Tensor) -> tuple[Shooting, Tensor]:
         """Tangents by central differences, and the step to be taken, (num_windows, m)."""
         windows, length, channels = self.measured.shape
         spread = self.spread
