@@ -132,7 +132,7 @@ def is_right(case: Case) -> bool:
 def table(path: str) -> None:
     """Markdown."""
     print(
-        "| kind | hidden | verdict | sizes: true, found +- 90 % | held-out gain | right | CPU s |"
+        "| kind | hidden | verdict | true, found +- 90 % | held-out gain | right | CPU s |"
     )
     print("|---|---|---|---|---|---|---|")
     with open(path) as file:
