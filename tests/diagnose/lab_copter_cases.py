@@ -131,9 +131,7 @@ def is_right(case: Case) -> bool:
 
 def table(path: str) -> None:
     """Markdown."""
-    print(
-        "| kind | hidden | verdict | true, found +- 90 % | held-out gain | right | CPU s |"
-    )
+    print("| kind | hidden | verdict | true, found +- 90 % | held-out gain | right | CPU s |")
     print("|---|---|---|---|---|---|---|")
     with open(path) as file:
         done = [json.loads(line) for line in file]
