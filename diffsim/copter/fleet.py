@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from diffsim.copter.vehicle import Multicopter
+
+_NAMES = (
+    "mass",
+    "inertia",
+    "positions",
+    "directions",
+    "spins",
+    "torque_ratios",
+    "max_thrusts",
+    "radii",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +52,7 @@ class Fleet:
     @classmethod
     def of(cls, vehicles: Sequence[Multicopter]) -> Fleet:
         """Of vehicles of equal rotor count."""
-        return cls(*(torch.stack([getattr(v, f.name) for v in vehicles]) for f in fields(cls)))
+        return cls(*(torch.stack([getattr(v, name) for v in vehicles]) for name in _NAMES))
 
     @property
     def num_rotors(self) -> int:
@@ -65,7 +76,7 @@ class Fleet:
 
     def repeated(self, count: int) -> Fleet:
         """Every vehicle ``count`` times in a row; a leading axis of one stays."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        values = {name: getattr(self, name) for name in _NAMES}
         return replace(
             self,
             **{k: v.repeat_interleave(count, 0) for k, v in values.items() if v.shape[0] > 1},

@@ -1,6 +1,7 @@
 """Causes hidden in the copter laboratory, and their verdicts.
 
-``python -m tests.diagnose.lab_copter_cases OUT.jsonl [first [last]]`` appends one line per case.
+``python -m tests.diagnose.lab_copter_cases OUT.jsonl [first [last]]`` appends one line per case,
+``python -m tests.diagnose.lab_copter_cases table OUT.jsonl`` prints them as a table.
 """
 
 from __future__ import annotations
@@ -128,8 +129,33 @@ def is_right(case: Case) -> bool:
     return verdict in ("named", "ambiguous") and truth in [case["named"], *case["rivals"]]
 
 
+def table(path: str) -> None:
+    """Markdown."""
+    print("| kind | hidden | verdict | true, found +- 90 % | held-out gain | right | CPU s |")
+    print("|---|---|---|---|---|---|---|")
+    with open(path) as file:
+        done = [json.loads(line) for line in file]
+    for case in sorted(done, key=lambda c: c["number"]):
+        hidden = ", ".join([*case["hidden"], *case["options"].get("decoys", ())]) or "-"
+        named = " + ".join(case["named"])
+        rivals = "".join(f" or {' + '.join(r) or 'an unknown cause'}" for r in case["rivals"])
+        sizes = "; ".join(
+            f"{t:g}, {s:.4g} +- {1.645 * d:.2g}" for v in case["sizes"].values() for t, s, d in v
+        )
+        gain = "-" if case["gain"] is None else "{:.3f} ({:.3f} to {:.3f})".format(*case["gain"])
+        found = f"{case['verdict']} {named}{rivals}".strip()
+        right = "yes" if case["right"] else "**no**"
+        print(
+            f"| {case['kind']} | {hidden} | {found} | {sizes} | {gain} | {right} "
+            f"| {case['cpu_s']:.0f} |"
+        )
+
+
 def main() -> None:
     """Append the cases to a file."""
+    if sys.argv[1] == "table":
+        table(sys.argv[2])
+        return
     path = sys.argv[1]
     first, last = ([int(a) for a in sys.argv[2:4]] + [0, 10**6][len(sys.argv) - 2 :])[:2]
     for number, case in enumerate(cases()):

@@ -124,17 +124,24 @@ def test_gaps_do_not_count(model, flown):
 
 def test_many_points_are_as_one_by_one(model, flown):
     run, _ = flown
-    q = 0.1 * torch.tensor([[0.0, 0.0], [1.0, -1.0], [-0.5, 2.0]], dtype=torch.float64)
+    q = 0.01 * torch.tensor([[0.0, 0.0], [1.0, -1.0], [-0.5, 2.0]], dtype=torch.float64)
     sizes = {
-        causes.Wind(): tensor([[0.0, 0.0], [0.1, 0.2], [0.0, -0.1]]),
-        causes.RotorDragEffect(): tensor([[0.0], [0.01], [0.02]]),
-        causes.Wake(): tensor([[0.05], [0.0], [0.02]]),
+        causes.Wind(): tensor([[0.0, 0.0], [0.01, 0.02], [0.0, -0.01]]),
+        causes.RotorDragEffect(): tensor([[0.0], [0.001], [0.002]]),
+        causes.Wake(): tensor([[0.002], [0.0], [0.001]]),
     }
     many = model.predict_many(run, q, sizes)
-    for k in range(3):
-        alone = model.predict(run, q[k], {e: s[k] for e, s in sizes.items()})
-        # initial states follow by the tangents of the first point: of second order in noise units
-        assert float(((many[k] - alone) / SD).abs().max()) < (1e-4 if k == 0 else 0.05)
+    alone = [
+        model.predict(run, q[k], {e: s[k] for e, s in sizes.items()}).detach() for k in range(3)
+    ]
+    torch.testing.assert_close(many[0], alone[0], atol=1e-6, rtol=0)
+    for k in (1, 2):
+        # a stencil: initial states follow by the tangents of its centre, which change with the
+        # point; that change times the misfit is left out, as ever in Gauss-Newton
+        moved, wrong = (
+            ((a - b) / SD).norm() for a, b in ((alone[k], alone[0]), (many[k], alone[k]))
+        )
+        assert float(wrong) < 0.05 * float(moved)
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)

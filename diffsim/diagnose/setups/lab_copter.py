@@ -67,11 +67,9 @@ def setup(study: Study, *, window_s: float = 0.5, knot_s: float = 0.2) -> Diagno
     )
     longest = max(float(run.time_s[-1] - run.time_s[0]) for run in study.runs)
     knots = np.linspace(0.0, longest, max(2, round(longest / knot_s) + 1))
-    wrench = UnknownForce(
-        unknown_wrench(len(knots), longest),
-        np.kron(np.eye(6), smooth_covariance(knots, 2.0 * knots[1])).astype(np.float64),
-        "unknown wrench",
-    )
+    smooth = smooth_covariance(knots, 2.0 * knots[1])
+    covariance = np.kron(np.eye(6), smooth).astype(np.float64)
+    wrench = UnknownForce(unknown_wrench(len(knots), longest), covariance, "unknown wrench")
     return DiagnosisSetup(
         model,
         tuple(library("copter", num_rotors=vehicle.num_rotors)),

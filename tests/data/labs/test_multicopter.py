@@ -101,6 +101,9 @@ def test_spin_momentum_does_no_work(lab):
     ]
     change = torque[1] - torque[0]
     assert np.linalg.norm(change) > 1e-3
+    # rotors 0 and 2, whose reaction is upwards, turn about +z and are the faster ones
+    spin = 4e-5 * lab_module.SPEED_PER_ROOT * 2 * (np.sqrt(5) - np.sqrt(2))
+    np.testing.assert_allclose(change, -np.cross(turning["rates"], [0, 0, spin]), atol=1e-12)
     assert abs(change @ np.array(turning["rates"])) < 1e-12
 
 
