@@ -58,9 +58,7 @@ def difference_physics(points: Sequence[Physics], weights: Sequence[float]) -> P
     stacked = stack_physics(list(points))
     weight = torch.tensor(weights, dtype=torch.float64)
     values = {f.name: getattr(stacked, f.name) for f in fields(Physics)}
-    sums = {
-        n: torch.tensordot(weight, v, 1) for n, v in values.items() if isinstance(v, Tensor)
-    }
+    sums = {n: torch.tensordot(weight, v, 1) for n, v in values.items() if isinstance(v, Tensor)}
     return replace(stacked, **sums)
 
 
