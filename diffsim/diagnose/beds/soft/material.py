@@ -17,6 +17,9 @@ _BRANCH_HZ = (0.316, 1.0, 3.16, 10.0, 31.6, 100.0)
 _STRENGTH = 2.0 / math.pi * math.log(10.0) / 2.0  # of a branch, per loss factor
 
 
+_SOLID = ("youngs_modulus", "poissons_ratio")
+
+
 class StiffnessDamping(Effect):
     """Force -size K v: damping ratio size w / 2, growing with the frequency w."""
 
@@ -53,7 +56,7 @@ class LossFactor(Effect):
 class _Relaxation(Force):
     """- sum_k g m_k with m_k following the solid's force, exact for straight lines of it."""
 
-    leading_axes = True
+    leading_axes, reads = True, _SOLID
 
     def __init__(self, plain: SoftScene, strength: Tensor):
         self._solid, self._strength = plain.solid_force(), strength
@@ -88,7 +91,7 @@ class Stiffening(Effect):
 class _Stiffening(Force):
     """The force of the energy U + size U^2 / (E V) beside that of U."""
 
-    leading_axes = True
+    leading_axes, reads = True, _SOLID
 
     def __init__(self, size: Tensor):
         self._size = size

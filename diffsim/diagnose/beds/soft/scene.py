@@ -50,11 +50,11 @@ class Force:
     Class attributes:
         leading_axes: Whether moments with leading axes, x and v (..., num_vertices, 3), are
             understood: then derivatives ask for many states at once.
-        of_material: Whether the force depends on the scene's physical parameters.
+        reads: The physical parameters of the scene that the force depends on; None: any.
     """
 
     leading_axes: ClassVar[bool] = False
-    of_material: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...] | None] = None
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
         raise NotImplementedError

@@ -31,16 +31,25 @@ def scene_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor
         return None
     motion = _Motion(base, lines)
     observed, tangent = motion.observed()
-    columns = []
-    for k, line in enumerate(lines):
-        t = tangent[:, motion.place[k]] if k in motion.place else torch.zeros_like(observed)
-        columns.append(line.difference(lambda o, s, t=t: s.channels(observed + o * t)))
+    still = torch.zeros_like(observed)
+    columns = [
+        _recorded(n, observed, tangent[:, motion.place[k]] if k in motion.place else still)
+        for k, n in enumerate(lines)
+    ]
     return scene.channels(observed), torch.stack(columns)
+
+
+def _recorded(line: SceneLine, observed: Tensor, tangent: Tensor) -> Tensor:
+    """What the record shows of a line: its clocks and output maps are differenced."""
+    return line.difference(lambda o, s: s.channels(observed + o * tangent))
 
 
 def _alike(scene: SoftScene, line: SceneLine) -> bool:
     return all(
-        s.body is scene.body and s.start == scene.start and s.water is scene.water
+        s.body is scene.body
+        and s.start == scene.start
+        and s.water is scene.water
+        and (s.command is None) == (scene.command is None)
         for s in (p.scene for p in line.points)
     )
 
@@ -98,9 +107,13 @@ class _Motion:
 
     def _activation_rate(self, line: SceneLine) -> Tensor | None:
         """(num_steps, num_muscles), or None where the commands stay as they are."""
-        if self._activations is None:
+        found = [p.scene.activations(self._num_steps) for p in line.points]
+        given = [a for a in found if a is not None]
+        if not given:
             return None
-        rate = line.difference(lambda o, s: s.activations(self._num_steps))
+        rate = torch.tensordot(
+            torch.tensor(line.stencil.weights, dtype=torch.float64), torch.stack(given), 1
+        )
         return rate if bool(rate.any()) else None
 
     def _stacked(self, rates: Sequence[Tensor | None]) -> Tensor | None:
@@ -141,7 +154,7 @@ class _Motion:
 def _moves(base: OwnedScene, line: SceneLine) -> bool:
     """Whether a line changes the motion or how it is observed, commands apart."""
     return any(
-        not same_surroundings(base.scene, p.scene, parameters=True)
+        not same_surroundings(base.scene, p.scene, None)
         or (line.effect is not None and line.effect in p.owners)
         or p.scene.observe != base.scene.observe
         for p in line.points
