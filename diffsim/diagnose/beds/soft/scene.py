@@ -71,8 +71,8 @@ class SoftScene:
         body: The body, with its time step and solver.
         sample_times: When channels were recorded, since the start of the simulation, (num_samples,)
             [s]. Before 0 the body rests as it starts.
-        observe: Positions (num_vertices, 3) [m] -> channels (num_channels,). Derivatives are quicker
-            where it is one function for all scenes and takes leading axes.
+        observe: Positions (num_vertices, 3) [m] -> channels (num_channels,). Derivatives are
+            quicker where it is one function for all scenes and takes leading axes.
         axes: Of every channel: 0, 1, 2 for x, y, z, so that maps of space find their components.
         parameters: For ``body.physics``; scalars or fields.
         start: "rest" (the unstrained shape, released at 0) or "equilibrium" under the first
