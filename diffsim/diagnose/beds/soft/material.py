@@ -17,6 +17,9 @@ _BRANCH_HZ = (0.316, 1.0, 3.16, 10.0, 31.6, 100.0)
 _STRENGTH = 2.0 / math.pi * math.log(10.0) / 2.0  # of a branch, per loss factor
 
 
+_SOLID = ("youngs_modulus", "poissons_ratio")
+
+
 class StiffnessDamping(Effect):
     """Force -size K v: damping ratio size w / 2, growing with the frequency w."""
 
@@ -53,15 +56,17 @@ class LossFactor(Effect):
 class _Relaxation(Force):
     """- sum_k g m_k with m_k following the solid's force, exact for straight lines of it."""
 
+    leading_axes, reads = True, _SOLID
+
     def __init__(self, plain: SoftScene, strength: Tensor):
-        self._plain, self._strength = plain, strength
+        self._solid, self._strength = plain.solid_force(), strength
         self._tau = 1.0 / (2.0 * math.pi * torch.tensor(_BRANCH_HZ, dtype=torch.float64))
         self._memory: Tensor | None = None
         self._before: Tensor | None = None
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
-        force, _ = self._plain.solid_force(moment.x)
-        tau = self._tau[:, None, None]
+        force, _ = self._solid(moment.x)
+        tau = self._tau.reshape(-1, *(1 for _ in force.shape))
         if self._memory is None or self._before is None:
             self._memory = force.expand(len(_BRANCH_HZ), *force.shape)
         else:
@@ -86,12 +91,16 @@ class Stiffening(Effect):
 class _Stiffening(Force):
     """The force of the energy U + size U^2 / (E V) beside that of U."""
 
+    leading_axes, reads = True, _SOLID
+
     def __init__(self, size: Tensor):
         self._size = size
+        self._solid: Callable[[Tensor], tuple[Tensor, Tensor]] | None = None
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
-        force, strain_squared = scene.solid_force(moment.x)
-        return self._size * strain_squared * force
+        self._solid = self._solid or scene.solid_force()
+        force, strain_squared = self._solid(moment.x)
+        return self._size * strain_squared[..., None, None] * force
 
 
 class StiffnessLoss(Effect):

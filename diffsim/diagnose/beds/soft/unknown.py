@@ -36,6 +36,8 @@ class _UnknownForce(Effect):
 
 
 class _Knots(Force):
+    leading_axes, reads = True, ()
+
     def __init__(self, knots: Tensor, shapes: Tensor, spacing: float):
         self._rows = knots.reshape(-1, knots.shape[-1]).T  # (num_knots, 3 * num_shapes)
         self._shapes, self._spacing = shapes, spacing
@@ -43,7 +45,7 @@ class _Knots(Force):
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
         time = torch.tensor([moment.time], dtype=torch.float64)
         now = straight(self._rows, self._spacing, time).reshape(3, -1)
-        return (now @ self._shapes).T
+        return (now @ self._shapes).T.expand(moment.x.shape)
 
 
 def unknown_force(num_knots: int, until_s: float) -> Effect:
