@@ -67,7 +67,9 @@ class SoftScene:
         axes: Of every channel: 0, 1, 2 for x, y, z, so that maps of space find their components.
         parameters: For ``body.physics``; scalars or fields.
         start: "rest" (the unstrained shape, released at 0) or "equilibrium" under the first
-            command.
+            command and ``holding_force``.
+        holding_force: (num_vertices, 3) of a hand that lets go at 0 [N]; None: none.
+        start_velocity: (num_vertices, 3) at 0 [m/s]; None: at rest.
         command: (num_commands, width) evenly spaced, or None.
         command_dt: Its spacing [s].
         actuate: Command (width,) -> activation (num_muscles,); None: the command itself.
@@ -89,6 +91,8 @@ class SoftScene:
     axes: tuple[int, ...]
     parameters: Mapping[str, Tensor] = field(default_factory=dict)
     start: str = "rest"
+    holding_force: Tensor | None = None
+    start_velocity: Tensor | None = None
     command: Tensor | None = None
     command_dt: float = math.nan
     actuate: Callable[[Tensor], Tensor] | None = None
@@ -164,16 +168,27 @@ class SoftScene:
         return channels
 
     def _initial_state(self, activation: Tensor | None, physics: soft.Physics) -> soft.State:
-        if self.start == "rest":
-            return self.body.rest_state()
-        state = self.body.static_equilibrium(activation=activation, physics=physics)
+        state = self.body.rest_state()
+        if self.start == "equilibrium":
+            state = self._equilibrium(activation, physics)
+        return state if self.start_velocity is None else soft.State(state.x, self.start_velocity)
+
+    def _equilibrium(self, activation: Tensor | None, physics: soft.Physics) -> soft.State:
+        """At rest under the first command, the holding force and all hooks' forces."""
+        held = self.holding_force
+        state = self.body.static_equilibrium(
+            external_force=held, activation=activation, physics=physics
+        )
         if not self.forces and self.water is None:
             return state
         for _ in range(_STATIC_ITERATIONS):
             force = self._force_at(0, state, [make() for make in self.forces])
             before = state.x.detach()
             state = self.body.static_equilibrium(
-                guess=before, external_force=force, activation=activation, physics=physics
+                guess=before,
+                external_force=force if held is None else force + held,
+                activation=activation,
+                physics=physics,
             )
             change = float((state.x.detach() - before).abs().max())
             if change < _STATIC_RTOL * float((before - self.body.x_rest).abs().max()):
