@@ -14,6 +14,7 @@ from torch import Tensor
 
 from diffsim._core import core
 from diffsim._soft_context import (
+    SHARED_INPUTS,
     STEP_GRADIENTS,
     STEP_INPUTS,
     context,
@@ -40,6 +41,7 @@ STATS = (
     "num_set_changes",
     "num_cycles",
 )
+TANGENT_HINT = "lower rtol of the steps or raise adjoint_max_iters"
 STEP_HINT = "halve dt, raise max_iters, or loosen rtol (or set atol) where rounding forbids less"
 ADJOINT_HINT = "loosen adjoint_rtol or raise max_iters"
 
@@ -184,3 +186,57 @@ def _step_backward(ctx, grad_x, _grad_stats):
 
 
 soft_step.register_autograd(_step_backward, setup_context=_step_setup)
+
+
+def step_tangents(
+    x: Tensor,
+    inputs: list[Tensor],
+    directions: dict[str, Tensor],
+    handle: int,
+    method: str,
+    rtol: float,
+    max_iters: int,
+    num_threads: int,
+    on_failure: str,
+) -> Tensor:
+    """Derivatives of one converged step along K directions, all with one factor of its tangent.
+
+    Args:
+        x: Answer of the step, (1, V, 3) [m].
+        inputs: Of the step, those of ``STEP_INPUTS`` in that order, of batch 1.
+        directions: By name of ``STEP_GRADIENTS``, with a leading K instead of the batch axis;
+            what does not move may be missing.
+        handle, method, rtol, max_iters, num_threads, on_failure: As for :func:`soft_step_vjp`.
+
+    Returns:
+        (K, V, 3).
+    """
+    ctx = context(handle)
+    named = dict(zip(STEP_INPUTS, inputs, strict=True))
+    require_sizes(ctx, 1, {**named, "x": x})
+    count = next(iter(directions.values())).shape[0]
+    shaped = {name: named[name] for name in directions}
+    for name, direction in directions.items():
+        one = shaped[name].shape if name in SHARED_INPUTS else shaped[name].shape[1:]
+        if direction.shape != (count, *one) or not direction.is_contiguous():
+            raise ValueError(
+                f"direction of {name} must be contiguous {(count, *one)}, got "
+                f"{tuple(direction.shape)}"
+            )
+    system = ctx.system(named, num_threads)
+    dx = x.new_empty(count, *x.shape[1:])
+    stats = torch.zeros(1, len(STATS), dtype=torch.float64)
+    core.implicit_step_tangent(
+        system,
+        pointers(**named),
+        step_options(method, rtol, 0.0, max_iters),
+        count,
+        x.data_ptr(),
+        pointers(**directions),
+        dx.data_ptr(),
+        stats.data_ptr(),
+        num_threads,
+    )
+    notify("tangent", stats)
+    report_failure(stats, "tangent solve", TANGENT_HINT, on_failure)
+    return dx

@@ -34,7 +34,7 @@ ENERGY_INPUTS = (
 STEP_INPUTS = ("y", "force", "target", "guess", "inertia", *ENERGY_INPUTS)
 STEP_GRADIENTS = tuple(name for name in STEP_INPUTS if name != "guess")
 # Inputs without a batch axis.
-_SHARED = ("inertia", "w_mu", "w_vol", "fibre_stiffness", "damp_mu", "damp_lambda")
+SHARED_INPUTS = ("inertia", "w_mu", "w_vol", "fibre_stiffness", "damp_mu", "damp_lambda")
 MATERIALS = ("pd", "corotated", "stable_neo_hookean", "neo_hookean", "stvk")
 _handles = itertools.count(1)
 contexts: weakref.WeakValueDictionary[int, SoftContext] = weakref.WeakValueDictionary()
@@ -234,7 +234,7 @@ def gradient_buffers(
     """Zeroed outputs; those of shared parameters get a batch axis, summed afterwards in order."""
     return {
         name: inputs[name].new_zeros(
-            (batch, *inputs[name].shape) if name in _SHARED else inputs[name].shape
+            (batch, *inputs[name].shape) if name in SHARED_INPUTS else inputs[name].shape
         )
         for name in names
     }
@@ -242,6 +242,6 @@ def gradient_buffers(
 
 def sum_shared(grads: dict[str, Tensor]) -> list[Tensor]:
     return [
-        (g[0].clone() if g.shape[0] == 1 else g.sum(0)) if name in _SHARED else g
+        (g[0].clone() if g.shape[0] == 1 else g.sum(0)) if name in SHARED_INPUTS else g
         for name, g in grads.items()
     ]

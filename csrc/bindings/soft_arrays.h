@@ -36,6 +36,17 @@ struct SoftArrays {
                         out(x_frame),    out(x_velocity), out(pressure)};
     return grads;
   }
+  StepDirections directions(std::int64_t count) const {
+    const StepInputs in = inputs();
+    const SoftParameters& p = in.parameters;
+    return {count,
+            in.y,
+            in.force,
+            in.target,
+            diffsim::in(inertia),
+            {p.w_mu, p.w_vol, p.fibre_stiffness, p.activation, p.damp_mu, p.damp_lambda,
+             in.x_frame, in.x_velocity, p.pressure}};
+  }
 };
 
 }  // namespace diffsim

@@ -15,17 +15,20 @@ from diffsim.soft.materials import MATERIALS, lame_parameters, pd_weights
 from diffsim.soft.muscles import Muscle
 from diffsim.soft.options import SolverOptions
 from diffsim.soft.physics import Physics
+from diffsim.soft.physics_tangent import physics_directions
 from diffsim.soft.rollout import rollout
 from diffsim.soft.state import State, Trajectory
 from diffsim.soft.statics import static_equilibrium
 from diffsim.soft.stats import SolveStats, record_stats
 from diffsim.soft.step import step
+from diffsim.soft.tangents import Directions, Tangents, rollout_tangents, static_tangents
 from diffsim.soft.tendons import Tendon
 
 __all__ = [
     "MATERIALS",
     "ActuatorDynamics",
     "ActuatorState",
+    "Directions",
     "FirstOrderLag",
     "HydroForces",
     "Hydrodynamics",
@@ -37,6 +40,7 @@ __all__ = [
     "SolveStats",
     "SolverOptions",
     "State",
+    "Tangents",
     "Tendon",
     "Trajectory",
     "added_mass",
@@ -45,9 +49,12 @@ __all__ = [
     "elastic_force",
     "lame_parameters",
     "pd_weights",
+    "physics_directions",
     "record_stats",
     "rollout",
+    "rollout_tangents",
     "sealed_pressure",
     "static_equilibrium",
+    "static_tangents",
     "step",
 ]

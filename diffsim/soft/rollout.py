@@ -70,7 +70,7 @@ def rollout(
         raise TypeError(f"keep must be a function of a State, got {type(keep).__name__}")
     require_state(state)
     physics = body.physics() if physics is None else physics
-    at_step = _obstacles_at(body, obstacles, state)
+    obstacles_at = _obstacles_at(body, obstacles, state)
 
     def advance(first: int, count: int, start: State) -> tuple[list[Tensor], list[Tensor], State]:
         xs, vs = [], []
@@ -79,11 +79,11 @@ def rollout(
             now = step(
                 body,
                 now,
-                external_force=_at(external_force, k, now),
-                activation=_at(activation, k, now),
-                pressure=_at(pressure, k, now),
-                dirichlet_target=_at(dirichlet_target, k, now),
-                obstacles=at_step(k, now),
+                external_force=at_step(external_force, k, now),
+                activation=at_step(activation, k, now),
+                pressure=at_step(pressure, k, now),
+                dirichlet_target=at_step(dirichlet_target, k, now),
+                obstacles=obstacles_at(k, now),
                 physics=physics,
             )
             xs.append(now.x if keep is None else keep(now))
@@ -103,7 +103,8 @@ def rollout(
     return Trajectory(torch.stack(xs), torch.stack(vs), state)
 
 
-def _at(signal: Signal, k: int, state: State) -> Tensor | None:
+def at_step(signal: Signal, k: int, state: State) -> Tensor | None:
+    """What a signal gives in step k from ``state``."""
     return signal(k, state) if callable(signal) and not isinstance(signal, Tensor) else signal
 
 

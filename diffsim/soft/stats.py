@@ -12,10 +12,11 @@ from diffsim import _ops_soft
 
 
 class SolveStats(NamedTuple):
-    """One implicit step or one adjoint solve; every tensor is (batch,) float64.
+    """One implicit step, one adjoint or one tangent solve; every tensor is (batch,) float64.
 
     Attributes:
-        kind: ``step`` (also static equilibria) or ``adjoint``.
+        kind: ``step`` (also static equilibria), ``adjoint``, or ``tangent`` (one entry for all
+            directions, of the worst; norms relative to its right-hand side).
         residual_norm: Norm of the last residual; step: [N], adjoint: unit of dL/dx.
         tolerance: Norm it had to reach, same unit.
         scale: Norm that ``rtol`` refers to, same unit.

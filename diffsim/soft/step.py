@@ -87,7 +87,7 @@ def _free_step(body: SoftBody, state: State, inputs: _Inputs) -> State:
     stage = make_stage(body.integrator, body.dt, state)
     if stage.midpoint:
         target = 0.5 * (state.x + target)
-    problem = _problem(body, stage, state.x, force, target, activation, pressure, physics)
+    problem = stage_problem(body, stage, state.x, force, target, activation, pressure, physics)
     return finish_stage(body.integrator, stage, state, solve(body, problem), body.fixed)
 
 
@@ -108,13 +108,13 @@ def _contact_step(
                 return end._replace(contact_force=torch.zeros_like(end.x))
     stage = make_stage("implicit_euler", body.dt, state)
     planes = contact_planes(body, obstacles, state.x, stage.y)
-    problem = _problem(body, stage, state.x, *inputs)
+    problem = stage_problem(body, stage, state.x, *inputs)
     solution, contact_force = solve_in_contact(body, planes, state, problem)
     end = finish_stage("implicit_euler", stage, state, solution, body.fixed)
     return end._replace(contact_force=contact_force)
 
 
-def _problem(
+def stage_problem(
     body: SoftBody,
     stage: Stage,
     guess: Tensor,

@@ -13,6 +13,8 @@ std::size_t at(Index i) { return static_cast<std::size_t>(i); }
 
 // Groups per task: small enough to share, large enough that a task costs microseconds.
 constexpr Index kTask = 16;
+// Directions whose nodal vectors are held at once.
+constexpr Index kDirections = 16;
 // Groups whose element matrices are held at once while the tangent is assembled.
 constexpr Index kChunk = 512;
 
@@ -306,6 +308,100 @@ void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p,
   if (p.damp_mu) damping_adjoint<Group>(model, p, frames, x, z, out, scratch, pool);
 }
 
+/// Item k of a (count, size) array at a group; zero for null.
+template <typename Group>
+Lane direction_value(const ElementBlock& block, Index g, const double* values, Index k) {
+  return values ? Group::element_value(block, g, values + k * block.num_elements) : broadcast(0.0);
+}
+
+/// Adds d(F_n T(S)) = dF_n T(S) + F_n (dT(S) + T(dS)), dS = sym(dF_n^T delta - F_n^T dF_v).
+template <typename Group>
+void add_damping_tangent(const SoftModel& model, const SoftParameters& p, const DampingFrame& frame,
+                         const Lane delta[9], Index g, Index k, const ParameterDirections& d,
+                         Lane P[9]) {
+  const ElementBlock& solid = model.solid;
+  const Index size = 3 * model.num_nodes;
+  const Lane d_mu = Group::element_value(solid, g, p.damp_mu);
+  const Lane d_lambda = Group::element_value(solid, g, p.damp_lambda);
+  Lane S[9], T[9], A[9];
+  strain_rate(frame.Fn, delta, S);
+  viscous(S, direction_value<Group>(solid, g, d.damp_mu, k),
+          direction_value<Group>(solid, g, d.damp_lambda, k), T);
+  Lane dS[9];
+  for (int i = 0; i < 9; ++i) dS[i] = broadcast(0.0);
+  if (d.x_frame) {
+    Lane dFn[9], TS[9];
+    deformation_gradient<Group>(solid, g, d.x_frame + k * size, dFn);
+    strain_rate(dFn, delta, dS);
+    viscous(S, d_mu, d_lambda, TS);
+    times(dFn, TS, A);
+    for (int i = 0; i < 9; ++i) P[i] += A[i];
+  }
+  if (d.x_velocity) {
+    Lane dFv[9], B[9];
+    deformation_gradient<Group>(solid, g, d.x_velocity + k * size, dFv);
+    strain_rate(frame.Fn, dFv, B);
+    for (int i = 0; i < 9; ++i) dS[i] -= B[i];
+  }
+  viscous(dS, d_mu, d_lambda, A);
+  for (int i = 0; i < 9; ++i) T[i] += A[i];
+  times(frame.Fn, T, A);
+  for (int i = 0; i < 9; ++i) P[i] += A[i];
+}
+
+/// Directions [first, last) into their vectors buffers, one behind the other.
+template <typename Group, typename M>
+void parameter_tangent_of(const SoftModel& model, const SoftParameters& p,
+                          const std::vector<DampingFrame>& frames, const double* x, Index first,
+                          Index last, const ParameterDirections& d, double* vectors,
+                          ThreadPool& pool) {
+  const ElementBlock& solid = model.solid;
+  const ElementBlock& fibre = model.fibre;
+  for_groups(solid, pool, [&](Index g) {
+    Lane F[9], P_mu[9], P_vol[9], delta[9];
+    deformation_gradient<Group>(solid, g, x, F);
+    if (d.w_mu || d.w_vol) {
+      // The stress is linear in the weights: its derivative is the stress of unit weights.
+      const typename M::Sample sample(F);
+      stress<M>(sample, broadcast(1.0), broadcast(0.0), P_mu);
+      stress<M>(sample, broadcast(0.0), broadcast(1.0), P_vol);
+    }
+    if (p.damp_mu)
+      for (int i = 0; i < 9; ++i) delta[i] = F[i] - frames[at(g)].Fv[i];
+    const auto& shape = Group::shape(solid, g);
+    for (Index k = first; k < last; ++k) {
+      Lane P[9];
+      for (int i = 0; i < 9; ++i) P[i] = broadcast(0.0);
+      if (d.w_mu || d.w_vol) {
+        const Lane mu = direction_value<Group>(solid, g, d.w_mu, k);
+        const Lane vol = direction_value<Group>(solid, g, d.w_vol, k);
+        for (int i = 0; i < 9; ++i) P[i] = mu * P_mu[i] + vol * P_vol[i];
+      }
+      if (p.damp_mu)
+        add_damping_tangent<Group>(model, p, frames[at(g)], delta, g, k, d, P);
+      scatter_stress(shape, P,
+                     vectors + (k - first) * model.vectors_size + g * solid.vectors_size());
+    }
+  });
+  for_groups(fibre, pool, [&](Index g) {
+    Lane F[9], m[3];
+    deformation_gradient<Group>(fibre, g, x, F);
+    fibre_directions<Group>(model, g, m);
+    const FibreState f = fibre_state(F, m);
+    const FibrePull pull = fibre_pull<Group>(model, p, g, f);
+    const auto& shape = Group::shape(fibre, g);
+    for (Index k = first; k < last; ++k) {
+      const Lane tension = direction_value<Group>(fibre, g, d.fibre_stiffness, k) * pull.stretch -
+                           direction_value<Group>(fibre, g, d.activation, k) * pull.stiffness;
+      Lane P[9];
+      for (int i = 0; i < 9; ++i) P[i] = tension * f.unit[i / 3] * f.direction[i % 3];
+      scatter_stress(shape, P,
+                     vectors + (k - first) * model.vectors_size + model.fibre_vectors_start +
+                         g * fibre.vectors_size());
+    }
+  });
+}
+
 /// Calls f(group, material) with the types of a model.
 template <typename F>
 decltype(auto) with_types(const SoftModel& model, F&& f) {
@@ -367,6 +463,23 @@ void parameter_adjoint(const SoftModel& model, const SoftParameters& p,
     parameter_adjoint_of<decltype(group), decltype(material)>(model, p, frames, x, z, out, scratch,
                                                               pool);
   });
+}
+
+void parameter_tangent(const SoftModel& model, const SoftParameters& p,
+                       const std::vector<DampingFrame>& frames, const double* x, Index count,
+                       const ParameterDirections& directions, double* out,
+                       ElasticityScratch& scratch, ThreadPool& pool) {
+  scratch.vectors.resize(at(std::min(count, kDirections) * model.vectors_size));
+  for (Index first = 0; first < count; first += kDirections) {
+    const Index last = std::min(count, first + kDirections);
+    with_types(model, [&](auto group, auto material) {
+      parameter_tangent_of<decltype(group), decltype(material)>(
+          model, p, frames, x, first, last, directions, scratch.vectors.data(), pool);
+    });
+    for (Index k = first; k < last; ++k)
+      gather_vectors(model, scratch.vectors.data() + (k - first) * model.vectors_size,
+                     out + 3 * k * model.num_nodes, pool);
+  }
 }
 
 std::int64_t count_inverted(const SoftModel& model, const double* x) {

@@ -63,6 +63,28 @@ void parameter_adjoint(const SoftModel& model, const SoftParameters& parameters,
                        const std::vector<DampingFrame>& frames, const double* x, const double* z,
                        const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool);
 
+/// Directions in the parameters of the energy, (count, ...) each; null where none moves. Those of
+/// damping need a damped body.
+struct ParameterDirections {
+  const double* w_mu = nullptr;             // (count, num_elements)
+  const double* w_vol = nullptr;            // (count, num_elements)
+  const double* fibre_stiffness = nullptr;  // (count, num_fibres)
+  const double* activation = nullptr;       // (count, num_fibres)
+  const double* damp_mu = nullptr;          // (count, num_elements)
+  const double* damp_lambda = nullptr;      // (count, num_elements)
+  const double* x_frame = nullptr;          // (count, num_nodes, 3)
+  const double* x_velocity = nullptr;       // (count, num_nodes, 3)
+  const double* pressure = nullptr;         // (count, num_chambers), by the caller
+};
+
+/// d(gradient)/dp along each direction but the pressure's [N], overwritten: the transpose of
+/// parameter_adjoint.
+/// @param[out] out  (count, num_nodes, 3)
+void parameter_tangent(const SoftModel& model, const SoftParameters& parameters,
+                       const std::vector<DampingFrame>& frames, const double* x,
+                       std::int64_t count, const ParameterDirections& directions, double* out,
+                       ElasticityScratch& scratch, ThreadPool& pool);
+
 /// Elements that have a sample with det F <= 0 (or NaN) at x.
 std::int64_t count_inverted(const SoftModel& model, const double* x);
 

@@ -1,61 +1,7 @@
-#include "kernels/soft/implicit_step.h"
-#include "kernels/soft/step_problem.h"
+#include "kernels/soft/linearised_solver.h"
 
 namespace diffsim {
 namespace {
-
-/// Solves H z = b to |H z - b| <= tolerance, H symmetric, perhaps indefinite.
-class AdjointSolver {
-  auto apply() {
-    return [this](const Vector& in, Vector& out) { problem_.multiply(in, out); };
-  }
-  auto constant() {
-    return [this](const Vector& in, Vector& out) { problem_.solve_constant(in, out); };
-  }
-  auto tangent() {
-    return [this](const Vector& in, Vector& out) { problem_.solve_factorized(in, out); };
-  }
-  template <typename Precondition>
-  KrylovResult conjugate(Precondition&& precondition, const Vector& b, double tolerance,
-                         int max_iters, Vector& z) {
-    return conjugate_gradients(apply(), precondition, b, z, false, tolerance, max_iters, scratch_,
-                               problem_.ops());
-  }
-
- public:
-  AdjointSolver(StepProblem& problem, const Vector& x) : problem_(problem), x_(x) {}
-
-  KrylovResult solve(StepMethod method, bool factorize, const Vector& b, double tolerance,
-                     int max_iters, Vector& z) {
-    const bool direct = factorize && problem_.factorize();
-    const auto jacobi = [this](const Vector& in, Vector& out) { problem_.solve_jacobi(in, out); };
-    KrylovResult result;
-    // Conjugate gradients on the exact factor are iterative refinement with a measured residual.
-    if (direct)
-      result = conjugate(tangent(), b, tolerance, max_iters, z);
-    else if (method == StepMethod::kNewtonJacobi)
-      result = conjugate(jacobi, b, tolerance, max_iters, z);
-    else if (!factorize)
-      result = conjugate(constant(), b, tolerance, max_iters, z);
-    if (result.converged) return result;
-    // Indefinite (the step stopped at a saddle) or stalled: MINRES needs no sign. Its
-    // preconditioner must be positive definite: a factor of the clamped tangent, else the constant
-    // one.
-    const int spent = result.num_iters;
-    problem_.assemble(x_, true);
-    const bool clamped = problem_.factorize();
-    problem_.assemble(x_, false);
-    result = clamped ? minres(apply(), tangent(), b, z, tolerance, max_iters, problem_.ops())
-                     : minres(apply(), constant(), b, z, tolerance, max_iters, problem_.ops());
-    result.num_iters += spent;
-    return result;
-  }
-
- private:
-  StepProblem& problem_;
-  const Vector& x_;
-  KrylovScratch scratch_;
-};
 
 bool wants_factor(const ConstantSystem& system, const StepOptions& options) {
   return options.method == StepMethod::kNewtonCholesky ||
@@ -77,7 +23,7 @@ StepStats implicit_step_adjoint(const ConstantSystem& system, const StepInputs& 
   StepStats stats;
   stats.scale = problem.ops().norm(b);
   stats.tolerance = options.rtol * stats.scale + options.atol;
-  const KrylovResult solve = AdjointSolver(problem, x)
+  const KrylovResult solve = LinearisedSolver(problem, x)
                                  .solve(options.method, wants_factor(system, options), b,
                                         stats.tolerance, options.max_iters, z);
   stats.residual_norm = solve.residual_norm;

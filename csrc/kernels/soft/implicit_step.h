@@ -67,6 +67,25 @@ StepStats implicit_step_adjoint(const ConstantSystem& system, const StepInputs& 
                                 const StepOptions& options, const double* x, const double* grad_x,
                                 const StepAdjoint& out, ThreadPool& pool);
 
+/// Directions in the inputs of a step, (count, ...) each; null where none moves.
+struct StepDirections {
+  std::int64_t count = 0;
+  const double* y = nullptr;        // (count, num_nodes, 3)
+  const double* force = nullptr;    // (count, num_nodes, 3)
+  const double* target = nullptr;   // (count, num_nodes, 3), read at fixed unknowns
+  const double* inertia = nullptr;  // (count, num_nodes)
+  ParameterDirections parameters;
+};
+
+/// The answer's derivatives along many directions, all with one factor of H:
+///   H dx = -d(grad g)/dp dp on free unknowns, dx = dtarget on fixed ones.
+/// @param[in]  x   (num_nodes, 3) answer of the forward step [m]
+/// @param[out] dx  (count, num_nodes, 3)
+/// @return of the worst direction; residual_norm and tolerance are relative to its right-hand side
+StepStats implicit_step_tangent(const ConstantSystem& system, const StepInputs& inputs,
+                                const StepOptions& options, const double* x,
+                                const StepDirections& directions, double* dx, ThreadPool& pool);
+
 /// Pointers of batch item k: leading batch axes on states, forces, activations and pressures;
 /// parameters shared.
 StepInputs batch_item(const StepInputs& inputs, const SoftModel& model, std::int64_t k);

@@ -100,6 +100,12 @@ void StepProblem::input_gradients(const Vector& x, const Vector& z, const Vector
   pressure_adjoint(system_.model(), x.data(), minus_z.data(), out.parameters.pressure, pool_);
 }
 
+void StepProblem::parameter_tangent(const Vector& x, std::int64_t count,
+                                    const ParameterDirections& directions, double* out) {
+  diffsim::parameter_tangent(system_.model(), in_.parameters, frames_, x.data(), count, directions,
+                             out, elastic_, pool_);
+}
+
 void StepProblem::solve_constant(const Vector& r, Vector& z) {
   ++num_solves;
   system_.solve(r, z, constant_, pool_);
@@ -159,6 +165,10 @@ bool StepProblem::factorize(const std::function<void(double*)>& edit) {
 void StepProblem::solve_factorized(const Vector& r, Vector& z) {
   z.resize(size_);
   factor_[0].solve(r.data(), z.data(), 1, cholesky_, pool_);
+}
+
+void StepProblem::solve_factorized_many(double* columns, int count) {
+  factor_[0].solve(columns, columns, count, cholesky_, pool_);
 }
 
 }  // namespace diffsim

@@ -37,6 +37,11 @@ class StepProblem {
   void input_gradients(const Vector& x, const Vector& z, const Vector& rest,
                        const StepAdjoint& out);
 
+  /// d(grad g)/dp along directions in the parameters of the energy, pressures not, overwritten.
+  /// @param[out] out  (count, size())
+  void parameter_tangent(const Vector& x, std::int64_t count, const ParameterDirections& directions,
+                         double* out);
+
   /// z = A^-1 r.
   void solve_constant(const Vector& r, Vector& z);
   /// z = (3x3 diagonal blocks of H)^-1 r.
@@ -45,6 +50,8 @@ class StepProblem {
   /// @param[in] edit  changes the (num_blocks, 3, 3) blocks first, if not empty
   bool factorize(const std::function<void(double*)>& edit = {});
   void solve_factorized(const Vector& r, Vector& z);
+  /// In place, (size(), count) row-major.
+  void solve_factorized_many(double* columns, int count);
 
   int num_solves = 0;
   int num_factorizations = 0;

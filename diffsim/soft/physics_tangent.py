@@ -1,0 +1,80 @@
+"""Derivatives of a body's parameters along many directions: physics with a leading K."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING
+
+import torch
+import torch.autograd.forward_ad as forward_ad
+from torch import Tensor
+
+from diffsim.soft.physics import Physics
+
+if TYPE_CHECKING:
+    from diffsim.soft.body import SoftBody
+
+
+def physics_directions(
+    body: SoftBody, values: Mapping[str, Tensor], directions: Mapping[str, Tensor]
+) -> Physics:
+    """Derivatives of ``body.physics(**values)`` along K directions.
+
+    Args:
+        body: The body.
+        values: Overrides by name, as ``body.physics`` takes them.
+        directions: By name, among those of ``values``: (K, *shape of the value), per unit.
+
+    Returns:
+        Physics whose tensors have a leading K.
+    """
+    if unknown := set(directions) - set(values):
+        raise ValueError(f"directions of {sorted(unknown)} have no value; give values of the same")
+    (count,) = {d.shape[0] for d in directions.values()}
+    rows = []
+    for k in range(count):
+        with forward_ad.dual_level():
+            dual = {
+                n: forward_ad.make_dual(v, directions[n][k]) if n in directions else v
+                for n, v in values.items()
+            }
+            rows.append(_unpacked(body.physics(**dual)))
+    return stack_physics(rows)
+
+
+def stack_physics(rows: list[Physics]) -> Physics:
+    """K physics as one whose tensors have a leading K; damping where any has it."""
+    damped = next((r.rayleigh_beta for r in rows if r.rayleigh_beta is not None), None)
+    if damped is not None:
+        none = torch.zeros_like(damped)
+        rows = [r if r.rayleigh_beta is not None else replace(r, rayleigh_beta=none) for r in rows]
+    names = [f.name for f in fields(Physics) if isinstance(getattr(rows[0], f.name), Tensor)]
+    return replace(rows[0], **{n: torch.stack([getattr(r, n) for r in rows]) for n in names})
+
+
+def _unpacked(physics: Physics) -> Physics:
+    """The tangents of dual numbers."""
+
+    def tangent(value: Tensor) -> Tensor:
+        primal, tangent = forward_ad.unpack_dual(value)
+        return torch.zeros_like(primal) if tangent is None else tangent
+
+    duals = {f.name: getattr(physics, f.name) for f in fields(Physics)}
+    return replace(physics, **{n: tangent(v) for n, v in duals.items() if isinstance(v, Tensor)})
+
+
+def still_physics(physics: Physics, count: int) -> Physics:
+    """Directions in which no parameter moves."""
+    values = {f.name: getattr(physics, f.name) for f in fields(Physics)}
+    return replace(
+        physics,
+        **{n: v.new_zeros(count, *v.shape) for n, v in values.items() if isinstance(v, Tensor)},
+    )
+
+
+def as_damped_as(changing: Physics, physics: Physics) -> Physics:
+    """Undamped bodies whose damping moves need its terms, with zeros."""
+    if changing.rayleigh_beta is None or physics.rayleigh_beta is not None:
+        return physics
+    return replace(physics, rayleigh_beta=torch.zeros_like(physics.w_mu))

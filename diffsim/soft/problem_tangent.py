@@ -1,0 +1,112 @@
+"""The problem of one implicit step along many directions of what it is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from diffsim import _ops_soft
+from diffsim._soft_context import small_strain_lambda
+from diffsim.soft.integrators import Stage
+from diffsim.soft.physics import Physics
+from diffsim.soft.problem import Problem, solver_arguments
+from diffsim.soft.state import State
+
+if TYPE_CHECKING:
+    from diffsim.soft.body import SoftBody
+
+
+def solve_along(body: SoftBody, problem: Problem, x: Tensor, rates: dict[str, Tensor]) -> Tensor:
+    method, _, _, _, threads, on_failure, rtol, max_iters = solver_arguments(body.solver)
+    return _ops_soft.step_tangents(
+        x[None].contiguous(),
+        problem.inputs(body),
+        {name: rate.contiguous() for name, rate in rates.items()},
+        body.handle,
+        method,
+        rtol,
+        max_iters,
+        threads,
+        on_failure,
+    )
+
+
+def stage_rates(
+    body: SoftBody,
+    problem: Problem,
+    stage: Stage,
+    d_stage: Stage,
+    moving: State,
+    moved: Mapping[str, Tensor | None],
+    physics: Physics,
+    changing: Physics,
+) -> dict[str, Tensor]:
+    """Directions in the inputs of a step's problem, see ``stage_problem``."""
+    total = stage.c + physics.rayleigh_alpha * stage.kappa
+    d_total = changing.rayleigh_alpha * stage.kappa
+    rates = {
+        "y": (
+            stage.c * d_stage.y
+            + physics.rayleigh_alpha * stage.kappa * d_stage.x_velocity
+            + d_total[:, None, None] * (stage.x_velocity - problem.y)
+        )
+        / total,
+        "inertia": d_total[:, None] * physics.mass + total * changing.mass,
+        "force": weight_rate(physics, changing),
+    }
+    d_force, d_target = moved["external_force"], moved["dirichlet_target"]
+    if d_force is not None:
+        rates["force"] = rates["force"] + d_force
+    if moved["pressure"] is not None:
+        rates["pressure"] = moved["pressure"]
+    if stage.midpoint:
+        d_target = 0.5 * (moving.x if d_target is None else moving.x + d_target)
+    if d_target is not None:
+        rates["target"] = d_target
+    if physics.rayleigh_beta is not None:
+        beta, d_beta = physics.rayleigh_beta, changing.rayleigh_beta
+        d_beta = torch.zeros_like(changing.w_mu) if d_beta is None else d_beta
+        for name, w, d_w in (
+            ("damp_mu", physics.w_mu, changing.w_mu),
+            (
+                "damp_lambda",
+                small_strain_lambda(physics.material, physics.w_vol),
+                small_strain_lambda(physics.material, changing.w_vol),
+            ),
+        ):
+            rates[name] = stage.kappa * (d_beta * w + beta * d_w)
+        rates["x_frame"], rates["x_velocity"] = d_stage.y, d_stage.x_velocity
+    return rates | stiffness_rates(body, problem, moved["activation"], changing)
+
+
+def weight_rate(physics: Physics, changing: Physics) -> Tensor:
+    return (
+        changing.weighing_mass[:, :, None] * physics.gravity
+        + physics.weighing_mass[:, None] * changing.gravity[:, None, :]
+    )
+
+
+def stiffness_rates(
+    body: SoftBody, problem: Problem, d_activation: Tensor | None, changing: Physics
+) -> dict[str, Tensor]:
+    """Of the solid's weights, and of the fibres' stiffness and target, see ``MuscleSet.fibres``."""
+    rates = {"w_mu": changing.w_mu, "w_vol": changing.w_vol}
+    muscles = body.muscles
+    if not muscles.num_muscles:
+        return rates
+    d_stiffness = changing.fibre_stiffness
+    if d_activation is None:
+        d_activation = torch.zeros_like(d_stiffness)
+    if muscles.has_contraction:
+        which, slack = muscles.contraction, 1.0 - problem.activation
+        contracted = (
+            slack**2 * d_stiffness - 2.0 * slack * problem.physics.fibre_stiffness * d_activation
+        )
+        d_stiffness = torch.where(which, contracted, d_stiffness)
+        d_activation = torch.where(which, torch.zeros_like(d_activation), d_activation)
+    rates["fibre_stiffness"] = d_stiffness[:, muscles.owner] * muscles.weights
+    rates["activation"] = d_activation[:, muscles.owner]
+    return rates

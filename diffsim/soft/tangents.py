@@ -1,0 +1,260 @@
+"""Forward mode: how a rollout changes along many directions of its inputs, in one sweep.
+
+A converged step solves R(x1, p) = 0. With the step's tangent matrix H = dR/dx1 factorised once,
+every direction costs one more right-hand side, H dx1 = -dR/dp dp (the transpose of thesis eqs.
+4.9, 4.10), where p are the state, loads, commands and parameters. What integrators do before and
+after the solve is linear in the state, so the same functions serve states and their tangents.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+import torch.autograd.forward_ad as forward_ad
+from torch import Tensor
+
+from diffsim._check import require
+from diffsim.soft.inputs import check_inputs
+from diffsim.soft.integrators import IMPLICIT, finish_stage, make_stage
+from diffsim.soft.physics import Physics
+from diffsim.soft.physics_tangent import as_damped_as, still_physics
+from diffsim.soft.problem import Problem, solve
+from diffsim.soft.problem_tangent import solve_along, stage_rates, stiffness_rates, weight_rate
+from diffsim.soft.rollout import Signal, at_step
+from diffsim.soft.state import State, require_state
+from diffsim.soft.step import stage_problem
+
+if TYPE_CHECKING:
+    from diffsim.soft.body import SoftBody
+
+Moving = Tensor | Callable[[int, State, State], Tensor] | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Directions:
+    """K directions in the inputs of a rollout; None: nothing moves.
+
+    Signals are tensors, or ``f(step, state, tangent)`` with the tangent's x and v (K, ...).
+
+    Attributes:
+        x, v: Of the initial state, (K, num_vertices, 3) [m], [m/s] per unit of a direction.
+        external_force: (K, num_vertices, 3) [N].
+        activation: (K, num_muscles).
+        pressure: (K, num_chambers) [Pa].
+        dirichlet_target: (K, num_vertices, 3) [m].
+        physics: A :class:`~diffsim.soft.Physics` whose tensors are derivatives with a leading K,
+            see :func:`physics_directions`.
+    """
+
+    x: Tensor | None = None
+    v: Tensor | None = None
+    external_force: Moving = None
+    activation: Moving = None
+    pressure: Moving = None
+    dirichlet_target: Moving = None
+    physics: Physics | None = None
+
+
+class Tangents(NamedTuple):
+    """What :func:`rollout_tangents` returns.
+
+    Attributes:
+        x: Positions, or what ``keep`` makes of states, (num_steps + 1, ...), the first ones first.
+        tangent: Their derivatives, (num_steps + 1, K, ...).
+        final: The last state.
+        final_tangent: Its derivatives, (K, num_vertices, 3) each.
+    """
+
+    x: Tensor
+    tangent: Tensor
+    final: State
+    final_tangent: State
+
+
+def rollout_tangents(
+    body: SoftBody,
+    state: State,
+    num_steps: int,
+    count: int,
+    directions: Directions,
+    *,
+    external_force: Signal = None,
+    activation: Signal = None,
+    pressure: Signal = None,
+    dirichlet_target: Signal = None,
+    physics: Physics | None = None,
+    keep: Callable[[State], Tensor] | None = None,
+) -> Tangents:
+    """A rollout and its derivatives along ``count`` directions, without a graph.
+
+    For few outputs and many inputs take the adjoint, ``rollout(...)`` and ``backward()``; for
+    many outputs and some hundred inputs this. Not with obstacles, nor with explicit integrators.
+
+    Args:
+        body: The body.
+        state: Initial state, (num_vertices, 3).
+        num_steps: Number of steps, >= 1.
+        count: K >= 1.
+        directions: What moves.
+        external_force, activation, pressure, dirichlet_target, physics: As in
+            :func:`diffsim.soft.rollout`.
+        keep: Function of a state whose result is kept instead of x; it must take leading axes and
+            consist of torch operations with a forward derivative.
+
+    Returns:
+        :class:`Tangents`.
+
+    Raises:
+        ValueError: the body's integrator is explicit, or a shape is wrong.
+        ConvergenceError: a step or a tangent's solve stopped above its tolerance.
+    """
+    if body.integrator not in IMPLICIT:
+        raise ValueError(
+            f"tangents need one of the integrators {list(IMPLICIT)}, the body has "
+            f"{body.integrator!r}; differentiate it with rollout and backward()"
+        )
+    shape = (body.mesh.num_vertices, 3)
+    require("state.x", require_state(state).x, shape)
+    if state.contact_force is not None:
+        raise ValueError("state has contact forces; tangents are for bodies without obstacles")
+    zero = torch.zeros(count, *shape, dtype=torch.float64)
+    moving = State(
+        zero if directions.x is None else require("directions.x", directions.x, zero.shape),
+        zero if directions.v is None else require("directions.v", directions.v, zero.shape),
+        None if state.x_prev is None else zero,
+        None if state.v_prev is None else zero,
+    )
+    signals = {
+        "external_force": external_force,
+        "activation": activation,
+        "pressure": pressure,
+        "dirichlet_target": dirichlet_target,
+    }
+    changing = directions.physics or still_physics(
+        body.physics() if physics is None else physics, count
+    )
+    physics = as_damped_as(changing, body.physics() if physics is None else physics)
+    kept = [_kept(keep, state, moving)]
+    with torch.no_grad():
+        for k in range(num_steps):
+            given = {n: at_step(s, k, state) for n, s in signals.items()}
+            moved = {n: _rate(body, directions, n, count, k, state, moving) for n in signals}
+            state, moving = _step(body, state, moving, given, moved, physics, changing)
+            kept.append(_kept(keep, state, moving))
+    return Tangents(
+        torch.stack([x for x, _ in kept]), torch.stack([t for _, t in kept]), state, moving
+    )
+
+
+def static_tangents(
+    body: SoftBody,
+    x: Tensor,
+    count: int,
+    directions: Directions,
+    *,
+    external_force: Tensor | None = None,
+    activation: Tensor | None = None,
+    pressure: Tensor | None = None,
+    dirichlet_target: Tensor | None = None,
+    physics: Physics | None = None,
+) -> Tensor:
+    """Derivatives of a static equilibrium along ``count`` directions.
+
+    Args:
+        body: The body.
+        x: The equilibrium, (num_vertices, 3) [m], of the same inputs.
+        count: K >= 1.
+        directions: What moves: tensors and physics; ``x`` and ``v`` are not read.
+        external_force, activation, pressure, dirichlet_target, physics: As in
+            :func:`diffsim.soft.static_equilibrium`.
+
+    Returns:
+        (K, num_vertices, 3) [m] per unit of each direction.
+    """
+    physics = body.physics() if physics is None else physics
+    changing = directions.physics or still_physics(physics, count)
+    state = State(x, torch.zeros_like(x))
+    with torch.no_grad():
+        x, force, target, activation, pressure = check_inputs(
+            body, state, external_force, activation, pressure, dirichlet_target, physics
+        )
+        problem = Problem(
+            y=x,
+            force=force,
+            target=target,
+            guess=x,
+            inertia=torch.zeros_like(physics.mass),
+            activation=activation,
+            pressure=pressure,
+            physics=physics,
+        )
+        named = {"force": weight_rate(physics, changing)}
+        if directions.external_force is not None:
+            named["force"] = named["force"] + directions.external_force
+        if directions.dirichlet_target is not None:
+            named["target"] = directions.dirichlet_target
+        if directions.pressure is not None:
+            named["pressure"] = directions.pressure
+        named |= stiffness_rates(body, problem, directions.activation, changing)
+        return solve_along(body, problem, x, named)
+
+
+def _kept(keep: Callable[[State], Tensor] | None, state: State, moving: State):
+    if keep is None:
+        return state.x, moving.x
+    with forward_ad.dual_level():
+        x = forward_ad.make_dual(state.x.expand_as(moving.x).clone(), moving.x)
+        v = forward_ad.make_dual(state.v.expand_as(moving.v).clone(), moving.v)
+        value, tangent = forward_ad.unpack_dual(keep(State(x, v)))
+    if value.shape[:1] != moving.x.shape[:1]:
+        raise ValueError(
+            f"keep must take leading axes: states (K, V, 3) with K = {len(moving.x)} gave "
+            f"{tuple(value.shape)}"
+        )
+    return value[0].clone(), torch.zeros_like(value) if tangent is None else tangent.clone()
+
+
+def _rate(
+    body: SoftBody,
+    directions: Directions,
+    name: str,
+    count: int,
+    k: int,
+    state: State,
+    moving: State,
+) -> Tensor | None:
+    """How a signal moves in step k, checked."""
+    rate = getattr(directions, name)
+    rate = rate(k, state, moving) if callable(rate) else rate
+    if rate is None:
+        return None
+    widths = {"activation": body.muscles.num_muscles, "pressure": body.chambers.num_chambers}
+    shape = (widths[name],) if name in widths else (body.mesh.num_vertices, 3)
+    return require(f"directions.{name}", rate, (count, *shape))
+
+
+def _step(
+    body: SoftBody,
+    state: State,
+    moving: State,
+    given: Mapping[str, Tensor | None],
+    moved: Mapping[str, Tensor | None],
+    physics: Physics,
+    changing: Physics,
+) -> tuple[State, State]:
+    """The next state and its tangents, as :func:`diffsim.soft.step` makes them."""
+    x, force, target, activation, pressure = check_inputs(body, state, physics=physics, **given)
+    stage = make_stage(body.integrator, body.dt, state)
+    target = 0.5 * (x + target) if stage.midpoint else target
+    problem = stage_problem(body, stage, x, force, target, activation, pressure, physics)
+    solution = solve(body, problem)
+    d_stage = make_stage(body.integrator, body.dt, moving)
+    rates = stage_rates(body, problem, stage, d_stage, moving, moved, physics, changing)
+    d_solution = solve_along(body, problem, solution, rates)
+    return (
+        finish_stage(body.integrator, stage, state, solution, body.fixed),
+        finish_stage(body.integrator, d_stage, moving, d_solution, body.fixed),
+    )
