@@ -178,7 +178,7 @@ def released_beam(
         return SoftScene(
             body=tip.body,
             sample_times=torch.as_tensor(np.asarray(run.time_s), dtype=torch.float64),
-            observe=lambda x: (tip.seen.weights * x[tip.face][:, list(tip.seen.axes)].T).sum(-1),
+            observe=tip.look,
             axes=tip.seen.axes,
             parameters=parameters,
             start="equilibrium",
@@ -230,6 +230,11 @@ class _Tip:
             attached_mass=torch.zeros_like(volume),
             solver=soft.SolverOptions(rtol=rtol),
         )
+
+    def look(self, x: Tensor) -> Tensor:
+        """Channels of positions (..., num_vertices, 3), (..., num_channels)."""
+        face = x[..., self.face, :].transpose(-1, -2)[..., list(self.seen.axes), :]
+        return (self.seen.weights * face).sum(-1)
 
 
 def tip_stiffness(bar: BeamGeometry, youngs_modulus: Tensor) -> Tensor:
