@@ -31,12 +31,41 @@ MESH_SD = 0.03  # of Young's modulus, beside the laboratory's prior: locking dif
 KNOTS_PER_S = 5.0
 
 
-def causes() -> tuple[Effect, ...]:
+class TensionLimit(actuator.ActuatorEffect):
+    """The drive gives (1 - size) of the largest tension that any run asks for, and no more."""
+
+    name, family, unit, typical, signed = "saturation", "shape", "-", 0.2, False
+    smooth = False
+    also_looks_like = ("gain, if all commands reach as high", "stiffening")
+
+    def __init__(self, largest_N: float):
+        self._largest = largest_N
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        return scene.with_command(
+            lambda u, dt: torch.minimum(u, (1.0 - size[0]) * self._largest * torch.ones_like(u))
+        )
+
+
+class TipScale(Effect):
+    """The tip's channel is larger by the share size; the other is not."""
+
+    name, family, kind, unit, typical = "tip_scale", "sensor", "sensor", "-", 0.02
+    also_looks_like = ("lens", "slipped marker", "mode shape")
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        first = torch.eye(len(scene.axes), dtype=torch.float64)[0]
+        return scene.with_output(lambda y, t: y * (1.0 + size[0] * first))
+
+
+def causes(study: Study) -> tuple[Effect, ...]:
     """Candidates, with typical sizes for a bar of 3 cm under a newton.
 
-    Left out: what is a base parameter (stiffness-proportional damping, placement), and what the
-    laboratory has no channels for (tilt and lens of cameras).
+    Left out: what is a base parameter (stiffness-proportional damping, placement), what the
+    laboratory has no channels for (tilt and lens of cameras), a current without known drag, and
+    steps of the tension (quantisation), for which there is no term.
     """
+    largest = max(float(run.command["tendon_N"].max()) for run in study.runs)
     return (
         material.LossFactor(),
         _usual(material.Stiffening, 150.0),
@@ -51,8 +80,9 @@ def causes() -> tuple[Effect, ...]:
         actuator.Lag(),
         _usual(actuator.DeadBand, 0.1),
         _usual(actuator.Backlash, 0.05),
-        actuator.Saturation(),
+        TensionLimit(largest),
         sensor.SensorScale(),
+        TipScale(),
     )
 
 
@@ -82,7 +112,7 @@ def setup(
     in_time = smooth_covariance(knots, 2.0 * until_s / (count - 1))
     return DiagnosisSetup(
         model,
-        causes(),
+        causes(study),
         unknowns=(UnknownForce(force, np.kron(np.eye(2), in_time)),),
         bank=_bank(study),
         settings=DiagnosisSettings(

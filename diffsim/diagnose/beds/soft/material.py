@@ -155,6 +155,7 @@ class TemperatureDrift(Effect):
 MATERIAL: tuple[Callable[[], Effect], ...] = (
     StiffnessDamping,
     LossFactor,
+    Creep,
     Stiffening,
     StiffnessLoss,
     TemperatureDrift,
