@@ -15,6 +15,7 @@ from diffsim.identify.parameter import Parameter
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
+    from diffsim.identify.problem import Line, Point
 
 
 @dataclass(frozen=True)
@@ -139,6 +140,27 @@ class SimModel:
     def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
         """Predictions of several scenes of one run; models that have a faster way override this."""
         return [scene.simulate() for scene in scenes]
+
+    def tangents(
+        self,
+        run: Run,
+        at: Point,
+        lines: Sequence[Line],
+        numerics: Numerics | None = None,
+    ) -> tuple[Tensor, Tensor] | None:
+        """The prediction of a run and its derivatives, for models quicker than their simulations.
+
+        Args:
+            run: The run.
+            at: Where.
+            lines: K smooth coordinates.
+            numerics: As for ``predict``.
+
+        Returns:
+            (num_samples, num_channels) and (K, num_samples, num_channels); None: difference
+            simulations instead.
+        """
+        return None
 
     def prepared_at(self, q: Tensor) -> SimModel:
         """The model with whatever it prepares once prepared again at these base coordinates.

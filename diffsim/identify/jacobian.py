@@ -1,8 +1,11 @@
-"""Derivatives of a predicted record in standardised coordinates: differences, or forward mode."""
+"""Derivatives of a predicted record in standardised coordinates.
+
+By the simulator's own tangents, by differences of simulations, or by torch's forward mode.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +17,38 @@ from diffsim._check import require_choice, require_number
 
 Array = NDArray[np.float64]
 PredictMany = Callable[[Sequence[Tensor]], Tensor]  # K points -> (K, ...)
-METHODS = ("differences", "forward_mode")
+METHODS = ("auto", "differences", "forward_mode")
+
+
+@dataclass(frozen=True)
+class Stencil:
+    """A difference formula: the slope at 0 is the sum of weight * f(offset).
+
+    Attributes:
+        offsets: Along one coordinate.
+        weights: Of equal number.
+    """
+
+    offsets: tuple[float, ...]
+    weights: tuple[float, ...]
+
+    @classmethod
+    def central(cls, h: float) -> Stencil:
+        """Second order."""
+        return cls((h, -h), (0.5 / h, -0.5 / h))
+
+    @classmethod
+    def upwards(cls, h: float) -> Stencil:
+        """Second order, from points at and above 0."""
+        return cls((0.0, h, 2.0 * h), (-1.5 / h, 2.0 / h, -0.5 / h))
+
+    @classmethod
+    def chord(cls, h: float) -> Stencil:
+        """The slope of the chord from 0 to h."""
+        return cls((0.0, h), (-1.0 / h, 1.0 / h))
+
+
+Tangents = Callable[[Mapping[int, Stencil]], "tuple[Array, Array] | None"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,13 +56,14 @@ class Jacobian:
     """How to differentiate a prediction.
 
     Attributes:
-        method: ``"differences"``: works for every simulator. ``"forward_mode"``: torch's dual
-            numbers, where all operations of the scene support them.
+        method: ``"auto"``: by the model's own tangents where it has them, else as
+            ``"differences"``: of simulations, for every simulator. ``"forward_mode"``: torch's
+            dual numbers, where all operations of the scene support them.
         step: Of the differences, in prior standard deviations. Central ones are wrong by about
             step^2 / 6 of the third derivative; a solver's tolerance is amplified by 1 / step.
     """
 
-    method: str = "differences"
+    method: str = "auto"
     step: float = 1e-2
 
     def __post_init__(self) -> None:
@@ -43,6 +78,8 @@ class Jacobian:
         *,
         one_sided: Sequence[bool],
         secant: Sequence[float],
+        smooth: Sequence[bool] | None = None,
+        tangents: Tangents | None = None,
     ) -> tuple[Array, Array]:
         """Prediction and derivatives.
 
@@ -53,38 +90,56 @@ class Jacobian:
             one_sided: (n,) True where the coordinate cannot go below its place: second-order
                 differences upwards.
             secant: (n,) above 0: the slope of the chord from here to here + secant.
+            smooth: (n,) False where only simulations tell the slope; None: all are smooth.
+            tangents: The model's own: stencils by coordinate -> the flattened prediction and one
+                column each, or None where it has none.
 
         Returns:
             (num_outputs,) the flattened prediction, and (num_outputs, len(idx)).
         """
         if self.method == "forward_mode":
             return _forward_mode(many, at, idx)
-        points, h = [at], self.step
-        for i in idx:
-            for offset in _stencil(one_sided[i], secant[i], h):
+        stencils = {i: self._stencil(one_sided[i], secant[i]) for i in idx}
+        quick = [i for i in idx if secant[i] == 0.0 and (smooth is None or smooth[i])]
+        found = None
+        if self.method == "auto" and tangents is not None and quick:
+            found = tangents({i: stencils[i] for i in quick})
+        if found is None:
+            return _differences(many, at, stencils)
+        here, columns = found
+        slow = {i: s for i, s in stencils.items() if i not in quick}
+        if not slow:
+            return here, columns
+        by_simulation = _differences(many, at, slow)[1]
+        own = {i: columns[:, j] for j, i in enumerate(quick)}
+        own |= {i: by_simulation[:, j] for j, i in enumerate(slow)}
+        return here, np.column_stack([own[i] for i in idx])
+
+    def _stencil(self, one_sided: bool, secant: float) -> Stencil:
+        if secant > 0.0:
+            return Stencil.chord(secant)
+        return Stencil.upwards(self.step) if one_sided else Stencil.central(self.step)
+
+
+def _differences(
+    many: PredictMany, at: Tensor, stencils: Mapping[int, Stencil]
+) -> tuple[Array, Array]:
+    """Of simulations, all in one call; that at ``at`` serves every coordinate."""
+    points = [at]
+    for i, stencil in stencils.items():
+        for offset in stencil.offsets:
+            if offset != 0.0:
                 moved = at.clone()
                 moved[i] += offset
                 points.append(moved)
-        with torch.no_grad():
-            rows = many(points).detach().numpy().reshape(len(points), -1)
-        here, out, k = rows[0], np.zeros((rows[0].size, len(idx))), 1
-        for j, i in enumerate(idx):
-            if secant[i] > 0.0:
-                out[:, j] = (rows[k] - here) / secant[i]
-                k += 1
-            elif one_sided[i]:
-                out[:, j] = (4.0 * rows[k] - rows[k + 1] - 3.0 * here) / (2.0 * h)
-                k += 2
-            else:
-                out[:, j] = (rows[k] - rows[k + 1]) / (2.0 * h)
-                k += 2
-        return here, out
-
-
-def _stencil(one_sided: bool, secant: float, h: float) -> tuple[float, ...]:
-    if secant > 0.0:
-        return (secant,)
-    return (h, 2.0 * h) if one_sided else (h, -h)
+    with torch.no_grad():
+        rows = many(points).detach().numpy().reshape(len(points), -1)
+    out, k = np.zeros((rows[0].size, len(stencils))), 1
+    for j, stencil in enumerate(stencils.values()):
+        for offset, weight in zip(stencil.offsets, stencil.weights, strict=True):
+            out[:, j] += weight * (rows[0] if offset == 0.0 else rows[k])
+            k += offset != 0.0
+    return rows[0], out
 
 
 def _forward_mode(many: PredictMany, at: Tensor, idx: Sequence[int]) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ N(0, 1); a component has the size 1.5 typical x, and x >= 0 unless the effect is
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.errors import DiffsimError
-from diffsim.identify.jacobian import Jacobian
+from diffsim.identify.jacobian import Jacobian, Stencil
 from diffsim.identify.noise_model import Whitener
 
 if TYPE_CHECKING:
@@ -28,6 +28,34 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 PRIOR_WIDTH = 1.5  # of a component, in units of its typical size
 SECANT = 0.1  # of the typical size
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where a model is simulated.
+
+    Attributes:
+        q: Standardised base parameters, (num_base,).
+        sizes: Of the effects [unit], (num_components,) each.
+    """
+
+    q: Tensor
+    sizes: Mapping[Effect, Tensor]
+
+
+@dataclass(frozen=True)
+class Line:
+    """One coordinate that a model is differentiated along.
+
+    Attributes:
+        stencil: The difference formula for what is cheap to evaluate at its points.
+        points: At the stencil's offsets.
+        effect: Whose size the coordinate is; None: a base parameter.
+    """
+
+    stencil: Stencil
+    points: tuple[Point, ...]
+    effect: Effect | None
 
 
 class PredictionError(DiffsimError):
@@ -150,6 +178,7 @@ class Problem:
         secant = [0.0] * self.num_base + [
             SECANT / PRIOR_WIDTH if screen and not e.smooth else 0.0 for e, _ in self.owners
         ]
+        smooth = [True] * self.num_base + [e.smooth for e, _ in self.owners]
         names = self.names
 
         def one(run: Run) -> tuple[Array, Array]:
@@ -161,6 +190,8 @@ class Problem:
                 idx,
                 one_sided=one_sided,
                 secant=secant,
+                smooth=smooth,
+                tangents=lambda stencils: self._tangents(run, point, stencils),
             )
             matrix = self.whitener.matrix(run)
             full = np.zeros((matrix.shape[0], len(x)))
@@ -170,6 +201,36 @@ class Problem:
 
         parts = self._each(one)
         return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+
+    def _tangents(
+        self, run: Run, at: Tensor, stencils: Mapping[int, Stencil]
+    ) -> tuple[Array, Array] | None:
+        """Prediction and columns by the model's own tangents; None where it has none."""
+        with torch.no_grad():
+            found = self.model.tangents(
+                run,
+                self._point(at),
+                [self._line(at, i, stencil) for i, stencil in stencils.items()],
+                self.numerics,
+            )
+        if found is None:
+            return None
+        here, columns = found
+        shape = run.measured.shape
+        columns = self._of_shape(run, columns, (len(stencils), *shape))
+        here = self._of_shape(run, here, shape)
+        return here.numpy().ravel(), columns.reshape(len(stencils), -1).numpy().T
+
+    def _point(self, x: Tensor) -> Point:
+        return Point(x[: self.num_base], self.sizes_at(x))
+
+    def _line(self, at: Tensor, i: int, stencil: Stencil) -> Line:
+        """Where a stencil along coordinate i wants the model."""
+        unit = torch.zeros_like(at)
+        unit[i] = 1.0
+        owner = None if i < self.num_base else self.owners[i - self.num_base][0]
+        points = tuple(self._point(at + offset * unit) for offset in stencil.offsets)
+        return Line(stencil, points, owner)
 
     def gradient(self, x: Array) -> tuple[float, Array]:
         """½ |r|² and its gradient by reverse mode: one backward pass per run."""

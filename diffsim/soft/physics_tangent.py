@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
@@ -51,6 +51,15 @@ def stack_physics(rows: list[Physics]) -> Physics:
         rows = [r if r.rayleigh_beta is not None else replace(r, rayleigh_beta=none) for r in rows]
     names = [f.name for f in fields(Physics) if isinstance(getattr(rows[0], f.name), Tensor)]
     return replace(rows[0], **{n: torch.stack([getattr(r, n) for r in rows]) for n in names})
+
+
+def difference_physics(points: Sequence[Physics], weights: Sequence[float]) -> Physics:
+    """Sum of weight times physics at the points of a difference formula: one direction."""
+    stacked = stack_physics(list(points))
+    weight = torch.tensor(weights, dtype=torch.float64)
+    values = {f.name: getattr(stacked, f.name) for f in fields(Physics)}
+    sums = {n: torch.tensordot(weight, v, 1) for n, v in values.items() if isinstance(v, Tensor)}
+    return replace(stacked, **sums)
 
 
 def _unpacked(physics: Physics) -> Physics:

@@ -55,17 +55,10 @@ def stage_rates(
         )
         / total,
         "inertia": d_total[:, None] * physics.mass + total * changing.mass,
-        "force": weight_rate(physics, changing),
     }
-    d_force, d_target = moved["external_force"], moved["dirichlet_target"]
-    if d_force is not None:
-        rates["force"] = rates["force"] + d_force
-    if moved["pressure"] is not None:
-        rates["pressure"] = moved["pressure"]
-    if stage.midpoint:
-        d_target = 0.5 * (moving.x if d_target is None else moving.x + d_target)
-    if d_target is not None:
-        rates["target"] = d_target
+    rates |= load_rates(problem, moved, changing)
+    if stage.midpoint:  # its unknown is in the middle of the step
+        rates["target"] = 0.5 * (moving.x + rates.get("target", torch.zeros_like(moving.x)))
     if physics.rayleigh_beta is not None:
         beta, d_beta = physics.rayleigh_beta, changing.rayleigh_beta
         d_beta = torch.zeros_like(changing.w_mu) if d_beta is None else d_beta
@@ -82,11 +75,22 @@ def stage_rates(
     return rates | stiffness_rates(body, problem, moved["activation"], changing)
 
 
-def weight_rate(physics: Physics, changing: Physics) -> Tensor:
-    return (
+def load_rates(
+    problem: Problem, moved: Mapping[str, Tensor | None], changing: Physics
+) -> dict[str, Tensor]:
+    """Of force, chambers and Dirichlet targets; weight is among the forces."""
+    physics = problem.physics
+    force = (
         changing.weighing_mass[:, :, None] * physics.gravity
         + physics.weighing_mass[:, None] * changing.gravity[:, None, :]
     )
+    d_force, d_target = moved["external_force"], moved["dirichlet_target"]
+    rates = {"force": force if d_force is None else force + d_force}
+    if moved["pressure"] is not None:
+        rates["pressure"] = moved["pressure"]
+    if d_target is not None:
+        rates["target"] = d_target
+    return rates
 
 
 def stiffness_rates(

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
-import torch.autograd.forward_ad as forward_ad
 from torch import Tensor
 
 from diffsim._check import require
@@ -22,7 +21,7 @@ from diffsim.soft.integrators import IMPLICIT, finish_stage, make_stage
 from diffsim.soft.physics import Physics
 from diffsim.soft.physics_tangent import as_damped_as, still_physics
 from diffsim.soft.problem import Problem, solve
-from diffsim.soft.problem_tangent import solve_along, stage_rates, stiffness_rates, weight_rate
+from diffsim.soft.problem_tangent import load_rates, solve_along, stage_rates, stiffness_rates
 from diffsim.soft.rollout import Signal, at_step
 from diffsim.soft.state import State, require_state
 from diffsim.soft.step import stage_problem
@@ -62,7 +61,7 @@ class Tangents(NamedTuple):
     """What :func:`rollout_tangents` returns.
 
     Attributes:
-        x: Positions, or what ``keep`` makes of states, (num_steps + 1, ...), the first ones first.
+        x: Positions, or what ``keep`` keeps, (num_steps + 1, ...), the first ones first.
         tangent: Their derivatives, (num_steps + 1, K, ...).
         final: The last state.
         final_tangent: Its derivatives, (K, num_vertices, 3) each.
@@ -86,7 +85,7 @@ def rollout_tangents(
     pressure: Signal = None,
     dirichlet_target: Signal = None,
     physics: Physics | None = None,
-    keep: Callable[[State], Tensor] | None = None,
+    keep: Callable[[State, State], tuple[Tensor, Tensor]] | None = None,
 ) -> Tangents:
     """A rollout and its derivatives along ``count`` directions, without a graph.
 
@@ -101,8 +100,8 @@ def rollout_tangents(
         directions: What moves.
         external_force, activation, pressure, dirichlet_target, physics: As in
             :func:`diffsim.soft.rollout`.
-        keep: Function of a state whose result is kept instead of x; it must take leading axes and
-            consist of torch operations with a forward derivative.
+        keep: Function of a state and its tangent: what is kept instead of x, and its derivatives
+            with a leading K, for example ``lambda s, t: (s.x[tip], t.x[:, tip])``.
 
     Returns:
         :class:`Tangents`.
@@ -137,13 +136,14 @@ def rollout_tangents(
         body.physics() if physics is None else physics, count
     )
     physics = as_damped_as(changing, body.physics() if physics is None else physics)
-    kept = [_kept(keep, state, moving)]
+    keep = keep or (lambda state, moving: (state.x, moving.x))
+    kept = [keep(state, moving)]
     with torch.no_grad():
         for k in range(num_steps):
             given = {n: at_step(s, k, state) for n, s in signals.items()}
             moved = {n: _rate(body, directions, n, count, k, state, moving) for n in signals}
             state, moving = _step(body, state, moving, given, moved, physics, changing)
-            kept.append(_kept(keep, state, moving))
+            kept.append(keep(state, moving))
     return Tangents(
         torch.stack([x for x, _ in kept]), torch.stack([t for _, t in kept]), state, moving
     )
@@ -191,30 +191,12 @@ def static_tangents(
             pressure=pressure,
             physics=physics,
         )
-        named = {"force": weight_rate(physics, changing)}
-        if directions.external_force is not None:
-            named["force"] = named["force"] + directions.external_force
-        if directions.dirichlet_target is not None:
-            named["target"] = directions.dirichlet_target
-        if directions.pressure is not None:
-            named["pressure"] = directions.pressure
-        named |= stiffness_rates(body, problem, directions.activation, changing)
-        return solve_along(body, problem, x, named)
-
-
-def _kept(keep: Callable[[State], Tensor] | None, state: State, moving: State):
-    if keep is None:
-        return state.x, moving.x
-    with forward_ad.dual_level():
-        x = forward_ad.make_dual(state.x.expand_as(moving.x).clone(), moving.x)
-        v = forward_ad.make_dual(state.v.expand_as(moving.v).clone(), moving.v)
-        value, tangent = forward_ad.unpack_dual(keep(State(x, v)))
-    if value.shape[:1] != moving.x.shape[:1]:
-        raise ValueError(
-            f"keep must take leading axes: states (K, V, 3) with K = {len(moving.x)} gave "
-            f"{tuple(value.shape)}"
-        )
-    return value[0].clone(), torch.zeros_like(value) if tangent is None else tangent.clone()
+        still = State(torch.zeros(count, *x.shape, dtype=x.dtype), torch.zeros(0))
+        names = ("external_force", "activation", "pressure", "dirichlet_target")
+        moved = {n: _rate(body, directions, n, count, 0, state, still) for n in names}
+        rates = load_rates(problem, moved, changing)
+        rates |= stiffness_rates(body, problem, moved["activation"], changing)
+        return solve_along(body, problem, x, rates)
 
 
 def _rate(

@@ -339,10 +339,10 @@ def held_beam():
 def test_hand_holds_the_bar_where_it_would_be_straight():
     model, run = held_beam(), held_run(0.05)
     scene = model.scene(run, model.at_prior())
-    state = scene._initial_state(None, scene.body.physics(**scene.parameters))
+    state = scene.initial_state(None, scene.body.physics(**scene.parameters))
     tip = float((scene.friction_shares @ (state.x - scene.body.x_rest))[2])
     free = scene.changed(holding_force=None)
-    sag = float((free._initial_state(None, free.body.physics(**free.parameters)).x.min(0)[0])[2])
+    sag = float((free.initial_state(None, free.body.physics(**free.parameters)).x.min(0)[0])[2])
     # the reaction of a propped Bernoulli beam holds a stubby, locking solid to a tenth of its sag
     assert abs(tip) < 0.1 * abs(sag)
     shown = predict(model, run)
@@ -386,7 +386,7 @@ def test_creep_takes_the_stiffness_of_motion_away_in_time():
     bent = rest + torch.stack([0 * rest[:, 0], 0 * rest[:, 0], 0.05 * rest[:, 0]], 1)
     hook(crept, Moment(rest, 0 * rest, 0.0, 1e-6))
     soon = hook(crept, Moment(bent, 0 * rest, 0.0, 1e-6))
-    force, _ = scene.solid_force(bent)
+    force, _ = scene.solid_force()(bent)
     assert float(soon.norm()) < 1e-5 * float(force.norm())
     for _ in range(2):
         late = hook(crept, Moment(bent, 0 * rest, 0.0, 1e5))

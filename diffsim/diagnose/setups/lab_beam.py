@@ -14,11 +14,12 @@ from diffsim import mesh, soft
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.beds import actuator
 from diffsim.diagnose.beds.soft import forces, material, sensor
+from diffsim.diagnose.beds.soft.model import SoftModel
 from diffsim.diagnose.beds.soft.models import finer
 from diffsim.diagnose.beds.soft.scene import SoftScene
 from diffsim.diagnose.beds.soft.unknown import unknown_force
 from diffsim.diagnose.effect import Effect
-from diffsim.diagnose.model import Numerics, SimModel
+from diffsim.diagnose.model import Numerics
 from diffsim.diagnose.search import SearchSettings
 from diffsim.diagnose.setups import DiagnosisSetup
 from diffsim.diagnose.stages import DiagnosisSettings
@@ -123,7 +124,7 @@ def setup(
 
 def lab_beam(
     study: Study, *, cells: tuple[int, int, int], dt_s: float, integrator: str, rtol: float = 1e-8
-) -> SimModel:
+) -> SoftModel:
     """A bar clamped at x = 0 with a tendon along it, in the middle of the elements towards +y.
 
     The tension is scaled so that its moment is the laboratory's; the bar is also compressed along
@@ -166,7 +167,7 @@ def lab_beam(
         return SoftScene(
             body=bar.body,
             sample_times=times - times[0],
-            observe=lambda x: bar.sideways(x, moved),
+            observe=bar.look,
             axes=(1,) * len(places),
             parameters={
                 "youngs_modulus": values["youngs_modulus"],
@@ -177,10 +178,10 @@ def lab_beam(
             command_dt=float(times[1] - times[0]),
             actuate=lambda tension: 1.0 - gain * scale * tension,
             friction_shares=bar.tip,
-            output_maps=(lambda y, t: y + zeros,),
+            output_maps=(lambda y, t: bar.sideways(y, moved) + zeros,),
         )
 
-    return SimModel(build, base, "tendon-driven bar of the laboratory")
+    return SoftModel(build, base, "tendon-driven bar of the laboratory")
 
 
 class _Bar:
@@ -228,9 +229,12 @@ class _Bar:
         self.tip = torch.zeros(box.num_vertices, dtype=torch.float64)
         self.tip[face] = 1.0 / len(face)
 
-    def sideways(self, x: Tensor, places: Tensor) -> Tensor:
-        """Displacements in y of the axis at ``places`` (m,) [m], (..., m): cubics between stations."""
-        y = x[..., self.axis, 1].mean(-1) - self.rest
+    def look(self, x: Tensor) -> Tensor:
+        """Displacements in y of the axis at all stations, (..., num_stations) [m]."""
+        return x[..., self.axis, 1].mean(-1) - self.rest
+
+    def sideways(self, y: Tensor, places: Tensor) -> Tensor:
+        """The same at ``places`` (m,) [m], (..., m), by cubics between stations."""
         spacing = self.length / (len(self.axis) - 1)
         left = (places.detach() / spacing).floor().long().clamp(1, len(self.axis) - 3)
         s = places / spacing - left
@@ -254,7 +258,7 @@ class _Bar:
                 activation=1.0 - tension / TENDON_STIFFNESS_N,
                 physics=self.body.physics(youngs_modulus=young),
             ).x
-            tip = self.sideways(x, torch.tensor([self.length], dtype=torch.float64))
+            tip = self.sideways(self.look(x), torch.tensor([self.length], dtype=torch.float64))
         beam = 0.5 * arm * self.length**2 / (2.0 * youngs_modulus * self.inertia)
         return beam / float(tip[0])
 

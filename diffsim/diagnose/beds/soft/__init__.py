@@ -3,6 +3,7 @@
 from diffsim.diagnose.beds.actuator import ACTUATOR
 from diffsim.diagnose.beds.soft.forces import FORCES
 from diffsim.diagnose.beds.soft.material import MATERIAL
+from diffsim.diagnose.beds.soft.model import SoftModel
 from diffsim.diagnose.beds.soft.models import beam_model, tendon_model
 from diffsim.diagnose.beds.soft.scene import SoftScene
 from diffsim.diagnose.beds.soft.sensor import SENSOR
@@ -15,4 +16,11 @@ def soft_body_library() -> tuple[Effect, ...]:
     return tuple(make() for make in (*MATERIAL, *FORCES, *ACTUATOR, *SENSOR))
 
 
-__all__ = ["SoftScene", "beam_model", "soft_body_library", "tendon_model", "unknown_force"]
+__all__ = [
+    "SoftModel",
+    "SoftScene",
+    "beam_model",
+    "soft_body_library",
+    "tendon_model",
+    "unknown_force",
+]

@@ -38,6 +38,8 @@ class QuadraticDrag(Effect):
 
 
 class _Drag(Force):
+    leading_axes, of_material = True, False
+
     def __init__(self, scene: SoftScene, coefficient: Tensor, *, quadratic: bool):
         self._coefficient, self._quadratic = coefficient, quadratic
         self._area = node_areas(scene.body.mesh)[:, None]
@@ -138,6 +140,8 @@ class DryFriction(Effect):
 
 
 class _DryFriction(Force):
+    leading_axes, of_material = True, False
+
     def __init__(self, size: Tensor):
         self._size = size
 
@@ -146,7 +150,7 @@ class _DryFriction(Force):
         if shares is None:
             shares = scene.body.nodal_volume / scene.body.nodal_volume.sum()
         speed = shares @ moment.v
-        return -self._size * shares[:, None] * torch.tanh(speed / _SLIP_SPEED)
+        return -self._size * shares[:, None] * torch.tanh(speed / _SLIP_SPEED)[..., None, :]
 
 
 FORCES: tuple[Callable[[], Effect], ...] = (

@@ -52,11 +52,11 @@ class SlackScene(SoftScene):
         """Predicted channels, (num_samples, num_channels)."""
         dt = self.body.dt
         load = self.parameter("attached_mass")
-        times = (self.sample_times - self.clock_offset) * self.time_scale
+        times = self._times()
         loaded = self.body.physics(**self.parameters)
         free = self.body.physics(**{**self.parameters, "attached_mass": torch.zeros_like(load)})
         force = self._external_force()
-        start = self._initial_state(None, loaded)
+        start = self.initial_state(None, loaded)
 
         before = int(float(self.slack_s.detach()) / dt)
         fall = soft.rollout(self.body, start, before + 1, external_force=force, physics=free)

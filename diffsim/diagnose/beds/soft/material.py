@@ -73,15 +73,17 @@ def _relaxing(scene: SoftScene, branch_hz: tuple[float, ...], strength: Tensor) 
 class _Relaxation(Force):
     """- sum_k g m_k with m_k following the solid's force, exact for straight lines of it."""
 
+    leading_axes = True
+
     def __init__(self, plain: SoftScene, branch_hz: tuple[float, ...], strength: Tensor):
-        self._plain, self._strength = plain, strength
+        self._solid, self._strength = plain.solid_force(), strength
         self._tau = 1.0 / (2.0 * math.pi * torch.tensor(branch_hz, dtype=torch.float64))
         self._memory: Tensor | None = None
         self._before: Tensor | None = None
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
-        force, _ = self._plain.solid_force(moment.x)
-        tau = self._tau[:, None, None]
+        force, _ = self._solid(moment.x)
+        tau = self._tau.reshape(-1, *(1 for _ in force.shape))
         if self._memory is None or self._before is None:
             self._memory = force.expand(len(self._tau), *force.shape)
         else:
@@ -106,12 +108,16 @@ class Stiffening(Effect):
 class _Stiffening(Force):
     """The force of the energy U + size U^2 / (E V) beside that of U."""
 
+    leading_axes = True
+
     def __init__(self, size: Tensor):
         self._size = size
+        self._solid: Callable[[Tensor], tuple[Tensor, Tensor]] | None = None
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
-        force, strain_squared = scene.solid_force(moment.x)
-        return self._size * strain_squared * force
+        self._solid = self._solid or scene.solid_force()
+        force, strain_squared = self._solid(moment.x)
+        return self._size * strain_squared[..., None, None] * force
 
 
 class StiffnessLoss(Effect):

@@ -13,8 +13,9 @@ from torch import Tensor
 from diffsim import mesh, soft
 from diffsim.data.beam import BeamGeometry
 from diffsim.demo.model import Beam, Setup
+from diffsim.diagnose.beds.soft.model import SoftModel
 from diffsim.diagnose.beds.soft.scene import SoftScene
-from diffsim.diagnose.model import Numerics, SimModel
+from diffsim.diagnose.model import Numerics
 from diffsim.identify import Parameter
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def beam_model(
     integrator: str = "bdf2",
     rtol: float = 1e-8,
     base: Sequence[Parameter] = BEAM_BASE,
-) -> SimModel:
+) -> SoftModel:
     """The clamped silicone bar, straight and at rest until it is let go at t = 0.
 
     Channels: displacement of the mean tip marker from the held state, x, y, z [m]. A weight at the
@@ -85,7 +86,7 @@ def beam_model(
     def made(setup: Setup, load_kg: float) -> Beam:
         return Beam(bar, setup, load_kg)
 
-    return SimModel(build, (*base, *nuisances), "clamped beam")
+    return SoftModel(build, (*base, *nuisances), "clamped beam")
 
 
 def tendon_model(
@@ -101,7 +102,7 @@ def tendon_model(
     command: str = "shortening",
     water: bool = False,
     base: Sequence[Parameter] = TENDON_BASE,
-) -> SimModel:
+) -> SoftModel:
     """A bar clamped at x = 0 with a tendon along it, a quarter of the height from the top.
 
     Channels: displacement of the tip's centre from rest, x, y, z [m]. It starts in equilibrium
@@ -172,7 +173,7 @@ def tendon_model(
         drag = soft.Hydrodynamics(bar) if water else None
         return body, lambda x: x[..., face, :].mean(-2) - held, drag
 
-    return SimModel(build, tuple(base), "tendon-driven bar")
+    return SoftModel(build, tuple(base), "tendon-driven bar")
 
 
 def finer(cells: tuple[int, int, int], factor: float) -> tuple[int, int, int]:

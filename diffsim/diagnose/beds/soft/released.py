@@ -18,9 +18,10 @@ from torch import Tensor
 from diffsim import mesh, soft
 from diffsim.data.beam import TIP_MARKERS, BeamGeometry
 from diffsim.demo.compare import marker_weights
+from diffsim.diagnose.beds.soft.model import SoftModel
 from diffsim.diagnose.beds.soft.models import finer
 from diffsim.diagnose.beds.soft.scene import SoftScene
-from diffsim.diagnose.model import Numerics, SimModel
+from diffsim.diagnose.model import Numerics
 from diffsim.identify import Parameter
 
 if TYPE_CHECKING:
@@ -134,7 +135,7 @@ def released_beam(
     poissons_ratio: float = 0.45,
     rtol: float = 1e-8,
     base: Sequence[Parameter] = SHARED,
-) -> SimModel:
+) -> SoftModel:
     """The bar, propped by a hand under its tip until t = 0, then free.
 
     Channels are displacements from each run's first sample, which must be recorded before release.
@@ -193,7 +194,7 @@ def released_beam(
     def made(shape: tuple[int, int, int], dt: float, tolerance: float) -> _Tip:
         return _Tip(bar, channels, shape, dt, tolerance, integrator, poissons_ratio)
 
-    return SimModel(build, (*base, *own), "released beam")
+    return SoftModel(build, (*base, *own), "released beam")
 
 
 class _Tip:

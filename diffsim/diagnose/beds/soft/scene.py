@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -14,8 +14,8 @@ from diffsim import soft
 from diffsim.diagnose.beds.signals import sample, straight
 from diffsim.errors import ConvergenceError
 from diffsim.mesh import HexMesh, TetMesh, surface_triangles
+from diffsim.soft.forces import elastic_gradient
 
-# What explicit forces are extrapolated to, in steps ahead of the step's start.
 _AHEAD = {"implicit_euler": 1.0, "bdf2": 1.0, "implicit_midpoint": 0.5, "semi_implicit_euler": 0.0}
 _STATIC_ITERATIONS = 60
 _STATIC_RTOL = 1e-9  # of the largest displacement
@@ -46,7 +46,15 @@ class Force:
 
     ``__call__`` returns nodal forces (num_vertices, 3) [N] of one moment; called once per step, in
     order.
+
+    Class attributes:
+        leading_axes: Whether moments with leading axes, x and v (..., num_vertices, 3), are
+            understood: then derivatives ask for many states at once.
+        of_material: Whether the force depends on the scene's physical parameters.
     """
+
+    leading_axes: ClassVar[bool] = False
+    of_material: ClassVar[bool] = True
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
         raise NotImplementedError
@@ -131,50 +139,60 @@ class SoftScene:
         """A copy whose channels are changed: f(channels, times) -> channels."""
         return self.changed(output_maps=(*self.output_maps, change))
 
-    def solid_force(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Elastic force without fibres (num_vertices, 3) [N], and mean square strain () [-].
+    def solid_force(self) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
+        """What the solid does without fibres, as a function of x (..., num_vertices, 3) [m].
 
-        The strain is that of a bar with the same energy: 2 U / (E V), whatever E.
+        It returns the elastic force, shape of x [N], and the mean square strain (...) [-]: that of
+        a bar with the same energy, 2 U / (E V), whatever E.
         """
+        body = self.body
         values: dict[str, Any] = dict(self.parameters)
         values["fibre_stiffness"] = _NO_FIBRES * self.parameter("fibre_stiffness")
-        physics = self.body.physics(**values)
-        energy = self.body.elastic_energy(x, physics=physics)
+        physics = body.physics(**values)
         # a field of moduli weighs the strain; the energy carries gradients in x alone
-        stiffness = self.parameter("youngs_modulus").detach().mean()
-        volume = self.body.nodal_volume.sum()
-        return self.body.elastic_force(x, physics=physics), 2.0 * energy / (stiffness * volume)
+        scale = 0.5 * self.parameter("youngs_modulus").detach().mean() * body.nodal_volume.sum()
+        return lambda x: _force_and_strain(body, x, physics, scale)
 
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels)."""
-        dt = self.body.dt
-        times = (self.sample_times - self.clock_offset) * self.time_scale
-        # two more than asked for: the interpolation looks that far ahead
-        num_steps = max(5, math.ceil(float(times.detach().max()) / dt - 1e-9) + 2)
-        activation = self._activation(num_steps)
+        num_steps = self.num_steps()
+        activations = self.activations(num_steps)
         physics = self.body.physics(**self.parameters)
         trajectory = soft.rollout(
             self.body,
-            self._initial_state(None if activation is None else activation(0), physics),
+            self.initial_state(None if activations is None else activations[0], physics),
             num_steps,
             external_force=self._external_force(),
-            activation=None if activation is None else lambda k, state: activation(k),
+            activation=None if activations is None else lambda k, state: activations[k],
             physics=physics,
             keep=lambda state: self.observe(state.x),
         )
-        channels = sample(trajectory.x, dt, times)
+        return self.channels(trajectory.x)
+
+    def num_steps(self) -> int:
+        """Steps that the record needs."""
+        # two more than asked for: the interpolation looks that far ahead
+        return max(5, math.ceil(float(self._times().detach().max()) / self.body.dt - 1e-9) + 2)
+
+    def channels(self, observed: Tensor) -> Tensor:
+        """What the record shows of (num_steps + 1, num_channels), observed at every step."""
+        channels = sample(observed, self.body.dt, self._times())
         for change in self.output_maps:
             channels = change(channels, self.sample_times)
         return channels
 
-    def _initial_state(self, activation: Tensor | None, physics: soft.Physics) -> soft.State:
+    def _times(self) -> Tensor:
+        return (self.sample_times - self.clock_offset) * self.time_scale
+
+    def initial_state(self, activation: Tensor | None, physics: soft.Physics) -> soft.State:
+        """How the body starts, under the first activation."""
         state = self.body.rest_state()
         if self.start == "equilibrium":
             state = self._equilibrium(activation, physics)
         return state if self.start_velocity is None else soft.State(state.x, self.start_velocity)
 
     def _equilibrium(self, activation: Tensor | None, physics: soft.Physics) -> soft.State:
-        """At rest under the first command, the holding force and all hooks' forces."""
+        """At rest under the first activation, the holding force and all hooks' forces."""
         held = self.holding_force
         state = self.body.static_equilibrium(
             external_force=held, activation=activation, physics=physics
@@ -182,7 +200,7 @@ class SoftScene:
         if not self.forces and self.water is None:
             return state
         for _ in range(_STATIC_ITERATIONS):
-            force = self._force_at(0, state, [make() for make in self.forces])
+            force = self.force_at(0, state, [make() for make in self.forces])
             before = state.x.detach()
             state = self.body.static_equilibrium(
                 guess=before,
@@ -201,37 +219,40 @@ class SoftScene:
             num_iters=_STATIC_ITERATIONS,
         )
 
-    def _activation(self, num_steps: int) -> Callable[[int], Tensor] | None:
-        """Activation of step k: the command where the integrator wants it."""
+    def activations(self, num_steps: int) -> Tensor | None:
+        """Activation of every step: the command where the integrator wants it."""
         if self.command is None:
             return None
         command = self.command
         for change in self.command_maps:
             command = change(command, self.command_dt)
-        ahead = _AHEAD[self.body.integrator]
-        times = self.body.dt * (torch.arange(num_steps, dtype=torch.float64) + ahead)
+        times = self.body.dt * (torch.arange(num_steps, dtype=torch.float64) + self.ahead)
         at_steps = straight(command, self.command_dt, times)
         if self.actuate is not None:
             at_steps = torch.stack([self.actuate(row) for row in at_steps])
-        return lambda k: at_steps[k]
+        return at_steps
+
+    @property
+    def ahead(self) -> float:
+        """What explicit forces are extrapolated to, in steps ahead of the step's start."""
+        return _AHEAD[self.body.integrator]
 
     def _external_force(self) -> Callable[[int, soft.State], Tensor] | None:
         """All hooks' forces, extrapolated; remembers, so it serves one rollout."""
         if not self.forces and self.water is None:
             return None
         forces = [make() for make in self.forces]
-        ahead = _AHEAD[self.body.integrator]
         before: list[Tensor] = []
 
         def total(k: int, state: soft.State) -> Tensor:
-            now = self._force_at(k, state, forces)
+            now = self.force_at(k, state, forces)
             past = before.pop() if before else now
             before.append(now)
-            return now + ahead * (now - past)
+            return now + self.ahead * (now - past)
 
         return total
 
-    def _force_at(self, k: int, state: soft.State, forces: Sequence[Force]) -> Tensor:
+    def force_at(self, k: int, state: soft.State, forces: Sequence[Force]) -> Tensor:
         """Sum of the hooks' forces at the start of step k, (num_vertices, 3) [N]."""
         dt = self.body.dt
         moment = Moment(state.x, state.v, k * dt, dt)
@@ -241,6 +262,17 @@ class SoftScene:
         for force in forces:
             total = total + force(self, moment)
         return total
+
+
+def _force_and_strain(
+    body: soft.SoftBody, x: Tensor, physics: soft.Physics, scale: Tensor
+) -> tuple[Tensor, Tensor]:
+    at_rest = (
+        body.muscles.rest_activation.expand(*x.shape[:-2], -1),
+        x.new_zeros(*x.shape[:-2], body.chambers.num_chambers),
+    )
+    gradient, energy = elastic_gradient(body, x, None, *at_rest, physics)
+    return -gradient, energy / scale
 
 
 def node_areas(mesh: HexMesh | TetMesh) -> Tensor:

@@ -39,6 +39,8 @@ class _UnknownForce(Effect):
 
 
 class _Knots(Force):
+    leading_axes, of_material = True, False
+
     def __init__(self, knots: Tensor, shapes: Tensor, spacing: float):
         self._rows = knots.reshape(-1, knots.shape[-1]).T  # (num_knots, 3 * num_shapes)
         self._shapes, self._spacing = shapes, spacing
@@ -46,7 +48,7 @@ class _Knots(Force):
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
         time = torch.tensor([moment.time], dtype=torch.float64)
         now = straight(self._rows, self._spacing, time).reshape(3, -1)
-        return (now @ self._shapes).T
+        return (now @ self._shapes).T.expand(moment.x.shape)
 
 
 def unknown_force(num_knots: int, until_s: float, axes: str = "xyz") -> Effect:

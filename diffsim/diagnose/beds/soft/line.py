@@ -1,0 +1,106 @@
+"""Scenes along one coordinate: what a difference formula sees of it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from diffsim.diagnose.beds.soft.scene import Force, SoftScene
+from diffsim.diagnose.effect import Effect
+from diffsim.identify.jacobian import Stencil
+
+Key = tuple[Effect | None, int]
+
+
+@dataclass(frozen=True, eq=False)
+class OwnedScene:
+    """A scene, and of each of its extra forces the effect that added it.
+
+    Attributes:
+        scene: The scene.
+        owners: One per entry of ``scene.forces``; None: it was there before all effects.
+    """
+
+    scene: SoftScene
+    owners: tuple[Effect | None, ...]
+
+    def makers(self) -> dict[Key, Callable[[], Force]]:
+        """Of the forces, by owner and place among the owner's."""
+        count: Counter[Effect | None] = Counter()
+        out = {}
+        for owner, make in zip(self.owners, self.scene.forces, strict=True):
+            out[owner, count[owner]] = make
+            count[owner] += 1
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class SceneLine:
+    """One line: the scenes at the points of its stencil.
+
+    Attributes:
+        stencil: The difference formula.
+        points: At its offsets.
+        effect: Whose size moves; None: a base parameter.
+    """
+
+    stencil: Stencil
+    points: tuple[OwnedScene, ...]
+    effect: Effect | None
+
+    def difference(self, f: Callable[[float, SoftScene], Tensor]) -> Tensor:
+        """The slope of f(offset, scene)."""
+        terms = zip(self.stencil.offsets, self.stencil.weights, self.points, strict=True)
+        return torch.stack([w * f(o, p.scene) for o, w, p in terms]).sum(0)
+
+
+class LinePoints:
+    """The points of several lines in a row.
+
+    Args:
+        lines: K lines with P points together.
+    """
+
+    def __init__(self, lines: Sequence[SceneLine]):
+        self.scenes = [p for n in lines for p in n.points]
+        self.effects = [n.effect for n in lines for _ in n.points]
+        self._line_of = torch.tensor([k for k, n in enumerate(lines) for _ in n.points])
+        self._offset = _row([o for n in lines for o in n.stencil.offsets])[:, None, None]
+        self._weight = torch.zeros(len(lines), len(self.scenes), dtype=torch.float64)
+        weights = _row([w for n in lines for w in n.stencil.weights])
+        self._weight[self._line_of, torch.arange(len(weights))] = weights
+
+    def at(self, x: Tensor, tangent: Tensor) -> Tensor:
+        """States (P, V, 3) around a state (V, 3) along its tangents (K, V, 3)."""
+        return x + self._offset * tangent[self._line_of]
+
+    def slopes(self, rows: Tensor) -> Tensor:
+        """(K, ...) from values at the points, (P, ...)."""
+        return torch.tensordot(self._weight, rows, 1)
+
+
+def same_surroundings(a: SoftScene, b: SoftScene, *, parameters: bool) -> bool:
+    """Whether forces that read the scenes find the same there.
+
+    Args:
+        a, b: Of one body.
+        parameters: Compare physical parameters too.
+    """
+    values = [
+        (a.current, b.current),
+        (a.friction_shares, b.friction_shares),
+        (a.holding_force, b.holding_force),
+        (a.start_velocity, b.start_velocity),
+    ]
+    if parameters:
+        values += [(a.parameter(n), b.parameter(n)) for n in {*a.parameters, *b.parameters}]
+    same = all(x is y or (x is not None and y is not None and torch.equal(x, y)) for x, y in values)
+    return same and a.fluid_density == b.fluid_density
+
+
+def _row(values: Sequence[float]) -> Tensor:
+    return torch.tensor(values, dtype=torch.float64)

@@ -1,0 +1,63 @@
+"""Soft-body models: derivatives of predictions by tangents of the simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from torch import Tensor
+
+from diffsim.diagnose.beds.soft.line import OwnedScene, SceneLine
+from diffsim.diagnose.beds.soft.scene import SoftScene
+from diffsim.diagnose.beds.soft.tangents import scene_tangents
+from diffsim.diagnose.effect import Effect
+from diffsim.diagnose.model import Numerics, SimModel
+
+if TYPE_CHECKING:
+    from diffsim.data.study import Run
+    from diffsim.identify.problem import Line, Point
+
+
+class SoftModel(SimModel):
+    """A simulator whose ``build`` makes :class:`SoftScene`; arguments as for ``SimModel``.
+
+    All smooth columns of a linearisation come from one rollout with its tangents. Effects of size
+    zero are left out wherever they are not what is differentiated: at zero they are the scene
+    itself.
+    """
+
+    def tangents(
+        self,
+        run: Run,
+        at: Point,
+        lines: Sequence[Line],
+        numerics: Numerics | None = None,
+    ) -> tuple[Tensor, Tensor] | None:
+        """As :meth:`SimModel.tangents`."""
+        acting = {e for e, size in at.sizes.items() if bool(size.any())}
+        base = self._owned(run, at, acting, numerics)
+        if base is None:
+            return None
+        found = []
+        for line in lines:
+            present = acting if line.effect is None else acting | {line.effect}
+            points = [self._owned(run, p, present, numerics) for p in line.points]
+            scenes = tuple(p for p in points if p is not None)
+            if len(scenes) < len(points):
+                return None
+            found.append(SceneLine(line.stencil, scenes, line.effect))
+        return scene_tangents(base, found)
+
+    def _owned(
+        self, run: Run, at: Point, present: set[Effect], numerics: Numerics | None
+    ) -> OwnedScene | None:
+        """The scene at a point with some of its effects; None where it is no soft scene."""
+        scene = self.scene(run, at.q, None, numerics)
+        if not isinstance(scene, SoftScene):
+            return None
+        owners: list[Effect | None] = [None] * len(scene.forces)
+        for effect, size in at.sizes.items():
+            if effect in present:
+                scene = effect.apply(scene, size, run)
+                owners += [effect] * (len(scene.forces) - len(owners))
+        return OwnedScene(scene, tuple(owners))
