@@ -19,7 +19,6 @@ from diffsim.diagnose.beds.soft.models import BEAM_BASE
 from diffsim.diagnose.beds.soft.released import released_beam
 from diffsim.diagnose.beds.soft.scene import Moment
 from diffsim.identify import Parameter
-from diffsim.soft import State
 from tests.diagnose.gate import score_error, typical
 
 CELLS = (6, 2, 2)
@@ -368,11 +367,14 @@ def test_catch_of_the_string_keeps_momentum():
     scene = SlackString().apply(model.scene(run, model.at_prior()), size(0.03), run)
     load = scene.parameter("attached_mass")
     own = scene.parameter("density") * scene.body.nodal_volume
-    rng = np.random.default_rng(0)
-    v = torch.as_tensor(rng.standard_normal(scene.body.x_rest.shape))
-    after = scene._caught(State(scene.body.x_rest, v), load).v
+    falling = scene.falling(scene.last_fall_step())
+    fall = falling.motion(falling.num_steps())
+    x, v = scene._at_catch(fall, scene.last_fall_step())
+    caught = scene.swinging(fall, scene.last_fall_step())
+    after = caught.start_velocity
     down = scene.parameter("gravity") / 9.81
     before = (own[:, None] * v).sum(0) @ down + load.sum() * 9.81 * 0.03
+    torch.testing.assert_close(caught.start_position, x)
     torch.testing.assert_close(((own + load)[:, None] * after).sum(0) @ down, before)
     across = after - (after @ down)[:, None] * down
     torch.testing.assert_close(across, v - (v @ down)[:, None] * down)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim import soft
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.beds.signals import sample
+from diffsim.diagnose.beds.soft.line import OwnedScene, SceneLine
 from diffsim.diagnose.beds.soft.scene import SoftScene
+from diffsim.diagnose.beds.soft.tangents import motion_tangents
 from diffsim.diagnose.effect import Effect
 
 
@@ -35,72 +39,117 @@ class SlackString(Effect):
         if not run.setup.get("tip_load_mass_kg", 0.0) > 0.0:
             return scene
         kept = {f.name: getattr(scene, f.name) for f in fields(scene)}
-        return SlackScene(**kept, slack_s=size[0].clamp(min=0.0))
+        return SlackScene(**kept, slack_s=size[0])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SlackScene(SoftScene):
     """A scene whose ``attached_mass`` joins the body only after ``slack_s`` [s].
 
-    Both phases have the scene's time step; the state at the catch lies between two steps, by cubics
-    in the places and straight lines in the speeds. Hooks with memory go on from the step after it.
+    Two motions, one after the other: the body alone, then with the weight from the state at the
+    catch, which lies between steps and is found by cubics in the places. Hooks with memory start
+    anew at the catch.
     """
 
     slack_s: Tensor = field(default_factory=lambda: torch.zeros((), dtype=torch.float64))
 
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels)."""
-        dt = self.body.dt
-        load = self.parameter("attached_mass")
-        times = self._times()
-        loaded = self.body.physics(**self.parameters)
-        free = self.body.physics(**{**self.parameters, "attached_mass": torch.zeros_like(load)})
-        force = self._external_force()
-        start = self.initial_state(None, loaded)
+        last = self.last_fall_step()
+        falling = self.falling(last)
+        fall = falling.motion(falling.num_steps())
+        swinging = self.swinging(fall, last)
+        return self.joined(fall, swinging.motion(swinging.num_steps()), last)
 
-        before = int(float(self.slack_s.detach()) / dt)
-        fall = soft.rollout(self.body, start, before + 1, external_force=force, physics=free)
-        share = self.slack_s / dt - before
-        caught = self._caught(_between(fall, before, share, dt), load)
-        num_steps = max(5, int(float(times.detach().max()) / dt - before) + 3)
-        swing = soft.rollout(
-            self.body,
-            caught,
-            num_steps,
-            external_force=None if force is None else lambda k, s: force(k + before, s),
-            physics=loaded,
-            keep=lambda state: self.observe(state.x),
+    def last_fall_step(self) -> int:
+        """The step before the catch."""
+        return int(float(self.slack_s.detach()) / self.body.dt)
+
+    def falling(self, last: int) -> SoftScene:
+        """The body without the weight; places of all nodes are observed."""
+        load, gravity = self.parameter("attached_mass"), self.parameter("gravity")
+        held = self.holding_force
+        return self._plain(
+            sample_times=torch.tensor([(last + 1.0) * self.body.dt], dtype=torch.float64),
+            time_scale=torch.ones((), dtype=torch.float64),
+            clock_offset=torch.zeros((), dtype=torch.float64),
+            parameters={**self.parameters, "attached_mass": torch.zeros_like(load)},
+            # the hand need not hold the weight
+            holding_force=None if held is None else held + load[:, None] * gravity,
+            observe=_places,
         )
-        free_fall = _padded(torch.stack([self.observe(x) for x in fall.x]))
+
+    def swinging(self, fall: Tensor, last: int) -> SoftScene:
+        """From the catch on: plastic along gravity, every loaded node shares the momentum."""
+        x, v = self._at_catch(fall, last)
+        load, gravity = self.parameter("attached_mass"), self.parameter("gravity")
+        down = gravity / gravity.norm()
+        own = self.parameter("density") * self.body.nodal_volume
+        gap = (gravity * self.slack_s - v) @ down
+        return self._plain(
+            start="given",
+            holding_force=None,
+            start_position=x,
+            start_velocity=v + (load / (load + own) * gap)[:, None] * down,
+            start_time=float(self.slack_s.detach()),
+        )
+
+    def joined(self, fall: Tensor, swing: Tensor, last: int) -> Tensor:
+        """Channels of both motions, each at its times."""
+        dt, times = self.body.dt, self._times()
+        caught = self.swinging(fall, last)
+        x, v = caught.initial_state(None, self.body.physics(**caught.parameters))[:2]
         # channels are linear in the places: their rate is what they show of the speeds
-        rate = self.observe(caught.x + caught.v) - self.observe(caught.x)
-        early = sample(free_fall, dt, times)
-        late = sample(swing.x, dt, times - self.slack_s, start_rate=rate)
+        rate = self.observe(x + v) - self.observe(x)
+        early = sample(torch.stack([self.observe(p.reshape(-1, 3)) for p in fall]), dt, times)
+        late = sample(swing, dt, times - self.slack_s, start_rate=rate)
         channels = torch.where((times < self.slack_s)[:, None], early, late)
         for change in self.output_maps:
             channels = change(channels, self.sample_times)
         return channels
 
-    def _caught(self, state: soft.State, load: Tensor) -> soft.State:
-        """After a plastic catch: along gravity, every loaded node shares the weight's momentum."""
-        gravity = self.parameter("gravity")
-        own = self.parameter("density") * self.body.nodal_volume
-        down = gravity / gravity.norm()
-        gap = (gravity * self.slack_s - state.v) @ down
-        jump = (load / (load + own) * gap)[:, None] * down
-        # a weight that never hung slack moves with the body already
-        return soft.State(state.x, state.v + jump)
+    def _plain(self, **changes: Any) -> SoftScene:
+        kept = {f.name: getattr(self, f.name) for f in fields(SoftScene)}
+        return SoftScene(**(kept | changes))
+
+    def _at_catch(self, fall: Tensor, last: int) -> tuple[Tensor, Tensor]:
+        """Places and speeds (num_vertices, 3) by Lagrange through four steps around the catch."""
+        first = max(last - 1, 0)
+        s = self.slack_s / self.body.dt - first
+        nodes = range(4)
+        value, slope = [], []
+        for i in nodes:
+            others = [j for j in nodes if j != i]
+            scale = float(np.prod([i - j for j in others]))
+            value.append(torch.stack([s - j for j in others]).prod() / scale)
+            pairs = [(a, b) for k, a in enumerate(others) for b in others[k + 1 :]]
+            slope.append(sum((s - a) * (s - b) for a, b in pairs) / scale)
+        around = fall[first : first + 4]
+        x = torch.tensordot(torch.stack(value), around, 1).reshape(-1, 3)
+        v = torch.tensordot(torch.stack(slope), around, 1).reshape(-1, 3) / self.body.dt
+        return x, v
 
 
-def _between(fall: soft.Trajectory, step: int, share: Tensor, dt: float) -> soft.State:
-    """State a ``share`` of a step after ``step``."""
-    x0, x1, v0, v1 = fall.x[step], fall.x[step + 1], fall.v[step], fall.v[step + 1]
-    rise, s = x1 - x0, share
-    x = x0 + s * (v0 * dt + s * (3 * rise - (2 * v0 + v1) * dt + s * ((v0 + v1) * dt - 2 * rise)))
-    return soft.State(x, v0 + s * (v1 - v0))
+def slack_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor, Tensor]:
+    """As :func:`scene_tangents`: tangents of the fall move the start of the swing."""
+    scene = base.scene
+    assert isinstance(scene, SlackScene)
+    last = scene.last_fall_step()
+    falls = [line.mapped(lambda o, s: s.falling(last)) for line in lines]
+    fall, fall_rates = motion_tangents(OwnedScene(scene.falling(last), base.owners), falls)
+    swings = [
+        line.mapped(lambda o, s, t=t: s.swinging(fall + o * t, last))
+        for line, t in zip(lines, fall_rates, strict=True)
+    ]
+    start = OwnedScene(scene.swinging(fall, last), base.owners)
+    swing, swing_rates = motion_tangents(start, swings)
+    columns = [
+        line.difference(lambda o, s, a=a, b=b: s.joined(fall + o * a, swing + o * b, last))
+        for line, a, b in zip(lines, fall_rates, swing_rates, strict=True)
+    ]
+    return scene.joined(fall, swing, last), torch.stack(columns)
 
 
-def _padded(values: Tensor) -> Tensor:
-    """At least six rows, as interpolation asks for; the last one again and again, never shown."""
-    missing = max(0, 6 - len(values))
-    return torch.cat([values, values[-1:].expand(missing, *values.shape[1:])])
+def _places(x: Tensor) -> Tensor:
+    """All nodes' places in a row, (..., 3 num_vertices)."""
+    return x.flatten(-2)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from torch import Tensor
 
+from diffsim.diagnose.beds.soft.hanging import SlackScene, slack_tangents
 from diffsim.diagnose.beds.soft.line import OwnedScene, SceneLine
 from diffsim.diagnose.beds.soft.scene import SoftScene
 from diffsim.diagnose.beds.soft.tangents import scene_tangents
@@ -46,6 +47,8 @@ class SoftModel(SimModel):
             if len(scenes) < len(points):
                 return None
             found.append(SceneLine(line.stencil, scenes, line.effect))
+        if isinstance(base.scene, SlackScene):
+            return slack_tangents(base, found)
         return scene_tangents(base, found)
 
     def _owned(

@@ -75,9 +75,11 @@ class SoftScene:
         axes: Of every channel: 0, 1, 2 for x, y, z, so that maps of space find their components.
         parameters: For ``body.physics``; scalars or fields.
         start: "rest" (the unstrained shape, released at 0) or "equilibrium" under the first
-            command and ``holding_force``.
+            command and ``holding_force``, or "given": ``start_position``.
         holding_force: (num_vertices, 3) of a hand that lets go at 0 [N]; None: none.
+        start_position: (num_vertices, 3) for the start "given" [m].
         start_velocity: (num_vertices, 3) at 0 [m/s]; None: at rest.
+        start_time: What the hooks' clock shows at 0 [s].
         command: (num_commands, width) evenly spaced, or None.
         command_dt: Its spacing [s].
         actuate: Command (width,) -> activation (num_muscles,); None: the command itself.
@@ -100,7 +102,9 @@ class SoftScene:
     parameters: Mapping[str, Tensor] = field(default_factory=dict)
     start: str = "rest"
     holding_force: Tensor | None = None
+    start_position: Tensor | None = None
     start_velocity: Tensor | None = None
+    start_time: float = 0.0
     command: Tensor | None = None
     command_dt: float = math.nan
     actuate: Callable[[Tensor], Tensor] | None = None
@@ -155,10 +159,13 @@ class SoftScene:
 
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels)."""
-        num_steps = self.num_steps()
+        return self.channels(self.motion(self.num_steps()))
+
+    def motion(self, num_steps: int) -> Tensor:
+        """What is observed at every step, (num_steps + 1, ...)."""
         activations = self.activations(num_steps)
         physics = self.body.physics(**self.parameters)
-        trajectory = soft.rollout(
+        return soft.rollout(
             self.body,
             self.initial_state(None if activations is None else activations[0], physics),
             num_steps,
@@ -166,8 +173,7 @@ class SoftScene:
             activation=None if activations is None else lambda k, state: activations[k],
             physics=physics,
             keep=lambda state: self.observe(state.x),
-        )
-        return self.channels(trajectory.x)
+        ).x
 
     def num_steps(self) -> int:
         """Steps that the record needs."""
@@ -189,7 +195,8 @@ class SoftScene:
         state = self.body.rest_state()
         if self.start == "equilibrium":
             state = self._equilibrium(activation, physics)
-        return state if self.start_velocity is None else soft.State(state.x, self.start_velocity)
+        x = state.x if self.start_position is None else self.start_position
+        return soft.State(x, state.v if self.start_velocity is None else self.start_velocity)
 
     def _equilibrium(self, activation: Tensor | None, physics: soft.Physics) -> soft.State:
         """At rest under the first activation, the holding force and all hooks' forces."""
@@ -255,7 +262,7 @@ class SoftScene:
     def force_at(self, k: int, state: soft.State, forces: Sequence[Force]) -> Tensor:
         """Sum of the hooks' forces at the start of step k, (num_vertices, 3) [N]."""
         dt = self.body.dt
-        moment = Moment(state.x, state.v, k * dt, dt)
+        moment = Moment(state.x, state.v, self.start_time + k * dt, dt)
         total = torch.zeros_like(state.x)
         if self.water is not None:
             total = total + self.water(state.x, state.v, water_velocity=self.current)

@@ -24,23 +24,36 @@ from diffsim.soft.physics_tangent import difference_physics, stack_physics
 def scene_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor, Tensor] | None:
     """Prediction (num_samples, num_channels) and derivatives (K, ...) of a scene.
 
-    None where the scenes are no small changes of one body, or its steps are explicit.
+    None where the scene has no tangents: another kind, or explicit steps. Lines along which the
+    scene becomes another kind are simulated.
     """
     scene = base.scene
-    if scene.body.integrator not in IMPLICIT or not all(_alike(scene, n) for n in lines):
+    if scene.body.integrator not in IMPLICIT or type(scene) is not SoftScene:
         return None
+    alike = [n for n in lines if _alike(scene, n)]
+    observed, tangents = motion_tangents(base, alike)
+    found = {
+        line: line.difference(lambda o, s, t=t: s.channels(observed + o * t))
+        for line, t in zip(alike, tangents, strict=True)
+    }
+    for line in lines:
+        if line not in found:
+            found[line] = line.difference(lambda o, s: s.simulate())
+    return scene.channels(observed), torch.stack([found[n] for n in lines])
+
+
+def motion_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor, list[Tensor]]:
+    """What a scene observes at every step, and its tangent along each line."""
     motion = _Motion(base, lines)
     observed, tangent = motion.observed()
-    columns = []
-    for k, line in enumerate(lines):
-        t = tangent[:, motion.place[k]] if k in motion.place else torch.zeros_like(observed)
-        columns.append(line.difference(lambda o, s, t=t: s.channels(observed + o * t)))
-    return scene.channels(observed), torch.stack(columns)
+    still = torch.zeros_like(observed)
+    at = [motion.place.get(k) for k in range(len(lines))]
+    return observed, [still if k is None else tangent[:, k] for k in at]
 
 
 def _alike(scene: SoftScene, line: SceneLine) -> bool:
     return all(
-        type(s) is type(scene) is SoftScene
+        type(s) is SoftScene
         and s.body is scene.body
         and s.start == scene.start
         and s.water is scene.water
@@ -127,6 +140,8 @@ class _Motion:
         scene, moved = self._scene, self._activation_rates
         if scene.start == "rest":
             return None
+        if scene.start == "given":
+            return self._rates_of("start_position")
         if self._forces is None:
             directions = soft.Directions(
                 activation=None if moved is None else moved[:, 0],
