@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from diffsim.data.study import Run
-from diffsim.diagnose.unknown import Unknown
 from diffsim.identify import Problem
 
 Array = NDArray[np.float64]
@@ -23,7 +22,7 @@ DRAWS = 200
 
 
 def swap_probability(
-    problem: Problem, x: Array, residual: Array, unknown: Unknown, *, seed: int
+    problem: Problem, residual: Array, responses: Array, *, seed: int
 ) -> float | None:
     """Share of swapped draws whose statistic reaches that of the mean residual.
 
@@ -32,9 +31,8 @@ def swap_probability(
 
     Args:
         problem: Of the fit that left the residual.
-        x: (n,) its coordinates.
         residual: (num_valid,) whitened.
-        unknown: The cause in question.
+        responses: (num_valid, m) whitened, of the cause in question.
         seed: Of the draws.
 
     Returns:
@@ -44,10 +42,10 @@ def swap_probability(
     if not pairs:
         return None
     grids = _on_grid(problem, residual[:, None])
-    responses = _on_grid(problem, unknown.responses(problem, x))
+    moved = _on_grid(problem, responses)
     mean = [0.5 * (grids[a] + grids[b])[..., 0] for a, b in pairs]
     half = [0.5 * (grids[a] - grids[b])[..., 0] for a, b in pairs]
-    h = np.concatenate([responses[a].reshape(-1, responses[a].shape[-1]) for a, _ in pairs])
+    h = np.concatenate([moved[a].reshape(-1, moved[a].shape[-1]) for a, _ in pairs])
     h = h * np.sqrt(h.size / h.shape[1]) / linalg.norm(h)  # one noise sd per sample
     factor = linalg.cho_factor(h.T @ h + np.eye(h.shape[1]))
 

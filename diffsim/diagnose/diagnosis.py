@@ -4,20 +4,29 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import scipy
 import torch
 from numpy.typing import NDArray
 
+from diffsim import __version__
 from diffsim.data.study import Run, Study
 from diffsim.diagnose import decide as rules
 from diffsim.diagnose.decide import Decision
 from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.evidence import Hypothesis
+from diffsim.diagnose.force_map import ForceMap, force_map
 from diffsim.diagnose.gain import Gain
-from diffsim.diagnose.gates import data_gate, gradient_gate, numerics_gate
+from diffsim.diagnose.gates import (
+    data_gate,
+    gradient_gate,
+    numerical_effects,
+    numerics_changes,
+    numerics_gate,
+)
 from diffsim.diagnose.model import SimModel
 from diffsim.diagnose.next_run import next_run
 from diffsim.diagnose.noise import UNREPEATABLE, NoiseFloor
@@ -28,14 +37,17 @@ from diffsim.diagnose.search import NONE, Search
 from diffsim.diagnose.stages import (
     Case,
     DiagnosisSettings,
+    Progress,
     confirmed,
     decision_of,
     null_fit,
     search_rounds,
+    silent,
     with_gains,
 )
+from diffsim.diagnose.store import Store, key_of
 from diffsim.diagnose.tables import cannot_see, effect_rows, hypothesis_rows, set_names
-from diffsim.diagnose.unknown import Unknown, drifts
+from diffsim.diagnose.unknown import Unknown, UnknownForce, drifts
 from diffsim.diagnose.words import sentences
 from diffsim.identify import Fit
 
@@ -51,6 +63,8 @@ def diagnose(
     unknowns: Sequence[Unknown] = (),
     bank: Sequence[Run] = (),
     settings: DiagnosisSettings | None = None,
+    progress: Progress | None = None,
+    cache: str | Path | None = None,
 ) -> Report:
     """Find what the simulator gets wrong.
 
@@ -64,6 +78,9 @@ def diagnose(
             channel is always among them.
         bank: Runs that could be recorded next.
         settings: Effort.
+        progress: Told stage, share done and message as it goes.
+        cache: Folder for what was simulated: after an interruption, the same call goes on from
+            there. The model's name stands for its code; empty the folder after changing that.
 
     Returns:
         ``Report``.
@@ -77,22 +94,29 @@ def diagnose(
     unmet = {e.name: why for e in effects if (why := e.needs(study)) is not None}
     judged = tuple(e for e in effects if e.name not in unmet)
     generic = (*unknowns, *drifts([c.name for c in study.channels]))
-    case = Case(study, model, judged, generic, settings)
-
+    show = progress or silent
+    case = Case(study, model, judged, generic, settings, show)
+    show("null fit", 0.0, "the model without effects")
+    before = model.simulations.count
     case, noise, null, num_spikes = null_fit(case)
-    gates += numerics_gate(null.fit)
-    points = Points(case.wide(null.fit))
+    show("checks", 0.15, "numerical settings, gradients")
+    changes = numerics_changes(null.fit.problem, null.local)
+    gates += numerics_gate(null.fit, changes)
+    if settings.accept_numerics:
+        case = replace(case, effects=(*case.effects, *numerical_effects(changes)))
+    if cache is not None:
+        case = replace(case, store=Store(cache, _key(case)))
+    points = Points(case.wide(null.fit), store=case.store)
     points.keep(NONE, null.local)
     screened = points.linear(NONE, points.screen(NONE, None), (), 1)
     gates += gradient_gate(screened)
+    found = _Found(case, null.fit, noise, gates, unmet, num_spikes, changes, before)
     if not settings.accept_numerics and any(
         not g.passed for g in gates if g.name in ("time_step", "mesh", "tolerance")
     ):
         seen = screen(screened.problem, screened.residual, screened.jacobian, screened.x0)
         decision = Decision("numerical", frozenset(), (), None, 0.0)
-        return _report(
-            case, decision, None, null.fit, noise, seen, gates, unmet, seed, bank, num_spikes
-        )
+        return _report(found, decision, None, seen, seed, bank)
 
     search, noise, null = search_rounds(case, noise, null, points)
     linear = search.null_linear
@@ -100,31 +124,40 @@ def diagnose(
     decision = confirmed(decision_of(search), search, gates, seed)
     if not noise.is_repeatable:
         decision = replace(decision, verdict="unrepeatable", rivals=())
-    return _report(
-        case, decision, search, null.fit, noise, seen, gates, unmet, seed, bank, num_spikes
-    )
+    show("gain", 0.88, "runs held out")
+    return _report(replace(found, null=null.fit, noise=noise), decision, search, seen, seed, bank)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """What the steps before the search left for the report."""
+
+    case: Case
+    null: Fit
+    noise: NoiseFloor
+    gates: list[GateResult]
+    unmet: dict[str, str]
+    num_spikes: int
+    changes: dict[str, Array]
+    simulations_before: int
 
 
 def _report(
-    case: Case,
+    found: _Found,
     decision: Decision,
     search: Search | None,
-    null: Fit,
-    noise: NoiseFloor,
     seen: Screen,
-    gates: list[GateResult],
-    unmet: dict[str, str],
     seed: int,
     bank: Sequence[Run],
-    num_spikes: int,
 ) -> Report:
+    case, null, noise, gates = found.case, found.null, found.noise, found.gates
     gains: dict[int, Gain] = {}
     total: Gain | None = None
     best = null
     if search is not None:
-        found = search.entries[Hypothesis(decision.best)].fit
-        assert found is not None
-        decision, total, gains = with_gains(case, decision, search, found, seed)
+        chosen = search.entries[Hypothesis(decision.best)].fit
+        assert chosen is not None
+        decision, total, gains = with_gains(case, decision, search, chosen, seed)
         kept = search.entries[Hypothesis(decision.best)].fit
         best = kept if kept is not None and decision.verdict in ("named", "ambiguous") else null
     effects = case.effects
@@ -135,7 +168,8 @@ def _report(
     fits = [f for f in rival_fits if f is not None]
     advice = next_run(fits, bank) if bank and len(fits) > 1 else None
     is_named = decision.verdict in ("named", "ambiguous")
-    rows = effect_rows(effects, decision, search, seen, gains)
+    rows = effect_rows(effects, decision, search, seen, gains, found.changes)
+    case.progress("done", 1.0, decision.verdict)
     return Report(
         verdict=decision.verdict,
         sentences=sentences(decision, rows, rivals, total, gates, noise, effects),
@@ -145,13 +179,13 @@ def _report(
         table=rows,
         confounding_names=seen.names,
         confounding=seen.confounding,
-        cannot_see=cannot_see(case.study, effects, seen, unmet),
+        cannot_see=cannot_see(case.study, effects, seen, found.unmet),
         gates=tuple(gates),
         noise={
             "sd": dict(zip([c.name for c in case.study.channels], noise.sd.tolist(), strict=True)),
             "source": noise.source,
             "scatter_ratio": noise.scatter_ratio,
-            "num_spikes": num_spikes,
+            "num_spikes": found.num_spikes,
         },
         gain=total,
         chi2_null=null.chi2,
@@ -163,7 +197,7 @@ def _report(
             "alone_nats": rules.ALONE_NATS,
             "explained": rules.EXPLAINED,
             "unrepeatable": UNREPEATABLE,
-            "num_simulations": case.model.simulations.count,
+            "num_simulations": case.model.simulations.count - found.simulations_before,
             "search": asdict(case.settings.search),
             "could_not_be_simulated": []
             if search is None
@@ -180,7 +214,24 @@ def _report(
         study=case.study,
         model=case.model,
         next_run=None if advice is None else asdict(advice),
+        force_map=None if search is None else _force_map(search),
     )
+
+
+def _force_map(search: Search) -> ForceMap | None:
+    """Of the first unknown force, at the plain model; its slopes were simulated for the search."""
+    for u, cause in enumerate(search.unknowns):
+        slopes = search.points.forces.get((NONE, u))
+        if isinstance(cause, UnknownForce) and slopes is not None:
+            return force_map(search.wide, cause, slopes, search.null_linear.residual)
+    return None
+
+
+def _key(case: Case) -> str:
+    """Of everything that changes a simulation."""
+    causes = [(e.name, type(e).__qualname__, e.typical, e.components) for e in case.effects]
+    generic = [(u.name, type(u).__qualname__) for u in case.unknowns]
+    return key_of(case.study, case.model, causes, generic, case.settings.jacobian, __version__)
 
 
 def _require_distinct(effects: Sequence[Effect]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,9 @@ from numpy.typing import NDArray
 
 from diffsim.data.study import Study
 from diffsim.diagnose.evidence import Linearisation
-from diffsim.diagnose.model import Numerics
+from diffsim.diagnose.local import Local, record_at, whitened
+from diffsim.diagnose.numerical import NumericalEffect
+from diffsim.diagnose.numerics import Numerics
 from diffsim.diagnose.report import GateResult
 from diffsim.identify import Fit, Jacobian, Problem
 from diffsim.identify.fitting import posterior_covariance
@@ -104,15 +107,27 @@ def _extrapolated(problem: Problem, x: Array, only: list[int]) -> Array:
     return np.asarray((4.0 * scores[1] - scores[0]) / 3.0)
 
 
-def numerics_gate(fit: Fit) -> list[GateResult]:
+def numerics_changes(problem: Problem, local: Local) -> dict[str, Array]:
+    """(N,) change of the record by refining each setting; zero where the model has no such one.
+
+    Args:
+        problem: Whose runs are simulated again.
+        local: Point and record with the settings in use.
+    """
+    return {
+        name: record_at(replace(problem, numerics=finer), local.x) - local.record
+        for name, finer in REFINEMENTS.items()
+    }
+
+
+def numerics_gate(fit: Fit, changes: Mapping[str, Array]) -> list[GateResult]:
     """How far refining each numerical setting moves the record, in noise units.
 
     lambda = |(1 - J (J'J + 1)^-1 J') W (S(refined) - S)|: what base parameters cannot absorb.
     """
-    problem, j = fit.problem, fit.jacobian
-    out = []
-    for name, finer in REFINEMENTS.items():
-        change = fit.residual - replace(problem, numerics=finer).residual(fit.x)
+    j, out = fit.jacobian, []
+    for name, raw in changes.items():
+        change = whitened(fit.problem, raw)
         left = change - j @ (posterior_covariance(j) @ (j.T @ change))
         size = float(np.linalg.norm(left))
         out.append(
@@ -125,6 +140,23 @@ def numerics_gate(fit: Fit) -> list[GateResult]:
             )
         )
     return out
+
+
+def numerical_effects(changes: Mapping[str, Array]) -> tuple[NumericalEffect, ...]:
+    """One candidate per setting that the model knows."""
+    return tuple(
+        NumericalEffect(name, REFINEMENTS[name]) for name, change in changes.items() if change.any()
+    )
+
+
+def numerical_shift(fit: Fit, changes: Mapping[str, Array]) -> Array:
+    """(n,) how far refined settings would move the coordinates of a fit, all settings in
+    quadrature: (J'J + 1)^-1 J' W (S(refined) - S), no simulation."""
+    j = fit.jacobian
+    total = np.zeros(j.shape[1])
+    for raw in changes.values():
+        total += (posterior_covariance(j) @ (j.T @ whitened(fit.problem, raw))) ** 2
+    return np.asarray(np.sqrt(total))
 
 
 def _has_gradient(problem: Problem, x: Array) -> bool:

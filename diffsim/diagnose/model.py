@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -11,26 +10,13 @@ import torch
 from torch import Tensor
 
 from diffsim.diagnose.effect import Effect
+from diffsim.diagnose.numerical import NumericalEffect
+from diffsim.diagnose.numerics import Numerics
 from diffsim.identify.parameter import Parameter
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
     from diffsim.identify.problem import Line, Point
-
-
-@dataclass(frozen=True)
-class Numerics:
-    """Numerical settings relative to those that the model uses by default.
-
-    Attributes:
-        time_step: Factor on the time step.
-        mesh: Factor on the cell size.
-        tolerance: Factor on solver tolerances.
-    """
-
-    time_step: float = 1.0
-    mesh: float = 1.0
-    tolerance: float = 1.0
 
 
 class Scene(Protocol):
@@ -96,8 +82,15 @@ class SimModel:
             sizes: Effects with their sizes [unit], (num_components,) each, applied in this order.
             numerics: Settings; the model's own if None.
         """
+        physical, numerical = _parted(sizes)
         self.simulations.add(len(q) if q.ndim > 1 else 1)
-        return self.scene(run, q, sizes, numerics).simulate()
+        out = plain = self.scene(run, q, physical, numerics).simulate()
+        for effect, size in numerical.items():
+            if size.requires_grad or bool((size != 0.0).any()):
+                finer = (numerics or Numerics()).refined(effect.refined)
+                refined = self.predict(run, q, physical, finer)
+                out = out + size[..., None] * (refined - plain)
+        return out
 
     def predict_many(
         self,
@@ -116,12 +109,20 @@ class SimModel:
         """
         if self.batched:
             return self.predict(run, q, sizes, numerics)
+        physical, numerical = _parted(sizes)
         self.simulations.add(len(q))
         scenes = [
-            self.scene(run, q[k], {e: s[k] for e, s in (sizes or {}).items()}, numerics)
+            self.scene(run, q[k], {e: s[k] for e, s in physical.items()}, numerics)
             for k in range(len(q))
         ]
-        return torch.stack(self.simulate_scenes(scenes))
+        out = plain = torch.stack(self.simulate_scenes(scenes))
+        for effect, size in numerical.items():
+            if (rows := torch.nonzero(size[:, 0])[:, 0]).numel():
+                finer = (numerics or Numerics()).refined(effect.refined)
+                there = {e: s[rows] for e, s in physical.items()}
+                change = self.predict_many(run, q[rows], there, finer) - plain[rows]
+                out = out.index_add(0, rows, size[rows, :, None] * change)
+        return out
 
     def scene(
         self,
@@ -176,3 +177,12 @@ class SimModel:
     def at_prior(self) -> Tensor:
         """Standardised coordinates of the best guess, (num_base,)."""
         return torch.zeros(len(self.base), dtype=torch.float64)
+
+
+def _parted(
+    sizes: Mapping[Effect, Tensor] | None,
+) -> tuple[dict[Effect, Tensor], dict[NumericalEffect, Tensor]]:
+    """What acts in the scene, and what on its prediction."""
+    given = sizes or {}
+    numerical = {e: s for e, s in given.items() if isinstance(e, NumericalEffect)}
+    return {e: s for e, s in given.items() if e not in numerical}, numerical

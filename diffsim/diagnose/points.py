@@ -16,6 +16,7 @@ from scipy import linalg
 from diffsim.diagnose.descend import Descended, descend
 from diffsim.diagnose.evidence import Linearisation
 from diffsim.diagnose.local import Local, local_at, measured_of, record_at, whitened
+from diffsim.diagnose.store import Store
 from diffsim.diagnose.unknown import Unknown, by_group
 from diffsim.identify import Problem
 
@@ -31,10 +32,12 @@ class Points:
     Args:
         wide: Problem with all candidate effects.
         before: Of an earlier round with the same model and runs: nothing is simulated twice.
+        store: On disk, of an earlier process.
     """
 
-    def __init__(self, wide: Problem, before: Points | None = None):
+    def __init__(self, wide: Problem, before: Points | None = None, store: Store | None = None):
         self.wide = wide
+        self.store: Store | None = before.store if before and store is None else store
         self.fitted: dict[Members, Local] = dict(before.fitted) if before else {}
         self.screened: dict[Members, Local] = dict(before.screened) if before else {}
         self.forces: dict[tuple[Members, int], Array] = dict(before.forces) if before else {}
@@ -56,6 +59,19 @@ class Points:
         x = np.zeros(len(self.wide.names))
         x[own] = local.x
         self.fitted[members] = replace(local, x=x, idx=tuple(own))
+        if self.store is not None and members:
+            self.store.save(f"fitted {self._label(members)}", self.fitted[members])
+
+    def known(self, members: Members) -> Local | None:
+        """The fit of a set, from this process or an earlier one."""
+        if members not in self.fitted and self.store is not None:
+            found = self.store.load(f"fitted {self._label(members)}")
+            if found is not None:
+                self.fitted[members] = found
+        return self.fitted.get(members)
+
+    def _label(self, members: Members) -> str:
+        return " + ".join(self.wide.effects[i].name for i in sorted(members))
 
     def descend(self, members: Members, start: Local, ahead: Callable[[], float]) -> Descended:
         """Fit a set.
@@ -76,8 +92,8 @@ class Points:
     def start(self, members: Members, centre: Local, x: Array) -> Local:
         """Where to begin with a set: an earlier fit of it, the centre itself where the set only
         adds to it, else the linear answer ``x`` with the centre's slopes."""
-        if members in self.fitted:
-            return self.fitted[members]
+        if (before := self.known(members)) is not None:
+            return before
         own = self.coordinates(members)
         outside = np.ones(len(centre.x), dtype=bool)
         outside[own] = False
@@ -98,10 +114,14 @@ class Points:
             last: Of the set before: its slopes serve for effects that are neither noticed with them
                 nor like a member; None: all are simulated.
         """
-        here = self.fitted[members]
-        if members in self.screened:
-            here = here.joined(self.screened[members])
-        elif last is None:
+        here, label = self.fitted[members], f"screened {self._label(members)}"
+        before = self.screened.get(members)
+        if before is None and self.store is not None:
+            before = self.store.load(label)
+        if before is not None:
+            self.screened[members] = before
+            return here.joined(before)
+        if last is None:
             others = [i for i in range(len(here.x)) if i not in here.idx]
             here = here.joined(local_at(self.wide, here.x, others, screen=True))
         else:
@@ -110,6 +130,8 @@ class Points:
                 here = here.joined(local_at(self.wide, here.x, anew, screen=True))
             here = here.joined(last)
         self.screened[members] = here
+        if self.store is not None:
+            self.store.save(label, here)
         return here
 
     def linear(
@@ -120,17 +142,26 @@ class Points:
         num_families: int,
     ) -> Linearisation:
         """Everything at a point; unknown causes simulated at most once per set."""
-        blocks = []
-        for u, unknown in enumerate(unknowns):
-            if (members, u) not in self.forces:
-                problem = self.narrow(members)
-                x = local.x[self.coordinates(members)]
-                self.forces[members, u] = unknown.slopes(problem, x)
-            blocks.append(by_group(self.wide, self.forces[members, u]))
+        blocks = [self.responses(u, i, members, local) for i, u in enumerate(unknowns)]
         wide = self.wide
         residual = whitened(wide, measured_of(wide) - local.record)
         jacobian = whitened(wide, local.slopes(range(len(local.x))))
         return Linearisation(wide, local.x, residual, jacobian, blocks, num_families)
+
+    def responses(self, unknown: Unknown, u: int, members: Members, local: Local) -> Array:
+        """Whitened responses of an unknown cause, number ``u``, at a set."""
+        if (members, u) not in self.forces:
+            self.forces[members, u] = self._slopes_of(unknown, members, local)
+        return by_group(self.wide, unknown.mix(self.forces[members, u]))
+
+    def _slopes_of(self, unknown: Unknown, members: Members, local: Local) -> Array:
+        label = f"{unknown.name} at {self._label(members)}"
+        if self.store is not None and (found := self.store.load_array(label)) is not None:
+            return found
+        slopes = unknown.slopes(self.narrow(members), local.x[self.coordinates(members)])
+        if self.store is not None:
+            self.store.save_array(label, slopes)
+        return slopes
 
     def _noticed(self, local: Local) -> list[int]:
         """Coordinates of effects that stand out of the noise with borrowed slopes, or that are hard

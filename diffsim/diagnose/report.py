@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from diffsim._files import to_plain, write_json_atomic, write_text_atomic
 from diffsim.data.study import Study
 from diffsim.diagnose.extended import extended_model
+from diffsim.diagnose.force_map import ForceMap
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.model import SimModel
 from diffsim.identify import Fit
@@ -32,7 +33,7 @@ class EffectRow:
         status: "named", "rival", "mimic" (explains part of an unknown cause), "screened", or
             "not judged".
         size: By component, [unit]; from the refit where there was one, else from the screen.
-        sd: Of the sizes, statistical and 1 % model form.
+        sd: Of the sizes: statistical, numerical (shift under refined settings) and 1 % model form.
         nats: Evidence of the best hypothesis with this effect minus that of the best without it.
         z: Score over its standard deviation at the null fit, the length for a vector.
         smallest_visible: By component, [unit]: 6 / sqrt(information).
@@ -116,6 +117,7 @@ class Report:
         gain: Of the best set on held-out runs, None without such runs.
         chi2_null, chi2_best, num_samples: Of the runs fitted.
         next_run: Advice, None if no bank of commands was given.
+        force_map: Where and when a force is missing; None without an ``UnknownForce``.
         settings: Thresholds, seed, versions.
         null, best: Fits.
         study, model: As given.
@@ -142,6 +144,7 @@ class Report:
     study: Study
     model: SimModel
     next_run: Mapping[str, Any] | None = None
+    force_map: ForceMap | None = None
 
     def extended_model(self) -> SimModel:
         """The model with the named effects; base parameters and sizes at their posterior."""
@@ -152,10 +155,11 @@ class Report:
         plain = {
             name: getattr(self, name)
             for name in self.__dataclass_fields__
-            if name not in ("null", "best", "study", "model", "gain")
+            if name not in ("null", "best", "study", "model", "gain", "force_map")
         }
         for name in ("hypotheses", "table", "gates"):
             plain[name] = [asdict(row) for row in plain[name]]
+        plain["force_map"] = None if self.force_map is None else asdict(self.force_map)
         plain["gain"] = None if self.gain is None else asdict(self.gain)
         plain["study"], plain["model"] = self.study.name, self.model.name
         for name in ("null", "best"):

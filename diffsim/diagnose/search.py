@@ -7,20 +7,22 @@ none is better. What is not refitted keeps its linear evidence, and cannot win.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from diffsim.diagnose.decide import ALONE_NATS, KEEP_NATS
 from diffsim.diagnose.descend import Descended
 from diffsim.diagnose.evidence import Hypothesis, Linearisation, Weighed, families
 from diffsim.diagnose.local import Local, local_at, measured_of, whitened
 from diffsim.diagnose.points import Members, Points
-from diffsim.diagnose.unknown import Unknown, by_group
+from diffsim.diagnose.unknown import Unknown
 from diffsim.errors import DiffsimError
 from diffsim.identify import Fit, Problem
 
+Array = NDArray[np.float64]
 NONE: Members = frozenset()
 
 
@@ -85,6 +87,7 @@ class Search:
         null: Fit without effects.
         settings: Effort.
         before: Simulated in an earlier round with another noise floor.
+        tell: Told the number of refits and the set that is next.
     """
 
     def __init__(
@@ -94,11 +97,12 @@ class Search:
         null: Descended,
         settings: SearchSettings | None = None,
         before: Points | None = None,
+        tell: Callable[[int, str], None] | None = None,
     ):
         self.wide, self.unknowns = wide, tuple(unknowns)
         self.settings = settings or SearchSettings()
         self.num_families = families(wide.effects, unknowns)
-        self.points = Points(wide, before)
+        self.points, self.tell = Points(wide, before), tell
         self.points.keep(NONE, null.local)
         self.entries: dict[Hypothesis, Entry] = {}
         self.linear_only: dict[Hypothesis, Weighed] = {}
@@ -142,6 +146,9 @@ class Search:
         key = Hypothesis(members)
         if key in self.entries or key in self.failed:
             return self.entries.get(key)
+        if self.tell is not None:
+            names = " + ".join(self.wide.effects[i].name for i in sorted(members))
+            self.tell(len(self.entries), names or "no effect")
         message = ""
         for centre in dict.fromkeys((near or self._null, self._null)):
             try:
@@ -154,6 +161,11 @@ class Search:
             return self._enter(members, found.fit)
         self.failed[key] = message
         return None
+
+    def responses(self, members: Members, unknown: int) -> Array:
+        """Whitened responses of an unknown cause at the fit of a set."""
+        local = self.points.fitted[members]
+        return self.points.responses(self.unknowns[unknown], unknown, members, local)
 
     def _enter(self, members: Members, fit: Fit) -> Entry:
         """The Laplace evidence needs the set's own columns only."""
@@ -233,7 +245,7 @@ class Search:
                 break
             try:
                 local = local_at(problem, x)
-                response = by_group(problem, cause.slopes(problem, x))
+                response = cause.responses(problem, x)
             except DiffsimError as error:  # the step left what can be simulated: keep the last
                 self.failed[key] = str(error)
                 break

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,12 +22,19 @@ from diffsim.diagnose.noise import NoiseFloor, noise_floor, without_spikes
 from diffsim.diagnose.points import Points
 from diffsim.diagnose.report import GateResult
 from diffsim.diagnose.search import Search, SearchSettings
+from diffsim.diagnose.store import Store
 from diffsim.diagnose.unknown import Unknown
 from diffsim.identify import Fit, Jacobian, Problem, Whitener, WhiteNoise
 
 Array = NDArray[np.float64]
+Progress = Callable[[str, float, str], None]
+"""Stage, share of the whole that is done, message."""
 SWAP_LIMIT = 0.02  # of noise alone: about three of 200 swapped draws may reach the statistic
 NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
+
+
+def silent(stage: str, fraction: float, message: str) -> None:
+    """No progress is shown."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +65,8 @@ class Case:
     effects: tuple[Effect, ...]
     unknowns: tuple[Unknown, ...]
     settings: DiagnosisSettings
+    progress: Progress = silent
+    store: Store | None = None
 
     def problem(self, whitener: Whitener) -> Problem:
         """The plain model on the runs to be fitted."""
@@ -84,6 +93,7 @@ def null_fit(case: Case) -> tuple[Case, NoiseFloor, Descended, int]:
     found = descend(problem, local_at(problem, np.zeros(problem.num_base)))
     prepared = case.model.prepared_at(torch.from_numpy(found.fit.x))
     if prepared is not case.model:
+        prepared.simulations = case.model.simulations  # goes on counting
         case = replace(case, model=prepared)
         problem = case.problem(WhiteNoise(channels))
         found = descend(problem, local_at(problem, found.fit.x))
@@ -101,8 +111,14 @@ def search_rounds(
     """Search; estimate the noise from what the best set leaves; again if it has changed, from what
     was simulated before."""
     runs = case.study.fit_runs
+
+    def tell(count: int, names: str) -> None:
+        # how many refits it will take is not known before: each takes a tenth of what is left
+        case.progress("search", 0.85 - 0.6 * 0.9**count, names)
+
     for round_ in range(case.settings.noise_rounds):
-        search = Search(case.wide(null.fit), case.unknowns, null, case.settings.search, points)
+        wide, effort = case.wide(null.fit), case.settings.search
+        search = Search(wide, case.unknowns, null, effort, points, tell)
         search.run()
         points = search.points
         best = points.fitted[decision_of(search).best]
@@ -136,7 +152,8 @@ def confirmed(decision: Decision, search: Search, gates: list[GateResult], seed:
     best = search.entries[Hypothesis(decision.best)].fit
     assert best is not None
     cause = search.unknowns[decision.unknown.unknown]
-    p = swap_probability(best.problem, best.x, best.residual, cause, seed=seed)
+    moved = search.responses(decision.best, decision.unknown.unknown)
+    p = swap_probability(best.problem, best.residual, moved, seed=seed)
     if p is None:
         return decision
     gates.append(

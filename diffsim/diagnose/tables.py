@@ -5,18 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from diffsim.data.study import Study
 from diffsim.diagnose.decide import Decision
 from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.evidence import Hypothesis, Weighed
 from diffsim.diagnose.gain import Gain
+from diffsim.diagnose.gates import numerical_shift
 from diffsim.diagnose.report import EffectRow, HypothesisRow
 from diffsim.diagnose.screen import Screen
 from diffsim.diagnose.search import Search
 from diffsim.diagnose.unknown import Unknown
-from diffsim.identify.problem import effect_coordinates
+from diffsim.identify.problem import PRIOR_WIDTH, effect_coordinates
 
+Array = NDArray[np.float64]
 MODEL_FORM = 0.01  # relative uncertainty of a size, beside the statistical one
 BLIND = 3.0  # smallest visible size over the typical one
 TWINS = 0.995  # confounding from which two effects are the same to these data
@@ -28,8 +31,18 @@ def effect_rows(
     search: Search | None,
     seen: Screen,
     gains: Mapping[int, Gain],
+    changes: Mapping[str, Array],
 ) -> tuple[EffectRow, ...]:
-    """One row per effect, by evidence."""
+    """One row per effect, by evidence.
+
+    Args:
+        effects: Candidates that were judged.
+        decision: The verdict.
+        search: What was weighed; None if only screened.
+        seen: At the plain model.
+        gains: On held-out runs, by member of the best set.
+        changes: Of the record by refining numerical settings, (N,) each; they widen the intervals.
+    """
     in_rivals = {i for h in decision.rivals for i in h.effects}
     rows, k = [], 0
     for i, effect in enumerate(effects):
@@ -40,7 +53,7 @@ def effect_rows(
         if search is not None:
             nats = evidence_for(search, i)
             share = _share_alone(search, i)
-            size, sd = _refitted(search, decision, i, size, sd)
+            size, sd = _refitted(search, decision, i, size, sd, changes)
         gained = gains.get(i)
         rows.append(
             EffectRow(
@@ -119,7 +132,14 @@ def set_names(
     return names if h.unknown is None else (*names, unknowns[h.unknown].name)
 
 
-def _refitted(search: Search, decision: Decision, i: int, size, sd):
+def _refitted(
+    search: Search,
+    decision: Decision,
+    i: int,
+    size: Array,
+    sd: Array,
+    changes: Mapping[str, Array],
+) -> tuple[Array, Array]:
     """Size and sd from the best refit that holds the effect; the decision's set comes first."""
     holding = [h for h in search.entries if h.unknown is None and i in h.effects]
     if not holding:
@@ -127,8 +147,12 @@ def _refitted(search: Search, decision: Decision, i: int, size, sd):
     best = max(holding, key=lambda h: (h.effects == decision.best, search.entries[h].nats))
     fit = search.entries[best].fit
     assert fit is not None
-    names = effect_coordinates([search.wide.effects[i]])
-    return np.array([fit.values[n] for n in names]), np.array([fit.sd[n] for n in names])
+    effect = search.wide.effects[i]
+    names = effect_coordinates([effect])
+    shift = numerical_shift(fit, changes)[fit.problem.columns_of(effect)]
+    statistical = np.array([fit.sd[n] for n in names])
+    found = np.array([fit.values[n] for n in names])
+    return found, np.hypot(statistical, PRIOR_WIDTH * effect.typical * shift)
 
 
 def _share_alone(search: Search, i: int) -> float | None:

@@ -37,12 +37,16 @@ class Unknown(ABC):
 
     @abstractmethod
     def slopes(self, problem: Problem, x: Array) -> Array:
-        """(N, m) change of all samples of all runs per coefficient, at x, not whitened."""
+        """(N, k) change of all samples of all runs per component, at x, not whitened."""
+
+    def mix(self, slopes: Array) -> Array:
+        """(N, m) of (N, k): from components to independent coefficients."""
+        return slopes
 
     def responses(self, problem: Problem, x: Array) -> Array:
         """(num_valid, m * num_groups) whitened responses at x, rows in the order of
         ``problem.runs``; one block of columns per command."""
-        return by_group(problem, self.slopes(problem, x))
+        return by_group(problem, self.mix(self.slopes(problem, x)))
 
 
 class UnknownForce(Unknown):
@@ -65,12 +69,13 @@ class UnknownForce(Unknown):
         self._secant = copy(effect)
         vars(self._secant)["smooth"] = False
 
-    def slopes(self, problem: Problem, x: Array) -> Array:
-        """Simulated for one run of each command: repeats differ by their nuisances only."""
-        return self.component_slopes(problem, x) @ self._root
+    def mix(self, slopes: Array) -> Array:
+        """Components drawn from their covariance."""
+        return slopes @ self._root
 
-    def component_slopes(self, problem: Problem, x: Array) -> Array:
-        """(N, num_components) per standardised coefficient of the effect."""
+    def slopes(self, problem: Problem, x: Array) -> Array:
+        """Per standardised component of the effect; simulated for one run of each command, as
+        repeats differ by their nuisances only."""
         first: dict[object, Run] = {}
         twins = [first.setdefault(_sampling(run), run) for run in problem.runs]
         wide = replace(

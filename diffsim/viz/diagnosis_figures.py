@@ -182,6 +182,27 @@ def next_run_bars(chi2_gain: Mapping[str, float], best: str) -> Figure:
     return figure
 
 
+def force_map_picture(groups: Sequence[str], components: Sequence[str], z: Array) -> Figure:
+    """Scores of a generic force, a row per command, in noise standard deviations.
+
+    Args:
+        groups: Commands.
+        components: Of the force: times, places, directions.
+        z: (num_groups, num_components) scores over their noise.
+    """
+    figure, ax = new_figure(height=1.2 + 0.35 * len(groups))
+    # noise alone stays pale
+    most = max(5.0, float(np.abs(z).max(initial=0.0)))
+    drawn = ax.imshow(z, cmap="RdBu_r", vmin=-most, vmax=most, aspect="auto")
+    every = max(1, len(components) // 24)
+    ax.set_xticks(range(0, len(components), every), components[::every], rotation=90, fontsize=7.5)
+    ax.set_yticks(range(len(groups)), groups, fontsize=8)
+    ax.grid(False)
+    bar = figure.colorbar(drawn, ax=ax)
+    bar.set_label("score [noise sd]", color=SOFT)
+    return figure
+
+
 def _residuals(
     label: str,
     colour: str,

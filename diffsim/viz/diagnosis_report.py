@@ -325,9 +325,16 @@ def figures_of(report: Any, *, force_map: page.Picture | None = None) -> Diagnos
 
     Args:
         report: ``diffsim.diagnose.Report``.
-        force_map: Picture of where and when a force is missing.
+        force_map: Picture of where and when a force is missing; the report's own scores if None.
     """
     study, settings = report.study, dict(report.settings)
+    scores = getattr(report, "force_map", None)
+    if force_map is None and scores is not None:
+        force_map = page.Picture(
+            uri=_png(draw.force_map_picture(scores.groups, scores.components, scores.z)),
+            caption=f"Score of the {scores.name} by command and component, over what the repeats' "
+            "difference does to it: beyond 3 a push of that place, time and sign is missing.",
+        )
     extended = report.best if report.named else None
     next_run = report.next_run
     return DiagnosisFigures(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -11,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.diagnose import diagnose
-from diffsim.identify import fit
+from diffsim.diagnose import SimModel, diagnose
+from diffsim.identify import Whitener, fit
 from tests.diagnose import toy
 
 Case = dict[str, Any]
@@ -69,6 +70,7 @@ def cases(seed: int, scale: int = 1) -> Iterator[Case]:
 
 def solve(case: Case) -> Case:
     """The case with the verdict; lambda of single effects from noise-free data."""
+    started = time.process_time()
     study = toy.generate(case["seed"], case["hidden"], **case["options"])
     step = 0.02 if case["kind"] == "numerical" else None
     library = toy.LIBRARY + ((toy.ClockOffset(),) if case["kind"] == "twins" else ())
@@ -85,14 +87,26 @@ def solve(case: Case) -> Case:
         if report.gain is None
         else [report.gain.value, report.gain.low, report.gain.high, report.gain.excess],
     }
+    out["simulations"] = report.settings["num_simulations"]
+    out["cpu_s"] = time.process_time() - started
     rows = {r.effect: r for r in report.table}
-    if case["kind"] == "single":
-        (name,) = case["hidden"]
-        out["size"], out["sd"] = rows[name].size["size"], rows[name].sd["size"]
-        clean = toy.generate(case["seed"], case["hidden"], noise=0.0)
-        whitener = report.null.problem.whitener
-        null = fit(model, clean.fit_runs, clean.channels, whitener=whitener)
-        out["lambda"] = float(np.sqrt(null.chi2))
+    hidden = case["hidden"]
+    if case["kind"] in ("single", "pair"):
+        out["size"] = {n: rows[n].size["size"] for n in hidden}
+        out["sd"] = {n: rows[n].sd["size"] for n in hidden}
+    if case["kind"] in ("single", "pair", "outside"):
+        out["lambda"] = lambdas(case, model, report.null.problem.whitener)
+    return out
+
+
+def lambdas(case: Case, model: SimModel, whitener: Whitener) -> dict[str, float]:
+    """|W (truth - refit without this effect)| on noise-free data, by hidden effect."""
+    clean = toy.generate(case["seed"], case["hidden"], noise=0.0)
+    out = {}
+    for name in case["hidden"]:
+        others = [e for e in toy.LIBRARY if e.name in case["hidden"] and e.name != name]
+        left = fit(model, clean.fit_runs, clean.channels, effects=others, whitener=whitener)
+        out[name] = float(np.sqrt(left.chi2))
     return out
 
 

@@ -8,7 +8,15 @@ import pytest
 import torch
 import yaml
 
-from diffsim.diagnose import DiagnosisSettings, SearchSettings, diagnose, extended_model, next_run
+from diffsim.diagnose import (
+    DiagnosisSettings,
+    NumericalEffect,
+    Numerics,
+    SearchSettings,
+    diagnose,
+    extended_model,
+    next_run,
+)
 from diffsim.diagnose.crosscheck import swap_probability
 from diffsim.diagnose.evidence import Linearisation
 from diffsim.diagnose.gates import data_gate, gradient_gate
@@ -131,8 +139,8 @@ def test_repeats_confirm_a_repeatable_cause_and_not_noise():
             runs = [replace(r, measured=r.measured + 3 * shared) for r in runs]
             problem = linear.problem((), runs)
             x = np.zeros(2)
-            mean = problem.residual(x)
-            values.append(swap_probability(problem, x, mean, UnknownDrift(0, "drift"), seed=0))
+            moved = UnknownDrift(0, "drift").responses(problem, x)
+            values.append(swap_probability(problem, problem.residual(x), moved, seed=0))
         probabilities[common] = np.array(values)
     # under noise alone the probability is uniform: 20 draws below 0.02 at most twice (p = 0.007)
     assert (probabilities[0.0] < 0.02).sum() <= 2
@@ -204,3 +212,89 @@ def test_threads_change_nothing():
     two = replace(one, workers=2)
     for a, b in zip(one.linearise(np.ones(2)), two.linearise(np.ones(2)), strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def test_numerical_cause_is_named_where_accepted():
+    report = solve(12, step=0.02, settings=replace(QUICK, accept_numerics=True))
+    row = next(r for r in report.table if r.effect == "coarse_time_step")
+    assert row.status in ("named", "rival")
+    # a first-order method: halving the step halves the error, so the whole error is phi near 2
+    assert 1.0 < row.size["size"] < 3.0
+
+
+def test_numerical_shift_widens_the_interval():
+    fine, coarse = (
+        next(r for r in solve(12, {"scale": 0.1}, step=h, settings=s).table if r.effect == "scale")
+        for h, s in ((0.0005, QUICK), (0.02, replace(QUICK, accept_numerics=True)))
+    )
+    assert coarse.sd["size"] > fine.sd["size"]
+
+
+def test_numerical_cause_blends_predictions_one_by_one_and_many():
+    run = toy.generate(1).runs[0]
+    model = toy.model([run], 0.02)
+    cause, q = NumericalEffect("time_step", Numerics(time_step=0.5)), torch.zeros(5)
+    q = q.double()
+    coarse, fine = (model.predict(run, q, None, Numerics(time_step=h)) for h in (1.0, 0.5))
+    sizes = torch.tensor([[0.0], [0.4], [1.0]], dtype=torch.float64)
+    expected = torch.stack([coarse, 0.6 * coarse + 0.4 * fine, fine])
+    many = model.predict_many(run, q.expand(3, 5), {cause: sizes})
+    np.testing.assert_allclose(many, expected, atol=1e-12)
+    for size, want in zip(sizes, expected, strict=True):
+        np.testing.assert_allclose(model.predict(run, q, {cause: size}), want, atol=1e-12)
+
+
+def test_interrupted_diagnosis_goes_on_from_its_cache(tmp_path):
+    study = toy.generate(2, {"drag": 0.2})
+    told = []
+
+    def stop(stage, fraction, message):
+        told.append((stage, fraction))
+        if stage == "gain":
+            raise KeyboardInterrupt
+
+    def go(progress=None, cache=tmp_path):
+        model = toy.model(study.runs)
+        return diagnose(study, model, FEW, seed=0, settings=QUICK, progress=progress, cache=cache)
+
+    with pytest.raises(KeyboardInterrupt):
+        go(stop)
+    assert [f for _, f in told] == sorted(f for _, f in told)
+    again, fresh = go(), go(cache=None)
+    assert again.verdict == fresh.verdict == "named" and again.named == fresh.named
+    row, same = (next(r for r in x.table if r.effect == "drag") for x in (again, fresh))
+    assert abs(row.size["size"] - same.size["size"]) < 0.1 * row.sd["size"]
+    assert again.settings["num_simulations"] < 0.7 * fresh.settings["num_simulations"]
+    for file in tmp_path.rglob("*.npz"):  # not whole: simulated again
+        file.write_bytes(file.read_bytes()[:100])
+    assert go().named == ("drag",)
+
+
+def test_model_is_prepared_at_the_null_fit():
+    study, seen = toy.generate(2, {"drag": 0.2}), []
+
+    class Prepared(type(toy.model(study.runs))):
+        def prepared_at(self, q):
+            seen.append(q)
+            return Prepared(self.build, self.base, "prepared", batched=True)
+
+    plain = toy.model(study.runs)
+    model = Prepared(plain.build, plain.base, "plain", batched=True)
+    report = diagnose(study, model, FEW[:1], seed=0, settings=QUICK)
+    assert len(seen) == 1 and seen[0].shape == (len(plain.base),)
+    assert report.null.problem.model.name == "prepared"
+    assert report.verdict == "named"
+
+
+def test_force_map_finds_where_a_push_acts():
+    report = solve(
+        21, {"pulse": 0.3}, library=(toy.Bias(),), unknowns=[toy.unknown_force()], settings=QUICK
+    )
+    found = report.force_map
+    assert found.values.shape == found.noise.shape == (3, 21)
+    # generated at 1.7 s; knots every 0.2 s
+    at = 0.2 * np.abs(found.z).argmax(axis=1)
+    assert np.abs(at - 1.7).max() < 0.5
+    quiet = solve(11, library=(toy.Bias(),), unknowns=[toy.unknown_force()]).force_map
+    assert np.abs(quiet.z).max() < 5.0 < np.abs(found.z).max()
+    json.dumps(report.to_dict())

@@ -1,0 +1,100 @@
+"""Where and when a force is missing: the score of a generic force, over its noise.
+
+With residual r = W (y - S) of the plain model and slopes G_c of component c (a knot in time, a
+shape, in one command), the score is the gradient
+
+    s_c = d(-1/2 |r|^2) / d f_c = sum over repeats of G_c' r
+
+Repeats a and b with signs + and - in place of + and + give a map of the same noise that no
+repeatable force touches: its root mean square over |G_c| is the noise scale.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.diagnose.unknown import UnknownForce
+from diffsim.identify import Problem
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ForceMap:
+    """Scores of a generic force.
+
+    Attributes:
+        name: Of the force.
+        groups: Commands.
+        components: Of the force.
+        values: (num_groups, num_components) scores [nats per standardised component].
+        noise: (num_groups, num_components) their standard deviation under noise alone.
+    """
+
+    name: str
+    groups: tuple[str, ...]
+    components: tuple[str, ...]
+    values: Array
+    noise: Array
+
+    @property
+    def z(self) -> Array:
+        """Scores in noise standard deviations; zero where the record does not move at all."""
+        return np.divide(
+            self.values, self.noise, out=np.zeros_like(self.values), where=self.noise > 0.0
+        )
+
+
+def force_map(problem: Problem, force: UnknownForce, slopes: Array, residual: Array) -> ForceMap:
+    """Scores of a force at the plain model.
+
+    Args:
+        problem: Of the fit that left the residual.
+        force: Whose components are mapped.
+        slopes: (N, num_components) of ``force.slopes`` there; nothing is simulated.
+        residual: (num_valid,) whitened.
+    """
+    scores, lengths = _by_run(problem, slopes, residual)
+    members: dict[str, list[int]] = defaultdict(list)
+    for i, run in enumerate(problem.runs):
+        members[run.group].append(i)
+    values, noise = [], []
+    for group in members.values():
+        values.append(scores[group].sum(axis=0))
+        length = np.sqrt(lengths[group].sum(axis=0))
+        noise.append(length * _scatter(scores[group], lengths[group]))
+    return ForceMap(
+        force.name,
+        tuple(members),
+        tuple(force.effect.components),
+        np.array(values),
+        np.array(noise),
+    )
+
+
+def _by_run(problem: Problem, slopes: Array, residual: Array) -> tuple[Array, Array]:
+    """(num_runs, num_components) G'r and |G|^2 of every run."""
+    scores, lengths, row, valid = [], [], 0, 0
+    for run in problem.runs:
+        g = problem.whiten(run, slopes[row : row + run.measured.size])
+        scores.append(g.T @ residual[valid : valid + len(g)])
+        lengths.append(np.sum(g**2, axis=0))
+        row += run.measured.size
+        valid += len(g)
+    return np.array(scores), np.array(lengths)
+
+
+def _scatter(scores: Array, lengths: Array) -> float:
+    """Root mean square of the first two repeats' difference over what unit noise makes of it; 1
+    without repeats."""
+    if len(scores) < 2:
+        return 1.0
+    length = np.sqrt(lengths[:2].sum(axis=0))
+    seen = length > 0.0
+    if not seen.any():
+        return 1.0
+    return float(np.sqrt(np.mean(((scores[0] - scores[1])[seen] / length[seen]) ** 2)))

@@ -1,0 +1,97 @@
+"""What was simulated, on disk: a long diagnosis that was interrupted goes on where it was."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from io import BytesIO
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim._files import write_bytes_atomic
+from diffsim.data.study import Study
+from diffsim.diagnose.local import Local
+from diffsim.diagnose.model import SimModel
+
+Array = NDArray[np.float64]
+
+
+class Store:
+    """Files of one study, model and set of candidates in a folder.
+
+    The name of the model stands for its code: empty the folder after changing that.
+
+    Args:
+        folder: Shared by any number of studies.
+        key: As ``key_of`` makes it.
+    """
+
+    def __init__(self, folder: str | Path, key: str):
+        self.folder = Path(folder) / key
+
+    def save(self, name: str, local: Local) -> None:
+        """Write a point."""
+        self._write(
+            name,
+            x=local.x,
+            record=local.record,
+            idx=np.array(local.idx, dtype=np.int64),
+            columns=local.columns,
+            stray=np.array(local.stray),
+        )
+
+    def load(self, name: str) -> Local | None:
+        """A point; None if there is none that can be read."""
+        found = self._read(name)
+        if found is None:
+            return None
+        idx = tuple(int(i) for i in found["idx"])
+        return Local(found["x"], found["record"], idx, found["columns"], float(found["stray"]))
+
+    def save_array(self, name: str, array: Array) -> None:
+        """Write an array."""
+        self._write(name, array=array)
+
+    def load_array(self, name: str) -> Array | None:
+        """An array; None if there is none that can be read."""
+        found = self._read(name)
+        return None if found is None else found["array"]
+
+    def _write(self, name: str, **arrays: NDArray) -> None:
+        buffer = BytesIO()
+        np.savez(buffer, **arrays)  # type: ignore[arg-type]
+        write_bytes_atomic(self._path(name), buffer.getvalue())
+
+    def _read(self, name: str) -> dict[str, NDArray] | None:
+        try:
+            with np.load(self._path(name)) as file:
+                return dict(file)
+        except (FileNotFoundError, ValueError, BadZipFile):  # not there, or not whole
+            return None
+
+    def _path(self, name: str) -> Path:
+        return self.folder / f"{hashlib.sha256(name.encode()).hexdigest()[:24]}.npz"
+
+
+def key_of(study: Study, model: SimModel, *settings: object) -> str:
+    """Hash of recordings, model name, its parameters, and whatever else changes a simulation."""
+    digest = hashlib.sha256()
+    for part in _parts(study, model, settings):
+        digest.update(part if isinstance(part, bytes) else repr(part).encode())
+    return digest.hexdigest()[:24]
+
+
+def _parts(study: Study, model: SimModel, settings: Iterable[object]) -> Iterable[object]:
+    yield study.name, study.system, study.channels, dict(study.metadata)
+    for run in study.runs:
+        yield run.name, run.group, run.order, run.use, dict(run.setup), run.measured.shape
+        yield run.time_s.tobytes()
+        yield run.measured.tobytes()
+        for name, values in run.command.items():
+            yield name
+            yield np.asarray(values).tobytes()
+    yield model.name, model.base
+    yield from settings
