@@ -13,9 +13,7 @@ from torch import Tensor
 _SHORTEST_LAG = 1e-3  # of a step: below it exp(-dt / tau) is zero to the last digit
 
 
-def sample(
-    values: Tensor, dt: float, times: Tensor, start_rate: Tensor | None = None
-) -> Tensor:
+def sample(values: Tensor, dt: float, times: Tensor, start_rate: Tensor | None = None) -> Tensor:
     """Values at any times of what starts at rest, or at a known rate; held beyond the ends.
 
     By cubics with slopes of fourth order.

@@ -203,7 +203,10 @@ class _Bar:
         # the layer of elements nearest to half way out, so that refining keeps the arm
         layer = depth / cells[1]
         self.arm = layer * (max(0, round(0.25 * depth / layer - 0.5)) + 0.5)
-        path = [[0.0, 0.5 * depth + self.arm, 0.5 * width], [length, 0.5 * depth + self.arm, 0.5 * width]]
+        path = [
+            [0.0, 0.5 * depth + self.arm, 0.5 * width],
+            [length, 0.5 * depth + self.arm, 0.5 * width],
+        ]
         tendon = soft.Tendon(box, path, axial_stiffness=TENDON_STIFFNESS_N, slack=False)
         self.body = soft.SoftBody(
             box,

@@ -1,4 +1,4 @@
-"""The recorded silicone beam (``import_study("silicone_beam")``): model, causes, runs to do next."""
+"""The recorded silicone beam (``import_study("silicone_beam")``): model, causes, next runs."""
 
 from __future__ import annotations
 

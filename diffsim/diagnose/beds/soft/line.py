@@ -53,9 +53,7 @@ class SceneLine:
     points: tuple[OwnedScene, ...]
     effect: Effect | None
 
-    def mapped(
-        self, f: Callable[[float, Any], SoftScene]
-    ) -> SceneLine:
+    def mapped(self, f: Callable[[float, Any], SoftScene]) -> SceneLine:
         """The line of the scenes f(offset, scene) at its points."""
         points = zip(self.stencil.offsets, self.points, strict=True)
         made = tuple(OwnedScene(f(o, p.scene), p.owners) for o, p in points)

@@ -56,7 +56,11 @@ class Creep(Effect):
 
     name, family, kind, unit, typical = "creep", "creep", "material", "1/decade", 0.04
     signed = False
-    also_looks_like = ("slow sinking of the clamp", "drift of the held state", "lower end of a loss")
+    also_looks_like = (
+        "slow sinking of the clamp",
+        "drift of the held state",
+        "lower end of a loss",
+    )
 
     def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
         return _relaxing(scene, _CREEP_HZ, size[0])

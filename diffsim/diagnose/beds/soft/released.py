@@ -256,7 +256,7 @@ def _spread(volume: Tensor, nodes: Tensor) -> Tensor:
 def _cameras(
     y: Tensor, seen: TipChannels, values: Mapping[str, Tensor], hand: Mapping[str, Tensor]
 ) -> Tensor:
-    """Displacements from the first sample in the cameras' axes, of markers where they really are."""
+    """Displacements from the first sample, in the cameras' axes, of markers where they are."""
     y = y - y[:1]
     reach = torch.stack([values["marker_ahead"], values["marker_above"]])
     y = y + (y @ seen.pitch)[:, None] * (seen.lever @ reach)

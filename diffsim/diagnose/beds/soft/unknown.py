@@ -52,6 +52,6 @@ class _Knots(Force):
 
 
 def unknown_force(num_knots: int, until_s: float, axes: str = "xyz") -> Effect:
-    """The effect with ``num_knots`` >= 2 knots from 0 to ``until_s`` [s], along some of the axes."""
+    """The effect with ``num_knots`` >= 2 knots from 0 to ``until_s`` [s], along ``axes``."""
     names = tuple(f"{a}_{s}_{k}" for a in axes for s in _SHAPES for k in range(num_knots))
     return type("UnknownForce", (_UnknownForce,), {"components": names})(num_knots, until_s, axes)
