@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import argparse
 import time
-from typing import Any
 
 from diffsim.data.importers import import_study
 from diffsim.diagnose import SearchSettings, diagnose
-from diffsim.diagnose.search import Search
 from diffsim.diagnose.setups.silicone_beam import setup, tip_window
 
 
@@ -29,7 +27,6 @@ def main() -> None:
     search = SearchSettings(max_effects=given.max_effects, num_refits=2, max_rounds=4)
     made = setup(study, cells=given.cells, dt_s=given.dt, search=search)
     effects = [e for e in made.effects if not given.effects or e.name in given.effects]
-    _log_refits()
     report = diagnose(
         study,
         made.model,
@@ -38,6 +35,7 @@ def main() -> None:
         unknowns=made.unknowns,
         bank=made.bank,
         settings=made.settings,
+        progress=_show,
     )
     report.save(given.out)
     print(report.verdict, *report.sentences, sep="\n")
@@ -46,20 +44,8 @@ def main() -> None:
     print(f"{time.process_time():.0f} s of processor time")
 
 
-def _log_refits() -> None:
-    """Every refit as it is made."""
-    plain = Search.refit
-
-    def refit(self: Search, members: frozenset[int], *args: Any, **kwargs: Any) -> Any:
-        is_new = not any(h.effects == members and h.unknown is None for h in self.entries)
-        entry = plain(self, members, *args, **kwargs)
-        if is_new and entry is not None:
-            names = " + ".join(self.wide.effects[i].name for i in sorted(members)) or "nothing"
-            told = f"{names}: {entry.nats:.1f} nats, chi2 {entry.weighed.chi2:.1f}"
-            print(f"{time.process_time():.0f} s  {told}", flush=True)
-        return entry
-
-    Search.refit = refit  # type: ignore[method-assign]
+def _show(stage: str, fraction: float, message: str) -> None:
+    print(f"{time.process_time():.0f} s  {stage}: {message}", flush=True)
 
 
 if __name__ == "__main__":

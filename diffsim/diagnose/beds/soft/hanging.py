@@ -147,7 +147,8 @@ def slack_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor
         line.difference(lambda o, s, a=a, b=b: s.joined(fall + o * a, swing + o * b, last))
         for line, a, b in zip(lines, fall_rates, swing_rates, strict=True)
     ]
-    return scene.joined(fall, swing, last), torch.stack(columns)
+    here = scene.joined(fall, swing, last)
+    return here, torch.stack(columns) if columns else here.new_zeros(0, *here.shape)
 
 
 def _places(x: Tensor) -> Tensor:

@@ -39,7 +39,9 @@ def scene_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor
     for line in lines:
         if line not in found:
             found[line] = line.difference(lambda o, s: s.simulate())
-    return scene.channels(observed), torch.stack([found[n] for n in lines])
+    here = scene.channels(observed)
+    columns = [found[n] for n in lines]
+    return here, torch.stack(columns) if columns else here.new_zeros(0, *here.shape)
 
 
 def motion_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor, list[Tensor]]:
