@@ -58,5 +58,5 @@ def test_weight_that_falls_by_itself_at_first(study):
     report = diagnose(window, made.model, effects, seed=0, settings=made.settings)
     row = next(r for r in report.table if r.effect == "slack_string")
     assert row.status == "named" and row.nats is not None and row.nats > 20.0
-    # the weight has fallen as far as the tip when the string catches it: about 10 mm
-    assert 0.5 * 9.81 * row.size["size"] ** 2 == pytest.approx(0.010, abs=0.006)
+    # the loaded tip pauses 10 mm down, about 45 ms after release (tests/data/test_beam.py)
+    assert row.size["size"] == pytest.approx(0.010, abs=0.006)

@@ -114,7 +114,7 @@ def setup(
     return DiagnosisSetup(
         model,
         causes(study),
-        unknowns=(UnknownForce(force, np.kron(np.eye(2), in_time)),),
+        unknowns=(UnknownForce(force, np.kron(np.eye(2), in_time).astype(np.float64)),),
         bank=_bank(study),
         settings=DiagnosisSettings(
             search=search or SearchSettings(num_refits=3, max_rounds=5), accept_numerics=True
@@ -250,7 +250,7 @@ class _Bar:
                 (s + 1.0) * s * (s - 1.0) / 6.0,
             ]
         )
-        return sum(weights[i] * y[..., left - 1 + i] for i in range(4))
+        return torch.stack([weights[i] * y[..., left - 1 + i] for i in range(4)]).sum(0)
 
     def stiffness_over_beam_theory(self, youngs_modulus: float, arm: float) -> float:
         """How much stiffer the mesh is under a moment at the tip (locking): M L^2 / (2 E I)."""

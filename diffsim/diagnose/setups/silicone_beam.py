@@ -131,7 +131,7 @@ def geometry(study: Study) -> BeamGeometry:
         poissons_ratio=float(matter["poisson_ratio"]),
         youngs_modulus_published_Pa=float(matter["youngs_modulus_Pa_used_by_authors"]),
         gravity_m_s2=float(matter["gravity_m_s2_used_by_authors"]),
-        marker_place_m={name: tuple(map(float, place)) for name, place in places.items()},
+        marker_place_m={n: (float(p[0]), float(p[1]), float(p[2])) for n, p in places.items()},
     )
 
 
@@ -141,7 +141,8 @@ def _smooth_force(until_s: float) -> UnknownForce:
     knots = np.linspace(0.0, until_s, count)
     in_time = smooth_covariance(knots, 2.0 * until_s / (count - 1))
     effect = unknown_force(count, until_s, axes="z")
-    return UnknownForce(effect, np.kron(np.eye(2), in_time))
+    both = np.kron(np.eye(2), in_time).astype(np.float64)
+    return UnknownForce(effect, both)
 
 
 def _bank(study: Study) -> tuple[Run, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,15 +20,18 @@ from diffsim.diagnose.effect import Effect
 
 
 class SlackString(Effect):
-    """The weight falls freely for the time size after release, then the string catches it.
+    """The weight falls freely by the height size after release, then the string catches it.
 
     Until then the body moves without it; the catch is plastic (momentum is kept). Size 0 is the
     weight as a mass fixed to the body. Whether the size is physical can be checked: the tip must
-    have come down by g size^2 / 2 by then.
+    have come down as far by then.
+
+    Not smooth: the time of the fall, sqrt(2 size / g), has no derivative at 0.
     """
 
-    name, family, kind, unit, typical = "slack_string", "load", "force", "s", 0.03
+    name, family, kind, unit, typical = "slack_string", "load", "force", "m", 0.01
     signed = False
+    smooth = False
     also_looks_like = ("a hand that goes down with the tip at first", "weight let go later")
 
     def needs(self, study: Study) -> str | None:
@@ -39,7 +43,8 @@ class SlackString(Effect):
         if not run.setup.get("tip_load_mass_kg", 0.0) > 0.0:
             return scene
         kept = {f.name: getattr(scene, f.name) for f in fields(scene)}
-        return SlackScene(**kept, slack_s=size[0])
+        g = scene.parameter("gravity").norm()
+        return SlackScene(**kept, slack_s=(2.0 * size[0].clamp(min=0.0) / g).sqrt())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -123,7 +128,7 @@ class SlackScene(SoftScene):
             scale = float(np.prod([i - j for j in others]))
             value.append(torch.stack([s - j for j in others]).prod() / scale)
             pairs = [(a, b) for k, a in enumerate(others) for b in others[k + 1 :]]
-            slope.append(sum((s - a) * (s - b) for a, b in pairs) / scale)
+            slope.append(torch.stack([(s - a) * (s - b) for a, b in pairs]).sum() / scale)
         around = fall[first : first + 4]
         x = torch.tensordot(torch.stack(value), around, 1).reshape(-1, 3)
         v = torch.tensordot(torch.stack(slope), around, 1).reshape(-1, 3) / self.body.dt
@@ -137,15 +142,22 @@ def slack_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor
     last = scene.last_fall_step()
     falls = [line.mapped(lambda o, s: s.falling(last)) for line in lines]
     fall, fall_rates = motion_tangents(OwnedScene(scene.falling(last), base.owners), falls)
+
+    def later(rate: Tensor, offset: float, moved: SlackScene) -> SoftScene:
+        return moved.swinging(fall + offset * rate, last)
+
     swings = [
-        line.mapped(lambda o, s, t=t: s.swinging(fall + o * t, last))
-        for line, t in zip(lines, fall_rates, strict=True)
+        line.mapped(partial(later, rate)) for line, rate in zip(lines, fall_rates, strict=True)
     ]
     start = OwnedScene(scene.swinging(fall, last), base.owners)
     swing, swing_rates = motion_tangents(start, swings)
+
+    def shown(early: Tensor, late: Tensor, offset: float, moved: SlackScene) -> Tensor:
+        return moved.joined(fall + offset * early, swing + offset * late, last)
+
     columns = [
-        line.difference(lambda o, s, a=a, b=b: s.joined(fall + o * a, swing + o * b, last))
-        for line, a, b in zip(lines, fall_rates, swing_rates, strict=True)
+        line.difference(partial(shown, early, late))
+        for line, early, late in zip(lines, fall_rates, swing_rates, strict=True)
     ]
     here = scene.joined(fall, swing, last)
     return here, torch.stack(columns) if columns else here.new_zeros(0, *here.shape)

@@ -71,7 +71,10 @@ def _relaxing(scene: SoftScene, branch_hz: tuple[float, ...], strength: Tensor) 
     # the branches' instantaneous part is stiffness, which the implicit step takes
     young = scene.parameter("youngs_modulus")
     stiff = scene.with_parameter("youngs_modulus", young * (1.0 + len(branch_hz) * strength))
-    return stiff.with_force(lambda: _Relaxation(scene, branch_hz, strength))
+    relaxed = {"youngs_modulus": young, **scene.relaxed}
+    return stiff.changed(relaxed=relaxed).with_force(
+        lambda: _Relaxation(scene, branch_hz, strength)
+    )
 
 
 class _Relaxation(Force):

@@ -79,6 +79,8 @@ class SoftScene:
         holding_force: (num_vertices, 3) of a hand that lets go at 0 [N]; None: none.
         start_position: (num_vertices, 3) for the start "given" [m].
         start_velocity: (num_vertices, 3) at 0 [m/s]; None: at rest.
+        relaxed: Parameters that the body has at rest, once hooks with memory have relaxed: the
+            first guess of the equilibrium, which is iterated all the same.
         start_time: What the hooks' clock shows at 0 [s].
         command: (num_commands, width) evenly spaced, or None.
         command_dt: Its spacing [s].
@@ -104,6 +106,7 @@ class SoftScene:
     holding_force: Tensor | None = None
     start_position: Tensor | None = None
     start_velocity: Tensor | None = None
+    relaxed: Mapping[str, Tensor] = field(default_factory=dict)
     start_time: float = 0.0
     command: Tensor | None = None
     command_dt: float = math.nan
@@ -201,8 +204,11 @@ class SoftScene:
     def _equilibrium(self, activation: Tensor | None, physics: soft.Physics) -> soft.State:
         """At rest under the first activation, the holding force and all hooks' forces."""
         held = self.holding_force
+        guess = (
+            self.body.physics(**{**self.parameters, **self.relaxed}) if self.relaxed else physics
+        )
         state = self.body.static_equilibrium(
-            external_force=held, activation=activation, physics=physics
+            external_force=held, activation=activation, physics=guess
         )
         if not self.forces and self.water is None:
             return state

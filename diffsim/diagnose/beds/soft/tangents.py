@@ -8,6 +8,7 @@ forces, clocks and output maps. The motion itself is not simulated again: its ta
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import torch
@@ -33,8 +34,8 @@ def scene_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor
     alike = [n for n in lines if _alike(scene, n)]
     observed, tangents = motion_tangents(base, alike)
     found = {
-        line: line.difference(lambda o, s, t=t: s.channels(observed + o * t))
-        for line, t in zip(alike, tangents, strict=True)
+        line: line.difference(partial(_shown, observed, tangent))
+        for line, tangent in zip(alike, tangents, strict=True)
     }
     for line in lines:
         if line not in found:
@@ -42,6 +43,11 @@ def scene_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor
     here = scene.channels(observed)
     columns = [found[n] for n in lines]
     return here, torch.stack(columns) if columns else here.new_zeros(0, *here.shape)
+
+
+def _shown(observed: Tensor, tangent: Tensor, offset: float, scene: SoftScene) -> Tensor:
+    """Channels of a scene a little along a line."""
+    return scene.channels(observed + offset * tangent)
 
 
 def motion_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor, list[Tensor]]:
