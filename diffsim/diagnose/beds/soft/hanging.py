@@ -42,9 +42,11 @@ class SlackString(Effect):
     def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
         if not run.setup.get("tip_load_mass_kg", 0.0) > 0.0:
             return scene
+        if not float(size[0].detach()) > 0.0:
+            return scene
         kept = {f.name: getattr(scene, f.name) for f in fields(scene)}
         g = scene.parameter("gravity").norm()
-        return SlackScene(**kept, slack_s=(2.0 * size[0].clamp(min=0.0) / g).sqrt())
+        return SlackScene(**kept, slack_s=(2.0 * size[0] / g).sqrt())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
