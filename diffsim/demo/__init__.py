@@ -11,7 +11,7 @@ from diffsim._files import write_bytes_atomic, write_json_atomic
 from diffsim.data.beam import BeamStudy, load_beam_study
 from diffsim.data.recording import find_dataset
 from diffsim.data.virtual_lab import write_beam_study
-from diffsim.demo import fitting, ladder, measured, mesh_study, numerics, verdict
+from diffsim.demo import diagnosis, fitting, ladder, measured, mesh_study, numerics, verdict
 from diffsim.demo.plan import FULL, QUICK, Plan
 from diffsim.demo.stages import Stages, code_digest, file_digest
 from diffsim.demo.workers import Workers
@@ -28,7 +28,7 @@ def main(**options: Any) -> int:
     results = run(**options)
     if results["is_virtual"]:
         print(f"\n{VIRTUAL_BANNER}")
-    for sentence in results["verdict"]:
+    for sentence in (*results["verdict"], *results["diagnosis"].get("sentences", ())):
         print(f"\n{sentence}")
     print(f"\npage       {results['files']['page']}\nnumbers    {results['files']['numbers']}")
     if results["files"]["rerun"]:
@@ -169,6 +169,8 @@ def _compute(
         valid=ladder.surfaces_exist,
     )["runs"]
     results["remaining"] = ladder.compare(study, models, results["simulated"])
+    workers.stage("diagnosis", 0)
+    results["diagnosis"] = stages.run("diagnosis", lambda: diagnosis.describe(study, plan))
     results["models"] = {
         rung.name: {
             "title": rung.title,
@@ -198,7 +200,7 @@ def _moduli(results: dict[str, Any], published: float) -> dict[str, float]:
 
 
 def _without_curves(results: dict[str, Any]) -> dict[str, Any]:
-    """For results.json: curves stay in stages/simulated.json."""
+    """For results.json: curves and pictures stay in stages/."""
     runs = {
         rung: {
             case: {k: v for k, v in run.items() if k not in ("time_s", "tip_m")}
@@ -206,7 +208,8 @@ def _without_curves(results: dict[str, Any]) -> dict[str, Any]:
         }
         for rung, cases in results["simulated"].items()
     }
-    return {**results, "simulated": runs}
+    diagnosed = {k: v for k, v in results["diagnosis"].items() if k != "pictures"}
+    return {**results, "simulated": runs, "diagnosis": diagnosed}
 
 
 def _write_extras(

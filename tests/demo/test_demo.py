@@ -50,6 +50,8 @@ def test_page_and_json_hold_the_numbers(virtual_run):
     for sentence in kept["verdict"]:
         assert sentence.split("'")[0] in page  # an apostrophe is escaped
     assert page.count("<img") >= 11
+    # no cause is named in data that a laboratory computed
+    assert "skipped" in kept["diagnosis"] and "virtual laboratory" in page
 
 
 def test_recovers_the_truth_of_the_virtual_laboratory(virtual_run):
@@ -172,3 +174,7 @@ def test_measured_beam(tmp_path):
     floor = results["measured"]["repeats"]["gravity"]["vertical_rms_m"]
     left = {m: r["gravity_b"]["vertical_rms_m"] for m, r in results["remaining"].items()}
     assert left["identified"] < 2.0 * floor < 3.0 * floor < left["published"]
+    found = results["diagnosis"]
+    assert found["verdict"] in ("named", "ambiguous", "unknown") and len(found["pictures"]) == 3
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert found["sentences"][0].split("'")[0].split(" +- ")[0] in page

@@ -14,7 +14,9 @@ from diffsim.diagnose.beds.soft import beam_model, tendon_model, unknown_force
 from diffsim.diagnose.beds.soft import forces as soft_forces
 from diffsim.diagnose.beds.soft import material as soft_material
 from diffsim.diagnose.beds.soft import sensor as soft_sensor
+from diffsim.diagnose.beds.soft.hanging import SlackString
 from diffsim.diagnose.beds.soft.models import BEAM_BASE
+from diffsim.diagnose.beds.soft.released import released_beam
 from diffsim.diagnose.beds.soft.scene import Moment
 from diffsim.identify import Parameter
 from tests.diagnose.gate import score_error, typical
@@ -318,3 +320,78 @@ def test_missing_command_is_named():
         predict(tendon_model(cells=CELLS), RUN)
     with pytest.raises(ValueError, match="system must be one of"):
         library("soft_bdy")
+
+
+def held_run(load_kg=0.0, until_s=0.2):
+    """Held until 0, with channels of the mean marker in the plane of the bar."""
+    time = np.arange(-0.02, until_s, 0.01)
+    load = {"tip_load_mass_kg": load_kg}
+    return Run("a", time, np.zeros((len(time), 3)), {}, "g", setup=load)
+
+
+def held_beam():
+    channels = [Channel("tip_x_m", "m", "position"), Channel("tip_z_m", "m", "position")]
+    channels.append(Channel("tip_pitch_rad", "rad", "angle"))
+    return released_beam(BAR, channels, ["a"], cells=(6, 1, 2), rtol=1e-11)
+
+
+def test_hand_holds_the_bar_where_it_would_be_straight():
+    model, run = held_beam(), held_run(0.05)
+    scene = model.scene(run, model.at_prior())
+    state = scene.initial_state(None, scene.body.physics(**scene.parameters))
+    tip = float((scene.friction_shares @ (state.x - scene.body.x_rest))[2])
+    free = scene.changed(holding_force=None)
+    sag = float((free.initial_state(None, free.body.physics(**free.parameters)).x.min(0)[0])[2])
+    # the reaction of a propped Bernoulli beam holds a stubby, locking solid to a tenth of its sag
+    assert abs(tip) < 0.1 * abs(sag)
+    shown = predict(model, run)
+    torch.testing.assert_close(shown[:3], torch.zeros_like(shown[:3]), atol=1e-9, rtol=0)
+    assert float(shown[-1, 1]) < -1e-3  # it has fallen
+
+
+def test_slack_string_lets_the_bar_go_alone_first():
+    model, slack = held_beam(), SlackString()
+    loaded, light = held_run(0.05), held_run(0.0)
+    alone, late = predict(model, light), predict(model, loaded, slack, size(0.5 * 9.81 * 0.05**2))
+    before = loaded.time_s < 0.045
+    torch.testing.assert_close(late[before], alone[before], atol=1e-8, rtol=0)
+    assert float((late - alone)[~before].abs().max()) > 1e-3
+    fixed = predict(model, loaded)
+    soon = predict(model, loaded, slack, size(1e-9))
+    # the speed at a catch in the first step is known to what the step resolves
+    assert float((soon - fixed).abs().max()) < 5e-3 * float(fixed.abs().max())
+    torch.testing.assert_close(predict(model, light, slack, size(0.01)), alone)
+
+
+def test_catch_of_the_string_keeps_momentum():
+    model, run = held_beam(), held_run(0.05)
+    scene = SlackString().apply(model.scene(run, model.at_prior()), size(0.5 * 9.81 * 0.03**2), run)
+    load = scene.parameter("attached_mass")
+    own = scene.parameter("density") * scene.body.nodal_volume
+    falling = scene.falling(scene.last_fall_step())
+    fall = falling.motion(falling.num_steps())
+    x, v = scene._at_catch(fall, scene.last_fall_step())
+    caught = scene.swinging(fall, scene.last_fall_step())
+    after = caught.start_velocity
+    down = scene.parameter("gravity") / 9.81
+    before = (own[:, None] * v).sum(0) @ down + load.sum() * 9.81 * 0.03
+    torch.testing.assert_close(caught.start_position, x)
+    torch.testing.assert_close(((own + load)[:, None] * after).sum(0) @ down, before)
+    across = after - (after @ down)[:, None] * down
+    torch.testing.assert_close(across, v - (v @ down)[:, None] * down)
+
+
+def test_creep_takes_the_stiffness_of_motion_away_in_time():
+    scene = scene_of(beam(), RUN)
+    crept = soft_material.Creep().apply(scene, size(0.04), RUN)
+    hook = crept.forces[0]()
+    rest = scene.body.x_rest
+    bent = rest + torch.stack([0 * rest[:, 0], 0 * rest[:, 0], 0.05 * rest[:, 0]], 1)
+    hook(crept, Moment(rest, 0 * rest, 0.0, 1e-6))
+    soon = hook(crept, Moment(bent, 0 * rest, 0.0, 1e-6))
+    force, _ = scene.solid_force()(bent)
+    assert float(soon.norm()) < 1e-5 * float(force.norm())
+    for _ in range(2):
+        late = hook(crept, Moment(bent, 0 * rest, 0.0, 1e5))
+    # what the higher modulus of fast motion adds is gone
+    torch.testing.assert_close(late, -3 * 0.04 * force, atol=1e-3 * float(force.norm()), rtol=0)

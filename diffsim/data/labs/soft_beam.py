@@ -51,7 +51,7 @@ class SoftBeamLab(Lab):
         "quadratic_drag": LabEffect("N s^2/m^4", 2e4, "-c |v| v per volume"),
         "current": LabEffect("m/s", 0.05, "drag 2e4 N s^2/m^4 |v - U| (v - U)"),
         "added_mass": LabEffect("-", 0.3, "C_a times the mass of displaced water"),
-        "tilt": LabEffect("m/s^2", 0.5, "constant acceleration sideways, switched on at the start"),
+        "tilt": LabEffect("m/s^2", 0.5, "constant acceleration sideways, before the start, too"),
         "dry_friction": LabEffect("N", 0.01, "Coulomb friction at the tip"),
         "stiffening": LabEffect("-", 150.0, "stress E (1 + k strain^2) strain"),
         "temperature_drift": LabEffect("-", 0.01, "E (1 + alpha order)"),
@@ -145,6 +145,7 @@ class _Motion:
         self.quadratic = size_of(truth, "quadratic_drag")
         self.current = size_of(truth, "current")
         self.friction = size_of(truth, "dry_friction")
+        self.tilt = shape.density * size_of(truth, "tilt")  # per volume
 
     def run(self, tension: Array) -> Array:
         """Modal coordinates at the samples, from the tension at all substeps."""
@@ -152,7 +153,9 @@ class _Motion:
         held = np.array([p[1] for p in self.propagators])
         ramp = np.array([p[2] for p in self.propagators])
         state = np.zeros((len(self.modes.omega), 2))
-        state[:, 0] = self.moment_shape * TENDON_OFFSET_M * tension[0] / self.modes.omega**2
+        weight = self.modes.deflection.T @ (self.tilt * self.modes.node_volume)
+        at_first = self.moment_shape * (TENDON_OFFSET_M * tension[0]) + weight
+        state[:, 0] = at_first / self.modes.omega**2
         out = []
         force = self._force(state, tension[0], 0.0)
         for i in range(len(tension)):
@@ -176,7 +179,7 @@ class _Motion:
         if self.current:
             speed = modes.deflection @ v - self.current
             body -= 2e4 * np.abs(speed) * speed
-        body += 1070.0 * size_of(self.truth, "tilt")
+        body += self.tilt
         force = force + modes.deflection.T @ (body * modes.node_volume)
         if self.stiffening:
             force = force - modes.curvature.T @ (self.stiffening * (modes.curvature @ q) ** 3)

@@ -12,15 +12,16 @@ from torch import Tensor
 _SHORTEST_LAG = 1e-3  # of a step: below it exp(-dt / tau) is zero to the last digit
 
 
-def sample(values: Tensor, dt: float, times: Tensor) -> Tensor:
-    """Values of what starts at rest at any times; held beyond the ends.
+def sample(values: Tensor, dt: float, times: Tensor, start_rate: Tensor | None = None) -> Tensor:
+    """Values at any times of what starts at rest, or at a known rate; held beyond the ends.
 
-    By cubics with slopes of fourth order, none at the start.
+    By cubics with slopes of fourth order.
 
     Args:
         values: (num_steps + 1, width), five steps or more, at 0, dt, 2 dt, ...
         dt: [s].
         times: (num_samples,) [s].
+        start_rate: (width,) derivative at 0 [1/s]; None: zero.
 
     Returns:
         (num_samples, width). Gradients: values and, within the record, times.
@@ -28,7 +29,10 @@ def sample(values: Tensor, dt: float, times: Tensor) -> Tensor:
     last = values.shape[0] - 1
     if last < 5:
         raise ValueError(f"values must hold five steps or more to be interpolated, got {last}")
-    return _cubic(values, _slopes(values), times / dt)
+    slopes = _slopes(values)
+    if start_rate is not None:
+        slopes = torch.cat([start_rate[None] * dt, slopes[1:]])
+    return _cubic(values, slopes, times / dt)
 
 
 def _cubic(values: Tensor, slope: Tensor, place: Tensor) -> Tensor:

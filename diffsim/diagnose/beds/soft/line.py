@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -52,7 +53,13 @@ class SceneLine:
     points: tuple[OwnedScene, ...]
     effect: Effect | None
 
-    def difference(self, f: Callable[[float, SoftScene], Tensor]) -> Tensor:
+    def mapped(self, f: Callable[[float, Any], SoftScene]) -> SceneLine:
+        """The line of the scenes f(offset, scene) at its points."""
+        points = zip(self.stencil.offsets, self.points, strict=True)
+        made = tuple(OwnedScene(f(o, p.scene), p.owners) for o, p in points)
+        return SceneLine(self.stencil, made, self.effect)
+
+    def difference(self, f: Callable[[float, Any], Tensor]) -> Tensor:
         """The slope of f(offset, scene)."""
         terms = zip(self.stencil.offsets, self.stencil.weights, self.points, strict=True)
         return torch.stack([w * f(o, p.scene) for o, w, p in terms]).sum(0)
@@ -90,7 +97,13 @@ def same_surroundings(a: SoftScene, b: SoftScene, reads: tuple[str, ...] | None)
         a, b: Of one body.
         reads: Names of the physical parameters that matter; None: all.
     """
-    values = [(a.current, b.current), (a.friction_shares, b.friction_shares)]
+    values = [
+        (a.current, b.current),
+        (a.friction_shares, b.friction_shares),
+        (a.holding_force, b.holding_force),
+        (a.start_position, b.start_position),
+        (a.start_velocity, b.start_velocity),
+    ]
     names = {*a.parameters, *b.parameters} if reads is None else reads
     values += [(a.parameter(n), b.parameter(n)) for n in names]
     same = all(x is y or (x is not None and y is not None and torch.equal(x, y)) for x, y in values)

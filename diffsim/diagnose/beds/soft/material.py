@@ -14,6 +14,7 @@ from diffsim.diagnose.effect import Effect
 
 # Branches of the loss factor: half a decade apart, flat from about 0.6 to 50 Hz.
 _BRANCH_HZ = (0.316, 1.0, 3.16, 10.0, 31.6, 100.0)
+_CREEP_HZ = (0.316, 0.0316, 0.00316)  # a decade apart: half a second to a minute
 _STRENGTH = 2.0 / math.pi * math.log(10.0) / 2.0  # of a branch, per loss factor
 
 
@@ -46,11 +47,37 @@ class LossFactor(Effect):
     also_looks_like = ("friction inside filled rubber", "damping at a clamp")
 
     def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        strength = _STRENGTH * size[0]
-        # the branches' instantaneous part is stiffness, which the implicit step takes
-        young = scene.parameter("youngs_modulus")
-        stiff = scene.with_parameter("youngs_modulus", young * (1.0 + len(_BRANCH_HZ) * strength))
-        return stiff.with_force(lambda: _Relaxation(scene, strength))
+        return _relaxing(scene, _BRANCH_HZ, _STRENGTH * size[0])
+
+
+class Creep(Effect):
+    """Compliance that grows by the share size per decade of time, from half a second to minutes.
+
+    Slow Maxwell branches, one per decade, of strength size: slower than any swing, so that no
+    damping comes with them. The stiffness is E for loads that last, E (1 + 3 size) in motion.
+    """
+
+    name, family, kind, unit, typical = "creep", "creep", "material", "1/decade", 0.04
+    signed = False
+    also_looks_like = (
+        "slow sinking of the clamp",
+        "drift of the held state",
+        "lower end of a loss",
+    )
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        return _relaxing(scene, _CREEP_HZ, size[0])
+
+
+def _relaxing(scene: SoftScene, branch_hz: tuple[float, ...], strength: Tensor) -> SoftScene:
+    """Maxwell branches of equal strength beside the solid."""
+    # the branches' instantaneous part is stiffness, which the implicit step takes
+    young = scene.parameter("youngs_modulus")
+    stiff = scene.with_parameter("youngs_modulus", young * (1.0 + len(branch_hz) * strength))
+    relaxed = {"youngs_modulus": young, **scene.relaxed}
+    return stiff.changed(relaxed=relaxed).with_force(
+        lambda: _Relaxation(scene, branch_hz, strength)
+    )
 
 
 class _Relaxation(Force):
@@ -58,9 +85,9 @@ class _Relaxation(Force):
 
     leading_axes, reads = True, _SOLID
 
-    def __init__(self, plain: SoftScene, strength: Tensor):
+    def __init__(self, plain: SoftScene, branch_hz: tuple[float, ...], strength: Tensor):
         self._solid, self._strength = plain.solid_force(), strength
-        self._tau = 1.0 / (2.0 * math.pi * torch.tensor(_BRANCH_HZ, dtype=torch.float64))
+        self._tau = 1.0 / (2.0 * math.pi * torch.tensor(branch_hz, dtype=torch.float64))
         self._memory: Tensor | None = None
         self._before: Tensor | None = None
 
@@ -68,7 +95,7 @@ class _Relaxation(Force):
         force, _ = self._solid(moment.x)
         tau = self._tau.reshape(-1, *(1 for _ in force.shape))
         if self._memory is None or self._before is None:
-            self._memory = force.expand(len(_BRANCH_HZ), *force.shape)
+            self._memory = force.expand(len(self._tau), *force.shape)
         else:
             steady = tau * (force - self._before) / moment.dt
             error = (self._before - self._memory - steady) * torch.exp(-moment.dt / tau) + steady
@@ -144,6 +171,7 @@ class TemperatureDrift(Effect):
 MATERIAL: tuple[Callable[[], Effect], ...] = (
     StiffnessDamping,
     LossFactor,
+    Creep,
     Stiffening,
     StiffnessLoss,
     TemperatureDrift,

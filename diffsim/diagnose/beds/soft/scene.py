@@ -76,7 +76,13 @@ class SoftScene:
         axes: Of every channel: 0, 1, 2 for x, y, z, so that maps of space find their components.
         parameters: For ``body.physics``; scalars or fields.
         start: "rest" (the unstrained shape, released at 0) or "equilibrium" under the first
-            command.
+            command and ``holding_force``, or "given": ``start_position``.
+        holding_force: (num_vertices, 3) of a hand that lets go at 0 [N]; None: none.
+        start_position: (num_vertices, 3) for the start "given" [m].
+        start_velocity: (num_vertices, 3) at 0 [m/s]; None: at rest.
+        relaxed: Parameters that the body has at rest, once hooks with memory have relaxed: the
+            first guess of the equilibrium, which is iterated all the same.
+        start_time: What the hooks' clock shows at 0 [s].
         command: (num_commands, width) evenly spaced, or None.
         command_dt: Its spacing [s].
         actuate: Command (width,) -> activation (num_muscles,); None: the command itself.
@@ -98,6 +104,11 @@ class SoftScene:
     axes: tuple[int, ...]
     parameters: Mapping[str, Tensor] = field(default_factory=dict)
     start: str = "rest"
+    holding_force: Tensor | None = None
+    start_position: Tensor | None = None
+    start_velocity: Tensor | None = None
+    relaxed: Mapping[str, Tensor] = field(default_factory=dict)
+    start_time: float = 0.0
     command: Tensor | None = None
     command_dt: float = math.nan
     actuate: Callable[[Tensor], Tensor] | None = None
@@ -152,10 +163,13 @@ class SoftScene:
 
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels)."""
-        num_steps = self.num_steps()
+        return self.channels(self.motion(self.num_steps()))
+
+    def motion(self, num_steps: int) -> Tensor:
+        """What is observed at every step, (num_steps + 1, ...)."""
         activations = self.activations(num_steps)
         physics = self.body.physics(**self.parameters)
-        trajectory = soft.rollout(
+        return soft.rollout(
             self.body,
             self.initial_state(None if activations is None else activations[0], physics),
             num_steps,
@@ -163,8 +177,7 @@ class SoftScene:
             activation=None if activations is None else lambda k, state: activations[k],
             physics=physics,
             keep=lambda state: self.observe(state.x),
-        )
-        return self.channels(trajectory.x)
+        ).x
 
     def num_steps(self) -> int:
         """Steps that the record needs."""
@@ -183,16 +196,31 @@ class SoftScene:
 
     def initial_state(self, activation: Tensor | None, physics: soft.Physics) -> soft.State:
         """How the body starts, under the first activation."""
-        if self.start == "rest":
-            return self.body.rest_state()
-        state = self.body.static_equilibrium(activation=activation, physics=physics)
+        state = self.body.rest_state()
+        if self.start == "equilibrium":
+            state = self._equilibrium(activation, physics)
+        x = state.x if self.start_position is None else self.start_position
+        return soft.State(x, state.v if self.start_velocity is None else self.start_velocity)
+
+    def _equilibrium(self, activation: Tensor | None, physics: soft.Physics) -> soft.State:
+        """At rest under the first activation, the holding force and all hooks' forces."""
+        held = self.holding_force
+        guess = (
+            self.body.physics(**{**self.parameters, **self.relaxed}) if self.relaxed else physics
+        )
+        state = self.body.static_equilibrium(
+            external_force=held, activation=activation, physics=guess
+        )
         if not self.forces and self.water is None:
             return state
         for _ in range(_STATIC_ITERATIONS):
             force = self.force_at(0, state, [make() for make in self.forces])
             before = state.x.detach()
             state = self.body.static_equilibrium(
-                guess=before, external_force=force, activation=activation, physics=physics
+                guess=before,
+                external_force=force if held is None else force + held,
+                activation=activation,
+                physics=physics,
             )
             change = float((state.x.detach() - before).abs().max())
             if change < _STATIC_RTOL * float((before - self.body.x_rest).abs().max()):
@@ -241,7 +269,7 @@ class SoftScene:
     def force_at(self, k: int, state: soft.State, forces: Sequence[Force]) -> Tensor:
         """Sum of the hooks' forces at the start of step k, (num_vertices, 3) [N]."""
         dt = self.body.dt
-        moment = Moment(state.x, state.v, k * dt, dt)
+        moment = Moment(state.x, state.v, self.start_time + k * dt, dt)
         total = torch.zeros_like(state.x)
         if self.water is not None:
             total = total + self.water(state.x, state.v, water_velocity=self.current)

@@ -8,6 +8,7 @@ forces, clocks and output maps. The motion itself is not simulated again: its ta
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import torch
@@ -24,29 +25,44 @@ from diffsim.soft.physics_tangent import difference_physics, stack_physics
 def scene_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor, Tensor] | None:
     """Prediction (num_samples, num_channels) and derivatives (K, ...) of a scene.
 
-    None where the scenes are no small changes of one body, or its steps are explicit.
+    None where the scene has no tangents: another kind, or explicit steps. Lines along which the
+    scene becomes another kind are simulated.
     """
     scene = base.scene
-    if scene.body.integrator not in IMPLICIT or not all(_alike(scene, n) for n in lines):
+    if scene.body.integrator not in IMPLICIT or type(scene) is not SoftScene:
         return None
+    alike = [n for n in lines if _alike(scene, n)]
+    observed, tangents = motion_tangents(base, alike)
+    found = {
+        line: line.difference(partial(_shown, observed, tangent))
+        for line, tangent in zip(alike, tangents, strict=True)
+    }
+    for line in lines:
+        if line not in found:
+            found[line] = line.difference(lambda o, s: s.simulate())
+    here = scene.channels(observed)
+    columns = [found[n] for n in lines]
+    return here, torch.stack(columns) if columns else here.new_zeros(0, *here.shape)
+
+
+def _shown(observed: Tensor, tangent: Tensor, offset: float, scene: SoftScene) -> Tensor:
+    """Channels of a scene a little along a line."""
+    return scene.channels(observed + offset * tangent)
+
+
+def motion_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor, list[Tensor]]:
+    """What a scene observes at every step, and its tangent along each line."""
     motion = _Motion(base, lines)
     observed, tangent = motion.observed()
     still = torch.zeros_like(observed)
-    columns = [
-        _recorded(n, observed, tangent[:, motion.place[k]] if k in motion.place else still)
-        for k, n in enumerate(lines)
-    ]
-    return scene.channels(observed), torch.stack(columns)
-
-
-def _recorded(line: SceneLine, observed: Tensor, tangent: Tensor) -> Tensor:
-    """What the record shows of a line: its clocks and output maps are differenced."""
-    return line.difference(lambda o, s: s.channels(observed + o * tangent))
+    at = [motion.place.get(k) for k in range(len(lines))]
+    return observed, [still if k is None else tangent[:, k] for k in at]
 
 
 def _alike(scene: SoftScene, line: SceneLine) -> bool:
     return all(
-        s.body is scene.body
+        type(s) is SoftScene
+        and s.body is scene.body
         and s.start == scene.start
         and s.water is scene.water
         and (s.command is None) == (scene.command is None)
@@ -95,6 +111,7 @@ class _Motion:
         changing = stack_physics([_physics_rate(n) for n in self._lines])
         directions = soft.Directions(
             x=self._start_rates(start, first, changing),
+            v=self._rates_of("start_velocity"),
             external_force=None if forces is None else forces.rates,
             activation=None if moved is None else lambda k, state, tangent: moved[:, k],
             physics=changing,
@@ -123,6 +140,12 @@ class _Motion:
         none = torch.zeros_like(self._activations)
         return torch.stack([none if r is None else r for r in rates])
 
+    def _rates_of(self, name: str) -> Tensor | None:
+        """(K, V, 3) of a field of the scenes, or None where there is none."""
+        if getattr(self._scene, name) is None:
+            return None
+        return torch.stack([n.difference(lambda o, s: getattr(s, name)) for n in self._lines])
+
     def _start_rates(
         self, start: soft.State, first: Tensor | None, changing: soft.Physics
     ) -> Tensor | None:
@@ -130,9 +153,13 @@ class _Motion:
         scene, moved = self._scene, self._activation_rates
         if scene.start == "rest":
             return None
+        if scene.start == "given":
+            return self._rates_of("start_position")
         if self._forces is None:
             directions = soft.Directions(
-                activation=None if moved is None else moved[:, 0], physics=changing
+                activation=None if moved is None else moved[:, 0],
+                external_force=self._rates_of("holding_force"),
+                physics=changing,
             )
             return soft.static_tangents(
                 scene.body,
@@ -140,6 +167,7 @@ class _Motion:
                 len(self._lines),
                 directions,
                 activation=first,
+                external_force=scene.holding_force,
                 physics=self._physics,
             )
 

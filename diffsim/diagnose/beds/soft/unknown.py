@@ -14,7 +14,7 @@ _SHAPES = ("even", "growing")
 
 
 class _UnknownForce(Effect):
-    """Force per volume: per axis of space evenly spread, and growing along the body's length.
+    """Force per volume: per axis evenly spread, and growing along the body's length.
 
     Components: knots of time fastest, then shapes, then axes; straight lines between knots.
     """
@@ -22,8 +22,9 @@ class _UnknownForce(Effect):
     name, family, kind, unit, typical = "unknown_force", "unknown", "force", "N/m^3", 100.0
     also_looks_like = ("anything",)
 
-    def __init__(self, num_knots: int, until_s: float):
+    def __init__(self, num_knots: int, until_s: float, axes: str):
         self._num_knots, self._spacing = num_knots, until_s / (num_knots - 1)
+        self._axes = ["xyz".index(axis) for axis in axes]
 
     def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
         x = scene.body.mesh.x_rest
@@ -31,7 +32,9 @@ class _UnknownForce(Effect):
         axis = int(spread.argmax())
         along = (x[:, axis] - x[:, axis].min()) / spread[axis]
         shapes = torch.stack([torch.ones_like(along), along]) * scene.body.nodal_volume
-        knots = size.reshape(3, len(_SHAPES), self._num_knots)
+        knots = torch.zeros(3, len(_SHAPES), self._num_knots, dtype=size.dtype)
+        own = size.reshape(len(self._axes), len(_SHAPES), self._num_knots)
+        knots = knots.index_copy(0, torch.tensor(self._axes), own)
         return scene.with_force(lambda: _Knots(knots, shapes, self._spacing))
 
 
@@ -48,7 +51,7 @@ class _Knots(Force):
         return (now @ self._shapes).T.expand(moment.x.shape)
 
 
-def unknown_force(num_knots: int, until_s: float) -> Effect:
-    """The effect with ``num_knots`` >= 2 knots from 0 to ``until_s`` [s]."""
-    names = tuple(f"{a}_{s}_{k}" for a in "xyz" for s in _SHAPES for k in range(num_knots))
-    return type("UnknownForce", (_UnknownForce,), {"components": names})(num_knots, until_s)
+def unknown_force(num_knots: int, until_s: float, axes: str = "xyz") -> Effect:
+    """The effect with ``num_knots`` >= 2 knots from 0 to ``until_s`` [s], along ``axes``."""
+    names = tuple(f"{a}_{s}_{k}" for a in axes for s in _SHAPES for k in range(num_knots))
+    return type("UnknownForce", (_UnknownForce,), {"components": names})(num_knots, until_s, axes)

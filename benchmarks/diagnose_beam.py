@@ -1,0 +1,52 @@
+"""Diagnosis of the recorded silicone beam, from a coarse look to the real one, with a log.
+
+python benchmarks/diagnose_beam.py runs/beam --until 0.8 --cells 6 1 2 --dt 5e-3
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+from diffsim.data.importers import import_study
+from diffsim.diagnose import SearchSettings, diagnose
+from diffsim.diagnose.setups.silicone_beam import setup, tip_window
+
+
+def main() -> None:
+    """Diagnose, print what happens, save report.json and extended_model.yaml."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("out")
+    parser.add_argument("--until", type=float, default=0.8, help="seconds after release")
+    parser.add_argument("--cells", type=int, nargs=3, default=(6, 1, 2))
+    parser.add_argument("--dt", type=float, default=5e-3)
+    parser.add_argument("--effects", nargs="*", help="names; all by default")
+    parser.add_argument("--max-effects", type=int, default=3)
+    given = parser.parse_args()
+    study = tip_window(import_study("silicone_beam"), until_s=given.until)
+    search = SearchSettings(max_effects=given.max_effects, num_refits=2, max_rounds=4)
+    made = setup(study, cells=given.cells, dt_s=given.dt, search=search)
+    effects = [e for e in made.effects if not given.effects or e.name in given.effects]
+    report = diagnose(
+        study,
+        made.model,
+        effects,
+        seed=0,
+        unknowns=made.unknowns,
+        bank=made.bank,
+        settings=made.settings,
+        progress=_show,
+    )
+    report.save(given.out)
+    print(report.verdict, *report.sentences, sep="\n")
+    for row in report.table:
+        print(row.effect, row.status, dict(row.size), dict(row.sd), row.nats, row.gain, row.share)
+    print(f"{time.process_time():.0f} s of processor time")
+
+
+def _show(stage: str, fraction: float, message: str) -> None:
+    print(f"{time.process_time():.0f} s  {stage}: {message}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
