@@ -1,0 +1,311 @@
+"""Flows of unit size through a channel network on the embedded grid, kept by the walls' shape.
+
+A steady slow flow is linear in what drives it. For every shape of the walls the Stokes simulator is
+asked once: one factorisation, one solve for each independent way through the network. What drives
+the flow, the fluid and the sensors are then changed without another solve.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import OrderedDict
+from dataclasses import dataclass
+from functools import reduce
+from itertools import product
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim.diagnose.beds.stokes.corrections import FlowDerivatives
+from diffsim.diagnose.beds.stokes.moving_fit import MovingFit
+from diffsim.diagnose.beds.stokes.network import NetworkDevice
+from diffsim.errors import ConvergenceError
+from diffsim.stokes import FlowField, Grid, Inlet, Open, StokesFlow
+from diffsim.stokes.devices.losses import integral, on_face
+
+BULK_RATIO = 1e7
+"""Less, and slender channels lose some per mille of the flow; rounding errors grow with it."""
+
+PENALTY = 200.0
+"""Of the walls, ten times the usual one: they let less of the flow through, and so a wall that moves
+changes resistances more smoothly."""
+
+DEEP = 0.75
+"""Pressures are fitted to cells so many spacings from the wall."""
+
+SLIP_RTOL = 1e-9
+MAX_SLIP_SWEEPS = 60
+NUM_KEPT = 256
+NUM_SECTIONS = 12
+STEPS = {"offset": 5e-6, "slip": 5e-6, "narrowing": 0.05}
+"""Between shapes that are simulated, [m], [m] and [-]; others are interpolated. Smaller than any
+change of shape that matters, larger than the kinks of the flow where a wall passes nodes."""
+
+
+class Shape(NamedTuple):
+    """Walls of a network: all outwards [m], slip length [m], narrowing of each branch [-]."""
+
+    offset: Tensor
+    slip: Tensor
+    narrowing: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class UnitFlows:
+    """Flows with all that the pump gives leaving through one outlet, at the nominal viscosity.
+
+    Attributes:
+        resistance: Pressure drop from the pump to outlet i per flow to outlet j, (m, m)
+            [Pa s/m^2].
+        tap: Pressure drop from the pump to the tap per flow to outlet j, (m,) [Pa s/m^2].
+        strain: sqrt(2) times the strain rate in the kept cells, components xx, yy and twice xy
+            halved so that the sum of squares is the squared shear rate, (cells, 3, m) [1/m^2].
+        volume: Fluid area of those cells, (cells,) [m^2].
+    """
+
+    resistance: Tensor
+    tap: Tensor
+    strain: Tensor
+    volume: Tensor
+
+
+class UnitFlowTable:
+    """Unit flows of any shape: simulated on a lattice of shapes, interpolated smoothly between.
+
+    Args:
+        device: The network.
+        refine: Factor on the cell size.
+    """
+
+    def __init__(self, device: NetworkDevice, refine: float = 1.0):
+        self.device = device
+        self.grid = Grid([max(1, round(n / refine)) for n in device.cells], size=device.size)
+        self.num_solved = 0
+        spacing = max(self.grid.spacing)
+        inlet = device.segments[0]
+        start, self._slope = device.nodes[inlet.start], device.inlet_slope
+        height = start[1] - self._slope * start[0]  # of its axis on the left face
+        reach = 0.5 * inlet.width * (1.0 + self._slope**2) ** 0.5 + 1.01 * spacing
+        self.solver = StokesFlow(
+            self.grid,
+            [Inlet("x-", "in", lambda x: (x[:, 1] - height).abs() < reach), Open("x+")],
+            viscosity=device.viscosity,
+            bulk_ratio=BULK_RATIO,
+            penalty=PENALTY,
+        )
+        phi = self._level_set(0.0, (0.0,) * len(device.outlets))
+        centers = self.grid.centers.reshape(-1, 2)
+        widest = device.level_set(centers, 2.0 * spacing, (0.0,) * len(device.outlets))
+        self.cells = (widest > 0.0).nonzero()[:, 0]
+        self.centers = centers[self.cells]
+        self.owner = device.owners(self.centers)
+        place = device.coordinates(self.centers)[1][:, 0]
+        self.before_tap = (self.owner == 0) & (place > 0.0) & (place < device.tap)
+        self.after_pump = (self.owner != 0) | (place > 0.0)
+        deep = (_at_centers(phi) > DEEP * spacing).reshape(-1).nonzero()[:, 0]
+        fit = MovingFit(centers[deep].numpy(), np.array(device.taps), spacing)
+        self._taps = deep, fit
+        ends = [device.nodes[n][1] for n in device.outlets]
+        self._masks = _nearest(self.grid.nodes[0, :, 1], ends)
+        self._sections = self._cut()
+        self._kernels: WeakKeyDictionary[UnitFlows, Tensor] = WeakKeyDictionary()
+        self._kept: OrderedDict[tuple[int, ...], UnitFlows] = OrderedDict()
+
+    def at(self, shape: Shape) -> UnitFlows:
+        """Unit flows of a shape; gradients pass to it through the interpolation."""
+        coordinates = [
+            shape.offset / STEPS["offset"],
+            shape.slip / STEPS["slip"],
+            *(shape.narrowing / STEPS["narrowing"]).unbind(),
+        ]
+        axes = [_interpolation(c) for c in coordinates]
+        parts = []
+        for corner in product(*axes):
+            # a product of two weights that are zero has neither value nor slope
+            if sum(float(w.detach()) == 0.0 for _, w in corner) > 1:
+                continue
+            weight = reduce(lambda a, b: a * b, (w for _, w in corner))
+            parts.append((weight, self._solved(tuple(k for k, _ in corner))))
+        if len(parts) == 1 and not parts[0][0].requires_grad:
+            return parts[0][1]
+        return UnitFlows(
+            *(
+                torch.stack([w * getattr(u, name) for w, u in parts]).sum(0)
+                for name in ("resistance", "tap", "strain", "volume")
+            )
+        )
+
+    def kernel(self, unit: UnitFlows) -> Tensor:
+        """What every cell adds to the resistance and, in the last columns, to that ahead of the
+        tap, (cells, m^2 + m): its dissipation, scaled so that the sums are the simulator's own."""
+        kernel = self._kernels.get(unit)
+        if kernel is None:
+            m = len(unit.tap)
+            energy = torch.einsum("csi,csj->cij", unit.strain, unit.strain)
+            energy = energy * unit.volume[:, None, None]
+            inside = energy * self.after_pump[:, None, None]
+            before = (energy * self.before_tap[:, None, None]).mean(1)
+            resistance = inside * (unit.resistance / inside.sum(0))
+            kernel = torch.cat(
+                [resistance.reshape(-1, m * m), before * (unit.tap / before.sum(0))], 1
+            )
+            if not kernel.requires_grad:
+                self._kernels[unit] = kernel
+        return kernel
+
+    def _solved(self, key: tuple[int, ...]) -> UnitFlows:
+        if key not in self._kept:
+            with torch.no_grad():
+                self._kept[key] = self._solve(
+                    key[0] * STEPS["offset"],
+                    key[1] * STEPS["slip"],
+                    tuple(k * STEPS["narrowing"] for k in key[2:]),
+                )
+            self.num_solved += 1
+            if len(self._kept) > NUM_KEPT:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        return self._kept[key]
+
+    def _solve(self, offset: float, slip: float, narrowing: tuple[float, ...]) -> UnitFlows:
+        """One factorisation: the pump with open outlets, then a pressure at all outlets but one."""
+        device, m = self.device, len(self._masks)
+        phi = self._level_set(offset, narrowing)
+        nodes = self.solver.boundary.inlets["in"]
+        near = phi.reshape(-1)[nodes]
+        across = near * (device.segments[0].width + 2.0 * offset - near)
+        profile = across + slip * (device.segments[0].width + 2.0 * offset)
+        through = torch.zeros(self.grid.num_nodes, dtype=torch.float64)
+        through[nodes] = profile
+        profile = profile / self._through(phi, through.reshape(1, *self.grid.node_shape), "x-")
+        inlet = torch.zeros(m, len(nodes), 2, dtype=torch.float64)
+        inlet[0, :, 0], inlet[0, :, 1] = profile, self._slope * profile
+        traction = torch.zeros(m, *self.grid.node_shape, 2, dtype=torch.float64)
+        # of the size of the pressures that a unit flow makes
+        scale = 12.0 * device.viscosity * device.size[0] / device.segments[0].width ** 3
+        raised = torch.zeros(m, m, dtype=torch.float64)
+        for k in range(1, m):
+            raised[k, k - 1] = scale
+            traction[k, -1, :, 0] = -scale * self._masks[k - 1]
+        field = self._slipping(phi, slip, {"inlet": {"in": inlet}, "traction": traction})
+        flows = self._outflow(field)
+        taps = self._taps[1].at(field.pressure.flatten(1)[:, self._taps[0]])
+        inverse = torch.linalg.inv(flows)  # rows: which cases make a unit flow through an outlet
+        resistance = inverse @ (taps[:, :1] - raised)
+        strain = self._strain(field.velocity)
+        return UnitFlows(
+            resistance=0.5 * (resistance + resistance.T),  # reciprocity, up to the grid's error
+            tap=inverse @ (taps[:, 0] - taps[:, 1]),
+            strain=torch.einsum("jk,kcs->csj", inverse, strain),
+            volume=field.volume_fraction.reshape(-1)[self.cells]
+            * float(self.grid.spacing[0] * self.grid.spacing[1]),
+        )
+
+    def _slipping(self, phi: Tensor, slip: float, drive) -> FlowField:
+        """The flow with the wall velocity that it asks for, by sweeps."""
+        flow = self.solver(phi, **drive)
+        if slip == 0.0:
+            return flow
+        spacing = max(self.grid.spacing)
+        level = _at_centers(phi) / spacing
+        derivatives = FlowDerivatives(self.grid, phi, level > 0.0, level > DEEP)
+        inside, wall = phi > spacing, torch.zeros(())
+        share = 1.0 / (1.0 + 1.5 * abs(slip) / spacing)  # as in ``StokesScene``
+        for _ in range(MAX_SLIP_SWEEPS):
+            gradient = derivatives.gradient(flow.velocity)
+            asked = slip * derivatives.slip_velocity(gradient, phi)
+            wall = share * asked + (1.0 - share) * wall
+            before, flow = flow, self.solver(phi, wall_velocity=wall, **drive)
+            moved = (flow.velocity - before.velocity)[:, inside].flatten(1).abs().amax(1)
+            change = float((moved / flow.velocity[:, inside].flatten(1).abs().amax(1)).max())
+            if change < SLIP_RTOL:
+                return flow
+        raise ConvergenceError(
+            f"the flow with slip length {slip:g} m changed by {change:.1e} of its largest speed in "
+            f"sweep {MAX_SLIP_SWEEPS}, needed {SLIP_RTOL:.1e}; narrow the bounds of the slip",
+            residual_norm=change,
+            tolerance=SLIP_RTOL,
+            num_iters=MAX_SLIP_SWEEPS,
+        )
+
+    def _level_set(self, offset: float, narrowing: tuple[float, ...]) -> Tensor:
+        return self.device.level_set(self.grid.nodes, offset, narrowing)
+
+    def _strain(self, velocity: Tensor) -> Tensor:
+        """See ``UnitFlows``, (cases, cells, 3)."""
+        dx, dy = self.grid.spacing
+        along_x, along_y = velocity.diff(dim=1) / dx, velocity.diff(dim=2) / dy
+        x = (0.5 * (along_x[:, :, 1:] + along_x[:, :, :-1])).flatten(1, 2)[:, self.cells]
+        y = (0.5 * (along_y[:, 1:] + along_y[:, :-1])).flatten(1, 2)[:, self.cells]
+        root = 2.0**0.5
+        return torch.stack([root * x[..., 0], root * y[..., 1], x[..., 1] + y[..., 0]], -1)
+
+    def _through(self, phi: Tensor, along_x: Tensor, face: str) -> Tensor:
+        """Integral of nodal values (cases, *node_shape) over the fluid part of a face, (cases,)."""
+        empty = phi.new_zeros(0)
+        field = FlowField(self.grid, phi, along_x[..., None], empty, empty, {})
+        return integral(field, face, on_face(self.grid, along_x, face))
+
+    def _outflow(self, field: FlowField) -> Tensor:
+        """Flows to every outlet, (cases, m) [m^2/s]: means over many sections of the branches, as a
+        single one has kinks where the wall passes its nodes; what the walls lose is shared out."""
+        cases, m = len(field.velocity), len(self.device.outlets)
+        total = torch.zeros(cases, m, dtype=torch.float64)
+        for index, masks in self._sections:
+            along = field.velocity[:, None, index, :, 0] * masks
+            part = field.velocity.new_zeros(cases, m, *self.grid.node_shape, 2)
+            part[:, :, index, :, 0] = along
+            section = dataclasses.replace(field, velocity=part.flatten(0, 1))
+            total += section.flux(0, index).reshape(cases, m) / len(self._sections)
+        given = torch.zeros(cases, dtype=torch.float64)
+        given[0] = 1.0
+        lost = given - total.sum(1)
+        return total + lost[:, None] * total.abs() / total.abs().sum(1, keepdim=True)
+
+    def _cut(self) -> list[tuple[int, Tensor]]:
+        """Grid planes across all outlet branches, and which heights belong to which, (m, ny)."""
+        device = self.device
+        start = max(
+            device.nodes[device.segments[k].start][0] + device.segments[k].width
+            for k in device.branches
+        )
+        first = int(start / self.grid.spacing[0]) + 1
+        planes = np.linspace(first, self.grid.shape[0] - 1, NUM_SECTIONS).round().astype(int)
+        ends = [[device.nodes[n] for n in device.segments[k][1:3]] for k in device.branches]
+        heights = self.grid.nodes[0, :, 1]
+        sections = []
+        for index in planes.tolist():
+            x = index * self.grid.spacing[0]
+            axes = [y0 + (x - x0) * (y1 - y0) / (x1 - x0) for (x0, y0), (x1, y1) in ends]
+            sections.append((index, _nearest(heights, axes)))
+        return sections
+
+
+def _nearest(heights: Tensor, axes: list[float]) -> Tensor:
+    """(len(axes), len(heights)) one for the nearest axis, else zero."""
+    away = (heights - torch.tensor(axes, dtype=torch.float64)[:, None]).abs()
+    chosen = torch.arange(len(axes))[:, None]
+    return (away.argmin(0) == chosen).to(torch.float64)
+
+
+def _at_centers(nodal: Tensor) -> Tensor:
+    return 0.25 * (nodal[1:, 1:] + nodal[:-1, 1:] + nodal[1:, :-1] + nodal[:-1, :-1])
+
+
+def _interpolation(at: Tensor) -> list[tuple[int, Tensor]]:
+    """Whole numbers around a coordinate and their weights: cubic with continuous slope
+    (Catmull-Rom); those with neither weight nor, where it is asked for, slope are left out."""
+    low = int(torch.floor(at.detach()))
+    t = at - low
+    weights = (
+        0.5 * t * (-1.0 + t * (2.0 - t)),
+        1.0 + 0.5 * t * t * (-5.0 + 3.0 * t),
+        0.5 * t * (1.0 + t * (4.0 - 3.0 * t)),
+        0.5 * t * t * (t - 1.0),
+    )
+    is_node = float(t.detach()) == 0.0
+    needed = (at.requires_grad, True, at.requires_grad, False) if is_node else (True,) * 4
+    return [(low - 1 + k, w) for k, w in enumerate(weights) if needed[k]]
