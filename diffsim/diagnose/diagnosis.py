@@ -21,9 +21,10 @@ from diffsim.diagnose.gates import data_gate, gradient_gate, numerics_gate
 from diffsim.diagnose.model import SimModel
 from diffsim.diagnose.next_run import next_run
 from diffsim.diagnose.noise import UNREPEATABLE, NoiseFloor
+from diffsim.diagnose.points import Points
 from diffsim.diagnose.report import GateResult, Report
 from diffsim.diagnose.screen import Screen, screen
-from diffsim.diagnose.search import Search
+from diffsim.diagnose.search import NONE, Search
 from diffsim.diagnose.stages import (
     Case,
     DiagnosisSettings,
@@ -78,28 +79,30 @@ def diagnose(
     generic = (*unknowns, *drifts([c.name for c in study.channels]))
     case = Case(study, model, judged, generic, settings)
 
-    study, noise, null, num_spikes = null_fit(case)
-    case = replace(case, study=study)
-    wide = case.wide(null)
-    at = np.concatenate([null.x, np.zeros(len(wide.owners))])
-    gates += numerics_gate(null) + gradient_gate(wide, at)
+    case, noise, null, num_spikes = null_fit(case)
+    gates += numerics_gate(null.fit)
+    points = Points(case.wide(null.fit))
+    points.keep(NONE, null.local)
+    screened = points.linear(NONE, points.screen(NONE, None), (), 1)
+    gates += gradient_gate(screened)
     if not settings.accept_numerics and any(
         not g.passed for g in gates if g.name in ("time_step", "mesh", "tolerance")
     ):
-        residual, jacobian = wide.linearise(at, screen=True)
-        seen = screen(wide, residual, jacobian, at)
+        seen = screen(screened.problem, screened.residual, screened.jacobian, screened.x0)
         decision = Decision("numerical", frozenset(), (), None, 0.0)
         return _report(
-            case, decision, None, null, noise, seen, gates, unmet, seed, bank, num_spikes
+            case, decision, None, null.fit, noise, seen, gates, unmet, seed, bank, num_spikes
         )
 
-    search, noise, null = search_rounds(case, noise, null)
+    search, noise, null = search_rounds(case, noise, null, points)
     linear = search.null_linear
     seen = screen(search.wide, linear.residual, linear.jacobian, linear.x0)
     decision = confirmed(decision_of(search), search, gates, seed)
     if not noise.is_repeatable:
         decision = replace(decision, verdict="unrepeatable", rivals=())
-    return _report(case, decision, search, null, noise, seen, gates, unmet, seed, bank, num_spikes)
+    return _report(
+        case, decision, search, null.fit, noise, seen, gates, unmet, seed, bank, num_spikes
+    )
 
 
 def _report(
@@ -160,6 +163,7 @@ def _report(
             "alone_nats": rules.ALONE_NATS,
             "explained": rules.EXPLAINED,
             "unrepeatable": UNREPEATABLE,
+            "num_simulations": case.model.simulations.count,
             "search": asdict(case.settings.search),
             "could_not_be_simulated": []
             if search is None

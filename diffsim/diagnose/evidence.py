@@ -62,36 +62,37 @@ class Linearisation:
     """Gram matrix of all columns at a point; weighs any hypothesis without a simulation.
 
     Args:
-        problem: With all candidate effects.
-        x: (n,) where to linearise.
-        unknowns: Generic causes.
+        problem: With the effects that may be members.
+        x: (n,) where it was linearised.
+        residual: (num_valid,) whitened, at x.
+        jacobian: (num_valid, n) d(W S)/dx at x.
+        responses: (num_valid, m) whitened, of each unknown cause.
         num_families: Of effects and unknown causes, for the price of a choice.
-        responses: (N, m) each, of the unknowns; computed at x if None.
+        num_unknowns: To choose from, where not all are in ``responses``.
     """
 
     def __init__(
         self,
         problem: Problem,
         x: Array,
-        unknowns: Sequence[Unknown],
+        residual: Array,
+        jacobian: Array,
+        responses: Sequence[Array],
         num_families: int,
-        *,
-        screen: bool = True,
+        num_unknowns: int | None = None,
     ):
-        residual, jacobian = problem.linearise(x, screen=screen)
+        self.num_unknowns = len(responses) if num_unknowns is None else num_unknowns
         self.problem, self.x0, self.num_families = problem, x, num_families
         self.residual, self.jacobian = residual, jacobian
-        blocks = [_unit_power(u.responses(problem, x)) for u in unknowns]
-        self._from_matrices(residual + jacobian @ x, jacobian, blocks)
-        self.columns = [problem.columns_of(e) for e in problem.effects]
-
-    def _from_matrices(self, right: Array, jacobian: Array, blocks: list[Array]) -> None:
+        right = residual + jacobian @ x
+        blocks = [_unit_power(h) for h in responses]
         stacked = np.hstack([jacobian, *blocks])
         edges = np.cumsum([jacobian.shape[1], *(b.shape[1] for b in blocks)])
         self.unknown_columns = [list(range(a, b)) for a, b in pairwise(edges)]
         self.gram = stacked.T @ stacked
         self.projection = stacked.T @ right
         self.power = float(right @ right)
+        self.columns = [problem.columns_of(e) for e in problem.effects]
 
     def weigh(self, hypothesis: Hypothesis) -> Weighed:
         """Evidence of a hypothesis."""
@@ -108,7 +109,7 @@ class Linearisation:
         mean = special.logsumexp(evidences) - np.log(len(AMPLITUDES))
         _, x, sd, chi2 = tried[best]
         # the unknown causes share what one more family may claim
-        price_unknown = price + np.log(len(self.unknown_columns))
+        price_unknown = price + np.log(self.num_unknowns)
         return Weighed(mean - len(members) * price - price_unknown, x, sd, chi2, AMPLITUDES[best])
 
     def _gaussian(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from threading import Lock
 from typing import TYPE_CHECKING, Any, Protocol
 
 import torch
@@ -39,6 +40,18 @@ class Scene(Protocol):
         ...
 
 
+class Tally:
+    """How many simulations were asked for; threads may count at once."""
+
+    def __init__(self) -> None:
+        self.count, self._lock = 0, Lock()
+
+    def add(self, number: int) -> None:
+        """Count more."""
+        with self._lock:
+            self.count += number
+
+
 Build = Callable[[Mapping[str, Tensor], "Run", Numerics], Scene]
 
 
@@ -65,6 +78,7 @@ class SimModel:
         if repeated := {n for n in names if names.count(n) > 1}:
             raise ValueError(f"base parameters repeat: {sorted(repeated)}")
         self.build, self.base, self.name, self.batched = build, tuple(base), name, batched
+        self.simulations = Tally()
 
     def predict(
         self,
@@ -81,6 +95,7 @@ class SimModel:
             sizes: Effects with their sizes [unit], (num_components,) each, applied in this order.
             numerics: Settings; the model's own if None.
         """
+        self.simulations.add(len(q) if q.ndim > 1 else 1)
         return self.scene(run, q, sizes, numerics).simulate()
 
     def predict_many(
@@ -100,6 +115,7 @@ class SimModel:
         """
         if self.batched:
             return self.predict(run, q, sizes, numerics)
+        self.simulations.add(len(q))
         scenes = [
             self.scene(run, q[k], {e: s[k] for e, s in (sizes or {}).items()}, numerics)
             for k in range(len(q))

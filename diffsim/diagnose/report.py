@@ -67,12 +67,14 @@ class HypothesisRow:
         unknown: Name of the generic cause, or None.
         nats: Evidence relative to the plain model.
         chi2: |W (y - S)|^2, after the unknown cause's part.
+        refitted: False: linear evidence of a set that is too far behind to be refitted.
     """
 
     effects: tuple[str, ...]
     unknown: str | None
     nats: float
     chi2: float
+    refitted: bool = True
 
 
 @dataclass(frozen=True)

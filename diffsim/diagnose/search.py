@@ -1,8 +1,8 @@
 """Refit and weigh: which set of effects, with or without an unknown cause, the runs ask for.
 
-From the best set so far everything is linearised again; its neighbours (one more, one less, one
-swapped) are ranked by linear evidence, the best are refitted, and the best refit becomes the next
-centre, until none is better.
+From the best set so far its neighbours (one more, one less, one swapped) are ranked by linear
+evidence, those that could matter are refitted, and the best refit becomes the next centre, until
+none is better. What is not refitted keeps its linear evidence, and cannot win.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from diffsim.diagnose.effect import Effect
+from diffsim.diagnose.decide import ALONE_NATS, KEEP_NATS
+from diffsim.diagnose.descend import Descended
 from diffsim.diagnose.evidence import Hypothesis, Linearisation, Weighed, families
-from diffsim.diagnose.unknown import Unknown
+from diffsim.diagnose.local import Local, local_at, measured_of, whitened
+from diffsim.diagnose.points import Members, Points
+from diffsim.diagnose.unknown import Unknown, by_group
 from diffsim.errors import DiffsimError
 from diffsim.identify import Fit, Problem
-from diffsim.identify import fit as fit_runs
 
-Array = NDArray[np.float64]
-NOT_YET = -np.inf
+NONE: Members = frozenset()
 
 
 @dataclass(frozen=True)
@@ -31,25 +31,28 @@ class SearchSettings:
     Attributes:
         max_effects: In one set.
         num_refits: Neighbours refitted per round.
-        max_rounds: Of re-linearising.
-        rival_nats: Swaps whose linear evidence is at most this far behind are refitted at the end.
+        max_rounds: Of moving to a better set.
+        rival_nats: What linear evidence puts further behind the best set is not refitted.
+        misled: Share of the misfit [nats] by which linear evidence may be wrong beyond that.
         unknown_steps: Gauss-Newton steps of a set together with an unknown cause.
     """
 
     max_effects: int = 3
     num_refits: int = 4
     max_rounds: int = 8
-    rival_nats: float = 10.0
+    rival_nats: float = 6.0
+    misled: float = 0.1
     unknown_steps: int = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A hypothesis that was refitted.
+    """A hypothesis that was weighed where it lies.
 
     Attributes:
         hypothesis: Which.
-        weighed: Its evidence, at its own linearisation.
+        weighed: Its evidence, at its own linearisation; with an unknown cause that is far from
+            deciding, at that of its effects.
         fit: Of its effects; None with an unknown cause (``weighed.x`` says where it lies).
     """
 
@@ -63,51 +66,65 @@ class Entry:
         return self.weighed.nats
 
 
+@dataclass(frozen=True, eq=False)
+class Centre:
+    """A fitted set with everything linearised there."""
+
+    members: Members
+    local: Local
+    linear: Linearisation
+
+
 class Search:
-    """Holds what was refitted (``entries``) and what could not be simulated (``failed``).
+    """Holds what was refitted (``entries``), what was only weighed linearly (``linear_only``), and
+    what could not be simulated (``failed``).
 
     Args:
         wide: Problem with all candidate effects.
         unknowns: Generic causes.
         null: Fit without effects.
         settings: Effort.
+        before: Simulated in an earlier round with another noise floor.
     """
 
     def __init__(
         self,
         wide: Problem,
         unknowns: Sequence[Unknown],
-        null: Fit,
+        null: Descended,
         settings: SearchSettings | None = None,
+        before: Points | None = None,
     ):
         self.wide, self.unknowns = wide, tuple(unknowns)
         self.settings = settings or SearchSettings()
         self.num_families = families(wide.effects, unknowns)
+        self.points = Points(wide, before)
+        self.points.keep(NONE, null.local)
         self.entries: dict[Hypothesis, Entry] = {}
+        self.linear_only: dict[Hypothesis, Weighed] = {}
         self.failed: dict[Hypothesis, str] = {}
-        self.null_linear = self.linearise(self._widened(null))
-        weighed = self.null_linear.weigh(Hypothesis())
-        self.entries[Hypothesis()] = Entry(Hypothesis(), weighed, null)
-        self._centres: dict[frozenset[int], Linearisation] = {frozenset(): self.null_linear}
+        self._enter(NONE, null.fit)
+        self._null = self._centre(NONE, None)
+
+    @property
+    def null_linear(self) -> Linearisation:
+        """Everything linearised at the plain model."""
+        return self._null.linear
 
     def run(self) -> None:
         """Fill ``entries``."""
-        centre: frozenset[int] = frozenset()
+        centre = self._null
         for _ in range(self.settings.max_rounds):
-            linear = self.linear_at(centre)
-            ranked = sorted(
-                self.neighbours(centre), key=lambda s: -linear.weigh(Hypothesis(s)).nats
-            )
-            for members in ranked[: self.settings.num_refits]:
-                self.refit(members, start=linear.weigh(Hypothesis(members)).x)
-            best = max((h for h in self.entries if h.unknown is None), key=self._nats)
-            if best.effects == centre:
+            for members in self._promising(centre)[: self.settings.num_refits]:
+                self.refit(members, centre)
+            best = max((h for h in self.entries if h.unknown is None), key=self._nats).effects
+            if best == centre.members:
                 break
-            centre = best.effects
+            centre = self._centre(best, centre)
         self._rivals(centre)
         self._unknowns(centre)
 
-    def neighbours(self, members: frozenset[int]) -> list[frozenset[int]]:
+    def neighbours(self, members: Members) -> list[Members]:
         """Sets with one effect more, one less, or one swapped."""
         others = [i for i in range(len(self.wide.effects)) if i not in members]
         more = [members | {i} for i in others] if len(members) < self.settings.max_effects else []
@@ -115,116 +132,132 @@ class Search:
         swapped = [(members - {i}) | {j} for i in members for j in others]
         return [*more, *less, *swapped]
 
-    def refit(self, members: frozenset[int], start: Array | None = None) -> Entry | None:
-        """Fit a set, linearise at the answer, weigh; once. None where it cannot be simulated."""
-        key = Hypothesis(members)
-        if key in self.entries:
-            return self.entries[key]
-        if key in self.failed:
-            return None
-        found = self._fit(members, start)
-        if found is None:
-            return None
-        # the Laplace evidence needs the set's own columns only: no second linearisation
-        own = OwnLinearisation(found, self.num_families)
-        self.entries[key] = Entry(key, own.weigh_all(len(members)), found)
-        return self.entries[key]
+    def refit(self, members: Members, near: Centre | None = None) -> Entry | None:
+        """Fit a set, weigh it there; once. None where it cannot be simulated.
 
-    def _fit(self, members: frozenset[int], start: Array | None) -> Fit | None:
-        """From ``start``, or from the prior where that cannot be simulated."""
-        starts = [None] if start is None else [self._narrowed(start, members), None]
-        for x0 in starts:
+        Args:
+            members: The set.
+            near: Where to begin; the plain model if None, or if it cannot be simulated from there.
+        """
+        key = Hypothesis(members)
+        if key in self.entries or key in self.failed:
+            return self.entries.get(key)
+        message = ""
+        for centre in dict.fromkeys((near or self._null, self._null)):
             try:
-                return fit_runs(
-                    self.wide.model,
-                    self.wide.runs,
-                    (),
-                    effects=self._chosen(members),
-                    start=x0,
-                    whitener=self.wide.whitener,
-                    jacobian=self.wide.jacobian,
-                    workers=self.wide.workers,
-                )
+                start = self.points.start(members, centre.local, centre.linear.weigh(key).x)
+                found = self.points.descend(members, start, self._half_cost)
             except DiffsimError as error:
-                self.failed[Hypothesis(members)] = str(error)
+                message = str(error)
+                continue
+            self.linear_only.pop(key, None)
+            return self._enter(members, found.fit)
+        self.failed[key] = message
         return None
 
-    def linear_at(self, members: frozenset[int]) -> Linearisation:
-        """Everything linearised at the refit of a set."""
-        if members not in self._centres:
-            entry = self.refit(members)
-            assert entry is not None and entry.fit is not None  # callers have seen it succeed
-            self._centres[members] = self.linearise(self._widened(entry.fit))
-        return self._centres[members]
+    def _enter(self, members: Members, fit: Fit) -> Entry:
+        """The Laplace evidence needs the set's own columns only."""
+        own = Linearisation(fit.problem, fit.x, fit.residual, fit.jacobian, [], self.num_families)
+        weighed = own.weigh(Hypothesis(frozenset(range(len(members)))))
+        key = Hypothesis(members)
+        self.entries[key] = Entry(key, replace(weighed, chi2=fit.chi2), fit)
+        return self.entries[key]
 
-    def linearise(self, x: Array) -> Linearisation:
-        """All effects and unknown causes at coordinates of the wide problem."""
-        return Linearisation(self.wide, x, self.unknowns, self.num_families)
+    def _centre(self, members: Members, last: Centre | None) -> Centre:
+        local = self.points.screen(members, None if last is None else last.local)
+        return Centre(members, local, self._linear(members, local, ()))
 
-    def _rivals(self, centre: frozenset[int]) -> None:
-        """Refit everything near the best set that could be a rival, and its members' removal."""
-        linear = self.linear_at(centre)
-        best = self._nats(Hypothesis(centre))
-        for members in self.neighbours(centre):
-            weighed = linear.weigh(Hypothesis(members))
-            is_less = members < centre
-            if is_less or weighed.nats > best - self.settings.rival_nats:
-                self.refit(members, start=weighed.x)
+    def _linear(self, members: Members, local: Local, unknowns: Sequence[Unknown]) -> Linearisation:
+        return self.points.linear(members, local, unknowns, self.num_families)
 
-    def _unknowns(self, centre: frozenset[int]) -> None:
-        """The best set and its subsets, each with every unknown cause."""
-        sets = {centre, frozenset(), *(centre - {i} for i in centre)}
-        for members in sets:
-            if self.refit(members) is None:
-                continue
-            for u in range(len(self.unknowns)):
-                self._with_unknown(Hypothesis(members, u))
+    def _weigh(self, centre: Centre, members: Members) -> float:
+        """Linear evidence, noted for the table."""
+        key = Hypothesis(members)
+        weighed = centre.linear.weigh(key)
+        if key not in self.entries:
+            self.linear_only[key] = weighed
+        return weighed.nats
 
-    def _with_unknown(self, key: Hypothesis) -> None:
-        linear = self.linear_at(key.effects)
-        weighed = linear.weigh(key)
+    def _promising(self, centre: Centre) -> list[Members]:
+        """Neighbours that could be better than the centre, best first."""
+        enough = self._nats(Hypothesis(centre.members)) + KEEP_NATS - self._slack(centre.members)
+        nats = {s: self._weigh(centre, s) for s in self.neighbours(centre.members)}
+        return sorted((s for s in nats if nats[s] > enough), key=lambda s: -nats[s])
+
+    def _rivals(self, centre: Centre) -> None:
+        """Refit what could be a rival of the best set, or show that a member is not needed."""
+        slack = self._slack(centre.members)
+        plain, best = self._nats(Hypothesis()), self._nats(Hypothesis(centre.members))
+        for members in self.neighbours(centre.members):
+            enough = best + KEEP_NATS if members > centre.members else best - ALONE_NATS
+            if members < centre.members:
+                enough = best - KEEP_NATS
+            elif not members > centre.members:
+                enough = max(enough, plain + KEEP_NATS)
+            if self._weigh(centre, members) > enough - slack:
+                self.refit(members, centre)
+
+    def _unknowns(self, centre: Centre) -> None:
+        """The best set and its subsets, each with every unknown cause, where the set was fitted."""
+        places = {self._null: [NONE]}
+        places[centre] = [centre.members, *(centre.members - {i} for i in centre.members)]
+        lies: dict[Hypothesis, Linearisation] = {}
+        for place, sets in places.items():
+            linear = self._linear(place.members, place.local, self.unknowns)
+            keys = [Hypothesis(s, u) for s in sets for u in range(len(self.unknowns))]
+            for key in keys:
+                if key not in lies:  # the plain model's own place comes first
+                    lies[key] = linear
+                    self.entries[key] = Entry(key, linear.weigh(key), None)
+        for key in sorted(lies, key=lambda h: -self._nats(h)):
+            if self._could_decide(key, centre.members):
+                self._refine(key, lies[key])
+
+    def _could_decide(self, key: Hypothesis, best: Members) -> bool:
+        """Whether the verdict hangs on how exact this evidence is."""
+        ahead, slack = self._nats(key) - self._nats(Hypothesis(best)), self.settings.rival_nats
+        if key.effects >= best:
+            return abs(ahead - KEEP_NATS) < slack
+        return ahead > -ALONE_NATS
+
+    def _refine(self, key: Hypothesis, linear: Linearisation) -> None:
+        """Linearise a set with an unknown cause again where it lies."""
+        assert key.unknown is not None
+        problem, cause = self.points.narrow(key.effects), self.unknowns[key.unknown]
+        own = self.points.coordinates(key.effects)
+        weighed, x0 = self.entries[key].weighed, linear.x0
+        everything = Hypothesis(frozenset(range(len(key.effects))), 0)
         for _ in range(self.settings.unknown_steps - 1):
-            x = weighed.x
-            if np.abs(x - linear.x0).max(initial=0.0) < 0.05:
+            x = weighed.x[own]
+            if np.abs(weighed.x - x0).max(initial=0.0) < 0.05:
                 break
             try:
-                linear = self.linearise(x)
+                local = local_at(problem, x)
+                response = by_group(problem, cause.slopes(problem, x))
             except DiffsimError as error:  # the step left what can be simulated: keep the last
                 self.failed[key] = str(error)
                 break
-            weighed = linear.weigh(key)
+            residual = whitened(problem, measured_of(problem) - local.record)
+            jacobian = whitened(problem, local.columns)
+            again = Linearisation(
+                problem, x, residual, jacobian, [response], self.num_families, len(self.unknowns)
+            )
+            found = again.weigh(everything)
+            x0, wide = weighed.x, np.zeros((2, len(self.wide.names)))
+            wide[:, own] = found.x, found.sd
+            weighed = replace(found, x=wide[0], sd=wide[1])
         self.entries[key] = Entry(key, weighed, None)
 
-    def _chosen(self, members: frozenset[int]) -> tuple[Effect, ...]:
-        return tuple(self.wide.effects[i] for i in sorted(members))
+    def _slack(self, members: Members) -> float:
+        """By how many nats linear evidence at a set may be wrong."""
+        fit = self.entries[Hypothesis(members)].fit
+        assert fit is not None
+        misfit = 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
+        return self.settings.rival_nats + self.settings.misled * misfit
 
-    def _widened(self, fit: Fit) -> Array:
-        x = np.zeros(len(self.wide.names))
-        x[: self.wide.num_base] = fit.x[: self.wide.num_base]
-        for effect in fit.problem.effects:
-            x[self.wide.columns_of(effect)] = fit.x[fit.problem.columns_of(effect)]
-        return x
-
-    def _narrowed(self, x: Array, members: frozenset[int]) -> Array:
-        idx = list(range(self.wide.num_base))
-        for i in sorted(members):
-            idx += self.wide.columns_of(self.wide.effects[i])
-        return x[idx]
+    def _half_cost(self) -> float:
+        fits = [e.fit for e in self.entries.values() if e.fit is not None]
+        return 0.5 * min(f.chi2 + f.prior for f in fits)
 
     def _nats(self, key: Hypothesis) -> float:
         return self.entries[key].nats
-
-
-class OwnLinearisation(Linearisation):
-    """The linearisation that a fit already holds, of its own columns."""
-
-    def __init__(self, fit: Fit, num_families: int):
-        self.problem, self.x0, self.num_families = fit.problem, fit.x, num_families
-        self.residual, self.jacobian = fit.residual, fit.jacobian
-        self._from_matrices(fit.residual + fit.jacobian @ fit.x, fit.jacobian, [])
-        self.columns = [fit.problem.columns_of(e) for e in fit.problem.effects]
-
-    def weigh_all(self, count: int) -> Weighed:
-        """Evidence of the fit with all its effects."""
-        weighed = self.weigh(Hypothesis(frozenset(range(count))))
-        return replace(weighed, chi2=float(self.residual @ self.residual))

@@ -12,16 +12,18 @@ from numpy.typing import NDArray
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.crosscheck import swap_probability
 from diffsim.diagnose.decide import Decision, decide
+from diffsim.diagnose.descend import Descended, descend
 from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.evidence import Hypothesis
 from diffsim.diagnose.gain import Gain, gain
+from diffsim.diagnose.local import Local, local_at
 from diffsim.diagnose.model import SimModel
 from diffsim.diagnose.noise import NoiseFloor, noise_floor, without_spikes
+from diffsim.diagnose.points import Points
 from diffsim.diagnose.report import GateResult
 from diffsim.diagnose.search import Search, SearchSettings
 from diffsim.diagnose.unknown import Unknown
 from diffsim.identify import Fit, Jacobian, Problem, Whitener, WhiteNoise
-from diffsim.identify import fit as fit_runs
 
 Array = NDArray[np.float64]
 SWAP_LIMIT = 0.02  # of noise alone: about three of 200 swapped draws may reach the statistic
@@ -57,24 +59,17 @@ class Case:
     unknowns: tuple[Unknown, ...]
     settings: DiagnosisSettings
 
-    def fit(self, runs: Sequence[Run], whitener: Whitener, start: Array | None = None) -> Fit:
+    def problem(self, whitener: Whitener) -> Problem:
+        """The plain model on the runs to be fitted."""
         s = self.settings
-        return fit_runs(
-            self.model,
-            runs,
-            self.study.channels,
-            start=start,
-            whitener=whitener,
-            jacobian=s.jacobian,
-            workers=s.workers,
-        )
+        return Problem(self.model, self.study.fit_runs, whitener, (), s.jacobian, workers=s.workers)
 
     def wide(self, null: Fit) -> Problem:
         return replace(null.problem, effects=self.effects)
 
 
-def null_fit(case: Case) -> tuple[Study, NoiseFloor, Fit, int]:
-    """Fit with rough noise, then spikes out, noise from what is left, and once more."""
+def null_fit(case: Case) -> tuple[Case, NoiseFloor, Descended, int]:
+    """Fit with rough noise, prepare the model there, spikes out, noise from what is left, again."""
     study = case.study
     raw = {r.name: r.measured for r in study.runs}
     channels = [
@@ -85,30 +80,39 @@ def null_fit(case: Case) -> tuple[Study, NoiseFloor, Fit, int]:
         )
         for i, c in enumerate(study.channels)
     ]
-    rough = case.fit(study.fit_runs, WhiteNoise(channels))
-    cleaned = [without_spikes(r, left_of(rough, r)) for r in study.runs]
+    problem = case.problem(WhiteNoise(channels))
+    found = descend(problem, local_at(problem, np.zeros(problem.num_base)))
+    prepared = case.model.prepared_at(torch.from_numpy(found.fit.x))
+    if prepared is not case.model:
+        case = replace(case, model=prepared)
+        problem = case.problem(WhiteNoise(channels))
+        found = descend(problem, local_at(problem, found.fit.x))
+    cleaned = [without_spikes(r, left_of(found.fit, r)) for r in study.runs]
     num_spikes = sum(count for _, count in cleaned)
     study = replace(study, runs=tuple(run for run, _ in cleaned))
-    left = {r.name: left_of(rough, r) for r in study.fit_runs}
-    noise = noise_floor(study.fit_runs, study.channels, left)
-    return study, noise, case.fit(study.fit_runs, noise.whitener, rough.x), num_spikes
+    case = replace(case, study=study)
+    noise = noise_floor(study.fit_runs, study.channels, left_in(study.fit_runs, found.local))
+    return case, noise, descend(case.problem(noise.whitener), found.local), num_spikes
 
 
-def search_rounds(case: Case, noise: NoiseFloor, null: Fit) -> tuple[Search, NoiseFloor, Fit]:
-    """Search; estimate the noise from what the best set leaves; again if it has changed."""
+def search_rounds(
+    case: Case, noise: NoiseFloor, null: Descended, points: Points | None = None
+) -> tuple[Search, NoiseFloor, Descended]:
+    """Search; estimate the noise from what the best set leaves; again if it has changed, from what
+    was simulated before."""
     runs = case.study.fit_runs
     for round_ in range(case.settings.noise_rounds):
-        search = Search(case.wide(null), case.unknowns, null, case.settings.search)
+        search = Search(case.wide(null.fit), case.unknowns, null, case.settings.search, points)
         search.run()
-        best = search.entries[Hypothesis(decision_of(search).best)].fit
-        assert best is not None
-        after = noise_floor(runs, case.study.channels, {r.name: left_of(best, r) for r in runs})
+        points = search.points
+        best = points.fitted[decision_of(search).best]
+        after = noise_floor(runs, case.study.channels, left_in(runs, best))
         is_same = after.source == noise.source and bool(
             (np.abs(after.sd / noise.sd - 1.0) < NOISE_CHANGED).all()
         )
         if is_same or round_ == case.settings.noise_rounds - 1:
             break
-        noise, null = after, case.fit(runs, after.whitener, null.x)
+        noise, null = after, descend(case.problem(after.whitener), null.local)
     return search, after, null
 
 
@@ -172,3 +176,12 @@ def left_of(fit: Fit, run: Run) -> Array:
     """(num_samples, num_channels) measured minus predicted [unit of the channel]."""
     with torch.no_grad():
         return run.measured - fit.problem.predict(run, torch.from_numpy(fit.x)).numpy()
+
+
+def left_in(runs: Sequence[Run], local: Local) -> dict[str, Array]:
+    """As ``left_of``, by run, from a record that is known."""
+    edges = np.cumsum([run.measured.size for run in runs])[:-1]
+    parts = np.split(local.record, edges)
+    return {
+        r.name: r.measured - p.reshape(r.measured.shape) for r, p in zip(runs, parts, strict=True)
+    }

@@ -9,7 +9,7 @@ import numpy as np
 from diffsim.data.study import Study
 from diffsim.diagnose.decide import Decision
 from diffsim.diagnose.effect import Effect
-from diffsim.diagnose.evidence import Hypothesis
+from diffsim.diagnose.evidence import Hypothesis, Weighed
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.report import EffectRow, HypothesisRow
 from diffsim.diagnose.screen import Screen
@@ -64,36 +64,36 @@ def effect_rows(
 
 
 def evidence_for(search: Search, i: int) -> float:
-    """Best evidence with an effect minus the best without it, among what was refitted.
+    """Best evidence with an effect minus the best without it.
 
-    An effect that no refitted set holds is weighed alone at the null linearisation.
+    Linear evidence stands for an effect that no refitted set holds.
     """
     plain = {h: e.nats for h, e in search.entries.items() if h.unknown is None}
-    with_it = [n for h, n in plain.items() if i in h.effects]
-    without = max(n for h, n in plain.items() if i not in h.effects)
-    if not with_it:
-        alone = search.null_linear.weigh(Hypothesis(frozenset({i}))).nats
-        return alone - plain[Hypothesis()]
-    return max(with_it) - without
+    linear = {h: w.nats for h, w in search.linear_only.items() if i in h.effects}
+    with_it = [n for h, n in plain.items() if i in h.effects] or list(linear.values())
+    return max(with_it) - max(n for h, n in plain.items() if i not in h.effects)
 
 
 def hypothesis_rows(
     search: Search | None, effects: Sequence[Effect], unknowns: Sequence[Unknown]
 ) -> tuple[HypothesisRow, ...]:
-    """Everything that was refitted, best first."""
+    """Everything that was weighed: what was refitted best first, then the rest."""
     if search is None:
         return ()
     base = search.entries[Hypothesis()].nats
-    rows = [
-        HypothesisRow(
+
+    def row(h: Hypothesis, weighed: Weighed, refitted: bool) -> HypothesisRow:
+        return HypothesisRow(
             effects=tuple(effects[i].name for i in sorted(h.effects)),
             unknown=None if h.unknown is None else unknowns[h.unknown].name,
-            nats=e.nats - base,
-            chi2=e.weighed.chi2,
+            nats=weighed.nats - base,
+            chi2=weighed.chi2,
+            refitted=refitted,
         )
-        for h, e in search.entries.items()
-    ]
-    return tuple(sorted(rows, key=lambda r: -r.nats))
+
+    rows = [row(h, e.weighed, True) for h, e in search.entries.items()]
+    rows += [row(h, w, False) for h, w in search.linear_only.items()]
+    return tuple(sorted(rows, key=lambda r: (not r.refitted, -r.nats)))
 
 
 def cannot_see(

@@ -1,6 +1,6 @@
 """Causes without a form: a smooth force, or a smooth drift of one channel, as Gaussian processes.
 
-Each gives responses H, the whitened change of the record per independent N(0, 1) coefficient. Their
+Each gives responses H, the change of the record per independent N(0, 1) coefficient. Their
 common amplitude is averaged over in ``evidence``, so only their shape matters here.
 """
 
@@ -8,13 +8,20 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
 from diffsim.diagnose.effect import Effect
+from diffsim.diagnose.local import local_at
 from diffsim.identify import Problem
+
+if TYPE_CHECKING:
+    from diffsim.data.study import Run
 
 Array = NDArray[np.float64]
 
@@ -29,8 +36,13 @@ class Unknown(ABC):
     name: str
 
     @abstractmethod
+    def slopes(self, problem: Problem, x: Array) -> Array:
+        """(N, m) change of all samples of all runs per coefficient, at x, not whitened."""
+
     def responses(self, problem: Problem, x: Array) -> Array:
-        """(num_valid, m) whitened responses at x, rows in the order of ``problem.runs``."""
+        """(num_valid, m * num_groups) whitened responses at x, rows in the order of
+        ``problem.runs``; one block of columns per command."""
+        return by_group(problem, self.slopes(problem, x))
 
 
 class UnknownForce(Unknown):
@@ -49,22 +61,26 @@ class UnknownForce(Unknown):
             raise ValueError(f"covariance must have shape ({m}, {m}), got {covariance.shape}")
         self.effect, self.name = effect, name
         self._root = _root(covariance)
+        # by a secant, one simulation each: only the shape of the responses matters
+        self._secant = copy(effect)
+        vars(self._secant)["smooth"] = False
 
-    def responses(self, problem: Problem, x: Array) -> Array:
-        """One block of columns per command."""
-        wide = Problem(
-            problem.model,
-            problem.runs,
-            problem.whitener,
-            (*problem.effects, self.effect),
-            problem.jacobian,
-            problem.numerics,
-            problem.workers,
+    def slopes(self, problem: Problem, x: Array) -> Array:
+        """Simulated for one run of each command: repeats differ by their nuisances only."""
+        return self.component_slopes(problem, x) @ self._root
+
+    def component_slopes(self, problem: Problem, x: Array) -> Array:
+        """(N, num_components) per standardised coefficient of the effect."""
+        first: dict[object, Run] = {}
+        twins = [first.setdefault(_sampling(run), run) for run in problem.runs]
+        wide = replace(
+            problem, runs=tuple(first.values()), effects=(*problem.effects, self._secant)
         )
-        own = wide.columns_of(self.effect)
-        point = np.concatenate([x, np.zeros(len(own))])
-        _, jacobian = wide.linearise(point, only=own)
-        return _by_group(problem, jacobian[:, own] @ self._root)
+        own = wide.columns_of(self._secant)
+        found = local_at(wide, np.concatenate([x, np.zeros(len(own))]), own, screen=True).columns
+        edges = np.cumsum([run.measured.size for run in wide.runs])[:-1]
+        of_run = dict(zip((run.name for run in wide.runs), np.split(found, edges), strict=True))
+        return np.concatenate([of_run[run.name] for run in twins])
 
 
 class UnknownDrift(Unknown):
@@ -81,19 +97,19 @@ class UnknownDrift(Unknown):
         self.channel, self.name = channel, name
         self.knots_per_s, self.num_knots = knots_per_s, num_knots
 
-    def responses(self, problem: Problem, x: Array) -> Array:
-        """Hat functions in time, one block of columns per command."""
+    def slopes(self, problem: Problem, x: Array) -> Array:
+        """Smooth functions of time; nothing is simulated."""
         longest = max(float(r.time_s[-1] - r.time_s[0]) for r in problem.runs)
         count = min(max(round(longest * self.knots_per_s) + 1, 4), self.num_knots)
         knots = np.linspace(0.0, longest, count)
         root = _root(smooth_covariance(knots, 2.0 * longest / (count - 1)))
         blocks = []
         for run in problem.runs:
-            hats = np.stack([np.interp(run.time_s - run.time_s[0], knots, e) for e in root.T], 1)
-            record = np.zeros((*run.measured.shape, count))
-            record[:, self.channel] = hats
-            blocks.append(problem.whiten(run, record.reshape(-1, count)))
-        return _by_group(problem, np.concatenate(blocks))
+            curves = [np.interp(run.time_s - run.time_s[0], knots, e) for e in root.T]
+            record = np.zeros((*run.measured.shape, len(curves)))
+            record[:, self.channel] = np.stack(curves, 1)
+            blocks.append(record.reshape(-1, len(curves)))
+        return np.concatenate(blocks)
 
 
 def smooth_covariance(knots: Array, length: float) -> Array:
@@ -108,17 +124,29 @@ def _root(covariance: Array) -> Array:
     return vectors[:, keep] * np.sqrt(values[keep])
 
 
-def _by_group(problem: Problem, columns: Array) -> Array:
-    """Columns of each command side by side: independent between commands."""
+def by_group(problem: Problem, slopes: Array) -> Array:
+    """Whitened, columns of each command side by side: independent between commands.
+
+    Args:
+        problem: Whose runs the rows are.
+        slopes: (N, m).
+    """
     groups = list(dict.fromkeys(run.group for run in problem.runs))
-    counts = [problem.whitener.matrix(run).shape[0] for run in problem.runs]
-    m = columns.shape[1]
-    out, start = np.zeros((len(columns), m * len(groups))), 0
-    for run, count in zip(problem.runs, counts, strict=True):
+    m = slopes.shape[1]
+    parts, start = [], 0
+    for run in problem.runs:
+        own = problem.whiten(run, slopes[start : start + run.measured.size])
+        start += run.measured.size
+        spread = np.zeros((len(own), m * len(groups)))
         at = groups.index(run.group) * m
-        out[start : start + count, at : at + m] = columns[start : start + count]
-        start += count
-    return out
+        spread[:, at : at + m] = own
+        parts.append(spread)
+    return np.concatenate(parts)
+
+
+def _sampling(run: Run) -> object:
+    """Equal for repeats that are sampled alike."""
+    return run.group, run.time_s.tobytes()
 
 
 def drifts(channels: Sequence[str]) -> list[Unknown]:

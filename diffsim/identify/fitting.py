@@ -129,9 +129,22 @@ def fit(
 def _summarise(
     latest: _Latest, x: Array, converged: bool, message: str, num_evaluations: int
 ) -> Fit:
-    """``Fit`` at coordinates x: uncertainties from the Gauss-Newton matrix there."""
-    problem = latest.problem
     residual, jacobian = latest.linearise(x)
+    if latest.num_failed:
+        message += f"; {latest.num_failed} trial points could not be simulated"
+    return summary(latest.problem, x, residual, jacobian, converged, message, num_evaluations)
+
+
+def summary(
+    problem: Problem,
+    x: Array,
+    residual: Array,
+    jacobian: Array,
+    converged: bool,
+    message: str,
+    num_evaluations: int,
+) -> Fit:
+    """``Fit`` at coordinates x: uncertainties from the Gauss-Newton matrix there."""
     covariance = posterior_covariance(jacobian)
     sd_x = np.sqrt(np.diag(covariance))
     low, high = problem.bounds
@@ -150,9 +163,7 @@ def _summarise(
         ),
         undetermined=tuple(n for n, s in zip(names, sd_x, strict=True) if s > 0.9),
         converged=converged,
-        message=message + f"; {latest.num_failed} trial points could not be simulated"
-        if latest.num_failed
-        else message,
+        message=message,
         num_evaluations=num_evaluations,
         residual=residual,
         jacobian=jacobian,

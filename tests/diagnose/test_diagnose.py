@@ -10,6 +10,7 @@ import yaml
 
 from diffsim.diagnose import DiagnosisSettings, SearchSettings, diagnose, extended_model, next_run
 from diffsim.diagnose.crosscheck import swap_probability
+from diffsim.diagnose.evidence import Linearisation
 from diffsim.diagnose.gates import data_gate, gradient_gate
 from diffsim.diagnose.unknown import UnknownDrift
 from diffsim.identify import Problem, WhiteNoise, fit
@@ -151,7 +152,9 @@ def test_gradient_gate_passes_and_sees_a_wrong_gradient():
             )
 
     effects = (linear.Line("push"), Wrong("pull"))
-    gates = {g.name: g for g in gradient_gate(linear.problem(effects), np.zeros(4))}
+    problem, x = linear.problem(effects), np.zeros(4)
+    at = Linearisation(problem, x, *problem.linearise(x), [], 1)
+    gates = {g.name: g for g in gradient_gate(at)}
     assert gates["gradient:push"].passed
     assert not gates["gradient:pull"].passed
 

@@ -12,10 +12,16 @@ def constant(y):
     return -0.5 * len(y) * np.log(2 * np.pi)
 
 
+def linearised(problem, x, unknowns, num_families):
+    """At x, with the responses of unknown causes."""
+    responses = [u.responses(problem, x) for u in unknowns]
+    return Linearisation(problem, x, *problem.linearise(x), responses, num_families)
+
+
 @pytest.mark.reference
 def test_signed_effects_against_the_marginal_normal():
     effects = (linear.Line("push"), linear.Line("wind", components=("x", "y")))
-    lin = Linearisation(linear.problem(effects), np.zeros(5), (), 1)
+    lin = linearised(linear.problem(effects), np.zeros(5), (), 1)
     y, a = linear.matrices(effects)
     for members, columns in [
         ((), [0, 1]),
@@ -55,7 +61,7 @@ def test_half_normal_against_a_brute_force_integral(push):
         points=[0.01, 0.1, 0.5, 1.0, 2.0],
     )
     # linearised away from the answer: in a linear problem it must not matter
-    lin = Linearisation(linear.problem((effect,), runs), np.array([0.3, -0.2, 0.7]), (), 1)
+    lin = linearised(linear.problem((effect,), runs), np.array([0.3, -0.2, 0.7]), (), 1)
     found = lin.weigh(Hypothesis(frozenset({0}))).nats + constant(y)
     np.testing.assert_allclose(found, peak + np.log(area), rtol=1e-6)
 
@@ -65,6 +71,9 @@ class Given(Unknown):
 
     def __init__(self, responses):
         self.h = responses
+
+    def slopes(self, problem, x):
+        return self.h
 
     def responses(self, problem, x):
         return self.h
@@ -76,7 +85,7 @@ def test_unknown_against_the_marginal_normal_averaged_over_amplitudes():
     y, a = linear.matrices(effects)
     h = np.random.default_rng(0).normal(size=(len(y), 7))
     unit = h / np.sqrt(np.sum(h**2) / len(y))
-    lin = Linearisation(linear.problem(effects), np.zeros(3), (Given(h),), 1)
+    lin = linearised(linear.problem(effects), np.zeros(3), (Given(h),), 1)
     for members, columns in [((), [0, 1]), ((0,), [0, 1, 2])]:
         b = a[:, columns]
         logs = [
@@ -93,9 +102,7 @@ def test_unknown_against_the_marginal_normal_averaged_over_amplitudes():
 def test_every_effect_and_unknown_pays_for_being_chosen():
     effects = (linear.Line("push"), linear.Line("pull"))
     h = np.random.default_rng(0).normal(size=(60, 3))
-    cheap, dear = (
-        Linearisation(linear.problem(effects), np.zeros(4), (Given(h),), n) for n in (1, 5)
-    )
+    cheap, dear = (linearised(linear.problem(effects), np.zeros(4), (Given(h),), n) for n in (1, 5))
     key = Hypothesis(frozenset({0, 1}), 0)
     np.testing.assert_allclose(cheap.weigh(key).nats - dear.weigh(key).nats, 3 * np.log(5))
 
