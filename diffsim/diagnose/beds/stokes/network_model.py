@@ -114,7 +114,9 @@ class _Balance:
         self.device = table.device
         shape = Shape(scene.wall_offset, scene.slip_length, scene.narrowing)
         self.unit = table.at(shape)
-        self.flow_scale = float(scene.drive.detach().abs().max().clamp(min=1e-300))
+        self.kernel = table.kernel(self.unit)  # here, where gradients are recorded
+        # what a pascal drives
+        self.flow_scale = self.device.depth / float(self.unit.resistance.detach().mean())
         # plane flows [m^2/s] per scaled flow, and viscosity over the nominal one
         self.factor = self.flow_scale / self.device.depth * scene.viscosity / self.device.viscosity
         self.local = self._local_factor()
@@ -132,12 +134,9 @@ class _Balance:
     def _energies(self, factor: Tensor) -> tuple[Tensor, Tensor]:
         """Resistance (levels, m, m) and that ahead of the tap (levels, m) of cells ``factor``
         (levels, cells) times as viscous; one everywhere gives the simulator's own."""
-        unit, table = self.unit, self.scene.table
-        kernel = table.kernel(unit)
-        m = len(unit.tap)
-        energy = (factor @ kernel[:, : m * m]).reshape(-1, m, m)
-        before = factor @ kernel[:, m * m :]
-        return energy, before
+        m = len(self.unit.tap)
+        both = factor @ self.kernel
+        return both[:, : m * m].reshape(-1, m, m), both[:, m * m :]
 
     def at(self, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Residual (levels, m + 1) [-, Pa], its slope, and the tap's pressure (levels,) [Pa]."""
@@ -169,9 +168,8 @@ class _Balance:
         size = float("inf")
         for _ in range(MAX_ITERS):
             residual, slope, _ = self.at(y)
-            scale = torch.ones(m + 1, dtype=torch.float64)
-            scale[1:] = y[:, m].abs().max().clamp(min=1e-12) + s.back_pressure.abs().max()
-            size = float((residual / scale).abs().max())
+            given = s.drive.abs().max() / self.flow_scale + s.back_pressure.abs().max()
+            size = float(residual.abs().max() / given.clamp(min=1e-12))  # flows and pressures alike
             if size <= s.rtol:
                 return y
             y = y - torch.linalg.solve(slope, residual)

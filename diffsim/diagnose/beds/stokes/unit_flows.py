@@ -38,7 +38,7 @@ DEEP = 0.75
 
 SLIP_RTOL = 1e-9
 MAX_SLIP_SWEEPS = 60
-NUM_KEPT = 256
+NUM_KEPT, NUM_RECENT = 256, 32
 NUM_SECTIONS = 12
 STEPS = {"offset": 5e-6, "slip": 5e-6, "narrowing": 0.05}
 """Between shapes that are simulated, [m], [m] and [-]; others are interpolated. Smaller than any
@@ -112,10 +112,21 @@ class UnitFlowTable:
         self._masks = _nearest(self.grid.nodes[0, :, 1], ends)
         self._sections = self._cut()
         self._kernels: WeakKeyDictionary[UnitFlows, Tensor] = WeakKeyDictionary()
+        self._recent: OrderedDict[tuple[float, ...], UnitFlows] = OrderedDict()
         self._kept: OrderedDict[tuple[int, ...], UnitFlows] = OrderedDict()
 
     def at(self, shape: Shape) -> UnitFlows:
         """Unit flows of a shape; gradients pass to it through the interpolation."""
+        if any(part.requires_grad for part in shape):
+            return self._between(shape)
+        key = tuple(torch.cat([part.reshape(-1) for part in shape]).tolist())
+        if key not in self._recent:
+            self._recent[key] = self._between(shape)
+            if len(self._recent) > NUM_RECENT:
+                self._recent.popitem(last=False)
+        return self._recent[key]
+
+    def _between(self, shape: Shape) -> UnitFlows:
         coordinates = [
             shape.offset / STEPS["offset"],
             shape.slip / STEPS["slip"],
@@ -152,7 +163,7 @@ class UnitFlowTable:
             kernel = torch.cat(
                 [resistance.reshape(-1, m * m), before * (unit.tap / before.sum(0))], 1
             )
-            if not kernel.requires_grad:
+            if not unit.strain.requires_grad:
                 self._kernels[unit] = kernel
         return kernel
 
@@ -296,15 +307,22 @@ def _at_centers(nodal: Tensor) -> Tensor:
 
 
 def _interpolation(at: Tensor) -> list[tuple[int, Tensor]]:
-    """Whole numbers around a coordinate and their weights: cubic with continuous slope
-    (Catmull-Rom); those with neither weight nor, where it is asked for, slope are left out."""
+    """Whole numbers around a coordinate and their weights: the quintic between two nodes whose
+    values, central slopes and central second derivatives it takes, so that both stay continuous.
+    Nodes with neither weight nor, where it is asked for, slope are left out."""
     low = int(torch.floor(at.detach()))
     t = at - low
+    cube = t**3
+    slope_0 = t - cube * (6.0 - t * (8.0 - 3.0 * t))
+    slope_1 = -cube * (4.0 - t * (7.0 - 3.0 * t))
+    bend_0 = 0.5 * t * t * (1.0 - t) ** 3
+    bend_1 = 0.5 * cube * (1.0 - t) ** 2
+    value_1 = cube * (10.0 - t * (15.0 - 6.0 * t))
     weights = (
-        0.5 * t * (-1.0 + t * (2.0 - t)),
-        1.0 + 0.5 * t * t * (-5.0 + 3.0 * t),
-        0.5 * t * (1.0 + t * (4.0 - 3.0 * t)),
-        0.5 * t * t * (t - 1.0),
+        bend_0 - 0.5 * slope_0,
+        1.0 - value_1 - 2.0 * bend_0 - 0.5 * slope_1 + bend_1,
+        value_1 + 0.5 * slope_0 + bend_0 - 2.0 * bend_1,
+        0.5 * slope_1 + bend_1,
     )
     is_node = float(t.detach()) == 0.0
     needed = (at.requires_grad, True, at.requires_grad, False) if is_node else (True,) * 4
