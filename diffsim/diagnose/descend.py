@@ -21,13 +21,14 @@ from diffsim.identify.fitting import summary
 
 Array = NDArray[np.float64]
 ENOUGH_NATS = 0.02  # what a further step may promise, far below the 3 nats that part two names
+HOPELESS = 3e-4  # ... as a share of the misfit, which no name explains then
+FAR_BEHIND = 0.05  # ... as a share of what it is behind the best
+BEATEN_NATS = 100.0  # behind the best: its slopes need not be exact
 TRUSTED = 0.05  # share of its movement by which the record may stray from its slopes
-STRAYED = 0.3
 MISLED = 0.5  # noise standard deviations of the misfit that slopes may mistake
-FAR_BEHIND, BEATEN_NATS = 0.05, 100.0
-LONGEST = 2.0  # prior standard deviations in one step
-MAX_STEPS = 25
-HALVINGS = 6
+STRAYED = 0.3
+LONGEST, SHORTEST = 4.0, 1e-3  # prior standard deviations in one step
+MAX_STEPS = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +43,7 @@ class _State:
     """A point with what is known there, whitened too."""
 
     def __init__(self, problem: Problem, local: Local):
-        self.problem, self.measured = problem, measured_of(problem)
+        self.problem, self.measured, self.radius = problem, measured_of(problem), LONGEST
         self.coordinates = tuple(range(len(local.x)))
         slopes = local.slopes(self.coordinates)
         self._put(replace(local, idx=self.coordinates, columns=slopes))
@@ -51,6 +52,11 @@ class _State:
     def _put(self, local: Local) -> None:
         self.local = local
         self.residual = whitened(self.problem, self.measured - local.record)
+
+    @property
+    def misfit(self) -> float:
+        """chi2 above what noise alone leaves."""
+        return max(float(self.residual @ self.residual) - len(self.residual), 0.0)
 
     @property
     def cost(self) -> float:
@@ -64,10 +70,30 @@ class _State:
     def is_trusted(self) -> bool:
         """Whether the slopes serve here: the record strayed little from them, and what is misfitted
         is too small for their error to matter."""
-        misfit = np.sqrt(max(float(self.residual @ self.residual) - len(self.residual), 0.0))
-        return self.local.stray < TRUSTED and self.local.stray * misfit < MISLED
+        return self.local.stray < TRUSTED and self.local.stray * np.sqrt(self.misfit) < MISLED
 
-    def advance(self, step: Array, record: Array) -> None:
+    def tried(self, step: Array) -> bool:
+        """Take a step if it lowers the cost; the radius follows what the slopes were worth."""
+        x, longest = self.local.x + step, float(np.abs(step).max())
+        try:
+            record = record_at(self.problem, x)
+        except DiffsimError:  # too far to be simulated
+            self.radius = 0.25 * longest
+            return False
+        r = whitened(self.problem, self.measured - record)
+        if float(r @ r + x @ x) >= self.cost:
+            self.radius = 0.25 * longest
+            return False
+        before = self.local.stray
+        self._advance(step, record)
+        strayed = self.local.stray - before
+        if strayed > STRAYED:
+            self.radius = max(0.5 * longest, 0.5 * self.radius)
+        elif longest > 0.9 * self.radius:
+            self.radius = 2.0 * longest
+        return True
+
+    def _advance(self, step: Array, record: Array) -> None:
         """Go there; correct the slopes by what the record did beside what they said."""
         here = self.local
         off = record - here.record - here.columns @ step
@@ -104,53 +130,37 @@ def descend(
     evaluations, converged, message = 0, False, f"no end after {MAX_STEPS} steps"
     for _ in range(MAX_STEPS):
         behind = max(0.5 * s.cost - ahead(), 0.0) if ahead is not None else 0.0
-        step = _step(s.jacobian, s.residual, s.local.x, low, high)
+        step = _step(s.jacobian, s.residual, s.local.x, low, high, s.radius)
         linear, there = s.residual - s.jacobian @ step, s.local.x + step
         promised = 0.5 * (s.cost - float(linear @ linear + there @ there))
-        if promised < max(ENOUGH_NATS, FAR_BEHIND * behind):
+        if promised < max(ENOUGH_NATS, HOPELESS * 0.5 * s.misfit, FAR_BEHIND * behind):
             if s.local.stray == 0.0 or s.is_trusted() or behind > BEATEN_NATS:
                 converged, message = True, f"a further step promises {promised:.1g} nats"
                 break
             s.refresh()
             continue
-        found, tried = _try(s, step)
-        evaluations += tried
-        if found is None and s.local.stray == 0.0:
+        evaluations += 1
+        is_lower = s.tried(step)
+        if not is_lower and s.radius < SHORTEST:
             message = "no step along the slopes lowers the cost"
             break
-        if found is not None:
-            s.advance(*found)
-        if found is None or s.local.stray > STRAYED:
+        if s.local.stray > (STRAYED if is_lower else 0.0):
             s.refresh()
     fit = summary(problem, s.local.x, s.residual, s.jacobian, converged, message, evaluations)
     return Descended(fit, s.local)
 
 
-def _try(s: _State, step: Array) -> tuple[tuple[Array, Array] | None, int]:
-    """The step or a part of it that lowers the cost, with its record, and how many were tried."""
-    halvings = HALVINGS if s.local.stray == 0.0 else 1
-    for k in range(halvings):
-        part = 0.5**k * step
-        x = s.local.x + part
-        try:
-            record = record_at(s.problem, x)
-        except DiffsimError:  # cannot be simulated: a shorter step
-            continue
-        r = whitened(s.problem, s.measured - record)
-        if float(r @ r + x @ x) < s.cost:
-            return (part, record), k + 1
-    return None, halvings
-
-
-def _step(jacobian: Array, residual: Array, x: Array, low: Array, high: Array) -> Array:
+def _step(
+    jacobian: Array, residual: Array, x: Array, low: Array, high: Array, radius: float
+) -> Array:
     """argmin |r - J d|^2 + |x + d|^2 within the bounds, no coordinate moving further than
-    ``LONGEST``."""
+    the radius."""
     if not len(x):
         return np.zeros(0)
     root = linalg.cholesky(jacobian.T @ jacobian + np.eye(len(x)))
     right = linalg.solve_triangular(root, jacobian.T @ residual - x, trans="T")
     step = linalg.solve_triangular(root, right)
-    least, most = np.maximum(low - x, -LONGEST), np.minimum(high - x, LONGEST)
+    least, most = np.maximum(low - x, -radius), np.minimum(high - x, radius)
     if (step < least).any() or (step > most).any():
         step = optimize.lsq_linear(root, right, (least, most), method="bvls").x
     return np.asarray(step)
