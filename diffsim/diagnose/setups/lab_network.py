@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from diffsim._check import require_choice
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.beds.stokes import (
     NetworkDevice,
@@ -22,6 +23,7 @@ from diffsim.diagnose.unknown import UnknownForce, smooth_covariance
 from diffsim.identify import Parameter
 
 PUMP, BACK_PRESSURES = "pump_m3_s", ("outlet_1_Pa", "outlet_2_Pa", "outlet_3_Pa")
+CHANNELS = ("outlet_1_m3_s", "outlet_2_m3_s", "outlet_3_m3_s", "pump_Pa", "tap_Pa")
 CELLS_PER_WIDTH = 6.8
 """Of the narrowest channel: 50 um."""
 NUM_KNOTS = 7
@@ -52,11 +54,21 @@ def setup(
     knots = smooth_covariance(np.linspace(0.0, until, NUM_KNOTS), 2.0 * until / (NUM_KNOTS - 1))
     unknown = UnknownForce(effect, np.kron(np.eye(len(device.outlets)), knots), "unknown pressure")
     return DiagnosisSetup(
-        network_model(device, base, pump=PUMP, back_pressures=BACK_PRESSURES),
+        network_model(
+            device, base, pump=PUMP, back_pressures=BACK_PRESSURES, columns=columns_of(study)
+        ),
         library,
         (unknown,),
         bank(study),
         DiagnosisSettings(accept_numerics=accept_numerics),
+    )
+
+
+def columns_of(study: Study) -> tuple[int, ...]:
+    """Which of the model's channels the study holds."""
+    return tuple(
+        CHANNELS.index(require_choice(f"study {study.name}: channel", c.name, CHANNELS))
+        for c in study.channels
     )
 
 

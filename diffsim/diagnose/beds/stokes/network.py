@@ -10,8 +10,8 @@ from torch import Tensor
 
 from diffsim._check import require_choice, require_number
 
-MIN_CELLS_ACROSS = 5.0
-"""Fewer cells across a channel, and its resistance is known to some per cent only."""
+MIN_CELLS_ACROSS = 2.0
+"""Fewer cells across a channel, and the flow in it means nothing."""
 
 
 class Segment(NamedTuple):

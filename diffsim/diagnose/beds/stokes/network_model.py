@@ -57,6 +57,7 @@ class NetworkScene:
         compliance: c of w (1 + c p) [1/Pa].
         entrance_loss: K of a loss K rho u^2 / 2 at each branch's entrance [-].
         leak: Flow lost at the pump over the pressure there [m^3/(s Pa)].
+        columns: Channels that were measured, by index; all if None.
         rtol: Of the balance of pressures.
     """
 
@@ -77,6 +78,7 @@ class NetworkScene:
     compliance: Tensor = _ZERO
     entrance_loss: Tensor = _ZERO
     leak: Tensor = _ZERO
+    columns: tuple[int, ...] | None = None
     rtol: float = RTOL
 
     def narrowed(self, outlet: int, size: Tensor) -> NetworkScene:
@@ -99,7 +101,10 @@ class NetworkScene:
         if residual.requires_grad:
             tap = balance.at(y)[2]
         levels = torch.cat([y[:, :-1] * balance.flow_scale, y[:, -1:], tap[:, None]], 1)
-        return (levels * self.channel_gain + self.channel_offset)[self.level]
+        shown = levels * self.channel_gain + self.channel_offset
+        if self.columns is not None:
+            shown = shown[:, list(self.columns)]
+        return shown[self.level]
 
 
 class _Balance:
@@ -114,7 +119,7 @@ class _Balance:
         self.device = table.device
         shape = Shape(scene.wall_offset, scene.slip_length, scene.narrowing)
         self.unit = table.at(shape)
-        self.kernel = table.kernel(self.unit)  # here, where gradients are recorded
+        self.kernel = self._kernel()
         # what a pascal drives
         self.flow_scale = self.device.depth / float(self.unit.resistance.detach().mean())
         # plane flows [m^2/s] per scaled flow, and viscosity over the nominal one
@@ -125,15 +130,25 @@ class _Balance:
             energy, before = self._energies(self.local[None])
             self.resistance, self.tap = energy, before
 
+    def _kernel(self) -> Tensor:
+        """What every group of cells adds to the resistance and, in the last columns, to that ahead
+        of the tap, (groups, m^2 + m): its dissipation, scaled so that the sums are the unit
+        flows' own."""
+        unit, groups = self.unit, self.scene.table.groups
+        inside = unit.energy * groups.after_pump[:, None, None]
+        before = (unit.energy * groups.before_tap[:, None, None]).mean(1)
+        resistance = inside * (unit.resistance / inside.sum(0))
+        return torch.cat([resistance.flatten(1), before * (unit.tap / before.sum(0))], 1)
+
     def _local_factor(self) -> Tensor:
-        """Resistance of the kept cells by width and temperature over the nominal one, (cells,)."""
-        s, table = self.scene, self.scene.table
-        height = table.centers[:, 1] / self.device.size[1] - 0.5
-        return s.width_gain[table.owner] ** -3 * (1.0 + s.viscosity_gradient * height)
+        """Resistance of the groups by width and temperature over the nominal one, (groups,)."""
+        s, groups = self.scene, self.scene.table.groups
+        height = groups.height / self.device.size[1] - 0.5
+        return s.width_gain[groups.owner] ** -3 * (1.0 + s.viscosity_gradient * height)
 
     def _energies(self, factor: Tensor) -> tuple[Tensor, Tensor]:
-        """Resistance (levels, m, m) and that ahead of the tap (levels, m) of cells ``factor``
-        (levels, cells) times as viscous; one everywhere gives the simulator's own."""
+        """Resistance (levels, m, m) and that ahead of the tap (levels, m) of groups ``factor``
+        (levels, groups) times as viscous; one everywhere gives the simulator's own."""
         m = len(self.unit.tap)
         both = factor @ self.kernel
         return both[:, : m * m].reshape(-1, m, m), both[:, m * m :]
@@ -186,18 +201,20 @@ class _Balance:
         s = self.scene
         if not self.is_thinning:
             return self.resistance, self.tap, torch.zeros((), dtype=torch.float64)
-        strain = self.unit.strain
+        unit, m = self.unit, flow.shape[1]
         plane = flow * (self.flow_scale / self.device.depth)
-        local = torch.einsum("csj,lj->lcs", strain, plane)
-        squared = (local**2).sum(-1) / self.device.shear_rate**2
+        form = unit.energy / unit.volume.clamp(min=1e-300)[:, None, None]
+        form = form / self.device.shear_rate**2
+        along = torch.einsum("gij,lj->lgi", form, plane)
+        squared = (along * plane[:, None]).sum(-1)
         thinned = self.local * (1.0 + squared) ** (-0.5 * s.thinning)
         energy, before = self._energies(thinned)
         with torch.no_grad():
-            # d R_ij q_j / d q_k = sum over cells of d factor / d rate^2 times twice (D_i q)(D_k q)
-            weight = -s.thinning * thinned / (1.0 + squared) / self.device.shear_rate**2
-            along = torch.einsum("lcs,csi->lci", local, strain)
-            scale = self.device.viscosity * self.unit.volume
-            extra = torch.einsum("lc,lci,lck->lik", weight * scale, along, along)
+            # d R_ij q_j / d q_k: the factor's slope over rate^2, and of rate^2 over the flows
+            slope = -s.thinning * thinned / (1.0 + squared)
+            kernel = self.kernel[:, : m * m].reshape(-1, m, m)
+            drops = torch.einsum("gij,lj->lgi", kernel, plane)
+            extra = torch.einsum("lgi,lgk->lik", slope[..., None] * drops, along)
         return energy, before, extra
 
     def _loss(self, flow: Tensor) -> tuple[Tensor, Tensor]:
@@ -243,7 +260,12 @@ def network_base(device: NetworkDevice, runs: Sequence[str]) -> tuple[Parameter,
 
 
 def network_model(
-    device: NetworkDevice, base: Sequence[Parameter], *, pump: str, back_pressures: Sequence[str]
+    device: NetworkDevice,
+    base: Sequence[Parameter],
+    *,
+    pump: str,
+    back_pressures: Sequence[str],
+    columns: Sequence[int] | None = None,
 ) -> SimModel:
     """A network as a model for the diagnosis: channels are outlet flows, pump and tap pressure.
 
@@ -251,8 +273,9 @@ def network_model(
         device: The network.
         base: Of the names that ``network_base`` uses; those left out hold their nominal value.
         pump: Name of the command of the pump [m^3/s].
-        back_pressures: Names of the commands of pressures beyond the outlets [Pa]; "" where an
-            outlet is open. Commands that a run does not have are zero.
+        back_pressures: Names of the commands of pressures beyond the outlets [Pa]. Those that a
+            run does not have are zero.
+        columns: Which of the channels are measured, by index; all if None.
 
     Returns:
         Model. Unit flows are simulated when first needed and kept with the model;
@@ -292,6 +315,7 @@ def network_model(
                 [zeros, torch.stack([v["pressure_zero_1"], v["pressure_zero_2"]])]
             ),
             narrowing=zeros,
+            columns=None if columns is None else tuple(columns),
             rtol=RTOL * numerics.tolerance,
         )
 

@@ -10,10 +10,9 @@ from __future__ import annotations
 import dataclasses
 from collections import OrderedDict
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 from itertools import product
 from typing import NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -40,6 +39,8 @@ SLIP_RTOL = 1e-9
 MAX_SLIP_SWEEPS = 60
 NUM_KEPT, NUM_RECENT = 256, 32
 NUM_SECTIONS = 12
+NUM_LEVELS = 24
+"""Of shear in each channel: cells of about the same shear are one group."""
 STEPS = {"offset": 5e-6, "slip": 5e-6, "narrowing": 0.05}
 """Between shapes that are simulated, [m], [m] and [-]; others are interpolated. Smaller than any
 change of shape that matters, larger than the kinks of the flow where a wall passes nodes."""
@@ -61,15 +62,33 @@ class UnitFlows:
         resistance: Pressure drop from the pump to outlet i per flow to outlet j, (m, m)
             [Pa s/m^2].
         tap: Pressure drop from the pump to the tap per flow to outlet j, (m,) [Pa s/m^2].
-        strain: sqrt(2) times the strain rate in the kept cells, components xx, yy and twice xy
-            halved so that the sum of squares is the squared shear rate, (cells, 3, m) [1/m^2].
-        volume: Fluid area of those cells, (cells,) [m^2].
+        energy: Products of the strain rates of the unit flows, 2 D_i : D_j, integrated over groups
+            of cells, (groups, m, m) [1/m^2].
+        volume: Fluid area of the groups, (groups,) [m^2].
     """
 
     resistance: Tensor
     tap: Tensor
-    strain: Tensor
+    energy: Tensor
     volume: Tensor
+
+
+class Groups(NamedTuple):
+    """Cells of one channel with about the same shear, and what they share.
+
+    Attributes:
+        of_cell: Group of every kept cell, (cells,).
+        owner: Channel, (groups,).
+        height: Mean y [m], (groups,).
+        before_tap: Between the two pressure sensors, (groups,) bool.
+        after_pump: Beyond the first of them, (groups,) bool.
+    """
+
+    of_cell: Tensor
+    owner: Tensor
+    height: Tensor
+    before_tap: Tensor
+    after_pump: Tensor
 
 
 class UnitFlowTable:
@@ -78,10 +97,12 @@ class UnitFlowTable:
     Args:
         device: The network.
         refine: Factor on the cell size.
+        corrected: Multiply resistances by what halving the cells once changes them in the nominal
+            shape, extrapolated to second order (Richardson).
     """
 
-    def __init__(self, device: NetworkDevice, refine: float = 1.0):
-        self.device = device
+    def __init__(self, device: NetworkDevice, refine: float = 1.0, *, corrected: bool = True):
+        self.device, self.refine, self.corrected = device, refine, corrected
         self.grid = Grid([max(1, round(n / refine)) for n in device.cells], size=device.size)
         self.num_solved = 0
         spacing = max(self.grid.spacing)
@@ -101,17 +122,12 @@ class UnitFlowTable:
         widest = device.level_set(centers, 2.0 * spacing, (0.0,) * len(device.outlets))
         self.cells = (widest > 0.0).nonzero()[:, 0]
         self.centers = centers[self.cells]
-        self.owner = device.owners(self.centers)
-        place = device.coordinates(self.centers)[1][:, 0]
-        self.before_tap = (self.owner == 0) & (place > 0.0) & (place < device.tap)
-        self.after_pump = (self.owner != 0) | (place > 0.0)
         deep = (_at_centers(phi) > DEEP * spacing).reshape(-1).nonzero()[:, 0]
         fit = MovingFit(centers[deep].numpy(), np.array(device.taps), spacing)
         self._taps = deep, fit
         ends = [device.nodes[n][1] for n in device.outlets]
         self._masks = _nearest(self.grid.nodes[0, :, 1], ends)
         self._sections = self._cut()
-        self._kernels: WeakKeyDictionary[UnitFlows, Tensor] = WeakKeyDictionary()
         self._recent: OrderedDict[tuple[float, ...], UnitFlows] = OrderedDict()
         self._kept: OrderedDict[tuple[int, ...], UnitFlows] = OrderedDict()
 
@@ -145,44 +161,91 @@ class UnitFlowTable:
         return UnitFlows(
             *(
                 torch.stack([w * getattr(u, name) for w, u in parts]).sum(0)
-                for name in ("resistance", "tap", "strain", "volume")
+                for name in ("resistance", "tap", "energy", "volume")
             )
         )
 
-    def kernel(self, unit: UnitFlows) -> Tensor:
-        """What every cell adds to the resistance and, in the last columns, to that ahead of the
-        tap, (cells, m^2 + m): its dissipation, scaled so that the sums are the simulator's own."""
-        kernel = self._kernels.get(unit)
-        if kernel is None:
-            m = len(unit.tap)
-            energy = torch.einsum("csi,csj->cij", unit.strain, unit.strain)
-            energy = energy * unit.volume[:, None, None]
-            inside = energy * self.after_pump[:, None, None]
-            before = (energy * self.before_tap[:, None, None]).mean(1)
-            resistance = inside * (unit.resistance / inside.sum(0))
-            kernel = torch.cat(
-                [resistance.reshape(-1, m * m), before * (unit.tap / before.sum(0))], 1
-            )
-            if not unit.strain.requires_grad:
-                self._kernels[unit] = kernel
-        return kernel
+    @cached_property
+    def groups(self) -> Groups:
+        """Groups of the nominal shape; they serve all shapes."""
+        device = self.device
+        owner = device.owners(self.centers)
+        place = device.coordinates(self.centers)[1][:, 0]
+        # the inlet channel in three parts, then the others
+        part = torch.where(owner > 0, owner + 2, (place > 0.0).long() + (place > device.tap).long())
+        _, _, strain, volume = self._nominal
+        shear = (strain**2).sum((1, 2))
+        shear = torch.where(volume > 0.0, shear, torch.inf)  # fluid only where walls move out
+        of_cell = torch.zeros(len(part), dtype=torch.int64)
+        for k in range(int(part.max()) + 1):
+            own = (part == k).nonzero()[:, 0]
+            rank = shear[own].argsort().argsort()
+            of_cell[own] = k * NUM_LEVELS + rank * NUM_LEVELS // max(len(own), 1)
+        used, of_cell = torch.unique(of_cell, return_inverse=True)
+        part = used // NUM_LEVELS
+        area = torch.zeros(len(used), dtype=torch.float64).index_add(0, of_cell, volume)
+        moment = torch.zeros_like(area).index_add(0, of_cell, volume * self.centers[:, 1])
+        return Groups(
+            of_cell, (part - 2).clamp(min=0), moment / area.clamp(min=1e-300), part == 1, part > 0
+        )
+
+    @cached_property
+    def _nominal(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        with torch.no_grad():
+            return self._solve(0.0, 0.0, (0.0,) * len(self.device.outlets))
+
+    @cached_property
+    def _correction(self) -> tuple[Tensor, Tensor]:
+        """Factors on resistance and tap."""
+        resistance, tap, *_ = self._nominal
+        if not self.corrected:
+            return torch.ones_like(resistance), torch.ones_like(tap)
+        finer = UnitFlowTable(self.device, 0.5 * self.refine, corrected=False)
+        fine_resistance, fine_tap, *_ = finer._nominal
+        return (
+            (4.0 * fine_resistance / resistance - 1.0) / 3.0,
+            (4.0 * fine_tap / tap - 1.0) / 3.0,
+        )
 
     def _solved(self, key: tuple[int, ...]) -> UnitFlows:
         if key not in self._kept:
             with torch.no_grad():
-                self._kept[key] = self._solve(
+                self._kept[key] = self.simulated(
                     key[0] * STEPS["offset"],
                     key[1] * STEPS["slip"],
                     tuple(k * STEPS["narrowing"] for k in key[2:]),
                 )
-            self.num_solved += 1
             if len(self._kept) > NUM_KEPT:
                 self._kept.popitem(last=False)
         self._kept.move_to_end(key)
         return self._kept[key]
 
-    def _solve(self, offset: float, slip: float, narrowing: tuple[float, ...]) -> UnitFlows:
-        """One factorisation: the pump with open outlets, then a pressure at all outlets but one."""
+    def simulated(self, offset: float, slip: float, narrowing: tuple[float, ...]) -> UnitFlows:
+        """Unit flows of a shape without interpolation; lengths in [m], narrowing relative."""
+        is_nominal = not any((offset, slip, *narrowing))
+        resistance, tap, strain, volume = (
+            self._nominal if is_nominal else self._solve(offset, slip, narrowing)
+        )
+        groups, m = self.groups, len(tap)
+        count = len(groups.owner)
+        products = torch.einsum("csi,csj,c->cij", strain, strain, volume)
+        factor, tap_factor = self._correction
+        return UnitFlows(
+            resistance=resistance * factor,
+            tap=tap * tap_factor,
+            energy=products.new_zeros(count, m, m).index_add(0, groups.of_cell, products),
+            volume=volume.new_zeros(count).index_add(0, groups.of_cell, volume),
+        )
+
+    def _solve(
+        self, offset: float, slip: float, narrowing: tuple[float, ...]
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Resistance, tap, strain (cells, 3, m) and volume (cells,) of a shape.
+
+        One factorisation: the pump with open outlets, then a pressure at all outlets but one. The
+        components of the strain are scaled so that their sum of squares is the squared shear rate.
+        """
+        self.num_solved += 1
         device, m = self.device, len(self._masks)
         phi = self._level_set(offset, narrowing)
         nodes = self.solver.boundary.inlets["in"]
@@ -207,11 +270,11 @@ class UnitFlowTable:
         inverse = torch.linalg.inv(flows)  # rows: which cases make a unit flow through an outlet
         resistance = inverse @ (taps[:, :1] - raised)
         strain = self._strain(field.velocity)
-        return UnitFlows(
-            resistance=0.5 * (resistance + resistance.T),  # reciprocity, up to the grid's error
-            tap=inverse @ (taps[:, 0] - taps[:, 1]),
-            strain=torch.einsum("jk,kcs->csj", inverse, strain),
-            volume=field.volume_fraction.reshape(-1)[self.cells]
+        return (
+            0.5 * (resistance + resistance.T),  # reciprocity, up to the grid's error
+            inverse @ (taps[:, 0] - taps[:, 1]),
+            torch.einsum("jk,kcs->csj", inverse, strain),
+            field.volume_fraction.reshape(-1)[self.cells]
             * float(self.grid.spacing[0] * self.grid.spacing[1]),
         )
 
@@ -246,7 +309,7 @@ class UnitFlowTable:
         return self.device.level_set(self.grid.nodes, offset, narrowing)
 
     def _strain(self, velocity: Tensor) -> Tensor:
-        """See ``UnitFlows``, (cases, cells, 3)."""
+        """sqrt(2) D_xx, sqrt(2) D_yy and 2 D_xy at the kept cells, (cases, cells, 3)."""
         dx, dy = self.grid.spacing
         along_x, along_y = velocity.diff(dim=1) / dx, velocity.diff(dim=2) / dy
         x = (0.5 * (along_x[:, :, 1:] + along_x[:, :, :-1])).flatten(1, 2)[:, self.cells]
