@@ -43,7 +43,7 @@ POSITION_M = {
     "outlet_3": (10.0e-3, 6.2e-3),
 }
 BOX_M = (10.0e-3, 7.2e-3)
-LENGTH_M = np.array([3.040e-3, 2.688e-3, 6.678e-3, 3.909e-3, 4.131e-3])  # hydraulic
+LENGTH_M = np.array([3.040e-3, 2.897e-3, 6.678e-3, 3.766e-3, 3.939e-3])  # hydraulic
 TAP = 0.7  # place of the second pressure sensor on the way from the pump to J1
 TAP_M = 2.028e-3  # the same as hydraulic length
 DENSITY_KG_M3 = 1100.0
@@ -65,7 +65,9 @@ class NetworkLab(Lab):
     channels: ClassVar[tuple[Channel, ...]] = tuple(Channel(*s) for s in _SENSORS)
     base: ClassVar[dict[str, Base]] = {
         "viscosity": Base(5.0e-3, 0.01, "Pa s"),
-        **{f"width_{n}": Base(float(w), 0.003, "m") for n, w in zip(CHANNELS, WIDTH_M, strict=True)},
+        **{
+            f"width_{n}": Base(float(w), 0.003, "m") for n, w in zip(CHANNELS, WIDTH_M, strict=True)
+        },
     }
     effects: ClassVar[dict[str, LabEffect]] = {
         "slip": LabEffect("m", 3e-6, "slip length: flow times 1 + 6 size / width"),
@@ -78,9 +80,7 @@ class NetworkLab(Lab):
         "thinning": LabEffect(
             "-", 0.1, "viscosity (1 + (rate / 100 1/s)^2)^(-size / 2): power law at high rates"
         ),
-        "entrance_loss": LabEffect(
-            "-", 3.0, "loss of size rho u^2 / 2 at each branch's entrance"
-        ),
+        "entrance_loss": LabEffect("-", 3.0, "loss of size rho u^2 / 2 at each branch's entrance"),
         "leak": LabEffect("m3/(s Pa)", 1e-11, "to atmosphere, at the pump's fitting"),
         "pump_gain": LabEffect("-", 0.03, "the pump gives 1 + size times the set flow"),
         "meter_gain": LabEffect("-", 0.03, "the meters read 1 + size times the flow", 3),
@@ -232,11 +232,8 @@ class _Network:
 
     def _viscous(self, c: int, start: float, end: float) -> float:
         k = self.compliance
-        if k:
-            # dp/dx ~ 1 / (1 + k p)^3, integrated along the channel
-            drop = ((1.0 + k * start) ** 4 - (1.0 + k * end) ** 4) / (4.0 * k)
-        else:
-            drop = start - end
+        # dp/dx ~ 1 / (1 + k p)^3, integrated along the channel
+        drop = ((1.0 + k * start) ** 4 - (1.0 + k * end) ** 4) / (4.0 * k) if k else start - end
         newton = self._conductance(c) * drop
         return newton * self._faster(c, abs(drop)) if self.thinning else newton
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from diffsim._check import require_choice
-from diffsim.data.study import Run, Study
+from diffsim.data.study import Array, Run, Study
 from diffsim.diagnose.beds.stokes import (
     NetworkDevice,
     Segment,
@@ -52,7 +52,8 @@ def setup(
     until = max(float(run.time_s[-1]) for run in study.runs)
     effect = unknown_pressure(NUM_KNOTS, until, len(device.outlets))
     knots = smooth_covariance(np.linspace(0.0, until, NUM_KNOTS), 2.0 * until / (NUM_KNOTS - 1))
-    unknown = UnknownForce(effect, np.kron(np.eye(len(device.outlets)), knots), "unknown pressure")
+    covariance: Array = np.kron(np.eye(len(device.outlets)), knots).astype(np.float64)
+    unknown = UnknownForce(effect, covariance, "unknown pressure")
     return DiagnosisSetup(
         network_model(
             device, base, pump=PUMP, back_pressures=BACK_PRESSURES, columns=columns_of(study)
@@ -122,7 +123,7 @@ def bank(study: Study) -> tuple[Run, ...]:
     top = max(float(np.abs(r.command[PUMP]).max()) for r in study.runs)
     steps = np.repeat(np.linspace(1.0 / 6.0, 1.0, 6), 10)
 
-    def run(name: str, drive: np.ndarray, **back: np.ndarray) -> Run:
+    def run(name: str, drive: Array, **back: Array) -> Run:
         command = {PUMP: drive, **back}
         return Run(name, time, np.zeros((len(time), width)), command, name, use="fit")
 

@@ -76,9 +76,7 @@ class StokesScene:
         """The middle of a branch narrower by ``size`` of its width."""
         device = self.rig.device
         half = 0.5 * device.outlets[outlet].width
-        return with_added(
-            self, narrowing=half * size * device.throat(outlet, self.rig.grid.nodes)
-        )
+        return with_added(self, narrowing=half * size * device.throat(outlet, self.rig.grid.nodes))
 
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels).
