@@ -79,7 +79,12 @@ def study_of(case: LabCase) -> Study:
     if case.channels is None:
         return study
     keep = [i for i, c in enumerate(study.channels) if c.name in case.channels]
-    runs = tuple(replace(r, measured=r.measured[:, keep]) for r in study.runs)
+    # a commanded pressure would tell the viscosity
+    runs = tuple(
+        replace(r, measured=r.measured[:, keep])
+        for r in study.runs
+        if case.name != "viscosity, no pressures" or not r.command["outlet_1_Pa"].any()
+    )
     return replace(study, channels=tuple(study.channels[i] for i in keep), runs=runs)
 
 

@@ -42,7 +42,8 @@ class _NeedsPressure(Effect):
     """Only a pressure tells it where pumps prescribe the flow."""
 
     def needs(self, study: Study) -> str | None:
-        return None if _measures(study, "pressure") else "a pressure channel"
+        known = _measures(study, "pressure") or _commands_pressure(study)
+        return None if known else "a pressure channel"
 
 
 class Viscosity(_NeedsPressure):
@@ -287,6 +288,12 @@ def _of(effect: Effect, typical: float) -> Effect:
 
 def _measures(study: Study, kind: str) -> bool:
     return any(channel.kind == kind for channel in study.channels)
+
+
+def _commands_pressure(study: Study) -> bool:
+    """A known pressure drives flows that tell the viscosity."""
+    commands = [c for run in study.fit_runs for n, c in run.command.items() if n.endswith("_Pa")]
+    return any(bool((c != 0.0).any()) for c in commands)
 
 
 def _one_hot(count: int, index: int) -> Tensor:

@@ -125,10 +125,12 @@ class Balance:
             return self.resistance, self.tap, torch.zeros((), dtype=torch.float64)
         unit, m = self.unit, flow.shape[1]
         plane = flow * (self.flow_scale / self.device.depth)
-        form = unit.energy / unit.volume.clamp(min=1e-300)[:, None, None]
+        # groups beyond the nominal wall may be interpolated to a trace of fluid, or less
+        trace = 1e-6 * unit.volume.detach().max()
+        form = unit.energy / unit.volume.clamp(min=trace)[:, None, None]
         form = form / self.device.shear_rate**2
         along = torch.einsum("gij,lj->lgi", form, plane)
-        squared = (along * plane[:, None]).sum(-1)
+        squared = (along * plane[:, None]).sum(-1).clamp(min=0.0)
         thinned = self.local * (1.0 + squared) ** (-0.5 * s.thinning)
         energy, before = self._energies(thinned)
         with torch.no_grad():
