@@ -5,14 +5,22 @@ The flow is steady at every sample, so a run is a sequence of drive levels. Flow
 """
 
 from diffsim.diagnose.beds.stokes.device import ChannelDevice, Opening
-from diffsim.diagnose.beds.stokes.effects import stokes_library
+from diffsim.diagnose.beds.stokes.effects import network_library, stokes_library
 from diffsim.diagnose.beds.stokes.model import StokesScene, device_base, device_model
+from diffsim.diagnose.beds.stokes.network import NetworkDevice, Segment
+from diffsim.diagnose.beds.stokes.network_model import NetworkScene, network_base, network_model
 
 __all__ = [
     "ChannelDevice",
+    "NetworkDevice",
+    "NetworkScene",
     "Opening",
+    "Segment",
     "StokesScene",
     "device_base",
     "device_model",
+    "network_base",
+    "network_library",
+    "network_model",
     "stokes_library",
 ]

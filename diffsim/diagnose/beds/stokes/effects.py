@@ -10,6 +10,8 @@ from torch import Tensor
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.beds.stokes.device import ChannelDevice
 from diffsim.diagnose.beds.stokes.model import StokesScene, with_added
+from diffsim.diagnose.beds.stokes.network import NetworkDevice
+from diffsim.diagnose.beds.stokes.network_model import NetworkScene
 from diffsim.diagnose.effect import Effect
 
 
@@ -40,7 +42,8 @@ class _NeedsPressure(Effect):
     """Only a pressure tells it where pumps prescribe the flow."""
 
     def needs(self, study: Study) -> str | None:
-        return None if _measures(study, "pressure") else "a pressure channel"
+        known = _measures(study, "pressure") or _commands_pressure(study)
+        return None if known else "a pressure channel"
 
 
 class Viscosity(_NeedsPressure):
@@ -153,6 +156,31 @@ class MeterGain(Effect):
         return dataclasses.replace(scene, channel_gain=gain)
 
 
+class PressureScale(_NeedsPressure):
+    """All pressure sensors show (1 + size) times the pressure."""
+
+    name, family, kind, unit = "pressure_scale", "meter", "sensor", "-"
+    typical = 0.05
+    also_looks_like = ("viscosity", "calibration of the pressure sensors")
+
+    def apply(self, scene: NetworkScene, size: Tensor, run: Run) -> NetworkScene:
+        is_pressure = torch.ones_like(scene.channel_gain)
+        is_pressure[: scene.back_pressure.shape[1]] = 0.0
+        gain = scene.channel_gain * (1.0 + size[0] * is_pressure)
+        return dataclasses.replace(scene, channel_gain=gain)
+
+
+class EntranceLoss(_NeedsLevels):
+    """A loss of size rho u^2 / 2 at the entrance of every branch, u its mean speed."""
+
+    name, family, kind, unit = "entrance_loss", "drive_dependent", "environment", "-"
+    typical, signed = 3.0, False
+    also_looks_like = ("inertia", "compliance", "sharp edges")
+
+    def apply(self, scene: NetworkScene, size: Tensor, run: Run) -> NetworkScene:
+        return with_added(scene, entrance_loss=size[0])
+
+
 class BlockedBranch(Effect):
     """The middle of one branch narrower by ``size`` of its width."""
 
@@ -165,9 +193,7 @@ class BlockedBranch(Effect):
         self.outlet, self.name = outlet, f"blocked_branch_{outlet + 1}"  # type: ignore[misc]
 
     def apply(self, scene: StokesScene, size: Tensor, run: Run) -> StokesScene:
-        device, nodes = scene.rig.device, scene.rig.grid.nodes
-        half = 0.5 * device.outlets[self.outlet].width
-        return with_added(scene, narrowing=half * size[0] * device.throat(self.outlet, nodes))
+        return scene.narrowed(self.outlet, size[0])
 
 
 class PressureOffset(_NeedsLevels):
@@ -226,8 +252,48 @@ def stokes_library(device: ChannelDevice | None = None) -> tuple[Effect, ...]:
     )
 
 
+def network_library(device: NetworkDevice) -> tuple[Effect, ...]:
+    """All candidate effects of a channel network; sizes in flows, not flows per depth.
+
+    Args:
+        device: Typical sizes of walls follow from its narrowest channel.
+    """
+    narrowest = min(s.width for s in device.segments)
+    outlets = range(len(device.outlets))
+    leak = _of(Leak(), 1e-11)
+    leak.unit = "m^3/(s Pa)"  # type: ignore[misc]
+    return (
+        _of(Slip(), 0.01 * narrowest),
+        _of(WallOffset(), 0.01 * narrowest),
+        Viscosity(),
+        TemperatureGradient(),
+        _of(Compliance(), 5e-4),
+        Thinning(),
+        EntranceLoss(),
+        leak,
+        PressureScale(),
+        PumpGain(0),
+        *(MeterGain(i) for i in outlets),
+        *(_of(BlockedBranch(i), 0.1) for i in outlets),
+        *(_of(PressureOffset(i), 5.0) for i in outlets),
+    )
+
+
+def _of(effect: Effect, typical: float) -> Effect:
+    """The effect on a device where another size is typical. Networks interpolate between shapes of
+    the walls, so that there all effects are smooth."""
+    effect.typical, effect.smooth = typical, True  # type: ignore[misc]
+    return effect
+
+
 def _measures(study: Study, kind: str) -> bool:
     return any(channel.kind == kind for channel in study.channels)
+
+
+def _commands_pressure(study: Study) -> bool:
+    """A known pressure drives flows that tell the viscosity."""
+    commands = [c for run in study.fit_runs for n, c in run.command.items() if n.endswith("_Pa")]
+    return any(bool((c != 0.0).any()) for c in commands)
 
 
 def _one_hot(count: int, index: int) -> Tensor:

@@ -72,6 +72,12 @@ class StokesScene:
     density: Tensor | None = None
     rtol: float = SWEEP_RTOL
 
+    def narrowed(self, outlet: int, size: Tensor) -> StokesScene:
+        """The middle of a branch narrower by ``size`` of its width."""
+        device = self.rig.device
+        half = 0.5 * device.outlets[outlet].width
+        return with_added(self, narrowing=half * size * device.throat(outlet, self.rig.grid.nodes))
+
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels).
 
@@ -276,7 +282,7 @@ def _levels(device: ChannelDevice, run: Run) -> tuple[Tensor, Tensor]:
     return torch.from_numpy(levels), torch.from_numpy(level.reshape(-1))
 
 
-def with_added(scene: StokesScene, **changes: Tensor) -> StokesScene:
+def with_added(scene: Any, **changes: Tensor) -> Any:
     """The scene with sizes added to those that it has."""
     present = {name: getattr(scene, name) for name in changes}
     total: dict[str, Any] = {
