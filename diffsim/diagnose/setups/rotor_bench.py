@@ -22,7 +22,11 @@ def setup(study: Study, *, max_effects: int = 9) -> DiagnosisSetup:
         tuple(effect() for effect in BENCH),
         settings=DiagnosisSettings(
             search=SearchSettings(
-                max_effects=max_effects, num_refits=2, max_rounds=2 * max_effects, rival_nats=5.0
+                max_effects=max_effects,
+                num_refits=2,
+                max_rounds=2 * max_effects,
+                rival_nats=5.0,
+                unknown_steps=1,  # drifts of each run are many columns
             )
         ),
     )
