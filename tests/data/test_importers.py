@@ -20,8 +20,9 @@ EXPECTED = {
     "pneumatic_arm": (6, 9, 1, 0),
     "pneumatic_arm_p25": (10, 9, 1, 0),
     "fish_tail": (1, 12, 0, 2),
-    "rotor_bench": (27, 4, 4, 0),
-    "cube_toss": (64, 7, 8, 0),
+    "rotor_bench": (27, 2, 4, 0),
+    "rotor_drive": (27, 2, 4, 0),
+    "cube_toss": (60, 8, 7, 0),
     "silicone_tensile": (10, 1, 5, 0),
 }
 

@@ -6,6 +6,7 @@ hold ``scaled`` readings (``diffsim.data.importers.common``).
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,10 +27,13 @@ SCATTER = {
     "speed_rad_s": (1.0, 0.0033),
     "current_A": (0.02, 0.010),
 }
-KINDS = {"thrust_N": "force", "torque_Nm": "torque", "speed_rad_s": "velocity"}
-CHANNELS = tuple(
-    Channel(f"scaled_{name}", "-", KINDS.get(name, "current"), 1.0) for name in SCATTER
-)
+KINDS = {
+    "thrust_N": "force",
+    "torque_Nm": "torque",
+    "speed_rad_s": "velocity",
+    "current_A": "current",
+}
+PROPELLER, DRIVE = ("thrust_N", "torque_Nm"), ("speed_rad_s", "current_A")
 INCHES = {"kde2814_10in": 10.0, "kde2814_14in": 14.0}
 SMALL_INCHES = 5.0
 KDE_NOMINAL_V = 11.1
@@ -38,27 +42,37 @@ HELD_OUT = ("kde2814_10in_down",)
 
 
 def import_rotor_bench(folder: Path) -> Study:
-    """Sweeps up and down, one run each; what a stand did not record is missing."""
+    """The propellers: thrust and torque at a measured speed. One run per sweep, up or down."""
+    return _study(folder, "rotor_bench", PROPELLER)
+
+
+def import_rotor_drive(folder: Path) -> Study:
+    """The drives: speed and current at a control signal."""
+    return _study(folder, "rotor_drive", DRIVE)
+
+
+def _study(folder: Path, name: str, quantities: tuple[str, ...]) -> Study:
     meta = read_metadata(folder)
-    runs = [*_kde(folder, "kde2814_10in"), *_kde(folder, "kde2814_14in")]
-    runs += _small(folder, first_order=len(runs))
+    runs = [*_kde(folder, "kde2814_10in"), *_kde(folder, "kde2814_14in"), *_small(folder)]
+    columns = [list(SCATTER).index(q) for q in quantities]
     return Study(
-        name="rotor_bench",
+        name=name,
         system="copter",
-        channels=CHANNELS,
+        channels=tuple(Channel(f"scaled_{q}", "-", KINDS[q], 1.0) for q in quantities),
         runs=tuple(
-            Run(**{**vars(run), "order": order, "use": _use(run.name)})
+            replace(run, order=order, use=_use(run.name), measured=run.measured[:, columns])
             for order, run in enumerate(runs)
         ),
         metadata=facts(
             meta,
             held_out="kde2814_10in_down: the sweep down of a propeller whose sweep up is fitted; "
             "and, of the small motors, the 11.1 V sweep of propeller 8 on each motor",
-            notes="time_s counts the readings of a sweep, 0.1 s each: they are static, the real times "
-            "(1.8 s apart for the small motors, not recorded for the others) mean nothing, and what "
-            "drifts over a sweep does so over several readings. The speed of the small "
-            "motors is the electrical one, the mechanical one times an unstated factor. Speed and "
-            "voltage are commands, too: thrust is predicted from the measured speed. A voltage "
+            notes="time_s counts the readings of a sweep, 0.1 s each: they are static, real times "
+            "(1.8 s apart for the small motors, not recorded for the others) mean nothing, and "
+            "what drifts over a sweep does so over several readings. The speed of the small "
+            "motors is the electrical one, the mechanical one times an unstated factor. What is "
+            "measured is among the commands, too: thrust is predicted from the measured speed, "
+            "current from the measured thrust. A voltage "
             "that was not recorded is the nominal one. Where no speed was sensed although the "
             "motor drew current, the reading is left out",
         )
@@ -81,7 +95,7 @@ def _kde(folder: Path, stem: str) -> list[Run]:
     ]
 
 
-def _small(folder: Path, first_order: int) -> list[Run]:
+def _small(folder: Path) -> list[Run]:
     numbers = ["supply_nominal_V", "time_s", COMMAND, "thrust_N", "voltage_V", "current_A"]
     data, text = read_columns(
         folder / "small_motors.csv", [*numbers, "electrical_speed_rpm"], ["test"]
@@ -110,6 +124,7 @@ def _as_run(name: str, data: dict[str, Array], inches: float) -> Run:
         command={
             COMMAND: data[COMMAND],
             "speed_rad_s": speed,
+            "thrust_N": data["thrust_N"],
             "current_A": data["current_A"],
             "voltage_V": data.get("voltage_V", np.full(n, supply)),
             "reading": reading,

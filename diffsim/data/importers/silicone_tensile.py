@@ -50,7 +50,7 @@ def import_silicone_tensile(folder: Path) -> Study:
                         "gauge_length_m": float(meta["specimen"]["gauge_length_m"]),
                         "area_m2": float(meta["specimen"]["area_m2"]),
                         "speed_m_s": float(meta["test"]["speed_m_s"]),
-                                            },
+                    },
                 )
             )
     return Study(

@@ -10,8 +10,8 @@ from diffsim.diagnose.setups import DiagnosisSetup
 from diffsim.diagnose.stages import DiagnosisSettings
 
 
-def setup(study: Study, *, max_effects: int = 8) -> DiagnosisSetup:
-    """A rigid cube through its first impact.
+def setup(study: Study, *, max_effects: int = 4) -> DiagnosisSetup:
+    """A rigid cube in flight, and through its first impact where that was recorded.
 
     Args:
         study: ``import_study("cube_toss")``.

@@ -10,15 +10,15 @@ from diffsim.diagnose.setups import DiagnosisSetup
 from diffsim.diagnose.stages import DiagnosisSettings
 
 
-def setup(study: Study, *, max_effects: int = 9) -> DiagnosisSetup:
+def setup(study: Study, *, max_effects: int = 6) -> DiagnosisSetup:
     """Quadratic rotors and everything a stand may do to their readings.
 
     Args:
-        study: ``import_study("rotor_bench")``.
-        max_effects: In one set; four quantities, each with causes of its own, need more than three.
+        study: ``import_study("rotor_bench")`` or ``"rotor_drive"``.
+        max_effects: In one set; two quantities, each with causes of its own, need more than three.
     """
     return DiagnosisSetup(
-        bench_model(study.runs),
+        bench_model(study.runs, [c.name.removeprefix("scaled_") for c in study.channels]),
         tuple(effect() for effect in BENCH),
         settings=DiagnosisSettings(
             search=SearchSettings(

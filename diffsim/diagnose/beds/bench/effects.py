@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
-from diffsim.data.study import Run
+from diffsim.data.study import Run, Study
 from diffsim.diagnose.beds.bench.model import BenchScene, Change, propeller_of, stand_of
 from diffsim.diagnose.effect import Effect
 
@@ -25,7 +25,13 @@ class BenchEffect(Effect):
     quantity: str
     kind, unit = "force", "-"
     component_of: Callable[[Run], str] = staticmethod(propeller_of)
-    components = PROPELLERS
+    components: ClassVar[tuple[str, ...]] = PROPELLERS
+
+    def needs(self, study: Study) -> str | None:
+        wanted = ("speed", "current") if self.quantity == "voltage" else (self.quantity,)
+        if not any(c.name.split("_")[1] in wanted for c in study.channels):
+            return f"a channel of {' or '.join(wanted)}"
+        return None
 
     def apply(self, scene: BenchScene, size: Tensor, run: Run) -> Any:
         own = type(self).component_of(run)
@@ -128,7 +134,8 @@ class TorqueViscous(BenchEffect):
 class StandEffect(BenchEffect):
     """One amplitude per stand."""
 
-    component_of, components, kind = staticmethod(stand_of), STANDS, "actuator"
+    components: ClassVar[tuple[str, ...]] = STANDS
+    component_of, kind = staticmethod(stand_of), "actuator"
 
 
 class RecordedVoltage(StandEffect):
@@ -181,18 +188,16 @@ class CurrentLimit(StandEffect):
         limit = 1.0 / size[..., :1].clamp(min=1e-4)
 
         def slowed(s: BenchScene, speed: Tensor) -> Tensor:
-            drawn = (limit - s._value("current_offset")).clamp(min=1e-3)
-            thrust = (drawn * s.run.setup["supply_nominal_V"] / s._value("power_coefficient")) ** (
-                2.0 / 3.0
-            )
-            return torch.minimum(speed, (thrust / s._value("thrust_coefficient")).sqrt())
+            # power ~ speed^3: what the supply cannot give, the speed does not reach
+            drawn = s.command("current_A").clamp(min=1e-3)
+            return speed * torch.minimum(limit / drawn, torch.ones_like(drawn)) ** (1.0 / 3.0)
 
         limited = scene.with_change("current", lambda s, x: torch.minimum(x, limit))
         return limited.with_change("speed", slowed)
 
 
 class VoltageExponent(StandEffect):
-    """Speed times the nominal voltage to the power size: less or more than the motor's law."""
+    """Speed times the nominal voltage to the power size, beside the motor's law."""
 
     name, family, typical, quantity = "voltage_exponent", "speed law", 0.2, "speed"
     components = ("small",)
@@ -229,7 +234,7 @@ class CurrentExponent(StandEffect):
     def change(self, k: Tensor, stand: str) -> Change:
         def changed(s: BenchScene, x: Tensor) -> Tensor:
             rest = s._value("current_offset")
-            share = (s.of("thrust").clamp(min=1e-3) / MANY_NEWTON[stand]) ** k
+            share = (s.command("thrust_N").clamp(min=1e-3) / MANY_NEWTON[stand]) ** k
             return rest + (x - rest) * share
 
         return changed

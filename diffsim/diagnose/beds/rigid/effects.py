@@ -7,10 +7,9 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from diffsim.data.study import Run
+from diffsim.data.study import Run, Study
 from diffsim.diagnose.beds.rigid.model import TossScene
 from diffsim.diagnose.effect import Effect
-
 
 _UP = torch.tensor([0.0, 0.0, 1.0])
 _LEVEL = torch.eye(3)[:2]
@@ -21,6 +20,12 @@ class TossEffect(Effect):
 
     unit, kind = "-", "environment"
     term: ClassVar[str]
+    needs_impact: ClassVar[bool] = False
+
+    def needs(self, study: Study) -> str | None:
+        if self.needs_impact and not any(run.setup["hits"] for run in study.runs):
+            return "tosses recorded through their impact"
+        return None
 
     def apply(self, scene: TossScene, size: Tensor, run: Run) -> Any:
         return scene.with_term(self.term, size)
@@ -95,6 +100,7 @@ class GroundHeight(TossEffect):
 class GroundSlope(TossEffect):
     """The board rises by size per metre along x and y."""
 
+    needs_impact = True
     name, term, components = "ground_slope", "ground_slope", ("x", "y")
     family, typical = "ground", 0.005
 
@@ -117,6 +123,7 @@ class CentreOffset(TossEffect):
 class ContactTime(TossEffect):
     """The impulse takes size: a board that gives way."""
 
+    needs_impact = True
     name, term = "contact_time", "contact_time"
     family, typical, unit, signed, kind = "contact", 5e-3, "s", False, "force"
     smooth = False  # nothing but the frame at the impact feels a small one
@@ -126,6 +133,7 @@ class ContactTime(TossEffect):
 class Smoothing(TossEffect):
     """The tracked motion is averaged over size, half before and half after."""
 
+    needs_impact = True
     name, term = "tracking_smoothing", "smoothing"
     family, typical, unit, signed, kind = "contact", 5e-3, "s", False, "sensor"
     smooth = False
@@ -135,6 +143,7 @@ class Smoothing(TossEffect):
 class RestitutionSlope(TossEffect):
     """Restitution grows by exp(size) per m/s of the corner."""
 
+    needs_impact = True
     name, term = "restitution_slope", "restitution_slope"
     family, typical, unit, kind = "impact", 1.0, "s/m", "material"
 
@@ -142,6 +151,7 @@ class RestitutionSlope(TossEffect):
 class Rebound(TossEffect):
     """A sticking corner leaves at -size times its tangential velocity."""
 
+    needs_impact = True
     name, term = "tangential_rebound", "rebound"
     family, typical, kind = "impact", 0.2, "material"
 
@@ -149,6 +159,7 @@ class Rebound(TossEffect):
 class FrictionSlope(TossEffect):
     """Friction grows by exp(size) per m/s of slip."""
 
+    needs_impact = True
     name, term = "friction_slope", "friction_slope"
     family, typical, unit, kind = "impact", 0.5, "s/m", "material"
 
@@ -156,6 +167,7 @@ class FrictionSlope(TossEffect):
 class Inertia(TossEffect):
     """Moment of inertia larger by the share size: a hollow cube would be 0.67 times larger."""
 
+    needs_impact = True
     name = term = "inertia"
     family, typical, kind = "inertia", 0.1, "material"
     also_looks_like = ("mass that is not spread evenly",)

@@ -3,7 +3,7 @@
 With K = 1/m - [r] I^-1 [r] (the corner's change of velocity per impulse, times m here), the impulse
 p leaves the corner at the normal velocity -e v_n, and sticks if it may: p lies in the friction cone
 |p_t| <= mu p_n. Else it lies on the cone, along the tangential impulse that sticking would take
-(Moreau's law of impact, the cone handled by that projection; Brogliato, Nonsmooth Mechanics, ch. 4).
+(Newton's restitution with Coulomb's cone; that projection stands for the slip during the impact).
 """
 
 from __future__ import annotations

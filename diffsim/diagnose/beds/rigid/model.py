@@ -1,4 +1,4 @@
-"""A tossed cube: flight, impact of the first corner, flight.
+"""A tossed cube: flight, impact of the first corner, flight; and the height at which it rests.
 
 Plain: gravity, Coulomb friction, restitution, level ground at z = 0. In flight a cube turns at
 constant rate about a fixed axis (its inertia is the same about all), so that everything is in
@@ -17,6 +17,7 @@ from torch import Tensor
 from diffsim.data.importers.cube_toss import CORNERS, TWIST
 from diffsim.data.study import Channel, Run
 from diffsim.diagnose.beds.copter.shooting import Shooting
+from diffsim.diagnose.beds.rigid import turns
 from diffsim.diagnose.beds.rigid.impact import impulse
 from diffsim.diagnose.model import Numerics, SimModel
 from diffsim.identify import Parameter
@@ -56,7 +57,8 @@ class Tosses:
         corner: (num_tosses, 3) the one that hits first, entries 1 or -1.
         touch_s: (num_tosses, 1) when it is near the board.
         turn: (num_tosses, 4) first quaternion, scalar part first.
-        measured: (num_tosses, length, 7), NaN in the padding.
+        hits: (num_tosses, 1) 1 where the record goes on through the impact, else 0.
+        measured: (num_tosses, length, 8), NaN in the padding.
         start: (num_tosses, 12) first guess: position, turn, velocity, body rates.
     """
 
@@ -64,6 +66,7 @@ class Tosses:
     corner: Tensor
     touch_s: Tensor
     turn: Tensor
+    hits: Tensor
     measured: Tensor
     start: Tensor
 
@@ -77,7 +80,7 @@ class Tosses:
             times.append(np.pad(run.time_s - run.time_s[0], (0, more), mode="edge"))
             poses.append(np.pad(run.measured, ((0, more), (0, 0)), constant_values=np.nan))
         measured = torch.from_numpy(np.stack(poses))
-        turn = measured[:, 0, 3:]
+        turn = measured[:, 0, 3:7]
         twist = torch.tensor([[r.setup[f"start_{c}"] for c in TWIST] for r in runs]).double()
         first = torch.cat([measured[:, 0, :3], torch.zeros_like(twist[:, :3]), twist], -1)
         return cls(
@@ -85,6 +88,7 @@ class Tosses:
             torch.from_numpy(CORNERS[[int(r.setup["corner"]) for r in runs]]),
             torch.tensor([[r.setup["touch_s"] - r.time_s[0]] for r in runs]).double(),
             turn / turn.norm(dim=-1, keepdim=True),
+            torch.tensor([[r.setup["hits"]] for r in runs]).double(),
             measured,
             first,
         )
@@ -96,7 +100,7 @@ class Tosses:
     def fly(
         self, start: Tensor, values: Mapping[str, Tensor], terms: Mapping[str, Tensor]
     ) -> Tensor:
-        """Position [m] and quaternion, (K, num_tosses, length, 7).
+        """Position [m], quaternion, height at rest [m], (K, num_tosses, length, 8).
 
         Args:
             start: (K, num_tosses, 12).
@@ -109,7 +113,7 @@ class Tosses:
         stretch = 1.0 + get["clock_scale"]
         time = self.time_s * stretch  # (K, R, n)
         x0, turn, v0, rates = start.split(3, -1)
-        q0 = _times(self.turn, _exponential(turn))
+        q0 = turns.times(self.turn, turns.exponential(turn))
         gravity = get["gravity"] + torch.tensor([0.0, 0.0, -GRAVITY], dtype=torch.float64)
         middle = v0 + 0.5 * gravity * time[..., -1:]
         drag = get["drag"] + get["quadratic_drag"] * middle.norm(dim=-1, keepdim=True)
@@ -120,9 +124,9 @@ class Tosses:
         def at(t: Tensor) -> tuple[Tensor, Tensor, Tensor]:
             """Gap of the corner, its velocity, and its arm at times (K, R, 1)."""
             x, v = _ballistic(x0, v0, gravity, drag, t)
-            q = _times(q0, _exponential(rates * _slowed(t, spin)))
-            arm = _rotate(q, arm_body)
-            rate = _rotate(q, rates * (1.0 - spin * t))
+            q = turns.times(q0, turns.exponential(rates * _slowed(t, spin)))
+            arm = turns.rotate(q, arm_body)
+            rate = turns.rotate(q, rates * (1.0 - spin * t))
             place, speed = x + arm, v + torch.linalg.cross(rate, arm)
             level = get["ground_height"] + (place[..., :2] * slope).sum(-1, True)
             return place[..., 2:] - level, speed, arm
@@ -137,21 +141,26 @@ class Tosses:
         slip = speed[..., :2].square().sum(-1).clamp(min=1e-12).sqrt()
         mu = mu * torch.exp(get["friction_slope"][..., 0] * (slip - REFERENCE_SPEED))
         kick = impulse(speed, arm, inertia[..., 0], e, mu, get["rebound"][..., 0])
-        q_hit = _times(q0, _exponential(rates * _slowed(hit, spin)))
-        twist = _rotate(_conjugate(q_hit), torch.linalg.cross(arm, kick) / inertia)
+        q_hit = turns.times(q0, turns.exponential(rates * _slowed(hit, spin)))
+        twist = turns.rotate(turns.conjugate(q_hit), torch.linalg.cross(arm, kick) / inertia)
 
-        since = _ramp(time - hit, get["contact_time"], get["smoothing"])[..., None]
-        x, _ = _ballistic(*(y[..., None, :] for y in (x0, v0, gravity, drag)), time[..., None])
+        since = _ramp(time - hit, get["contact_time"], get["smoothing"]) * self.hits
+        since = since[..., None]
+        near, fast, pull, slow = (y[..., None, :] for y in (x0, v0, gravity, drag))
+        x, _ = _ballistic(near, fast, pull, slow, time[..., None])
         x = x + kick[..., None, :] * since
         # before and after the impact the body turns about fixed axes
         whole = _slowed(time, spin)[..., None] * rates[..., None, :]
         before = (_slowed(hit, spin) * rates)[..., None, :]
         rest = whole - before + twist[..., None, :] * since
         is_after = since > 0.0
-        q = _times(q0[..., None, :], _exponential(torch.where(is_after, before, whole)))
-        q = _times(q, _exponential(torch.where(is_after, rest, 0.0)))
-        x = (x + _rotate(q, get["centre"][..., None, :])) * (1.0 + get["length_scale"][..., None])
-        return torch.cat([x, q], -1)
+        q = turns.times(q0[..., None, :], turns.exponential(torch.where(is_after, before, whole)))
+        q = turns.times(q, turns.exponential(torch.where(is_after, rest, 0.0)))
+        # at rest on a face, wherever that is: the slope of the board is left out
+        rest = HALF_WIDTH * (1.0 + get["half_width"]) + get["ground_height"]
+        x = x + turns.rotate(q, get["centre"][..., None, :])
+        scale = 1.0 + get["length_scale"][..., None]
+        return torch.cat([scale * x, q, (scale * rest[..., None]).expand_as(q[..., :1])], -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +183,7 @@ class Table:
     def predict(
         self, name: str, values: Mapping[str, Tensor], terms: Mapping[str, Tensor]
     ) -> Tensor:
-        """(K, length, 7) of one toss with the best start states."""
+        """(K, length, 8) of one toss with the best start states."""
         index = self.place[name]
         given = [*values.values(), *terms.values()]
         if any(v.requires_grad for v in given):
@@ -208,12 +217,10 @@ class TossScene:
     def with_term(self, name: str, size: Tensor) -> TossScene:
         """A copy in which a term has grown by ``size``, (..., num_components)."""
         so_far = self.terms.get(name)
-        return replace(
-            self, terms={**self.terms, name: size if so_far is None else so_far + size}
-        )
+        return replace(self, terms={**self.terms, name: size if so_far is None else so_far + size})
 
     def simulate(self) -> Tensor:
-        """(..., num_samples, 7) position [m] and quaternion, with the best start state."""
+        """(..., num_samples, 8) position, quaternion, height at rest, with the best start state."""
         out = self.table.predict(self.run.name, self.values, self.terms)
         out = out[:, : len(self.run.time_s)]
         return out[0] if self.values["restitution"].ndim == 0 else out
@@ -275,7 +282,7 @@ def _prepared(
 def _profiled(
     tosses: Tosses, shooting: Shooting, values: Mapping[str, Tensor], terms: Mapping[str, Tensor]
 ) -> Tensor:
-    """(K, num_tosses, length, 7) with the best start states."""
+    """(K, num_tosses, length, 8) with the best start states."""
     many = values["restitution"].numel()
     return shooting.profile(lambda start: tosses.fly(start, values, terms), many)
 
@@ -306,27 +313,3 @@ def _ramp(since: Tensor, contact: Tensor, width: Tensor) -> Tensor:
     s = since + width / 2.0
     inside = s.clamp(min=0.0) ** 2 / (2.0 * length)
     return torch.where(s > length, s - length / 2.0, inside)
-
-
-def _exponential(turn: Tensor) -> Tensor:
-    """Quaternion (..., 4), scalar first, of a rotation vector (..., 3)."""
-    half = 0.5 * turn.square().sum(-1, keepdim=True).clamp(min=1e-24).sqrt()
-    return torch.cat([half.cos(), 0.5 * turn * torch.sinc(half / torch.pi)], -1)
-
-
-def _times(a: Tensor, b: Tensor) -> Tensor:
-    """Quaternion product."""
-    s, u, t, v = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
-    u, v = torch.broadcast_tensors(u, v)
-    vector = s * v + t * u + torch.linalg.cross(u, v)
-    return torch.cat([s * t - (u * v).sum(-1, keepdim=True), vector], -1)
-
-
-def _conjugate(q: Tensor) -> Tensor:
-    return torch.cat([q[..., :1], -q[..., 1:]], -1)
-
-
-def _rotate(q: Tensor, x: Tensor) -> Tensor:
-    """Body vectors (..., 3) in the world."""
-    q, x = torch.broadcast_tensors(q, torch.cat([torch.zeros_like(x[..., :1]), x], -1))
-    return _times(_times(q, x), _conjugate(q))[..., 1:]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -20,7 +20,7 @@ class PullEffect(Effect):
     """One amplitude per material."""
 
     kind, unit, family = "material", "-", "stress law"
-    components = MATERIALS
+    components: ClassVar[tuple[str, ...]] = MATERIALS
 
     def apply(self, scene: PullScene, size: Tensor, run: Run) -> Any:
         return self.changed(scene, size[..., MATERIALS.index(material_of(run))][..., None])
