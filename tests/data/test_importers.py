@@ -22,7 +22,7 @@ EXPECTED = {
     "fish_tail": (1, 12, 0, 2),
     "rotor_bench": (27, 2, 4, 0),
     "rotor_drive": (27, 2, 4, 0),
-    "cube_toss": (60, 8, 7, 0),
+    "cube_toss": (57, 8, 7, 0),
     "silicone_tensile": (10, 1, 5, 0),
 }
 

@@ -4,9 +4,10 @@
     speed = 2 K u / (1 + sqrt(1 + 4 L u)),   u = V (duty - duty_0)^b
 
 with the *measured* speed w in thrust, the measured thrust in current, the nominal voltage V of the
-supply, and duty from 0 at a pulse of 1000 us to 1 at 2000 us: quadratic thrust as a flight controller assumes it, a torque
-as in thesis eq. 3.1, the power of an ideal rotor. The speed solves the motor's equation u = w / K +
-R I with I ~ torque ~ w^2, L = R I / u at w = K u; b is the throttle curve of the controller.
+supply, and duty from 0 at a pulse of 1000 us to 1 at 2000 us: quadratic thrust as a flight
+controller assumes it, a torque as in thesis eq. 3.1, the power of an ideal rotor. The speed solves
+the motor's equation u = w / K + R I with I ~ torque ~ w^2, L = R I / u at w = K u; b is the
+throttle curve of the controller.
 (``copter.RotorModel`` has g (V (duty - duty_0))^b, which gives signal and voltage one exponent.)
 """
 
