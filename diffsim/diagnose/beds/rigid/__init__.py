@@ -1,0 +1,1 @@
+"""A rigid cube in flight and through its first impact."""

@@ -1,0 +1,1 @@
+"""Pull tests: one uniaxial stretch, in closed form."""

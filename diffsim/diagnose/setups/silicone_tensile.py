@@ -1,0 +1,24 @@
+"""Pull tests of casting silicones, published recordings."""
+
+from __future__ import annotations
+
+from diffsim.data.study import Study
+from diffsim.diagnose.beds.tensile.effects import TENSILE
+from diffsim.diagnose.beds.tensile.model import pull_model
+from diffsim.diagnose.search import SearchSettings
+from diffsim.diagnose.setups import DiagnosisSetup
+from diffsim.diagnose.stages import DiagnosisSettings
+
+
+def setup(study: Study, *, max_effects: int = 4) -> DiagnosisSetup:
+    """Neo-Hookean specimens and what a pull test may have beyond them.
+
+    Args:
+        study: ``import_study("silicone_tensile")``.
+        max_effects: In one set.
+    """
+    return DiagnosisSetup(
+        pull_model(study.runs),
+        tuple(effect() for effect in TENSILE),
+        settings=DiagnosisSettings(search=SearchSettings(max_effects=max_effects)),
+    )
