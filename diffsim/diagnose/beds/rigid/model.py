@@ -16,9 +16,9 @@ from torch import Tensor
 
 from diffsim.data.importers.cube_toss import CORNERS, TWIST
 from diffsim.data.study import Channel, Run
-from diffsim.diagnose.beds.rigid.shooting import Shooting
 from diffsim.diagnose.beds.rigid import turns
 from diffsim.diagnose.beds.rigid.impact import impulse
+from diffsim.diagnose.beds.rigid.shooting import Shooting
 from diffsim.diagnose.model import Numerics, SimModel
 from diffsim.identify import Parameter
 
