@@ -24,8 +24,8 @@ SKIPPED = (
 
 NOT_RUN = (
     "The diagnosis of these recordings is not part of this run: it takes longer than the rest, and "
-    "no cause of the library explains the loaded case yet. docs/measured/silicone_beam.md says what "
-    "was found; Plan(diagnosis_effects=...) runs it here."
+    "no cause of the library explains the loaded case yet. docs/measured/silicone_beam.md says "
+    "what was found; Plan(diagnosis_effects=...) runs it here."
 )
 
 
