@@ -33,15 +33,15 @@ def elastic_gradient(
     require_sizes(ctx, x.shape[0], {**named, "x": x})
     gradient = torch.empty_like(x)
     energy = torch.empty(x.shape[0], dtype=torch.float64)
-    for k in range(x.shape[0]):
-        core.elastic_gradient(
-            ctx.pattern,
-            _item(k, named),
-            x[k].data_ptr(),
-            gradient[k].data_ptr(),
-            energy[k].data_ptr(),
-            num_threads,
-        )
+    core.elastic_gradient(
+        ctx.pattern,
+        pointers(**named),
+        x.shape[0],
+        x.data_ptr(),
+        gradient.data_ptr(),
+        energy.data_ptr(),
+        num_threads,
+    )
     require_upright(ctx, energy, x)
     return gradient, energy
 

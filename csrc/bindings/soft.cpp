@@ -154,10 +154,11 @@ void bind_soft(nb::module_& m) {
         implicit_step_tangent(system, arrays.inputs(), options, in(x),
                               directions.directions(count), out(dx), pool);
   });
-  m.def("elastic_gradient", [](const SoftPattern& pattern, const SoftArrays& arrays, Address x,
-                               Address gradient, Address energy, int num_threads) {
+  m.def("elastic_gradient", [](const SoftPattern& pattern, const SoftArrays& arrays,
+                               std::int64_t batch, Address x, Address gradient, Address energy,
+                               int num_threads) {
     nb::gil_scoped_release release;
-    elastic_gradient(pattern.model(), arrays.inputs(), in(x), out(gradient), out(energy),
+    elastic_gradient(pattern.model(), arrays.inputs(), batch, in(x), out(gradient), out(energy),
                      num_threads);
   });
   m.def("count_inverted", [](const SoftPattern& pattern, Address x) {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 import torch.autograd.forward_ad as forward_ad
@@ -49,17 +49,15 @@ def stack_physics(rows: list[Physics]) -> Physics:
     if damped is not None:
         none = torch.zeros_like(damped)
         rows = [r if r.rayleigh_beta is not None else replace(r, rayleigh_beta=none) for r in rows]
-    names = [f.name for f in fields(Physics) if isinstance(getattr(rows[0], f.name), Tensor)]
-    return replace(rows[0], **{n: torch.stack([getattr(r, n) for r in rows]) for n in names})
+    stacked = {n: torch.stack([getattr(r, n) for r in rows]) for n in _tensors(rows[0])}
+    return _with(rows[0], stacked)
 
 
 def difference_physics(points: Sequence[Physics], weights: Sequence[float]) -> Physics:
     """Sum of weight times physics at the points of a difference formula: one direction."""
     stacked = stack_physics(list(points))
     weight = torch.tensor(weights, dtype=torch.float64)
-    values = {f.name: getattr(stacked, f.name) for f in fields(Physics)}
-    sums = {n: torch.tensordot(weight, v, 1) for n, v in values.items() if isinstance(v, Tensor)}
-    return replace(stacked, **sums)
+    return _with(stacked, {n: torch.tensordot(weight, v, 1) for n, v in _tensors(stacked).items()})
 
 
 def _unpacked(physics: Physics) -> Physics:
@@ -69,17 +67,12 @@ def _unpacked(physics: Physics) -> Physics:
         primal, tangent = forward_ad.unpack_dual(value)
         return torch.zeros_like(primal) if tangent is None else tangent
 
-    duals = {f.name: getattr(physics, f.name) for f in fields(Physics)}
-    return replace(physics, **{n: tangent(v) for n, v in duals.items() if isinstance(v, Tensor)})
+    return _with(physics, {n: tangent(v) for n, v in _tensors(physics).items()})
 
 
 def still_physics(physics: Physics, count: int) -> Physics:
     """Directions in which no parameter moves."""
-    values = {f.name: getattr(physics, f.name) for f in fields(Physics)}
-    return replace(
-        physics,
-        **{n: v.new_zeros(count, *v.shape) for n, v in values.items() if isinstance(v, Tensor)},
-    )
+    return _with(physics, {n: v.new_zeros(count, *v.shape) for n, v in _tensors(physics).items()})
 
 
 def as_damped_as(changing: Physics, physics: Physics) -> Physics:
@@ -87,3 +80,12 @@ def as_damped_as(changing: Physics, physics: Physics) -> Physics:
     if changing.rayleigh_beta is None or physics.rayleigh_beta is not None:
         return physics
     return replace(physics, rayleigh_beta=torch.zeros_like(physics.w_mu))
+
+
+def _tensors(physics: Physics) -> dict[str, Tensor]:
+    values = {f.name: getattr(physics, f.name) for f in fields(Physics)}
+    return {n: v for n, v in values.items() if isinstance(v, Tensor)}
+
+
+def _with(physics: Physics, tensors: Mapping[str, Any]) -> Physics:
+    return replace(physics, **tensors)

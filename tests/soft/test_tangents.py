@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from diffsim import mesh, soft
-from tests.soft.cases import SHARP, irregular_mesh, noise, rail_mask, soft_body, two_muscles
+from tests.soft.cases import irregular_mesh, noise, rail_mask, soft_body, two_muscles
 
 STEPS = 5  # BDF2 takes its first two with less history
 IMPLICIT = ["implicit_euler", "bdf2", "implicit_midpoint"]

@@ -1,6 +1,7 @@
 #include "kernels/soft/elastic_force.h"
 
 #include "kernels/linalg/aligned_buffer.h"
+#include "kernels/soft/batch.h"
 #include "kernels/soft/block_matrix.h"
 #include "kernels/soft/pressure.h"
 
@@ -15,13 +16,17 @@ std::vector<DampingFrame> frames_of(const SoftModel& model, const StepInputs& in
 
 }  // namespace
 
-void elastic_gradient(const SoftModel& model, const StepInputs& in, const double* x,
-                      double* gradient, double* energy, int num_threads) {
-  ThreadPool pool(num_threads);
-  ElasticityScratch scratch;
-  energy[0] =
-      energy_gradient(model, in.parameters, frames_of(model, in, pool), x, gradient, scratch, pool);
-  energy[0] += add_pressure_gradient(model, in.parameters.pressure, x, gradient, pool);
+void elastic_gradient(const SoftModel& model, const StepInputs& inputs, std::int64_t batch,
+                      const double* x, double* gradient, double* energy, int num_threads) {
+  const std::int64_t size = 3 * model.num_nodes;
+  for_batch(batch, num_threads, [&](std::int64_t k, ThreadPool& pool) {
+    const StepInputs in = batch_item(inputs, model, k);
+    ElasticityScratch scratch;
+    double* out = gradient + k * size;
+    energy[k] = energy_gradient(model, in.parameters, frames_of(model, in, pool), x + k * size, out,
+                                scratch, pool);
+    energy[k] += add_pressure_gradient(model, in.parameters.pressure, x + k * size, out, pool);
+  });
 }
 
 void elastic_gradient_adjoint(const SoftModel& model, const StepInputs& in, const double* x,

@@ -6,9 +6,9 @@
 
 namespace diffsim {
 
-/// Gradient of E + D - p V [N] and, in energy[0], that sum [J].
-void elastic_gradient(const SoftModel& model, const StepInputs& inputs, const double* x,
-                      double* gradient, double* energy, int num_threads);
+/// Gradients of E + D - p V [N] and, in energy (batch,), these sums [J], of a batch of positions.
+void elastic_gradient(const SoftModel& model, const StepInputs& inputs, std::int64_t batch,
+                      const double* x, double* gradient, double* energy, int num_threads);
 
 /// grad_x = d^2(E + D - p V)/dx^2 z, and z . d(gradient)/dp for the parameters p.
 void elastic_gradient_adjoint(const SoftModel& model, const StepInputs& inputs, const double* x,

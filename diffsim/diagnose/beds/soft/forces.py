@@ -38,7 +38,7 @@ class QuadraticDrag(Effect):
 
 
 class _Drag(Force):
-    leading_axes, of_material = True, False
+    leading_axes, reads = True, ()
 
     def __init__(self, scene: SoftScene, coefficient: Tensor, *, quadratic: bool):
         self._coefficient, self._quadratic = coefficient, quadratic
@@ -140,7 +140,7 @@ class DryFriction(Effect):
 
 
 class _DryFriction(Force):
-    leading_axes, of_material = True, False
+    leading_axes, reads = True, ()
 
     def __init__(self, size: Tensor):
         self._size = size

@@ -90,12 +90,12 @@ class LinePoints:
         return torch.tensordot(self._weight, rows, 1)
 
 
-def same_surroundings(a: SoftScene, b: SoftScene, *, parameters: bool) -> bool:
+def same_surroundings(a: SoftScene, b: SoftScene, reads: tuple[str, ...] | None) -> bool:
     """Whether forces that read the scenes find the same there.
 
     Args:
         a, b: Of one body.
-        parameters: Compare physical parameters too.
+        reads: Names of the physical parameters that matter; None: all.
     """
     values = [
         (a.current, b.current),
@@ -104,8 +104,8 @@ def same_surroundings(a: SoftScene, b: SoftScene, *, parameters: bool) -> bool:
         (a.start_position, b.start_position),
         (a.start_velocity, b.start_velocity),
     ]
-    if parameters:
-        values += [(a.parameter(n), b.parameter(n)) for n in {*a.parameters, *b.parameters}]
+    names = {*a.parameters, *b.parameters} if reads is None else reads
+    values += [(a.parameter(n), b.parameter(n)) for n in names]
     same = all(x is y or (x is not None and y is not None and torch.equal(x, y)) for x, y in values)
     return same and a.fluid_density == b.fluid_density
 

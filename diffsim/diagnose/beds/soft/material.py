@@ -18,6 +18,9 @@ _CREEP_HZ = (0.316, 0.0316, 0.00316)  # a decade apart: half a second to a minut
 _STRENGTH = 2.0 / math.pi * math.log(10.0) / 2.0  # of a branch, per loss factor
 
 
+_SOLID = ("youngs_modulus", "poissons_ratio")
+
+
 class StiffnessDamping(Effect):
     """Force -size K v: damping ratio size w / 2, growing with the frequency w."""
 
@@ -80,7 +83,7 @@ def _relaxing(scene: SoftScene, branch_hz: tuple[float, ...], strength: Tensor) 
 class _Relaxation(Force):
     """- sum_k g m_k with m_k following the solid's force, exact for straight lines of it."""
 
-    leading_axes = True
+    leading_axes, reads = True, _SOLID
 
     def __init__(self, plain: SoftScene, branch_hz: tuple[float, ...], strength: Tensor):
         self._solid, self._strength = plain.solid_force(), strength
@@ -115,7 +118,7 @@ class Stiffening(Effect):
 class _Stiffening(Force):
     """The force of the energy U + size U^2 / (E V) beside that of U."""
 
-    leading_axes = True
+    leading_axes, reads = True, _SOLID
 
     def __init__(self, size: Tensor):
         self._size = size

@@ -55,7 +55,7 @@ class MovingForces:
                 zip(self._points.scenes, self._points.effects, strict=True)
             )
             if (effect is None or effect is not key[0])
-            and same_surroundings(self._scene, owned.scene, parameters=hook.of_material)
+            and same_surroundings(self._scene, owned.scene, hook.reads)
         ]
 
     def total(self, k: int, state: soft.State) -> Tensor:

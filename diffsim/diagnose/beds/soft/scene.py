@@ -50,11 +50,11 @@ class Force:
     Class attributes:
         leading_axes: Whether moments with leading axes, x and v (..., num_vertices, 3), are
             understood: then derivatives ask for many states at once.
-        of_material: Whether the force depends on the scene's physical parameters.
+        reads: The physical parameters of the scene that the force depends on; None: any.
     """
 
     leading_axes: ClassVar[bool] = False
-    of_material: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...] | None] = None
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
         raise NotImplementedError
@@ -71,7 +71,8 @@ class SoftScene:
         body: The body, with its time step and solver.
         sample_times: When channels were recorded, since the start of the simulation, (num_samples,)
             [s]. Before 0 the body rests as it starts.
-        observe: Positions (num_vertices, 3) [m] -> channels (num_channels,).
+        observe: Positions (num_vertices, 3) [m] -> channels (num_channels,). Derivatives are
+            quicker where it is one function for all scenes and takes leading axes.
         axes: Of every channel: 0, 1, 2 for x, y, z, so that maps of space find their components.
         parameters: For ``body.physics``; scalars or fields.
         start: "rest" (the unstrained shape, released at 0) or "equilibrium" under the first

@@ -65,6 +65,7 @@ def _alike(scene: SoftScene, line: SceneLine) -> bool:
         and s.body is scene.body
         and s.start == scene.start
         and s.water is scene.water
+        and (s.command is None) == (scene.command is None)
         for s in (p.scene for p in line.points)
     )
 
@@ -123,9 +124,13 @@ class _Motion:
 
     def _activation_rate(self, line: SceneLine) -> Tensor | None:
         """(num_steps, num_muscles), or None where the commands stay as they are."""
-        if self._activations is None:
+        found = [p.scene.activations(self._num_steps) for p in line.points]
+        given = [a for a in found if a is not None]
+        if not given:
             return None
-        rate = line.difference(lambda o, s: s.activations(self._num_steps))
+        rate = torch.tensordot(
+            torch.tensor(line.stencil.weights, dtype=torch.float64), torch.stack(given), 1
+        )
         return rate if bool(rate.any()) else None
 
     def _stacked(self, rates: Sequence[Tensor | None]) -> Tensor | None:
@@ -177,7 +182,7 @@ class _Motion:
 def _moves(base: OwnedScene, line: SceneLine) -> bool:
     """Whether a line changes the motion or how it is observed, commands apart."""
     return any(
-        not same_surroundings(base.scene, p.scene, parameters=True)
+        not same_surroundings(base.scene, p.scene, None)
         or (line.effect is not None and line.effect in p.owners)
         or p.scene.observe != base.scene.observe
         for p in line.points

@@ -39,7 +39,7 @@ class _UnknownForce(Effect):
 
 
 class _Knots(Force):
-    leading_axes, of_material = True, False
+    leading_axes, reads = True, ()
 
     def __init__(self, knots: Tensor, shapes: Tensor, spacing: float):
         self._rows = knots.reshape(-1, knots.shape[-1]).T  # (num_knots, 3 * num_shapes)
