@@ -199,9 +199,7 @@ def _report(
             "unrepeatable": UNREPEATABLE,
             "num_simulations": case.model.simulations.count - found.simulations_before,
             "search": asdict(case.settings.search),
-            "could_not_be_simulated": []
-            if search is None
-            else [" + ".join(set_names(h, effects, case.unknowns)) for h in search.failed],
+            **({} if search is None else _trouble(search)),
             "versions": {
                 "python": platform.python_version(),
                 "numpy": np.__version__,
@@ -216,6 +214,20 @@ def _report(
         next_run=None if advice is None else asdict(advice),
         force_map=None if search is None else _force_map(search),
     )
+
+
+def _trouble(search: Search) -> dict[str, list[str]]:
+    """Sets that did not go as they should."""
+
+    def name(h: Hypothesis) -> str:
+        return " + ".join(set_names(h, search.wide.effects, search.unknowns)) or "no effect"
+
+    entries = search.entries.items()
+    return {
+        "could_not_be_simulated": [name(h) for h in search.failed],
+        "not_converged": [name(h) for h, e in entries if e.fit and not e.fit.converged],
+        "slopes_borrowed_at": [name(Hypothesis(m)) for m in search.borrowed],
+    }
 
 
 def _force_map(search: Search) -> ForceMap | None:

@@ -15,6 +15,7 @@ from scipy import sparse
 
 from diffsim.data.study import Run
 from diffsim.identify import Problem
+from diffsim.identify.problem import PredictionError
 
 Array = NDArray[np.float64]
 
@@ -72,10 +73,20 @@ def local_at(
         x: (n,).
         only: Coordinates to differentiate; all if None.
         screen: Non-smooth effects by a secant from here.
+
+    Raises:
+        PredictionError: a simulation left the range of numbers.
     """
     idx = tuple(range(len(x))) if only is None else tuple(only)
     left, slopes = _raw(problem).linearise(x, screen=screen, only=idx)
-    return Local(x, measured_of(problem) - left, idx, slopes[:, list(idx)])
+    slopes = slopes[:, list(idx)]
+    if not np.isfinite(slopes).all():
+        bad = [problem.names[i] for i, c in zip(idx, slopes.T, strict=True) if not _is_finite(c)]
+        raise PredictionError(
+            f"the prediction is not finite a small step along {', '.join(bad)}; narrow their "
+            "bounds, priors or typical sizes, or mend the scene"
+        )
+    return Local(x, measured_of(problem) - left, idx, slopes)
 
 
 def record_at(problem: Problem, x: Array) -> Array:
@@ -93,6 +104,10 @@ def whitened(problem: Problem, rows: Array) -> Array:
     edges = np.cumsum([run.measured.size for run in problem.runs])[:-1]
     parts = np.split(rows, edges)
     return np.concatenate([problem.whiten(r, p) for r, p in zip(problem.runs, parts, strict=True)])
+
+
+def _is_finite(column: Array) -> bool:
+    return bool(np.isfinite(column).all())
 
 
 def _raw(problem: Problem) -> Problem:

@@ -131,10 +131,11 @@ class SimModel:
         sizes: Mapping[Effect, Tensor] | None = None,
         numerics: Numerics | None = None,
     ) -> Scene:
-        """The run at one point, ready to be simulated; arguments as for ``predict``."""
+        """The run at one point, ready to be simulated; arguments as for ``predict``. Numerical
+        effects act on predictions, in no scene."""
         values = {p.name: p.value_at(q[..., i]) for i, p in enumerate(self.base)}
         scene = self.build(values, run, Numerics() if numerics is None else numerics)
-        for effect, size in (sizes or {}).items():
+        for effect, size in _parted(sizes)[0].items():
             scene = effect.apply(scene, size, run)
         return scene
 
@@ -186,3 +187,8 @@ def _parted(
     given = sizes or {}
     numerical = {e: s for e, s in given.items() if isinstance(e, NumericalEffect)}
     return {e: s for e, s in given.items() if e not in numerical}, numerical
+
+
+def has_tangents(model: SimModel) -> bool:
+    """Whether a model differentiates its predictions itself (a method ``tangents`` of its own)."""
+    return getattr(type(model), "tangents", None) is not getattr(SimModel, "tangents", None)

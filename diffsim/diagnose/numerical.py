@@ -23,6 +23,7 @@ class NumericalEffect(Effect):
     """
 
     family, kind, unit, typical, signed = "numerical", "numerical", "-", 1.0, False
+    smooth = False  # linear, so that a secant is exact; no model has tangents of it
     also_looks_like = ("damping or stiffness of the material",)
 
     def __init__(self, setting: str, refined: Numerics):

@@ -78,8 +78,9 @@ class Centre:
 
 
 class Search:
-    """Holds what was refitted (``entries``), what was only weighed linearly (``linear_only``), and
-    what could not be simulated (``failed``).
+    """Holds what was refitted (``entries``), what was only weighed linearly (``linear_only``), what
+    could not be simulated (``failed``), and where slopes of an earlier centre had to serve
+    (``borrowed``).
 
     Args:
         wide: Problem with all candidate effects.
@@ -107,6 +108,7 @@ class Search:
         self.entries: dict[Hypothesis, Entry] = {}
         self.linear_only: dict[Hypothesis, Weighed] = {}
         self.failed: dict[Hypothesis, str] = {}
+        self.borrowed: dict[Members, str] = {}
         self._enter(NONE, null.fit)
         self._null = self._centre(NONE, None)
 
@@ -176,7 +178,14 @@ class Search:
         return self.entries[key]
 
     def _centre(self, members: Members, last: Centre | None) -> Centre:
-        local = self.points.screen(members, None if last is None else last.local)
+        if last is None:
+            local = self.points.screen(members, None)
+        else:
+            try:
+                local = self.points.screen(members, last.local)
+            except DiffsimError as error:  # some effect cannot be moved there: slopes of before
+                local = self.points.fitted[members].joined(last.local)
+                self.borrowed[members] = str(error)
         return Centre(members, local, self._linear(members, local, ()))
 
     def _linear(self, members: Members, local: Local, unknowns: Sequence[Unknown]) -> Linearisation:

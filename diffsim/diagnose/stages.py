@@ -174,10 +174,11 @@ def with_gains(
     null = search.entries[Hypothesis()].fit
     assert null is not None
     gains = {}
+    known: dict[Fit, list[Array]] = {}
     for i in decision.best:
         without = search.refit(decision.best - {i})
         if without is not None and without.fit is not None:
-            gains[i] = gain(runs, without.fit, best, seed=seed)
+            gains[i] = gain(runs, without.fit, best, seed=seed, known=known)
     kept = frozenset(i for i in decision.best if i not in gains or gains[i].status != "withdrawn")
     if kept != decision.best:
         verdict = decision.verdict if kept else "unknown"
@@ -186,7 +187,8 @@ def with_gains(
         if entry is None or entry.fit is None:
             return replace(decision, best=frozenset(), verdict="unknown"), None, gains
         best = entry.fit
-    return decision, gain(runs, null, best, seed=seed) if kept else None, gains
+    total = gain(runs, null, best, seed=seed, known=known) if kept else None
+    return decision, total, gains
 
 
 def left_of(fit: Fit, run: Run) -> Array:

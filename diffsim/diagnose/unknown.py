@@ -18,6 +18,7 @@ from scipy import linalg
 
 from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.local import local_at
+from diffsim.diagnose.model import has_tangents
 from diffsim.identify import Problem
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ class UnknownForce(Unknown):
             raise ValueError(f"covariance must have shape ({m}, {m}), got {covariance.shape}")
         self.effect, self.name = effect, name
         self._root = _root(covariance)
-        # by a secant, one simulation each: only the shape of the responses matters
+        # by a secant, one simulation each, where simulations must tell: only the shape matters
         self._secant = copy(effect)
         vars(self._secant)["smooth"] = False
 
@@ -78,10 +79,9 @@ class UnknownForce(Unknown):
         repeats differ by their nuisances only."""
         first: dict[object, Run] = {}
         twins = [first.setdefault(_sampling(run), run) for run in problem.runs]
-        wide = replace(
-            problem, runs=tuple(first.values()), effects=(*problem.effects, self._secant)
-        )
-        own = wide.columns_of(self._secant)
+        effect = self.effect if has_tangents(problem.model) else self._secant
+        wide = replace(problem, runs=tuple(first.values()), effects=(*problem.effects, effect))
+        own = wide.columns_of(effect)
         found = local_at(wide, np.concatenate([x, np.zeros(len(own))]), own, screen=True).columns
         edges = np.cumsum([run.measured.size for run in wide.runs])[:-1]
         of_run = dict(zip((run.name for run in wide.runs), np.split(found, edges), strict=True))

@@ -8,6 +8,7 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -129,14 +130,16 @@ def main() -> None:
     parser.add_argument("seed", type=int)
     parser.add_argument("--scale", type=int, default=1)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--out", default="confusion.jsonl")
+    parser.add_argument("--out", default="confusion.jsonl", help="of one seed; a part is completed")
     args = parser.parse_args()
-    done = []
-    with ProcessPoolExecutor(args.workers) as pool, open(args.out, "w") as file:
+    path = Path(args.out)
+    done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    with ProcessPoolExecutor(args.workers) as pool, path.open("a") as file:
         plan = list(cases(args.seed, args.scale))
         # in random order: a run that is cut short still saw every kind
         plan = [plan[i] for i in np.random.default_rng(args.seed).permutation(len(plan))]
-        for case in pool.map(solve, plan):
+        # goes on after the cases that the file holds already
+        for case in pool.map(solve, plan[len(done) :]):
             case["right"] = is_right(case)
             done.append(case)
             file.write(json.dumps(case) + "\n")

@@ -19,9 +19,9 @@ from diffsim.diagnose import (
 )
 from diffsim.diagnose.crosscheck import swap_probability
 from diffsim.diagnose.evidence import Linearisation
-from diffsim.diagnose.gates import data_gate, gradient_gate
+from diffsim.diagnose.gates import data_gate, gradient_gate, numerical_shift
 from diffsim.diagnose.unknown import UnknownDrift
-from diffsim.identify import Problem, WhiteNoise, fit
+from diffsim.identify import Jacobian, Problem, WhiteNoise, fit
 from tests.diagnose import linear, toy
 
 FEW = (toy.Drag(), toy.Delay(), toy.Bias(), toy.Scale())
@@ -148,7 +148,8 @@ def test_repeats_confirm_a_repeatable_cause_and_not_noise():
 
 
 @pytest.mark.grad
-def test_gradient_gate_passes_and_sees_a_wrong_gradient():
+@pytest.mark.parametrize("method", ["differences", "forward_mode"])
+def test_gradient_gate_passes_and_sees_a_wrong_gradient(method):
     class Wrong(linear.Line):
         def apply(self, scene, size, run):
             scene = super().apply(scene, size, run)
@@ -159,12 +160,24 @@ def test_gradient_gate_passes_and_sees_a_wrong_gradient():
                 + 0.01 * (linear.shapes(self.name, run) @ (size - size.detach())),
             )
 
-    effects = (linear.Line("push"), Wrong("pull"))
-    problem, x = linear.problem(effects), np.zeros(4)
+    effects = (linear.Line("push"), *(linear.Line(f"more {i}") for i in range(8)), Wrong("pull"))
+    problem, x = linear.problem(effects), np.zeros(12)
+    problem = replace(problem, jacobian=Jacobian(method=method))
     at = Linearisation(problem, x, *problem.linearise(x), [], 1)
     gates = {g.name: g for g in gradient_gate(at)}
-    assert gates["gradient:push"].passed
-    assert not gates["gradient:pull"].passed
+    assert not gates.pop("gradient:pull").passed
+    assert all(g.passed for g in gates.values()) and len(gates) == 9
+
+
+@pytest.mark.grad
+def test_sound_gradients_are_checked_by_three_simulations_of_a_run():
+    effects = tuple(linear.Line(f"push {i}") for i in range(8))
+    problem = replace(linear.problem(effects), jacobian=Jacobian(method="forward_mode"))
+    at = Linearisation(problem, np.zeros(10), *problem.linearise(np.zeros(10)), [], 1)
+    before = problem.model.simulations.count
+    assert all(g.passed for g in gradient_gate(at))
+    # one to see whether there is a gradient, one for the adjoint, three for the direction
+    assert problem.model.simulations.count - before == 1 + len(problem.runs) * 4
 
 
 def test_data_gate_refuses_what_cannot_be_judged():
@@ -222,12 +235,20 @@ def test_numerical_cause_is_named_where_accepted():
     assert 1.0 < row.size["size"] < 3.0
 
 
-def test_numerical_shift_widens_the_interval():
-    fine, coarse = (
-        next(r for r in solve(12, {"scale": 0.1}, step=h, settings=s).table if r.effect == "scale")
-        for h, s in ((0.0005, QUICK), (0.02, replace(QUICK, accept_numerics=True)))
-    )
-    assert coarse.sd["size"] > fine.sd["size"]
+@pytest.mark.reference
+def test_numerical_shift_is_what_a_refit_to_the_refined_record_moves():
+    runs = [linear.run("r1", 1), linear.run("r2", 2)]
+    effect = linear.Line("push")
+    rng = np.random.default_rng(0)
+    changes = [rng.normal(size=(2, *runs[0].measured.shape)) for _ in range(2)]
+    before = fit(linear.model(), runs, linear.CHANNELS, effects=(effect,))
+    moved = []
+    for change in changes:
+        shifted = [replace(r, measured=r.measured + c) for r, c in zip(runs, change, strict=True)]
+        after = fit(linear.model(), shifted, linear.CHANNELS, effects=(effect,))
+        moved.append(after.x - before.x)
+    found = numerical_shift(before, {str(k): c.ravel() for k, c in enumerate(changes)})
+    np.testing.assert_allclose(found, np.linalg.norm(moved, axis=0), rtol=1e-4)
 
 
 def test_numerical_cause_blends_predictions_one_by_one_and_many():

@@ -124,6 +124,18 @@ def test_force_map_takes_its_place():
     assert sections["Where a force is missing"].content == [picture]
 
 
+def test_scores_are_drawn_by_command_and_component():
+    z = np.zeros((2, 40))
+    z[1, 7] = -9.0
+    figure = draw.force_map_picture(["swing", "step"], [f"t{i}" for i in range(40)], z)
+    image = figure.axes[0].images[0]
+    np.testing.assert_array_equal(image.get_array(), z)
+    assert image.get_clim() == (-9.0, 9.0)
+    assert [t.get_text() for t in figure.axes[0].get_yticklabels()] == ["swing", "step"]
+    quiet = draw.force_map_picture(["swing"], ["a"], np.ones((1, 1)))
+    assert quiet.axes[0].images[0].get_clim() == (-5.0, 5.0)
+
+
 def test_worst_channel_first():
     assert draw.worst_channels(example().runs, CHANNELS) == [0, 1]
     quiet = (MeasuredChannel(name="z", unit="m", sd=1.0), CHANNELS[1])
@@ -193,8 +205,10 @@ def test_filled_from_a_report():
         "tip_x_m": 3e-4}}, gain=gain, chi2_null=9.0, chi2_best=3.0, num_samples=3, settings={},
         null=fit(run.null), best=fit(run.measured),
         next_run={"best": "a", "chi2_gain": {"a": 4.0}, "over_median": 1.0},
+        force_map=space(name="unknown force", groups=("g",), components=("x",), z=np.ones((1, 1))),
     )  # fmt: skip
     found = dr.figures_of(report)
+    assert found.force_map is not None and "unknown force" in found.force_map.caption
     assert [c.name for c in found.causes] == ["tilt.x", "tilt.y"]
     assert found.causes[1].smallest_visible == 0.04 and found.gain == (0.9, 0.8, 0.95)
     assert [c.sd for c in found.channels] == [2e-4, 3e-4]

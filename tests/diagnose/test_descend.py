@@ -1,0 +1,123 @@
+"""Fits that simulate little, against scipy's, and what they keep."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diffsim.diagnose.descend import descend
+from diffsim.diagnose.local import Local, local_at, measured_of, record_at, whitened
+from diffsim.diagnose.points import Points
+from diffsim.identify import Problem, WhiteNoise, fit
+from diffsim.identify.problem import PredictionError
+from tests.diagnose import linear, toy
+
+
+@pytest.fixture(scope="module")
+def study():
+    found = toy.generate(2, {"drag": 0.2})
+    return replace(found, runs=tuple(r for r in found.runs if r.group == "chirp"))
+
+
+def problem_of(study, effects=()):
+    model = toy.model(study.fit_runs)
+    return Problem(model, study.fit_runs, WhiteNoise(study.channels), effects)
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize("effects", [(), (toy.Drag(),), (toy.Drag(), toy.Delay())])
+def test_same_minimum_as_scipy_for_fewer_simulations(study, effects):
+    problem = problem_of(study, effects)
+    truth = fit(problem.model, problem.runs, study.channels, effects=effects)
+    paid = problem.model.simulations.count
+    found = descend(problem, local_at(problem, np.zeros(len(problem.names)))).fit
+    spent = problem.model.simulations.count - paid
+    assert found.converged
+    # both stop where a step promises less than some hundredths of a nat
+    assert abs(found.chi2 + found.prior - truth.chi2 - truth.prior) < 0.2
+    np.testing.assert_allclose(
+        found.x, truth.x, atol=0.3 * np.sqrt(np.diag(truth.covariance)).max()
+    )
+    np.testing.assert_allclose(np.diag(found.covariance), np.diag(truth.covariance), rtol=0.15)
+    # from the prior both must linearise several times; from a neighbour it is a step or two
+    assert spent < 0.7 * paid
+
+
+def test_slopes_from_elsewhere_find_the_same_place(study):
+    problem = problem_of(study)
+    there = descend(problem, local_at(problem, np.zeros(len(problem.names))))
+    far = np.zeros(len(problem.names))
+    far[:3] = 1.0
+    wrong = replace(
+        local_at(problem, far), x=np.zeros(len(far)), record=record_at(problem, 0 * far), stray=1.0
+    )
+    found = descend(problem, wrong)
+    assert found.fit.converged
+    assert abs(found.fit.chi2 + found.fit.prior - there.fit.chi2 - there.fit.prior) < 0.2
+
+
+def test_nothing_is_simulated_at_the_minimum_and_a_beaten_set_is_left_early(study):
+    problem = problem_of(study)
+    there = descend(problem, local_at(problem, np.zeros(len(problem.names))))
+    before = problem.model.simulations.count
+    again = descend(problem, there.local)
+    np.testing.assert_array_equal(again.fit.x, there.fit.x)
+    assert problem.model.simulations.count == before
+    start = local_at(problem, np.zeros(len(problem.names)))
+    before = problem.model.simulations.count
+    descend(problem, start, ahead=lambda: -1e9)
+    assert problem.model.simulations.count == before
+
+
+def test_unsigned_sizes_stay_at_their_bound():
+    effect = linear.Line("push", signed=False)
+    shape = linear.shapes("push", linear.run("r1", 1)).numpy()[..., 0]
+    run = linear.run("r1", 1)
+    problem = linear.problem((effect,), [replace(run, measured=run.measured - 3.0 * shape)])
+    found = descend(problem, local_at(problem, np.zeros(3))).fit
+    assert found.x[2] == 0.0 and found.at_bound == ("push",)
+    truth = fit(problem.model, problem.runs, linear.CHANNELS, effects=(effect,))
+    np.testing.assert_allclose(found.x, truth.x, atol=1e-4)
+
+
+def test_records_do_not_depend_on_the_noise(study):
+    problem = problem_of(study)
+    local = local_at(problem, np.zeros(len(problem.names)))
+    double = [replace(c, sd=2.0 * c.sd) for c in study.channels]
+    other = replace(problem, whitener=WhiteNoise(double))
+    residual, jacobian = other.linearise(np.zeros(len(problem.names)))
+    np.testing.assert_allclose(whitened(other, measured_of(other) - local.record), residual)
+    np.testing.assert_allclose(whitened(other, local.columns), jacobian)
+
+
+def test_only_effects_that_stand_out_are_differentiated_again(study):
+    wide = problem_of(study, (toy.Drag(), toy.Scale(), toy.Warming(), toy.Bias()))
+    points = Points(wide)
+    null = descend(replace(wide, effects=()), local_at(points.narrow(frozenset()), np.zeros(7)))
+    points.keep(frozenset(), null.local)
+    screened = points.screen(frozenset(), None)
+    assert set(screened.idx) == set(range(11))
+    drag = frozenset({0})
+    points.descend(drag, points.start(drag, screened, screened.x), lambda: 0.0)
+    before = wide.model.simulations.count
+    again = points.screen(drag, screened)
+    # one or two of the three others at most, by noise: two simulations of both runs each
+    assert wide.model.simulations.count - before <= 2 * (1 + 4)
+    assert set(again.idx) == set(range(11))
+
+
+def test_joined_keeps_its_own_slopes():
+    a = Local(np.zeros(3), np.zeros(2), (0,), np.ones((2, 1)))
+    b = Local(np.zeros(3), np.zeros(2), (0, 2), np.full((2, 2), 5.0))
+    both = a.joined(b)
+    np.testing.assert_array_equal(both.slopes([2, 0]), [[5.0, 1.0]] * 2)
+
+
+def test_a_slope_that_is_not_finite_names_its_coordinate(study):
+    class Brittle(toy.Bias):
+        def apply(self, scene, size, run):
+            return super().apply(scene, size / (size == 0.0), run)
+
+    problem = problem_of(study, (toy.Drag(), Brittle()))
+    with pytest.raises(PredictionError, match="small step along bias;"):
+        local_at(problem, np.zeros(len(problem.names)))
