@@ -22,10 +22,17 @@ def main() -> None:
     parser.add_argument("--dt", type=float, default=5e-3)
     parser.add_argument("--effects", nargs="*", help="names; all by default")
     parser.add_argument("--max-effects", type=int, default=3)
+    parser.add_argument("--accept-numerics", action="store_true")
     given = parser.parse_args()
     study = tip_window(import_study("silicone_beam"), until_s=given.until)
     search = SearchSettings(max_effects=given.max_effects, num_refits=2, max_rounds=4)
-    made = setup(study, cells=given.cells, dt_s=given.dt, search=search)
+    made = setup(
+        study,
+        cells=given.cells,
+        dt_s=given.dt,
+        search=search,
+        accept_numerics=given.accept_numerics,
+    )
     effects = [e for e in made.effects if not given.effects or e.name in given.effects]
     report = diagnose(
         study,

@@ -22,8 +22,7 @@ def section(found: dict[str, Any], plan: Plan) -> Section:
             *found["sentences"],
             f"A quick look: {found['num_candidates']} candidate causes, the first "
             f"{plan.diagnosis_until_s:g} s, {cells} elements, {1e3 * plan.diagnosis_dt_s:g} ms, "
-            "no generic unknown force as a rival; the noise is what equal releases differ by. "
-            "The diagnosis with all candidates is in docs/measured/silicone_beam.md.",
+            "against an unknown force and drifts; the noise is what equal releases differ by.",
         ],
         content=[
             *(Picture(uri=p["uri"], caption=p["caption"]) for p in found["pictures"]),

@@ -174,7 +174,4 @@ def test_measured_beam(tmp_path):
     floor = results["measured"]["repeats"]["gravity"]["vertical_rms_m"]
     left = {m: r["gravity_b"]["vertical_rms_m"] for m, r in results["remaining"].items()}
     assert left["identified"] < 2.0 * floor < 3.0 * floor < left["published"]
-    found = results["diagnosis"]
-    assert found["verdict"] in ("named", "ambiguous", "unknown") and len(found["pictures"]) == 3
-    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
-    assert found["sentences"][0].split("'")[0].split(" +- ")[0] in page
+    assert "not part of this run" in results["diagnosis"]["skipped"]

@@ -29,8 +29,8 @@ from diffsim.identify import Parameter
 # Far below the bar's own 250 N per strain: the tendon pulls, and hardly stiffens.
 TENDON_STIFFNESS_N = 0.1
 MESH_SD = 0.03  # of Young's modulus, beside the laboratory's prior: locking differs with the load
-# A clamped solid cannot contract at its root, where a beam can: mid-length moves a tenth less, as if
-# it were that much nearer to the clamp.
+# A clamped solid cannot contract at its root, where a beam can: mid-length moves a tenth less, as
+# if it were that much nearer to the clamp.
 ROOT_M = 2.5e-3
 KNOTS_PER_S = 5.0
 
