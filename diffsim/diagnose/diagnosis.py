@@ -19,7 +19,6 @@ from diffsim.diagnose.decide import Decision
 from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.evidence import Hypothesis
 from diffsim.diagnose.force_map import ForceMap, force_map
-from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.gates import (
     data_gate,
     gradient_gate,
@@ -27,6 +26,7 @@ from diffsim.diagnose.gates import (
     numerics_changes,
     numerics_gate,
 )
+from diffsim.diagnose.judge import NAMES, Judgement, decision_of, judge
 from diffsim.diagnose.model import SimModel
 from diffsim.diagnose.next_run import next_run
 from diffsim.diagnose.noise import UNREPEATABLE, NoiseFloor
@@ -38,12 +38,9 @@ from diffsim.diagnose.stages import (
     Case,
     DiagnosisSettings,
     Progress,
-    confirmed,
-    decision_of,
     null_fit,
     search_rounds,
     silent,
-    with_gains,
 )
 from diffsim.diagnose.store import Store, key_of
 from diffsim.diagnose.tables import cannot_see, effect_rows, hypothesis_rows, set_names
@@ -116,16 +113,18 @@ def diagnose(
     ):
         seen = screen(screened.problem, screened.residual, screened.jacobian, screened.x0)
         decision = Decision("numerical", frozenset(), (), None, 0.0)
-        return _report(found, decision, None, seen, seed, bank)
+        return _report(found, Judgement(decision, None, {}), None, seen, seed, bank)
 
     search, noise, null = search_rounds(case, noise, null, points)
     linear = search.null_linear
     seen = screen(search.wide, linear.residual, linear.jacobian, linear.x0)
-    decision = confirmed(decision_of(search), search, gates, seed)
-    if not noise.is_repeatable:
-        decision = replace(decision, verdict="unrepeatable", rivals=())
     show("gain", 0.88, "runs held out")
-    return _report(replace(found, null=null.fit, noise=noise), decision, search, seen, seed, bank)
+    if noise.is_repeatable:
+        judgement = judge(search, case.study.holdout_runs, gates, seed)
+    else:
+        decision = replace(decision_of(search), verdict="unrepeatable", rivals=())
+        judgement = Judgement(decision, None, {})
+    return _report(replace(found, null=null.fit, noise=noise), judgement, search, seen, seed, bank)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,22 +143,20 @@ class _Found:
 
 def _report(
     found: _Found,
-    decision: Decision,
+    judgement: Judgement,
     search: Search | None,
     seen: Screen,
     seed: int,
     bank: Sequence[Run],
 ) -> Report:
     case, null, noise, gates = found.case, found.null, found.noise, found.gates
-    gains: dict[int, Gain] = {}
-    total: Gain | None = None
+    decision, total, gains = judgement.decision, judgement.gain, judgement.gains
+    is_named = decision.verdict in NAMES
     best = null
-    if search is not None:
-        chosen = search.entries[Hypothesis(decision.best)].fit
-        assert chosen is not None
-        decision, total, gains = with_gains(case, decision, search, chosen, seed)
+    if search is not None and is_named:
         kept = search.entries[Hypothesis(decision.best)].fit
-        best = kept if kept is not None and decision.verdict in ("named", "ambiguous") else null
+        assert kept is not None  # sets without an unknown cause are fitted
+        best = kept
     effects = case.effects
     rivals = tuple(set_names(h, effects, case.unknowns) for h in decision.rivals)
     rival_fits = [best] + [
@@ -167,7 +164,6 @@ def _report(
     ]
     fits = [f for f in rival_fits if f is not None]
     advice = next_run(fits, bank) if bank and len(fits) > 1 else None
-    is_named = decision.verdict in ("named", "ambiguous")
     rows = effect_rows(effects, decision, search, seen, gains, found.changes)
     case.progress("done", 1.0, decision.verdict)
     return Report(

@@ -10,17 +10,13 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim.data.study import Run, Study
-from diffsim.diagnose.crosscheck import swap_probability
-from diffsim.diagnose.decide import Decision, decide
 from diffsim.diagnose.descend import Descended, descend
 from diffsim.diagnose.effect import Effect
-from diffsim.diagnose.evidence import Hypothesis
-from diffsim.diagnose.gain import Gain, gain
+from diffsim.diagnose.judge import decision_of
 from diffsim.diagnose.local import Local, local_at
 from diffsim.diagnose.model import SimModel
 from diffsim.diagnose.noise import NoiseFloor, noise_floor, without_spikes
 from diffsim.diagnose.points import Points
-from diffsim.diagnose.report import GateResult
 from diffsim.diagnose.search import Search, SearchSettings
 from diffsim.diagnose.store import Store
 from diffsim.diagnose.unknown import Unknown
@@ -29,7 +25,6 @@ from diffsim.identify import Fit, Jacobian, Problem, Whitener, WhiteNoise
 Array = NDArray[np.float64]
 Progress = Callable[[str, float, str], None]
 """Stage, share of the whole that is done, message."""
-SWAP_LIMIT = 0.02  # of noise alone: about three of 200 swapped draws may reach the statistic
 NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
 
 
@@ -134,65 +129,6 @@ def search_rounds(
             break
         noise, null = after, descend(case.problem(after.whitener), null.local)
     return search, after, null
-
-
-def decision_of(search: Search) -> Decision:
-    entries = search.entries
-    null = entries[Hypothesis()].fit
-    assert null is not None
-    # samples less effectively fitted parameters: tr (J'J) (J'J + 1)^-1
-    fitted = null.problem.num_base - float(np.trace(null.covariance))
-    return decide(
-        {h: e.nats for h, e in entries.items()},
-        {h: e.weighed.chi2 for h, e in entries.items() if h.unknown is None},
-        null.num_samples - fitted,
-    )
-
-
-def confirmed(decision: Decision, search: Search, gates: list[GateResult], seed: int) -> Decision:
-    """An unknown cause that repeats do not confirm is withdrawn; the check joins the gates."""
-    if decision.unknown is None or decision.unknown.unknown is None:
-        return decision
-    best = search.entries[Hypothesis(decision.best)].fit
-    assert best is not None
-    cause = search.unknowns[decision.unknown.unknown]
-    moved = search.responses(decision.best, decision.unknown.unknown)
-    p = swap_probability(best.problem, best.residual, moved, seed=seed)
-    if p is None:
-        return decision
-    gates.append(
-        GateResult("swap", p <= SWAP_LIMIT, p, SWAP_LIMIT, f"{cause.name}: repeats as noise scale")
-    )
-    if p <= SWAP_LIMIT:
-        return decision
-    return replace(decision, verdict="named" if decision.best else "none", unknown=None)
-
-
-def with_gains(
-    case: Case, decision: Decision, search: Search, best: Fit, seed: int
-) -> tuple[Decision, Gain | None, dict[int, Gain]]:
-    """Gains on held-out runs; a name whose gain lies below zero is withdrawn."""
-    runs = case.study.holdout_runs
-    if not runs or not decision.best or decision.verdict not in ("named", "ambiguous"):
-        return decision, None, {}
-    null = search.entries[Hypothesis()].fit
-    assert null is not None
-    gains = {}
-    known: dict[Fit, list[Array]] = {}
-    for i in decision.best:
-        without = search.refit(decision.best - {i})
-        if without is not None and without.fit is not None:
-            gains[i] = gain(runs, without.fit, best, seed=seed, known=known)
-    kept = frozenset(i for i in decision.best if i not in gains or gains[i].status != "withdrawn")
-    if kept != decision.best:
-        verdict = decision.verdict if kept else "unknown"
-        decision = replace(decision, best=kept, verdict=verdict)
-        entry = search.refit(kept)
-        if entry is None or entry.fit is None:
-            return replace(decision, best=frozenset(), verdict="unknown"), None, gains
-        best = entry.fit
-    total = gain(runs, null, best, seed=seed, known=known) if kept else None
-    return decision, total, gains
 
 
 def left_of(fit: Fit, run: Run) -> Array:

@@ -6,12 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diffsim.diagnose.decide import Decision
+from diffsim.diagnose.decide import EXPLAINED, Decision
 from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.noise import NoiseFloor
 from diffsim.diagnose.report import EffectRow, GateResult
 
+MAX_TOLD = 3  # rival sets in a sentence; the page lists all
 Z90 = 1.645  # half-width of a 90 % interval in standard deviations
 
 
@@ -30,8 +31,7 @@ def sentences(
         "none": lambda: "The misfit is noise: no effect of the library pays for itself.",
         "named": lambda: f"The model lacks {_sizes(members)}.",
         "ambiguous": lambda: (
-            f"The data ask for {_sizes(members)}, but cannot tell it from "
-            f"{' or '.join(' with '.join(r) for r in rivals)}."
+            f"The data ask for {_sizes(members)}, but cannot tell it from {_sets(rivals)}."
         ),
         "unknown": lambda: (
             "Something real and repeatable is missing that the library does not hold"
@@ -48,6 +48,11 @@ def sentences(
         ),
     }[decision.verdict]()
     out = [first]
+    if decision.verdict in ("named", "ambiguous") and decision.share < EXPLAINED:
+        out.append(
+            f"That explains {decision.share:.0%} of the misfit; what is left is no cause that "
+            "repeats and evidence single out."
+        )
     if gained is not None:
         out.append(
             f"On held-out runs this removes {gained.value:.0%} (90 %: {gained.low:.0%} to "
@@ -65,6 +70,13 @@ def sentences(
 
 def _failed_numerics(gates: Sequence[GateResult]) -> list[GateResult]:
     return [g for g in gates if not g.passed and g.name in ("time_step", "mesh", "tolerance")]
+
+
+def _sets(rivals: Sequence[tuple[str, ...]]) -> str:
+    """The nearest rival sets in words, and how many more there are."""
+    told = " or ".join(" with ".join(r) for r in rivals[:MAX_TOLD])
+    more = len(rivals) - MAX_TOLD
+    return told if more <= 0 else f"{told}, or {more} more {'sets' if more > 1 else 'set'}"
 
 
 def _sizes(rows: Sequence[EffectRow]) -> str:
