@@ -104,7 +104,8 @@ class Bench:
         return tuple(kind for kind in KINDS if not missing.get(kind, False))
 
 
-_NO_PRESSURE = Blindfold(blank=("pump_Pa", "junction_Pa"))
+# a commanded back pressure would tell as much as a sensor
+_NO_PRESSURE = Blindfold(blank=("pump_Pa", "tap_Pa"), without_runs=("back_pressure",))
 _NO_YAW = Blindfold(without_runs=("hover_yaw", "sprint"))
 #: By the name that a user gives.
 BENCHES: dict[str, Bench] = {
