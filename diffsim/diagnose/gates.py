@@ -159,14 +159,14 @@ def numerics_gate(fit: Fit, changes: Mapping[str, Array]) -> list[GateResult]:
     """How far refining each numerical setting moves the record, in noise units.
 
     lambda^2 = c' (1 + J J')^-1 c with c = W (S(refined) - S): what base parameters leave of it and
-    what their priors ask for taking up the rest, so that lambda^2 / 2 are the nats to be had. Priors
-    belong to it as to all evidence: parameters pulled far off them would be blamed on a cause.
+    what their priors ask for taking up the rest, so that lambda^2 / 2 are the nats to be had.
+    Without the latter, parameters could be pulled far off their priors, and causes named for it.
     """
     j, out = fit.jacobian, []
     for name, raw in changes.items():
         change = whitened(fit.problem, raw)
         pull = j.T @ change
-        squared = change @ change - pull @ (posterior_covariance(j) @ pull)
+        squared = float(change @ change - pull @ (posterior_covariance(j) @ pull))
         size = float(np.sqrt(max(squared, 0.0)))
         out.append(
             GateResult(

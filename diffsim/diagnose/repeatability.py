@@ -1,4 +1,4 @@
-"""Whether repeats differ by more than the set-up may: nuisances of single runs against their priors.
+"""Whether repeats differ by more than the set-up may: nuisances of runs against their priors.
 
 A gain that jitters from run to run by far more than was stated leaves no scatter in the channels,
 for the gain of each run, a base parameter, takes it up. The scatter is then in these parameters.

@@ -24,6 +24,7 @@ from diffsim.diagnose.setups import setup_of
 Sizes = Mapping[str, float | tuple[float, ...] | None]
 PLACED = {"meter_gain": 2, "blocked_branch": 0, "pressure_offset": 1}
 """Where the effects with a place are hidden."""
+NAMES = {"pump_gain": "pump_gain_1"}  # in the library
 Z90 = 1.645
 COARSE = {"cells_per_width": 3.0, "corrected": False}
 
@@ -117,7 +118,7 @@ def truth_of(case: LabCase) -> dict[str, float]:
         count = NetworkLab.effects[name].components
         for i, size in enumerate(sizes if isinstance(sizes, tuple) else (sizes,)):
             if size:
-                out[name if count == 1 else f"{name}_{i + 1}"] = float(size)
+                out[NAMES.get(name, name) if count == 1 else f"{name}_{i + 1}"] = float(size)
     return out
 
 
