@@ -136,7 +136,7 @@ BENCHES: dict[str, Bench] = {
         NetworkLab,
         confounded=((("slip", "wall_offset"), _NO_PRESSURE),),
         invisible=(("viscosity", _NO_PRESSURE), ("pressure_scale", _NO_PRESSURE)),
-        look_alike=("compliance", "thinning", "inertia", "slip", "wall_offset"),
+        look_alike=("compliance", "thinning", "entrance_loss", "slip", "wall_offset"),
         coarse={"mesh": 3.0},
     ),
 }
