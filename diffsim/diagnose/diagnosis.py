@@ -31,6 +31,7 @@ from diffsim.diagnose.model import SimModel
 from diffsim.diagnose.next_run import next_run
 from diffsim.diagnose.noise import UNREPEATABLE, NoiseFloor
 from diffsim.diagnose.points import Points
+from diffsim.diagnose.repeatability import repeatability_gate
 from diffsim.diagnose.report import GateResult, Report
 from diffsim.diagnose.screen import Screen, screen
 from diffsim.diagnose.search import NONE, Search
@@ -119,10 +120,15 @@ def diagnose(
     linear = search.null_linear
     seen = screen(search.wide, linear.residual, linear.jacobian, linear.x0)
     show("gain", 0.88, "runs held out")
-    if noise.is_repeatable:
+    evident = decision_of(search)
+    best = search.entries[Hypothesis(evident.best)].fit
+    assert best is not None  # sets without an unknown cause are fitted
+    repeats = repeatability_gate(best)
+    gates += repeats
+    if noise.is_repeatable and all(g.passed for g in repeats):
         judgement = judge(search, case.study.holdout_runs, gates, seed)
     else:
-        decision = replace(decision_of(search), verdict="unrepeatable", rivals=())
+        decision = replace(evident, verdict="unrepeatable", rivals=())
         judgement = Judgement(decision, None, {})
     return _report(replace(found, null=null.fit, noise=noise), judgement, search, seen, seed, bank)
 

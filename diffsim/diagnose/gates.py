@@ -23,6 +23,7 @@ from diffsim.identify.fitting import posterior_covariance
 Array = NDArray[np.float64]
 GRADIENT_RTOL = 1e-4
 NUMERICS_LAMBDA = 2.0
+UNFELT = 1e-6  # noise sd that a usual size moves the whole record: its slope is rounding
 REFINEMENTS = {
     "time_step": Numerics(time_step=0.5),
     "mesh": Numerics(mesh=0.5),
@@ -84,8 +85,9 @@ def gradient_gate(linear: Linearisation) -> list[GateResult]:
     for effect in effects:
         c = problem.columns_of(effect)
         # relative to the largest score a residual of this length could have
-        size = np.linalg.norm(residual) * np.linalg.norm(linear.jacobian[:, c])
-        if size == 0.0:
+        moved = np.linalg.norm(linear.jacobian[:, c])
+        size = np.linalg.norm(residual) * moved
+        if moved <= UNFELT:
             continue
         error = float(np.linalg.norm(adjoint[c] - score[c]) / size)
         if error >= GRADIENT_RTOL or not is_sound:
@@ -156,20 +158,23 @@ def numerics_changes(problem: Problem, local: Local) -> dict[str, Array]:
 def numerics_gate(fit: Fit, changes: Mapping[str, Array]) -> list[GateResult]:
     """How far refining each numerical setting moves the record, in noise units.
 
-    lambda = |(1 - J (J'J + 1)^-1 J') W (S(refined) - S)|: what base parameters cannot absorb.
+    lambda^2 = c' (1 + J J')^-1 c with c = W (S(refined) - S): what base parameters leave of it and
+    what their priors ask for taking up the rest, so that lambda^2 / 2 are the nats to be had.
+    Without the latter, parameters could be pulled far off their priors, and causes named for it.
     """
     j, out = fit.jacobian, []
     for name, raw in changes.items():
         change = whitened(fit.problem, raw)
-        left = change - j @ (posterior_covariance(j) @ (j.T @ change))
-        size = float(np.linalg.norm(left))
+        pull = j.T @ change
+        squared = float(change @ change - pull @ (posterior_covariance(j) @ pull))
+        size = float(np.sqrt(max(squared, 0.0)))
         out.append(
             GateResult(
                 name,
                 size < NUMERICS_LAMBDA,
                 size,
                 NUMERICS_LAMBDA,
-                "noise sd that refining moves the record, refit allowed",
+                "noise and prior sd that refining moves record and refit",
             )
         )
     return out

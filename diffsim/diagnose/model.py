@@ -116,11 +116,7 @@ class SimModel:
             return self.predict(run, q, sizes, numerics)
         physical, numerical = _parted(sizes)
         self.simulations.add(len(q))
-        scenes = [
-            self.scene(run, q[k], {e: s[k] for e, s in physical.items()}, numerics)
-            for k in range(len(q))
-        ]
-        out = plain = torch.stack(self.simulate_scenes(scenes))
+        out = plain = self.simulate_many(run, q, physical, numerics)
         for effect, size in numerical.items():
             if (rows := torch.nonzero(size[:, 0])[:, 0]).numel():
                 finer = (numerics or Numerics()).refined(effect.refined)
@@ -143,6 +139,21 @@ class SimModel:
         for effect, size in _parted(sizes)[0].items():
             scene = effect.apply(scene, size, run)
         return scene
+
+    def simulate_many(
+        self,
+        run: Run,
+        q: Tensor,
+        sizes: Mapping[Effect, Tensor],
+        numerics: Numerics | None = None,
+    ) -> Tensor:
+        """As ``predict_many`` without numerical effects; models that have a faster way override
+        this."""
+        scenes = [
+            self.scene(run, q[k], {e: s[k] for e, s in sizes.items()}, numerics)
+            for k in range(len(q))
+        ]
+        return torch.stack(self.simulate_scenes(scenes))
 
     def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
         """Predictions of several scenes of one run; models that have a faster way override this."""

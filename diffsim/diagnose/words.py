@@ -10,6 +10,7 @@ from diffsim.diagnose.decide import EXPLAINED, Decision
 from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.noise import NoiseFloor
+from diffsim.diagnose.repeatability import PREFIX
 from diffsim.diagnose.report import EffectRow, GateResult
 
 MAX_TOLD = 3  # rival sets in a sentence; the page lists all
@@ -38,8 +39,8 @@ def sentences(
             + (f"; {_sizes(members)} would mimic part of it." if members else ".")
         ),
         "unrepeatable": lambda: (
-            f"Repeats scatter {np.nanmax(noise.scatter_ratio):.2g} times as much as the sensor "
-            "noise: the misfit is not a function of the command."
+            f"Repeats scatter {_scatter(noise, gates)}: the misfit is not a function of the "
+            "command."
         ),
         "numerical": lambda: (
             "The numerical settings move the record by "
@@ -63,9 +64,20 @@ def sentences(
     out += [
         f"{g.name}: {g.value:g}, wanted {g.limit:g} ({g.note})."
         for g in gates
-        if not g.passed and g.name not in ("time_step", "mesh", "tolerance")
+        if not g.passed
+        and g.name not in ("time_step", "mesh", "tolerance")
+        and not g.name.startswith(PREFIX)
     ]
     return tuple(out)
+
+
+def _scatter(noise: NoiseFloor, gates: Sequence[GateResult]) -> str:
+    """In the channels, else in what was fitted to each run."""
+    if not noise.is_repeatable:
+        return f"{np.nanmax(noise.scatter_ratio):.2g} times as much as the sensor noise"
+    failed = [g for g in gates if g.name.startswith(PREFIX) and not g.passed]
+    worst = max(failed, key=lambda g: g.value)
+    return f"in {worst.name.removeprefix(PREFIX)} {worst.value:.2g} times as much as was stated"
 
 
 def _failed_numerics(gates: Sequence[GateResult]) -> list[GateResult]:

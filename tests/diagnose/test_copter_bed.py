@@ -12,7 +12,7 @@ from diffsim.copter import GRAVITY
 from diffsim.copter.fleet import Fleet
 from diffsim.copter.sensors import finite_acceleration
 from diffsim.data.study import Channel, Run, Study
-from diffsim.diagnose import Numerics, library
+from diffsim.diagnose import NumericalEffect, Numerics, library
 from diffsim.diagnose.beds import actuator
 from diffsim.diagnose.beds.copter import effects as causes
 from diffsim.diagnose.beds.copter import flight_model, unknown_wrench
@@ -179,6 +179,22 @@ def test_base_parameters_and_numerics(flown):
     assert (grads.abs() > 0).all()
     half = model.predict(run, model.at_prior(), None, Numerics(time_step=0.5))
     assert 0 < float(((half - plain) / SD).abs().max()) < 0.1
+
+
+def test_a_numerical_cause_blends_flights_beside_others(flown):
+    run, _ = flown
+    model = flight_model(quadcopter(), commands=NAMES, substeps=1)
+    cause, wind = NumericalEffect("time_step", Numerics(time_step=0.25)), causes.Wind()
+    q = model.at_prior().expand(3, -1)
+    # the kernel is of fourth order: only large multiples of what refining changes can be seen
+    sizes = {cause: tensor([[0.0], [4e5], [1e6]]), wind: tensor([[0.01, 0.0]] * 3)}
+    many = model.predict_many(run, q, sizes)
+    at = {wind: sizes[wind]}
+    coarse = model.predict_many(run, q, at)[0]
+    fine = model.predict_many(run, q, at, cause.refined)[0]
+    assert float(((many[2] - many[0]) / SD).abs().max()) > 0.01
+    expected = coarse + sizes[cause][..., None] * (fine - coarse)
+    torch.testing.assert_close(many, expected, atol=1e-7, rtol=0)
 
 
 # Physics, of one window with a known start: straight_up(effect) flies with equal thrusts.

@@ -19,7 +19,7 @@ from diffsim.diagnose import (
 )
 from diffsim.diagnose.crosscheck import swap_probability
 from diffsim.diagnose.evidence import Linearisation
-from diffsim.diagnose.gates import data_gate, gradient_gate, numerical_shift
+from diffsim.diagnose.gates import data_gate, gradient_gate, numerical_shift, numerics_gate
 from diffsim.diagnose.unknown import UnknownDrift
 from diffsim.identify import Jacobian, Problem, WhiteNoise, fit
 from tests.diagnose import linear, toy
@@ -249,6 +249,23 @@ def test_numerical_shift_is_what_a_refit_to_the_refined_record_moves():
         moved.append(after.x - before.x)
     found = numerical_shift(before, {str(k): c.ravel() for k, c in enumerate(changes)})
     np.testing.assert_allclose(found, np.linalg.norm(moved, axis=0), rtol=1e-4)
+
+
+@pytest.mark.reference
+def test_numerics_gate_is_the_distance_under_the_marginal_normal():
+    """The nats that a cause of just that shape could have, whatever base parameters take up."""
+    runs = [linear.run("r1", 1), linear.run("r2", 2)]
+    sd = np.array([c.sd for c in linear.CHANNELS])
+    found = fit(linear.model(), runs, linear.CHANNELS)
+    _, a = linear.matrices((), runs)
+    absorbed = a[:, 0] * 10.0  # of the kind that base parameters take up, ten prior sd far
+    cases = {"random": np.random.default_rng(0).normal(size=len(a)), "absorbed": absorbed}
+    raw = {k: (c.reshape(-1, 2) * sd).ravel() for k, c in cases.items()}
+    gates = {g.name: g for g in numerics_gate(found, raw)}
+    for name, change in cases.items():
+        squared = change @ np.linalg.solve(np.eye(len(a)) + a @ a.T, change)
+        assert gates[name].value == pytest.approx(np.sqrt(squared), rel=1e-6)
+    assert not gates["absorbed"].passed
 
 
 def test_numerical_cause_blends_predictions_one_by_one_and_many():

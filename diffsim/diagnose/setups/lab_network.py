@@ -33,6 +33,7 @@ def setup(
     study: Study,
     *,
     cells_per_width: float = CELLS_PER_WIDTH,
+    corrected: bool = True,
     effects: Sequence[str] | None = None,
     accept_numerics: bool = False,
 ) -> DiagnosisSetup:
@@ -41,6 +42,7 @@ def setup(
     Args:
         study: With the laboratory's facts in its metadata.
         cells_per_width: Grid cells across the narrowest channel.
+        corrected: Correct the flows' resistance for the cell size once, from a finer grid.
         effects: Names of the candidate causes; all if None.
         accept_numerics: Go on although the numerics gate fails.
     """
@@ -56,7 +58,12 @@ def setup(
     unknown = UnknownForce(effect, covariance, "unknown pressure")
     return DiagnosisSetup(
         network_model(
-            device, base, pump=PUMP, back_pressures=BACK_PRESSURES, columns=columns_of(study)
+            device,
+            base,
+            pump=PUMP,
+            back_pressures=BACK_PRESSURES,
+            columns=columns_of(study),
+            corrected=corrected,
         ),
         library,
         (unknown,),

@@ -67,18 +67,17 @@ class CopterModel(SimModel):
     def __init__(self, flights: Flights, base: Sequence[Parameter]):
         super().__init__(flights, base, "multicopter")
 
-    def predict_many(
+    def simulate_many(
         self,
         run: Run,
         q: Tensor,
-        sizes: Mapping[Effect, Tensor] | None = None,
+        sizes: Mapping[Effect, Tensor],
         numerics: Numerics | None = None,
     ) -> Tensor:
         """Points with the same effects in one batch: what is absent costs nothing.
 
         Best initial states are found with the tangents of the first point, the centre of a stencil.
         """
-        sizes = sizes or {}
         present = torch.stack(
             [torch.zeros(len(q), dtype=torch.bool), *((s != 0.0).any(1) for s in sizes.values())], 1
         )

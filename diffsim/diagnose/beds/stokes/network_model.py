@@ -115,6 +115,7 @@ def network_model(
     pump: str,
     back_pressures: Sequence[str],
     columns: Sequence[int] | None = None,
+    corrected: bool = True,
 ) -> SimModel:
     """A network as a model for the diagnosis: channels are outlet flows, pump and tap pressure.
 
@@ -125,6 +126,7 @@ def network_model(
         back_pressures: Names of the commands of pressures beyond the outlets [Pa]. Those that a
             run does not have are zero.
         columns: Which of the channels are measured, by index; all if None.
+        corrected: As for ``UnitFlowTable``.
 
     Returns:
         Model. Unit flows are simulated when first needed and kept with the model;
@@ -140,7 +142,7 @@ def network_model(
 
     @lru_cache(maxsize=4)
     def table(mesh: float) -> UnitFlowTable:
-        return UnitFlowTable(device, mesh)
+        return UnitFlowTable(device, mesh, corrected=corrected)
 
     def build(values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> NetworkScene:
         fixed = {k: torch.tensor(v, dtype=torch.float64) for k, v in nominal.items()}

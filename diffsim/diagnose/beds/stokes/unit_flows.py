@@ -84,7 +84,6 @@ class UnitFlowTable:
 
     def __init__(self, device: NetworkDevice, refine: float = 1.0, *, corrected: bool = True):
         self.device, self.refine, self.corrected = device, refine, corrected
-        self.device, self.refine, self.corrected = device, refine, corrected
         self.flow = NetworkFlow(device, refine)
         # the same on all grids, so that refining changes the flow only
         wall = WALL_STEP * max(s / n for s, n in zip(device.size, device.cells, strict=True))
