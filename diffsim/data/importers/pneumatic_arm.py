@@ -98,7 +98,7 @@ def _campaign(folder: Path, campaign: str, *, held_out: tuple[str, ...], because
             held_out=because,
             notes="places as recorded; the start position moves by up to 0.4 mm between trials; "
             "the command switches where motion was detected, the pressure in the chamber was not "
-            "recorded; no level was repeated: the noise stated is what no bend explains, weighed by "
+            "recorded; no level was repeated: the noise stated is what no bend explains, by "
             "how long it lasts; every third sample is kept, every thirtieth beyond 1 s after a "
             "switch",
         ),
