@@ -22,6 +22,8 @@ class Decision:
         rivals: Other hypotheses within 3 nats, best first.
         unknown: The unknown cause's hypothesis if the verdict is "unknown".
         share: Of chi2_null - N that the best set explains.
+        beside: The strongest hypothesis with an unknown cause, where evidence puts it 4 nats or
+            more before the best set although that explains enough; its lead is ``lead`` [nats].
     """
 
     verdict: str
@@ -29,6 +31,8 @@ class Decision:
     rivals: tuple[Hypothesis, ...]
     unknown: Hypothesis | None
     share: float
+    beside: Hypothesis | None = None
+    lead: float = 0.0
 
 
 def decide(
@@ -58,7 +62,9 @@ def decide(
     ]
     rivals = sorted((h for h in rivals if _is_kept(nats, h)), key=lambda h: -nats[h])
     verdict = "ambiguous" if rivals else "named"
-    return Decision(verdict, best.effects, tuple(rivals), None, explained)
+    lead = -float("inf") if strongest is None else nats[strongest] - nats[best]
+    beside = (strongest, lead) if lead >= KEEP_NATS else (None, 0.0)
+    return Decision(verdict, best.effects, tuple(rivals), None, explained, *beside)
 
 
 def prune(nats: Mapping[Hypothesis, float], best: Hypothesis) -> Hypothesis:

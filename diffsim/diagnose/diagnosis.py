@@ -114,7 +114,7 @@ def diagnose(
     ):
         seen = screen(screened.problem, screened.residual, screened.jacobian, screened.x0)
         decision = Decision("numerical", frozenset(), (), None, 0.0)
-        return _report(found, Judgement(decision, None, {}), None, seen, seed, bank)
+        return _report(found, Judgement(decision, None, {}, frozenset()), None, seen, seed, bank)
 
     search, noise, null = search_rounds(case, noise, null, points)
     linear = search.null_linear
@@ -129,7 +129,7 @@ def diagnose(
         judgement = judge(search, case.study.holdout_runs, gates, seed)
     else:
         decision = replace(evident, verdict="unrepeatable", rivals=())
-        judgement = Judgement(decision, None, {})
+        judgement = Judgement(decision, None, {}, frozenset())
     return _report(replace(found, null=null.fit, noise=noise), judgement, search, seen, seed, bank)
 
 
@@ -170,11 +170,15 @@ def _report(
     ]
     fits = [f for f in rival_fits if f is not None]
     advice = next_run(fits, bank) if bank and len(fits) > 1 else None
-    rows = effect_rows(effects, decision, search, seen, gains, found.changes)
+    rows = effect_rows(
+        effects, decision, search, seen, gains, judgement.withdrawn, found.changes
+    )
     case.progress("done", 1.0, decision.verdict)
     return Report(
         verdict=decision.verdict,
-        sentences=sentences(decision, rows, rivals, total, gates, noise, effects),
+        sentences=sentences(
+            decision, rows, rivals, total, gates, noise, effects, case.unknowns
+        ),
         named=tuple(effects[i].name for i in sorted(decision.best)) if is_named else (),
         rivals=rivals,
         hypotheses=hypothesis_rows(search, effects, case.unknowns),

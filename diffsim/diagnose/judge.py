@@ -30,11 +30,13 @@ class Judgement:
         decision: After all checks.
         gain: Of its best set on held-out runs; None without such runs, or without a name.
         gains: Of members of the sets that were considered, by effect.
+        withdrawn: Effects that the evidence asked for and held-out runs refuted.
     """
 
     decision: Decision
     gain: Gain | None
     gains: dict[int, Gain]
+    withdrawn: frozenset[int]
 
 
 def judge(search: Search, held_out: Sequence[Run], gates: list[GateResult], seed: int) -> Judgement:
@@ -57,7 +59,7 @@ def judge(search: Search, held_out: Sequence[Run], gates: list[GateResult], seed
         if withdrawn and decision.verdict == "none":
             decision = replace(decision, verdict="unknown")
         if not held_out or decision.verdict not in NAMES:
-            return Judgement(decision, None, gains)
+            return Judgement(decision, None, gains, withdrawn)
         best = search.entries[Hypothesis(decision.best)].fit
         assert best is not None
         now = {}
@@ -70,11 +72,13 @@ def judge(search: Search, held_out: Sequence[Run], gates: list[GateResult], seed
         if not harmful:
             null = search.entries[Hypothesis()].fit
             assert null is not None
-            return Judgement(decision, gain(held_out, null, best, seed=seed, known=known), gains)
+            total = gain(held_out, null, best, seed=seed, known=known)
+            return Judgement(decision, total, gains, withdrawn)
         withdrawn |= {min(harmful, key=lambda i: now[i].value)}
         for i in decision.best - withdrawn:  # what is left of the set must be among the candidates
             search.refit(decision.best - withdrawn - {i})
-        search.refit(decision.best - withdrawn)
+        if search.refit(decision.best - withdrawn) is not None:
+            search.face_unknowns(decision.best - withdrawn)
 
 
 def decision_of(search: Search, withdrawn: frozenset[int] = frozenset()) -> Decision:

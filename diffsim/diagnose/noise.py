@@ -176,7 +176,10 @@ def without_spikes(run: Run, left: Array) -> tuple[Run, int]:
     itself and its four neighbours; what lasts longer than two samples is not one.
     """
     away = np.abs(left - median_filter(left, size=(5, 1), mode="nearest"))
-    scale = 1.4826 * np.nanmedian(away, axis=0)
+    # a channel that was never measured, or never five samples in a row, has no scale
+    scale = np.zeros(away.shape[1])
+    seen = np.isfinite(away).any(axis=0)
+    scale[seen] = 1.4826 * np.nanmedian(away[:, seen], axis=0)
     spikes = away > SPIKE * np.where(scale > 0.0, scale, np.inf)
     if not spikes.any() or spikes.mean() > MAX_SPIKES:
         return run, 0

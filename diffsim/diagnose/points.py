@@ -99,7 +99,10 @@ class Points:
         outside[own] = False
         if not centre.x[outside].any():
             return centre
-        record = record_at(self.narrow(members), x[own])
+        narrow = self.narrow(members)
+        x = x.copy()
+        x[own] = np.clip(x[own], *narrow.bounds)  # a linear answer knows no bounds
+        record = record_at(narrow, x[own])
         step = x - centre.x
         said = centre.slopes(range(len(x))) @ step
         off = linalg.norm(whitened(self.wide, record - centre.record - said))

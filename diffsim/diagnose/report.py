@@ -30,8 +30,8 @@ class EffectRow:
 
     Attributes:
         effect, family, kind, unit: Of the effect.
-        status: "named", "rival", "mimic" (explains part of an unknown cause), "screened", or
-            "not judged".
+        status: "named", "rival", "mimic" (explains part of an unknown cause), "withdrawn" (the
+            evidence asked for it, held-out runs refuted it), "screened", or "not judged".
         size: By component, [unit]; from the refit where there was one, else from the screen.
         sd: Of the sizes: statistical, numerical (shift under refined settings) and 1 % model form.
         nats: Evidence of the best hypothesis with this effect minus that of the best without it.

@@ -164,6 +164,11 @@ class Search:
         self.failed[key] = message
         return None
 
+    def face_unknowns(self, members: Members) -> None:
+        """Weigh a fitted set with every unknown cause, if that was not done."""
+        if self.unknowns and Hypothesis(members, 0) not in self.entries:
+            self._unknowns(self._centre(members, self._null))
+
     def responses(self, members: Members, unknown: int) -> Array:
         """Whitened responses of an unknown cause at the fit of a set."""
         local = self.points.fitted[members]

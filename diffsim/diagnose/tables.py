@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ def effect_rows(
     search: Search | None,
     seen: Screen,
     gains: Mapping[int, Gain],
+    withdrawn: Set[int],
     changes: Mapping[str, Array],
 ) -> tuple[EffectRow, ...]:
     """One row per effect, by evidence.
@@ -40,7 +41,8 @@ def effect_rows(
         decision: The verdict.
         search: What was weighed; None if only screened.
         seen: At the plain model.
-        gains: On held-out runs, by member of the best set.
+        gains: On held-out runs, by member of the sets that were considered.
+        withdrawn: Effects that held-out runs refuted.
         changes: Of the record by refining numerical settings, (N,) each; they widen the intervals.
     """
     in_rivals = {i for h in decision.rivals for i in h.effects}
@@ -61,7 +63,7 @@ def effect_rows(
                 family=effect.family,
                 kind=effect.kind,
                 unit=effect.unit,
-                status=_status(i, decision, in_rivals),
+                status=_status(i, decision, in_rivals, withdrawn),
                 size=_by_component(effect, size),
                 sd=_by_component(effect, np.hypot(sd, MODEL_FORM * size)),
                 nats=nats,
@@ -70,7 +72,7 @@ def effect_rows(
                 gain=gained,
                 share=share,
                 aliases=(*effect.also_looks_like, *_twins(effects, seen, i)),
-                note="" if gained is None or gained.status == "confirmed" else gained.status,
+                note=_note(i, gained, withdrawn),
             )
         )
     return tuple(sorted(rows, key=lambda r: -(r.nats if r.nats is not None else r.z)))
@@ -165,7 +167,15 @@ def _share_alone(search: Search, i: int) -> float | None:
     return (null.weighed.chi2 - alone.weighed.chi2) / missing
 
 
-def _status(i: int, decision: Decision, in_rivals: set[int]) -> str:
+def _note(i: int, gained: Gain | None, withdrawn: Set[int]) -> str:
+    if i in withdrawn:
+        return "worse on held-out runs"
+    return "" if gained is None or gained.status == "confirmed" else gained.status
+
+
+def _status(i: int, decision: Decision, in_rivals: set[int], withdrawn: Set[int]) -> str:
+    if i in withdrawn:
+        return "withdrawn"
     if i in decision.best:
         return {"unknown": "mimic", "unrepeatable": "mimic"}.get(decision.verdict, "named")
     return "rival" if i in in_rivals else "screened"

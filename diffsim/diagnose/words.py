@@ -12,6 +12,7 @@ from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.noise import NoiseFloor
 from diffsim.diagnose.repeatability import PREFIX
 from diffsim.diagnose.report import EffectRow, GateResult
+from diffsim.diagnose.unknown import Unknown
 
 MAX_TOLD = 3  # rival sets in a sentence; the page lists all
 Z90 = 1.645  # half-width of a 90 % interval in standard deviations
@@ -25,8 +26,9 @@ def sentences(
     gates: Sequence[GateResult],
     noise: NoiseFloor,
     effects: Sequence[Effect],
+    unknowns: Sequence[Unknown],
 ) -> tuple[str, ...]:
-    """Two to four sentences with numbers and units."""
+    """Two to five sentences with numbers and units."""
     members = [r for r in rows if r.effect in {effects[i].name for i in decision.best}]
     first = {
         "none": lambda: "The misfit is noise: no effect of the library pays for itself.",
@@ -53,6 +55,12 @@ def sentences(
         out.append(
             f"That explains {decision.share:.0%} of the misfit; what is left is no cause that "
             "repeats and evidence single out."
+        )
+    if decision.beside is not None and decision.beside.unknown is not None:
+        out.append(
+            f"With an {unknowns[decision.beside.unknown].name} the evidence is "
+            f"{decision.lead:.0f} nats better: the names carry most of the misfit, but the record "
+            "holds more than the library does."
         )
     if gained is not None:
         out.append(

@@ -17,7 +17,7 @@ EXPECTED = {
     "silicone_beam": (4, 9, 1, 0),
     "starfish": (4, 8, 1, 0),
     "tennis_balls": (2, 6, 1, 1),  # first and last frames of one video: one command
-    "pneumatic_arm": (6, 9, 2, 0),
+    "pneumatic_arm": (5, 9, 1, 0),
     "pneumatic_arm_p25": (10, 9, 1, 0),
     "fish_tail": (1, 3, 0, 2),
     "rotor_bench": (27, 2, 4, 0),

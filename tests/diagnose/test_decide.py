@@ -46,3 +46,10 @@ def test_unknown_wins_only_where_names_explain_too_little():
 def test_unknown_as_good_as_the_name_is_a_rival():
     found = verdict({NULL: 0.0, A: 10.0, U: 9.0})
     assert (found.verdict, found.rivals) == ("ambiguous", (U,))
+
+
+def test_an_unknown_that_leads_is_told_beside_the_names():
+    found = verdict({NULL: 0.0, A: 30.0, AU: 50.0})
+    assert (found.verdict, found.rivals) == ("named", ())
+    assert (found.beside, found.lead) == (AU, 20.0)
+    assert verdict({NULL: 0.0, A: 30.0, AU: 33.0}).beside is None

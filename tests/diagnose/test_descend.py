@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from diffsim.diagnose import SimModel
 from diffsim.diagnose.descend import descend
 from diffsim.diagnose.local import Local, local_at, measured_of, record_at, whitened
 from diffsim.diagnose.points import Points
@@ -121,3 +122,18 @@ def test_a_slope_that_is_not_finite_names_its_coordinate(study):
     problem = problem_of(study, (toy.Drag(), Brittle()))
     with pytest.raises(PredictionError, match="small step along bias;"):
         local_at(problem, np.zeros(len(problem.names)))
+
+
+def test_a_linear_answer_beyond_a_bound_starts_at_the_bound():
+    effects = (linear.Line("push"), linear.Line("pull"))
+    wide = linear.problem(effects)
+    heavy = replace(wide.model.base[0], upper=0.4)  # prior 0.3 +- 0.7: one seventh of an sd
+    wide = replace(wide, model=SimModel(wide.model.build, [heavy, wide.model.base[1]]))
+    points = Points(wide)
+    swapped = frozenset({1})
+    centre = local_at(wide, np.array([0.1, 0.0, 0.5, 0.0]))
+    start = points.start(swapped, centre, np.array([9.0, 0.0, 0.0, 0.3]))
+    np.testing.assert_allclose(start.x, [1.0 / 7.0, 0.0, 0.0, 0.3])
+    np.testing.assert_allclose(start.record, record_at(wide, start.x))
+    found = points.descend(swapped, start, lambda: 0.0).fit
+    assert found.converged and found.values["mass"] <= 0.4 + 1e-12

@@ -8,6 +8,7 @@ import pytest
 import torch
 import yaml
 
+from diffsim.data.study import Study
 from diffsim.diagnose import (
     DiagnosisSettings,
     NumericalEffect,
@@ -336,3 +337,24 @@ def test_force_map_finds_where_a_push_acts():
     quiet = solve(11, library=(toy.Bias(),), unknowns=[toy.unknown_force()]).force_map
     assert np.abs(quiet.z).max() < 5.0 < np.abs(found.z).max()
     json.dumps(report.to_dict())
+
+
+def test_what_held_out_runs_refute_is_withdrawn_and_says_so():
+    """A push that every fitted run asks for and that is opposite in the run held out."""
+    push, other = linear.Line("push"), linear.Line("other")
+
+    def recorded(name, seed, size, **changes):
+        run = linear.run(name, seed, **changes)
+        model = linear.model()
+        clean = model.predict(run, model.at_prior(), {push: torch.tensor([size]).double()})
+        return replace(run, measured=run.measured + clean.numpy())
+
+    runs = [recorded(f"r{k}", k, 1.0) for k in range(3)]
+    runs.append(recorded("last", 3, -1.0, use="holdout"))
+    study = Study("refuted", "copter", linear.CHANNELS, tuple(runs))
+    report = diagnose(study, linear.model(), (push, other), seed=0, settings=QUICK)
+    row = next(r for r in report.table if r.effect == "push")
+    assert (row.status, row.note) == ("withdrawn", "worse on held-out runs")
+    assert row.gain is not None and row.gain.high < 0.0
+    assert "push" not in report.named
+    assert report.verdict == "unknown"

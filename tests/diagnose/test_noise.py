@@ -116,3 +116,13 @@ def test_spikes_are_marked_and_steps_are_not():
     run, count = without_spikes(make_run(left), left)
     assert count == 2
     assert set(np.flatnonzero(np.isnan(run.measured[:, 0]))) == {50, 333}
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_channel_that_was_never_measured_has_no_spikes():
+    left = 0.1 * np.random.default_rng(5).normal(size=(500, 2))
+    left[50, 0] += 4.0
+    left[:, 1] = np.nan
+    run, count = without_spikes(make_run(left), left)
+    assert count == 1
+    assert np.isnan(run.measured[50, 0]) and np.isnan(run.measured[:, 1]).all()

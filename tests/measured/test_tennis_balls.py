@@ -56,5 +56,10 @@ def test_verdict(given):
     study, setup = given
     report = diagnose(study, setup.model, setup.effects, seed=0, settings=setup.settings)
     assert report.verdict == "ambiguous"
-    assert {"sliding_friction", "ball_friction"} <= set(report.named)
-    assert report.gain is not None and report.gain.low > 0.0
+    assert set(report.named) == {"sliding_friction", "rolling_resistance", "ball_friction"}
+    assert report.gain is not None and report.gain.low > 0.9
+    drift = "unknown drift of ball1_u_px"
+    assert any(drift in rival for rival in report.rivals)
+    assert any(drift in s and "nats better" in s for s in report.sentences)
+    withdrawn = {r.effect for r in report.table if r.status == "withdrawn"}
+    assert withdrawn == {"lens_distortion", "table_tilt"}

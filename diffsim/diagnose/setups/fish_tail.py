@@ -5,13 +5,15 @@ from __future__ import annotations
 from diffsim.data.study import Study
 from diffsim.diagnose.beds.bending.effects import BENDING_EFFECTS
 from diffsim.diagnose.beds.bending.scene import Layout, bending_scene
+from diffsim.diagnose.beds.bending.unknown import unknown_moment
 from diffsim.diagnose.model import SimModel
 from diffsim.diagnose.search import SearchSettings
 from diffsim.diagnose.setups import DiagnosisSetup
 from diffsim.diagnose.stages import DiagnosisSettings
 from diffsim.identify import Parameter
 
-STEP = 0.002  # [s]
+STEP = 0.001  # [s]
+KNOTS_PER_S = 8.0  # of the unknown moment
 LAYOUT = Layout(axes=(2, 1, 0), moving=1, command="pressure_share", unit=1.0)
 
 
@@ -48,7 +50,8 @@ def setup(study: Study, *, max_effects: int = 3) -> DiagnosisSetup:
     )
     effects = tuple(make() for make in BENDING_EFFECTS)
     settings = DiagnosisSettings(search=SearchSettings(max_effects=max_effects))
-    return DiagnosisSetup(model, effects, settings=settings)
+    unknown = unknown_moment(study.runs, KNOTS_PER_S)
+    return DiagnosisSetup(model, effects, (unknown,), settings=settings)
 
 
 __all__ = ["setup"]

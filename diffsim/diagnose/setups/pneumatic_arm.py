@@ -10,6 +10,7 @@ from diffsim.data.study import Study
 from diffsim.diagnose.beds.bending.arc import calibrated_arc
 from diffsim.diagnose.beds.bending.effects import BENDING_EFFECTS
 from diffsim.diagnose.beds.bending.scene import PRESSURE_UNIT, STEP, Layout, bending_scene
+from diffsim.diagnose.beds.bending.unknown import unknown_moment
 from diffsim.diagnose.model import SimModel
 from diffsim.diagnose.search import SearchSettings
 from diffsim.diagnose.setups import DiagnosisSetup
@@ -18,6 +19,7 @@ from diffsim.identify import Parameter
 
 LENGTH = 0.104  # [m] clamped end to the plane of the tip markers, at rest
 CENTRE_TOWARD = 0.0158  # [m] nominal places of the tip markers
+KNOTS_PER_S = 8.0  # of the unknown moment
 LAYOUT = Layout(axes=(0, 1, 2), moving=3, command="set_pressure_Pa", unit=PRESSURE_UNIT)
 
 
@@ -51,7 +53,8 @@ def setup(study: Study, *, max_effects: int = 4) -> DiagnosisSetup:
     )
     effects = tuple(make() for make in BENDING_EFFECTS)
     settings = DiagnosisSettings(search=SearchSettings(max_effects=max_effects, num_refits=3))
-    return DiagnosisSetup(model, effects, settings=settings)
+    unknown = unknown_moment(study.runs, KNOTS_PER_S)
+    return DiagnosisSetup(model, effects, (unknown,), settings=settings)
 
 
 __all__ = ["setup"]

@@ -114,6 +114,13 @@ class Stiffening(BendingEffect):
     adds_to = ("stiffening",)
 
 
+class SecondMode(BendingEffect):
+    """The second natural mode, seen as this share of the first one's angle."""
+
+    name, family, kind, typical = "second_mode", "modes", "material", 0.05
+    adds_to = ("second_mode",)
+
+
 class DampingGrowth(BendingEffect):
     """Damping 1 + k p: more while the chamber is under pressure."""
 
@@ -190,6 +197,7 @@ BENDING_EFFECTS: tuple[Callable[[], Effect], ...] = (
     Ballooning,
     StiffnessLoss,
     Stiffening,
+    SecondMode,
     DampingGrowth,
     QuadraticDrag,
     Hanging,

@@ -2,6 +2,9 @@
 
     q'' + 2 zeta w q' + w^2 (q - creep) = w^2 moment(p(t)),   p: the chamber's pressure
 
+Softening and stiffening act on both springs of the standard linear solid, so that a body that
+creeps stays stable however soft.
+
 The body bends as an arc of constant curvature (Webster and Jones, IJRR 29, 2010), the neutral axis
 off the middle, so that it lengthens as it bends; markers sit on the end's rigid face. Many points
 at once, (K,) each. Trapezoidal rule of ``STEP`` for the mode, the pressure in closed form.
@@ -20,7 +23,10 @@ from torch import Tensor
 from diffsim.data.study import Run
 
 Array = NDArray[np.float64]
-STEP = 0.004  # [s]
+STEP = 0.002  # [s]; twice that moves the arm's record by 2.1 noise sd, beyond the gate
+SECOND = 6.27  # second natural frequency of a uniform cantilever over its first
+QUIET = 5.0  # times as long steps where nothing was switched for ``LIVELY``
+LIVELY, EARLY = 1.0, 0.1  # [s] after and before a switch
 VALVE = 0.01  # [s] to switch, one sample
 LEAST = 0.05  # share of its stiffness that a ballooning chamber or a softened body keeps
 PRESSURE_UNIT = 1e5  # [Pa], so that sizes are of order one
@@ -36,6 +42,7 @@ PLAIN = {
     "stiffness_loss": 0.0,
     "stiffening": 0.0,
     "creep": 0.0,
+    "second_mode": 0.0,
     "damping_growth": 0.0,
     "quadratic_drag": 0.0,
     "hanging": 0.0,
@@ -76,6 +83,8 @@ class BendingScene:
         layout: Of the set-up.
         step: Of the integrator [s].
         single: Whether one point was asked for, without a batch axis.
+        knots: (m, K) of a moment in time besides [rad], straight lines between them; None: none.
+        spacing: Of the knots [s], the first at the run's start.
     """
 
     values: Mapping[str, Array]
@@ -83,6 +92,13 @@ class BendingScene:
     layout: Layout
     step: float
     single: bool
+    knots: Array | None = None
+    spacing: float = 1.0
+
+    def with_moment(self, knots: Tensor, spacing: float) -> BendingScene:
+        """A copy with a moment (m,) or (K, m), as the angle that it holds [rad]."""
+        rows = np.atleast_2d(knots.detach().numpy()).T
+        return replace(self, knots=rows, spacing=spacing)
 
     def with_added(self, name: str, size: Tensor) -> BendingScene:
         """A copy with one number larger by ``size`` () or (K,)."""
@@ -92,13 +108,31 @@ class BendingScene:
     def simulate(self) -> Tensor:
         """(..., T, 3 markers) places [m]."""
         time = self.run.time_s
-        grid = np.arange(0.0, time[-1] - time[0] + self.step, self.step) + time[0]
-        angle = self._angle(self._pressure(grid))
-        place = (time - time[0]) / self.step
-        left = np.minimum(place.astype(int), len(grid) - 2)
-        share = (place - left)[:, None]
+        grid = self._grid()
+        pressure = self._pressure(grid)
+        moment = self._moment(pressure)
+        if self.knots is not None:
+            place = np.minimum((grid - grid[0]) / self.spacing, len(self.knots) - 1.001)
+            left, share = place.astype(int), (place % 1.0)[:, None]
+            moment = moment + (1.0 - share) * self.knots[left] + share * self.knots[left + 1]
+        angle = self._angle(grid, pressure, moment)
+        if np.any(self.values["second_mode"]):
+            angle = angle + self.values["second_mode"] * self._second(grid, moment)
+        left = np.clip(np.searchsorted(grid, time, side="right") - 1, 0, len(grid) - 2)
+        share = ((time - grid[left]) / (grid[left + 1] - grid[left]))[:, None]
         out = self._markers((1.0 - share) * angle[left] + share * angle[left + 1])
         return torch.from_numpy(out[0] if self.single else out)
+
+    def _grid(self) -> Array:
+        """Times of the integrator: ``step`` apart after a switch, ``QUIET`` times that later."""
+        time, command = self.run.time_s, self.run.command[self.layout.command]
+        switches = time[np.flatnonzero(np.diff(command)) + 1]
+        grid = [time[0]]
+        while grid[-1] < time[-1]:
+            since = grid[-1] - switches
+            is_lively = bool(((since > -EARLY) & (since < LIVELY)).any())
+            grid.append(grid[-1] + (1.0 if is_lively else QUIET) * self.step)
+        return np.array(grid)
 
     def _pressure(self, time: Array) -> Array:
         """(T, K) in the chamber: filled from the onset to the release, through the lags."""
@@ -126,14 +160,26 @@ class BendingScene:
         growth = growth / np.maximum(1.0 - v["ballooning"] * p, LEAST)
         return np.asarray(v["gain"] * growth * p * (1.0 + v["drift"] * self.run.order))
 
-    def _angle(self, pressure: Array) -> Array:
-        """(T, K) bending angle: trapezoidal rule, each step linearised at its start."""
-        v, h = self.values, self.step
+    def _second(self, grid: Array, moment: Array) -> Array:
+        """(T, K) of a second mode under a moment, of equal damping ratio."""
+        v = self.values
+        w = 2.0 * np.pi * v["frequency"] * SECOND
+        return _linear_mode(w, v["damping_ratio"], moment, np.diff(grid))
+
+    def _angle(self, grid: Array, pressure: Array, held_angle: Array) -> Array:
+        """(T, K) bending angle: trapezoidal rule, each step linearised at its start.
+
+        Args:
+            grid: (T,) times [s].
+            pressure: (T, K) in the chamber.
+            held_angle: (T, K) moment, as the angle that it holds in the end.
+        """
+        v, steps = self.values, np.diff(grid)
         w2 = (2.0 * np.pi * v["frequency"]) ** 2
         rate = 2.0 * v["damping_ratio"] * np.sqrt(w2)
         held = v["creep"] / (1.0 + v["creep"])
-        forgotten = np.exp(-h / v["slow_time"])
-        moment = w2 * self._moment(pressure)
+        forgotten = np.exp(-steps[:, None] / v["slow_time"])
+        moment = w2 * held_angle
         softened = w2 * np.maximum(1.0 - v["stiffness_loss"] * pressure, LEAST)
         damped = rate * np.maximum(1.0 + v["damping_growth"] * pressure, LEAST)
         drag, cubic = v["quadratic_drag"], w2 * v["stiffening"]
@@ -142,13 +188,13 @@ class BendingScene:
         has_more = bool(np.any(drag) or np.any(cubic))
         q = qd = memory = np.zeros(pressure.shape[1])
         out = [q]
-        for n in range(len(pressure) - 1):
+        for n, h in enumerate(steps.tolist()):
             stiffness = 0.5 * (softened[n] + softened[n + 1])
             damping = 0.5 * (damped[n] + damped[n + 1])
             if has_more:
                 stiffness = np.maximum(stiffness + cubic * q * q, LEAST * w2)
                 damping = damping + drag * np.abs(qd)
-            force = 0.5 * (moment[n] + moment[n + 1]) + w2 * held * memory
+            force = 0.5 * (moment[n] + moment[n + 1]) + stiffness * held * memory
             if has_gravity:
                 force = force - hanging * np.sin(q) + sideways * (np.cos(q) - 1.0)
             new = qd * (1.0 - 0.5 * h * damping - 0.25 * h * h * stiffness)
@@ -156,7 +202,7 @@ class BendingScene:
                 1.0 + 0.5 * h * damping + 0.25 * h * h * stiffness
             )
             before, q, qd = q, q + 0.5 * h * (qd + new), new
-            memory = 0.5 * (before + q) + (memory - 0.5 * (before + q)) * forgotten
+            memory = 0.5 * (before + q) + (memory - 0.5 * (before + q)) * forgotten[n]
             out.append(q)
         return np.stack(out)
 
@@ -227,6 +273,19 @@ def rest_of(run: Run) -> Array:
     first = int(np.flatnonzero(command > 0.0)[0])
     before = run.measured[: max(first - 2, 1)]
     return np.asarray(np.nanmean(before, axis=0).reshape(-1, 3))
+
+
+def _linear_mode(w: Array, damping_ratio: Array, held: Array, steps: Array) -> Array:
+    """(T, K) of q'' + 2 zeta w q' + w^2 q = w^2 held from rest, trapezoidal rule."""
+    rate, w2 = 2.0 * damping_ratio * w, w * w
+    q = qd = np.zeros(held.shape[1])
+    out = [q]
+    for h, force in zip(steps.tolist(), 0.5 * w2 * (held[:-1] + held[1:]), strict=True):
+        below = 1.0 + 0.5 * h * rate + 0.25 * h * h * w2
+        new = (qd * (2.0 - below) + h * (force - w2 * q)) / below
+        q, qd = q + 0.5 * h * (qd + new), new
+        out.append(q)
+    return np.stack(out)
 
 
 def _filled(since: Array, lag: Array) -> Array:
