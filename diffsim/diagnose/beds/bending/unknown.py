@@ -33,5 +33,5 @@ def unknown_moment(runs: Sequence[Run], knots_per_s: float) -> UnknownForce:
     spacing = longest / (count - 1)
     names = tuple(f"knot_{k}" for k in range(count))
     effect = type("UnknownMoment", (_UnknownMoment,), {"components": names})(spacing)
-    covariance = smooth_covariance(spacing * np.arange(count), 2.0 * spacing)
+    covariance = smooth_covariance(np.linspace(0.0, longest, count), 2.0 * spacing)
     return UnknownForce(effect, covariance, "unknown moment")
