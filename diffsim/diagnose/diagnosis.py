@@ -170,15 +170,11 @@ def _report(
     ]
     fits = [f for f in rival_fits if f is not None]
     advice = next_run(fits, bank) if bank and len(fits) > 1 else None
-    rows = effect_rows(
-        effects, decision, search, seen, gains, judgement.withdrawn, found.changes
-    )
+    rows = effect_rows(effects, decision, search, seen, gains, judgement.withdrawn, found.changes)
     case.progress("done", 1.0, decision.verdict)
     return Report(
         verdict=decision.verdict,
-        sentences=sentences(
-            decision, rows, rivals, total, gates, noise, effects, case.unknowns
-        ),
+        sentences=sentences(decision, rows, rivals, total, gates, noise, effects, case.unknowns),
         named=tuple(effects[i].name for i in sorted(decision.best)) if is_named else (),
         rivals=rivals,
         hypotheses=hypothesis_rows(search, effects, case.unknowns),

@@ -9,7 +9,8 @@ from scipy.integrate import solve_ivp
 
 from diffsim.data.study import Run
 from diffsim.diagnose.beds.bending.effects import Creep, SecondMode, StiffnessLoss
-from diffsim.diagnose.beds.bending.scene import SECOND, VALVE, Layout, bending_scene
+from diffsim.diagnose.beds.bending.response import VALVE
+from diffsim.diagnose.beds.bending.scene import SECOND, Layout, bending_scene
 from diffsim.diagnose.beds.bending.unknown import unknown_moment
 
 LAYOUT = Layout(axes=(0, 1, 2), moving=1, command="p", unit=1.0)

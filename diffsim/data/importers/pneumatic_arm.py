@@ -58,6 +58,7 @@ def import_arm_p25(folder: Path) -> Study:
 def _campaign(folder: Path, campaign: str, *, held_out: tuple[str, ...], because: str) -> Study:
     meta = read_metadata(folder)
     trials = [entry for entry in meta["trials"] if entry["campaign"] == campaign]
+    every = 1 if campaign == "p25" else EVERY  # a quarter of the stream is gaps as it is
     runs = []
     for order, entry in enumerate(trials):
         name = Path(entry["file"]).stem
@@ -69,7 +70,7 @@ def _campaign(folder: Path, campaign: str, *, held_out: tuple[str, ...], because
         if streamed:
             places[data["repeated_sample"] == 1.0] = np.nan
         pressure = switched(len(places), onset, release, float(entry["set_pressure_Pa"]))
-        keep = _kept(data["time_s"], onset, release)
+        keep = _kept(data["time_s"], onset, release, every)
         if not streamed:
             keep &= data["time_s"] >= SETTLING_S
         runs.append(
@@ -88,10 +89,11 @@ def _campaign(folder: Path, campaign: str, *, held_out: tuple[str, ...], because
     # best bend of every single sample leaves 0.05 to 0.17 mm rms at 100 to 350 mbar (0.12 mm all
     # in all), alike over 0.5 to 0.8 s. With every third sample kept, 0.12 mm that lasts for some
     # 18 to 25 samples says as much as white noise of 0.12 sqrt(20) = 0.5 mm
+    sd = MODEL_SD * float(np.sqrt(EVERY / every))
     return Study(
         name="pneumatic_arm" if campaign == "step" else f"pneumatic_arm_{campaign}",
         system="soft_body",
-        channels=tuple(Channel(c, "m", "position", MODEL_SD) for c in TIPS),
+        channels=tuple(Channel(c, "m", "position", sd) for c in TIPS),
         runs=tuple(runs),
         metadata=facts(
             meta,
@@ -99,19 +101,21 @@ def _campaign(folder: Path, campaign: str, *, held_out: tuple[str, ...], because
             notes="places as recorded; the start position moves by up to 0.4 mm between trials; "
             "the command switches where motion was detected, the pressure in the chamber was not "
             "recorded; no level was repeated: the noise stated is what no bend explains, by "
-            "how long it lasts; every third sample is kept, every thirtieth beyond 1 s after a "
-            "switch",
+            f"how long it lasts; one sample of {every} is kept, one of {10 * every} beyond 1 s "
+            "after a switch",
         ),
     )
 
 
-def _kept(time: NDArray[np.float64], onset: int, release: int | None) -> NDArray[np.bool_]:
-    """Samples that tell something: most near the switches, few between."""
+def _kept(
+    time: NDArray[np.float64], onset: int, release: int | None, every: int
+) -> NDArray[np.bool_]:
+    """Samples that tell something: each ``every``-th near the switches, few between."""
     since, count = time - time[onset], np.arange(len(time))
     lively = (since >= -REST_S) & (since <= LIVELY_S)
     if release is not None:
         lively |= np.abs(time - time[release] - 0.45) <= 0.55
-    kept = (lively & (count % EVERY == 0)) | ((count % (10 * EVERY) == 0) & (since > 0.0))
+    kept = (lively & (count % every == 0)) | ((count % (10 * every) == 0) & (since > 0.0))
     kept[onset] = True
     if release is not None:
         kept[release - 1 : release + 1] = True

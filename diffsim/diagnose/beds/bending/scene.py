@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.data.study import Run
+from diffsim.diagnose.beds.bending.response import filled, linear_mode
 
 Array = NDArray[np.float64]
 STEP = 0.002  # [s]; twice that moves the arm's record by 2.1 noise sd, beyond the gate
 SECOND = 6.27  # second natural frequency of a uniform cantilever over its first
 QUIET = 5.0  # times as long steps where nothing was switched for ``LIVELY``
 LIVELY, EARLY = 1.0, 0.1  # [s] after and before a switch
-VALVE = 0.01  # [s] to switch, one sample
 LEAST = 0.05  # share of its stiffness that a ballooning chamber or a softened body keeps
 PRESSURE_UNIT = 1e5  # [Pa], so that sizes are of order one
 #: What effects change, with its value in the plain model.
@@ -142,13 +142,13 @@ class BendingScene:
         start = self.run.time_s[on[0]] + v["onset"]
         since = time[:, None] - start
         lag = v["fill_lag"] + v["flow_limit"] * level
-        full = _filled(since, lag)
-        slow = _filled(since, v["slow_time"])
+        full = filled(since, lag)
+        slow = filled(since, v["slow_time"])
         rising = (1.0 - v["slow_fill"]) * full + v["slow_fill"] * slow
         out = level * rising
         if on[-1] + 1 < len(command):
             end = self.run.time_s[on[-1] + 1] + v["release"]
-            left = 1.0 - _filled(time[:, None] - end, v["vent_lag"])
+            left = 1.0 - filled(time[:, None] - end, v["vent_lag"])
             out = out * left
         return np.asarray(out)
 
@@ -164,7 +164,7 @@ class BendingScene:
         """(T, K) of a second mode under a moment, of equal damping ratio."""
         v = self.values
         w = 2.0 * np.pi * v["frequency"] * SECOND
-        return _linear_mode(w, v["damping_ratio"], moment, np.diff(grid))
+        return linear_mode(w, v["damping_ratio"], moment, np.diff(grid))
 
     def _angle(self, grid: Array, pressure: Array, held_angle: Array) -> Array:
         """(T, K) bending angle: trapezoidal rule, each step linearised at its start.
@@ -273,30 +273,3 @@ def rest_of(run: Run) -> Array:
     first = int(np.flatnonzero(command > 0.0)[0])
     before = run.measured[: max(first - 2, 1)]
     return np.asarray(np.nanmean(before, axis=0).reshape(-1, 3))
-
-
-def _linear_mode(w: Array, damping_ratio: Array, held: Array, steps: Array) -> Array:
-    """(T, K) of q'' + 2 zeta w q' + w^2 q = w^2 held from rest, trapezoidal rule."""
-    rate, w2 = 2.0 * damping_ratio * w, w * w
-    q = qd = np.zeros(held.shape[1])
-    out = [q]
-    for h, force in zip(steps.tolist(), 0.5 * w2 * (held[:-1] + held[1:]), strict=True):
-        below = 1.0 + 0.5 * h * rate + 0.25 * h * h * w2
-        new = (qd * (2.0 - below) + h * (force - w2 * q)) / below
-        q, qd = q + 0.5 * h * (qd + new), new
-        out.append(q)
-    return np.stack(out)
-
-
-def _filled(since: Array, lag: Array) -> Array:
-    """(T, K) share of a step that has passed a lag, the valve taking ``VALVE`` to switch.
-
-    The ramp makes the share smooth in the moment of the switch, also without a lag.
-    """
-    late, early = (np.maximum(since + s * 0.5 * VALVE, 0.0) for s in (1.0, -1.0))
-    safe = np.maximum(lag, 1e-3 * VALVE)
-
-    def integral(t: Array) -> Array:
-        return np.asarray(t - safe * (1.0 - np.exp(-t / safe)))
-
-    return np.asarray((integral(late) - integral(early)) / VALVE)
