@@ -101,7 +101,7 @@ def diagnose(
     changes = numerics_changes(null.fit.problem, null.local)
     gates += numerics_gate(null.fit, changes)
     if settings.accept_numerics:
-        case = replace(case, effects=(*case.effects, *numerical_effects(changes)))
+        case = replace(case, effects=(*case.effects, *numerical_effects(null.fit, changes)))
     if cache is not None:
         case = replace(case, store=Store(cache, _key(case)))
     points = Points(case.wide(null.fit), store=case.store)

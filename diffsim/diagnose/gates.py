@@ -23,7 +23,7 @@ from diffsim.identify.fitting import posterior_covariance
 Array = NDArray[np.float64]
 GRADIENT_RTOL = 1e-4
 NUMERICS_LAMBDA = 2.0
-UNFELT = 1e-6  # noise sd that a usual size moves the whole record: its slope is rounding
+UNFELT = 1e-6  # noise sd that a change moves the whole record: rounding
 REFINEMENTS = {
     "time_step": Numerics(time_step=0.5),
     "mesh": Numerics(mesh=0.5),
@@ -180,10 +180,12 @@ def numerics_gate(fit: Fit, changes: Mapping[str, Array]) -> list[GateResult]:
     return out
 
 
-def numerical_effects(changes: Mapping[str, Array]) -> tuple[NumericalEffect, ...]:
-    """One candidate per setting that the model knows."""
+def numerical_effects(fit: Fit, changes: Mapping[str, Array]) -> tuple[NumericalEffect, ...]:
+    """One candidate per setting that the model knows; rounding is none."""
     return tuple(
-        NumericalEffect(name, REFINEMENTS[name]) for name, change in changes.items() if change.any()
+        NumericalEffect(name, REFINEMENTS[name])
+        for name, change in changes.items()
+        if np.linalg.norm(whitened(fit.problem, change)) > UNFELT
     )
 
 

@@ -20,7 +20,13 @@ from diffsim.diagnose import (
 )
 from diffsim.diagnose.crosscheck import swap_probability
 from diffsim.diagnose.evidence import Linearisation
-from diffsim.diagnose.gates import data_gate, gradient_gate, numerical_shift, numerics_gate
+from diffsim.diagnose.gates import (
+    data_gate,
+    gradient_gate,
+    numerical_effects,
+    numerical_shift,
+    numerics_gate,
+)
 from diffsim.diagnose.unknown import UnknownDrift
 from diffsim.identify import Jacobian, Problem, WhiteNoise, fit
 from tests.diagnose import linear, toy
@@ -267,6 +273,8 @@ def test_numerics_gate_is_the_distance_under_the_marginal_normal():
         squared = change @ np.linalg.solve(np.eye(len(a)) + a @ a.T, change)
         assert gates[name].value == pytest.approx(np.sqrt(squared), rel=1e-6)
     assert not gates["absorbed"].passed
+    rounding = {"time_step": 1e-9 * raw["random"], "mesh": raw["random"]}
+    assert [e.name for e in numerical_effects(found, rounding)] == ["coarse_mesh"]
 
 
 def test_numerical_cause_blends_predictions_one_by_one_and_many():
