@@ -163,6 +163,9 @@ def _report(
         kept = search.entries[Hypothesis(decision.best)].fit
         assert kept is not None  # sets without an unknown cause are fitted
         best = kept
+        if not best.converged:
+            why = f"of the named set: its sizes are not to be trusted ({best.message})"
+            gates.append(GateResult("fit_converged", False, 0.0, 1.0, why))
     effects = case.effects
     rivals = tuple(set_names(h, effects, case.unknowns) for h in decision.rivals)
     rival_fits = [best] + [
