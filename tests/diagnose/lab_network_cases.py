@@ -31,8 +31,11 @@ COARSE = {"cells_per_width": 3.0, "corrected": False}
 
 @dataclass(frozen=True)
 class LabCase:
-    """What is hidden and which verdicts are right; ``channels`` are those that are kept, ``unseen``
-    what the report must say that it cannot see. ``coarse``: the grid is the cause to be named."""
+    """What is hidden and which verdicts are right.
+
+    Only ``channels`` are kept, if given, and then no fitted run that commands a pressure. The
+    report must say that it cannot see ``unseen``. ``coarse``: the grid is the cause to be named.
+    """
 
     name: str
     seed: int
@@ -84,11 +87,11 @@ def study_of(case: LabCase) -> Study:
     if case.channels is None:
         return study
     keep = [i for i, c in enumerate(study.channels) if c.name in case.channels]
-    # a commanded pressure would tell the viscosity
+    # a commanded pressure would tell the viscosity, and a meter's gain from the pump's
     runs = tuple(
         replace(r, measured=r.measured[:, keep])
         for r in study.runs
-        if not case.unseen or r.use == "holdout" or not r.command["outlet_1_Pa"].any()
+        if r.use == "holdout" or not r.command["outlet_1_Pa"].any()
     )
     return replace(study, channels=tuple(study.channels[i] for i in keep), runs=runs)
 
