@@ -144,7 +144,7 @@ def setup(
     effects = tuple(make() for make in STARFISH_EFFECTS)
     until_s = LEAD + max(float(r.time_s[-1]) for r in study.runs)
     settings = DiagnosisSettings(
-        search=SearchSettings(max_effects=max_effects, num_refits=3, max_rounds=5),
+        search=SearchSettings(max_effects=max_effects, num_refits=2, max_rounds=4),
         accept_numerics=accept_numerics,
         noise_rounds=1,
     )
@@ -178,7 +178,7 @@ def _model(
         made = body(
             max(1, round(refine / numerics.mesh)),
             dt_s * numerics.time_step,
-            1e-6 * numerics.tolerance,
+            1e-5 * numerics.tolerance,
         )
         mine = {p.name: values[f"{p.name}@{run.name}"] for p in own}
         zero = torch.stack([mine.get(f"zero_{c[:-2]}", torch.tensor(0.0)) for c in MODES])
