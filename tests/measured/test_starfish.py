@@ -54,3 +54,31 @@ def test_travel_repeats_neither_between_runs_nor_between_cycles(cycles):
     assert slow > 0.0  # towards -x
     assert fast / slow > 1.8
     assert travel["baseline"].std() > 0.8 * abs(travel["baseline"].mean())
+
+
+def test_tracks_are_what_the_page_counts_scatter_in(study):
+    """Tracking noise is far below what two equal commands differ by."""
+    cut = modes(study, windows={name: (0.0, 1.6) for name in PERIOD_S}, holdout=[])
+    still = np.concatenate([run.measured[:9] for run in cut.runs])
+    assert still.std(0).max() < 1e-4
+
+
+@pytest.mark.slow
+def test_verdict_on_the_legs_in_water_is_numerical(study):
+    """At the thesis' step and a coarse mesh; damping of the solid takes what is actuation's."""
+    legs = modes(
+        study,
+        windows={n: (0.0, 1.6) for n in ("baseline", "horizontal_cyclic3", "horizontal_cyclic1")},
+        holdout=["horizontal_cyclic1"],
+        channels=("leg_x_m", "leg_z_m"),
+    )
+    s = setup_of(legs, max_effects=2)
+    found = diagnose(legs, s.model, s.effects, seed=0, unknowns=s.unknowns, settings=s.settings)
+    assert found.verdict == "numerical"
+    failed = {g.name for g in found.gates if not g.passed}
+    assert {"time_step", "mesh"} <= failed
+    assert found.chi2_null < 1.2 * found.num_samples
+    names = [p.name for p in s.model.base]
+    beta = s.model.base[names.index("rayleigh_beta")]
+    assert found.null.x[names.index("rayleigh_beta")] > 4.0  # prior sd
+    assert beta.value < 0.01

@@ -113,7 +113,7 @@ def quarter(
     return Quarter(body, rail / rail.sum(), torch.tensor(rows, dtype=torch.float64), nodes)
 
 
-def water(m: mesh.HexMesh, drag: Tensor, thrust: Tensor) -> soft.Hydrodynamics:
+def water(m: mesh.HexMesh | mesh.TetMesh, drag: Tensor, thrust: Tensor) -> soft.Hydrodynamics:
     """Water around the quarter: published coefficients times ``drag`` and ``thrust``.
 
     Faces on the planes of symmetry meet no water; there the flow along them would be edge-on.
