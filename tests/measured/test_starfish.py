@@ -82,3 +82,16 @@ def test_verdict_on_the_legs_in_water_is_numerical(study):
     beta = s.model.base[names.index("rayleigh_beta")]
     assert found.null.x[names.index("rayleigh_beta")] > 4.0  # prior sd
     assert beta.value < 0.01
+
+
+@pytest.mark.slow
+def test_verdict_on_the_legs_in_air_is_unknown_actuation(study):
+    windows = {"airtest": (0.0, 1.6), "airtest+10": (10.0, 1.6), "airtest+20": (20.0, 1.6)}
+    legs = modes(study, windows=windows, holdout=["airtest+20"], channels=("leg_x_m", "leg_z_m"))
+    s = setup_of(legs, max_effects=2)
+    found = diagnose(legs, s.model, s.effects, seed=0, unknowns=s.unknowns, settings=s.settings)
+    assert found.verdict == "unknown" and not found.named
+    nats = {(h.effects, h.unknown): h.nats for h in found.hypotheses}
+    pull, force = nats[(), "unknown pull of the tendons"], nats[(), "unknown force"]
+    assert pull > force + 100.0 > 400.0
+    assert all(g.passed for g in found.gates if g.name in ("time_step", "mesh"))
