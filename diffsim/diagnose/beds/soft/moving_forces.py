@@ -42,6 +42,11 @@ class MovingForces:
         for p, owned in enumerate(self._points.scenes):
             own = [m() for k, m in owned.makers().items() if p not in shared.get(k, ())]
             self._alone.append((p, owned.scene, own))
+        waters = [p.scene.water for p in self._points.scenes]
+        self._waters = {
+            water: torch.tensor([p for p, w in enumerate(waters) if w is water])
+            for water in dict.fromkeys(w for w in waters if w is not None)
+        }
         self._before: list[Tensor] = []
         self._before_rates: list[Tensor] = []
 
@@ -68,9 +73,9 @@ class MovingForces:
         x = self._points.at(state.x, tangent.x)
         v = self._points.at(state.v, tangent.v)
         total = torch.zeros_like(x)
-        if self._scene.water is not None:
-            flow = torch.stack([p.scene.current for p in self._points.scenes])
-            total = total + self._scene.water(x, v, water_velocity=flow)
+        for water, idx in self._waters.items():
+            flow = torch.stack([self._points.scenes[int(p)].scene.current for p in idx])
+            total.index_add_(0, idx, water(x[idx], v[idx], water_velocity=flow))
         for hook, idx in self._together:
             total.index_add_(0, idx, hook(self._scene, Moment(x[idx], v[idx], k * dt, dt)))
         for p, scene, hooks in self._alone:

@@ -64,7 +64,7 @@ def _alike(scene: SoftScene, line: SceneLine) -> bool:
         type(s) is SoftScene
         and s.body is scene.body
         and s.start == scene.start
-        and s.water is scene.water
+        and (s.water is None) == (scene.water is None)
         and (s.command is None) == (scene.command is None)
         for s in (p.scene for p in line.points)
     )

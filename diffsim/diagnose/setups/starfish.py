@@ -1,0 +1,243 @@
+"""The recorded starfish (``import_study("starfish")``): windows of it, model, causes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from diffsim import soft
+from diffsim.data.importers.starfish import COMMAND, MARKERS
+from diffsim.data.study import Channel, Run, Study
+from diffsim.diagnose.beds.soft import SoftModel, SoftScene
+from diffsim.diagnose.beds.starfish.body import LEAD, TENDON, Quarter, quarter, water
+from diffsim.diagnose.beds.starfish.effects import STARFISH_EFFECTS, unknown_pull, unknown_push
+from diffsim.diagnose.model import Numerics
+from diffsim.diagnose.search import SearchSettings
+from diffsim.diagnose.setups import DiagnosisSetup
+from diffsim.diagnose.stages import DiagnosisSettings
+from diffsim.diagnose.unknown import UnknownForce, smooth_covariance
+from diffsim.identify import Parameter
+
+SPACING = 0.0762  # of the markers m2 and m3, nominal [m]
+MODES = ("leg_x_m", "leg_z_m", "travel_x_m")
+FIRST = 6  # samples that displacements are counted from
+KNOTS_PER_S = 6.0
+SHARED = (
+    Parameter("youngs_modulus", 6e5, 0.4, "Pa", log=True),
+    Parameter("axial_stiffness", 300.0, 0.7, "N", log=True),  # EA of a tendon
+    Parameter("rayleigh_beta", 5e-3, 0.7, "s", log=True),
+    Parameter("density", 800.0, 0.3, "kg/m^3", log=True),  # foam 400, ballasted to at most 1000
+)
+IN_WATER = (
+    Parameter("drag_scale", 1.0, 0.5, "-", log=True),  # on the published coefficients
+    Parameter("thrust_scale", 1.0, 0.5, "-", log=True),
+    Parameter("added_mass", 1.0, 0.4, "-", log=True),
+)
+OF_RUN = (
+    Parameter("clock_offset", 0.0, 0.05, "s"),
+    Parameter("camera_scale", 1.0, 0.03, "-", log=True),
+    Parameter("zero_leg_x", 0.0, 3e-4, "m"),
+    Parameter("zero_leg_z", 0.0, 3e-4, "m"),
+    Parameter("zero_travel_x", 0.0, 3e-4, "m"),
+)
+
+
+def modes(
+    study: Study,
+    *,
+    windows: Mapping[str, Sequence[float]],
+    holdout: Sequence[str],
+    channels: Sequence[str] = MODES,
+) -> Study:
+    """What the four markers do alike, in windows of the runs: the symmetric part of the motion.
+
+    Upper and lower leg are averaged, so that pitch of the robot and tilt of the camera drop out:
+    ``leg_x_m`` and ``leg_z_m``, tips (m1, m4) against the middles of the legs (m2, m3), outwards
+    for z; ``travel_x_m``, the middles. Displacements from the first 0.1 s of the window, scaled by
+    the run's marker spacing.
+
+    Args:
+        study: As imported.
+        windows: Name of the window, "baseline" or "baseline+15": run, and how much later it begins
+            than 0.2 s before the command does; values are that delay and its length [s].
+        holdout: Windows that no fit sees.
+        channels: Of ``MODES``.
+    """
+    columns = [MODES.index(c) for c in channels]
+
+    def cut(name: str, later: float, length: float) -> Run:
+        run = next(r for r in study.runs if r.name == name.partition("+")[0])
+        inside = (run.time_s >= later - 0.2) & (run.time_s < later - 0.2 + length)
+        places = run.measured[inside].reshape(int(inside.sum()), len(MARKERS), 2)
+        return replace(
+            run,
+            name=name,
+            group="water_sequence" if run.group.startswith("water_sequence") else name,
+            time_s=run.time_s[inside] - run.time_s[inside][0],
+            measured=symmetric(places, run.setup["marker_spacing_m2_m3_m"])[:, columns],
+            command={COMMAND: run.command[COMMAND][inside]},
+            use="holdout" if name in holdout else "fit",
+        )
+
+    runs = [cut(name, float(w[0]), float(w[1])) for name, w in windows.items()]
+    runs = [replace(run, order=i) for i, run in enumerate(runs)]
+    medium = {"air" if r.name.startswith("airtest") else "water" for r in runs}
+    if len(medium) > 1:
+        raise ValueError(f"windows must be all in water or all in air, got {sorted(windows)}")
+    return replace(
+        study,
+        channels=tuple(Channel(c, "m", "position") for c in channels),
+        runs=tuple(runs),
+        metadata={**study.metadata, "medium": medium.pop(), "setup": "starfish"},
+    )
+
+
+def symmetric(places: NDArray[np.float64], spacing_m: float) -> NDArray[np.float64]:
+    """(n, 3) ``MODES`` from places (n, 4 markers, x and z) [m]."""
+    moved = (SPACING / spacing_m) * (places - places[:FIRST].mean(0))
+    lower, low, high, upper = np.moveaxis(moved, 1, 0)
+    travel = 0.5 * (low + high)[:, 0]
+    leg_x = 0.5 * (lower + upper)[:, 0] - travel
+    leg_z = 0.5 * ((upper - high) - (lower - low))[:, 1]
+    return np.stack([leg_x, leg_z, travel], 1)
+
+
+def setup(
+    study: Study,
+    *,
+    refine: int = 1,
+    dt_s: float = 1.0 / 60.0,
+    integrator: str = "implicit_euler",
+    poissons_ratio: float = 0.4,
+    max_effects: int = 3,
+    accept_numerics: bool = False,
+) -> DiagnosisSetup:
+    """A quarter of the robot as the thesis simulates it, and what may be missing.
+
+    Args:
+        study: What :func:`modes` made of the imported one.
+        refine: Cells per coarse cell's edge.
+        dt_s: Time step [s].
+        integrator: Of the body.
+        poissons_ratio: 0.4 in the authors' code, 0.48 in the thesis.
+        max_effects: In one set.
+        accept_numerics: Go on although step or mesh move the record.
+
+    Raises:
+        ValueError: a channel that is none of ``MODES``.
+    """
+    if strange := {c.name for c in study.channels} - set(MODES):
+        raise ValueError(
+            f"study {study.name}: channels must be of {MODES}, got {sorted(strange)}; make them "
+            "with diffsim.diagnose.setups.starfish.modes"
+        )
+    wet = study.metadata.get("medium") == "water"
+    options = (refine, dt_s, integrator, poissons_ratio)
+    model = _model([c.name for c in study.channels], [r.name for r in study.runs], wet, options)
+    effects = tuple(make() for make in STARFISH_EFFECTS)
+    until_s = LEAD + max(float(r.time_s[-1]) for r in study.runs)
+    settings = DiagnosisSettings(
+        search=SearchSettings(max_effects=max_effects, num_refits=2, max_rounds=4),
+        accept_numerics=accept_numerics,
+        noise_rounds=1,
+    )
+    return DiagnosisSetup(model, effects, unknowns=_unknowns(until_s), settings=settings)
+
+
+def _model(
+    channels: Sequence[str], runs: Sequence[str], wet: bool, options: tuple[Any, ...]
+) -> SoftModel:
+    shown = [MODES.index(c) for c in channels]
+    refine, dt_s, integrator, poissons_ratio = options
+    own = [p for p in OF_RUN if p.name != "zero_travel_x" or "travel_x_m" in channels]
+    base = (*SHARED, *(IN_WATER if wet else ()))
+    of_runs = [Parameter(f"{p.name}@{r}", p.value, p.sd, p.unit, p.log) for r in runs for p in own]
+
+    @lru_cache(maxsize=8)
+    def body(refined: int, dt: float, tolerance: float) -> Quarter:
+        return quarter(refined, dt, tolerance, integrator, poissons_ratio)
+
+    @lru_cache(maxsize=256)
+    def cached_water(made: Quarter, drag: float, thrust: float) -> soft.Hydrodynamics:
+        return water(made.body.mesh, torch.tensor(drag).double(), torch.tensor(thrust).double())
+
+    def around(made: Quarter, drag: Tensor, thrust: Tensor) -> soft.Hydrodynamics:
+        # one object for one pair of values, so that tangents know scenes in equal water
+        if drag.requires_grad or thrust.requires_grad:
+            return water(made.body.mesh, drag, thrust)
+        return cached_water(made, float(drag), float(thrust))
+
+    def build(values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> SoftScene:
+        made = body(
+            max(1, round(refine / numerics.mesh)),
+            dt_s * numerics.time_step,
+            1e-5 * numerics.tolerance,
+        )
+        mine = {p.name: values[f"{p.name}@{run.name}"] for p in own}
+        zero = torch.stack([mine.get(f"zero_{c[:-2]}", torch.tensor(0.0)) for c in MODES])
+        zero = zero.double()
+        parameters = {n: values[n] for n in ("youngs_modulus", "rayleigh_beta", "density")}
+        # half a tendon in a quarter of the body
+        parameters["fibre_stiffness"] = (0.5 * values["axial_stiffness"]).expand(2)
+        around_it = None
+        if wet:
+            around_it = around(made, values["drag_scale"], values["thrust_scale"])
+            volume = made.body.nodal_volume
+            parameters["added_mass"] = values["added_mass"] * 1000.0 * volume
+        command, lead_s = led_in(np.asarray(run.command[COMMAND]) / TENDON, run.time_s)
+        return SoftScene(
+            body=made.body,
+            sample_times=torch.as_tensor(run.time_s - run.time_s[0] + lead_s),
+            observe=made.look,
+            axes=(0, 2, 0),
+            parameters=parameters,
+            command=torch.from_numpy(command)[:, None],
+            command_dt=float(np.median(np.diff(run.time_s))),
+            actuate=_shortened,
+            water=around_it,
+            friction_shares=made.rail,
+            clock_offset=mine["clock_offset"],
+            output_maps=(
+                lambda y, t: (mine["camera_scale"] * (y - y[:FIRST].mean(0)) + zero)[:, shown],
+            ),
+        )
+
+    return SoftModel(build, (*base, *of_runs), "quarter of the starfish")
+
+
+def led_in(
+    command: NDArray[np.float64], time_s: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], float]:
+    """The command with a ramp from zero and a rest before it, and how long these last [s].
+
+    A robot that is free along x has no equilibrium to start from, and slack depends on the past.
+    """
+    dt = float(np.median(np.diff(time_s)))
+    count = round(LEAD / dt)
+    ramp = np.clip(np.arange(count) * dt / (0.5 * LEAD), 0.0, 1.0)
+    return np.concatenate([ramp * command[0], command]), count * dt
+
+
+def _shortened(contraction: Tensor) -> Tensor:
+    """Activation of both tendons: length over full length."""
+    return (1.0 - contraction).expand(2)
+
+
+def _unknowns(until_s: float) -> tuple[UnknownForce, ...]:
+    """Hydrodynamics or actuation without a form: a force along x, a pull of the tendons."""
+    count = max(4, round(KNOTS_PER_S * until_s) + 1)
+    knots = np.linspace(0.0, until_s, count)
+    spacing = until_s / (count - 1)
+    in_time = smooth_covariance(knots, 2.0 * spacing)
+    both = np.kron(np.eye(2), in_time).astype(np.float64)
+    return (
+        UnknownForce(unknown_push(count, spacing), both),
+        UnknownForce(unknown_pull(count, spacing), in_time, "unknown pull of the tendons"),
+    )
