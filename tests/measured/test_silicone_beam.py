@@ -30,19 +30,24 @@ def test_window_shows_the_rotation_that_the_markers_made(study):
         assert pitch == pytest.approx(trial.tip_rotation_deg()[1], rel=0.12)
 
 
-def test_setup_predicts_every_channel_of_the_study_as_imported(study):
-    made = setup_of(study)
-    run = study.fit_runs[0]
-    short = replace(
-        run,
-        time_s=run.time_s[51:91],
-        measured=run.measured[51:91],
-        command={k: v[51:91] for k, v in run.command.items()},
-    )
-    with torch.no_grad():
-        shown = made.model.predict(short, made.model.at_prior()).numpy()
-    assert shown.shape == (40, 9)
-    tip = tip_window(replace(study, runs=(short,)), until_s=9.0).runs[0].measured
-    heights = shown[:, [2, 5, 8]].mean(1)
-    # before anything is fitted: the first swing, to a quarter
-    assert np.abs(heights - tip[:, 1]).max() < 0.35 * np.ptp(tip[:, 1])
+def test_swing_starts_as_recorded_before_anything_is_fitted(study):
+    """The first quarter swing of the free window, by prior values alone."""
+    made = setup_of(study, cells=(4, 1, 1))
+    for run in made.study.runs:
+        recorded = next(r for r in study.runs if r.name == run.name)
+        assert run.time_s[0] == 0.0 and run.measured.shape == (len(run.time_s), 1)
+        names = [c.name for c in study.channels]
+        z = recorded.measured[:, [names.index(f"tip{k}_z_m") for k in (1, 2, 3)]].mean(1)
+        np.testing.assert_allclose(
+            run.measured[:, 0], z[(recorded.time_s >= 0.25) & (recorded.time_s <= 1.0)]
+        )
+        with torch.no_grad():
+            shown = made.model.predict(run, made.model.at_prior()).numpy()
+        assert shown.shape == run.measured.shape
+        swing = np.ptp(run.measured)
+        # nothing is fitted: both lie on the same side of the middle, by like amounts
+        assert (
+            abs(shown[0, 0] - shown.mean() - (z_start := run.measured[0, 0] - run.measured.mean()))
+            < 0.3 * swing
+        )
+        assert np.sign(shown[0, 0] - shown.mean()) == np.sign(z_start)
