@@ -7,6 +7,7 @@ the diagnosis with all of them.
 from __future__ import annotations
 
 import time
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from diffsim._files import to_plain
@@ -57,10 +58,10 @@ def describe(study: BeamStudy, plan: Plan) -> dict[str, Any]:
         "verdict": found.verdict,
         "sentences": list(found.sentences),
         "named": list(found.named),
-        "gain": to_plain(found.gain),
+        "gain": None if found.gain is None else to_plain(asdict(found.gain)),
         "num_candidates": len(effects),
         "table": _table(found),
-        "gates": [to_plain(gate) for gate in found.gates],
+        "gates": [to_plain(asdict(gate)) for gate in found.gates],
         "noise": to_plain(found.noise),
         "pictures": _pictures(found),
         "cpu_s": time.process_time() - began,

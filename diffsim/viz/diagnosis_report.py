@@ -465,9 +465,15 @@ def comparisons(study: Any, null: Any, extended: Any = None) -> list[RunComparis
 
 
 def predicted(fit: Any, run: Any) -> Array:
-    """(num_samples, num_channels) of a ``diffsim.identify.Fit`` at its parameters."""
+    """(num_samples, num_channels) of a ``diffsim.identify.Fit`` at its parameters.
+
+    Nuisances of a held-out run are fitted to it, as the gain does.
+    """
+    from diffsim.diagnose.gain import held_out_point  # diagnose imports this module's callers
+
+    x = held_out_point(fit, run) if run.use == "holdout" else fit.x
     with torch.no_grad():
-        return fit.problem.predict(run, torch.as_tensor(fit.x)).numpy()
+        return fit.problem.predict(run, torch.as_tensor(x)).numpy()
 
 
 def _cause_rows(effect: Any) -> list[CauseRow]:
