@@ -17,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim._check import require_choice
+from diffsim.diagnose.gain import held_out_point
 from diffsim.diagnose.whiteness import ljung_box
 from diffsim.viz import diagnosis_figures as draw
 from diffsim.viz import report as page
@@ -469,8 +470,6 @@ def predicted(fit: Any, run: Any) -> Array:
 
     Nuisances of a held-out run are fitted to it, as the gain does.
     """
-    from diffsim.diagnose.gain import held_out_point  # diagnose imports this module's callers
-
     x = held_out_point(fit, run) if run.use == "holdout" else fit.x
     with torch.no_grad():
         return fit.problem.predict(run, torch.as_tensor(x)).numpy()

@@ -7,6 +7,7 @@ import torch
 from diffsim.data.beam import load_beam_study
 from diffsim.data.importers import import_study
 from diffsim.data.recording import find_dataset
+from diffsim.diagnose import SearchSettings, diagnose
 from diffsim.diagnose.setups import setup_of
 from diffsim.diagnose.setups.silicone_beam import tip_window
 
@@ -46,3 +47,25 @@ def test_swing_starts_as_recorded_before_anything_is_fitted(study):
         start, begun = (y[0, 0] - y.mean() for y in (shown, run.measured))
         assert start * begun > 0.0
         assert abs(start - begun) < 0.3 * np.ptp(run.measured)
+
+
+@pytest.mark.slow
+def test_damping_that_does_not_grow_with_frequency_is_named_but_not_the_whole_answer(study):
+    """The claim of docs/measured/silicone_beam.md; damping ratios are read off the recordings."""
+    effort = SearchSettings(max_effects=2, num_refits=1, max_rounds=3)
+    made = setup_of(study, until_s=0.75, search=effort)
+    chosen = [e for e in made.effects if e.name in ("loss_factor", "dry_friction")]
+    found = diagnose(
+        made.study, made.model, chosen, seed=0, unknowns=made.unknowns, settings=made.settings
+    )
+    gates = {gate.name: gate for gate in found.gates}
+    assert gates["mesh"].passed and gates["time_step"].passed
+    assert found.named == ("loss_factor",)
+    by_name = {row.effect: row for row in found.table}
+    # swings decay with a ratio of 0.05 with and without weight: at most twice that
+    assert 0.04 < by_name["loss_factor"].size["size"] < 0.12
+    # what the name does not say: evidence for a force beside it, and a gain that may be none
+    best = max(found.hypotheses, key=lambda h: h.nats)
+    assert best.effects == ("loss_factor",) and best.unknown is not None
+    assert found.gain.status == "not confirmed"
+    assert found.chi2_best > 5.0 * found.num_samples
