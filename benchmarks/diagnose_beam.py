@@ -1,6 +1,6 @@
 """Diagnosis of the recorded silicone beam, from a coarse look to the real one, with a log.
 
-python benchmarks/diagnose_beam.py runs/beam --until 0.8 --cells 6 1 2 --dt 5e-3
+python benchmarks/diagnose_beam.py runs/beam --until 0.8 --cells 4 2 2 --effects loss_factor
 """
 
 from __future__ import annotations
@@ -10,32 +10,32 @@ import time
 
 from diffsim.data.importers import import_study
 from diffsim.diagnose import SearchSettings, diagnose
-from diffsim.diagnose.setups.silicone_beam import setup, tip_window
+from diffsim.diagnose.setups.silicone_beam import setup
 
 
 def main() -> None:
     """Diagnose, print what happens, save report.json and extended_model.yaml."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("out")
-    parser.add_argument("--until", type=float, default=0.8, help="seconds after release")
-    parser.add_argument("--cells", type=int, nargs=3, default=(6, 1, 2))
+    parser.add_argument("--until", type=float, default=1.0, help="seconds after release")
+    parser.add_argument("--cells", type=int, nargs=3, default=(6, 2, 2))
     parser.add_argument("--dt", type=float, default=5e-3)
     parser.add_argument("--effects", nargs="*", help="names; all by default")
-    parser.add_argument("--max-effects", type=int, default=3)
+    parser.add_argument("--max-effects", type=int, default=2)
     parser.add_argument("--accept-numerics", action="store_true")
     given = parser.parse_args()
-    study = tip_window(import_study("silicone_beam"), until_s=given.until)
-    search = SearchSettings(max_effects=given.max_effects, num_refits=2, max_rounds=4)
     made = setup(
-        study,
+        import_study("silicone_beam"),
         cells=given.cells,
         dt_s=given.dt,
-        search=search,
+        until_s=given.until,
+        search=SearchSettings(max_effects=given.max_effects, num_refits=2, max_rounds=4),
         accept_numerics=given.accept_numerics,
     )
+    assert made.study is not None  # this setup cuts its own window
     effects = [e for e in made.effects if not given.effects or e.name in given.effects]
     report = diagnose(
-        study,
+        made.study,
         made.model,
         effects,
         seed=0,

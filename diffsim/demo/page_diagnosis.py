@@ -20,9 +20,10 @@ def section(found: dict[str, Any], plan: Plan) -> Section:
         title=TITLE,
         text=[
             *found["sentences"],
-            f"A quick look: {found['num_candidates']} candidate causes, the first "
-            f"{plan.diagnosis_until_s:g} s, {cells} elements, {1e3 * plan.diagnosis_dt_s:g} ms, "
-            "against an unknown force and drifts; the noise is what equal releases differ by.",
+            f"A quick look at the height of the free swing: {found['num_candidates']} candidate "
+            f"causes against an unknown force and a drift, 0.25 to {plan.diagnosis_until_s:g} s "
+            f"after release, {cells} elements, {1e3 * plan.diagnosis_dt_s:g} ms steps. "
+            "`diffsim diagnose explain silicone_beam` has all causes and a finer mesh.",
         ],
         content=[
             *(Picture(uri=p["uri"], caption=p["caption"]) for p in found["pictures"]),

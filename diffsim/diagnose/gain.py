@@ -100,10 +100,15 @@ def share_removed(blocks: Array, *, seed: int, draws: int = 1000) -> Gain:
 
 def held_out_residual(fit: Fit, run: Run) -> Array:
     """(num_valid,) whitened residual with the fit's parameters, nuisances of this run refitted."""
+    return replace(fit.problem, runs=(run,)).residual(held_out_point(fit, run))
+
+
+def held_out_point(fit: Fit, run: Run) -> Array:
+    """The fit's coordinates with nuisances of a held-out run ("offset@run") fitted to it."""
     problem = replace(fit.problem, runs=(run,))
     own = [i for i, n in enumerate(problem.names) if n.endswith(f"@{run.name}")]
     if not own:
-        return problem.residual(fit.x)
+        return fit.x
 
     def full(part: Array) -> Array:
         x = fit.x.copy()
@@ -119,7 +124,7 @@ def held_out_residual(fit: Fit, run: Run) -> Array:
         method="trf",
         max_nfev=20,
     )
-    return problem.residual(full(found.x))
+    return full(found.x)
 
 
 def _blocks(run: Run, block_s: float, null: Array, extended: Array, fit: Fit) -> Array:

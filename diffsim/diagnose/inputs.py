@@ -126,6 +126,7 @@ def inputs_of(
         ValueError: no setup, or names that it does not have.
     """
     setup = setup_of(study) if setup_file is None else own_setup(setup_file, study)
+    study = setup.study or study
     settings = replace(
         setup.settings,
         workers=workers,

@@ -17,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim._check import require_choice
+from diffsim.diagnose.gain import held_out_point
 from diffsim.diagnose.whiteness import ljung_box
 from diffsim.viz import diagnosis_figures as draw
 from diffsim.viz import report as page
@@ -465,9 +466,13 @@ def comparisons(study: Any, null: Any, extended: Any = None) -> list[RunComparis
 
 
 def predicted(fit: Any, run: Any) -> Array:
-    """(num_samples, num_channels) of a ``diffsim.identify.Fit`` at its parameters."""
+    """(num_samples, num_channels) of a ``diffsim.identify.Fit`` at its parameters.
+
+    Nuisances of a held-out run are fitted to it, as the gain does.
+    """
+    x = held_out_point(fit, run) if run.use == "holdout" else fit.x
     with torch.no_grad():
-        return fit.problem.predict(run, torch.as_tensor(fit.x)).numpy()
+        return fit.problem.predict(run, torch.as_tensor(x)).numpy()
 
 
 def _cause_rows(effect: Any) -> list[CauseRow]:

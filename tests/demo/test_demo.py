@@ -174,4 +174,8 @@ def test_measured_beam(tmp_path):
     floor = results["measured"]["repeats"]["gravity"]["vertical_rms_m"]
     left = {m: r["gravity_b"]["vertical_rms_m"] for m, r in results["remaining"].items()}
     assert left["identified"] < 2.0 * floor < 3.0 * floor < left["published"]
-    assert "not part of this run" in results["diagnosis"]["skipped"]
+    diagnosis = results["diagnosis"]
+    assert diagnosis["sentences"] and len(diagnosis["pictures"]) == 3
+    assert {row[0] for row in diagnosis["table"]} >= {"loss_factor", "dry_friction"}
+    # the mesh must not be what is diagnosed
+    assert all(g["passed"] for g in diagnosis["gates"] if g["name"] in ("mesh", "time_step"))

@@ -44,6 +44,7 @@ class DiagnosisSetup:
         unknowns: Generic causes of this system; drifts of channels are added by ``diagnose``.
         bank: Runs that could be recorded next.
         settings: Effort.
+        study: What is diagnosed, where a setup cuts or combines the recordings; None: as recorded.
     """
 
     model: SimModel
@@ -51,6 +52,7 @@ class DiagnosisSetup:
     unknowns: tuple[Unknown, ...] = ()
     bank: tuple[Run, ...] = ()
     settings: DiagnosisSettings = field(default_factory=DiagnosisSettings)
+    study: Study | None = None
 
 
 def setup_of(study: Study, **options: Any) -> DiagnosisSetup:

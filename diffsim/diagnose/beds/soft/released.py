@@ -193,13 +193,13 @@ def released_beam(
         )
 
     @lru_cache(maxsize=8)
-    def made(shape: tuple[int, int, int], dt: float, tolerance: float) -> _Tip:
-        return _Tip(bar, channels, shape, dt, tolerance, integrator, poissons_ratio)
+    def made(shape: tuple[int, int, int], dt: float, tolerance: float) -> BeamTip:
+        return BeamTip(bar, channels, shape, dt, tolerance, integrator, poissons_ratio)
 
     return SoftModel(build, (*base, *own), "released beam")
 
 
-class _Tip:
+class BeamTip:
     """The bar on one mesh, its tip face and what is seen of it."""
 
     def __init__(
