@@ -1,0 +1,125 @@
+"""Environments by name: classes with data sheets, and the native vector environments."""
+
+from __future__ import annotations
+
+from functools import partial
+from importlib import import_module
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim._check import require_choice
+from diffsim.envs.env import TaskEnv
+from diffsim.envs.task import Task
+from diffsim.envs.vector_env import TaskVectorEnv
+
+_TASKS = {
+    "CopterHover": "diffsim.envs.copter_tasks",
+    "CopterTrack": "diffsim.envs.copter_tasks",
+}
+ENV_IDS = tuple(f"diffsim/{name}-v0" for name in _TASKS)
+
+
+def make_task(name: str, **options: Any) -> Task:
+    """A task, to be rolled out differentiably.
+
+    Args:
+        name: Such as "CopterHover"; also the environment's id.
+        **options: Of the task's class.
+
+    Raises:
+        ValueError: no such task; the message offers the closest names.
+    """
+    short = name.removeprefix("diffsim/").removesuffix("-v0")
+    module = import_module(_TASKS[require_choice("task", short, _TASKS)])
+    task: Task = getattr(module, short)(**options)
+    return task
+
+
+def make_vector(
+    name: str,
+    num_envs: int,
+    *,
+    render_mode: str | None = None,
+    sensor_noise: float | NDArray[np.float64] = 0.0,
+    **options: Any,
+) -> TaskVectorEnv:
+    """The native vector environment of a task: one prepared solver, the whole batch per call.
+
+    Args:
+        name: As for ``make_task``.
+        num_envs: Members.
+        render_mode: "rgb_array" or None.
+        sensor_noise: Standard deviation of white noise on observations.
+        **options: Of the task.
+    """
+    task = make_task(name, **options)
+    return TaskVectorEnv(task, num_envs, render_mode=render_mode, sensor_noise=sensor_noise)
+
+
+class NamedEnv(TaskEnv):
+    """An environment that makes its own task; its subclasses are what gymnasium registers.
+
+    Args:
+        render_mode: "rgb_array" or None.
+        sensor_noise: Standard deviation of white noise on observations.
+        **options: Of the task, such as ``randomisation`` and ``action_delay``.
+    """
+
+    task_name: ClassVar[str]
+
+    def __init__(
+        self,
+        *,
+        render_mode: str | None = None,
+        sensor_noise: float | NDArray[np.float64] = 0.0,
+        **options: Any,
+    ):
+        task = make_task(self.task_name, **options)
+        super().__init__(task, render_mode=render_mode, sensor_noise=sensor_noise)
+
+
+class CopterHoverEnv(NamedEnv):
+    """A multicopter that must come to rest at the origin.
+
+    | | |
+    |---|---|
+    | actions | one per rotor: 0 is hover thrust, 1 as much above it as the motor or zero allows |
+    | observations | 0-2 position error, 3-5 velocity (both body frame) [m, m/s], 6-14 rotation matrix \
+by rows, 15-17 body rates [rad/s], then one per rotor: thrust over its maximum |
+    | reward | -1.0 position -0.05 velocity -0.01 turning (each sqrt(x^2 + 0.01) - 0.1) -0.01 mean \
+squared action; 0 at best |
+    | start | position sd 0.5 m, velocity 0.25 m/s, attitude 0.05 rad, rates 0.1 rad/s; hover thrust |
+    | termination | farther than 3 m, upside down, turning faster than 30 rad/s |
+    | truncation | 200 steps of 20 ms |
+    | options | design (shipped name, file, vehicle), dt, seconds, start_spread, motor_time_constant, \
+drag, wind_speed, action_delay, randomisation (thrust), sensor_noise |
+    | versions | v0: first |
+    """
+
+    task_name = "CopterHover"
+
+
+class CopterTrackEnv(NamedEnv):
+    """A multicopter that must follow a horizontal figure of eight.
+
+    As ``CopterHoverEnv``, with errors relative to the moving reference, and, at the end of the
+    observations, the way of the reference over the next 0.1 s and 0.3 s (body frame) [m].
+
+    | | |
+    |---|---|
+    | start | at a random place of the figure with its velocity, spread as for hovering |
+    | options | also size [m] and period [s] of the figure |
+    | versions | v0: first |
+    """
+
+    task_name = "CopterTrack"
+
+
+def __getattr__(name: str) -> Any:
+    """``CopterHoverVectorEnv`` and the like, by name, as gymnasium's registry asks for them."""
+    short = name.removesuffix("VectorEnv")
+    if name.endswith("VectorEnv") and short in _TASKS:
+        return partial(make_vector, short)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
