@@ -110,7 +110,9 @@ class CopterHover(Task):
     def advance(self, state: TaskState, action: Tensor) -> TaskState:
         """One control period of flight."""
         thrust = (self.trim + self.span * action) * self.factor(state, "thrust")[:, None]
-        effects = FlightEffects(motor_lag=self._lag, body_drag=self._drag, wind=state["wind"][:, None])
+        effects = FlightEffects(
+            motor_lag=self._lag, body_drag=self._drag, wind=state["wind"][:, None]
+        )
         start = FlightState(*(state[k] for k in _STATE))
         end = fly(self.vehicle, start, thrust[:, None], dt=self.dt, effects=effects).state
         after = {k: getattr(end, k)[:, -1] for k in _STATE}
@@ -180,8 +182,7 @@ class CopterHover(Task):
         out += [Entry(f"rotation {r}{c}", -1.0 - 1e-6, 1.0 + 1e-6) for r in "xyz" for c in "xyz"]
         out += [Entry(f"body rate {a}", -inf, inf, "rad/s") for a in "xyz"]
         out += [
-            Entry(f"thrust {i} over its maximum", -inf, inf)
-            for i in range(self.vehicle.num_rotors)
+            Entry(f"thrust {i} over its maximum", -inf, inf) for i in range(self.vehicle.num_rotors)
         ]
         out += [
             Entry(f"reference {a} in {t:g} s (body)", -inf, inf, "m")
