@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -83,7 +84,7 @@ class MLPController(nn.Module):
         sizes = [num_observations, *hidden, num_commands]
         generator = torch.Generator().manual_seed(seed)
         layers: list[nn.Module] = []
-        for k, (a, b) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+        for k, (a, b) in enumerate(pairwise(sizes)):
             layer = nn.Linear(a, b, dtype=torch.float64)
             last = k == len(sizes) - 2
             gain = output_gain if last else 2.0**0.5

@@ -17,6 +17,8 @@ from diffsim.envs.vector_env import TaskVectorEnv
 _TASKS = {
     "CopterHover": "diffsim.envs.copter_tasks",
     "CopterTrack": "diffsim.envs.copter_tasks",
+    "StarfishSwim": "diffsim.envs.soft_named",
+    "SharkSwim": "diffsim.envs.soft_named",
 }
 ENV_IDS = tuple(f"diffsim/{name}-v0" for name in _TASKS)
 
@@ -86,15 +88,16 @@ class CopterHoverEnv(NamedEnv):
     | | |
     |---|---|
     | actions | one per rotor: 0 is hover thrust, 1 as much above it as the motor or zero allows |
-    | observations | 0-2 position error, 3-5 velocity (both body frame) [m, m/s], 6-14 rotation matrix \
-by rows, 15-17 body rates [rad/s], then one per rotor: thrust over its maximum |
-    | reward | -1.0 position -0.05 velocity -0.01 turning (each sqrt(x^2 + 0.01) - 0.1) -0.01 mean \
-squared action; 0 at best |
-    | start | position sd 0.5 m, velocity 0.25 m/s, attitude 0.05 rad, rates 0.1 rad/s; hover thrust |
+    | observations | 0-2 position error, 3-5 velocity (both body frame) [m, m/s], 6-14 rotation \
+matrix by rows, 15-17 body rates [rad/s], then one per rotor: thrust over its maximum |
+    | reward | -1.0 position -0.05 velocity -0.01 turning (each sqrt(x^2 + 0.01) - 0.1) -0.01 \
+mean squared action; 0 at best |
+    | start | sd of position 0.5 m, velocity 0.25 m/s, attitude 0.05 rad, rates 0.1 rad/s; motors \
+at hover thrust |
     | termination | farther than 3 m, upside down, turning faster than 30 rad/s |
     | truncation | 200 steps of 20 ms |
-    | options | design (shipped name, file, vehicle), dt, seconds, start_spread, motor_time_constant, \
-drag, wind_speed, action_delay, randomisation (thrust), sensor_noise |
+    | options | design (shipped name, file, vehicle), dt, seconds, start_spread, \
+motor_time_constant, drag, wind_speed, action_delay, randomisation (thrust), sensor_noise |
     | versions | v0: first |
     """
 
@@ -115,6 +118,41 @@ class CopterTrackEnv(NamedEnv):
     """
 
     task_name = "CopterTrack"
+
+
+class StarfishSwimEnv(NamedEnv):
+    """A soft starfish in water that must rise (thesis 4.1.6).
+
+    | | |
+    |---|---|
+    | actions | 0-3: bend an arm (+x, +y, -x, -y) down (1) or up (-1); +-1 is the muscles' stroke |
+    | observations | velocities x, y, z of 137 nodes spread over the body [m/s]: 411 numbers |
+    | reward | per step, speeds over 0.1 m/s: upward speed - 0.5 speed sideways |
+    | start | at rest in still water |
+    | termination | none |
+    | truncation | 200 steps of 33.3 ms |
+    | options | robot (arguments of ``diffsim.robots.starfish``, ``coarse`` for quick trials), \
+num_steps, start_speed, current, drift_weight, speed_scale, action_delay, randomisation (muscles, \
+water), sensor_noise |
+    | versions | v0: first |
+    """
+
+    task_name = "StarfishSwim"
+
+
+class SharkSwimEnv(NamedEnv):
+    """A soft shark in water that must swim along +x (thesis 4.1.6).
+
+    As ``StarfishSwimEnv``, with one action (bend the tail to +y or -y) and 95 sensed nodes: 285
+    observations.
+
+    | | |
+    |---|---|
+    | options | robot: arguments of ``diffsim.robots.shark`` |
+    | versions | v0: first |
+    """
+
+    task_name = "SharkSwim"
 
 
 def __getattr__(name: str) -> Any:

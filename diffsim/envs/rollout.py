@@ -19,7 +19,7 @@ class Episode(NamedTuple):
 
     Attributes:
         rewards: (num_steps, batch); zero once an episode has failed.
-        alive: (num_steps, batch) bool: whether the step was taken by an episode that had not failed.
+        alive: (num_steps, batch) bool: whether the episode had not failed before the step.
         observations: (num_steps, batch, num_observations), without gradient.
         final: State after the last step, with gradient.
     """

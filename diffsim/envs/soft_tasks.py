@@ -55,7 +55,12 @@ class SoftTask(Task):
             for node in robot.sensors
             for axis in "xyz"
         )
-        surface = mesh.surface_quads(robot.body.mesh)
+        shape = robot.body.mesh
+        surface = (
+            mesh.surface_quads(shape)
+            if isinstance(shape, mesh.HexMesh)
+            else mesh.surface_triangles(shape)
+        )
         self._faces = surface.faces
         self._extent = float((robot.body.x_rest.amax(0) - robot.body.x_rest.amin(0)).max())
 

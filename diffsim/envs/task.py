@@ -87,7 +87,7 @@ class Task(ABC):
             require_choice("randomisation", name, self.randomisable)
             if len(bounds) != 2 or not 0.0 < bounds[0] <= bounds[1]:
                 raise ValueError(
-                    f"randomisation[{name!r}] must be (low, high) with 0 < low <= high, got {bounds}"
+                    f"randomisation[{name!r}] must be (low, high), 0 < low <= high, got {bounds}"
                 )
 
     # what a task defines
