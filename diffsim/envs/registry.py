@@ -19,6 +19,10 @@ _TASKS = {
     "CopterTrack": "diffsim.envs.copter_tasks",
     "StarfishSwim": "diffsim.envs.soft_named",
     "SharkSwim": "diffsim.envs.soft_named",
+    "QuadrupedWalk": "diffsim.envs.soft_named",
+    "CowWalk": "diffsim.envs.soft_named",
+    "TorusRoll": "diffsim.envs.soft_named",
+    "TendonReach": "diffsim.envs.soft_named",
 }
 ENV_IDS = tuple(f"diffsim/{name}-v0" for name in _TASKS)
 

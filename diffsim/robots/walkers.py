@@ -51,7 +51,7 @@ def quadruped(
         rtol: Of a step.
     """
     if coarse:
-        inside, legs = _table((10, 4, 2), (2, 2, 3))
+        inside, legs = _table((10, 5, 2), (2, 2, 3))
     else:
         inside, legs = _table((18, 8, 3), (3, 3, 6))
     return _legged(
@@ -83,7 +83,7 @@ def cow(
 ) -> SoftRobot:
     """As ``quadruped``, with a head too large for it: it tends to fall on its face."""
     if coarse:
-        inside, legs = _table((8, 4, 2), (2, 2, 3), front=2, above=1)
+        inside, legs = _table((8, 5, 2), (2, 2, 3), front=2, above=1)
         inside[-4:, :, -3:] = True
     else:
         inside, legs = _table((12, 5, 4), (2, 2, 6), front=4, above=3)
