@@ -87,7 +87,7 @@ def body_picture(
 def _tiles(
     cx: float, cy: float, reach: float, height: float
 ) -> tuple[NDArray[np.float64], list[str]]:
-    """Squares (n, 4, 3) of a chessboard fixed in the world, those within reach, and their colours."""
+    """Squares (n, 4, 3) of a chessboard fixed in the world, those in reach; and colours."""
     size = 0.4 * reach
     first = np.ceil((np.array([cx, cy]) - reach) / size).astype(int)
     i, j = (g.ravel() for g in np.meshgrid(first[0] + np.arange(4), first[1] + np.arange(4)))
