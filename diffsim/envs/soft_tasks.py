@@ -39,6 +39,8 @@ class SoftTask(Task):
     An episode fails when the robot has an upright axis and tips over.
     """
 
+    name = "SoftTask"
+
     def __init__(
         self,
         robot: SoftRobot,
@@ -156,6 +158,8 @@ class Advance(SoftTask):
         speed_scale: A good speed of this robot [m/s]; only scales the reward.
     """
 
+    name = "Advance"
+
     def __init__(
         self,
         robot: SoftRobot,
@@ -199,6 +203,8 @@ class Reach(SoftTask):
         node: Which node; None: the robot's last sensor.
         effort_weight: Of the mean squared command [-].
     """
+
+    name = "Reach"
 
     def __init__(
         self,
