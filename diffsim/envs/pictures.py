@@ -28,7 +28,7 @@ def copter_picture(
         _line(axes, place + ring @ rotation.T, color="#2f7fb5", lw=1.5)
     _line(axes, path.numpy(), color="#c9b458", lw=1.0)
     axes.scatter(goal[0], goal[1], -goal[2], color="#c0392b", s=18)
-    reach = 1.2 * max(1.0, float(np.abs(place).max()), float(path.abs().max()))
+    reach = 1.2 * max(0.5, float(np.abs(place).max()), float(path.abs().max()))
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(-0.75 * reach, 0.75 * reach))
     axes.set_box_aspect((1, 1, 0.75), zoom=1.25)
     return _pixels(figure)

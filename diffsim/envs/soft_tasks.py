@@ -119,14 +119,15 @@ class SoftTask(Task):
         return self.robot.attitude(state["x"])[:, axis, axis] < MIN_UPRIGHT
 
     def picture(self, state: TaskState, index: int) -> NDArray[np.uint8]:
-        """The skin, the camera following the centre."""
-        x = state["x"][index].detach()
+        """The skin; the camera follows the centre, or stands still before a robot that is fixed."""
+        x, body = state["x"][index].detach(), self.robot.body
+        fixed = bool(body.fixed.any())
         return body_picture(
             x,
             self._faces,
-            centre=self.robot.centre(x),
-            reach=0.55 * self._extent,
-            ground=0.0 if self.robot.obstacles else None,
+            centre=self.robot.centre(body.x_rest if fixed else x),
+            reach=(0.8 if fixed else 0.55) * self._extent,
+            ground=0.0 if self.robot.obstacles or fixed else None,
             goal=state["goal"][index] if "goal" in state else None,
         )
 
