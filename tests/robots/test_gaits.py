@@ -16,7 +16,7 @@ from diffsim.envs.rollout import Episode, rollout_task
 
 GAITS = {  # frequency [Hz], amplitudes, phases [rad], least travel [m] in an episode
     "StarfishSwim": (0.6, [0.9] * 4, [0.0] * 4, 0.15),
-    "SharkSwim": (0.6, [0.9], [0.0], 0.3),
+    "SharkSwim": (0.45, [0.9], [0.0], 0.25),
     "QuadrupedWalk": (7.0, [0.9, 0.3], [0.0, math.pi], 0.04),
     "CowWalk": (6.0, [0.9, 0.3], [0.0, math.pi], 0.08),
     "TorusRoll": (1.0, [0.95] * 8, [math.pi * (0.5 + 0.5 * k) for k in range(8)], 0.12),

@@ -134,6 +134,21 @@ def test_arm_leans_towards_the_shortened_corner() -> None:
         assert not bool(moved[robot.body.fixed[:, 0]].any())
 
 
+@pytest.mark.parametrize("make", [robots.starfish, robots.shark])
+def test_small_commands_are_heard(make) -> None:  # type: ignore[no-untyped-def]
+    """The tolerance of a step is no dead zone, in which gradients would lie."""
+    robot = make(coarse=True)
+
+    def motion(command: float) -> float:
+        state = robot.body.rest_state()
+        row = torch.full((len(robot.command_names),), command, dtype=torch.float64)
+        for _ in range(8):
+            state = robot.step(state, row)
+        return float((state.x - robot.body.x_rest).norm(dim=1).max()) / command
+
+    assert motion(0.03) == pytest.approx(motion(0.3), rel=0.15)
+
+
 def test_robots_survive_pickling() -> None:
     robot = robots.shark(coarse=True)
     copy = pickle.loads(pickle.dumps(robot))
