@@ -93,7 +93,8 @@ class CopterHoverEnv(NamedEnv):
     |---|---|
     | actions | one per rotor: 0 is hover thrust, 1 as much above it as the motor or zero allows |
     | observations | 0-2 position error, 3-5 velocity (both body frame) [m, m/s], 6-14 rotation \
-matrix by rows, 15-17 body rates [rad/s], then one per rotor: thrust over its maximum |
+matrix by rows, 15-17 body rates [rad/s], then one per rotor: thrust over its maximum; unbounded \
+but for the rotation, in [-1, 1] |
     | reward | -1.0 position -0.05 velocity -0.01 turning (each sqrt(x^2 + 0.01) - 0.1) -0.01 \
 mean squared action; 0 at best |
     | start | sd of position 0.5 m, velocity 0.25 m/s, attitude 0.05 rad, rates 0.1 rad/s; motors \

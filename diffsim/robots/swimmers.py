@@ -5,10 +5,10 @@ Hydrodynamics is held over a step of 33 ms, which bounds speeds by thickness: th
 soft and slow. Both swim by a passive end: muscles bend the root of an arm or tail, its end follows
 late, and the wave that runs outward pushes water that way.
 
-Steps are solved to 1e-4, not to the thesis's 1e-3: there a command below about 0.1 leaves a residual
-below tolerance, so that the body does not move at all, while the adjoint, which solves its own
-system, says it would. Feedback that is unstable then shows in gradients only (norms beyond 1e50 over
-200 steps at zero reward).
+Steps are solved to 1e-4, not to the thesis's 1e-3: there a command below about 0.1 leaves a
+residual below tolerance, so that the body hardly moves, while the adjoint, which solves its own
+system, says it would. Unstable feedback then shows in gradients alone (norms beyond 1e50 over 200
+steps at zero reward).
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 from dataclasses import replace
 
@@ -147,6 +148,19 @@ def test_small_commands_are_heard(make) -> None:  # type: ignore[no-untyped-def]
         return float((state.x - robot.body.x_rest).norm(dim=1).max()) / command
 
     assert motion(0.03) == pytest.approx(motion(0.3), rel=0.15)
+
+
+@pytest.mark.parametrize("friction", [0.0, math.inf])
+def test_friction_is_the_callers(friction: float) -> None:
+    """Pushed along x, a quadruped slides on ice and stays where contacts stick (the thesis)."""
+    robot = robots.quadruped(coarse=True, friction=friction)
+    x = robot.body.x_rest
+    state = soft.State(x, torch.tensor([0.3, 0.0, 0.0], dtype=torch.float64).expand_as(x))
+    for _ in range(3):
+        state = robot.step(state, torch.zeros(8, dtype=torch.float64))
+    feet = x[:, 2] < 1e-9
+    slid = float((state.x - x)[feet, 0].abs().max())
+    assert slid == pytest.approx(0.009 if friction == 0.0 else 0.0, abs=2e-3)
 
 
 def test_robots_survive_pickling() -> None:
