@@ -14,7 +14,7 @@ def tendon_arm(
     coarse: bool = False,
     dt: float = 0.01,
     youngs_modulus: float = 1e5,
-    amplitude: float = 0.3,
+    amplitude: float = 0.15,
     gravity: float = 0.0,
     rtol: float = 1e-4,
 ) -> SoftRobot:
