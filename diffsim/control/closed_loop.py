@@ -1,0 +1,105 @@
+"""Closed-loop controllers: networks of what is sensed. Any ``nn.Module`` of the same call works."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+
+from diffsim._check import require_number
+
+
+class Normaliser(nn.Module):
+    """Observations to zero mean and unit variance, from running moments (Chan et al. 1983).
+
+    Moments change in ``update`` only, so that a rollout is differentiable and repeatable.
+
+    Args:
+        size: Number of observations.
+        clip: Normalised observations are cut at plus and minus this.
+    """
+
+    mean: Tensor
+    variance: Tensor
+    count: Tensor
+
+    def __init__(self, size: int, clip: float = 10.0):
+        super().__init__()
+        self.clip = require_number("clip", clip, above=0.0)
+        self.register_buffer("mean", torch.zeros(size, dtype=torch.float64))
+        self.register_buffer("variance", torch.ones(size, dtype=torch.float64))
+        self.register_buffer("count", torch.zeros((), dtype=torch.float64))
+
+    @torch.no_grad()
+    def update(self, observations: Tensor) -> None:
+        """Take more observations (..., size) into account."""
+        rows = observations.reshape(-1, observations.shape[-1])
+        new = float(len(rows))
+        total = self.count + new
+        away = rows.mean(0) - self.mean
+        squares = (
+            self.variance * self.count
+            + rows.var(0, unbiased=False) * new
+            + away.square() * self.count * new / total
+        )
+        self.mean += away * new / total
+        self.variance.copy_(squares / total)
+        self.count.copy_(total)
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """Normalised, (..., size)."""
+        scaled = (observation - self.mean) / (self.variance + 1e-8).sqrt()
+        return scaled.clamp(-self.clip, self.clip)
+
+
+class MLPController(nn.Module):
+    """Multilayer perceptron with tanh throughout, so that commands lie in (-1, 1).
+
+    Three layers of weights with 64 hidden units (thesis 4.1.6): 411 inputs and 4 outputs make the
+    starfish's 30,788 parameters, 285 and 1 the shark's 22,529. Weights are orthogonal, the last
+    layer's a hundred times smaller, so that a new controller hardly moves.
+
+    Args:
+        num_observations, num_commands: Width of input and output.
+        hidden: Units of the hidden layers.
+        normalise: Whether observations pass a ``Normaliser``.
+        seed: Of the weights.
+        output_gain: Of the last layer's weights.
+    """
+
+    def __init__(
+        self,
+        num_observations: int,
+        num_commands: int,
+        *,
+        hidden: Sequence[int] = (64, 64),
+        normalise: bool = True,
+        seed: int = 0,
+        output_gain: float = 0.01,
+    ):
+        super().__init__()
+        self.normaliser = Normaliser(num_observations) if normalise else None
+        sizes = [num_observations, *hidden, num_commands]
+        generator = torch.Generator().manual_seed(seed)
+        layers: list[nn.Module] = []
+        for k, (a, b) in enumerate(pairwise(sizes)):
+            layer = nn.Linear(a, b, dtype=torch.float64)
+            last = k == len(sizes) - 2
+            gain = output_gain if last else 2.0**0.5
+            nn.init.orthogonal_(layer.weight, gain=gain, generator=generator)
+            nn.init.zeros_(layer.bias)
+            layers += [layer, nn.Tanh()]
+        self.layers = nn.Sequential(*layers)
+
+    @property
+    def num_parameters(self) -> int:
+        """Trained numbers."""
+        return sum(p.numel() for p in self.parameters())
+
+    def forward(self, observation: Tensor, step: int | Tensor = 0) -> Tensor:
+        """Commands (..., num_commands)."""
+        x = observation if self.normaliser is None else self.normaliser(observation)
+        out: Tensor = self.layers(x)
+        return out

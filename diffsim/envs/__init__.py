@@ -1,0 +1,58 @@
+"""Gymnasium environments on the simulators; importing this registers them.
+
+``gymnasium.make("diffsim/CopterHover-v0")`` after ``import diffsim.envs``, or at once
+``gymnasium.make("diffsim.envs:diffsim/CopterHover-v0")``. ``make_vector`` makes the native batch.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+try:
+    import gymnasium
+except ImportError as error:
+    raise ImportError(
+        "diffsim.envs needs gymnasium and, for training, stable-baselines3: "
+        "pip install 'diffsim-robot[rl]'"
+    ) from error
+
+from diffsim.envs.env import TaskEnv
+from diffsim.envs.registry import ENV_IDS, make_task, make_vector
+from diffsim.envs.task import Entry, Randomisation, Task, TaskState
+from diffsim.envs.vector_env import TaskVectorEnv
+
+
+def _register() -> None:
+    for env_id in ENV_IDS:
+        if env_id not in gymnasium.registry:
+            name = env_id.removeprefix("diffsim/").removesuffix("-v0")
+            gymnasium.register(
+                env_id,
+                entry_point=f"diffsim.envs.registry:{name}Env",
+                vector_entry_point=f"diffsim.envs.registry:{name}VectorEnv",
+            )
+
+
+_register()
+
+
+def __getattr__(name: str) -> Any:
+    if name == "Sb3VecEnv":  # only with stable-baselines3
+        from diffsim.envs.sb3 import Sb3VecEnv
+
+        return Sb3VecEnv
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+__all__ = [
+    "ENV_IDS",
+    "Entry",
+    "Randomisation",
+    "Sb3VecEnv",
+    "Task",
+    "TaskEnv",
+    "TaskState",
+    "TaskVectorEnv",
+    "make_task",
+    "make_vector",
+]

@@ -1,0 +1,109 @@
+"""A task as a gymnasium environment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium import spaces
+from numpy.typing import NDArray
+from torch import Tensor
+
+from diffsim._check import require_choice
+from diffsim.envs.sensing import Sensing
+from diffsim.envs.task import Entry, Task, TaskState, detached
+
+RENDER_MODES = ("rgb_array",)
+
+
+class TaskEnv(gymnasium.Env):
+    """One episode at a time of a task.
+
+    Args:
+        task: What is simulated.
+        render_mode: "rgb_array" or None.
+        sensor_noise: Standard deviation of white noise on observations.
+
+    ``info`` holds the terms of the reward by name. An episode that reaches ``task.max_steps`` is
+    truncated, not terminated: its last state has a value.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 30}  # noqa: RUF012
+
+    def __init__(
+        self,
+        task: Task,
+        *,
+        render_mode: str | None = None,
+        sensor_noise: float | NDArray[np.float64] = 0.0,
+    ):
+        if render_mode is not None:
+            require_choice("render_mode", render_mode, RENDER_MODES)
+        self.task, self.render_mode = task, render_mode
+        self.metadata = {**type(self).metadata, "render_fps": max(1, round(1.0 / task.dt))}
+        self.sensing = Sensing(sensor_noise, task.num_observations)
+        self.action_space, self.observation_space = spaces_of(task)
+        self.state: TaskState | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start an episode."""
+        super().reset(seed=seed)
+        with torch.no_grad():
+            self.state = self.task.start(1, self.np_random)
+        return self._observation(), {}
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """One control step."""
+        state = self._started()
+        row = torch.as_tensor(np.asarray(action), dtype=torch.float64).reshape(1, -1)
+        with torch.no_grad():
+            self.state, terms = self.task.step_terms(state, row)
+            failed = bool(self.task.failed(self.state)[0])
+        info = {name: float(value[0]) for name, value in terms.items()}
+        truncated = int(self.state["step"][0]) >= self.task.max_steps
+        return self._observation(), sum(info.values()), failed, truncated and not failed, info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Picture of the present state, (height, width, 3)."""
+        if self.render_mode is None:
+            gymnasium.logger.warn(
+                f"{self.task.name}: render() without a render_mode; make the environment with "
+                'render_mode="rgb_array"'
+            )
+            return None
+        return self.task.picture(self._started(), 0)
+
+    def differentiable_step(self, state: TaskState, action: Tensor) -> tuple[TaskState, Tensor]:
+        """The same step in torch: see ``Task.step``. Leaves the environment's own state alone."""
+        return self.task.step(state, action)
+
+    def differentiable_state(self) -> TaskState:
+        """A copy of the present state, from which ``differentiable_step`` can go on."""
+        return {k: v.clone() for k, v in detached(self._started()).items()}
+
+    def _started(self) -> TaskState:
+        if self.state is None:
+            raise gymnasium.error.ResetNeeded(f"{self.task.name}: call reset() before step()")
+        return self.state
+
+    def _observation(self) -> NDArray[np.float32]:
+        with torch.no_grad():
+            plain = self.task.observe(self._started())[0].numpy()
+        return self.sensing(plain, self.np_random)
+
+
+def spaces_of(task: Task) -> tuple[spaces.Box, spaces.Box]:
+    """Action and observation space, float32."""
+    return _box(task.actions), _box(task.observations)
+
+
+def _box(entries: tuple[Entry, ...]) -> spaces.Box:
+    low = np.array([e.low for e in entries], dtype=np.float32)
+    high = np.array([e.high for e in entries], dtype=np.float32)
+    return spaces.Box(low, high, dtype=np.float32)

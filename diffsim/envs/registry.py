@@ -1,0 +1,253 @@
+"""Environments by name: classes with data sheets, and the native vector environments."""
+
+from __future__ import annotations
+
+from functools import partial
+from importlib import import_module
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim._check import require_choice
+from diffsim.envs.env import TaskEnv
+from diffsim.envs.task import Task
+from diffsim.envs.vector_env import TaskVectorEnv
+
+_TASKS = {
+    "CopterHover": "diffsim.envs.copter_tasks",
+    "CopterTrack": "diffsim.envs.copter_tasks",
+    "StarfishSwim": "diffsim.envs.soft_named",
+    "SharkSwim": "diffsim.envs.soft_named",
+    "QuadrupedWalk": "diffsim.envs.soft_named",
+    "CowWalk": "diffsim.envs.soft_named",
+    "TorusRoll": "diffsim.envs.soft_named",
+    "TendonReach": "diffsim.envs.soft_named",
+}
+ENV_IDS = tuple(f"diffsim/{name}-v0" for name in _TASKS)
+
+
+def make_task(name: str, **options: Any) -> Task:
+    """A task, to be rolled out differentiably.
+
+    Args:
+        name: Such as "CopterHover"; also the environment's id.
+        **options: Of the task's class.
+
+    Raises:
+        ValueError: no such task; the message offers the closest names.
+    """
+    short = name.removeprefix("diffsim/").removesuffix("-v0")
+    module = import_module(_TASKS[require_choice("task", short, _TASKS)])
+    task: Task = getattr(module, short)(**options)
+    return task
+
+
+def make_vector(
+    name: str,
+    num_envs: int,
+    *,
+    render_mode: str | None = None,
+    sensor_noise: float | NDArray[np.float64] = 0.0,
+    **options: Any,
+) -> TaskVectorEnv:
+    """The native vector environment of a task: one prepared solver, the whole batch per call.
+
+    Args:
+        name: As for ``make_task``.
+        num_envs: Members.
+        render_mode: "rgb_array" or None.
+        sensor_noise: Standard deviation of white noise on observations.
+        **options: Of the task.
+    """
+    task = make_task(name, **options)
+    return TaskVectorEnv(task, num_envs, render_mode=render_mode, sensor_noise=sensor_noise)
+
+
+class NamedEnv(TaskEnv):
+    """An environment that makes its own task; its subclasses are what gymnasium registers.
+
+    Args:
+        render_mode: "rgb_array" or None.
+        sensor_noise: Standard deviation of white noise on observations.
+        **options: Of the task, such as ``randomisation`` and ``action_delay``.
+    """
+
+    task_name: ClassVar[str]
+
+    def __init__(
+        self,
+        *,
+        render_mode: str | None = None,
+        sensor_noise: float | NDArray[np.float64] = 0.0,
+        **options: Any,
+    ):
+        task = make_task(self.task_name, **options)
+        super().__init__(task, render_mode=render_mode, sensor_noise=sensor_noise)
+
+
+class CopterHoverEnv(NamedEnv):
+    """A multicopter that must come to rest at the origin.
+
+    | | |
+    |---|---|
+    | actions | one per rotor: 0 is hover thrust, 1 as much above it as the motor or zero allows |
+    | observations | 0-2 position error, 3-5 velocity (both body frame) [m, m/s], 6-14 rotation \
+matrix by rows, 15-17 body rates [rad/s], then one per rotor: thrust over its maximum; unbounded \
+but for the rotation, in [-1, 1] |
+    | reward | per step: 1.0 for being in the air - 1/3 position - 0.02 velocity - 0.005 turning \
+(each sqrt(x^2 + 0.01) - 0.1) - 0.01 mean squared action |
+    | start | sd of position 0.5 m, velocity 0.25 m/s, attitude 0.05 rad, rates 0.1 rad/s; motors \
+at hover thrust |
+    | termination | farther than 3 m, upside down, turning faster than 30 rad/s |
+    | truncation | 200 steps of 20 ms |
+    | options | design (shipped name, file, vehicle), dt, seconds, start_spread, \
+motor_time_constant, drag, wind_speed, action_delay, randomisation (thrust), sensor_noise |
+    | versions | v0: first |
+    """
+
+    task_name = "CopterHover"
+
+
+class CopterTrackEnv(NamedEnv):
+    """A multicopter that must follow a horizontal figure of eight.
+
+    As ``CopterHoverEnv``, with errors relative to the moving reference, and, at the end of the
+    observations, the way of the reference over the next 0.1 s and 0.3 s (body frame) [m].
+
+    | | |
+    |---|---|
+    | start | at a random place of the figure with its velocity, spread as for hovering |
+    | options | also size [m] and period [s] of the figure |
+    | versions | v0: first |
+    """
+
+    task_name = "CopterTrack"
+
+
+class StarfishSwimEnv(NamedEnv):
+    """A soft starfish in water that must rise (thesis 4.1.6).
+
+    | | |
+    |---|---|
+    | actions | 0-3: bend an arm (+x, +y, -x, -y) down (1) or up (-1); +-1 is the muscles' stroke |
+    | observations | velocities x, y, z of 137 nodes spread over the body: 411 numbers, unbounded \
+[m/s] |
+    | reward | per step, speeds of the centre over 0.1 m/s: 1.0 upward - 0.5 sideways |
+    | start | shape of rest, still water; velocities linear in place, at random, up to about \
+0.1 m/s at the arms' ends, centre at rest |
+    | termination | none |
+    | truncation | 200 steps of 33.3 ms |
+    | options | robot (arguments of ``diffsim.robots.starfish``, ``coarse`` for quick trials), \
+num_steps, substeps, start_speed, current, drift_weight, rise_weight, speed_scale, action_delay, \
+randomisation (muscles, water), sensor_noise |
+    | versions | v0: first |
+    """
+
+    task_name = "StarfishSwim"
+
+
+class SharkSwimEnv(NamedEnv):
+    """A soft shark in water that must swim along +x (thesis 4.1.6).
+
+    | | |
+    |---|---|
+    | actions | 0: bend the tail to +y (1) or -y (-1) |
+    | observations | velocities x, y, z of 95 nodes spread over the body: 285 numbers, unbounded \
+[m/s] |
+    | reward | per step, speeds of the centre over 0.1 m/s: 1.0 along +x - 0.5 across |
+    | start, termination, truncation | as ``StarfishSwimEnv`` |
+    | options | robot: arguments of ``diffsim.robots.shark``; others as ``StarfishSwimEnv`` |
+    | versions | v0: first |
+    """
+
+    task_name = "SharkSwim"
+
+
+class QuadrupedWalkEnv(NamedEnv):
+    """A soft slab on four legs that must walk along +x on a floor (thesis 4.1.6).
+
+    | | |
+    |---|---|
+    | actions | 0-7: shorten (1) or lengthen (-1) the muscle along the front (even) or back (odd) \
+of a leg: hind left, hind right, front left, front right |
+    | observations | 0-35 velocities x, y, z of 12 nodes [m/s], 36 height of the centre [m], 37-45 \
+mean deformation gradient by rows [-]: where the robot's axes point; all unbounded |
+    | reward | per step, speeds of the centre over 0.1 m/s: 1.0 along +x - 0.5 along y |
+    | start | shape of rest, on the floor, at rest; it settles under its weight |
+    | termination | tipped over: its z axis has turned by more than about 60 degrees |
+    | truncation | 100 steps of 10 ms |
+    | options | robot (arguments of ``diffsim.robots.quadruped``: coarse, friction, per_muscle, \
+...), num_steps, substeps, start_speed, drift_weight, rise_weight, speed_scale, action_delay, \
+randomisation (muscles), sensor_noise |
+    | versions | v0: first |
+    """
+
+    task_name = "QuadrupedWalk"
+
+
+class CowWalkEnv(NamedEnv):
+    """As ``QuadrupedWalkEnv``, with a head so heavy that it tends to fall on its face.
+
+    | | |
+    |---|---|
+    | actions, observations, start, termination | as ``QuadrupedWalkEnv`` |
+    | reward | as there, + 0.3 upward speed (thesis: -0.3 z in the loss) |
+    | truncation | 60 steps of 10 ms, each 10 time steps of the body |
+    | options | robot: arguments of ``diffsim.robots.cow``; others as ``QuadrupedWalkEnv`` |
+    | versions | v0: first |
+    """
+
+    task_name = "CowWalk"
+
+
+class TorusRollEnv(NamedEnv):
+    """A soft ring on its edge that must roll along +x (thesis 4.1.6).
+
+    | | |
+    |---|---|
+    | actions | 0-7: shorten (1) or lengthen (-1) an eighth of the rim, from the lowest point \
+towards +x and up |
+    | observations | 0-23 velocities x, y, z of 8 nodes [m/s], 24 height of the centre [m], 25-33 \
+mean deformation gradient by rows [-]: how far it has rolled; all unbounded |
+    | reward | per step, speeds of the centre over 0.1 m/s: 1.0 along +x - 0.5 along y |
+    | start | shape of rest, on the floor, at rest; it settles under its weight |
+    | termination | fallen: its y axis has turned by more than about 60 degrees |
+    | truncation | 100 steps of 16 ms, each 4 time steps of the body |
+    | options | robot: arguments of ``diffsim.robots.torus``; others as ``QuadrupedWalkEnv`` |
+    | versions | v0: first |
+    """
+
+    task_name = "TorusRoll"
+
+
+class TendonReachEnv(NamedEnv):
+    """An upright soft arm, fixed at its foot, whose tip must reach a goal (thesis 4.1.6).
+
+    | | |
+    |---|---|
+    | actions | 0-15: shorten (1) or lengthen (-1) a corner of a quarter of the length: quarters \
+from below, corners (+x, +y), (-x, +y), (-x, -y), (+x, -y) |
+    | observations | 0-11 velocities x, y, z of the middles of the quarters' ends [m/s], 12-14 way \
+from the tip to the goal [m]; all unbounded |
+    | reward | per step: -1.0 distance of tip and goal over the arm's length (0.4 m; smooth at \
+zero) - 0.001 mean squared action |
+    | start | upright, at rest; the goal is uniform in a box about the tip, x and y +-0.12 m, z \
+-0.06 to 0.02 m |
+    | termination | none |
+    | truncation | 100 steps of 10 ms |
+    | options | robot (arguments of ``diffsim.robots.tendon_arm``: coarse, gravity, ...), \
+num_steps, substeps, goal_low, goal_high, node, effort_weight, start_speed, action_delay, \
+randomisation (muscles), sensor_noise |
+    | versions | v0: first |
+    """
+
+    task_name = "TendonReach"
+
+
+def __getattr__(name: str) -> Any:
+    """``CopterHoverVectorEnv`` and the like, by name, as gymnasium's registry asks for them."""
+    short = name.removesuffix("VectorEnv")
+    if name.endswith("VectorEnv") and short in _TASKS:
+        return partial(make_vector, short)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,30 @@
+"""Sensor noise of environments; differentiable rollouts see the plain observation."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim._check import require_number
+
+Array32 = NDArray[np.float32]
+
+
+class Sensing:
+    """White noise on observations.
+
+    Args:
+        noise: Standard deviation, in units of the observation: one for all, or (n,).
+        size: Number of observations.
+    """
+
+    def __init__(self, noise: float | NDArray[np.float64], size: int):
+        sd = np.broadcast_to(np.asarray(noise, dtype=np.float64), (size,))
+        require_number("sensor_noise", float(sd.min()), at_least=0.0)
+        self.sd = sd
+
+    def __call__(self, observation: NDArray[np.float64], rng: np.random.Generator) -> Array32:
+        """Noisy observation(s), (..., n) float32."""
+        if self.sd.any():
+            observation = observation + self.sd * rng.standard_normal(observation.shape)
+        return observation.astype(np.float32)

@@ -1,0 +1,216 @@
+"""A control problem as torch functions of batched states: what every environment is made of.
+
+One task serves both worlds. A gymnasium environment (``TaskEnv``), a vector environment
+(``TaskVectorEnv``) and a differentiable rollout all call the same ``start``, ``advance``,
+``observe`` and ``reward_terms``; none of them owns any physics.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from diffsim._check import require, require_choice
+
+TaskState = dict[str, Tensor]
+"""Tensors by name, all with a leading batch axis; holds everything that the next step needs."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One action or observation, as data sheets list it.
+
+    Attributes:
+        name: Such as "tip velocity x".
+        low, high: Range; may be infinite.
+        unit: SI unit, "-" if none.
+    """
+
+    name: str
+    low: float
+    high: float
+    unit: str = "-"
+
+
+@dataclass(frozen=True)
+class Randomisation:
+    """What differs from episode to episode: factors drawn uniformly at every start.
+
+    Attributes:
+        factors: Name of a physical quantity -> (low, high) factor on its nominal value.
+    """
+
+    factors: Mapping[str, tuple[float, float]]
+
+    def draw(self, batch: int, rng: np.random.Generator) -> TaskState:
+        """Factors (batch,) by ``random.NAME``."""
+        return {
+            f"random.{name}": torch.from_numpy(rng.uniform(low, high, batch))
+            for name, (low, high) in self.factors.items()
+        }
+
+
+class Task(ABC):
+    """A robot, what it is asked to do, and what it senses.
+
+    Args:
+        action_delay: Control steps between a command and its effect.
+        randomisation: Of physical quantities, per episode; None: none.
+
+    Attributes:
+        name: Such as "StarfishSwim".
+        dt: Control period [s].
+        max_steps: Length of an episode, after which it is truncated.
+        actions, observations: Data sheets; actions lie in [-1, 1].
+        randomisable: Quantities that ``randomisation`` may name.
+    """
+
+    name: str
+    dt: float
+    max_steps: int
+    actions: tuple[Entry, ...]
+    observations: tuple[Entry, ...]
+    randomisable: tuple[str, ...] = ()
+
+    def __init__(self, *, action_delay: int = 0, randomisation: Randomisation | None = None):
+        if isinstance(action_delay, bool) or action_delay != int(action_delay) or action_delay < 0:
+            raise ValueError(f"action_delay must be a whole number >= 0, got {action_delay!r}")
+        self.action_delay, self.randomisation = int(action_delay), randomisation
+        for name, bounds in ({} if randomisation is None else randomisation.factors).items():
+            require_choice("randomisation", name, self.randomisable)
+            if len(bounds) != 2 or not 0.0 < bounds[0] <= bounds[1]:
+                raise ValueError(
+                    f"randomisation[{name!r}] must be (low, high), 0 < low <= high, got {bounds}"
+                )
+
+    # what a task defines
+
+    @abstractmethod
+    def rest(self, batch: int, rng: np.random.Generator) -> TaskState:
+        """Physical states at the start of episodes."""
+
+    @abstractmethod
+    def advance(self, state: TaskState, action: Tensor) -> TaskState:
+        """Physical states one control period later; differentiable in state and action.
+
+        Args:
+            state: As ``rest`` makes it, with ``random.NAME`` (batch,) where randomised.
+            action: (batch, num_actions) in [-1, 1], already delayed.
+        """
+
+    @abstractmethod
+    def observe(self, state: TaskState) -> Tensor:
+        """(batch, num_observations), differentiable."""
+
+    @abstractmethod
+    def reward_terms(self, before: TaskState, action: Tensor, after: TaskState) -> TaskState:
+        """Weighted terms (batch,) by name; the reward is their sum. Differentiable."""
+
+    def failed(self, state: TaskState) -> Tensor:
+        """(batch,) bool: episodes that end for a reason of physics, not of time."""
+        return torch.zeros(state["step"].shape[0], dtype=torch.bool)
+
+    def picture(self, state: TaskState, index: int) -> NDArray[np.uint8]:
+        """(height, width, 3) picture of one member of the batch."""
+        raise NotImplementedError(f"{self.name} has no picture")
+
+    # what all tasks share
+
+    @property
+    def num_actions(self) -> int:
+        """Width of an action."""
+        return len(self.actions)
+
+    @property
+    def num_observations(self) -> int:
+        """Width of an observation."""
+        return len(self.observations)
+
+    def start(self, batch: int, rng: np.random.Generator) -> TaskState:
+        """States at the start of ``batch`` episodes, drawn from ``rng``."""
+        state = self.rest(batch, rng)
+        state["step"] = torch.zeros(batch, dtype=torch.int64)
+        if self.action_delay:
+            width = (batch, self.action_delay, self.num_actions)
+            state["commands"] = torch.zeros(width, dtype=torch.float64)
+        if self.randomisation is not None:
+            state |= self.randomisation.draw(batch, rng)
+        return state
+
+    def step(self, state: TaskState, action: Tensor) -> tuple[TaskState, Tensor]:
+        """One control step.
+
+        Args:
+            state: (batch, ...) as ``start`` or ``step`` returned it.
+            action: (batch, num_actions); clamped to [-1, 1].
+
+        Returns:
+            The next state and the reward (batch,). Gradients: state, action; an action beyond its
+            bounds has none.
+        """
+        after, terms = self.step_terms(state, action)
+        return after, torch.stack(list(terms.values())).sum(0)
+
+    def step_terms(self, state: TaskState, action: Tensor) -> tuple[TaskState, TaskState]:
+        """As ``step``, with the terms of the reward by name."""
+        batch = state["step"].shape[0]
+        require("action", action, (batch, self.num_actions))
+        action = action.clamp(-1.0, 1.0)
+        effective, queue = action, None
+        if self.action_delay:
+            queue = torch.cat([state["commands"], action[:, None]], 1)
+            effective, queue = queue[:, 0], queue[:, 1:]
+        after = {k: v for k, v in state.items() if k.startswith("random.")}
+        after |= self.advance(state, effective)
+        after["step"] = state["step"] + 1
+        if queue is not None:
+            after["commands"] = queue
+        return after, self.reward_terms(state, action, after)
+
+    def factor(self, state: TaskState, name: str) -> Tensor:
+        """Random factor of a quantity, (batch,); ones where it is not randomised."""
+        batch = state["step"].shape[0] if "step" in state else len(next(iter(state.values())))
+        return state.get(f"random.{name}", torch.ones(batch, dtype=torch.float64))
+
+    def data_sheet(self) -> str:
+        """Actions and observations as a table in Markdown."""
+        lines = []
+        for title, entries in (("action", self.actions), ("observation", self.observations)):
+            lines += [f"| # | {title} | low | high | unit |", "|---|---|---|---|---|"]
+            lines += [
+                f"| {i} | {e.name} | {e.low:g} | {e.high:g} | {e.unit} |"
+                for i, e in enumerate(entries)
+            ]
+            lines.append("")
+        return "\n".join(lines)
+
+
+def where(mask: Tensor, yes: TaskState, no: TaskState) -> TaskState:
+    """Members of ``yes`` where ``mask`` (batch,), of ``no`` elsewhere."""
+    return {
+        name: torch.where(mask.view(-1, *(1,) * (value.dim() - 1)), yes[name], value)
+        for name, value in no.items()
+    }
+
+
+def detached(state: TaskState) -> TaskState:
+    """The state without its history of gradients."""
+    return {name: value.detach() for name, value in state.items()}
+
+
+def stacked(states: Sequence[TaskState]) -> TaskState:
+    """Several states as one batch."""
+    return {name: torch.cat([s[name] for s in states]) for name in states[0]}
+
+
+def options_of(task: Task) -> dict[str, Any]:
+    """What is needed to tell two set-ups of a task apart, for logs."""
+    factors = {} if task.randomisation is None else dict(task.randomisation.factors)
+    return {"name": task.name, "action_delay": task.action_delay, "randomisation": factors}

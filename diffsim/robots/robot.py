@@ -1,0 +1,133 @@
+"""A soft robot: a body with muscles, what surrounds it, what it senses, and what steers it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from diffsim import mesh, soft
+from diffsim.contact import Obstacle
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SoftRobot:
+    """Everything that examples and environments need of one robot.
+
+    Commands lie in [-1, 1]; the activation of the muscles (target stretches) is
+    ``rest_activation + command @ drive``, so antagonists are rows with entries of both signs.
+
+    Attributes:
+        name: Such as "starfish".
+        body: Mesh, material, muscles, time step.
+        drive: (num_commands, num_muscles) [-].
+        command_names: One each.
+        sensors: Nodes whose velocity is sensed, (num_sensors,) int64.
+        forward: Unit vector along which it should move, (3,).
+        water: What drags and pushes at it; None: it is in air.
+        obstacles: What it stands on.
+        upright_axis: Which of its axes x, y, z (0-2) must not tip over; None: none must not.
+    """
+
+    name: str
+    body: soft.SoftBody
+    drive: Tensor
+    command_names: tuple[str, ...]
+    sensors: Tensor
+    forward: Tensor
+    water: soft.Hydrodynamics | None = None
+    obstacles: tuple[Obstacle, ...] = ()
+    upright_axis: int | None = None
+
+    def __post_init__(self) -> None:
+        want = (len(self.command_names), len(self.body.muscles.rest_activation))
+        if tuple(self.drive.shape) != want:
+            raise ValueError(
+                f"drive must have shape {want} (commands, muscles), got {tuple(self.drive.shape)}"
+            )
+
+    @property
+    def num_dofs(self) -> int:
+        """Degrees of freedom, fixed ones included."""
+        return 3 * self.body.mesh.num_vertices
+
+    def activation(self, command: Tensor) -> Tensor:
+        """Muscle activations (..., num_muscles) of commands (..., num_commands)."""
+        return self.body.muscles.rest_activation + command @ self.drive
+
+    def force(
+        self, state: soft.State, *, water_velocity: Tensor | None = None, gain: Tensor | None = None
+    ) -> Tensor | None:
+        """Of the water at a state, shape of x [N]; None in air.
+
+        Args:
+            state: x, v (..., num_vertices, 3).
+            water_velocity: (..., 3) [m/s]; None: at rest.
+            gain: Factor on drag and thrust, broadcastable to x; None: 1.
+        """
+        if self.water is None:
+            return None
+        force = self.water(state.x, state.v, water_velocity=water_velocity)
+        return force if gain is None else gain * force
+
+    def step(self, state: soft.State, command: Tensor, **options: Tensor | None) -> soft.State:
+        """One time step under a command (..., num_commands); options as for ``force``."""
+        return soft.step(
+            self.body,
+            state,
+            external_force=self.force(state, **options),
+            activation=self.activation(command),
+            obstacles=self.obstacles or None,
+        )
+
+    def centre(self, x: Tensor) -> Tensor:
+        """Centre of volume at rest weights, (..., 3) [m]."""
+        weights = self.body.nodal_volume / self.body.nodal_volume.sum()
+        return (weights[:, None] * x).sum(-2)
+
+    def attitude(self, x: Tensor) -> Tensor:
+        """Mean deformation gradient, (..., 3, 3) [-]: least squares fit of x to the rest shape.
+
+        Its columns are where the robot's axes point, stretched as the body is.
+        """
+        rest = self.body.x_rest - self.centre(self.body.x_rest)
+        weighted = (self.body.nodal_volume / self.body.nodal_volume.sum())[:, None] * rest
+        return x.mT @ weighted @ torch.linalg.inv(rest.T @ weighted)
+
+
+def spread_nodes(points: Tensor, count: int) -> Tensor:
+    """``count`` nodes that lie far from one another (farthest-point sampling), (count,) int64."""
+    if count > len(points):
+        raise ValueError(f"count must be at most {len(points)}, the number of nodes, got {count}")
+    distance = (points - points.mean(0)).norm(dim=1)
+    chosen = [int(distance.argmax())]
+    nearest = (points - points[chosen[0]]).norm(dim=1)
+    while len(chosen) < count:
+        chosen.append(int(nearest.argmax()))
+        nearest = torch.minimum(nearest, (points - points[chosen[-1]]).norm(dim=1))
+    return torch.tensor(chosen)
+
+
+def antagonists(pairs: int, amplitude: float) -> Tensor:
+    """Drive of commands that each contract one of two muscles and stretch the other.
+
+    Muscles come as (first, second) of every pair; a positive command contracts the first.
+    """
+    drive = torch.zeros(pairs, 2 * pairs, dtype=torch.float64)
+    for k in range(pairs):
+        drive[k, 2 * k], drive[k, 2 * k + 1] = -amplitude, amplitude
+    return drive
+
+
+def fibres(where: Tensor, direction: Tensor | Sequence[float], stiffness: float) -> soft.Muscle:
+    """A muscle in the elements of a mask; direction (3,) or one per element of it."""
+    return soft.Muscle(
+        elements=torch.nonzero(where)[:, 0], direction=direction, stiffness=stiffness
+    )
+
+
+def element_centres(shape: mesh.HexMesh) -> Tensor:
+    """(num_elements, 3) [m]."""
+    return shape.x_rest[shape.hexes].mean(1)

@@ -1,0 +1,21 @@
+"""The learning examples in quick form."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.examples.stories import load_story
+
+
+@pytest.mark.example
+def test_a_layer_in_somebody_elses_module_learns() -> None:
+    found = load_story("learning/layer_in_your_module.py").main(iterations=12)
+    assert found["before_m"] > 0.02
+    assert found["after_m"] < 0.4 * found["before_m"]
+
+
+@pytest.mark.example
+def test_ppo_keeps_the_quadcopter_in_the_air() -> None:
+    pytest.importorskip("stable_baselines3", reason="needs the extra rl")
+    found = load_story("learning/ppo_in_ten_lines.py").main(steps=24_576, num_envs=32)
+    assert found["after"] > found["before"] + 15.0
