@@ -1,0 +1,254 @@
+"""From a video file to tracks of round things of one colour, in pixels.
+
+OpenCV reads the frames (extra ``video``). A pixel belongs to a ball if its hue, saturation and
+value lie within bounds; pixels that touch are one region, whose centre is the mean of its pixels.
+Balls that touch in the picture make one region, which is cut in two by k-means, started from where
+the balls were going: right for discs side by side, off where one hides part of the other. Tracks
+are joined by least total distance from the places that constant velocity predicts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.cluster.vq import kmeans2
+from scipy.optimize import linear_sum_assignment
+
+from diffsim._check import require_number
+from diffsim._files import write_text_atomic
+from diffsim.errors import DiffsimError
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+_FULL = 0.6  # of a ball's usual area: below it, a region is noise or a ball that leaves
+
+
+class TrackingError(DiffsimError):
+    """A video that cannot be read, or in which the balls are not seen."""
+
+
+@dataclass(frozen=True)
+class ColourBounds:
+    """Which pixels belong to a ball, in OpenCV's HSV.
+
+    Attributes:
+        low, high: (hue, saturation, value), hue in 0..179, the others in 0..255; a low hue above
+            the high one means that hues wrap around red.
+    """
+
+    low: tuple[int, int, int]
+    high: tuple[int, int, int]
+
+    def __post_init__(self) -> None:
+        for name, values in (("low", self.low), ("high", self.high)):
+            limits = (179, 255, 255)
+            if len(values) != 3 or any(
+                not 0 <= v <= top for v, top in zip(values, limits, strict=True)
+            ):
+                raise ValueError(
+                    f"{name} must be (hue 0..179, saturation 0..255, value 0..255), got {values}"
+                )
+        if any(a > b for a, b in zip(self.low[1:], self.high[1:], strict=True)):
+            raise ValueError(
+                f"saturation and value of low must not exceed those of high, got {self.low}, "
+                f"{self.high}"
+            )
+
+    def mask(self, hsv: NDArray[np.uint8]) -> Mask:
+        """(height, width) of a picture (height, width, 3)."""
+        hue, rest = hsv[..., 0], hsv[..., 1:]
+        if self.low[0] <= self.high[0]:
+            inside = (hue >= self.low[0]) & (hue <= self.high[0])
+        else:
+            inside = (hue >= self.low[0]) | (hue <= self.high[0])
+        inside &= (rest >= np.array(self.low[1:])).all(-1)
+        return np.asarray(inside & (rest <= np.array(self.high[1:])).all(-1))
+
+
+TENNIS_BALL = ColourBounds((25, 60, 70), (50, 255, 255))
+"""Optic yellow under room light."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """Centres in a video.
+
+    Attributes:
+        frames: (num_frames,) numbers of the video's frames.
+        time_s: (num_frames,) since the first of them [s].
+        centres: (num_frames, num_balls, 2) u to the right, v down [px]; NaN where a ball was not
+            seen.
+        merged: (num_frames,) whether balls touched in the picture: centres are then less sure.
+    """
+
+    frames: NDArray[np.int64]
+    time_s: Array
+    centres: Array
+    merged: Mask
+
+    def save(self, path: str | Path) -> Path:
+        """Write CSV with the columns of the tennis balls' data set; empty cells are missing."""
+        count = self.centres.shape[1]
+        names = [f"ball{k}_{c}_px" for k in range(count) for c in "uv"]
+        lines = [",".join(["frame", "time_s", *names])]
+        for frame, time, row in zip(self.frames, self.time_s, self.centres, strict=True):
+            cells = ["" if np.isnan(v) else f"{v:.3f}" for v in row.reshape(-1)]
+            lines.append(",".join([str(frame), f"{time:.6f}", *cells]))
+        return write_text_atomic(Path(path), "\n".join(lines) + "\n")
+
+
+def track_video(
+    path: str | Path,
+    num_balls: int,
+    colour: ColourBounds = TENNIS_BALL,
+    *,
+    first: int = 0,
+    last: int | None = None,
+    min_area: int = 20,
+) -> Tracks:
+    """Centres of balls of one colour.
+
+    Args:
+        path: Video that OpenCV can read.
+        num_balls: How many to follow; ball 0 is the leftmost in the first frame.
+        colour: Of their pixels.
+        first, last: Frames to read, both included; None: to the end.
+        min_area: Smaller regions are noise [px].
+
+    Raises:
+        FileNotFoundError: no such file.
+        TrackingError: not a video, or the first frame does not show ``num_balls`` regions.
+    """
+    require_number("num_balls", num_balls, at_least=1)
+    require_number("min_area", min_area, at_least=1)
+    follower: _Follower | None = None
+    frames, centres, merged, rates = [], [], [], []
+    for number, mask, rate in _masks(Path(path), colour, first, last):
+        regions = _regions(mask, min_area)
+        if follower is None:
+            follower = _Follower.first(regions, num_balls, path, number)
+            row, touching = follower.places, False
+        else:
+            row, touching = follower.follow(regions)
+        frames.append(number)
+        rates.append(rate)
+        centres.append(row.copy())
+        merged.append(touching)
+    if follower is None:
+        raise TrackingError(f"{path}: no frame from {first} on; the video is shorter")
+    number_of = np.array(frames)
+    return Tracks(
+        number_of, (number_of - number_of[0]) / rates[0], np.stack(centres), np.array(merged)
+    )
+
+
+@dataclass
+class _Region:
+    """Pixels that touch: (n, 2) as u, v."""
+
+    pixels: Array
+
+    @property
+    def centre(self) -> Array:
+        return np.asarray(self.pixels.mean(0))
+
+
+class _Follower:
+    """Where the balls are, where they were, how large they are."""
+
+    def __init__(self, places: Array, area: float):
+        self.places, self.before, self.area = places, places.copy(), area
+
+    @classmethod
+    def first(
+        cls, regions: Sequence[_Region], count: int, path: str | Path, number: int
+    ) -> _Follower:
+        """From the largest regions of the first frame."""
+        if len(regions) < count:
+            raise TrackingError(
+                f"{path}, frame {number}: {len(regions)} regions of the given colour, expected "
+                f"{count} balls; widen the colour bounds, lower min_area, or start at a frame "
+                "where all balls are seen apart"
+            )
+        largest = sorted(regions, key=lambda r: -len(r.pixels))[:count]
+        largest.sort(key=lambda r: float(r.centre[0]))
+        area = float(np.median([len(r.pixels) for r in largest]))
+        return cls(np.stack([r.centre for r in largest]), area)
+
+    def follow(self, regions: Sequence[_Region]) -> tuple[Array, bool]:
+        """Centres in the next frame, and whether balls touch."""
+        expected = np.where(np.isnan(self.places), self.before, 2.0 * self.places - self.before)
+        expected = np.where(np.isnan(expected), self.before, expected)
+        points, touching = self._points(regions, expected)
+        row = np.full_like(self.places, np.nan)
+        if len(points):
+            distance = np.linalg.norm(expected[:, None] - points[None], axis=-1)
+            for ball, point in zip(*linear_sum_assignment(distance), strict=True):
+                row[ball] = points[point]
+        seen = np.isfinite(row)
+        self.before = np.where(seen, np.where(np.isnan(self.places), row, self.places), expected)
+        self.places = np.where(seen, row, np.nan)
+        return row, touching
+
+    def _points(self, regions: Sequence[_Region], expected: Array) -> tuple[Array, bool]:
+        """One point per ball: centres of regions, those of two balls cut in two."""
+        large = [r for r in regions if len(r.pixels) >= _FULL * self.area]
+        missing = len(expected) - len(large)
+        if missing <= 0 or not large:
+            return np.array([r.centre for r in large]).reshape(-1, 2), False
+        widest = max(large, key=lambda r: len(r.pixels))
+        if len(widest.pixels) < (1.0 + _FULL) * self.area:
+            return np.array([r.centre for r in large]), False
+        near = np.linalg.norm(expected - widest.centre, axis=1).argsort()[: missing + 1]
+        cut, _ = kmeans2(widest.pixels, expected[near], minit="matrix", missing="raise")
+        others = [r.centre for r in large if r is not widest]
+        return np.array([*others, *cut]), True
+
+
+def _regions(mask: Mask, min_area: int) -> list[_Region]:
+    labels, count = ndimage.label(mask)
+    rows, cols = np.nonzero(labels)
+    of = labels[rows, cols]
+    places = np.stack([cols, rows], -1).astype(np.float64)
+    regions = [_Region(places[of == k]) for k in range(1, count + 1)]
+    return [r for r in regions if len(r.pixels) >= min_area]
+
+
+def _masks(
+    path: Path, colour: ColourBounds, first: int, last: int | None
+) -> Iterator[tuple[int, Mask, float]]:
+    """Number, mask and frame rate of every frame asked for."""
+    cv2 = _opencv()
+    if not path.is_file():
+        raise FileNotFoundError(f"no video {path}")
+    video = cv2.VideoCapture(str(path))
+    try:
+        rate = float(video.get(cv2.CAP_PROP_FPS))
+        if not video.isOpened() or not rate > 0.0:
+            raise TrackingError(f"{path} is no video that OpenCV can read")
+        number = 0
+        while last is None or number <= last:
+            read, picture = video.read()
+            if not read:
+                return
+            if number >= first:
+                yield number, colour.mask(cv2.cvtColor(picture, cv2.COLOR_BGR2HSV)), rate
+            number += 1
+    finally:
+        video.release()
+
+
+def _opencv() -> Any:
+    try:
+        import cv2
+    except ImportError as error:
+        raise ImportError(
+            "reading videos needs OpenCV: pip install 'diffsim-robot[video]'"
+        ) from error
+    return cv2
