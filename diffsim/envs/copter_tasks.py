@@ -26,9 +26,15 @@ from diffsim.envs.task import Entry, Randomisation, Task, TaskState
 _STATE = ("position", "quaternion", "velocity", "body_rates", "thrusts")
 REACH = 3.0  # from the reference [m], beyond which an episode ends
 MAX_RATE = 30.0  # of turning, beyond which an episode ends [rad/s]
-# position error, velocity, turning, thrust away from hover; per step, so that an episode of
-# perfect hovering earns 0
-WEIGHTS = {"position": 1.0, "velocity": 0.05, "turning": 0.01, "effort": 0.01}
+# flying at all, position error, velocity, turning, thrust away from hover; per step, so that perfect
+# hovering earns 1. Were all rewards negative, ending an episode early by crashing would pay.
+WEIGHTS = {
+    "alive": 1.0,
+    "position": 1.0 / REACH,
+    "velocity": 0.02,
+    "turning": 0.003,
+    "effort": 0.003,
+}
 
 
 class CopterHover(Task):
@@ -136,7 +142,7 @@ class CopterHover(Task):
     lookahead: tuple[float, ...] = ()
 
     def reward_terms(self, before: TaskState, action: Tensor, after: TaskState) -> TaskState:
-        """Minus smooth distances; 0 at best."""
+        """What flying earns, minus smooth distances; 1 in all at best."""
         place, velocity = self._reference_at(after, 0.0)
         sizes = {
             "position": _smooth_norm(after["position"] - place),
@@ -144,7 +150,8 @@ class CopterHover(Task):
             "turning": _smooth_norm(after["body_rates"]),
             "effort": action.square().mean(-1),
         }
-        return {name: -WEIGHTS[name] * size for name, size in sizes.items()}
+        alive = torch.full_like(sizes["effort"], WEIGHTS["alive"])
+        return {"alive": alive} | {name: -WEIGHTS[name] * size for name, size in sizes.items()}
 
     def failed(self, state: TaskState) -> Tensor:
         """Too far from the reference, upside down, or turning too fast."""
