@@ -26,7 +26,7 @@ from diffsim.envs.task import Entry, Randomisation, Task, TaskState
 _STATE = ("position", "quaternion", "velocity", "body_rates", "thrusts")
 REACH = 3.0  # from the reference [m], beyond which an episode ends
 MAX_RATE = 30.0  # of turning, beyond which an episode ends [rad/s]
-# flying at all, position error, velocity, turning, thrust away from hover; per step, so that perfect
+# flying at all, position error, velocity, turning, thrust away from hover; per step: perfect
 # hovering earns 1. Were all rewards negative, ending an episode early by crashing would pay.
 WEIGHTS = {
     "alive": 1.0,

@@ -90,7 +90,7 @@ def main_training(
     torch.set_num_threads(args.threads)
     setup = setup_from(args)
     folder = args.out or Path("runs") / setup.task / method / f"seed_{setup.seed}"
-    chosen = options_from(options, args, **(quick if args.quick else {}))
+    chosen: Any = options_from(options, args, **(quick if args.quick else {}))
     made: Learner = learner(setup, chosen)
     run = train(setup, made, folder, resume=args.resume)
     last = run.rows[-1]

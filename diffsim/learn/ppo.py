@@ -104,7 +104,7 @@ class PpoLearner:
     def controller(self) -> MLPController:
         """The policy's mean as a controller in double precision, observations normalised alike."""
         net = MLPController(self.task.num_observations, self.task.num_actions)
-        moments = self.venv.obs_rms
+        moments: Any = self.venv.obs_rms
         assert net.normaliser is not None  # asked for by default
         with torch.no_grad():
             for ours, theirs in zip(_linear(net.layers), self._policy_layers(), strict=True):
@@ -134,7 +134,7 @@ class PpoLearner:
             for ours, theirs in zip(_linear(first.layers), self._policy_layers(), strict=True):
                 theirs.weight.copy_(ours.weight)
                 theirs.bias.copy_(ours.bias)
-        moments = self.venv.obs_rms
+        moments: Any = self.venv.obs_rms
         moments.mean = first.normaliser.mean.numpy().copy()
         moments.var = first.normaliser.variance.numpy().copy()
         moments.count = float(first.normaliser.count)

@@ -81,7 +81,8 @@ def train(
 ) -> Run:
     """Update until the budget is spent; rate, log and save on the way.
 
-    Ctrl-C saves a checkpoint after the update in progress, then raises KeyboardInterrupt.
+    Checkpoints are written with the ratings. Ctrl-C leaves the last one and raises
+    KeyboardInterrupt: what was done since is done again on resuming.
 
     Args:
         setup: Task and budget.
@@ -98,8 +99,7 @@ def train(
     if resume and (run.folder / CHECKPOINT).exists():
         _load(run, setup, learner)
     task = setup.make_task()
-    # TensorBoard's import takes seconds and its log is of no use to a finished run
-    writer = None if run.finished else _writer(run.folder)
+    writer = _writer(run.folder)
     bar = tqdm(total=setup.steps, initial=run.steps, unit="step", disable=not show)
     try:
         if not run.rows:
@@ -127,8 +127,7 @@ def train(
         raise
     finally:
         bar.close()
-        if writer is not None:
-            writer.close()
+        writer.close()
     return run
 
 

@@ -158,9 +158,7 @@ class ShacLearner:
         try:
             loss, window = self._window()
             loss.backward()  # type: ignore[no-untyped-call]
-            norm = nn.utils.clip_grad_norm_(
-                [*self.net.parameters(), self.log_spread], o.clip
-            )
+            norm = nn.utils.clip_grad_norm_([*self.net.parameters(), self.log_spread], o.clip)
         except (ArithmeticError, RuntimeError, ValueError) as error:
             if not broke_down(error):
                 raise
@@ -214,9 +212,7 @@ class ShacLearner:
         noise = torch.from_numpy(self.rng.standard_normal(tuple(mean.shape)))
         return mean + noise * self.log_spread.exp()
 
-    def _restart(
-        self, state: TaskState, weight: Tensor, ended: Tensor
-    ) -> tuple[TaskState, Tensor]:
+    def _restart(self, state: TaskState, weight: Tensor, ended: Tensor) -> tuple[TaskState, Tensor]:
         """Ended episodes start anew; their later rewards count in full."""
         if not bool(ended.any()):
             return state, weight
