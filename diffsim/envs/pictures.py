@@ -41,6 +41,7 @@ def body_picture(
     centre: Tensor,
     reach: float,
     ground: float | None = None,
+    goal: Tensor | None = None,
     color: str = "#f0a95c",
 ) -> NDArray[np.uint8]:
     """A soft body's surface.
@@ -50,7 +51,8 @@ def body_picture(
         faces: (num_faces, 3 or 4).
         centre: What the camera looks at, (3,) [m].
         reach: Half width of what is seen [m].
-        ground: Height of the floor [m]; None: there is none.
+        ground: Height of the floor [m]; None: there is none. Its tiles do not move.
+        goal: A point to be marked, (3,) [m].
         color: Of the skin.
     """
     from matplotlib.colors import LightSource
@@ -59,9 +61,8 @@ def body_picture(
     figure, axes = _scene()
     cx, cy, cz = (float(c) for c in centre)
     if ground is not None:
-        corners = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
-        square = [[(cx + reach * a, cy + reach * b, ground) for a, b in corners]]
-        axes.add_collection3d(Poly3DCollection(square, facecolors="#e3e7ea", edgecolors="none"))
+        tiles, shades = _tiles(cx, cy, reach, ground)
+        axes.add_collection3d(Poly3DCollection(tiles, facecolors=shades, edgecolors="none"))
     axes.add_collection3d(
         Poly3DCollection(
             x.numpy()[faces.numpy()],
@@ -72,6 +73,8 @@ def body_picture(
             lightsource=LightSource(azdeg=240, altdeg=45),
         )
     )
+    if goal is not None:
+        axes.scatter(*goal.tolist(), color="#c0392b", s=30, zorder=5)
     axes.set(
         xlim=(cx - reach, cx + reach),
         ylim=(cy - reach, cy + reach),
@@ -79,6 +82,19 @@ def body_picture(
     )
     axes.set_box_aspect((1, 1, 0.75), zoom=1.35)
     return _pixels(figure)
+
+
+def _tiles(
+    cx: float, cy: float, reach: float, height: float
+) -> tuple[NDArray[np.float64], list[str]]:
+    """Squares (n, 4, 3) of a chessboard fixed in the world, those in reach; and colours."""
+    size = 0.4 * reach
+    first = np.ceil((np.array([cx, cy]) - reach) / size).astype(int)
+    i, j = (g.ravel() for g in np.meshgrid(first[0] + np.arange(4), first[1] + np.arange(4)))
+    corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
+    flat = size * (np.stack([i, j], -1)[:, None] + corners)
+    tiles = np.concatenate([flat, np.full((*flat.shape[:2], 1), height)], -1)
+    return tiles, [("#e9ecee", "#d5dade")[k] for k in (i + j) % 2]
 
 
 def _scene() -> tuple[Any, Any]:

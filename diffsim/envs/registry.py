@@ -19,6 +19,10 @@ _TASKS = {
     "CopterTrack": "diffsim.envs.copter_tasks",
     "StarfishSwim": "diffsim.envs.soft_named",
     "SharkSwim": "diffsim.envs.soft_named",
+    "QuadrupedWalk": "diffsim.envs.soft_named",
+    "CowWalk": "diffsim.envs.soft_named",
+    "TorusRoll": "diffsim.envs.soft_named",
+    "TendonReach": "diffsim.envs.soft_named",
 }
 ENV_IDS = tuple(f"diffsim/{name}-v0" for name in _TASKS)
 
@@ -126,14 +130,16 @@ class StarfishSwimEnv(NamedEnv):
     | | |
     |---|---|
     | actions | 0-3: bend an arm (+x, +y, -x, -y) down (1) or up (-1); +-1 is the muscles' stroke |
-    | observations | velocities x, y, z of 137 nodes spread over the body [m/s]: 411 numbers |
-    | reward | per step, speeds over 0.1 m/s: upward speed - 0.5 speed sideways |
-    | start | at rest in still water |
+    | observations | velocities x, y, z of 137 nodes spread over the body: 411 numbers, unbounded \
+[m/s] |
+    | reward | per step, speeds of the centre over 0.1 m/s: 1.0 upward - 0.5 sideways |
+    | start | shape of rest, still water; velocities linear in place, at random, up to about \
+0.1 m/s at the arms' ends, centre at rest |
     | termination | none |
     | truncation | 200 steps of 33.3 ms |
     | options | robot (arguments of ``diffsim.robots.starfish``, ``coarse`` for quick trials), \
-num_steps, start_speed, current, drift_weight, speed_scale, action_delay, randomisation (muscles, \
-water), sensor_noise |
+num_steps, substeps, start_speed, current, drift_weight, rise_weight, speed_scale, action_delay, \
+randomisation (muscles, water), sensor_noise |
     | versions | v0: first |
     """
 
@@ -143,16 +149,99 @@ water), sensor_noise |
 class SharkSwimEnv(NamedEnv):
     """A soft shark in water that must swim along +x (thesis 4.1.6).
 
-    As ``StarfishSwimEnv``, with one action (bend the tail to +y or -y) and 95 sensed nodes: 285
-    observations.
-
     | | |
     |---|---|
-    | options | robot: arguments of ``diffsim.robots.shark`` |
+    | actions | 0: bend the tail to +y (1) or -y (-1) |
+    | observations | velocities x, y, z of 95 nodes spread over the body: 285 numbers, unbounded \
+[m/s] |
+    | reward | per step, speeds of the centre over 0.1 m/s: 1.0 along +x - 0.5 across |
+    | start, termination, truncation | as ``StarfishSwimEnv`` |
+    | options | robot: arguments of ``diffsim.robots.shark``; others as ``StarfishSwimEnv`` |
     | versions | v0: first |
     """
 
     task_name = "SharkSwim"
+
+
+class QuadrupedWalkEnv(NamedEnv):
+    """A soft slab on four legs that must walk along +x on a floor (thesis 4.1.6).
+
+    | | |
+    |---|---|
+    | actions | 0-7: shorten (1) or lengthen (-1) the muscle along the front (even) or back (odd) \
+of a leg: hind left, hind right, front left, front right |
+    | observations | 0-35 velocities x, y, z of 12 nodes [m/s], 36 height of the centre [m], 37-45 \
+mean deformation gradient by rows [-]: where the robot's axes point; all unbounded |
+    | reward | per step, speeds of the centre over 0.1 m/s: 1.0 along +x - 0.5 along y |
+    | start | shape of rest, on the floor, at rest; it settles under its weight |
+    | termination | tipped over: its z axis has turned by more than about 60 degrees |
+    | truncation | 100 steps of 10 ms |
+    | options | robot (arguments of ``diffsim.robots.quadruped``: coarse, friction, per_muscle, \
+...), num_steps, substeps, start_speed, drift_weight, rise_weight, speed_scale, action_delay, \
+randomisation (muscles), sensor_noise |
+    | versions | v0: first |
+    """
+
+    task_name = "QuadrupedWalk"
+
+
+class CowWalkEnv(NamedEnv):
+    """As ``QuadrupedWalkEnv``, with a head so heavy that it tends to fall on its face.
+
+    | | |
+    |---|---|
+    | actions, observations, start, termination | as ``QuadrupedWalkEnv`` |
+    | reward | as there, + 0.3 upward speed (thesis: -0.3 z in the loss) |
+    | truncation | 60 steps of 10 ms, each 10 time steps of the body |
+    | options | robot: arguments of ``diffsim.robots.cow``; others as ``QuadrupedWalkEnv`` |
+    | versions | v0: first |
+    """
+
+    task_name = "CowWalk"
+
+
+class TorusRollEnv(NamedEnv):
+    """A soft ring on its edge that must roll along +x (thesis 4.1.6).
+
+    | | |
+    |---|---|
+    | actions | 0-7: shorten (1) or lengthen (-1) an eighth of the rim, from the lowest point \
+towards +x and up |
+    | observations | 0-23 velocities x, y, z of 8 nodes [m/s], 24 height of the centre [m], 25-33 \
+mean deformation gradient by rows [-]: how far it has rolled; all unbounded |
+    | reward | per step, speeds of the centre over 0.1 m/s: 1.0 along +x - 0.5 along y |
+    | start | shape of rest, on the floor, at rest; it settles under its weight |
+    | termination | fallen: its y axis has turned by more than about 60 degrees |
+    | truncation | 100 steps of 16 ms, each 4 time steps of the body |
+    | options | robot: arguments of ``diffsim.robots.torus``; others as ``QuadrupedWalkEnv`` |
+    | versions | v0: first |
+    """
+
+    task_name = "TorusRoll"
+
+
+class TendonReachEnv(NamedEnv):
+    """An upright soft arm, fixed at its foot, whose tip must reach a goal (thesis 4.1.6).
+
+    | | |
+    |---|---|
+    | actions | 0-15: shorten (1) or lengthen (-1) a corner of a quarter of the length: quarters \
+from below, corners (+x, +y), (-x, +y), (-x, -y), (+x, -y) |
+    | observations | 0-11 velocities x, y, z of the middles of the quarters' ends [m/s], 12-14 way \
+from the tip to the goal [m]; all unbounded |
+    | reward | per step: -1.0 distance of tip and goal over the arm's length (0.4 m; smooth at \
+zero) - 0.001 mean squared action |
+    | start | upright, at rest; the goal is uniform in a box about the tip, x and y +-0.12 m, z \
+-0.06 to 0.02 m |
+    | termination | none |
+    | truncation | 100 steps of 10 ms |
+    | options | robot (arguments of ``diffsim.robots.tendon_arm``: coarse, gravity, ...), \
+num_steps, substeps, goal_low, goal_high, node, effort_weight, start_speed, action_delay, \
+randomisation (muscles), sensor_noise |
+    | versions | v0: first |
+    """
+
+    task_name = "TendonReach"
 
 
 def __getattr__(name: str) -> Any:

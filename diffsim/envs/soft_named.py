@@ -1,30 +1,115 @@
-"""The soft-body tasks that have a name: robot, length of episode and scale of reward."""
+"""The soft-body tasks that have a name: robot, length of episode, control period, reward."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from diffsim import robots
-from diffsim.envs.soft_tasks import Advance
+from diffsim.envs.soft_tasks import Advance, Reach
 
 
 class StarfishSwim(Advance):
-    """See ``StarfishSwimEnv``."""
+    """See ``diffsim.envs.registry.StarfishSwimEnv``."""
 
     name = "StarfishSwim"
 
     def __init__(
-        self, *, num_steps: int = 200, robot: dict[str, Any] | None = None, **options: Any
+        self,
+        *,
+        num_steps: int = 200,
+        start_speed: float = 0.1,
+        robot: dict[str, Any] | None = None,
+        **options: Any,
     ):
-        super().__init__(robots.starfish(**(robot or {})), num_steps, **options)
+        body = robots.starfish(**(robot or {}))
+        super().__init__(body, num_steps, start_speed=start_speed, **options)
 
 
 class SharkSwim(Advance):
-    """See ``SharkSwimEnv``."""
+    """See ``diffsim.envs.registry.SharkSwimEnv``."""
 
     name = "SharkSwim"
 
     def __init__(
-        self, *, num_steps: int = 200, robot: dict[str, Any] | None = None, **options: Any
+        self,
+        *,
+        num_steps: int = 200,
+        start_speed: float = 0.1,
+        robot: dict[str, Any] | None = None,
+        **options: Any,
     ):
-        super().__init__(robots.shark(**(robot or {})), num_steps, **options)
+        body = robots.shark(**(robot or {}))
+        super().__init__(body, num_steps, start_speed=start_speed, **options)
+
+
+class QuadrupedWalk(Advance):
+    """See ``diffsim.envs.registry.QuadrupedWalkEnv``."""
+
+    name = "QuadrupedWalk"
+
+    def __init__(
+        self, *, num_steps: int = 100, robot: dict[str, Any] | None = None, **options: Any
+    ):
+        super().__init__(robots.quadruped(**(robot or {})), num_steps, **options)
+
+
+class CowWalk(Advance):
+    """See ``diffsim.envs.registry.CowWalkEnv``."""
+
+    name = "CowWalk"
+
+    def __init__(
+        self,
+        *,
+        num_steps: int = 60,
+        substeps: int = 10,
+        rise_weight: float = 0.3,
+        robot: dict[str, Any] | None = None,
+        **options: Any,
+    ):
+        super().__init__(
+            robots.cow(**(robot or {})),
+            num_steps,
+            substeps=substeps,
+            rise_weight=rise_weight,
+            **options,
+        )
+
+
+class TorusRoll(Advance):
+    """See ``diffsim.envs.registry.TorusRollEnv``."""
+
+    name = "TorusRoll"
+
+    def __init__(
+        self,
+        *,
+        num_steps: int = 100,
+        substeps: int = 4,
+        robot: dict[str, Any] | None = None,
+        **options: Any,
+    ):
+        super().__init__(robots.torus(**(robot or {})), num_steps, substeps=substeps, **options)
+
+
+class TendonReach(Reach):
+    """See ``diffsim.envs.registry.TendonReachEnv``."""
+
+    name = "TendonReach"
+
+    def __init__(
+        self,
+        *,
+        num_steps: int = 100,
+        goal_low: tuple[float, float, float] = (-0.12, -0.12, -0.06),
+        goal_high: tuple[float, float, float] = (0.12, 0.12, 0.02),
+        robot: dict[str, Any] | None = None,
+        **options: Any,
+    ):
+        super().__init__(
+            robots.tendon_arm(**(robot or {})),
+            num_steps,
+            goal_low=goal_low,
+            goal_high=goal_high,
+            **options,
+        )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -16,45 +17,53 @@ from diffsim.envs.task import Entry, Randomisation, Task, TaskState
 from diffsim.robots import SoftRobot
 
 _BODY = ("x", "v", "x_prev", "v_prev", "contact_force")
+MIN_UPRIGHT = 0.5  # of the upright axis's share along its old direction: a tilt of 60 degrees
 
 
 class SoftTask(Task):
     """A soft robot under commands to its muscles; what is rewarded, subclasses say.
 
+    Observed are the velocities of the sensors' nodes; on a floor also the height of the centre and
+    the mean deformation gradient (``SoftRobot.attitude``): how the robot lies and is stretched.
+
     Args:
         robot: Body, muscles, surroundings.
-        num_steps: Length of an episode in control steps, each one time step of the body.
-        start_speed: Standard deviation of the whole body's velocity at the start [m/s].
+        num_steps: Length of an episode in control steps.
+        substeps: Time steps of the body per control step.
+        start_speed: The episode begins with velocities linear in place, at random, as large as
+            this at the farthest nodes; the centre is at rest [m/s].
         current: Standard deviation of each component of the episode's current [m/s]; in water.
         action_delay, randomisation: As for every task; ``muscles`` (their stroke) and, in water,
             ``water`` (drag and thrust) may be randomised, per member of a batch.
+
+    An episode fails when the robot has an upright axis and tips over.
     """
 
-    randomisable = ("muscles", "water")
+    name = "SoftTask"
 
     def __init__(
         self,
         robot: SoftRobot,
         num_steps: int,
         *,
+        substeps: int = 1,
         start_speed: float = 0.0,
         current: float = 0.0,
         action_delay: int = 0,
         randomisation: Randomisation | None = None,
     ):
+        self.randomisable = ("muscles",) if robot.water is None else ("muscles", "water")
         super().__init__(action_delay=action_delay, randomisation=randomisation)
-        self.robot, self.dt = robot, robot.body.dt
-        self.max_steps = int(require_number("num_steps", num_steps, at_least=1))
+        self.robot = robot
+        self.substeps = _count("substeps", substeps)
+        self.dt = robot.body.dt * self.substeps
+        self.max_steps = _count("num_steps", num_steps)
         self.start_speed = require_number("start_speed", start_speed, at_least=0.0)
         self.current = require_number("current", current, at_least=0.0)
         if self.current and robot.water is None:
-            raise ValueError(f"current must be 0: {robot.name} is not in water")
+            raise ValueError(f"current must be 0: the {robot.name} is not in water")
         self.actions = tuple(Entry(name, -1.0, 1.0) for name in robot.command_names)
-        self.observations = tuple(
-            Entry(f"velocity {axis} of node {int(node)}", -math.inf, math.inf, "m/s")
-            for node in robot.sensors
-            for axis in "xyz"
-        )
+        self.observations = tuple(self._entries())
         shape = robot.body.mesh
         surface = (
             mesh.surface_quads(shape)
@@ -65,10 +74,15 @@ class SoftTask(Task):
         self._extent = float((robot.body.x_rest.amax(0) - robot.body.x_rest.amin(0)).max())
 
     def rest(self, batch: int, rng: np.random.Generator) -> TaskState:
-        """The rest shape, drifting as a whole."""
-        x = self.robot.body.x_rest.expand(batch, -1, -1).clone()
-        drift = torch.from_numpy(self.start_speed * rng.standard_normal((batch, 1, 3)))
-        state = {"x": x, "v": drift.expand_as(x).clone()}
+        """The rest shape, stirred a little."""
+        body = self.robot.body
+        x = body.x_rest.expand(batch, -1, -1).clone()
+        state = {"x": x, "v": torch.zeros_like(x)}
+        if self.start_speed:
+            away = body.x_rest - self.robot.centre(body.x_rest)
+            slope = torch.from_numpy(rng.standard_normal((batch, 3, 3)))
+            v = away @ slope * (self.start_speed / float(away.norm(dim=1).max()))
+            state["v"] = torch.where(body.fixed, torch.zeros_like(v), v)
         if self.robot.obstacles:
             state["contact_force"] = torch.zeros_like(x)
         if self.robot.water is not None:
@@ -76,45 +90,75 @@ class SoftTask(Task):
         return state
 
     def advance(self, state: TaskState, action: Tensor) -> TaskState:
-        """One time step of the body."""
-        given = {k: state[k] for k in _BODY if k in state}
+        """One control step."""
         command = action * self.factor(state, "muscles")[:, None]
         gain, current = None, state.get("current")
         if "random.water" in state:
             gain = state["random.water"][:, None, None]
-        after = self.robot.step(soft.State(**given), command, water_velocity=current, gain=gain)
-        out = {k: v for k, v in after._asdict().items() if v is not None and k in _BODY}
+        now = soft.State(**{k: state[k] for k in _BODY if k in state})
+        for _ in range(self.substeps):
+            now = self.robot.step(now, command, water_velocity=current, gain=gain)
+        out = {k: v for k, v in now._asdict().items() if v is not None and k in _BODY}
         if current is not None:
             out["current"] = current
         return out
 
     def observe(self, state: TaskState) -> Tensor:
-        """Velocities of the sensors' nodes."""
-        return state["v"][:, self.robot.sensors].flatten(1)
+        """Velocities of the sensors' nodes; on a floor also height and attitude."""
+        seen = state["v"][:, self.robot.sensors].flatten(1)
+        if not self.robot.obstacles:
+            return seen
+        height = self.robot.centre(state["x"])[:, 2:]
+        return torch.cat([seen, height, self.robot.attitude(state["x"]).flatten(1)], 1)
 
-    def velocity(self, state: TaskState) -> Tensor:
-        """Of the centre, (batch, 3) [m/s]."""
-        return self.robot.centre(state["v"])
+    def failed(self, state: TaskState) -> Tensor:
+        """Tipped over."""
+        axis = self.robot.upright_axis
+        if axis is None:
+            return super().failed(state)
+        return self.robot.attitude(state["x"])[:, axis, axis] < MIN_UPRIGHT
 
     def picture(self, state: TaskState, index: int) -> NDArray[np.uint8]:
         """The skin, the camera following the centre."""
         x = state["x"][index].detach()
-        ground = 0.0 if self.robot.obstacles else None
-        centre = self.robot.centre(x)
-        return body_picture(x, self._faces, centre=centre, reach=0.6 * self._extent, ground=ground)
+        return body_picture(
+            x,
+            self._faces,
+            centre=self.robot.centre(x),
+            reach=0.55 * self._extent,
+            ground=0.0 if self.robot.obstacles else None,
+            goal=state["goal"][index] if "goal" in state else None,
+        )
+
+    def _entries(self) -> list[Entry]:
+        inf = math.inf
+        out = [
+            Entry(f"velocity {axis} of node {int(node)}", -inf, inf, "m/s")
+            for node in self.robot.sensors
+            for axis in "xyz"
+        ]
+        if self.robot.obstacles:
+            out.append(Entry("height of the centre", -inf, inf, "m"))
+            out += [Entry(f"deformation {r}{c}", -inf, inf) for r in "xyz" for c in "xyz"]
+        return out
 
 
 class Advance(SoftTask):
-    """Move forward without drifting sideways: swim or walk.
+    """Move forward without drifting sideways: swim, walk or roll.
 
-    Reward per step: forward speed minus ``drift_weight`` times the speed across, both relative to
-    ``speed_scale`` (thesis 4.1.6: a weighted sum of forward and lateral velocities).
+    Reward per control step: the centre's mean forward speed minus ``drift_weight`` times its speed
+    across, plus ``rise_weight`` times its upward speed, all over ``speed_scale`` (thesis 4.1.6: a
+    weighted sum of forward and lateral velocities). Forward terms sum to the distance travelled.
+    On a floor, across is horizontal.
 
     Args:
         robot, num_steps, **options: As for ``SoftTask``.
         drift_weight: Of the speed across [-].
+        rise_weight: Of the upward speed [-]; 0.3 keeps the thesis's cow upright.
         speed_scale: A good speed of this robot [m/s]; only scales the reward.
     """
+
+    name = "Advance"
 
     def __init__(
         self,
@@ -122,48 +166,75 @@ class Advance(SoftTask):
         num_steps: int,
         *,
         drift_weight: float = 0.5,
+        rise_weight: float = 0.0,
         speed_scale: float = 0.1,
         **options: object,
     ):
         super().__init__(robot, num_steps, **options)  # type: ignore[arg-type]
         self.drift_weight = require_number("drift_weight", drift_weight, at_least=0.0)
+        self.rise_weight = require_number("rise_weight", rise_weight, at_least=0.0)
         self.speed_scale = require_number("speed_scale", speed_scale, above=0.0)
 
     def reward_terms(self, before: TaskState, action: Tensor, after: TaskState) -> TaskState:
-        """Forward and drift."""
-        velocity = self.velocity(after) / self.speed_scale
+        """Forward, drift and, if it counts, rise."""
+        moved = self.robot.centre(after["x"]) - self.robot.centre(before["x"])
+        velocity = moved / (self.dt * self.speed_scale)
         ahead = velocity @ self.robot.forward
         across = velocity - ahead[:, None] * self.robot.forward
+        if self.robot.obstacles:
+            across = across[:, :2]
         # smooth where there is no drift at all
         drift = (across.square().sum(-1) + 1e-4).sqrt() - 1e-2
-        return {"forward": ahead, "drift": -self.drift_weight * drift}
+        terms = {"forward": ahead, "drift": -self.drift_weight * drift}
+        if self.rise_weight:
+            terms["rise"] = self.rise_weight * velocity[:, 2]
+        return terms
 
 
 class Reach(SoftTask):
     """Bring a node to a goal, drawn anew for each episode.
 
-    Reward per step: minus the distance over ``reach``; observations are followed by the way from
-    node to goal.
+    Reward per control step: minus the distance over the robot's length, and minus a little effort.
+    Observations are followed by the way from node to goal.
 
     Args:
         robot, num_steps, **options: As for ``SoftTask``.
-        node: Which node.
-        reach: Goals lie within a box of half this width about the node at rest [m].
+        goal_low, goal_high: Corners of the box of goals, relative to the node at rest [m].
+        node: Which node; None: the robot's last sensor.
+        effort_weight: Of the mean squared command [-].
     """
 
+    name = "Reach"
+
     def __init__(
-        self, robot: SoftRobot, num_steps: int, *, node: int, reach: float, **options: object
+        self,
+        robot: SoftRobot,
+        num_steps: int,
+        *,
+        goal_low: Sequence[float],
+        goal_high: Sequence[float],
+        node: int | None = None,
+        effort_weight: float = 1e-3,
+        **options: object,
     ):
         super().__init__(robot, num_steps, **options)  # type: ignore[arg-type]
-        self.node, self.reach = node, require_number("reach", reach, above=0.0)
+        self.node = int(robot.sensors[-1]) if node is None else node
+        self.goal_low, self.goal_high = np.array(goal_low, float), np.array(goal_high, float)
+        ordered = self.goal_low.shape == self.goal_high.shape == (3,)
+        if not ordered or bool((self.goal_low > self.goal_high).any()):
+            raise ValueError(
+                "goal_low and goal_high must have three entries each, goal_low <= goal_high, got "
+                f"{list(goal_low)} and {list(goal_high)}"
+            )
+        self.effort_weight = require_number("effort_weight", effort_weight, at_least=0.0)
         self.observations += tuple(
-            Entry(f"goal {axis} from the tip", -math.inf, math.inf, "m") for axis in "xyz"
+            Entry(f"goal {axis} from node {self.node}", -math.inf, math.inf, "m") for axis in "xyz"
         )
 
     def rest(self, batch: int, rng: np.random.Generator) -> TaskState:
         """At rest, with a goal."""
         state = super().rest(batch, rng)
-        offset = torch.from_numpy(rng.uniform(-0.5, 0.5, (batch, 3))) * self.reach
+        offset = torch.from_numpy(rng.uniform(self.goal_low, self.goal_high, (batch, 3)))
         state["goal"] = self.robot.body.x_rest[self.node] + offset
         return state
 
@@ -177,6 +248,13 @@ class Reach(SoftTask):
 
     def reward_terms(self, before: TaskState, action: Tensor, after: TaskState) -> TaskState:
         """Distance and effort."""
-        away = (after["goal"] - after["x"][:, self.node]) / self.reach
+        away = (after["goal"] - after["x"][:, self.node]) / self._extent
         distance = (away.square().sum(-1) + 1e-4).sqrt() - 1e-2
-        return {"distance": -distance, "effort": -1e-3 * action.square().mean(-1)}
+        effort = self.effort_weight * action.square().mean(-1)
+        return {"distance": -distance, "effort": -effort}
+
+
+def _count(name: str, value: int) -> int:
+    if isinstance(value, bool) or value != int(value) or value < 1:
+        raise ValueError(f"{name} must be a whole number >= 1, got {value!r}")
+    return int(value)

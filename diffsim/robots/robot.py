@@ -28,7 +28,7 @@ class SoftRobot:
         forward: Unit vector along which it should move, (3,).
         water: What drags and pushes at it; None: it is in air.
         obstacles: What it stands on.
-        muscle_colors: Elements of every muscle, for pictures.
+        upright_axis: Which of its axes x, y, z (0-2) must not tip over; None: none must not.
     """
 
     name: str
@@ -39,6 +39,7 @@ class SoftRobot:
     forward: Tensor
     water: soft.Hydrodynamics | None = None
     obstacles: tuple[Obstacle, ...] = ()
+    upright_axis: int | None = None
 
     def __post_init__(self) -> None:
         want = (len(self.command_names), len(self.body.muscles.rest_activation))
@@ -86,6 +87,15 @@ class SoftRobot:
         weights = self.body.nodal_volume / self.body.nodal_volume.sum()
         return (weights[:, None] * x).sum(-2)
 
+    def attitude(self, x: Tensor) -> Tensor:
+        """Mean deformation gradient, (..., 3, 3) [-]: least squares fit of x to the rest shape.
+
+        Its columns are where the robot's axes point, stretched as the body is.
+        """
+        rest = self.body.x_rest - self.centre(self.body.x_rest)
+        weighted = (self.body.nodal_volume / self.body.nodal_volume.sum())[:, None] * rest
+        return x.mT @ weighted @ torch.linalg.inv(rest.T @ weighted)
+
 
 def spread_nodes(points: Tensor, count: int) -> Tensor:
     """``count`` nodes that lie far from one another (farthest-point sampling), (count,) int64."""
@@ -111,10 +121,8 @@ def antagonists(pairs: int, amplitude: float) -> Tensor:
     return drive
 
 
-def fibres(
-    shape: mesh.HexMesh, where: Tensor, direction: Sequence[float], stiffness: float
-) -> soft.Muscle:
-    """A muscle in the elements of a mask, along one direction."""
+def fibres(where: Tensor, direction: Tensor | Sequence[float], stiffness: float) -> soft.Muscle:
+    """A muscle in the elements of a mask; direction (3,) or one per element of it."""
     return soft.Muscle(
         elements=torch.nonzero(where)[:, 0], direction=direction, stiffness=stiffness
     )

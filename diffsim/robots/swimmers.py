@@ -1,67 +1,77 @@
 """Starfish and shark: the swimmers of thesis 4.1.6 at their sizes, with bodies of our own making.
 
-The thesis publishes numbers of elements and degrees of freedom, not meshes, lengths or materials;
-ours have nearly its numbers and are as large as explicit hydrodynamics asks for at 33 ms.
+The thesis publishes numbers of elements and degrees of freedom, not meshes, lengths or materials.
+Hydrodynamics is held over a step of 33 ms, which bounds speeds by thickness: the bodies are large,
+soft and slow. Both swim by a passive end: muscles bend the root of an arm or tail, its end follows
+late, and the wave that runs outward pushes water that way.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from diffsim import mesh, soft
 from diffsim.mesh.voxels import hex_from_mask
 from diffsim.robots.robot import SoftRobot, antagonists, element_centres, fibres, spread_nodes
 
 DT = 1.0 / 30.0  # [s]
+HALF_WIDTH, LENGTH, HALF_THICKNESS = 2.5, 18.0, 2.0  # of the starfish's arms [cells]
+# Min et al. 2019, but zero where a face turns edge-on: the force does not jump there, so that
+# gradients of an episode are those of a continuous function
+DRAG, THRUST = (0.0, 0.05, 1.85, 2.05), (-0.8, -2.0 / 3.0, 0.1, 2.5)
 DENSITY = 1000.0  # of body and water [kg/m^3]: weight and buoyancy cancel
 
 
 def starfish(
     *,
-    cell: float = 0.03,
-    refine: int = 1,
+    cell: float = 0.08,
     coarse: bool = False,
     dt: float = DT,
-    youngs_modulus: float = 5e5,
-    amplitude: float = 0.3,
+    youngs_modulus: float = 3e5,
+    amplitude: float = 0.15,
+    droop: float = 0.6,
     num_sensors: int = 137,
     rtol: float = 1e-3,
 ) -> SoftRobot:
-    """Four arms around a square, lying flat; it should rise.
+    """Four tapering arms that hang down around a square; it should rise.
 
-    Each arm has a lower and an upper layer of fibres along it, driven by one command: +1 shortens
-    the lower one, so the arm bends down.
+    The inner part of each arm has a lower and an upper layer of fibres along it, driven by one
+    command: +1 shortens the lower one, so the arm bends down.
 
     Args:
-        cell: Edge of an element [m].
-        refine: Whole factor on the resolution.
-        coarse: Two layers, arms of nine cells: an eighth of the elements, for quick trials.
+        cell: Edge of an element at the middle [m].
+        coarse: Cells of twice the edge, an eighth of the elements: for quick trials.
         dt: Time step [s].
         youngs_modulus: [Pa].
         amplitude: Largest contraction of a muscle [-].
+        droop: Slope of the arms' ends at rest [rad].
         num_sensors: Velocity sensors; 137 give the 411 inputs of the thesis's network.
         rtol: Of a step.
     """
-    wide, long, thick = (3, 9, 2) if coarse else (5, 18, 4)
-    cell = cell * (2.0 if coarse else 1.0) / refine
-    wide, long, thick = wide * refine, long * refine, thick * refine
+    wide, long, thick = (2, 9, 2) if coarse else (5, 18, 4)
     n = wide + 2 * long
     inside = np.zeros((n, n, thick), dtype=bool)
     inside[long : long + wide] = True
     inside[:, long : long + wide] = True
-    origin = np.array([-0.5 * n * cell, -0.5 * n * cell, 0.0])
-    shape = hex_from_mask(inside, origin, cell, "largest")
-    centre = element_centres(shape)
-    half, layer = 0.5 * wide * cell, thick * cell / 4.0 if not coarse else thick * cell / 2.0
+    grid = hex_from_mask(inside, np.array([-0.5 * n, -0.5 * n, -0.5 * thick]), 1.0, "largest")
+    counts = (wide, long, thick)
+    centre = element_centres(grid)
+    x, _ = _droop(grid.x_rest, counts, droop)
+    _, slope = _droop(centre, counts, droop)
+    shape = mesh.HexMesh(cell * x, grid.hexes)
+    # the coarse layer is twice as thick, its lever two thirds as long
+    stiffness = (1.5 if coarse else 2.0) * youngs_modulus
     muscles, names = [], []
     for axis, sign in ((0, 1.0), (1, 1.0), (0, -1.0), (1, -1.0)):
-        along = sign * centre[:, axis] > half
-        direction = [0.0, 0.0, 0.0]
-        direction[axis] = 1.0
-        for low in (True, False):
-            height = centre[:, 2] if low else thick * cell - centre[:, 2]
-            muscles.append(fibres(shape, along & (height < layer), direction, 4.0 * youngs_modulus))
+        along = sign * centre[:, axis] - 0.5 * wide
+        root = (along > 0.0) & (along < 0.6 * long)
+        direction = torch.zeros_like(centre)
+        direction[:, axis], direction[:, 2] = sign * torch.cos(slope), -torch.sin(slope)
+        for side in (-1.0, 1.0):
+            layer = root & (side * centre[:, 2] > 0.25 * thick - 1e-9)
+            muscles.append(fibres(layer, direction[layer], stiffness))
         names.append(f"bend arm {'+-'[sign < 0]}{'xy'[axis]} down")
     return _swimmer(
         "starfish",
@@ -72,54 +82,79 @@ def starfish(
         dt=dt,
         youngs_modulus=youngs_modulus,
         amplitude=amplitude,
+        added=torch.ones(shape.num_vertices, dtype=torch.float64),
         num_sensors=num_sensors,
         rtol=rtol,
     )
 
 
+def _droop(points: Tensor, counts: tuple[int, int, int], droop: float) -> tuple[Tensor, Tensor]:
+    """Grid of a cross to arms on arcs, in units of ``cell``; also the slope at every point.
+
+    The upper side is a roof, the lower one is flat: it meets the water broadside, so that a stroke
+    down pushes harder than the same stroke up.
+    """
+    wide, long, thick = counts
+    out = torch.zeros_like(points)
+    slope = torch.zeros(len(points), dtype=torch.float64)
+    out[:, :2] = points[:, :2] * HALF_WIDTH / (0.5 * wide)
+    level = points[:, 2] * HALF_THICKNESS / (0.5 * thick)
+    out[:, 2] = level
+    for axis in (0, 1):
+        arm = points[:, axis].abs() > 0.5 * wide
+        share = (points[arm, axis].abs() - 0.5 * wide) / long
+        taper = 1.0 - 0.5 * share**1.5
+        across = out[arm, 1 - axis] / HALF_WIDTH
+        roof = torch.where(level[arm] > 0.0, 1.0 - 0.8 * across**2, 1.0)
+        height = level[arm] * roof * taper
+        angle, radius = droop * share, LENGTH / droop
+        along = HALF_WIDTH + (radius + height) * torch.sin(angle)
+        out[arm, axis] = points[arm, axis].sign() * along
+        out[arm, 1 - axis] *= taper
+        out[arm, 2] = height * torch.cos(angle) - radius * (1.0 - torch.cos(angle))
+        slope[arm] = angle
+    return out, slope
+
+
 def shark(
     *,
-    cell: float = 0.04,
+    length: float = 4.0,
     coarse: bool = False,
     dt: float = DT,
-    youngs_modulus: float = 1e6,
-    amplitude: float = 0.3,
+    youngs_modulus: float = 3e5,
+    amplitude: float = 0.15,
     num_sensors: int = 95,
     rtol: float = 1e-3,
 ) -> SoftRobot:
-    """A body tapering into a tail with a fin; it should swim along +x.
+    """A spindle with back, breast and tail fins; it should swim along +x.
 
     Fibres along the left and the right of the tail are driven by one command.
 
     Args:
-        cell: Edge of an element [m].
-        coarse: Cells of twice the edge, for quick trials.
+        length: From nose to tail [m].
+        coarse: Cells of about twice the edge, for quick trials.
         dt: Time step [s].
         youngs_modulus: [Pa].
         amplitude: Largest contraction of a muscle [-].
         num_sensors: Velocity sensors; 95 give the 285 inputs of the thesis's network.
         rtol: Of a step.
     """
-    edge = cell * (2.0 if coarse else 1.0)
-    length, n = 52 * cell, round(52 * cell / edge)
-    wide = 2 * round(4 * cell / edge)
-    tall = 2 * round(8 * cell / edge)
-    ticks = [
-        (np.arange(n) + 0.5) * edge - length,
-        (np.arange(wide) + 0.5 - wide / 2) * edge,
-        (np.arange(tall) + 0.5 - tall / 2) * edge,
-    ]
-    x, y, z = np.meshgrid(*ticks, indexing="ij")
-    inside = _shark_inside(-x / length, np.abs(y), z, cell)
-    origin = np.array([-length, -0.5 * wide * edge, -0.5 * tall * edge])
-    shape = hex_from_mask(inside, origin, edge, "largest")
-    centre = element_centres(shape)
-    share = -centre[:, 0] / length
-    tail = (share > 0.5) & (share < 0.9) & (centre[:, 2].abs() < 2.5 * cell)
-    muscles = [
-        fibres(shape, tail & (side * centre[:, 1] > 0.0), (1.0, 0.0, 0.0), 2.0 * youngs_modulus)
-        for side in (1.0, -1.0)
-    ]
+    n, wide, tall, fin = (16, 4, 4, 2) if coarse else (44, 6, 8, 6)
+    inside = _shark_cells(n, wide, tall, fin)
+    origin = np.array([0.0, -0.5 * inside.shape[1], -0.5 * inside.shape[2]])
+    grid = hex_from_mask(inside, origin, 1.0, "largest")
+    counts = torch.tensor([n, 0.5 * wide, 0.5 * tall], dtype=torch.float64)
+    u = grid.x_rest / counts
+    shape = mesh.HexMesh(length * _spindle(u, fin / counts[1:]), grid.hexes)
+    middle = element_centres(grid) / counts
+    share, side, up = middle.unbind(1)
+    tail = (share > 0.4) & (share < 0.8) & (up.abs() < 1.0)
+    muscles = []
+    for sign in (-1.0, 1.0):  # the grid's second axis is -y
+        layer = tail & (sign * side > 0.5)
+        muscles.append(fibres(layer, (1.0, 0.0, 0.0), 2.0 * youngs_modulus))
+    added = torch.ones(shape.num_vertices, dtype=torch.float64)
+    added[(u[:, 1:].abs() > 1.0).any(1) | (u[:, 0] > 0.86)] = 4.0  # plates: pi w / (4 t)
     return _swimmer(
         "shark",
         shape,
@@ -129,26 +164,42 @@ def shark(
         dt=dt,
         youngs_modulus=youngs_modulus,
         amplitude=amplitude,
+        added=added,
         num_sensors=num_sensors,
         rtol=rtol,
     )
 
 
-def _shark_inside(share: np.ndarray, y: np.ndarray, z: np.ndarray, cell: float) -> np.ndarray:
-    """Body of revolution, thin tail, fins; ``share`` is the distance from the nose over length."""
-    radius = (
-        4.2
-        * cell
-        * np.sqrt(np.clip(share / 0.25, 0.0, 1.0))
-        * np.clip(1.35 - share * 1.25, 0.3, 1.0)
+def _shark_cells(n: int, wide: int, tall: int, fin: int) -> np.ndarray:
+    """Cells (n, wide + 2 fin, tall + 2 fin) of the body and of fins on it, two cells thick."""
+    inside = np.zeros((n, wide + 2 * fin, tall + 2 * fin), dtype=bool)
+    across, up = slice(fin, fin + wide), slice(fin, fin + tall)
+    thin = slice(fin + wide // 2 - 1, fin + wide // 2 + 1)
+    low = slice(fin + tall // 4, fin + tall // 4 + 2)
+    inside[:, across, up] = True
+    inside[round(0.87 * n) :, thin] = True  # tail
+    inside[round(0.4 * n) : round(0.54 * n), thin, fin + tall : -(fin // 3)] = True  # back
+    inside[round(0.26 * n) : round(0.38 * n), fin // 3 : -(fin // 3), low] = True  # breast
+    return inside
+
+
+def _spindle(u: Tensor, reach: Tensor) -> Tensor:
+    """Grid to shark over its length: u is 0..1 from the nose, -1..1 across, beyond +-1 a fin."""
+    share, y, z = u.unbind(1)
+    # fattest at 0.3; the peduncle before the tail fin is thin but high
+    front = (1.0 - 0.85 * (1.0 - (share / 0.3).clamp(max=1.0)) ** 2).sqrt()
+    slim = ((share - 0.3) / 0.6).clamp(0.0, 1.0) ** 1.3
+    thick, high = 0.08 * front * (1.0 - 0.65 * slim), 0.1 * front * (1.0 - 0.6 * slim)
+    side, level = y.clamp(-1.0, 1.0), z.clamp(-1.0, 1.0)
+    # square to nearly a disc, which keeps corners of hexahedra below 180 degrees
+    across = thick * side * (1.0 - 0.4 * level**2).sqrt()
+    up = high * level * (1.0 - 0.4 * side**2).sqrt()
+    beyond = (torch.stack([y.abs(), z.abs()], 1) - 1.0).clamp(min=0.0) / reach
+    span = torch.where(share > 0.8, 0.14, 0.12)[:, None] * beyond
+    sweep = 0.09 * beyond.sum(1)
+    return torch.stack(
+        [-share - sweep, -across - span[:, 0] * y.sign(), up + span[:, 1] * z.sign()], 1
     )
-    body = (y / np.maximum(np.minimum(radius, 3.6 * cell), cell)) ** 2 + (z / radius) ** 2 < 1.0
-    body |= (share > 0.6) & (y < cell) & (np.abs(z) < 2.0 * cell)
-    fork = 2.0 * cell + (share - 0.86) / 0.14 * 6.0 * cell
-    tail_fin = (share > 0.86) & (y < cell) & (np.abs(z) < fork)
-    back_fin = (share > 0.36) & (share < 0.5) & (y < cell) & (z > 0.0)
-    back_fin &= z < 3.0 * cell + (share - 0.36) / 0.14 * 4.0 * cell
-    return body | tail_fin | back_fin
 
 
 def _swimmer(
@@ -161,20 +212,23 @@ def _swimmer(
     dt: float,
     youngs_modulus: float,
     amplitude: float,
+    added: Tensor,
     num_sensors: int,
     rtol: float,
 ) -> SoftRobot:
-    water = soft.Hydrodynamics(shape, density=DENSITY).requires_grad_(False)
+    water = soft.Hydrodynamics(
+        shape, density=DENSITY, drag_coefficients=DRAG, thrust_coefficients=THRUST
+    ).requires_grad_(False)
     body = soft.SoftBody(
         shape,
         dt=dt,
         youngs_modulus=youngs_modulus,
-        poissons_ratio=0.45,
+        poissons_ratio=0.4,
         density=DENSITY,
         gravity=(0.0, 0.0, 0.0),
         muscles=muscles,
-        added_mass=soft.added_mass(water, 1.0),
-        solver=soft.SolverOptions(rtol=rtol),
+        added_mass=soft.added_mass(water, added),
+        solver=soft.SolverOptions(method="newton_pcg", rtol=rtol),
     )
     return SoftRobot(
         name=name,
