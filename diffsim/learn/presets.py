@@ -1,0 +1,107 @@
+"""What ``rl/compare.py`` runs: tasks, budgets and the options that the search may choose from.
+
+Every method may try as many candidates, each for half of a compared run's budget, on one seed that
+no compared run uses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from diffsim._check import require_choice
+from diffsim.learn.methods import Plan
+from diffsim.learn.setup import Setup
+
+_Candidates = dict[str, tuple[dict[str, Any], ...]]
+_COPTER: _Candidates = {
+    "gradient": (
+        {"batch": 16, "horizon": 50, "learning_rate": 3e-3},
+        {"batch": 16, "horizon": 50, "learning_rate": 1e-2},
+        {"batch": 16, "horizon": 100, "learning_rate": 1e-2},
+    ),
+    "shac": (
+        {"batch": 16, "window": 16, "actor_rate": 3e-3},
+        {"batch": 16, "window": 16, "actor_rate": 1e-2},
+        {"batch": 16, "window": 32, "actor_rate": 1e-2},
+    ),
+    "ppo": (
+        {"envs": 16, "rollout": 128, "learning_rate": 3e-4},
+        {"envs": 16, "rollout": 128, "learning_rate": 1e-3},
+        {"envs": 16, "rollout": 64, "learning_rate": 1e-3, "exploration": 0.3},
+    ),
+}
+_SWIM: _Candidates = {
+    "gradient": (
+        {"batch": 2, "learning_rate": 3e-3},
+        {"batch": 2, "learning_rate": 1e-2},
+        {"batch": 2, "learning_rate": 1e-2, "cut_every": 50},
+    ),
+    "shac": (
+        {"batch": 8, "window": 16, "actor_rate": 3e-3},
+        {"batch": 8, "window": 32, "actor_rate": 3e-3},
+        {"batch": 8, "window": 32, "actor_rate": 1e-2},
+    ),
+    "ppo": (
+        {"envs": 16, "rollout": 128, "learning_rate": 3e-4},
+        {"envs": 16, "rollout": 128, "learning_rate": 1e-3},
+        {"envs": 16, "rollout": 128, "learning_rate": 3e-4, "exploration": 1.0},
+    ),
+}
+
+
+def _copter(task: str, scale: float) -> Plan:
+    steps = {"gradient": int(48_000 * scale), "shac": int(48_000 * scale)}
+    setup = Setup(task, step_cost=4.4)
+    return Plan(setup, steps | {"ppo": int(128_000 * scale)}, _COPTER)
+
+
+def _swim(task: str, *, coarse: bool, scale: float) -> Plan:
+    options = {"robot": {"coarse": coarse}}
+    setup = Setup(task, options, evaluation_episodes=4)
+    steps = {"gradient": int(16_000 * scale), "shac": int(16_000 * scale)}
+    return Plan(setup, steps | {"ppo": int(64_000 * scale)}, _SWIM)
+
+
+def _quick() -> dict[str, Plan]:
+    setup = Setup("CopterHover", {"seconds": 0.4}, evaluation_episodes=4, warm_up=10)
+    candidates: _Candidates = {
+        "gradient": ({"batch": 4}, {"batch": 4, "learning_rate": 1e-2}),
+        "shac": ({"batch": 4, "window": 8}, {"batch": 4, "window": 4}),
+        "ppo": (
+            {"envs": 4, "rollout": 32, "minibatch": 64},
+            {"envs": 8, "rollout": 16, "minibatch": 64},
+        ),
+    }
+    steps = {"gradient": 640, "shac": 640, "ppo": 1280}
+    return {"CopterHover": Plan(setup, steps, candidates, seeds=(0, 1), ratings=4)}
+
+
+def _coarse() -> dict[str, Plan]:
+    return {
+        "CopterHover": _copter("CopterHover", 1.0),
+        "StarfishSwim": _swim("StarfishSwim", coarse=True, scale=1.0),
+        "SharkSwim": _swim("SharkSwim", coarse=True, scale=1.0),
+    }
+
+
+def _thesis() -> dict[str, Plan]:
+    """7,026 and 9,921 degrees of freedom; about 40,000 gradient and a million PPO steps a run."""
+    return {
+        "CopterHover": _copter("CopterHover", 8.0),
+        "CopterTrack": _copter("CopterTrack", 8.0),
+        "StarfishSwim": _swim("StarfishSwim", coarse=False, scale=2.5),
+        "SharkSwim": _swim("SharkSwim", coarse=False, scale=2.5),
+    }
+
+
+PRESETS: dict[str, Callable[[], dict[str, Plan]]] = {
+    "quick": _quick,
+    "coarse": _coarse,
+    "thesis": _thesis,
+}
+
+
+def preset(name: str) -> dict[str, Plan]:
+    """Plans by task."""
+    return PRESETS[require_choice("preset", name, PRESETS)]()
