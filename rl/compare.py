@@ -35,9 +35,7 @@ def report(task: str, plan: Plan, folder: Path, images: Path, *, quality: bool) 
     comparison_figure(images / f"learning_{task}.png", task, runs, scale)
     tables = [comparison.table(task, summary)]
     if quality:
-        horizons = [h for h in (5, 10, 25, 50, 100, 200) if h <= plan.setup.make_task().max_steps]
-        measured = comparison.quality_of(plan, folder, horizons)
-        tables.append(comparison.quality_table(task, measured))
+        tables.append(comparison.quality_table(task, comparison.quality_of(plan, folder)))
     return "\n\n".join(tables) + "\n"
 
 
@@ -63,7 +61,10 @@ def main(argv: Sequence[str] | None = None) -> None:
             continue
         folder = args.out / args.preset / task
         if not args.report:
-            comparison.run_all(plan, folder, methods=args.methods, seeds=args.seeds)
+            try:
+                comparison.run_all(plan, folder, methods=args.methods, seeds=args.seeds)
+            except KeyboardInterrupt:
+                raise SystemExit(130) from None
         text = report(task, plan, folder, args.images or folder, quality=not args.no_quality)
         if text is not None:
             write_text_atomic(folder / "report.md", text)

@@ -23,6 +23,7 @@ AXES = {
     "forward_equivalents": "forward-equivalents",
 }
 Runs = dict[str, dict[int, list[Row]]]
+HORIZONS = (5, 10, 25, 50, 100, 200)  # of gradient quality
 GOAL = 0.9  # of the final gradient result
 
 
@@ -98,7 +99,7 @@ def summarise(runs: Runs, scale: Scale) -> list[Row]:
     return out
 
 
-def quality_of(plan: Plan, folder: Path, horizons: Sequence[int]) -> dict[str, list[Row]]:
+def quality_of(plan: Plan, folder: Path) -> dict[str, list[Row]]:
     """Gradient quality at the first controller and at a trained one; kept in ``quality.json``."""
     path = folder / "quality.json"
     if path.exists():
@@ -106,11 +107,13 @@ def quality_of(plan: Plan, folder: Path, horizons: Sequence[int]) -> dict[str, l
         return kept
     task, seed = plan.setup.make_task(), plan.seeds[0]
     controller = first_controller(task, seed, plan.setup.warm_up)
-    out = {"untrained": gradient_quality(task, controller, horizons)}
+    horizons = [h for h in HORIZONS if h <= task.max_steps]
+    options = {"horizons": horizons} | dict(plan.quality)
+    out = {"untrained": gradient_quality(task, controller, **options)}
     run = folder / "gradient" / f"seed_{seed}"
     if (run / CHECKPOINT).exists():
         load_controller(run, controller)
-        out["trained"] = gradient_quality(task, controller, horizons)
+        out["trained"] = gradient_quality(task, controller, **options)
     write_json_atomic(path, out)
     return out
 
@@ -126,9 +129,11 @@ def table(task: str, summary: list[Row]) -> str:
         places = [r[f"{axis}_to_goal"] for axis in AXES]
         cells = [f"{p:,.3g}" if p < 100 else f"{p:,.0f}" for p in places]
         cells = [c if math.isfinite(p) else "-" for c, p in zip(cells, places, strict=True)]
+        missing = r["runs"] - r["finished"]
+        unfinished = f" ({missing} unfinished)" if missing else ""
         lines.append(
             f"| {r['method']} | {r['final']:.2f} ({r['low']:.2f} to {r['high']:.2f}) | "
-            f"{r['reached']} of {r['runs']} | {' | '.join(cells)} | "
+            f"{r['reached']} of {r['runs']}{unfinished} | {' | '.join(cells)} | "
             f"{r['budget_steps']:,}, {r['budget_seconds']:.0f} |"
         )
     return "\n".join(lines)

@@ -29,7 +29,7 @@ def comparison_figure(path: Path, title: str, runs: Runs, scale: Scale) -> Path:
     """Normalised reward against steps, seconds and forward-equivalents; written as PNG.
 
     Lines are interquartile means over runs, bands 95 % bootstrap intervals. A line ends where the
-    first of its runs does.
+    median of its runs does; runs that ended before hold their last reward.
     """
     figure_module = optional("matplotlib.figure", purpose="a figure")
     figure = figure_module.Figure(figsize=(10.5, 3.6), layout="constrained", facecolor="white")
@@ -59,7 +59,7 @@ def comparison_figure(path: Path, title: str, runs: Runs, scale: Scale) -> Path:
 def _curve(ax: Axes, axis: str, method: str, runs: list, scale: Scale) -> None:
     name, colour = LOOK[method]
     first = min(rows[1][axis] for rows in runs if len(rows) > 1)
-    last = min(rows[-1][axis] for rows in runs)
+    last = float(np.median([rows[-1][axis] for rows in runs]))
     at = np.geomspace(max(first, 1e-3), max(last, first), NUM_PLACES)
     values = scale(np.stack([held(rows, axis, at) for rows in runs]))
     low, high = bootstrap_interval(values, resamples=500)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,10 @@ import numpy as np
 
 from diffsim._check import require_choice
 from diffsim._files import write_json_atomic
+from diffsim.learn.gradient import BadGradients, GradientLearner, GradientOptions
 from diffsim.learn.run import Learner, is_finished, read_rows, train
-from diffsim.learn.setup import Setup
+from diffsim.learn.setup import Setup, broke_down
+from diffsim.learn.shac import ShacLearner, ShacOptions
 
 Options = Mapping[str, Any]
 METHODS = ("gradient", "shac", "ppo")
@@ -30,14 +32,10 @@ def make_learner(method: str, setup: Setup, options: Options) -> Learner:
     """
     require_choice("method", method, METHODS)
     if method == "gradient":
-        from diffsim.learn.gradient import GradientLearner, GradientOptions
-
         return GradientLearner(setup, GradientOptions(**options))
     if method == "shac":
-        from diffsim.learn.shac import ShacLearner, ShacOptions
-
         return ShacLearner(setup, ShacOptions(**options))
-    from diffsim.learn.ppo import PpoLearner, PpoOptions
+    from diffsim.learn.ppo import PpoLearner, PpoOptions  # needs stable-baselines3
 
     return PpoLearner(setup, PpoOptions(**options))
 
@@ -48,23 +46,25 @@ class Plan:
 
     Attributes:
         setup: Task; seed and budget are set per run.
-        steps: Budget of simulation steps by method.
+        steps: Budget of simulation steps of a compared run, by method.
+        tuning_steps: The same of a candidate's run.
         candidates: Options among which the search chooses, by method; as many for each.
         seeds: Of the compared runs.
         ratings: Per run, spread evenly over its budget.
-        tuning_share: Budget of a candidate's run over that of a compared one.
+        quality: Of ``gradient_quality``, where it differs from the defaults.
     """
 
     setup: Setup
     steps: Mapping[str, int]
+    tuning_steps: Mapping[str, int]
     candidates: Mapping[str, Sequence[Options]]
     seeds: Sequence[int] = (0, 1, 2, 3, 4)
     ratings: int = 10
-    tuning_share: float = 0.5
+    quality: Options = field(default_factory=dict)
 
-    def run_setup(self, method: str, seed: int, share: float = 1.0) -> Setup:
-        """Of one run."""
-        steps = int(self.steps[method] * share)
+    def run_setup(self, method: str, seed: int) -> Setup:
+        """Of one run; the search's are those of ``TUNING_SEED``."""
+        steps = (self.tuning_steps if seed == TUNING_SEED else self.steps)[method]
         every = max(1, steps // self.ratings)
         return dataclasses.replace(self.setup, seed=seed, steps=steps, evaluate_every=every)
 
@@ -87,7 +87,7 @@ def tune(plan: Plan, method: str, folder: Path, *, show: bool = True) -> Options
     record: list[dict[str, Any]] = []
     for k, options in enumerate(candidates):
         run = folder / "tuning" / method / f"candidate_{k}"
-        setup = plan.run_setup(method, TUNING_SEED, plan.tuning_share)
+        setup = plan.run_setup(method, TUNING_SEED)
         error = train_once(setup, method, options, run, show=show)
         rows = read_rows(run)
         score = float(np.mean([r["reward"] for r in rows[-2:]])) if rows else float("nan")
@@ -117,7 +117,9 @@ def train_once(
         return None
     try:
         train(setup, make_learner(method, setup, options), folder, resume=True, show=show)
-    except RuntimeError as error:  # a simulator or method that gives up
+    except (ArithmeticError, RuntimeError, ValueError) as error:
+        if not (isinstance(error, BadGradients) or broke_down(error)):
+            raise  # a mistake, not a result
         failure.parent.mkdir(parents=True, exist_ok=True)
         failure.write_text(f"{type(error).__name__}: {error}")
         return failure.read_text()

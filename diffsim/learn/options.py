@@ -92,7 +92,10 @@ def main_training(
     folder = args.out or Path("runs") / setup.task / method / f"seed_{setup.seed}"
     chosen: Any = options_from(options, args, **(quick if args.quick else {}))
     made: Learner = learner(setup, chosen)
-    run = train(setup, made, folder, resume=args.resume)
+    try:
+        run = train(setup, made, folder, resume=args.resume)
+    except KeyboardInterrupt:
+        raise SystemExit(130) from None
     last = run.rows[-1]
     print(
         f"{setup.task}, {method}, seed {setup.seed}: reward {run.rows[0]['reward']:.4g} -> "

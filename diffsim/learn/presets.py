@@ -1,7 +1,7 @@
 """What ``rl/compare.py`` runs: tasks, budgets and the options that the search may choose from.
 
-Every method may try as many candidates, each for half of a compared run's budget, on one seed that
-no compared run uses.
+Every method may try as many candidates, one run each on a seed that no compared run uses. Runs
+without gradients may take more steps, as their steps are cheaper and they need more.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ _COPTER: _Candidates = {
         {"envs": 16, "rollout": 64, "learning_rate": 1e-3, "exploration": 0.3},
     ),
 }
+_SWIM_QUALITY = {"horizons": (5, 10, 25, 50, 100), "episodes": 2, "directions": 8}
 _SWIM: _Candidates = {
     "gradient": (
         {"batch": 2, "learning_rate": 3e-3},
@@ -51,16 +52,20 @@ _SWIM: _Candidates = {
 
 
 def _copter(task: str, scale: float) -> Plan:
-    steps = {"gradient": int(48_000 * scale), "shac": int(48_000 * scale)}
-    setup = Setup(task, step_cost=4.4)
-    return Plan(setup, steps | {"ppo": int(128_000 * scale)}, _COPTER)
+    steps = {"gradient": 24_000, "shac": 48_000, "ppo": 80_000}
+    tuning = {"gradient": 24_000, "shac": 24_000, "ppo": 64_000}
+    return Plan(Setup(task, step_cost=4.4), _times(scale, steps), _times(scale, tuning), _COPTER)
 
 
-def _swim(task: str, *, coarse: bool, scale: float) -> Plan:
+def _swim(task: str, *, coarse: bool, steps: int, ppo_steps: int) -> Plan:
     options = {"robot": {"coarse": coarse}}
     setup = Setup(task, options, evaluation_episodes=4)
-    steps = {"gradient": int(16_000 * scale), "shac": int(16_000 * scale)}
-    return Plan(setup, steps | {"ppo": int(64_000 * scale)}, _SWIM)
+    budget = {"gradient": steps, "shac": steps, "ppo": ppo_steps}
+    return Plan(setup, budget, _times(0.5, budget), _SWIM, quality=_SWIM_QUALITY)
+
+
+def _times(scale: float, steps: dict[str, int]) -> dict[str, int]:
+    return {method: int(count * scale) for method, count in steps.items()}
 
 
 def _quick() -> dict[str, Plan]:
@@ -74,24 +79,25 @@ def _quick() -> dict[str, Plan]:
         ),
     }
     steps = {"gradient": 640, "shac": 640, "ppo": 1280}
-    return {"CopterHover": Plan(setup, steps, candidates, seeds=(0, 1), ratings=4)}
+    plan = Plan(setup, steps, _times(0.5, steps), candidates, seeds=(0, 1), ratings=4)
+    return {"CopterHover": plan}
 
 
 def _coarse() -> dict[str, Plan]:
     return {
         "CopterHover": _copter("CopterHover", 1.0),
-        "StarfishSwim": _swim("StarfishSwim", coarse=True, scale=1.0),
-        "SharkSwim": _swim("SharkSwim", coarse=True, scale=1.0),
+        "StarfishSwim": _swim("StarfishSwim", coarse=True, steps=16_000, ppo_steps=64_000),
+        "SharkSwim": _swim("SharkSwim", coarse=True, steps=16_000, ppo_steps=64_000),
     }
 
 
 def _thesis() -> dict[str, Plan]:
-    """7,026 and 9,921 degrees of freedom; about 40,000 gradient and a million PPO steps a run."""
+    """7,026 and 9,921 degrees of freedom; 40,000 steps with and 800,000 without gradients a run."""
     return {
         "CopterHover": _copter("CopterHover", 8.0),
         "CopterTrack": _copter("CopterTrack", 8.0),
-        "StarfishSwim": _swim("StarfishSwim", coarse=False, scale=2.5),
-        "SharkSwim": _swim("SharkSwim", coarse=False, scale=2.5),
+        "StarfishSwim": _swim("StarfishSwim", coarse=False, steps=40_000, ppo_steps=800_000),
+        "SharkSwim": _swim("SharkSwim", coarse=False, steps=40_000, ppo_steps=800_000),
     }
 
 

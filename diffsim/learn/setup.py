@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,6 +16,7 @@ from diffsim.envs.registry import make_task
 from diffsim.envs.rollout import Controller, rollout_task
 from diffsim.envs.task import Task
 from diffsim.envs.vector_env import TaskVectorEnv
+from diffsim.errors import DiffsimError
 
 EVALUATION_SEED = 20_000  # of the starts that rate controllers; no run trains with it
 WARM_UP_ENVS, WARM_UP_HOLD = 8, 5
@@ -100,8 +102,6 @@ def broke_down(error: BaseException) -> bool:
     The simulators refuse to go on from NaN (ValueError "... must be finite ...") and raise
     ``DiffsimError`` where a solve fails.
     """
-    from diffsim.errors import DiffsimError
-
     return isinstance(error, DiffsimError | ArithmeticError) or "must be finite" in str(error)
 
 
@@ -117,8 +117,6 @@ def untrained_reward(setup: Setup, networks: int = 16) -> float:
 
 def gradient_step_cost(setup: Setup, *, batch: int, steps: int = 20, repeats: int = 3) -> float:
     """CPU time of a step and its gradient over that of a step alone: its forward-equivalents."""
-    import time
-
     task = setup.make_task()
     controller = first_controller(task, 0, setup.warm_up)
     start = task.start(batch, np.random.default_rng(0))

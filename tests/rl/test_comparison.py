@@ -17,6 +17,7 @@ pytest.importorskip("matplotlib", reason="the comparison draws a figure")
 
 from diffsim.envs.registry import make_task
 from diffsim.learn import comparison, methods, presets
+from diffsim.learn.gradient import BadGradients
 from diffsim.learn.methods import Plan, train_once, tune
 from diffsim.learn.quality import gradient_quality
 from diffsim.learn.setup import Setup, first_controller
@@ -114,7 +115,7 @@ def test_gradient_quality_differentiates_the_mean_over_episodes() -> None:
 def tiny_plan() -> Plan:
     setup = Setup("CopterHover", {"seconds": 0.2}, evaluation_episodes=2, warm_up=5)
     candidates = {"gradient": ({"batch": 4}, {"batch": 4, "learning_rate": 1e-2})}
-    return Plan(setup, {"gradient": 160}, candidates, seeds=(0,), ratings=2)
+    return Plan(setup, {"gradient": 160}, {"gradient": 80}, candidates, seeds=(0,), ratings=2)
 
 
 def test_the_search_is_recorded_and_nothing_runs_twice(
@@ -130,20 +131,35 @@ def test_the_search_is_recorded_and_nothing_runs_twice(
 
 def test_a_run_that_dies_is_a_result(tmp_path: Path) -> None:
     def dead(*args: object, **options: object) -> None:
-        raise RuntimeError("no gradient")
+        raise BadGradients("3 updates")
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(methods, "train", dead)
         setup = tiny_plan().run_setup("gradient", 0)
-        assert train_once(setup, "gradient", {"batch": 4}, tmp_path) == "RuntimeError: no gradient"
-    assert train_once(setup, "gradient", {"batch": 4}, tmp_path) == "RuntimeError: no gradient"
+        assert train_once(setup, "gradient", {"batch": 4}, tmp_path) == "BadGradients: 3 updates"
+    assert train_once(setup, "gradient", {"batch": 4}, tmp_path) == "BadGradients: 3 updates"
+
+
+def test_a_mistake_is_not_a_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def mistaken(*args: object, **options: object) -> None:
+        raise RuntimeError("shapes cannot be multiplied")
+
+    monkeypatch.setattr(methods, "train", mistaken)
+    with pytest.raises(RuntimeError, match="shapes"):
+        train_once(tiny_plan().run_setup("gradient", 0), "gradient", {"batch": 4}, tmp_path)
+    assert not (tmp_path / "failure.txt").exists()
 
 
 def test_every_method_may_try_equally_many_candidates() -> None:
     for name in presets.PRESETS:
         for plan in presets.preset(name).values():
             assert len({len(c) for c in plan.candidates.values()}) == 1
-            assert set(plan.steps) == set(plan.candidates) == set(methods.METHODS)
+            assert (
+                set(plan.steps)
+                == set(plan.tuning_steps)
+                == set(plan.candidates)
+                == set(methods.METHODS)
+            )
             assert name == "quick" or len(plan.seeds) >= 5
 
 
@@ -152,7 +168,11 @@ def test_the_quick_comparison_runs_and_reports_again_without_training(
 ) -> None:
     shorter = {
         task: Plan(
-            p.setup, {m: 320 for m in p.steps}, {m: c[:1] for m, c in p.candidates.items()}, (0, 1)
+            p.setup,
+            {m: 320 for m in p.steps},
+            {},
+            {m: c[:1] for m, c in p.candidates.items()},
+            seeds=(0, 1),
         )
         for task, p in presets.preset("quick").items()
     }
