@@ -139,7 +139,7 @@ def shark(
         num_sensors: Velocity sensors; 95 give the 285 inputs of the thesis's network.
         rtol: Of a step.
     """
-    n, wide, tall, fin = (16, 4, 4, 2) if coarse else (44, 6, 8, 6)
+    n, wide, tall, fin = (15, 4, 4, 2) if coarse else (44, 6, 8, 6)
     inside = _shark_cells(n, wide, tall, fin)
     origin = np.array([0.0, -0.5 * inside.shape[1], -0.5 * inside.shape[2]])
     grid = hex_from_mask(inside, origin, 1.0, "largest")
@@ -176,10 +176,11 @@ def _shark_cells(n: int, wide: int, tall: int, fin: int) -> np.ndarray:
     across, up = slice(fin, fin + wide), slice(fin, fin + tall)
     thin = slice(fin + wide // 2 - 1, fin + wide // 2 + 1)
     low = slice(fin + tall // 4, fin + tall // 4 + 2)
+    short = fin // 3  # how much smaller back and breast fins are than the tail fin
     inside[:, across, up] = True
     inside[round(0.87 * n) :, thin] = True  # tail
-    inside[round(0.4 * n) : round(0.54 * n), thin, fin + tall : -(fin // 3)] = True  # back
-    inside[round(0.26 * n) : round(0.38 * n), fin // 3 : -(fin // 3), low] = True  # breast
+    inside[round(0.4 * n) : round(0.54 * n), thin, fin : 2 * fin + tall - short] = True  # back
+    inside[round(0.26 * n) : round(0.38 * n), short : 2 * fin + wide - short, low] = True  # breast
     return inside
 
 
