@@ -26,7 +26,7 @@ from diffsim.learn.presets import PRESETS, preset
 
 def report(task: str, plan: Plan, folder: Path, images: Path, *, quality: bool) -> str | None:
     """Figure and tables of one task; None where training by gradient has not run yet."""
-    runs = comparison.collect(folder)
+    runs = comparison.collect(plan, folder)
     if "gradient" not in runs:
         return None
     scale = comparison.scale_of(plan, folder, runs)

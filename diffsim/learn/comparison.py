@@ -50,12 +50,15 @@ def run_all(
             train_once(setup, method, options, folder / method / f"seed_{seed}", show=show)
 
 
-def collect(folder: Path) -> Runs:
+def collect(plan: Plan, folder: Path) -> Runs:
     """Ratings of all runs of a task, by method and seed; failed ones too."""
+    extra = plan.setup.step_cost - 1.0
     found: Runs = {}
     for method in METHODS:
         for path in sorted((folder / method).glob("seed_*")):
             rows = read_rows(path)
+            for row in rows:
+                row["forward_equivalents"] = row["steps"] + extra * row["gradient_steps"]
             if rows:
                 found.setdefault(method, {})[int(path.name.removeprefix("seed_"))] = rows
     return found

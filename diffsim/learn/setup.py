@@ -43,7 +43,7 @@ class Setup:
     steps: int = 100_000
     evaluate_every: int = 10_000
     evaluation_episodes: int = 16
-    step_cost: float = 4.0
+    step_cost: float = 2.5
     warm_up: int = 50
 
     def make_task(self) -> Task:
