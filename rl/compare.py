@@ -25,7 +25,7 @@ from diffsim.learn.presets import PRESETS, preset
 
 
 def report(task: str, plan: Plan, folder: Path, images: Path, *, quality: bool) -> str | None:
-    """Figure and tables of one task; None where training by gradient has not run yet."""
+    """Figure and tables of one task; None where no training by gradient has ended yet."""
     runs = comparison.collect(plan, folder)
     if "gradient" not in runs:
         return None

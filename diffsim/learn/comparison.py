@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from diffsim._files import write_json_atomic
-from diffsim.learn.methods import METHODS, Plan, train_once, tune
+from diffsim.learn.methods import FAILURE, METHODS, Plan, train_once, tune
 from diffsim.learn.quality import gradient_quality
 from diffsim.learn.run import CHECKPOINT, Row, load_controller, read_rows
 from diffsim.learn.setup import first_controller, untrained_reward
@@ -51,7 +51,7 @@ def run_all(
 
 
 def collect(plan: Plan, folder: Path) -> Runs:
-    """Ratings of all runs of a task, by method and seed; failed ones too."""
+    """Ratings of the runs that ended, failed ones too, by method and seed."""
     extra = plan.setup.step_cost - 1.0
     found: Runs = {}
     for method in METHODS:
@@ -59,7 +59,7 @@ def collect(plan: Plan, folder: Path) -> Runs:
             rows = read_rows(path)
             for row in rows:
                 row["forward_equivalents"] = row["steps"] + extra * row["gradient_steps"]
-            if rows:
+            if rows and (rows[-1]["finished"] or (path / FAILURE).exists()):
                 found.setdefault(method, {})[int(path.name.removeprefix("seed_"))] = rows
     return found
 
@@ -133,10 +133,10 @@ def table(task: str, summary: list[Row]) -> str:
         cells = [f"{p:,.3g}" if p < 100 else f"{p:,.0f}" for p in places]
         cells = [c if math.isfinite(p) else "-" for c, p in zip(cells, places, strict=True)]
         missing = r["runs"] - r["finished"]
-        unfinished = f" ({missing} unfinished)" if missing else ""
+        failures = f" ({missing} failed)" if missing else ""
         lines.append(
             f"| {r['method']} | {r['final']:.2f} ({r['low']:.2f} to {r['high']:.2f}) | "
-            f"{r['reached']} of {r['runs']}{unfinished} | {' | '.join(cells)} | "
+            f"{r['reached']} of {r['runs']}{failures} | {' | '.join(cells)} | "
             f"{r['budget_steps']:,}, {r['budget_seconds']:.0f} |"
         )
     return "\n".join(lines)

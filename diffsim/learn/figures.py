@@ -32,12 +32,16 @@ def comparison_figure(path: Path, title: str, runs: Runs, scale: Scale) -> Path:
     median of its runs does; runs that ended before hold their last reward.
     """
     figure_module = optional("matplotlib.figure", purpose="a figure")
+    ticker = optional("matplotlib.ticker", purpose="a figure")
     figure = figure_module.Figure(figsize=(10.5, 3.6), layout="constrained", facecolor="white")
     panels = figure.subplots(1, len(AXES), sharey=True)
     for ax, (axis, label) in zip(panels, AXES.items(), strict=True):
         for method, by_seed in runs.items():
             _curve(ax, axis, method, list(by_seed.values()), scale)
         ax.set_xscale("log")
+        ax.xaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
+        ax.xaxis.set_major_formatter(ticker.FuncFormatter(_plain))
+        ax.xaxis.set_minor_formatter(ticker.NullFormatter())
         ax.set_xlabel(label, color=SOFT, fontsize=9)
         ax.grid(True, color=LINE, linewidth=0.6)
         ax.tick_params(colors=SOFT, labelsize=8)
@@ -54,6 +58,10 @@ def comparison_figure(path: Path, title: str, runs: Runs, scale: Scale) -> Path:
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi=160)
     return write_bytes_atomic(path, content.getvalue())
+
+
+def _plain(value: float, _: object) -> str:
+    return f"{value:,.4g}" if value < 1e4 else f"{value / 1e3:,.4g}k"
 
 
 def _curve(ax: Axes, axis: str, method: str, runs: list, scale: Scale) -> None:

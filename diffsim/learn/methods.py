@@ -19,6 +19,7 @@ from diffsim.learn.shac import ShacLearner, ShacOptions
 
 Options = Mapping[str, Any]
 METHODS = ("gradient", "shac", "ppo")
+FAILURE = "failure.txt"  # why a run ended before its budget
 TUNING_SEED = 100  # of no compared run
 
 
@@ -110,7 +111,7 @@ def train_once(
     Returns:
         None, or what a failed run died of: a failure is a result and is kept.
     """
-    failure = folder / "failure.txt"
+    failure = folder / FAILURE
     if failure.exists():
         return failure.read_text()
     if is_finished(folder):

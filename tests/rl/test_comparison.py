@@ -187,3 +187,22 @@ def test_the_quick_comparison_runs_and_reports_again_without_training(
     monkeypatch.setattr(methods, "train", lambda *a, **k: pytest.fail("ran again"))
     compare.main(["--out", str(tmp_path)])
     assert capsys.readouterr().out == first
+
+
+def test_runs_in_progress_are_not_summed_up_but_failed_ones_are(tmp_path: Path) -> None:
+    going = [r | {"finished": False, "gradient_steps": r["steps"]} for r in rows([0.0, 0.5])]
+    for seed, name in enumerate(("progress", "failed", "finished")):
+        folder = tmp_path / "gradient" / f"seed_{seed}"
+        folder.mkdir(parents=True)
+        last = going[-1] | {"finished": name == "finished"}
+        lines = [json.dumps(r) for r in (going[0], last)]
+        (folder / "results.jsonl").write_text("\n".join(lines) + "\n")
+        if name == "failed":
+            (folder / methods.FAILURE).write_text("BadGradients: 10 updates")
+    plan = tiny_plan()
+    runs = comparison.collect(plan, tmp_path)
+    assert sorted(runs["gradient"]) == [1, 2]
+    assert runs["gradient"][1][-1]["forward_equivalents"] == 10 * plan.setup.step_cost
+    (row,) = comparison.summarise(runs, Scale(0.0, 1.0))
+    assert (row["runs"], row["finished"]) == (2, 1)
+    assert "(1 failed)" in comparison.table("X", [row])
