@@ -26,10 +26,15 @@ from diffsim.envs.task import Entry, Randomisation, Task, TaskState
 _STATE = ("position", "quaternion", "velocity", "body_rates", "thrusts")
 REACH = 3.0  # from the reference [m], beyond which an episode ends
 MAX_RATE = 30.0  # of turning, beyond which an episode ends [rad/s]
-# Per step. Being in the air earns as much as the position can cost: were rewards negative, a
-# learner that counts ends would crash on purpose to end them.
-ALIVE = 1.0
-WEIGHTS = {"position": ALIVE / REACH, "velocity": 0.02, "turning": 0.005, "effort": 0.01}
+# flying at all, position error, velocity, turning, thrust away from hover; per step: perfect
+# hovering earns 1. Were all rewards negative, ending an episode early by crashing would pay.
+WEIGHTS = {
+    "alive": 1.0,
+    "position": 1.0 / REACH,
+    "velocity": 0.02,
+    "turning": 0.003,
+    "effort": 0.003,
+}
 
 
 class CopterHover(Task):
@@ -137,7 +142,7 @@ class CopterHover(Task):
     lookahead: tuple[float, ...] = ()
 
     def reward_terms(self, before: TaskState, action: Tensor, after: TaskState) -> TaskState:
-        """For being in the air, minus smooth distances."""
+        """What flying earns, minus smooth distances; 1 in all at best."""
         place, velocity = self._reference_at(after, 0.0)
         sizes = {
             "position": _smooth_norm(after["position"] - place),
@@ -145,8 +150,8 @@ class CopterHover(Task):
             "turning": _smooth_norm(after["body_rates"]),
             "effort": action.square().mean(-1),
         }
-        terms = {name: -WEIGHTS[name] * size for name, size in sizes.items()}
-        return {"alive": torch.full_like(sizes["effort"], ALIVE), **terms}
+        alive = torch.full_like(sizes["effort"], WEIGHTS["alive"])
+        return {"alive": alive} | {name: -WEIGHTS[name] * size for name, size in sizes.items()}
 
     def failed(self, state: TaskState) -> Tensor:
         """Too far from the reference, upside down, or turning too fast."""

@@ -95,8 +95,8 @@ class CopterHoverEnv(NamedEnv):
     | observations | 0-2 position error, 3-5 velocity (both body frame) [m, m/s], 6-14 rotation \
 matrix by rows, 15-17 body rates [rad/s], then one per rotor: thrust over its maximum; unbounded \
 but for the rotation, in [-1, 1] |
-    | reward | per step: 1.0 for being in the air - 1/3 position - 0.02 velocity - 0.005 turning \
-(each sqrt(x^2 + 0.01) - 0.1) - 0.01 mean squared action |
+    | reward | 1 - position / 3 - 0.02 velocity - 0.003 turning (each sqrt(x^2 + 0.01) - 0.1) \
+- 0.003 mean squared action; 1 at best |
     | start | sd of position 0.5 m, velocity 0.25 m/s, attitude 0.05 rad, rates 0.1 rad/s; motors \
 at hover thrust |
     | termination | farther than 3 m, upside down, turning faster than 30 rad/s |

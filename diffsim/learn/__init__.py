@@ -1,0 +1,1 @@
+"""Training of controllers: through the simulator's gradient, and without it."""

@@ -1,0 +1,164 @@
+"""Methods x seeds on one task: run what is missing, sum up, tabulate."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diffsim._files import write_json_atomic
+from diffsim.learn.methods import FAILURE, METHODS, Plan, train_once, tune
+from diffsim.learn.quality import gradient_quality
+from diffsim.learn.run import CHECKPOINT, Row, load_controller, read_rows
+from diffsim.learn.setup import first_controller, untrained_reward
+from diffsim.learn.statistics import Scale, bootstrap_interval, first_reach, interquartile_mean
+
+AXES = {
+    "steps": "simulation steps",
+    "seconds": "CPU seconds",
+    "forward_equivalents": "forward-equivalents",
+}
+Runs = dict[str, dict[int, list[Row]]]
+HORIZONS = (5, 10, 25, 50, 100, 200)  # of gradient quality
+GOAL = 0.9  # of the final gradient result
+
+
+def run_all(
+    plan: Plan,
+    folder: Path,
+    *,
+    methods: Sequence[str] = METHODS,
+    seeds: Sequence[int] | None = None,
+    show: bool = True,
+) -> None:
+    """Tune and train; finished runs are not repeated, unfinished ones continue.
+
+    Args:
+        plan: Task, budgets, candidates.
+        folder: Of the task's results.
+        methods, seeds: Some of them only; None: all.
+        show: Whether to draw progress bars.
+    """
+    for seed in plan.seeds if seeds is None else seeds:
+        for method in methods:
+            options = tune(plan, method, folder, show=show)
+            setup = plan.run_setup(method, seed)
+            train_once(setup, method, options, folder / method / f"seed_{seed}", show=show)
+
+
+def collect(plan: Plan, folder: Path) -> Runs:
+    """Ratings of the runs that ended, failed ones too, by method and seed."""
+    extra = plan.setup.step_cost - 1.0
+    found: Runs = {}
+    for method in METHODS:
+        for path in sorted((folder / method).glob("seed_*")):
+            rows = read_rows(path)
+            for row in rows:
+                row["forward_equivalents"] = row["steps"] + extra * row["gradient_steps"]
+            if rows and (rows[-1]["finished"] or (path / FAILURE).exists()):
+                found.setdefault(method, {})[int(path.name.removeprefix("seed_"))] = rows
+    return found
+
+
+def scale_of(plan: Plan, folder: Path, runs: Runs) -> Scale:
+    """Zero and unit of reward; the untrained networks are rated once and remembered."""
+    path = folder / "untrained.json"
+    if not path.exists():
+        write_json_atomic(path, {"reward": untrained_reward(plan.setup)})
+    zero = float(json.loads(path.read_text())["reward"])
+    finals = np.array([rows[-1]["reward"] for rows in runs["gradient"].values()])
+    return Scale(zero, float(interquartile_mean(finals)))
+
+
+def summarise(runs: Runs, scale: Scale) -> list[Row]:
+    """Per method: final normalised reward, and where runs reach 90 % of the gradient's."""
+    out = []
+    goal = scale.zero + GOAL * (scale.one - scale.zero)
+    for method, by_seed in runs.items():
+        finals = scale(np.array([_final(rows) for rows in by_seed.values()]))
+        low, high = bootstrap_interval(finals)
+        row: Row = {
+            "method": method,
+            "runs": len(by_seed),
+            "finished": sum(bool(rows[-1]["finished"]) for rows in by_seed.values()),
+            "final": float(interquartile_mean(finals)),
+            "low": float(low),
+            "high": float(high),
+            "final_reward": float(
+                interquartile_mean(np.array([_final(rows) for rows in by_seed.values()]))
+            ),
+            "budget_steps": max(rows[-1]["steps"] for rows in by_seed.values()),
+            "budget_seconds": float(np.median([rows[-1]["seconds"] for rows in by_seed.values()])),
+        }
+        for axis in AXES:
+            places = [first_reach(rows, axis, goal) for rows in by_seed.values()]
+            row[f"{axis}_to_goal"] = float(np.median(places))
+            row["reached"] = sum(math.isfinite(p) for p in places)
+        out.append(row)
+    return out
+
+
+def quality_of(plan: Plan, folder: Path) -> dict[str, list[Row]]:
+    """Gradient quality at the first controller and at a trained one; kept in ``quality.json``."""
+    path = folder / "quality.json"
+    if path.exists():
+        kept: dict[str, list[Row]] = json.loads(path.read_text())
+        return kept
+    task, seed = plan.setup.make_task(), plan.seeds[0]
+    controller = first_controller(task, seed, plan.setup.warm_up)
+    horizons = [h for h in HORIZONS if h <= task.max_steps]
+    options = {"horizons": horizons} | dict(plan.quality)
+    out = {"untrained": gradient_quality(task, controller, **options)}
+    run = folder / "gradient" / f"seed_{seed}"
+    if (run / CHECKPOINT).exists():
+        load_controller(run, controller)
+        out["trained"] = gradient_quality(task, controller, **options)
+    write_json_atomic(path, out)
+    return out
+
+
+def table(task: str, summary: list[Row]) -> str:
+    """The summary in Markdown."""
+    lines = [
+        f"| {task} | final reward (IQM, 95 %) | reached 90 % | steps to 90 % | CPU s to 90 % | "
+        "forward-equivalents to 90 % | budget: steps, CPU s |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for r in summary:
+        places = [r[f"{axis}_to_goal"] for axis in AXES]
+        cells = [f"{p:,.3g}" if p < 100 else f"{p:,.0f}" for p in places]
+        cells = [c if math.isfinite(p) else "-" for c, p in zip(cells, places, strict=True)]
+        missing = r["runs"] - r["finished"]
+        failures = f" ({missing} failed)" if missing else ""
+        lines.append(
+            f"| {r['method']} | {r['final']:.2f} ({r['low']:.2f} to {r['high']:.2f}) | "
+            f"{r['reached']} of {r['runs']}{failures} | {' | '.join(cells)} | "
+            f"{r['budget_steps']:,}, {r['budget_seconds']:.0f} |"
+        )
+    return "\n".join(lines)
+
+
+def quality_table(task: str, quality: dict[str, list[Row]]) -> str:
+    """Gradient quality in Markdown."""
+    lines = [
+        f"| {task} | horizon | cosine | norm ratio | gradient norm | exploding | in contact |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for where, rows in quality.items():
+        for r in rows:
+            numbers: list[Any] = [r["cosine"], r["norm_ratio"], r["norm"]]
+            cells = " | ".join("-" if n is None else f"{n:.2g}" for n in numbers)
+            lines.append(
+                f"| {where} | {r['horizon']} | {cells} | {r['explosion_rate']:.0%} | "
+                f"{r['contact_share']:.0%} |"
+            )
+    return "\n".join(lines)
+
+
+def _final(rows: list[Row]) -> float:
+    reward = float(rows[-1]["reward"])
+    return reward if math.isfinite(reward) else float(rows[0]["reward"])

@@ -1,0 +1,148 @@
+"""Adam through the simulator."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from diffsim.control import MLPController
+from diffsim.envs.rollout import rollout_task
+from diffsim.envs.task import Task
+from diffsim.learn.run import Update, rng_state, set_rng_state
+from diffsim.learn.setup import Setup, broke_down, first_controller
+
+
+@dataclass(frozen=True)
+class GradientOptions:
+    """Of ``GradientLearner``.
+
+    Attributes:
+        batch: Episodes per update.
+        learning_rate: Of Adam at the start; falls to a tenth along a half cosine.
+        horizon: Steps of an episode; 0: the task's.
+        cut_every: Forget gradients of the state every so many steps; 0: never.
+        clip: Largest norm of a gradient.
+        max_bad: Updates in a row without a finite gradient, after which to give up.
+    """
+
+    batch: int = 8
+    learning_rate: float = 3e-3
+    horizon: int = 0
+    cut_every: int = 0
+    clip: float = 1.0
+    max_bad: int = 10
+
+
+class BadGradients(RuntimeError):
+    """Too many updates in a row had no finite gradient."""
+
+
+class NanGuard:
+    """Counts updates without a finite gradient and gives up after too many in a row.
+
+    Args:
+        max_bad: In a row.
+    """
+
+    def __init__(self, max_bad: int):
+        self.max_bad, self.total, self.in_a_row = max_bad, 0, 0
+
+    def good(self, loss: Tensor | None, norm: Tensor | None) -> bool:
+        """Whether loss and norm of the gradient exist and are finite.
+
+        Raises:
+            BadGradients: ``max_bad`` times in a row they were not.
+        """
+        fine = loss is not None and norm is not None
+        fine = fine and bool(torch.isfinite(loss.detach())) and bool(torch.isfinite(norm))  # type: ignore[union-attr, arg-type]
+        self.in_a_row = 0 if fine else self.in_a_row + 1
+        self.total += not fine
+        if self.in_a_row >= self.max_bad:
+            raise BadGradients(
+                f"{self.in_a_row} updates in a row had no finite gradient; shorten the horizon "
+                "with cut_every, lower the learning rate, or look at the task with gradient_quality"
+            )
+        return fine
+
+
+def cosine_rate(first: float, progress: float, last: float = 0.1) -> float:
+    """Learning rate falling from ``first`` to ``last`` times it along a half cosine."""
+    return first * (last + (1.0 - last) * 0.5 * (1.0 + math.cos(math.pi * min(progress, 1.0))))
+
+
+def set_rate(optimiser: torch.optim.Optimizer, rate: float) -> None:
+    """Learning rate of all groups."""
+    for group in optimiser.param_groups:
+        group["lr"] = rate
+
+
+class GradientLearner:
+    """Adam on the mean reward of whole episodes.
+
+    Args:
+        setup: Task and seed.
+        options: Of the method.
+    """
+
+    def __init__(self, setup: Setup, options: GradientOptions | None = None):
+        self.options = options or GradientOptions()
+        self.task: Task = setup.make_task()
+        self.net: MLPController = first_controller(self.task, setup.seed, setup.warm_up)
+        self.rng = np.random.default_rng([setup.seed, 2])
+        self.adam = torch.optim.Adam(self.net.parameters(), lr=self.options.learning_rate)
+        self.guard = NanGuard(self.options.max_bad)
+
+    def controller(self) -> nn.Module:
+        """See ``Learner``."""
+        return self.net
+
+    def update(self, progress: float) -> Update:
+        """One batch of episodes, one step of Adam; a batch without finite gradient is skipped."""
+        o = self.options
+        horizon = o.horizon or self.task.max_steps
+        start = self.task.start(o.batch, self.rng)
+        self.adam.zero_grad()
+        set_rate(self.adam, cosine_rate(o.learning_rate, progress))
+        loss, norm, seen = None, None, None
+        try:
+            episode = rollout_task(
+                self.task, self.net, start, horizon, cut_every=o.cut_every or None
+            )
+            loss, seen = -episode.rewards.mean(), episode.observations[episode.alive]
+            loss.backward()  # type: ignore[no-untyped-call]
+            norm = nn.utils.clip_grad_norm_(self.net.parameters(), o.clip)
+        except (ArithmeticError, RuntimeError, ValueError) as error:
+            if not broke_down(error):
+                raise
+        if self.guard.good(loss, norm):
+            self.adam.step()
+            assert self.net.normaliser is not None and seen is not None  # of good updates
+            self.net.normaliser.update(seen)
+        steps = horizon * o.batch
+        scalars = {
+            "train/reward": math.nan if loss is None else -float(loss.detach()),
+            "train/gradient_norm": math.nan if norm is None else float(norm),
+            "train/bad_updates": float(self.guard.total),
+        }
+        return Update(steps, steps, scalars)
+
+    def state_dict(self) -> dict[str, Any]:
+        """See ``Learner``."""
+        return {
+            "net": self.net.state_dict(),
+            "adam": self.adam.state_dict(),
+            "rng": rng_state(self.rng),
+            "bad": [self.guard.total, self.guard.in_a_row],
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """See ``Learner``."""
+        self.net.load_state_dict(state["net"])
+        self.adam.load_state_dict(state["adam"])
+        set_rng_state(self.rng, state["rng"])
+        self.guard.total, self.guard.in_a_row = state["bad"]

@@ -1,0 +1,127 @@
+"""The compared methods by name, and the small search for their options."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diffsim._check import require_choice
+from diffsim._files import write_json_atomic
+from diffsim.learn.gradient import BadGradients, GradientLearner, GradientOptions
+from diffsim.learn.run import Learner, is_finished, read_rows, train
+from diffsim.learn.setup import Setup, broke_down
+from diffsim.learn.shac import ShacLearner, ShacOptions
+
+Options = Mapping[str, Any]
+METHODS = ("gradient", "shac", "ppo")
+FAILURE = "failure.txt"  # why a run ended before its budget
+TUNING_SEED = 100  # of no compared run
+
+
+def make_learner(method: str, setup: Setup, options: Options) -> Learner:
+    """A method ready to train.
+
+    Args:
+        method: One of ``METHODS``.
+        setup: Task and seed.
+        options: Fields of the method's options that differ from their defaults.
+    """
+    require_choice("method", method, METHODS)
+    if method == "gradient":
+        return GradientLearner(setup, GradientOptions(**options))
+    if method == "shac":
+        return ShacLearner(setup, ShacOptions(**options))
+    from diffsim.learn.ppo import PpoLearner, PpoOptions  # needs stable-baselines3
+
+    return PpoLearner(setup, PpoOptions(**options))
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One task of a comparison.
+
+    Attributes:
+        setup: Task; seed and budget are set per run.
+        steps: Budget of simulation steps of a compared run, by method.
+        tuning_steps: The same of a candidate's run.
+        candidates: Options among which the search chooses, by method; as many for each.
+        seeds: Of the compared runs.
+        ratings: Per run, spread evenly over its budget.
+        quality: Of ``gradient_quality``, where it differs from the defaults.
+    """
+
+    setup: Setup
+    steps: Mapping[str, int]
+    tuning_steps: Mapping[str, int]
+    candidates: Mapping[str, Sequence[Options]]
+    seeds: Sequence[int] = (0, 1, 2, 3, 4)
+    ratings: int = 10
+    quality: Options = field(default_factory=dict)
+
+    def run_setup(self, method: str, seed: int) -> Setup:
+        """Of one run; the search's are those of ``TUNING_SEED``."""
+        steps = (self.tuning_steps if seed == TUNING_SEED else self.steps)[method]
+        every = max(1, steps // self.ratings)
+        return dataclasses.replace(self.setup, seed=seed, steps=steps, evaluate_every=every)
+
+
+def tune(plan: Plan, method: str, folder: Path, *, show: bool = True) -> Options:
+    """The best of a method's candidates after one run each; every result is written down.
+
+    Best by the mean of the last two ratings of one seed that no compared run uses. Candidates that
+    ran already are not run again. A single candidate is taken as it is.
+
+    Args:
+        plan: Task and candidates.
+        method: Which.
+        folder: Of runs; the record is ``tuning_METHOD.json``.
+        show: Whether to draw progress bars.
+    """
+    candidates = plan.candidates[method]
+    if len(candidates) == 1:
+        return candidates[0]
+    record: list[dict[str, Any]] = []
+    for k, options in enumerate(candidates):
+        run = folder / "tuning" / method / f"candidate_{k}"
+        setup = plan.run_setup(method, TUNING_SEED)
+        error = train_once(setup, method, options, run, show=show)
+        rows = read_rows(run)
+        score = float(np.mean([r["reward"] for r in rows[-2:]])) if rows else float("nan")
+        used = {key: rows[-1][key] for key in ("steps", "seconds")} if rows else {}
+        record.append({"options": dict(options), "score": score, "error": error} | used)
+    scores = [r["score"] if r["error"] is None else -np.inf for r in record]
+    best = int(np.nanargmax(scores))
+    write_json_atomic(
+        folder / f"tuning_{method}.json",
+        {"method": method, "seed": TUNING_SEED, "candidates": record, "best": best},
+    )
+    return candidates[best]
+
+
+def train_once(
+    setup: Setup, method: str, options: Options, folder: Path, *, show: bool = True
+) -> str | None:
+    """Run or continue, unless the run is finished or failed before.
+
+    Returns:
+        None, or what a failed run died of: a failure is a result and is kept.
+    """
+    failure = folder / FAILURE
+    if failure.exists():
+        return failure.read_text()
+    if is_finished(folder):
+        return None
+    try:
+        train(setup, make_learner(method, setup, options), folder, resume=True, show=show)
+    except (ArithmeticError, RuntimeError, ValueError) as error:
+        if not (isinstance(error, BadGradients) or broke_down(error)):
+            raise  # a mistake, not a result
+        failure.parent.mkdir(parents=True, exist_ok=True)
+        failure.write_text(f"{type(error).__name__}: {error}")
+        return failure.read_text()
+    return None

@@ -1,0 +1,119 @@
+"""L-BFGS for controllers with few parameters: sinusoids and knots."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.optimize import OptimizeResult, minimize
+from torch import Tensor, nn
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
+
+from diffsim._check import require_choice
+from diffsim._files import write_json_atomic
+from diffsim.control import Knots, OpenLoop, Sinusoid
+from diffsim.envs.rollout import rollout_task
+from diffsim.envs.task import Task
+from diffsim.learn.options import setup_from, training_parser
+from diffsim.learn.setup import broke_down, evaluate
+
+KINDS = ("sinusoid", "knots")
+
+
+def make_open_loop(kind: str, task: Task, seed: int) -> OpenLoop:
+    """A random first guess.
+
+    Args:
+        kind: "sinusoid", or "knots" (20 over an episode).
+        task: Task.
+        seed: Of the guess.
+    """
+    rng = np.random.default_rng([seed, 4])
+    n, dt = task.num_actions, task.dt
+    if require_choice("kind", kind, KINDS) == "sinusoid":
+        return Sinusoid(
+            n,
+            dt,
+            frequency=float(rng.uniform(0.5, 2.0)),
+            amplitudes=rng.uniform(-0.5, 0.5, n).tolist(),
+            phases=rng.uniform(-np.pi, np.pi, n).tolist(),
+        )
+    start = torch.from_numpy(rng.uniform(-0.5, 0.5, (20, n)))
+    return Knots(n, dt, num_knots=20, duration=task.max_steps * dt, start=start)
+
+
+def fit_open_loop(
+    task: Task, controller: OpenLoop, *, seed: int = 0, batch: int = 1, max_iterations: int = 30
+) -> OptimizeResult:
+    """Maximise the mean reward of fixed episodes with L-BFGS (scipy); changes ``controller``.
+
+    Args:
+        task: Task.
+        controller: First guess.
+        seed: Of the episodes' starts.
+        batch: Episodes.
+        max_iterations: Of L-BFGS.
+
+    Returns:
+        scipy's result; ``fun`` is minus the mean reward per step.
+    """
+    start = task.start(batch, np.random.default_rng([seed, 5]))
+    trained = [p for p in controller.parameters() if p.requires_grad]
+    first = parameters_to_vector(trained).detach().numpy().astype(np.float64)
+
+    def loss_and_gradient(x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        vector_to_parameters(torch.from_numpy(x.copy()), trained)
+        try:
+            loss: Tensor = -rollout_task(task, controller, start, task.max_steps).rewards.mean()
+            parts = torch.autograd.grad(loss, trained)
+        except (ArithmeticError, RuntimeError, ValueError) as error:
+            if not broke_down(error):
+                raise
+            return np.inf, np.zeros_like(x)  # the line search steps back
+        return float(loss.detach()), torch.cat([g.flatten() for g in parts]).numpy()
+
+    options = {"maxiter": max_iterations}
+    result = minimize(loss_and_gradient, first, jac=True, method="L-BFGS-B", options=options)
+    vector_to_parameters(torch.from_numpy(result.x), trained)
+    return result
+
+
+def main(argv: Sequence[str], description: str | None = None) -> dict[str, object]:
+    """``train_gradient.py --controller``: the best of some starts is written as JSON."""
+    parser = training_parser(description)
+    add: argparse._ActionsContainer = parser
+    add.add_argument("--controller", choices=KINDS, required=True)
+    add.add_argument("--starts", type=int, default=4, help="random first guesses (4)")
+    add.add_argument("--max-iterations", type=int, default=30, help="of each (30)")
+    args = parser.parse_args(argv)
+    torch.set_num_threads(args.threads)
+    setup = setup_from(args)
+    task, begin = setup.make_task(), time.process_time()
+    fits: list[tuple[float, int, nn.Module]] = []
+    calls = 0
+    for k in range(2 if args.quick else args.starts):
+        controller = make_open_loop(args.controller, task, setup.seed + k)
+        iterations = 2 if args.quick else args.max_iterations
+        result = fit_open_loop(task, controller, seed=setup.seed, max_iterations=iterations)
+        calls += int(result.nfev)
+        fits.append((-float(result.fun), setup.seed + k, controller))
+    reward, seed, best = max(fits, key=lambda fit: fit[0])
+    out = {
+        "task": setup.task,
+        "controller": args.controller,
+        "rewards": [fit[0] for fit in fits],
+        "best_start": seed,
+        "evaluation_reward": evaluate(task, best, setup.evaluation_episodes),
+        "steps": calls * task.max_steps,
+        "seconds": time.process_time() - begin,
+        "parameters": {name: value.tolist() for name, value in best.state_dict().items()},
+    }
+    name = Path("runs") / setup.task / args.controller / f"seed_{setup.seed}"
+    path = write_json_atomic((args.out or name) / "open_loop.json", out)
+    print(f"{setup.task}, {args.controller}: best reward {reward:.4g}; {path}")
+    return out

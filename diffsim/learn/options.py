@@ -1,0 +1,104 @@
+"""Command lines from dataclasses: every option of a method is an argument of its script."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import torch
+
+from diffsim.learn.run import Learner, Run, train
+from diffsim.learn.setup import Setup
+
+T = TypeVar("T")
+
+
+def add_options(parser: argparse.ArgumentParser, cls: type, title: str) -> None:
+    """One argument per field of a dataclass, with its default."""
+    group = parser.add_argument_group(title)
+    for field in dataclasses.fields(cls):
+        kind = type(field.default)
+        name = "--" + field.name.replace("_", "-")
+        group.add_argument(name, type=kind, default=field.default, help=f"({field.default})")
+
+
+def options_from(cls: type[T], args: argparse.Namespace, **fixed: Any) -> T:
+    """The dataclass from parsed arguments, some fields fixed."""
+    names = [f.name for f in dataclasses.fields(cls)]  # type: ignore[arg-type]
+    return cls(**{n: getattr(args, n) for n in names if hasattr(args, n)} | fixed)
+
+
+def training_parser(description: str | None) -> argparse.ArgumentParser:
+    """Arguments that all training scripts share."""
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = parser.add_argument
+    add("--task", default="CopterHover", help="name of a task (CopterHover)")
+    add("--task-options", type=json.loads, default={}, metavar="JSON", help="of the task ({})")
+    add("--seed", type=int, default=0, help="(0)")
+    add("--steps", type=int, default=200_000, help="budget of simulation steps (200000)")
+    add("--evaluate-every", type=int, default=10_000, help="simulation steps (10000)")
+    add("--evaluation-episodes", type=int, default=16, help="(16)")
+    add("--out", type=Path, default=None, help="folder of results (runs/TASK/METHOD/seed_N)")
+    add("--resume", action="store_true", help="continue from the folder's checkpoint")
+    add("--quick", action="store_true", help="a tiny run, to see that all works")
+    add("--threads", type=int, default=1, help="of torch (1)")
+    return parser
+
+
+def setup_from(args: argparse.Namespace) -> Setup:
+    """The run that arguments ask for."""
+    if args.quick:
+        options = {"seconds": 0.2} if args.task.startswith("Copter") else {"num_steps": 5}
+        return Setup(
+            args.task,
+            args.task_options | options,
+            args.seed,
+            steps=320,
+            evaluate_every=160,
+            evaluation_episodes=2,
+            warm_up=5,
+        )
+    return options_from(Setup, args)
+
+
+def main_training(
+    method: str,
+    learner: type,
+    options: type,
+    quick: dict[str, Any],
+    description: str | None,
+    argv: Sequence[str] | None,
+) -> Run:
+    """Main function of a training script.
+
+    Args:
+        method: Its name, for the folder.
+        learner, options: Its classes.
+        quick: Options of a quick run.
+        description: Of the script.
+        argv: Arguments; None: those of the command line.
+    """
+    parser = training_parser(description)
+    add_options(parser, options, "method")
+    args = parser.parse_args(argv)
+    torch.set_num_threads(args.threads)
+    setup = setup_from(args)
+    folder = args.out or Path("runs") / setup.task / method / f"seed_{setup.seed}"
+    chosen: Any = options_from(options, args, **(quick if args.quick else {}))
+    made: Learner = learner(setup, chosen)
+    try:
+        run = train(setup, made, folder, resume=args.resume)
+    except KeyboardInterrupt:
+        raise SystemExit(130) from None
+    last = run.rows[-1]
+    print(
+        f"{setup.task}, {method}, seed {setup.seed}: reward {run.rows[0]['reward']:.4g} -> "
+        f"{last['reward']:.4g} in {last['steps']} steps, {last['seconds']:.1f} CPU s; {folder}"
+    )
+    return run

@@ -1,0 +1,168 @@
+"""PPO of stable-baselines3, from the same first controller as the gradient methods.
+
+With the code-level optimisations of Engstrom et al. ("Implementation matters in deep policy
+gradients", ICLR 2020): value clipping, scaled rewards, normalised and clipped observations and
+rewards, orthogonal first weights, annealed learning rate, clipped gradients, tanh units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.vec_env import VecNormalize
+from torch import nn
+
+from diffsim.control import MLPController
+from diffsim.envs.sb3 import Sb3VecEnv
+from diffsim.envs.task import Task
+from diffsim.envs.vector_env import TaskVectorEnv
+from diffsim.learn.run import Update
+from diffsim.learn.setup import Setup, first_controller
+
+
+@dataclass(frozen=True)
+class PpoOptions:
+    """Of ``PpoLearner``.
+
+    Attributes:
+        envs: Members of the vector environment.
+        rollout: Steps of each between updates.
+        minibatch: Rows per step of Adam.
+        epochs: Passes over a rollout.
+        learning_rate: At the start; falls to zero linearly.
+        discount, trace: Of generalised advantage estimation.
+        clip: Of the policy's ratio and of the value.
+        entropy: Weight of the bonus.
+        exploration: First standard deviation of commands; learnt.
+    """
+
+    envs: int = 16
+    rollout: int = 128
+    minibatch: int = 256
+    epochs: int = 10
+    learning_rate: float = 3e-4
+    discount: float = 0.99
+    trace: float = 0.95
+    clip: float = 0.2
+    entropy: float = 0.0
+    exploration: float = 0.5
+
+
+class TanhMeanPolicy(ActorCriticPolicy):
+    """Mean commands pass a tanh, as those of ``MLPController`` do."""
+
+    def _build(self, lr_schedule: Any) -> None:
+        super()._build(lr_schedule)
+        # the optimiser made there keeps its parameters: a tanh has none
+        self.action_net = nn.Sequential(self.action_net, nn.Tanh())
+
+
+class PpoLearner:
+    """stable-baselines3's PPO, one rollout per update.
+
+    Args:
+        setup: Task and seed.
+        options: Of the method.
+    """
+
+    def __init__(self, setup: Setup, options: PpoOptions | None = None):
+        self.options = o = options or PpoOptions()
+        self.task: Task = setup.make_task()
+        first = first_controller(self.task, setup.seed, setup.warm_up)
+        self.venv = VecNormalize(
+            Sb3VecEnv(TaskVectorEnv(self.task, o.envs)), gamma=o.discount, clip_obs=10.0
+        )
+        self.rate = o.learning_rate
+        self.model = PPO(
+            TanhMeanPolicy,
+            self.venv,
+            learning_rate=lambda _: self.rate,
+            n_steps=o.rollout,
+            batch_size=o.minibatch,
+            n_epochs=o.epochs,
+            gamma=o.discount,
+            gae_lambda=o.trace,
+            clip_range=o.clip,
+            clip_range_vf=o.clip,
+            ent_coef=o.entropy,
+            seed=setup.seed,
+            device="cpu",
+            policy_kwargs={
+                "net_arch": {"pi": [64, 64], "vf": [64, 64]},
+                "activation_fn": nn.Tanh,
+                "ortho_init": True,
+                "log_std_init": float(np.log(o.exploration)),
+            },
+        )
+        self._start_from(first)
+
+    def controller(self) -> MLPController:
+        """The policy's mean as a controller in double precision, observations normalised alike."""
+        net = MLPController(self.task.num_observations, self.task.num_actions)
+        moments: Any = self.venv.obs_rms
+        assert net.normaliser is not None  # asked for by default
+        with torch.no_grad():
+            for ours, theirs in zip(_linear(net.layers), self._policy_layers(), strict=True):
+                ours.weight.copy_(theirs.weight)
+                ours.bias.copy_(theirs.bias)
+            net.normaliser.mean.copy_(torch.as_tensor(moments.mean))
+            net.normaliser.variance.copy_(torch.as_tensor(moments.var))
+            net.normaliser.count.copy_(torch.as_tensor(moments.count))
+        return net
+
+    def update(self, progress: float) -> Update:
+        """One rollout and its epochs; the learning rate is annealed over the whole budget."""
+        o = self.options
+        self.rate = o.learning_rate * max(0.0, 1.0 - progress)
+        steps = o.envs * o.rollout
+        self.model.learn(total_timesteps=steps, reset_num_timesteps=False)
+        values = self.model.logger.name_to_value
+        return Update(steps, 0, {k: float(v) for k, v in values.items() if k.startswith("train/")})
+
+    def _policy_layers(self) -> list[nn.Linear]:
+        policy = self.model.policy
+        return [*_linear(policy.mlp_extractor.policy_net), *_linear(policy.action_net)]
+
+    def _start_from(self, first: MLPController) -> None:
+        assert first.normaliser is not None  # of first_controller
+        with torch.no_grad():
+            for ours, theirs in zip(_linear(first.layers), self._policy_layers(), strict=True):
+                theirs.weight.copy_(ours.weight)
+                theirs.bias.copy_(ours.bias)
+        moments: Any = self.venv.obs_rms
+        moments.mean = first.normaliser.mean.numpy().copy()
+        moments.var = first.normaliser.variance.numpy().copy()
+        moments.count = float(first.normaliser.count)
+
+    def state_dict(self) -> dict[str, Any]:
+        """See ``Learner``. Episodes in progress are not kept: a resumed run starts new ones."""
+        moments = {}
+        for name in ("obs_rms", "ret_rms"):
+            rms = getattr(self.venv, name)
+            moments[name] = [torch.as_tensor(rms.mean), torch.as_tensor(rms.var), float(rms.count)]
+        return {
+            "policy": self.model.policy.state_dict(),
+            "optimizer": self.model.policy.optimizer.state_dict(),
+            "moments": moments,
+            "num_timesteps": self.model.num_timesteps,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """See ``Learner``."""
+        self.model.policy.load_state_dict(state["policy"])
+        self.model.policy.optimizer.load_state_dict(state["optimizer"])
+        for name, (mean, var, count) in state["moments"].items():
+            rms = getattr(self.venv, name)
+            rms.mean, rms.var, rms.count = mean.numpy(), var.numpy(), count
+        self.model.num_timesteps = state["num_timesteps"]
+        # not the episodes of the first part again
+        self.model.set_random_seed(self.model.seed + state["num_timesteps"])
+
+
+def _linear(module: nn.Module) -> list[nn.Linear]:
+    return [m for m in module.modules() if isinstance(m, nn.Linear)]

@@ -1,0 +1,115 @@
+"""What ``rl/compare.py`` runs: tasks, budgets and the options that the search may choose from.
+
+Every method may try as many candidates, one run each on a seed that no compared run uses. Runs
+without gradients may take more steps, as their steps are cheaper and they need more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from diffsim._check import require_choice
+from diffsim.learn.methods import Plan
+from diffsim.learn.setup import Setup
+
+_Candidates = dict[str, tuple[dict[str, Any], ...]]
+_COPTER: _Candidates = {
+    "gradient": (
+        {"batch": 16, "horizon": 50, "learning_rate": 3e-3},
+        {"batch": 16, "horizon": 50, "learning_rate": 1e-2},
+        {"batch": 16, "horizon": 100, "learning_rate": 1e-2},
+    ),
+    "shac": (
+        {"batch": 16, "window": 16, "actor_rate": 3e-3},
+        {"batch": 16, "window": 16, "actor_rate": 1e-2},
+        {"batch": 16, "window": 32, "actor_rate": 1e-2},
+    ),
+    "ppo": (
+        {"envs": 16, "rollout": 128, "learning_rate": 3e-4},
+        {"envs": 16, "rollout": 128, "learning_rate": 1e-3},
+        {"envs": 16, "rollout": 64, "learning_rate": 1e-3, "exploration": 0.3},
+    ),
+}
+# measured with ``gradient_step_cost`` on the coarse bodies, as is the copter's 1.9
+_STEP_COST = {"StarfishSwim": 2.3, "SharkSwim": 3.0}
+_SWIM_QUALITY = {"horizons": (5, 10, 25, 50, 100), "episodes": 2, "directions": 8}
+_SWIM: _Candidates = {
+    "gradient": (
+        {"batch": 2, "learning_rate": 3e-3},
+        {"batch": 2, "learning_rate": 1e-2},
+        {"batch": 2, "learning_rate": 1e-2, "cut_every": 50},
+    ),
+    "shac": (
+        {"batch": 8, "window": 16, "actor_rate": 3e-3},
+        {"batch": 8, "window": 32, "actor_rate": 3e-3},
+        {"batch": 8, "window": 32, "actor_rate": 1e-2},
+    ),
+    "ppo": (
+        {"envs": 16, "rollout": 128, "learning_rate": 3e-4},
+        {"envs": 16, "rollout": 128, "learning_rate": 1e-3},
+        {"envs": 16, "rollout": 128, "learning_rate": 3e-4, "exploration": 1.0},
+    ),
+}
+
+
+def _copter(task: str, scale: float) -> Plan:
+    steps = {"gradient": 24_000, "shac": 48_000, "ppo": 80_000}
+    tuning = {"gradient": 24_000, "shac": 24_000, "ppo": 64_000}
+    return Plan(Setup(task, step_cost=1.9), _times(scale, steps), _times(scale, tuning), _COPTER)
+
+
+def _swim(task: str, *, coarse: bool, steps: int, ppo_steps: int) -> Plan:
+    options = {"robot": {"coarse": coarse}}
+    setup = Setup(task, options, evaluation_episodes=4, step_cost=_STEP_COST[task])
+    budget = {"gradient": steps, "shac": steps, "ppo": ppo_steps}
+    return Plan(setup, budget, _times(0.5, budget), _SWIM, quality=_SWIM_QUALITY)
+
+
+def _times(scale: float, steps: dict[str, int]) -> dict[str, int]:
+    return {method: int(count * scale) for method, count in steps.items()}
+
+
+def _quick() -> dict[str, Plan]:
+    setup = Setup("CopterHover", {"seconds": 0.4}, evaluation_episodes=4, warm_up=10)
+    candidates: _Candidates = {
+        "gradient": ({"batch": 4}, {"batch": 4, "learning_rate": 1e-2}),
+        "shac": ({"batch": 4, "window": 8}, {"batch": 4, "window": 4}),
+        "ppo": (
+            {"envs": 4, "rollout": 32, "minibatch": 64},
+            {"envs": 8, "rollout": 16, "minibatch": 64},
+        ),
+    }
+    steps = {"gradient": 640, "shac": 640, "ppo": 1280}
+    plan = Plan(setup, steps, _times(0.5, steps), candidates, seeds=(0, 1), ratings=4)
+    return {"CopterHover": plan}
+
+
+def _coarse() -> dict[str, Plan]:
+    return {
+        "CopterHover": _copter("CopterHover", 1.0),
+        "StarfishSwim": _swim("StarfishSwim", coarse=True, steps=16_000, ppo_steps=64_000),
+        "SharkSwim": _swim("SharkSwim", coarse=True, steps=16_000, ppo_steps=64_000),
+    }
+
+
+def _thesis() -> dict[str, Plan]:
+    """7,026 and 9,921 degrees of freedom; 40,000 steps with and 800,000 without gradients a run."""
+    return {
+        "CopterHover": _copter("CopterHover", 8.0),
+        "CopterTrack": _copter("CopterTrack", 8.0),
+        "StarfishSwim": _swim("StarfishSwim", coarse=False, steps=40_000, ppo_steps=800_000),
+        "SharkSwim": _swim("SharkSwim", coarse=False, steps=40_000, ppo_steps=800_000),
+    }
+
+
+PRESETS: dict[str, Callable[[], dict[str, Plan]]] = {
+    "quick": _quick,
+    "coarse": _coarse,
+    "thesis": _thesis,
+}
+
+
+def preset(name: str) -> dict[str, Plan]:
+    """Plans by task."""
+    return PRESETS[require_choice("preset", name, PRESETS)]()

@@ -1,0 +1,167 @@
+"""Are a task's gradients any good? Analytic against sampled ones, explosions, contact.
+
+The analytic gradient of an episode may be right and yet useless: in chaotic or contact-rich
+dynamics it grows without bound with the horizon and says nothing about a step of finite length
+(Suh et al., "Do differentiable simulators give better policy gradients?", 2022).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.func import functional_call, vmap
+
+from diffsim.envs.rollout import Controller, rollout_task
+from diffsim.envs.task import Task
+
+Parameters = dict[str, Tensor]
+
+
+@dataclass(frozen=True)
+class GradientQuality:
+    """At one horizon.
+
+    Attributes:
+        horizon: Steps.
+        cosine: Of the analytic and the zeroth-order gradient, within random directions; 1 at best.
+        norm_ratio: Of their norms there, analytic over zeroth-order; 1 at best.
+        norm: Of the analytic gradient of the mean reward, median over episodes.
+        explosion_rate: Share of episodes whose gradient is not finite or more than 100 times
+            longer than the median one.
+        contact_share: Share of steps in which the robot touches something.
+    """
+
+    horizon: int
+    cosine: float
+    norm_ratio: float
+    norm: float
+    explosion_rate: float
+    contact_share: float
+
+
+def gradient_quality(
+    task: Task,
+    controller: nn.Module,
+    horizons: Sequence[int],
+    *,
+    episodes: int = 4,
+    directions: int = 32,
+    spread: float = 0.02,
+    seed: int = 0,
+) -> list[dict[str, Any]]:
+    """Compare gradients of the mean reward at several horizons.
+
+    The zeroth-order gradient is sampled within random orthonormal directions of the parameters, by
+    antithetic differences of length ``spread`` times the root mean square of the parameters times
+    the root of their number: long enough to see what a step of training would.
+
+    Args:
+        task: Task.
+        controller: Where gradients are compared.
+        horizons: Steps.
+        episodes: Starts; the same for both gradients.
+        directions: Two episodes each per start.
+        spread: Relative length of a difference.
+        seed: Of starts and directions.
+
+    Returns:
+        One ``GradientQuality`` per horizon, as dicts.
+    """
+    parameters = {k: p.detach() for k, p in controller.named_parameters()}
+    flat = torch.cat([p.flatten() for p in parameters.values()])
+    rng = np.random.default_rng(seed)
+    draws = torch.from_numpy(rng.standard_normal((len(flat), directions)))
+    basis = torch.linalg.qr(draws).Q.mT  # (directions, parameters)
+    length = spread * float(flat.norm())
+    rows = []
+    for horizon in horizons:
+        analytic = _per_episode(task, controller, parameters, horizon, episodes, seed)
+        sampled = _sampled(task, controller, parameters, basis, length, horizon, episodes, seed)
+        within = analytic.mean(0) @ basis.mT
+        norms = analytic.norm(dim=1)
+        finite = norms[torch.isfinite(norms)]
+        middle = float(finite.median()) if len(finite) else float("nan")
+        wild = ~torch.isfinite(norms) | (norms > 100.0 * middle)
+        quality = GradientQuality(
+            horizon=horizon,
+            cosine=float(torch.cosine_similarity(within, sampled, dim=0)),
+            norm_ratio=float(within.norm() / sampled.norm()),
+            norm=middle,
+            explosion_rate=float(wild.double().mean()),
+            contact_share=contact_share(task, controller, horizon, episodes, seed),
+        )
+        rows.append(asdict(quality))
+    return rows
+
+
+def contact_share(
+    task: Task, controller: Controller, horizon: int, episodes: int, seed: int
+) -> float:
+    """Share of steps with a contact force; 0 for tasks without contact."""
+    state = task.start(episodes, np.random.default_rng(seed))
+    if "contact_force" not in state:
+        return 0.0
+    touching = []
+    with torch.no_grad():
+        for k in range(horizon):
+            state, _ = task.step(state, controller(task.observe(state), k))
+            touching.append((state["contact_force"].abs().flatten(1).amax(1) > 0.0).double())
+    return float(torch.stack(touching).mean())
+
+
+def _members(controller: nn.Module, parameters: Parameters) -> Controller:
+    """A controller whose member k of the batch has parameters[k]."""
+    buffers = dict(controller.named_buffers())
+
+    def one(weights: Parameters, observation: Tensor) -> Tensor:
+        out: Tensor = functional_call(controller, {**buffers, **weights}, (observation,))
+        return out
+
+    return lambda observation, step: vmap(one)(parameters, observation)
+
+
+def _per_episode(
+    task: Task,
+    controller: nn.Module,
+    parameters: Parameters,
+    horizon: int,
+    episodes: int,
+    seed: int,
+) -> Tensor:
+    """Gradient of every episode's mean reward, (episodes, parameters)."""
+    leaves = {
+        k: p.expand(episodes, *p.shape).clone().requires_grad_() for k, p in parameters.items()
+    }
+    start = task.start(episodes, np.random.default_rng(seed))
+    rewards = rollout_task(task, _members(controller, leaves), start, horizon).rewards
+    grads = torch.autograd.grad(rewards.mean(0).sum(), list(leaves.values()))
+    return torch.cat([g.flatten(1) for g in grads], 1)
+
+
+def _sampled(
+    task: Task,
+    controller: nn.Module,
+    parameters: Parameters,
+    basis: Tensor,
+    length: float,
+    horizon: int,
+    episodes: int,
+    seed: int,
+) -> Tensor:
+    """Zeroth-order gradient within the basis, (directions,)."""
+    moves = torch.cat([length * basis, -length * basis]).repeat_interleave(episodes, 0)
+    weights, place = {}, 0
+    for name, p in parameters.items():
+        part = moves[:, place : place + p.numel()].reshape(-1, *p.shape)
+        weights[name], place = p + part, place + p.numel()
+    start = task.start(episodes, np.random.default_rng(seed))
+    many = {k: v.repeat(2 * len(basis), *(1,) * (v.dim() - 1)) for k, v in start.items()}
+    with torch.no_grad():
+        rewards = rollout_task(task, _members(controller, weights), many, horizon).rewards
+    plus, minus = rewards.mean(0).reshape(2, len(basis), episodes).mean(2)
+    return (plus - minus) / (2.0 * length)

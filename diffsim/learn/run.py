@@ -1,0 +1,221 @@
+"""The loop around every method: budget, ratings, log, checkpoint, resume, Ctrl-C."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import time
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+from torch import nn
+from tqdm import tqdm
+
+from diffsim._files import to_plain, write_bytes_atomic, write_text_atomic
+from diffsim.learn.setup import Setup, evaluate
+
+Row = dict[str, Any]
+RESULTS, CHECKPOINT = "results.jsonl", "checkpoint.pt"
+
+
+@dataclass
+class Update:
+    """What one update of a method used and measured.
+
+    Attributes:
+        steps: Simulation steps.
+        gradient_steps: How many of them were differentiated.
+        scalars: For the log, by name.
+    """
+
+    steps: int
+    gradient_steps: int = 0
+    scalars: dict[str, float] = field(default_factory=dict)
+
+
+class Learner(Protocol):
+    """A method: makes a controller better, update by update."""
+
+    def update(self, progress: float) -> Update:
+        """One update; ``progress`` is the share of the budget that is spent, in [0, 1]."""
+
+    def controller(self) -> nn.Module:
+        """The controller as it is now, without exploration."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that a continued run needs: tensors, numbers, text, dicts and lists."""
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from ``state_dict``."""
+
+
+@dataclass
+class Run:
+    """A run in progress, and its results.
+
+    Attributes:
+        folder: Where ``results.jsonl``, ``checkpoint.pt`` and TensorBoard's events lie.
+        rows: One per rating: steps, seconds (CPU, without ratings), wall_seconds,
+            forward_equivalents, reward.
+        finished: Whether the budget is spent.
+    """
+
+    folder: Path
+    rows: list[Row] = field(default_factory=list)
+    steps: int = 0
+    gradient_steps: int = 0
+    updates: int = 0
+    seconds: float = 0.0
+    wall_seconds: float = 0.0
+    finished: bool = False
+
+
+_COUNTERS = ("steps", "gradient_steps", "updates", "seconds", "wall_seconds", "finished")
+
+
+def train(
+    setup: Setup, learner: Learner, folder: str | Path, *, resume: bool = False, show: bool = True
+) -> Run:
+    """Update until the budget is spent; rate, log and save on the way.
+
+    Checkpoints are written with the ratings. Ctrl-C leaves the last one and raises
+    KeyboardInterrupt: what was done since is done again on resuming.
+
+    Args:
+        setup: Task and budget.
+        learner: Method.
+        folder: Of results; made if need be.
+        resume: Continue from the folder's checkpoint if there is one; otherwise start anew.
+        show: Whether to draw a progress bar.
+
+    Raises:
+        ValueError: the checkpoint is of another set-up.
+    """
+    run = Run(Path(folder))
+    run.folder.mkdir(parents=True, exist_ok=True)
+    if resume and (run.folder / CHECKPOINT).exists():
+        _load(run, setup, learner)
+    task = setup.make_task()
+    writer = _writer(run.folder)
+    bar = tqdm(total=setup.steps, initial=run.steps, unit="step", disable=not show)
+    try:
+        if not run.rows:
+            _rate(run, setup, task, learner)
+        while run.steps < setup.steps:
+            begin, begin_wall = time.process_time(), time.perf_counter()
+            update = learner.update(run.steps / setup.steps)
+            run.seconds += time.process_time() - begin
+            run.wall_seconds += time.perf_counter() - begin_wall
+            run.steps += update.steps
+            run.gradient_steps += update.gradient_steps
+            run.updates += 1
+            bar.update(update.steps)
+            for name, value in update.scalars.items():
+                writer.add_scalar(name, value, run.steps)
+            run.finished = run.steps >= setup.steps
+            if run.finished or run.steps - run.rows[-1]["steps"] >= setup.evaluate_every:
+                row = _rate(run, setup, task, learner)
+                writer.add_scalar("reward", row["reward"], run.steps)
+                bar.set_postfix(reward=f"{row['reward']:.4g}")
+                _save(run, setup, learner)
+    except KeyboardInterrupt:
+        # an update cut in half would not be repeatable: the last checkpoint stands
+        bar.write(f"interrupted; continue with --resume (from {run.folder / CHECKPOINT})")
+        raise
+    finally:
+        bar.close()
+        writer.close()
+    return run
+
+
+def read_rows(folder: str | Path) -> list[Row]:
+    """Ratings of a run; an empty list where there are none."""
+    path = Path(folder) / RESULTS
+    if not path.exists():
+        return []
+    rows: list[Row] = [json.loads(line) for line in path.read_text().splitlines()]
+    for row in rows:
+        row["reward"] = math.nan if row["reward"] is None else row["reward"]
+    return rows
+
+
+def is_finished(folder: str | Path) -> bool:
+    """Whether a folder holds a run that spent its budget."""
+    rows = read_rows(folder)
+    return bool(rows) and bool(rows[-1]["finished"])
+
+
+def _writer(folder: Path) -> Any:
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError as error:
+        raise ImportError(
+            "training writes a TensorBoard log; install it with pip install 'diffsim-robot[rl]'"
+        ) from error
+    return SummaryWriter(str(folder))
+
+
+def _rate(run: Run, setup: Setup, task: Any, learner: Learner) -> Row:
+    row: Row = {
+        "steps": run.steps,
+        "gradient_steps": run.gradient_steps,
+        "forward_equivalents": run.steps + (setup.step_cost - 1.0) * run.gradient_steps,
+        "seconds": run.seconds,
+        "wall_seconds": run.wall_seconds,
+        "updates": run.updates,
+        "reward": evaluate(task, learner.controller(), setup.evaluation_episodes),
+        "finished": run.finished,
+    }
+    run.rows.append(row)
+    lines = [json.dumps(to_plain(r), allow_nan=False) for r in run.rows]
+    write_text_atomic(run.folder / RESULTS, "\n".join(lines) + "\n")
+    return row
+
+
+def _save(run: Run, setup: Setup, learner: Learner) -> None:
+    content = io.BytesIO()
+    counters = {name: getattr(run, name) for name in _COUNTERS}
+    state = {
+        "setup": json.dumps(to_plain(asdict(setup)), sort_keys=True),
+        "rows": run.rows,
+        "counters": counters,
+        "learner": learner.state_dict(),
+        "controller": learner.controller().state_dict(),
+    }
+    torch.save(state, content)
+    write_bytes_atomic(run.folder / CHECKPOINT, content.getvalue())
+
+
+def _load(run: Run, setup: Setup, learner: Learner) -> None:
+    state = torch.load(run.folder / CHECKPOINT, weights_only=True)
+    saved, asked = json.loads(state["setup"]), to_plain(asdict(setup))
+    for name in ("task", "task_options", "seed", "steps", "evaluate_every"):
+        if saved[name] != asked[name]:
+            raise ValueError(
+                f"{name} must be {saved[name]!r} as in {run.folder / CHECKPOINT}, got "
+                f"{asked[name]!r}; give the same values or another folder"
+            )
+    run.rows = state["rows"]
+    for name, value in state["counters"].items():
+        setattr(run, name, value)
+    learner.load_state_dict(state["learner"])
+
+
+def load_controller(folder: str | Path, controller: nn.Module) -> nn.Module:
+    """The trained weights of a run, put into a controller of the same shape."""
+    state = torch.load(Path(folder) / CHECKPOINT, weights_only=True)
+    controller.load_state_dict(state["controller"])
+    return controller
+
+
+def rng_state(rng: Any) -> str:
+    """State of a numpy generator as text (its integers are wider than a tensor's)."""
+    return json.dumps(rng.bit_generator.state)
+
+
+def set_rng_state(rng: Any, text: str) -> None:
+    """Undo ``rng_state``."""
+    rng.bit_generator.state = json.loads(text)

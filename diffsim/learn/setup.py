@@ -1,0 +1,131 @@
+"""What every method is given: the task, the same first controller, the same fixed evaluation."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim.control import MLPController
+from diffsim.envs.registry import make_task
+from diffsim.envs.rollout import Controller, rollout_task
+from diffsim.envs.task import Task
+from diffsim.envs.vector_env import TaskVectorEnv
+from diffsim.errors import DiffsimError
+
+EVALUATION_SEED = 20_000  # of the starts that rate controllers; no run trains with it
+WARM_UP_ENVS, WARM_UP_HOLD = 8, 5
+
+
+@dataclass(frozen=True)
+class Setup:
+    """One training run, whatever the method.
+
+    Attributes:
+        task: Such as "CopterHover".
+        task_options: Of ``make_task``.
+        seed: Of the first weights, the episodes, and everything drawn at random.
+        steps: Budget of simulation steps.
+        evaluate_every: Simulation steps between two ratings.
+        evaluation_episodes: Whose mean reward is the rating; the same ones for every method.
+        step_cost: What a step with its gradient costs, in steps without (``gradient_step_cost``).
+        warm_up: Control steps of random commands from which observations are first normalised.
+    """
+
+    task: str
+    task_options: Mapping[str, Any] = field(default_factory=dict)
+    seed: int = 0
+    steps: int = 100_000
+    evaluate_every: int = 10_000
+    evaluation_episodes: int = 16
+    step_cost: float = 2.5
+    warm_up: int = 50
+
+    def make_task(self) -> Task:
+        """The task."""
+        return make_task(self.task, **dict(self.task_options))
+
+
+def first_controller(task: Task, seed: int, warm_up: int = 50) -> MLPController:
+    """The controller that all methods start from: seeded weights, observations normalised.
+
+    The moments come from episodes under random commands, held for a few steps each; training
+    methods go on to update them.
+
+    Args:
+        task: Task.
+        seed: Of weights and commands.
+        warm_up: Steps of each of eight episodes.
+    """
+    controller = MLPController(task.num_observations, task.num_actions, seed=seed)
+    assert controller.normaliser is not None  # asked for by default
+    rng = np.random.default_rng([seed, 1])
+    env = TaskVectorEnv(task, WARM_UP_ENVS)
+    observations, _ = env.reset(seed=int(rng.integers(2**31)))
+    for k in range(warm_up):
+        if k % WARM_UP_HOLD == 0:
+            commands = rng.uniform(-1.0, 1.0, (WARM_UP_ENVS, task.num_actions)).astype(np.float32)
+        observations, *_ = env.step(commands)
+        controller.normaliser.update(torch.from_numpy(observations).double())
+    return controller
+
+
+def evaluate(task: Task, controller: Controller, episodes: int) -> float:
+    """Mean reward per step of whole episodes from fixed starts; nothing is earned after a failure.
+
+    Args:
+        task, controller: Who steers what; without noise.
+        episodes: How many.
+
+    Returns:
+        NaN where the simulation broke down.
+    """
+    start = task.start(episodes, np.random.default_rng(EVALUATION_SEED))
+    try:
+        with torch.no_grad():
+            rewards: Tensor = rollout_task(task, controller, start, task.max_steps).rewards
+    except (ArithmeticError, RuntimeError, ValueError) as error:
+        if not broke_down(error):
+            raise
+        return float("nan")
+    return float(rewards.mean())
+
+
+def broke_down(error: BaseException) -> bool:
+    """Whether an exception says that a simulation left the finite numbers or did not converge.
+
+    The simulators refuse to go on from NaN (ValueError "... must be finite ...") and raise
+    ``DiffsimError`` where a solve fails.
+    """
+    return isinstance(error, DiffsimError | ArithmeticError) or "must be finite" in str(error)
+
+
+def untrained_reward(setup: Setup, networks: int = 16) -> float:
+    """Mean rating of untrained networks: the zero of normalised rewards (thesis Fig. 4-17)."""
+    task = setup.make_task()
+    ratings = [
+        evaluate(task, first_controller(task, 1000 + k, setup.warm_up), setup.evaluation_episodes)
+        for k in range(networks)
+    ]
+    return float(np.nanmean(ratings))
+
+
+def gradient_step_cost(setup: Setup, *, batch: int, steps: int = 20, repeats: int = 3) -> float:
+    """CPU time of a step and its gradient over that of a step alone: its forward-equivalents."""
+    task = setup.make_task()
+    controller = first_controller(task, 0, setup.warm_up)
+    start = task.start(batch, np.random.default_rng(0))
+    ratios = []
+    for _ in range(repeats):
+        t0 = time.process_time()
+        with torch.no_grad():
+            rollout_task(task, controller, start, steps)
+        t1 = time.process_time()
+        rollout_task(task, controller, start, steps).rewards.mean().backward()  # type: ignore[no-untyped-call]
+        ratios.append((time.process_time() - t1) / (t1 - t0))
+    return float(np.median(ratios))

@@ -1,0 +1,75 @@
+"""Training through the simulator against reinforcement learning (thesis Fig. 4-17).
+
+python rl/compare.py --preset quick       # a minute
+python rl/compare.py --preset coarse      # copter and coarse swimmers
+python rl/compare.py --preset thesis      # 7,026 and 9,921 degrees of freedom: days
+python rl/compare.py --preset coarse --tasks CopterHover --methods gradient ppo --seeds 0 1
+
+Interrupt it at will: finished runs are not repeated, others continue. Several processes may share
+the work by giving each other methods or seeds. ``--report`` only sums up what is there.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+
+from diffsim._files import write_json_atomic, write_text_atomic
+from diffsim.learn import comparison
+from diffsim.learn.figures import comparison_figure
+from diffsim.learn.methods import METHODS, Plan
+from diffsim.learn.presets import PRESETS, preset
+
+
+def report(task: str, plan: Plan, folder: Path, images: Path, *, quality: bool) -> str | None:
+    """Figure and tables of one task; None where no training by gradient has ended yet."""
+    runs = comparison.collect(plan, folder)
+    if "gradient" not in runs:
+        return None
+    scale = comparison.scale_of(plan, folder, runs)
+    summary = comparison.summarise(runs, scale)
+    write_json_atomic(folder / "summary.json", {"task": task, "methods": summary})
+    comparison_figure(images / f"learning_{task}.png", task, runs, scale)
+    tables = [comparison.table(task, summary)]
+    if quality:
+        tables.append(comparison.quality_table(task, comparison.quality_of(plan, folder)))
+    return "\n\n".join(tables) + "\n"
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Run; see the module."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = parser.add_argument
+    add("--preset", choices=sorted(PRESETS), default="quick")
+    add("--tasks", nargs="+", default=None, help="of the preset (all)")
+    add("--methods", nargs="+", choices=METHODS, default=METHODS)
+    add("--seeds", nargs="+", type=int, default=None, help="(the preset's)")
+    add("--out", type=Path, default=Path("runs/compare"), help="folder (runs/compare)")
+    add("--images", type=Path, default=None, help="folder of figures (that of results)")
+    add("--report", action="store_true", help="do not train")
+    add("--no-quality", action="store_true", help="do not compare gradients")
+    add("--threads", type=int, default=1, help="of torch (1)")
+    args = parser.parse_args(argv)
+    torch.set_num_threads(args.threads)
+    for task, plan in preset(args.preset).items():
+        if args.tasks is not None and task not in args.tasks:
+            continue
+        folder = args.out / args.preset / task
+        if not args.report:
+            try:
+                comparison.run_all(plan, folder, methods=args.methods, seeds=args.seeds)
+            except KeyboardInterrupt:
+                raise SystemExit(130) from None
+        text = report(task, plan, folder, args.images or folder, quality=not args.no_quality)
+        if text is not None:
+            write_text_atomic(folder / "report.md", text)
+            print(text)
+
+
+if __name__ == "__main__":
+    main()

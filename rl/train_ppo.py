@@ -1,0 +1,24 @@
+"""Train a controller with stable-baselines3's PPO on the native vector environment.
+
+python rl/train_ppo.py --task CopterHover --seed 0 --steps 500000
+python rl/train_ppo.py --quick
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from diffsim.learn.options import main_training
+from diffsim.learn.ppo import PpoLearner, PpoOptions
+from diffsim.learn.run import Run
+
+QUICK = {"envs": 8, "rollout": 10, "minibatch": 40, "epochs": 2}
+
+
+def main(argv: Sequence[str] | None = None) -> Run:
+    """Run; see the module."""
+    return main_training("ppo", PpoLearner, PpoOptions, QUICK, __doc__, argv)
+
+
+if __name__ == "__main__":
+    main()

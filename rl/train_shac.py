@@ -1,0 +1,24 @@
+"""Train a controller with the short-horizon actor-critic (Xu et al. 2022).
+
+python rl/train_shac.py --task CopterHover --seed 0
+python rl/train_shac.py --quick
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from diffsim.learn.options import main_training
+from diffsim.learn.run import Run
+from diffsim.learn.shac import ShacLearner, ShacOptions
+
+QUICK = {"batch": 8, "window": 4, "critic_passes": 1}
+
+
+def main(argv: Sequence[str] | None = None) -> Run:
+    """Run; see the module."""
+    return main_training("shac", ShacLearner, ShacOptions, QUICK, __doc__, argv)
+
+
+if __name__ == "__main__":
+    main()
