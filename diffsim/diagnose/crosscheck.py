@@ -18,6 +18,7 @@ from diffsim.identify import Problem
 
 Array = NDArray[np.float64]
 BLOCK_S = 0.3
+MIN_BLOCKS = 6  # with fewer, one draw in 2^5 or more swaps nothing, and no cause could be confirmed
 DRAWS = 200
 
 
@@ -36,10 +37,11 @@ def swap_probability(
         seed: Of the draws.
 
     Returns:
-        (hits + 1) / (draws + 1), or None without two repeats of any command.
+        (hits + 1) / (draws + 1), or None where repeats are missing or too short to tell.
     """
     pairs = _pairs(problem.runs)
-    if not pairs:
+    labels = [_blocks(problem.runs[a]) for a, _ in pairs]
+    if sum(int(label.max()) + 1 for label in labels) < MIN_BLOCKS:
         return None
     grids = _on_grid(problem, residual[:, None])
     moved = _on_grid(problem, responses)
@@ -53,7 +55,6 @@ def swap_probability(
         b = h.T @ np.concatenate([r.ravel() for r in records])
         return float(b @ linalg.cho_solve(factor, b))
 
-    labels = [_blocks(problem.runs[a]) for a, _ in pairs]
     rng, found = np.random.default_rng(seed), statistic(mean)
     hits = 0
     for _ in range(DRAWS):

@@ -142,7 +142,10 @@ def test_repeats_confirm_a_repeatable_cause_and_not_noise():
         for seed in range(20):
             rng = np.random.default_rng(seed)
             shared = common * rng.normal() * np.linspace(-1, 1, linear.NUM_SAMPLES)[:, None]
-            runs = [replace(linear.run(f"r{k}", 100 * seed + k), group="g") for k in range(2)]
+            # two commands of five blocks each
+            runs = [
+                replace(linear.run(f"r{k}", 100 * seed + k), group=f"g{k // 2}") for k in range(4)
+            ]
             runs = [replace(r, measured=r.measured + 3 * shared) for r in runs]
             problem = linear.problem((), runs)
             x = np.zeros(2)
@@ -366,3 +369,12 @@ def test_what_held_out_runs_refute_is_withdrawn_and_says_so():
     assert row.gain is not None and row.gain.high < 0.0
     assert "push" not in report.named
     assert report.verdict == "unknown"
+
+
+def test_repeats_too_short_to_tell_do_not_refute_an_unknown_cause():
+    """One pair of 1.5 s makes five blocks: one draw in 32 swaps nothing."""
+    runs = [replace(linear.run(f"r{k}", k), group="g") for k in range(2)]
+    problem = linear.problem((), runs)
+    x = np.zeros(2)
+    moved = UnknownDrift(0, "drift").responses(problem, x)
+    assert swap_probability(problem, problem.residual(x), moved, seed=0) is None
