@@ -50,7 +50,7 @@ def test_swing_starts_as_recorded_before_anything_is_fitted(study):
 
 
 @pytest.mark.slow
-def test_damping_that_does_not_grow_with_frequency_is_named_but_not_the_whole_answer(study):
+def test_damping_that_does_not_grow_with_frequency_mimics_part_of_what_is_missing(study):
     """The claim of docs/measured/silicone_beam.md; damping ratios are read off the recordings."""
     effort = SearchSettings(max_effects=2, num_refits=1, max_rounds=3)
     made = setup_of(study, until_s=0.75, search=effort)
@@ -60,12 +60,11 @@ def test_damping_that_does_not_grow_with_frequency_is_named_but_not_the_whole_an
     )
     gates = {gate.name: gate for gate in found.gates}
     assert gates["mesh"].passed and gates["time_step"].passed
-    assert found.named == ("loss_factor",)
+    assert found.verdict == "unknown"
     by_name = {row.effect: row for row in found.table}
     # swings decay with a ratio of 0.05 with and without weight: at most twice that
     assert 0.04 < by_name["loss_factor"].size["size"] < 0.12
-    # what the name does not say: evidence for a force beside it, and a gain that may be none
+    assert by_name["loss_factor"].status == "mimic"
     best = max(found.hypotheses, key=lambda h: h.nats)
     assert best.effects == ("loss_factor",) and best.unknown is not None
-    assert found.gain.status == "not confirmed"
-    assert found.chi2_best > 5.0 * found.num_samples
+    assert found.chi2_null > 5.0 * found.num_samples
