@@ -33,6 +33,7 @@ MESH_SD = 0.03  # of Young's modulus, beside the laboratory's prior: locking dif
 # if it were that much nearer to the clamp.
 ROOT_M = 2.5e-3
 KNOTS_PER_S = 5.0
+FORCE_ATOL_N = 1e-11  # far below what moves a marker by a noise sd; an unloaded bar has no scale
 
 
 class TensionLimit(actuator.ActuatorEffect):
@@ -223,7 +224,7 @@ class _Bar:
             rayleigh_beta=1e-3,
             fixed=box.nodes_near_plane("x", 0.0),
             muscles=[tendon.muscle],
-            solver=soft.SolverOptions(rtol=rtol),
+            solver=soft.SolverOptions(rtol=rtol, atol=FORCE_ATOL_N),
         )
         self.length, self.inertia = length, width * depth**3 / 12.0
         x = box.x_rest
