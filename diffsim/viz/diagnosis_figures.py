@@ -107,9 +107,10 @@ def residual_views(
     Args:
         runs: One or more.
         channels: All channels of the study.
-        command: Whose value and rate give the phase; default the first one.
+        command: Whose value and rate give the phase; default the first one that changes.
     """
-    command = command or next(iter(runs[0].command), None)
+    varying = (n for n in runs[0].command if any(np.ptp(r.command[n]) > 0.0 for r in runs))
+    command = command or next(varying, None)
     kinds = [_residuals("model before", NULL, runs, channels, extended=False)]
     if all(run.extended is not None for run in runs):
         kinds.append(_residuals("extended", EXTENDED, runs, channels, extended=True))
@@ -317,6 +318,8 @@ def _over_phase(ax: Axes, kinds: Sequence[_Residuals], command: str | None) -> N
     _noise_band(ax)
     ax.set_title(f"over the command {command or ''}", loc="left", fontsize=10, color=INK)
     if command is None:
+        at = {"transform": ax.transAxes, "ha": "center", "va": "center"}
+        ax.text(0.5, 0.5, "no command changes in these runs", color=SOFT, fontsize=9, **at)
         return
     ax.set_xlabel(f"{command}", color=SOFT)
     phases = [command_phase(run.time_s, run.command[command]) for run, _ in kinds[0].runs]
