@@ -318,8 +318,7 @@ def _over_phase(ax: Axes, kinds: Sequence[_Residuals], command: str | None) -> N
     _noise_band(ax)
     ax.set_title(f"over the command {command or ''}", loc="left", fontsize=10, color=INK)
     if command is None:
-        at = {"transform": ax.transAxes, "ha": "center", "va": "center"}
-        ax.text(0.5, 0.5, "no command changes in these runs", color=SOFT, fontsize=9, **at)
+        ax.set_xlabel("no command changes in these runs", color=SOFT)
         return
     ax.set_xlabel(f"{command}", color=SOFT)
     phases = [command_phase(run.time_s, run.command[command]) for run, _ in kinds[0].runs]
