@@ -144,23 +144,22 @@ void bind_soft(nb::module_& m) {
     implicit_step_adjoint_batch(system, arrays.inputs(), options, batch, in(x), in(grad_x),
                                 grads.adjoint(), reinterpret_cast<StepStats*>(stats), num_threads);
   });
-  m.def("implicit_step_tangent", [](const ConstantSystem& system, const SoftArrays& arrays,
-                                    const StepOptions& options, std::int64_t count, Address x,
-                                    const SoftArrays& directions, Address dx, Address stats,
-                                    int num_threads) {
-    nb::gil_scoped_release release;
-    ThreadPool pool(num_threads);
-    *reinterpret_cast<StepStats*>(stats) =
-        implicit_step_tangent(system, arrays.inputs(), options, in(x),
-                              directions.directions(count), out(dx), pool);
-  });
-  m.def("elastic_gradient", [](const SoftPattern& pattern, const SoftArrays& arrays,
-                               std::int64_t batch, Address x, Address gradient, Address energy,
-                               int num_threads) {
-    nb::gil_scoped_release release;
-    elastic_gradient(pattern.model(), arrays.inputs(), batch, in(x), out(gradient), out(energy),
-                     num_threads);
-  });
+  m.def("implicit_step_tangent",
+        [](const ConstantSystem& system, const SoftArrays& arrays, const StepOptions& options,
+           std::int64_t count, Address x, const SoftArrays& directions, Address dx, Address stats,
+           int num_threads) {
+          nb::gil_scoped_release release;
+          ThreadPool pool(num_threads);
+          *reinterpret_cast<StepStats*>(stats) = implicit_step_tangent(
+              system, arrays.inputs(), options, in(x), directions.directions(count), out(dx), pool);
+        });
+  m.def("elastic_gradient",
+        [](const SoftPattern& pattern, const SoftArrays& arrays, std::int64_t batch, Address x,
+           Address gradient, Address energy, int num_threads) {
+          nb::gil_scoped_release release;
+          elastic_gradient(pattern.model(), arrays.inputs(), batch, in(x), out(gradient),
+                           out(energy), num_threads);
+        });
   m.def("count_inverted", [](const SoftPattern& pattern, Address x) {
     nb::gil_scoped_release release;
     return count_inverted(pattern.model(), in(x));

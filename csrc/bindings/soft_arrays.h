@@ -44,8 +44,8 @@ struct SoftArrays {
             in.force,
             in.target,
             diffsim::in(inertia),
-            {p.w_mu, p.w_vol, p.fibre_stiffness, p.activation, p.damp_mu, p.damp_lambda,
-             in.x_frame, in.x_velocity, p.pressure}};
+            {p.w_mu, p.w_vol, p.fibre_stiffness, p.activation, p.damp_mu, p.damp_lambda, in.x_frame,
+             in.x_velocity, p.pressure}};
   }
 };
 

@@ -377,8 +377,7 @@ void parameter_tangent_of(const SoftModel& model, const SoftParameters& p,
         const Lane vol = direction_value<Group>(solid, g, d.w_vol, k);
         for (int i = 0; i < 9; ++i) P[i] = mu * P_mu[i] + vol * P_vol[i];
       }
-      if (p.damp_mu)
-        add_damping_tangent<Group>(model, p, frames[at(g)], delta, g, k, d, P);
+      if (p.damp_mu) add_damping_tangent<Group>(model, p, frames[at(g)], delta, g, k, d, P);
       scatter_stress(shape, P,
                      vectors + (k - first) * model.vectors_size + g * solid.vectors_size());
     }

@@ -81,8 +81,8 @@ struct ParameterDirections {
 /// parameter_adjoint.
 /// @param[out] out  (count, num_nodes, 3)
 void parameter_tangent(const SoftModel& model, const SoftParameters& parameters,
-                       const std::vector<DampingFrame>& frames, const double* x,
-                       std::int64_t count, const ParameterDirections& directions, double* out,
+                       const std::vector<DampingFrame>& frames, const double* x, std::int64_t count,
+                       const ParameterDirections& directions, double* out,
                        ElasticityScratch& scratch, ThreadPool& pool);
 
 /// Elements that have a sample with det F <= 0 (or NaN) at x.

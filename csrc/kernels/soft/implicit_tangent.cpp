@@ -84,8 +84,8 @@ StepStats implicit_step_tangent(const ConstantSystem& system, const StepInputs& 
     if (scale == 0.0) {
       z.assign(z.size(), 0.0);
     } else if (!direct || !(left <= options.rtol * scale)) {
-      const KrylovResult solve = solver.solve(options.method, false, b, options.rtol * scale,
-                                              options.max_iters, z);
+      const KrylovResult solve =
+          solver.solve(options.method, false, b, options.rtol * scale, options.max_iters, z);
       left = solve.residual_norm;
       worst.num_iters += solve.num_iters;
       if (!solve.converged) worst.converged = 0.0;
