@@ -52,10 +52,6 @@ class Local:
         place = {i: k for k, i in enumerate(self.idx)}
         return self.columns[:, [place[i] for i in wanted]]
 
-    def renamed(self, x: Array, idx: Sequence[int]) -> Local:
-        """The same point and slopes in the coordinates of another problem."""
-        return replace(self, x=x, idx=tuple(idx))
-
     def joined(self, other: Local) -> Local:
         """Slopes of ``other`` beside those known here, which win."""
         more = [i for i in other.idx if i not in set(self.idx)]

@@ -8,9 +8,8 @@ One task serves both worlds. A gymnasium environment (``TaskEnv``), a vector env
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -203,14 +202,3 @@ def where(mask: Tensor, yes: TaskState, no: TaskState) -> TaskState:
 def detached(state: TaskState) -> TaskState:
     """The state without its history of gradients."""
     return {name: value.detach() for name, value in state.items()}
-
-
-def stacked(states: Sequence[TaskState]) -> TaskState:
-    """Several states as one batch."""
-    return {name: torch.cat([s[name] for s in states]) for name in states[0]}
-
-
-def options_of(task: Task) -> dict[str, Any]:
-    """What is needed to tell two set-ups of a task apart, for logs."""
-    factors = {} if task.randomisation is None else dict(task.randomisation.factors)
-    return {"name": task.name, "action_delay": task.action_delay, "randomisation": factors}

@@ -130,9 +130,12 @@ def main() -> None:
     parser.add_argument("seed", type=int)
     parser.add_argument("--scale", type=int, default=1)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--out", default="confusion.jsonl", help="of one seed; a part is completed")
+    parser.add_argument(
+        "--out", default="runs/confusion.jsonl", help="of one seed; a part is completed"
+    )
     args = parser.parse_args()
     path = Path(args.out)
+    path.parent.mkdir(parents=True, exist_ok=True)
     done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     with ProcessPoolExecutor(args.workers) as pool, path.open("a") as file:
         plan = list(cases(args.seed, args.scale))

@@ -1,7 +1,7 @@
 """What is done elsewhere, on the same cases: naive refit, BIC, held-out error, sparse regression.
 
 None of them weighs an unknown cause, says that the data cannot decide, or looks at repeats; all
-take the noise as stated, white. `python -m tests.diagnose.rivals confusion.jsonl` holds them
+take the noise as stated, white. `python -m tests.diagnose.rivals runs/confusion.jsonl` holds them
 against the verdicts that `tests.diagnose.confusion` wrote.
 """
 

@@ -120,3 +120,15 @@ def test_cut_horizon_forgets() -> None:
     assert start["v"].grad is None or not bool(start["v"].grad.any())
     with pytest.raises(ValueError, match="cut_every"):
         rollout_task(task, net, start, 4, cut_every=0)
+
+
+def test_a_differentiable_state_goes_on_from_where_the_environment_is() -> None:
+    env = envs.TaskEnv(envs.make_task("CopterHover"))
+    env.reset(seed=3)
+    action = np.full(env.task.num_actions, 0.2, dtype=np.float32)
+    env.step(action)
+    state = env.differentiable_state()
+    _, reward, *_ = env.step(action)
+    _, expected = env.differentiable_step(state, torch.from_numpy(action).double()[None])
+    assert reward == pytest.approx(float(expected), rel=1e-12)
+    assert int(state["step"]) == 1  # a copy: the environment's own step left it alone

@@ -8,18 +8,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import ClassVar
 
-from torch import Tensor
-
-from diffsim.data.study import Run, Study
-from diffsim.diagnose.beds.bending.scene import BendingScene
+from diffsim.data.study import Study
+from diffsim.diagnose.beds.adding import AddingEffect
 from diffsim.diagnose.effect import Effect
 
 
-class BendingEffect(Effect):
-    """Makes numbers of the scene larger; several numbers per component share its size."""
+class BendingEffect(AddingEffect):
+    """Makes numbers of the scene larger, where enough levels of pressure were recorded."""
 
     unit: ClassVar[str] = "-"
-    adds_to: ClassVar[tuple[str, ...]]
     needs_levels: ClassVar[int] = 1
 
     def needs(self, study: Study) -> str | None:
@@ -27,12 +24,6 @@ class BendingEffect(Effect):
         if len(levels) < self.needs_levels:
             return f"runs at {self.needs_levels} levels of pressure or more"
         return None
-
-    def apply(self, scene: BendingScene, size: Tensor, run: Run) -> BendingScene:
-        each = len(self.adds_to) // len(self.components)
-        for i, name in enumerate(self.adds_to):
-            scene = scene.with_added(name, size[..., i // each])
-        return scene
 
 
 class Lag(BendingEffect):
