@@ -1,9 +1,15 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import integrate, stats
 
 from diffsim.diagnose import Unknown, UnknownDrift
-from diffsim.diagnose.evidence import AMPLITUDES, Hypothesis, Linearisation
+from diffsim.diagnose.descend import Descended
+from diffsim.diagnose.evidence import AMPLITUDES, Hypothesis, Linearisation, unrealised
+from diffsim.diagnose.local import local_at
+from diffsim.diagnose.search import Search
+from diffsim.identify import fit
 from tests.diagnose import linear
 
 
@@ -121,3 +127,30 @@ def test_drift_moves_its_channel_only_and_alike_in_repeats():
     np.testing.assert_array_equal(h[0], h[1])
     assert not (h[0].any(axis=(0, 1)) & h[2].any(axis=(0, 1))).any()
     assert h[2].any()
+
+
+@pytest.mark.reference
+def test_what_a_fit_left_unrealised_is_what_its_cost_lies_above_the_optimum():
+    runs = (linear.run("r1", 1), linear.run("r2", 2))
+    best = fit(linear.model(), runs, linear.CHANNELS)
+    assert unrealised(best) == pytest.approx(0.0, abs=1e-6)
+
+    def cost(x):
+        return 0.5 * float(np.sum(best.problem.residual(x) ** 2) + x @ x)
+
+    x = best.x + np.array([0.4, -0.3])
+    stopped = replace(best, x=x, residual=best.problem.residual(x))
+    assert unrealised(stopped) == pytest.approx(cost(x) - cost(best.x), rel=1e-6)
+
+
+def test_the_search_does_not_credit_an_optimum_that_a_fit_has_not_found():
+    effects = (linear.Line("push"),)
+    problem = linear.problem(effects)
+    found = fit(problem.model, problem.runs, linear.CHANNELS)
+    moved = found.x + np.array([0.4, -0.3])
+    nats = []
+    for x in (found.x, moved):
+        stopped = replace(found, x=x, residual=found.problem.residual(x))
+        null = Descended(stopped, local_at(found.problem, x))
+        nats.append(Search(problem, (), null).entries[Hypothesis()].nats)
+    assert nats[0] - nats[1] == pytest.approx(unrealised(stopped), rel=1e-6)
