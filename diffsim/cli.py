@@ -1,4 +1,4 @@
-"""The ``diffsim`` command: ``diffsim demo``, ``diagnose``, ``fly``, ``fabricate`` and ``info``."""
+"""The ``diffsim`` command: demo, examples, diagnose, fly, fabricate and info."""
 
 from __future__ import annotations
 
@@ -36,6 +36,9 @@ def parser() -> argparse.ArgumentParser:
     demo.add_argument("--resume", action="store_true", help="go on with what --out holds")
     demo.add_argument("--threads", type=positive, default=os.cpu_count() or 1, metavar="N")
     demo.set_defaults(run=_demo)
+
+    examples = commands.add_parser("examples", help="list the examples, or run one by its name")
+    _add_examples_arguments(examples, common)
 
     fabricate = commands.add_parser(
         "fabricate", parents=[common], help="cut list, STL files, bill and wiring of a multicopter"
@@ -82,6 +85,28 @@ def _demo(args: argparse.Namespace) -> None:
         resume=args.resume,
         threads=args.threads,
     )
+
+
+def _add_examples_arguments(
+    examples: argparse.ArgumentParser, common: argparse.ArgumentParser
+) -> None:
+    steps = examples.add_subparsers(dest="step", required=True, metavar="list|run")
+    steps.add_parser("list", parents=[common], help="every example and its question")
+    one = steps.add_parser("run", parents=[common], help="run one")
+    one.add_argument("name", metavar="NAME", help="as diffsim examples list shows it")
+    one.add_argument("--quick", action="store_true", help="its short version")
+    one.epilog = "What follows -- goes to the script: diffsim examples run plant -- --help"
+    examples.set_defaults(run=_examples)
+
+
+def _examples(args: argparse.Namespace) -> int:
+    # as for the demo
+    from diffsim.applications import catalogue
+
+    if args.step == "list":
+        print(catalogue.listing(catalogue.examples()))
+        return 0
+    return catalogue.run(args.name, quick=args.quick, options=args.options)
 
 
 def _fabricate(args: argparse.Namespace) -> None:
@@ -181,14 +206,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         Exit status: 0, 2 after a user's or a numerical error, 130 after Ctrl-C.
     """
-    args = parser().parse_args(argv)
+    given = list(sys.argv[1:] if argv is None else argv)
+    cut = given.index("--") if given[:2] == ["examples", "run"] and "--" in given else len(given)
+    args = parser().parse_args(given[:cut])
+    args.options = given[cut + 1 :]
     try:
         status = args.run(args) or 0
         sys.stdout.flush()
         return status
     except KeyboardInterrupt:
         print("\ninterrupted; finished work is kept", file=sys.stderr)
-        again = list(sys.argv[1:] if argv is None else argv)
+        again = given
         if args.command == "demo" and not args.resume:
             again.append("--resume")
         if args.command in ("demo", "diagnose"):

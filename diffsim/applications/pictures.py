@@ -1,0 +1,144 @@
+"""Motion strips and recordings of applications."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim import mesh
+from diffsim.applications.application import Application
+from diffsim.viz.scene import MovingPoints, MovingSurface, Scene, write
+
+INK, FLOOR, TARGET = "#1d2433", "#e4e8ee", "#b3362a"
+COLOURS = ("#c2571a", "#0b6e75", "#8a93a3")  # before, after, target motion
+RECORDING_FRAMES = 120
+
+
+def motion_strip(
+    application: Application,
+    motions: Mapping[str, Tensor],
+    path: Path,
+    *,
+    frames: int = 5,
+    view: tuple[float, float] = (14.0, -65.0),
+) -> Path:
+    """Draw frames of several motions: a row each, times from left to right, one scale for all.
+
+    Args:
+        application: Whose body and targets are drawn.
+        motions: By caption, positions (num_steps + 1, num_vertices, 3) [m].
+        path: Of the PNG.
+        frames: Columns.
+        view: Elevation and azimuth [degrees].
+    """
+    import matplotlib.pyplot as plt
+
+    faces = _faces(application)
+    whole = torch.cat([x[_steps(x, frames)].reshape(-1, 3) for x in motions.values()])
+    points = torch.tensor([list(p) for p in application.targets.values()], dtype=whole.dtype)
+    whole = torch.cat([whole, points.reshape(-1, 3)])
+    low, high = whole.min(0).values.numpy(), whole.max(0).values.numpy()
+    size = np.maximum(high - low, 0.05 * (high - low).max())
+    rows = len(motions)
+    figure = plt.figure(figsize=(2.6 * frames, 2.5 * rows + 0.4), layout="constrained")
+    for r, (caption, x) in enumerate(motions.items()):
+        for c, step in enumerate(_steps(x, frames)):
+            axes = figure.add_subplot(rows, frames, r * frames + c + 1, projection="3d")
+            axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+            axes.set_box_aspect(tuple(size), zoom=1.3)
+            axes.view_init(*view)
+            axes.set_axis_off()
+            if application.obstacles:
+                _floor(axes, low, high)
+            _surface(axes, x[step].numpy()[faces], COLOURS[r % len(COLOURS)])
+            for target in application.targets.values():
+                axes.scatter(*target, color=TARGET, s=30, depthshade=False)
+            title = f"{1e3 * step * application.body.dt:.0f} ms"
+            axes.set_title(f"{caption}, {title}" if c == 0 else title, fontsize=9, loc="left")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+    return path
+
+
+def recording(application: Application, motions: Mapping[str, Tensor], path: Path) -> Path:
+    """Write the motions as an ``.rrd``, at most ``RECORDING_FRAMES`` frames each."""
+    triangles = _triangles(application)
+    surfaces, points = [], []
+    for k, (caption, x) in enumerate(motions.items()):
+        steps = _steps(x, min(RECORDING_FRAMES, len(x)))
+        time_s = application.body.dt * np.asarray(steps, float)
+        surfaces.append(
+            MovingSurface(
+                path=f"{application.name}/{caption.replace(' ', '_')}",
+                time_s=time_s,
+                nodes_m=x[steps].numpy().astype(np.float32),
+                triangles=triangles,
+                colour=COLOURS[k % len(COLOURS)],
+            )
+        )
+    size = float(
+        (application.body.x_rest.max(0).values - application.body.x_rest.min(0).values).max()
+    )
+    for name, place in application.targets.items():
+        points.append(
+            MovingPoints(
+                path=f"{application.name}/{name.replace(' ', '_')}",
+                time_s=np.zeros(1),
+                points_m=np.asarray(place, float)[None, None],
+                colour=TARGET,
+                radius_m=0.02 * size,
+            )
+        )
+    note = f"# {application.title}\n\n{application.source}"
+    return write(Scene(title=application.name, note=note, surfaces=surfaces, points=points), path)
+
+
+def _faces(application: Application) -> np.ndarray:
+    m = application.body.mesh
+    surface = mesh.surface_quads(m) if isinstance(m, mesh.HexMesh) else mesh.surface_triangles(m)
+    return surface.faces.numpy()
+
+
+def _triangles(application: Application) -> np.ndarray:
+    faces = _faces(application)
+    if faces.shape[1] == 3:
+        return faces
+    return np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])
+
+
+def _steps(x: Tensor, frames: int) -> list[int]:
+    return np.linspace(0, len(x) - 1, frames).round().astype(int).tolist()
+
+
+def _surface(axes, polygons: np.ndarray, colour: str) -> None:
+    from matplotlib.colors import LightSource
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    axes.add_collection3d(
+        Poly3DCollection(
+            polygons,
+            facecolors=colour,
+            edgecolors=INK,
+            linewidths=0.1,
+            shade=True,
+            lightsource=LightSource(azdeg=225, altdeg=50),
+        )
+    )
+
+
+def _floor(axes, low: np.ndarray, high: np.ndarray) -> None:
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    z = min(0.0, float(low[2]))
+    corners = [
+        (low[0], low[1], z),
+        (high[0], low[1], z),
+        (high[0], high[1], z),
+        (low[0], high[1], z),
+    ]
+    axes.add_collection3d(Poly3DCollection([corners], facecolors=FLOOR, zorder=-10))

@@ -1,0 +1,122 @@
+"""Thesis Table 4.4 of ours: all applications by all solvers, part after part, resumable."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diffsim._files import write_json_atomic, write_text_atomic
+from diffsim.applications.application import SOLVERS, Application, solver_options
+from diffsim.applications.catalogue import FOLDER
+from diffsim.applications.minimise import minimise
+from diffsim.applications.normalise import normalised, random_losses
+from diffsim.errors import DiffsimError
+
+NAMES = ("plant", "bouncing_ball", "bunny", "routing_tendon", "torus", "quadruped", "cow")
+OURS = "projective_dynamics"
+
+
+def load(name: str) -> Any:
+    """The module of an application's script."""
+    path = FOLDER / "applications" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(f"application_{name}", path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise FileNotFoundError(f"no application {name!r}: {path} does not exist")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def row(name: str, solver: str, out: Path, *, quick: bool, evaluations: int | None) -> dict:
+    """Optimise one application by one solver; what is on record is not computed again."""
+    module = load(name)
+    application: Application = module.build(solver_options(solver, rtol=module.RTOL), quick)
+    folder = out / name
+    limit = evaluations or (8 if quick else module.MAX_EVALUATIONS)
+    base = {"name": name, "solver": solver, "dofs": application.num_dofs}
+    try:
+        found = minimise(
+            application,
+            max_evaluations=limit,
+            record=folder / f"{solver}.jsonl",
+            progress=True,
+        )
+    except DiffsimError as err:
+        return {**base, "failure": " ".join(str(err).split())}
+    made = found.evaluations[found.num_starts :]
+    good = [e for e in made if not e.failure]
+    base |= {
+        "steps": len(application.motion(np.array(found.best.values))) - 1,
+        "elements": application.body.mesh.num_elements,
+        "dt": application.body.dt,
+        "oracle": application.oracle,
+        "evaluations": len(made),
+        "failed": len(made) - len(good),
+        "converged": found.converged,
+        "message": found.message,
+        "best": asdict(found.best),
+    }
+    for key in ("forward_s", "backward_s", "forward_cpu_s", "backward_cpu_s"):
+        base[key] = float(np.median([getattr(e, key) for e in good]))
+    if solver == OURS:
+        losses = random_losses(application, record=folder / "random.jsonl")
+        base["random_loss"], base["random_count"] = float(np.mean(losses)), len(losses)
+    return base
+
+
+def make(
+    out: Path,
+    *,
+    names: Sequence[str] = NAMES,
+    solvers: Sequence[str] = tuple(SOLVERS),
+    quick: bool = False,
+    evaluations: int | None = None,
+) -> list[dict]:
+    """All rows; ``table.json`` and ``table.md`` are written after each."""
+    rows: list[dict] = []
+    for name in names:
+        for solver in (OURS, *[s for s in solvers if s != OURS]):
+            rows.append(row(name, solver, out, quick=quick, evaluations=evaluations))
+            write_json_atomic(out / "table.json", rows)
+            write_text_atomic(out / "table.md", markdown(rows))
+    return rows
+
+
+def markdown(rows: Sequence[dict]) -> str:
+    """The table: a line per application and solver."""
+    lines = [
+        "| application | DoF | solver | forward CPU s | backward CPU s | evaluations | normalised "
+        "loss | against ours |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    ours = {r["name"]: r for r in rows if r["solver"] == OURS and "failure" not in r}
+    for r in rows:
+        head = f"| {r['name']} | {r['dofs']:,} | {r['solver'].replace('_', ' ')} |"
+        if "failure" in r:
+            lines.append(f"{head} failed: {r['failure']} | | | | |")
+            continue
+        reference = ours.get(r["name"])
+        loss = ratio = "-"
+        if reference is not None:
+            desired = reference["oracle"]
+            desired = reference["best"]["loss"] if desired is None else desired
+            loss = f"{normalised(r['best']['loss'], reference['random_loss'], desired):.2g}"
+            ratio = f"{_cost(r) / _cost(reference):.1f}x"
+        note = f" ({r['failed']} failed)" if r["failed"] else ""
+        note += "" if r["converged"] else " (limit)"
+        lines.append(
+            f"{head} {r['forward_cpu_s']:.3g} | {r['backward_cpu_s']:.3g} | "
+            f"{r['evaluations']}{note} | {loss} | {ratio} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _cost(r: dict) -> float:
+    return r["forward_cpu_s"] + r["backward_cpu_s"]

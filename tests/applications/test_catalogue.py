@@ -1,0 +1,41 @@
+"""Listing and running examples by name."""
+
+import pytest
+
+from diffsim import cli
+from diffsim.applications import catalogue
+
+
+def test_every_example_opens_with_a_question():
+    found = catalogue.examples()
+    assert {"routing_tendon", "muscle_arm", "amplifier"} <= set(found)
+    for example in found.values():
+        assert example.question.endswith(("?", ".")), example
+
+
+def test_names_are_unique():
+    paths = [p for p in catalogue.FOLDER.glob("*/*.py") if "__main__" in p.read_text()]
+    assert len({p.stem for p in paths}) == len(paths)
+
+
+def test_list_shows_names(capsys):
+    assert cli.main(["examples", "list"]) == 0
+    assert "routing_tendon" in capsys.readouterr().out
+
+
+def test_unknown_name_gets_the_closest(capsys):
+    assert cli.main(["examples", "run", "routing_tendom"]) == 2
+    assert "routing_tendon" in capsys.readouterr().err
+
+
+def test_folder_without_examples_says_how_to_mend_it(tmp_path):
+    with pytest.raises(FileNotFoundError, match="clone the repository"):
+        catalogue.examples(tmp_path / "none")
+
+
+@pytest.mark.example
+def test_run_is_the_script(tmp_path, capfd):
+    options = ["--", "--out", str(tmp_path), "--evaluations", "2", "--no-pictures"]
+    assert cli.main(["examples", "run", "routing_tendon", "--quick", *options]) == 0
+    assert "distance mm, optimised" in capfd.readouterr().out
+    assert (tmp_path / "result_projective_dynamics_quick.json").is_file()
