@@ -90,12 +90,20 @@ def _demo(args: argparse.Namespace) -> None:
 def _add_examples_arguments(
     examples: argparse.ArgumentParser, common: argparse.ArgumentParser
 ) -> None:
-    steps = examples.add_subparsers(dest="step", required=True, metavar="list|run")
+    steps = examples.add_subparsers(dest="step", required=True, metavar="list|run|gallery")
     steps.add_parser("list", parents=[common], help="every example and its question")
     one = steps.add_parser("run", parents=[common], help="run one")
     one.add_argument("name", metavar="NAME", help="as diffsim examples list shows it")
     one.add_argument("--quick", action="store_true", help="its short version")
     one.epilog = "What follows -- goes to the script: diffsim examples run plant -- --help"
+    gallery = steps.add_parser(
+        "gallery", parents=[common], help="run what has a picture and a number, and make the page"
+    )
+    gallery.add_argument("names", nargs="*", metavar="NAME", help="only these (default: all)")
+    gallery.add_argument(
+        "--out", type=Path, default=Path("runs/gallery"), help="default: %(default)s"
+    )
+    gallery.add_argument("--docs", type=Path, help="put page and pictures into this docs folder")
     examples.set_defaults(run=_examples)
 
 
@@ -105,6 +113,12 @@ def _examples(args: argparse.Namespace) -> int:
 
     if args.step == "list":
         print(catalogue.listing(catalogue.examples()))
+        return 0
+    if args.step == "gallery":
+        from diffsim.applications import gallery
+
+        gallery.require_success(gallery.make(args.out, args.names, args.docs))
+        print(f"page: {args.out / 'gallery.md'}")
         return 0
     return catalogue.run(args.name, quick=args.quick, options=args.options)
 

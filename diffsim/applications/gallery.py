@@ -1,0 +1,213 @@
+"""The gallery: every result with a picture and one number, made by running the examples.
+
+``examples/gallery.yaml`` says which script, with which options, which line of its output holds the
+number, and which file is the picture. A result is kept in the output folder and not made again
+while the script and its options stay as they were.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from tqdm import tqdm
+
+from diffsim._check import require_choice
+from diffsim._files import write_json_atomic, write_text_atomic
+from diffsim.applications.catalogue import FOLDER, examples
+from diffsim.errors import DiffsimError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """One result of the gallery.
+
+    Attributes:
+        title: A line for people.
+        group: Its heading.
+        example: Name of the script.
+        options: Of the script; ``{out}`` is replaced by the folder that keeps the result.
+        picture: File below that folder.
+        image: Its name under docs/images.
+        pattern: Regular expression with one group per number, searched in the output.
+        number: Text with ``{}`` for each group.
+        thesis: What the thesis has, and why ours differs, one line; "" where it has nothing.
+        needs_data: The script reads measured data.
+    """
+
+    title: str
+    group: str
+    example: str
+    options: tuple[str, ...]
+    picture: str
+    image: str
+    pattern: str
+    number: str
+    thesis: str = ""
+    needs_data: bool = False
+
+    @property
+    def key(self) -> str:
+        """Name of its folder: that of the picture."""
+        return Path(self.image).stem
+
+
+def entries(path: Path = FOLDER / "gallery.yaml") -> list[Entry]:
+    """What the file lists.
+
+    Raises:
+        ValueError: an entry has a field too many or too few, or names an unknown example.
+    """
+    known = examples()
+    found = []
+    for raw in yaml.safe_load(path.read_text(encoding="utf-8")):
+        try:
+            entry = Entry(**{**raw, "options": tuple(str(o) for o in raw.get("options", ()))})
+        except TypeError as err:
+            raise ValueError(f"{path.name}, entry {raw.get('title', raw)!r}: {err}") from err
+        require_choice(f"example of {entry.title!r}", entry.example, tuple(known))
+        found.append(entry)
+    return found
+
+
+def make(out: Path, names: Sequence[str] = (), docs: Path | None = None) -> list[dict[str, Any]]:
+    """Run what is missing and write ``out/gallery.md``; failures are listed and do not stop it.
+
+    Args:
+        out: Folder of the results, one folder each.
+        names: Keys of the entries to run; empty: all. The page shows all that there are.
+        docs: Copy pictures to ``docs/images`` and the page to ``docs/gallery.md``.
+
+    Returns:
+        The results in the order of the file, ``{"key", "number", "seconds", "failure"}``.
+    """
+    listed = entries()
+    for name in names:
+        require_choice("name", name, tuple(e.key for e in listed))
+    chosen = [e for e in listed if not names or e.key in names]
+    with tqdm(chosen, desc="gallery") as bar:
+        for entry in bar:
+            bar.set_postfix_str(entry.key)
+            _run(entry, out / entry.key)
+    results = [r for e in listed if (r := _kept(e, out / e.key)) is not None]
+    shown = {r["key"]: r for r in results}
+    images = Path("images") if docs is not None else None
+    page = markdown([e for e in listed if e.key in shown], shown, images)
+    write_text_atomic(out / "gallery.md", page)
+    if docs is not None:
+        for entry in listed:
+            if entry.key in shown and not shown[entry.key]["failure"]:
+                shutil.copyfile(out / entry.key / entry.picture, docs / "images" / entry.image)
+        write_text_atomic(docs / "gallery.md", page)
+    return results
+
+
+def _fingerprint(entry: Entry) -> str:
+    text = examples()[entry.example].path.read_text(encoding="utf-8")
+    return hashlib.sha256(f"{entry.options}{text}".encode()).hexdigest()
+
+
+def _kept(entry: Entry, folder: Path) -> dict[str, Any] | None:
+    """The result on file; its number is read anew, so that a changed pattern needs no new run."""
+    path = folder / "result.json"
+    if not path.is_file():
+        return None
+    result = json.loads(path.read_text())
+    if result["failure"]:
+        return result
+    match = re.search(entry.pattern, (folder / "output.txt").read_text(encoding="utf-8"))
+    if match is None:
+        result["failure"] = f"its output has no line like {entry.pattern!r}"
+    elif not (folder / entry.picture).is_file():
+        result["failure"] = f"it left no {entry.picture}"
+    else:
+        result["number"] = entry.number.format(*(_short(g) for g in match.groups()))
+    return result
+
+
+def _run(entry: Entry, folder: Path) -> None:
+    mark = _fingerprint(entry)
+    kept = _kept(entry, folder)
+    if kept is not None and kept["fingerprint"] == mark and not kept["failure"]:
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    script = examples()[entry.example].path
+    options = [o.replace("{out}", str(folder.absolute())) for o in entry.options]
+    begin = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, str(script), *options],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        env={**os.environ, "MPLBACKEND": "Agg"},
+        check=False,
+    )
+    write_text_atomic(folder / "output.txt", done.stdout)
+    failure = ""
+    if done.returncode:
+        failure = " ".join(done.stderr.split())[-300:] or f"exit status {done.returncode}"
+    write_json_atomic(
+        folder / "result.json",
+        {
+            "key": entry.key,
+            "fingerprint": mark,
+            "seconds": time.perf_counter() - begin,
+            "failure": failure,
+        },
+    )
+
+
+def _short(text: str) -> str:
+    """Numbers with at most three digits, other text as it is."""
+    try:
+        return f"{float(text.replace(',', '')):.3g}"
+    except ValueError:
+        return text
+
+
+def markdown(
+    shown: Sequence[Entry], results: dict[str, dict[str, Any]], images: Path | None
+) -> str:
+    """The page: by group, a picture with its number, the thesis's, and the command."""
+    lines = [
+        "# Gallery",
+        "",
+        "Made by `diffsim examples gallery --docs docs` from `examples/gallery.yaml`; the numbers "
+        "are read from what the scripts print.",
+    ]
+    group = ""
+    for entry in shown:
+        result = results[entry.key]
+        if entry.group != group:
+            group = entry.group
+            lines += ["", f"## {group}"]
+        lines += ["", f"### {entry.title}", ""]
+        if result["failure"]:
+            lines += [f"failed: {result['failure']}"]
+            continue
+        place = f"{entry.key}/{entry.picture}" if images is None else f"{images}/{entry.image}"
+        lines += [f"![{entry.title}]({place})", "", f"**{result['number']}**"]
+        if entry.thesis:
+            lines += ["", f"Thesis: {entry.thesis}"]
+        options = " ".join(o for o in entry.options if not o.startswith("{out}"))
+        command = f"diffsim examples run {entry.example}"
+        lines += ["", f"`{command}{' -- ' + options if options else ''}`"]
+    return "\n".join(lines) + "\n"
+
+
+def require_success(results: Sequence[dict[str, Any]]) -> None:
+    """Raise DiffsimError that names what failed."""
+    failed = [f"{r['key']}: {r['failure']}" for r in results if r["failure"]]
+    if failed:
+        raise DiffsimError("; ".join(failed))
