@@ -43,7 +43,6 @@ class Entry:
         pattern: Regular expression with one group per number, searched in the output.
         number: Text with ``{}`` for each group.
         thesis: What the thesis has, and why ours differs, one line; "" where it has nothing.
-        needs_data: The script reads measured data.
     """
 
     title: str
@@ -55,7 +54,6 @@ class Entry:
     pattern: str
     number: str
     thesis: str = ""
-    needs_data: bool = False
 
     @property
     def key(self) -> str:

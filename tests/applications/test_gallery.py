@@ -80,7 +80,7 @@ def test_number_that_is_not_printed_is_a_failure(scripts, tmp_path):
     [
         (("example: walk", "example: wall"), "walk"),
         (("thesis:", "theses:"), "A walk.*theses"),
-        (('thesis: "11 m"', "needs_data: true\n  colour: red"), "colour"),
+        (('thesis: "11 m"', "colour: red"), "colour"),
     ],
 )
 def test_bad_entries_are_named(scripts, change, message):
