@@ -224,7 +224,7 @@ def _masks(
     path: Path, colour: ColourBounds, first: int, last: int | None
 ) -> Iterator[tuple[int, Mask, float]]:
     """Number, mask and frame rate of every frame asked for."""
-    cv2 = _opencv()
+    cv2 = opencv()
     if not path.is_file():
         raise FileNotFoundError(f"no video {path}")
     video = cv2.VideoCapture(str(path))
@@ -244,7 +244,12 @@ def _masks(
         video.release()
 
 
-def _opencv() -> Any:
+def opencv() -> Any:
+    """The module ``cv2``.
+
+    Raises:
+        ImportError: OpenCV is not installed.
+    """
     try:
         import cv2
     except ImportError as error:
