@@ -10,12 +10,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from diffsim._check import require_number
+from diffsim.diagnose.beds.balls.camera import HEIGHT_PX, WIDTH_PX, eye, projected
 from diffsim.viz._require import optional
+
+if TYPE_CHECKING:
+    from diffsim.diagnose.beds.balls.soft import SoftBallModel
 
 Array = NDArray[np.float64]
 FELT = (70, 225, 205)  # blue, green, red: optic yellow
@@ -38,6 +44,17 @@ class View:
     eye: Array
     width_px: int = 1280
     height_px: int = 720
+
+
+def view_of(model: SoftBallModel, x: Array) -> View:
+    """The camera of a model at standardised coordinates x (n,)."""
+    values = model.values_at(x)
+    return View(
+        lambda places: projected(values, model.rotation, torch.from_numpy(places)).numpy(),
+        eye(values, model.rotation).numpy(),
+        round(WIDTH_PX + 2.0 * float(model.plain["centre_u"])),
+        round(HEIGHT_PX + 2.0 * float(model.plain["centre_v"])),
+    )
 
 
 def film_balls(

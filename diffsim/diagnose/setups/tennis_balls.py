@@ -12,7 +12,13 @@ from scipy.optimize import least_squares
 from torch import Tensor
 
 from diffsim.data.study import Study
-from diffsim.diagnose.beds.balls.camera import PLAIN_CAMERA, on_plane, projected
+from diffsim.diagnose.beds.balls.camera import (
+    HEIGHT_PX,
+    WIDTH_PX,
+    on_plane,
+    plain_camera,
+    projected,
+)
 from diffsim.diagnose.beds.balls.effects import BALL_EFFECTS
 from diffsim.diagnose.beds.balls.scene import ball_scene
 from diffsim.diagnose.beds.balls.soft import SoftBallModel, SoftBalls
@@ -91,7 +97,7 @@ def soft_model(
         subdivisions=subdivisions,
         frame_s=float(np.median(np.diff(study.fit_runs[0].time_s))),
     )
-    return SoftBallModel(base, torch.from_numpy(rotation), balls)
+    return SoftBallModel(base, torch.from_numpy(rotation), balls, _size_px(study))
 
 
 def camera_prior(study: Study) -> tuple[Array, list[Parameter]]:
@@ -117,11 +123,13 @@ def calibrated(study: Study, camera: list[Parameter], rotation: Array) -> list[P
     corners = np.column_stack([run.command[f"corner_{a}_m"] for a in "xyz"])[clicked]
     places, turned = torch.from_numpy(corners), torch.from_numpy(rotation)
 
+    plain = plain_camera(_size_px(study))
+
     def values_at(q: Array) -> dict[str, Tensor]:
         return {p.name: p.value_at(torch.tensor(x)) for p, x in zip(camera, q, strict=True)}
 
     def misfit(q: Array) -> Array:
-        seen = projected({**PLAIN_CAMERA, **values_at(q)}, turned, places).numpy()
+        seen = projected({**plain, **values_at(q)}, turned, places).numpy()
         return np.concatenate([(seen - clicks[clicked]).ravel(), q])
 
     found = least_squares(misfit, np.zeros(len(camera))).x
@@ -136,7 +144,7 @@ def motion_prior(study: Study, camera: list[Parameter], rotation: Array) -> list
     values = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in camera}
     height = 0.5 * _diameter(study)
     pixels = torch.from_numpy(run.measured[:10, :4].reshape(-1, 2, 2))
-    plain = {**PLAIN_CAMERA, **values}
+    plain = {**plain_camera(_size_px(study)), **values}
     places = on_plane(plain, torch.from_numpy(rotation), pixels, height).numpy()
     seen = np.isfinite(places).all((1, 2))
     if seen.sum() < 3:
@@ -154,6 +162,11 @@ def motion_prior(study: Study, camera: list[Parameter], rotation: Array) -> list
         Parameter("wx1", float(slope[0]), 0.3, "m/s"),
         Parameter("wy1", float(slope[1]), 0.2, "m/s"),
     ]
+
+
+def _size_px(study: Study) -> tuple[float, float]:
+    width, height = study.metadata.get("size_px", (WIDTH_PX, HEIGHT_PX))
+    return float(width), float(height)
 
 
 def _diameter(study: Study) -> float:

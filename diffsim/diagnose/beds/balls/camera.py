@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
 WIDTH_PX, HEIGHT_PX = 1280.0, 720.0
-PLAIN_CAMERA = {n: torch.zeros((), dtype=torch.float64) for n in ("radial", "centre_u", "centre_v")}
+
+
+def plain_camera(size_px: Sequence[float] = (WIDTH_PX, HEIGHT_PX)) -> dict[str, Tensor]:
+    """Numbers of an undistorted camera, its axis in the middle of a picture of this size."""
+    middle = {"centre_u": 0.5 * (size_px[0] - WIDTH_PX), "centre_v": 0.5 * (size_px[1] - HEIGHT_PX)}
+    return {n: torch.tensor(v, dtype=torch.float64) for n, v in {"radial": 0.0, **middle}.items()}
 
 
 def projected(values: Mapping[str, Tensor], rotation: Tensor, place: Tensor) -> Tensor:

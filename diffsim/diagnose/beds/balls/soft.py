@@ -7,7 +7,7 @@ push and rub each other through their centres (:func:`diffsim.contact.ball_force
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from torch import Tensor
 
 from diffsim import contact, mesh, soft
 from diffsim.data.study import Run
-from diffsim.diagnose.beds.balls.camera import PLAIN_CAMERA, projected
+from diffsim.diagnose.beds.balls.camera import HEIGHT_PX, WIDTH_PX, plain_camera, projected
 from diffsim.diagnose.model import SimModel
 from diffsim.diagnose.numerics import Numerics
 from diffsim.identify.parameter import Parameter
@@ -177,10 +177,21 @@ class SoftBallModel(SimModel):
         base: ``MOTION`` and the camera's parameters.
         rotation: (3, 3) of the camera before its small turn.
         balls: The simulator.
+        size_px: Width and height of the picture.
+
+    Attributes:
+        report: Called after every simulated motion, for a progress bar.
     """
 
-    def __init__(self, base: Sequence[Parameter], rotation: Tensor, balls: SoftBalls):
-        self.balls, self.rotation = balls, rotation
+    def __init__(
+        self,
+        base: Sequence[Parameter],
+        rotation: Tensor,
+        balls: SoftBalls,
+        size_px: Sequence[float] = (WIDTH_PX, HEIGHT_PX),
+    ):
+        self.balls, self.rotation, self.plain = balls, rotation, plain_camera(size_px)
+        self.report: Callable[[], object] = lambda: None
         super().__init__(self._scene, base, "two soft balls, exact table, pinhole camera")
 
     def simulate_scenes(self, scenes: Sequence[SoftBallScene]) -> list[Tensor]:
@@ -191,8 +202,17 @@ class SoftBallModel(SimModel):
             key = tuple(float(scene.values[n]) for n in MOTION)
             if key not in motions:
                 motions[key] = scene.motion()
+                self.report()
             out.append(scene.seen(motions[key]))
         return out
+
+    def values_at(self, x: np.ndarray) -> dict[str, Tensor]:
+        """All numbers of a scene at standardised coordinates (n,)."""
+        found = {
+            p.name: p.value_at(torch.tensor(float(q), dtype=torch.float64))
+            for p, q in zip(self.base, x, strict=True)
+        }
+        return {**self.plain, **found}
 
     def _scene(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> SoftBallScene:
         if numerics != Numerics():
@@ -207,7 +227,7 @@ class SoftBallModel(SimModel):
             )
         corners = np.column_stack([run.command[f"corner_{a}_m"] for a in "xyz"])
         return SoftBallScene(
-            {**PLAIN_CAMERA, **values},
+            {**self.plain, **values},
             torch.from_numpy(whole),
             self.rotation,
             torch.from_numpy(corners),
