@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
+
+from diffsim.viz import scene
+from diffsim.viz.ball_video import outline, view_of
+
+if TYPE_CHECKING:
+    from diffsim.diagnose.beds.balls.soft import SoftBallModel
 
 Array = NDArray[np.float64]
 COLOURS = ("#1f6f9f", "#c8502b")  # ball 0, ball 1
@@ -30,13 +39,46 @@ class Shown:
     centres: Array
 
 
+def simulated(name: str, model: SoftBallModel, x: Array, seen: Array) -> Shown:
+    """What a model shows at coordinates x, titled with its misfit to ``seen`` (as below)."""
+    view = view_of(model, x)
+    with torch.no_grad():
+        motion = model.balls.centres(model.values_at(x), len(seen)).numpy()
+    edges = [[outline(view, c, model.balls.radius) for c in pair] for pair in motion]
+    centres = view.project(motion)
+    off = float(np.sqrt(np.nanmean(((centres - seen) ** 2).sum(-1))))
+    return Shown(f"{name}: {off:.1f} px", np.array(edges), centres)
+
+
+def recording(
+    model: SoftBallModel, points: Mapping[str, Array], num_frames: int, path: Path
+) -> Path:
+    """A rerun recording of the deforming balls at some coordinates, by name."""
+    balls, surfaces = model.balls, []
+    faces = balls.ball.elements[:, [0, 2, 1]].numpy()  # a tetrahedron's last corner is the centre
+    for name, x in points.items():
+        with torch.no_grad():
+            nodes = balls.rollout(model.values_at(x), num_frames)[:, balls.nodes].numpy()
+        surfaces += [
+            scene.MovingSurface(
+                path=f"{name}/ball{k}",
+                time_s=np.arange(num_frames) * np.float64(balls.frame_s),
+                nodes_m=nodes[:, k].astype(np.float32),
+                triangles=faces,
+                colour=COLOURS[k],
+            )
+            for k in (0, 1)
+        ]
+    note = "Two soft balls: " + ", ".join(points)
+    return scene.write(scene.Scene(title="tennis balls", note=note, surfaces=surfaces), path)
+
+
 def overlay(
     rows: Sequence[Shown],
     seen: Array,
-    corners: Array,
     size_px: tuple[float, float],
-    *,
     held_out_from: int,
+    *,
     every: int = 4,
 ) -> Figure:
     """Motion sequences side by side; yellow squares are the centres in the video.
@@ -44,7 +86,6 @@ def overlay(
     Args:
         rows: From left to right.
         seen: (num_frames, num_balls, 2) tracked [px]; NaN where not seen.
-        corners: (n, 2) clicked [px].
         size_px: Width and height of the picture.
         held_out_from: Frame from which squares are hollow: not fitted.
         every: Which frames show a whole ball.
@@ -52,7 +93,6 @@ def overlay(
     figure = Figure(figsize=(4.6 * len(rows), 3.2), layout="constrained")
     for ax, row in zip(np.atleast_1d(figure.subplots(1, len(rows))), rows, strict=True):
         _frame(ax, size_px, _around(seen))
-        ax.plot(*corners.T, "+", color="0.6", ms=5)
         for k in range(seen.shape[1]):
             if row.outlines is not None:
                 for i in range(0, len(row.outlines), every):
@@ -95,23 +135,18 @@ def strip(
     return figure
 
 
-def misfits(rows: Sequence[tuple[str, Array]], first: int, held_out_from: int) -> Figure:
-    """Distance of projected from tracked centres over the frames.
-
-    Args:
-        rows: Name and distances (num_frames, num_balls) [px].
-        first: Number of the first video frame.
-        held_out_from: Sample from which nothing was fitted.
-    """
+def misfits(rows: Sequence[Shown], seen: Array, first: int, held_out_from: int) -> Figure:
+    """Distance of simulated from tracked centres over the frames; arguments as above."""
     figure = Figure(figsize=(8, 3), layout="constrained")
     ax = figure.subplots()
-    styles = (":", "--", "-", "-.")
-    for (name, distance), style in zip(rows, styles, strict=False):
-        for k in range(distance.shape[1]):
-            frames = first + np.arange(len(distance))
-            ax.plot(frames, distance[:, k], style, color=COLOURS[k], label=f"{name}, ball {k}")
-    ax.axvspan(first + held_out_from - 0.5, frames[-1] + 0.5, color="0.92", label="held out")
-    ax.set(xlabel="video frame", ylabel="error [px]", yscale="log")
+    frames = first + np.arange(len(seen))
+    for row, style in zip(rows, (":", "-", "--", "-."), strict=False):
+        distance = np.linalg.norm(row.centres - seen, axis=-1)
+        for k in range(seen.shape[1]):
+            ax.plot(frames, distance[:, k], style, color=COLOURS[k], label=f"{row.title}, ball {k}")
+    if first + held_out_from <= frames[-1]:
+        ax.axvspan(first + held_out_from - 0.5, frames[-1] + 0.5, color="0.92", label="held out")
+    ax.set(xlabel="video frame", ylabel="error [px]", ylim=(0, None))
     ax.legend(fontsize=7, ncols=2)
     ax.grid(color="0.93")
     return figure

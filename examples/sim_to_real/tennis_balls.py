@@ -41,14 +41,14 @@ from diffsim.diagnose.beds.balls.soft import MOTION, SoftBallModel
 from diffsim.diagnose.setups.tennis_balls import setup, soft_model
 from diffsim.identify import Jacobian, Problem, WhiteNoise, fit
 from diffsim.identify.multi_start import descend, random_starts
-from diffsim.viz import scene
-from diffsim.viz.ball_figures import Shown, misfits, overlay, strip
-from diffsim.viz.ball_video import outline, view_of
+from diffsim.viz.ball_figures import Shown, misfits, overlay, recording, simulated, strip
+from diffsim.viz.ball_video import view_of
 
 Array = NDArray[np.float64]
 CAMERA = ("focal", *(f"{n}_{a}" for n in ("turn", "shift") for a in "xyz"))
 PIXEL_SD = 1.0  # one weight for all pixels: the loss is in pixels, as in the thesis
 JACOBIAN = Jacobian(step=0.03)  # wide differences: facets make the motion rough
+FIRST_FRAME = {"tennis_balls": 150}
 DIAMETER, MASS = 0.06858, 0.0577  # [m], [kg]
 
 
@@ -187,67 +187,29 @@ def whole(study: Study) -> Study:
     return replace(study, runs=(run,))
 
 
-# Pictures ---------------------------------------------------------------------------------------
-
-
-def shown(title: str, model: SoftBallModel, x: Array, num_frames: int) -> Shown:
-    """Centres and outlines of the simulated balls."""
-    view = view_of(model, x)
-    with torch.no_grad():
-        motion = model.balls.centres(model.values_at(x), num_frames).numpy()
-    edges = [[outline(view, c, model.balls.radius) for c in pair] for pair in motion]
-    return Shown(title, np.array(edges), view.project(motion))
-
-
 def write_pictures(study: Study, model: SoftBallModel, found: Found, out: Path) -> None:
     """Overlay, strip and errors as PNG, the simulated balls as a rerun recording."""
     full = whole(study).runs[0]
-    seen, corners = full.measured[:, :4].reshape(-1, 2, 2), full.measured[:, 4:]
     frames = np.rint(full.time_s / model.balls.frame_s).astype(int)
-    cut, first = len(study.fit_runs[0].time_s), int(study.metadata.get("first_frame", 0))
-    rows = []
-    for name, x in (("before", found.before), ("after", found.after)):
-        row = shown(name, model, x, int(frames[-1]) + 1)
-        off = rms(np.linalg.norm(row.centres[frames] - seen, axis=-1))
-        rows.append(
-            Shown(f"{name}: {off:.1f} px", row.outlines[frames], row.centres[frames])  # type: ignore[index]
-        )
-    size = view_of(model, found.after)
-    size_px = (size.width_px, size.height_px)
-    filmed = Shown("as tracked", None, seen)
+    seen = np.full((frames[-1] + 1, 2, 2), np.nan)
+    seen[frames] = full.measured[:, :4].reshape(-1, 2, 2)
+    view = view_of(model, found.after)
+    size_px = (view.width_px, view.height_px)
+    rows = [
+        simulated(name, model, x, seen)
+        for name, x in (("before", found.before), ("after", found.after))
+    ]
+    cut = round(float(study.fit_runs[0].time_s[-1]) / model.balls.frame_s) + 1
+    first = FIRST_FRAME.get(study.name, 0)
+    columns = [round(share * (len(seen) - 1)) for share in (0.0, 0.2, 0.33, 0.45, 0.65, 1.0)]
     pictures = {
-        "overlay": overlay([*rows, filmed], seen, corners, size_px, held_out_from=cut),
-        "strip": strip(rows, seen, size_px, [0, 6, 10, 14, 20, len(seen) - 1], first),
-        "errors": misfits(
-            [(r.title, np.linalg.norm(r.centres - seen, axis=-1)) for r in rows], first, cut
-        ),
+        "overlay": overlay([*rows, Shown("as tracked", None, seen)], seen, size_px, cut),
+        "strip": strip(rows, seen, size_px, columns, first),
+        "errors": misfits(rows, seen, first, cut),
     }
     for name, figure in pictures.items():
         figure.savefig(out / f"{name}.png", dpi=110)
-    write_recording(model, found, int(frames[-1]) + 1, out / "balls.rrd")
-
-
-def write_recording(model: SoftBallModel, found: Found, num_frames: int, path: Path) -> None:
-    """Both balls before and after the descent, deforming, for the rerun viewer."""
-    balls, surfaces = model.balls, []
-    time_s = balls.frame_s * np.arange(num_frames)
-    faces = balls.ball.elements[:, [0, 2, 1]].numpy()  # the last corner is the centre
-    for name, x in (("before", found.before), ("after", found.after)):
-        with torch.no_grad():
-            nodes = balls.rollout(model.values_at(x), num_frames)[:, balls.nodes].numpy()
-        surfaces += [
-            scene.MovingSurface(
-                path=f"{name}/ball{k}",
-                time_s=time_s,
-                nodes_m=nodes[:, k].astype(np.float32),
-                triangles=faces,
-                colour=("#c9d83f", "#e8b800")[k],
-            )
-            for k in (0, 1)
-        ]
-    scene.write(
-        scene.Scene(title="tennis balls", note="Before and after the fit.", surfaces=surfaces), path
-    )
+    recording(model, {"before": found.before, "after": found.after}, len(seen), out / "balls.rrd")
 
 
 def compare_with_truth(video: Path, values: dict[str, float]) -> dict[str, list[float]]:
