@@ -67,7 +67,7 @@ class Effort:
     evaluations: int
 
 
-QUICK, FULL = Effort(8, 1, 3), Effort(24, 4, 6)
+QUICK, FULL = Effort(8, 1, 3), Effort(24, 2, 6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ def find(
     if kept.is_file():
         x = np.array(json.loads(kept.read_text(encoding="utf-8")))
     if adjoint:
-        budget = effort.rounds * effort.evaluations
+        budget = 15 * effort.rounds * effort.evaluations  # about as long as the differences take
         with tqdm(total=budget, desc="adjoint descent") as bar:
             down = descend(problem, x, max_evaluations=budget, report=lambda cost: bar.update())
         return Found(starts.x[0], down.x, starts.cost, down.cost)
@@ -236,11 +236,11 @@ def main(argv: Sequence[str] | None = None) -> dict[str, Any] | None:
     if args.video is not None:
         corners = args.corners or beside(args.video, "corners.csv")
         study = ball_video_study(args.video, corners, diameter_m=DIAMETER, mass_kg=MASS)
-    elif data_folder() is None:
+    elif (folder := data_folder()) and (folder / "tennis_balls/tracks.csv").is_file():
+        study = import_study("tennis_balls")
+    else:
         print("no recording: set DIFFSIM_DATA to the folder of the measured data, or give --video")
         return None
-    else:
-        study = import_study("tennis_balls")
     fitted = whole(study) if args.all_frames else study
     model = soft_model(fitted, steps=args.steps, subdivisions=args.subdivisions, radial=args.radial)
     print(model.balls.body)

@@ -46,8 +46,10 @@ def test_truth_predicts_the_tracks_and_first_guess_is_near(study, film):
     model = soft_model(study)
     truth = truth_of(film)
     centre = {p.name: p.value for p in model.base}
-    for name, size in (("x0", 0.002), ("y0", 0.002), ("x1", 0.002), ("y1", 0.002), ("vx1", 0.15)):
-        assert centre[name] == pytest.approx(truth[name], abs=size)
+    for name in ("x0", "y0", "x1", "y1"):
+        assert centre[name] == pytest.approx(truth[name], abs=0.002)  # [m]
+    # the guess is the mean of ten frames; by the last of them the ball has lost a third
+    assert 0.65 * truth["vx1"] > centre["vx1"] > truth["vx1"]
     x = [p.coordinate_of(truth[p.name]) if p.name in MOTION else 0.0 for p in model.base]
     run = study.fit_runs[0]
     with torch.no_grad():
