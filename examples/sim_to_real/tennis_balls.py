@@ -67,7 +67,7 @@ class Effort:
     evaluations: int
 
 
-QUICK, FULL = Effort(8, 1, 3), Effort(24, 2, 6)
+QUICK, FULL = Effort(8, 1, 3), Effort(24, 3, 6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ def find(
         seed: Of the samples.
         adjoint: L-BFGS with the gradient through the simulation, instead of Gauss-Newton with
             differences of simulations.
-        kept: File for the best coordinates so far; if it is there, the descent goes on from them.
+        kept: File for the coordinates after each round; if it is there, the rounds go on from it.
     """
     channels = equal(study)
     problem = Problem(model, study.fit_runs, WhiteNoise(channels), jacobian=JACOBIAN)
@@ -102,13 +102,14 @@ def find(
         )
     x, costs = starts.x[0], [float(starts.cost[0])]
     if kept.is_file():
-        x = np.array(json.loads(kept.read_text(encoding="utf-8")))
+        before = json.loads(kept.read_text(encoding="utf-8"))
+        x, costs = np.array(before["x"]), before["costs"]
     if adjoint:
         budget = 15 * effort.rounds * effort.evaluations  # about as long as the differences take
         with tqdm(total=budget, desc="adjoint descent") as bar:
             down = descend(problem, x, max_evaluations=budget, report=lambda cost: bar.update())
         return Found(starts.x[0], down.x, starts.cost, down.cost)
-    for number in range(effort.rounds):
+    for number in range(len(costs) - 1, effort.rounds):
         with tqdm(desc=f"Gauss-Newton, round {number + 1} of {effort.rounds}", unit="run") as bar:
             model.report = bar.update
             found = fit(
@@ -121,7 +122,7 @@ def find(
             )
         x = found.x
         costs.append(0.5 * (found.chi2 + found.prior))
-        write_json_atomic(kept, x)
+        write_json_atomic(kept, {"x": x, "costs": costs})
         print(f"cost {costs[-1]:.1f}")
         if found.converged or costs[-1] > 0.995 * costs[-2]:
             break
@@ -245,7 +246,7 @@ def main(argv: Sequence[str] | None = None) -> dict[str, Any] | None:
     model = soft_model(fitted, steps=args.steps, subdivisions=args.subdivisions, radial=args.radial)
     print(model.balls.body)
     args.out.mkdir(parents=True, exist_ok=True)
-    kept = args.out / "best_so_far.json"
+    kept = args.out / "rounds.json"
     if not args.resume:
         kept.unlink(missing_ok=True)
     effort = QUICK if args.quick else FULL
@@ -290,7 +291,7 @@ def arguments() -> argparse.ArgumentParser:
     parser.add_argument("--all-frames", action="store_true", help="hold nothing out, as the thesis")
     parser.add_argument("--radial", action="store_true", help="fit the lens's distortion too")
     parser.add_argument("--adjoint", action="store_true", help="L-BFGS by the adjoint's gradient")
-    parser.add_argument("--resume", action="store_true", help="go on from the best so far in --out")
+    parser.add_argument("--resume", action="store_true", help="go on from the rounds kept in --out")
     parser.add_argument("--steps", type=int, default=3, help="per frame (thesis and default: 3)")
     parser.add_argument("--subdivisions", type=int, default=2, help="2: 320 tetrahedra a ball")
     parser.add_argument("--seed", type=int, default=0, help="of the random starts")
