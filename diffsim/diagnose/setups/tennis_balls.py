@@ -138,7 +138,7 @@ def calibrated(study: Study, camera: list[Parameter], rotation: Array) -> list[P
 
 def motion_prior(study: Study, camera: list[Parameter], rotation: Array) -> list[Parameter]:
     """Where the balls are in the first picture by the camera's first guess, and how fast ball 1
-    comes: a line through its first ten places. Its spin is that of rolling, by a third uncertain.
+    comes, by a parabola through its first ten places. It rolls, but for what the prior leaves open.
     """
     run = study.fit_runs[0]
     values = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in camera}
@@ -152,7 +152,9 @@ def motion_prior(study: Study, camera: list[Parameter], rotation: Array) -> list
             f"run {run.name}: both balls are seen in {seen.sum()} of the first ten pictures, "
             "expected three or more before they meet; start the track earlier"
         )
-    slope, _ = np.polyfit(run.time_s[:10][seen], places[seen, 1], 1)
+    bend = 2 if seen.sum() > 5 else 1  # the ball slows down
+    time_s = run.time_s[:10][seen] - run.time_s[0]
+    slope = np.polyfit(time_s, places[seen, 1], bend)[-2]  # at the start
     (x0, y0), (x1, y1) = places[seen][0]
     return [
         *(Parameter(n, float(v), 0.01, "m") for n, v in zip(("x0", "y0"), (x0, y0), strict=True)),
