@@ -59,14 +59,20 @@ def test_truth_predicts_the_tracks_and_first_guess_is_near(study, film):
 
 
 @pytest.mark.slow
-def test_story_finds_the_truth_of_a_film(film, tmp_path):
+def test_story_finds_the_throw_of_a_film(tmp_path):
+    """Places and velocity are found again; spin and contact hide in the facets' roughness."""
+    pytest.importorskip("cv2", reason="needs the extra video (OpenCV)")
+    pytest.importorskip("rerun", reason="needs the extra viz (rerun-sdk)")
+    film = load_story("sim_to_real/film_tennis_balls.py").film(tmp_path / "film.avi")
     story = load_story("sim_to_real/tennis_balls.py")
-    result = story.main(["--quick", "--video", str(film), "--out", str(tmp_path)])
-    assert result["after"]["fitted_px"] < 1.0 < result["before"]["fitted_px"]
-    found = {n: a - b for n, (a, b) in result["found_and_true"].items()}
-    assert abs(found["vx1"]) < 0.05 and abs(found["vy1"]) < 0.05  # [m/s], of 1.3
-    for name in ("result.json", "overlay.png", "strip.png", "errors.png", "balls.rrd"):
-        assert (tmp_path / name).stat().st_size > 0
+    out = tmp_path / "out"
+    result = story.main(["--quick", "--video", str(film), "--out", str(out)])
+    assert result["after"]["fitted_px"] < 0.8 * result["before"]["fitted_px"]
+    off = {n: abs(a - b) for n, (a, b) in result["found_and_true"].items()}
+    assert max(off[n] for n in ("x0", "y0", "x1", "y1")) < 0.001  # [m]
+    assert max(off["vx1"], off["vy1"]) < 0.05  # [m/s], of 1.3
+    for name in ("result.json", "rounds.json", "overlay.png", "strip.png", "errors.png"):
+        assert (out / name).stat().st_size > 0
 
 
 def test_too_short_a_film_is_refused(film):
