@@ -69,7 +69,7 @@ class Effort:
     evaluations: int
 
 
-QUICK, FULL = Effort(8, 1, 3), Effort(24, 3, 5)
+QUICK, FULL = Effort(8, 1, 6), Effort(24, 3, 5)
 
 
 @dataclass(frozen=True, eq=False)
