@@ -10,9 +10,10 @@ frames judges. The rigid balls of the diagnosis are fitted beside.
 With --video the tracks come from a video file (OpenCV), with corners clicked in its first picture
 in a CSV beside it; film_tennis_balls.py makes such a video of the simulation itself.
 
-Expected: centres 4.8 px off at the best sample, 3.6 px after the full fit (79 s of CPU time), 19.6 px
-on the held-out frames; rigid balls with three more causes 0.7 and 4.1 px. The soft model lacks what
-they have: friction between the balls that feels spin, and losses in rolling that are not facets'.
+Expected: centres 4.8 px off at the best sample, 3.6 px after the full fit (79 s of CPU time) and
+19.6 px on the held-out frames; rigid balls with three more causes 0.7 and 4.1 px. The soft model
+lacks what they have: friction between the balls that feels spin, and losses in rolling that are not
+those of facets.
 
     python examples/sim_to_real/tennis_balls.py --quick
     python examples/sim_to_real/film_tennis_balls.py runs/film.avi
