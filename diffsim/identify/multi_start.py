@@ -15,6 +15,7 @@ from diffsim.errors import DiffsimError
 from diffsim.identify.problem import Problem
 
 Array = NDArray[np.float64]
+TURN_BACK = 1e3  # cost of a point that cannot be simulated, over that of the start
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +75,7 @@ class Descent:
 
     Attributes:
         x: (n,) the best point met.
-        cost: ½ |r|² + ½ |x|² of every evaluation.
+        cost: ½ |r|² + ½ |x|² of every evaluation; infinite where the simulation failed.
         message: Why it stopped.
     """
 
@@ -115,7 +116,13 @@ def descend(
         if len(costs) >= max_evaluations:
             raise StopIteration
         x = np.clip(start + root @ z, low, high)
-        value, slope = problem.gradient(x)
+        try:
+            value, slope = problem.gradient(x)
+        except DiffsimError:
+            if not costs:
+                raise  # the start must be possible
+            costs.append(np.inf)  # so bad that the line search turns back
+            return TURN_BACK * costs[0], np.zeros(len(start))
         costs.append(value + 0.5 * float(x @ x))
         report(costs[-1])
         if costs[-1] <= min(costs):

@@ -72,3 +72,12 @@ def test_descent_keeps_to_its_budget_and_its_best():
     assert len(down.cost) == 3
     r = problem.residual(down.x)
     assert 0.5 * float(r @ r + down.x @ down.x) == pytest.approx(min(down.cost))
+
+
+def test_descent_turns_back_where_the_simulation_fails():
+    problem = problem_of(lowest=0.9)
+    start = np.array([0.0, 1.5])
+    down = descend(problem, start, max_evaluations=30, first_step=1e3)
+    assert np.isinf(down.cost).any()  # the first step is far too long
+    assert min(down.cost) < down.cost[0]
+    assert np.isfinite(problem.residual(down.x)).all()
