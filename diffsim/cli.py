@@ -1,4 +1,4 @@
-"""The ``diffsim`` command: demo, examples, diagnose, fly, fabricate and info."""
+"""The ``diffsim`` command: demo, examples, diagnose, fly, fabricate, track and info."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pathlib import Path
 
 from diffsim import __version__, _paths
 from diffsim._cli_diagnose import add_diagnose_arguments, positive
+from diffsim._cli_track import add_track_arguments
 from diffsim.errors import DiffsimError
 
 EXIT_MISTAKE = 2  # what argparse uses too
@@ -66,6 +67,12 @@ def parser() -> argparse.ArgumentParser:
     )
     add_diagnose_arguments(diagnose)
     diagnose.set_defaults(run=_diagnose)
+
+    track = commands.add_parser(
+        "track", parents=[common], help="from a video of balls to their tracks in pixels"
+    )
+    add_track_arguments(track)
+    track.set_defaults(run=_track)
 
     info = commands.add_parser("info", parents=[common], help="versions, processor, data folder")
     info.set_defaults(run=_info)
@@ -185,6 +192,13 @@ def _diagnose(args: argparse.Namespace) -> None:
     from diffsim.diagnose.command import diagnose_command
 
     diagnose_command(args)
+
+
+def _track(args: argparse.Namespace) -> None:
+    # as for the demo
+    from diffsim.data.track import track_command
+
+    track_command(args)
 
 
 def _info(_args: argparse.Namespace) -> None:

@@ -148,6 +148,21 @@ def track_video(
     )
 
 
+def frame_size(path: str | Path) -> tuple[int, int]:
+    """Width and height of a video [px]; raises as ``track_video``."""
+    cv2 = opencv()
+    video = cv2.VideoCapture(str(path))
+    try:
+        size = tuple(
+            int(video.get(p)) for p in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+        )
+    finally:
+        video.release()
+    if min(size) < 1:
+        raise TrackingError(f"{path} is no video that OpenCV can read")
+    return size[0], size[1]
+
+
 @dataclass
 class _Region:
     """Pixels that touch: (n, 2) as u, v."""
@@ -224,7 +239,7 @@ def _masks(
     path: Path, colour: ColourBounds, first: int, last: int | None
 ) -> Iterator[tuple[int, Mask, float]]:
     """Number, mask and frame rate of every frame asked for."""
-    cv2 = _opencv()
+    cv2 = opencv()
     if not path.is_file():
         raise FileNotFoundError(f"no video {path}")
     video = cv2.VideoCapture(str(path))
@@ -244,7 +259,12 @@ def _masks(
         video.release()
 
 
-def _opencv() -> Any:
+def opencv() -> Any:
+    """The module ``cv2``.
+
+    Raises:
+        ImportError: OpenCV is not installed.
+    """
     try:
         import cv2
     except ImportError as error:

@@ -6,7 +6,7 @@ import importlib
 from types import ModuleType
 
 
-def optional(module: str, *, purpose: str) -> ModuleType:
+def optional(module: str, *, purpose: str, extra: str = "viz") -> ModuleType:
     """Import ``module`` or say what it is for and how to install it.
 
     Raises:
@@ -17,5 +17,6 @@ def optional(module: str, *, purpose: str) -> ModuleType:
     except ImportError as error:
         package = module.partition(".")[0]
         raise ImportError(
-            f"{purpose} needs {package}, which is not installed; pip install 'diffsim-robot[viz]'"
+            f"{purpose} needs {package}, which is not installed; "
+            f"pip install 'diffsim-robot[{extra}]'"
         ) from error

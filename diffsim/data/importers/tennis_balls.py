@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -35,23 +36,7 @@ def import_tennis_balls(folder: Path) -> Study:
     points, what = read_columns(
         folder / "calibration_points.csv", ["u_px", "v_px", "x_m", "y_m", "z_m"], ["what"]
     )
-    clicks = np.column_stack([points["u_px"], points["v_px"]])
-    parts = {"collision": slice(0, HELD_OUT_FROM), "after": slice(HELD_OUT_FROM, None)}
-    runs = [
-        Run(
-            name=name,
-            time_s=data["time_s"][part],
-            measured=_with_clicks(balls[part], clicks if name == "collision" else clicks[:0]),
-            command={
-                f"corner_{a}_m": _filled_up(points[f"{a}_m"], len(balls[part])) for a in "xyz"
-            },
-            group=name,
-            order=order,
-            use="holdout" if name == "after" else "fit",
-            setup=setup,
-        )
-        for order, (name, part) in enumerate(parts.items())
-    ]
+    runs = two_parts(data["time_s"], balls, points, setup, HELD_OUT_FROM)
     extra: dict[str, Any] = {
         "camera_by_authors": meta["camera_by_authors"],
         "calibration_points": {**points, **what},
@@ -60,7 +45,7 @@ def import_tennis_balls(folder: Path) -> Study:
         name="tennis_balls",
         system="rigid_body",
         channels=tuple(Channel(c, "px", "image", sd) for c, sd in CHANNELS.items()),
-        runs=tuple(runs),
+        runs=runs,
         metadata=facts(
             meta,
             held_out="after: frames 171 to 182 of the one video; the model is started at frame "
@@ -72,6 +57,42 @@ def import_tennis_balls(folder: Path) -> Study:
         )
         | extra,
     )
+
+
+def two_parts(
+    time_s: Array,
+    balls: Array,
+    points: Mapping[str, Array],
+    setup: Mapping[str, float],
+    held_out_from: int,
+) -> tuple[Run, Run]:
+    """The first samples with the clicks, and the last ones, held out.
+
+    Args:
+        time_s: (num_samples,) [s].
+        balls: (num_samples, 4) [px].
+        points: "u_px", "v_px", "x_m", "y_m", "z_m" of the clicked corners.
+        setup: Facts of both runs.
+        held_out_from: Sample with which the second run begins.
+    """
+    clicks = np.column_stack([points["u_px"], points["v_px"]])
+    parts = {"collision": slice(0, held_out_from), "after": slice(held_out_from, None)}
+    first, last = (
+        Run(
+            name=name,
+            time_s=time_s[part],
+            measured=_with_clicks(balls[part], clicks if name == "collision" else clicks[:0]),
+            command={
+                f"corner_{a}_m": _filled_up(points[f"{a}_m"], len(balls[part])) for a in "xyz"
+            },
+            group=name,
+            order=order,
+            use="holdout" if name == "after" else "fit",
+            setup=setup,
+        )
+        for order, (name, part) in enumerate(parts.items())
+    )
+    return first, last
 
 
 def _with_clicks(balls: Array, clicks: Array) -> Array:

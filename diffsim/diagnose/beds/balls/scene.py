@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -12,9 +11,9 @@ from torch import Tensor
 
 from diffsim.data.study import Run
 from diffsim.diagnose.beds.balls import rigid
+from diffsim.diagnose.beds.balls.camera import HEIGHT_PX, projected
 from diffsim.diagnose.beds.balls.rigid import Ball, Laws
 
-WIDTH_PX, HEIGHT_PX = 1280.0, 720.0
 #: What effects change, with its value in the plain model.
 PLAIN = {
     "table_friction": 0.0,
@@ -133,17 +132,8 @@ class BallScene:
         )
 
     def _projected(self, place: Tensor) -> Tensor:
-        """(..., T, 2) pixels of places (..., T, 3) [m]: pinhole with radial distortion."""
-        turn = torch.stack([self.values[n] for n in ("turn_x", "turn_y", "turn_z")], -1)
-        rotation = torch.linalg.matrix_exp(_cross_matrix(turn)) @ self.rotation
-        shift = torch.stack([self.values[n] for n in ("shift_x", "shift_y", "shift_z")], -1)
-        camera = place @ rotation.transpose(-1, -2) + shift[..., None, :]
-        flat = camera[..., :2] / camera[..., 2:]
-        bent = 1.0 + self._of("radial") * (flat**2).sum(-1)
-        flat = self._of("focal")[..., None] * bent[..., None] * flat
-        middle_u = 0.5 * WIDTH_PX + self._of("centre_u")
-        middle_v = 0.5 * HEIGHT_PX + self._of("centre_v")
-        return torch.stack([middle_u + flat[..., 0], middle_v - flat[..., 1]], -1)
+        """(..., T, 2) pixels of places (..., T, 3) [m]."""
+        return projected(self.values, self.rotation, place)
 
     def _depth(self, place: Tensor, radius: Tensor) -> Tensor:
         """(..., T) distance along the optical axis, the small turn left out."""
@@ -171,13 +161,3 @@ def ball_scene(values: Mapping[str, Tensor], run: Run, rotation: np.ndarray) -> 
 
 def _over_time(ball: Ball) -> Ball:
     return Ball(*(v[..., None, :] for v in (ball.place, ball.velocity, ball.rolling)))
-
-
-def _cross_matrix(v: Tensor) -> Tensor:
-    zero = torch.zeros_like(v[..., 0])
-    rows: list[list[Any]] = [
-        [zero, -v[..., 2], v[..., 1]],
-        [v[..., 2], zero, -v[..., 0]],
-        [-v[..., 1], v[..., 0], zero],
-    ]
-    return torch.stack([torch.stack(row, -1) for row in rows], -2)

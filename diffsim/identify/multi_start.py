@@ -1,0 +1,150 @@
+"""Many random starts, and a descent by adjoint gradients from the best (thesis 4.1.6)."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, optimize
+
+from diffsim._check import require_number
+from diffsim.errors import DiffsimError
+from diffsim.identify.problem import Problem
+
+Array = NDArray[np.float64]
+TURN_BACK = 1e3  # cost of a point that cannot be simulated, over that of the start
+
+
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """Random points, best first.
+
+    Attributes:
+        x: (count, n) standardised coordinates.
+        cost: (count,) ½ |r|² + ½ |x|²; infinite where the simulation failed.
+    """
+
+    x: Array
+    cost: Array
+
+
+def random_starts(
+    problem: Problem,
+    count: int,
+    *,
+    seed: int = 0,
+    spread: float = 1.0,
+    fixed: tuple[str, ...] = (),
+    report: Callable[[float], object] = lambda cost: None,
+) -> Starts:
+    """Simulate points drawn from the prior, the prior's centre first.
+
+    Args:
+        problem: Without effects, or with effects of size zero at the centre.
+        count: How many points.
+        seed: Of the draws.
+        spread: Of the draws, in prior standard deviations.
+        fixed: Names of coordinates that stay at the prior's centre.
+        report: Called with each cost as it is known.
+    """
+    require_number("count", count, at_least=1)
+    require_number("spread", spread, at_least=0.0)
+    rng = np.random.default_rng(seed)
+    x = spread * rng.standard_normal((count, len(problem.names)))
+    x[0] = 0.0
+    x[:, [name in fixed for name in problem.names]] = 0.0
+    x = np.clip(x, *problem.bounds)
+    cost = np.full(count, np.inf)
+    for k, point in enumerate(x):
+        with contextlib.suppress(DiffsimError):  # a wild point that cannot be simulated is no start
+            r = problem.residual(point)
+            cost[k] = 0.5 * float(r @ r + point @ point)
+        report(float(cost[k]))
+    if not np.isfinite(cost).any():
+        raise DiffsimError(f"none of {count} random starts could be simulated; narrow the priors")
+    order = np.argsort(cost)
+    return Starts(x[order], cost[order])
+
+
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """Where a descent ended.
+
+    Attributes:
+        x: (n,) the best point met.
+        cost: ½ |r|² + ½ |x|² of every evaluation; infinite where the simulation failed.
+        message: Why it stopped.
+    """
+
+    x: Array
+    cost: tuple[float, ...]
+    message: str
+
+
+def descend(
+    problem: Problem,
+    start: Array,
+    *,
+    max_evaluations: int = 30,
+    first_step: float = 0.5,
+    report: Callable[[float], object] = lambda cost: None,
+) -> Descent:
+    """L-BFGS by the adjoint gradient, in coordinates where the cost is nearly round.
+
+    The Gauss-Newton matrix at the start, by differences, is the metric: without it the badly scaled
+    valley between camera and motion takes hundreds of iterations.
+
+    Args:
+        problem: Whose scene is differentiable.
+        start: (n,) standardised coordinates.
+        max_evaluations: Of cost and gradient.
+        first_step: Share of the metric's Newton step that is tried first.
+        report: Called with each cost as it is known.
+    """
+    require_number("max_evaluations", max_evaluations, at_least=1)
+    _, a = problem.linearise(start)
+    root = linalg.inv(linalg.cholesky(a.T @ a + np.eye(len(start)), lower=True)).T
+    low, high = problem.bounds
+    costs: list[float] = []
+    best = np.array(start)
+
+    def evaluate(z: Array) -> tuple[float, Array]:
+        nonlocal best
+        if len(costs) >= max_evaluations:
+            raise StopIteration
+        x = np.clip(start + root @ z, low, high)
+        try:
+            value, slope = problem.gradient(x)
+        except DiffsimError:
+            if not costs:
+                raise  # the start must be possible
+            costs.append(np.inf)  # so bad that the line search turns back
+            return TURN_BACK * costs[0], np.zeros(len(start))
+        costs.append(value + 0.5 * float(x @ x))
+        report(costs[-1])
+        if costs[-1] <= min(costs):
+            best = x
+        return costs[-1], root.T @ (slope + x)
+
+    first = evaluate(np.zeros(len(start)))
+    scale = first_step * float(np.linalg.norm(first[1])) or 1.0  # L-BFGS first steps by 1
+
+    def scaled(z: Array) -> tuple[float, Array]:
+        value, slope = evaluate(scale * z) if z.any() else first
+        return value / scale**2, slope / scale
+
+    message = f"{max_evaluations} evaluations"
+    with contextlib.suppress(StopIteration):
+        message = str(
+            optimize.minimize(
+                scaled,
+                np.zeros(len(start)),
+                jac=True,
+                method="L-BFGS-B",
+                options={"ftol": 1e-8, "gtol": 1e-8},
+            ).message
+        )
+    return Descent(best, tuple(costs), message)
