@@ -101,6 +101,8 @@ class BeamTrial:
         markers: Tip markers used.
         marker_displacement_m: (T, num_markers, 3) from the held state.
         clamp_displacement_m: (T, 3) mean over the clamp's markers; NaN if it has none.
+        support_displacement_m: (T, 3) of the point between the clamp's first two markers, nominally
+            on the bar's axis (the third jumps in the load cases); NaN if it has none.
     """
 
     name: str
@@ -116,6 +118,7 @@ class BeamTrial:
     markers: tuple[str, ...]
     marker_displacement_m: Array
     clamp_displacement_m: Array
+    support_displacement_m: Array
 
     @property
     def tip_displacement_m(self) -> Array:
@@ -251,9 +254,9 @@ def _trial(folder: Path, entry: dict[str, Any]) -> BeamTrial:
         )
     has_clamp = set(BASE_MARKERS) <= set(recording.markers)
     clamp = (
-        _from_held(recording.select(BASE_MARKERS), rot).mean(axis=1)
+        _from_held(recording.select(BASE_MARKERS), rot)
         if has_clamp
-        else np.full((len(recording.time_s), 3), np.nan)
+        else np.full((len(recording.time_s), len(BASE_MARKERS), 3), np.nan)
     )
     used = recording.time_s >= recording.time_s[0] + SETTLING_S
     name = Path(entry["file"]).stem
@@ -270,7 +273,8 @@ def _trial(folder: Path, entry: dict[str, Any]) -> BeamTrial:
         time_s=recording.time_s[used] - release_s,
         markers=markers,
         marker_displacement_m=displacement[used],
-        clamp_displacement_m=clamp[used],
+        clamp_displacement_m=clamp[used].mean(axis=1),
+        support_displacement_m=clamp[used, :2].mean(axis=1),
     )
 
 

@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.signal import butter, filtfilt
 
 from diffsim.data.beam import TIP_MARKERS, BeamGeometry
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose.beds.soft import forces, material
 from diffsim.diagnose.beds.soft.released import pitch_weights
+from diffsim.diagnose.beds.soft.support import COMMANDS, SupportMotion
 from diffsim.diagnose.beds.soft.swinging import swinging_beam
 from diffsim.diagnose.beds.soft.unknown import unknown_force
 from diffsim.diagnose.effect import Effect
@@ -22,6 +24,7 @@ from diffsim.diagnose.unknown import UnknownForce, smooth_covariance
 HELD_S = 0.05  # before release: what displacements are counted from
 FREE_S, UNTIL_S = 0.25, 1.0
 KNOTS_PER_S = 12.0
+SUPPORT_HZ = 20.0  # above the bar's first mode (8 Hz), below its second (about 40 Hz)
 TIP = (
     Channel("tip_x_m", "m", "position"),
     Channel("tip_z_m", "m", "position"),
@@ -43,6 +46,7 @@ def causes() -> tuple[Effect, ...]:
         forces.QuadraticDrag(),
         forces.DryFriction(),
         forces.Weight(),
+        SupportMotion(),
     )
 
 
@@ -79,6 +83,7 @@ def setup(
         swings_m | {run.name: run.setup["swing_m"] for run in bank},
         cells=(along, across, up),
         dt_s=float(dt_s),
+        since_s=float(from_s),
     )
     return DiagnosisSetup(
         model,
@@ -128,11 +133,12 @@ def tip_window(study: Study, *, until_s: float = 2.5) -> Study:
 
     def cut(run: Run) -> Run:
         inside = (run.time_s >= -HELD_S) & (run.time_s <= until_s)
+        commands = {n: _smooth(run, v) if n in COMMANDS else v for n, v in run.command.items()}
         return replace(
             run,
             time_s=run.time_s[inside],
             measured=run.measured[inside] @ columns,
-            command={name: values[inside] for name, values in run.command.items()},
+            command={name: values[inside] for name, values in commands.items()},
         )
 
     return replace(study, channels=TIP, runs=tuple(cut(run) for run in study.runs))
@@ -152,6 +158,15 @@ def geometry(study: Study) -> BeamGeometry:
         gravity_m_s2=float(matter["gravity_m_s2_used_by_authors"]),
         marker_place_m={n: (float(p[0]), float(p[1]), float(p[2])) for n, p in places.items()},
     )
+
+
+def _smooth(run: Run, values: np.ndarray) -> np.ndarray:
+    """Without what is faster than ``SUPPORT_HZ``, forwards and backwards: no delay.
+
+    The support's acceleration is what acts; differences would be all noise.
+    """
+    rate_Hz = 1.0 / float(np.median(np.diff(run.time_s)))
+    return np.asarray(filtfilt(*butter(4, SUPPORT_HZ, fs=rate_Hz), values))
 
 
 def _smooth_force(until_s: float) -> UnknownForce:
