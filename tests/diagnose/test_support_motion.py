@@ -13,7 +13,7 @@ from diffsim.diagnose.descend import descend
 from diffsim.diagnose.local import local_at
 from diffsim.diagnose.stages import DiagnosisSettings
 from diffsim.identify import Jacobian, Problem, WhiteNoise
-from tests.diagnose.swaying_lab import HEIGHT, SHIFT, TURN, beam_matrices, recorded
+from tests.diagnose.swaying_lab import GRAVITY, HEIGHT, SHIFT, TURN, beam_matrices, recorded
 from tests.diagnose.test_swinging_beam import BAR
 
 SD = 5e-6
@@ -21,7 +21,8 @@ SD = 5e-6
 
 def model_of(study, cells=(4, 2, 2)):
     swings = {r.name: float(r.measured[0, 0] - r.measured.mean()) for r in study.runs}
-    return swinging_beam(BAR, HEIGHT, swings, cells=cells, dt_s=5e-3)
+    bar = replace(BAR, gravity_m_s2=GRAVITY)
+    return swinging_beam(bar, HEIGHT, swings, cells=cells, dt_s=5e-3)
 
 
 def fitted(study, *effects):

@@ -46,22 +46,28 @@ class SupportMotion(Effect):
         path = _Path(run, scene, size)
         if not path.moves:
             return scene
-        still = scene.body.x_rest
+        rest = scene.body.x_rest
+        # channels are linear in the places
+        shown = torch.stack([scene.observe(rest + m) for m in path.modes]) - scene.observe(rest)
 
         def seen(y: Tensor, times: Tensor) -> Tensor:
-            moved = still + path.field(times.detach().numpy(), 0)
-            return y + torch.stack([scene.observe(x) for x in moved]) - scene.observe(still)
+            return y + path.amplitudes(times.detach().numpy(), 0) @ shown
 
         return scene.with_force(lambda: _Inertia(path)).with_output(seen)
 
 
 class _Path:
-    """Rigid motion of a support, small: shift of its middle, rotation about y.
+    """Rigid motion of a support, small: shift of its middle forward and up, rotation about y.
 
     Args:
         run: With the support's record.
         scene: Whose fixed nodes are the support.
         size: (2,) shift, turn.
+
+    Attributes:
+        moves: Whether the record shows any motion.
+        modes: (3, num_vertices, 3) displacement of all nodes per forward shift, upward shift [-]
+            and rotation [m].
     """
 
     def __init__(self, run: Run, scene: SoftScene, size: Tensor):
@@ -69,21 +75,21 @@ class _Path:
         self.moves = bool((places != places[0]).any())
         time = np.asarray(run.time_s) - run.time_s[0]
         self._spline: Any = make_interp_spline(time, places, k=5)
-        self._last, self._size = float(time[-1]), size
         rest = scene.body.x_rest
-        self._length = float((rest.amax(0) - rest.amin(0)).max())
+        length = float((rest.amax(0) - rest.amin(0)).max())
+        self._last, self._size, self._turn = float(time[-1]), size, size[1] / length
         arm = rest - rest[scene.body.fixed.all(-1)].mean(0)
-        # displacement of every node per rotation about y
-        self._turn = torch.stack([arm[:, 2], torch.zeros_like(arm[:, 0]), -arm[:, 0]], -1)
+        one, none = torch.ones_like(arm[:, 0]), torch.zeros_like(arm[:, 0])
+        fields = [(one, none, none), (none, none, one), (arm[:, 2], none, -arm[:, 0])]
+        self.modes = torch.stack([torch.stack(f, -1) for f in fields])
 
-    def field(self, times: np.ndarray, order: int) -> Tensor:
-        """(num_times, num_vertices, 3) displacement of the frame at its nodes, or a derivative."""
+    def amplitudes(self, times: np.ndarray, order: int) -> Tensor:
+        """(num_times, 3) of the modes, or a derivative in time; the support rests in the end."""
         at = self._spline(np.clip(times, 0.0, self._last), order)
-        if order:  # a support whose record has ended rests
+        if order:
             at = at * ((times >= 0.0) & (times <= self._last))[:, None]
         x, z = torch.from_numpy(at).unbind(-1)
-        shift = torch.stack([x, torch.zeros_like(x), z], -1)[:, None, :]
-        return self._size[0] * shift + self._size[1] / self._length * x[:, None, None] * self._turn
+        return torch.stack([self._size[0] * x, self._size[0] * z, self._turn * x], -1)
 
 
 class _Inertia(Force):
@@ -97,5 +103,6 @@ class _Inertia(Force):
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
         mass = scene.parameter("density") * scene.body.nodal_volume
         mass = mass + scene.parameter("attached_mass") + scene.parameter("added_mass")
-        acceleration = self._path.field(np.array([moment.time]), 2)[0]
-        return (-mass[:, None] * acceleration).expand(moment.x.shape)
+        rates = self._path.amplitudes(np.array([moment.time]), 2)[0]
+        frame = torch.tensordot(rates, self._path.modes, 1)
+        return (-mass[:, None] * frame).expand(moment.x.shape)
