@@ -135,16 +135,17 @@ def main() -> None:
     channel = [c.name for c in study.channels].index(HEIGHT)
     swings = [Swing(run, channel, given.start_s, given.until) for run in study.runs]
     print(f"{'rms left, um':<40}" + "".join(f"{s.name:>12}" for s in swings))
-    gains = []
+    found: dict[str, list[Array]] = {}
     for words, parts in CANDIDATES.items():
         fits = [s.fit(parts) for s in swings]
         left = [1e3 * float(np.sqrt(np.mean(r**2))) for _, r in fits]
         print(f"{words:<40}" + "".join(f"{v:>12.1f}" for v in left))
-        gains = [x for x, _ in fits]
-    for swing, x in zip(swings, gains, strict=True):
+        found[parts] = [x for x, _ in fits]
+    for swing, still, x in zip(swings, found["L"], found["LS"], strict=True):
         print(
             f"{swing.name}: {x[2]:.3f} Hz, damping ratio {x[3]:.4f}, drift {1e3 * x[5]:.0f} um "
-            f"per e-fold of time, gain of the clamp {x[6]:.2f}"
+            f"per e-fold of time, gain of the clamp {x[6]:.2f}; with the clamp at rest "
+            f"{still[2]:.3f} Hz, {still[3]:.4f}"
         )
     folder = find_dataset("silicone_beam")
     assert folder is not None  # it was imported above
