@@ -77,8 +77,8 @@ def setup(
     bar = geometry(study)
     along, across, up = (int(n) for n in cells)
     swing = free_swing(study, from_s=from_s, until_s=until_s)
-    if not with_weight:
-        light = tuple(r for r in swing.runs if not r.setup.get("tip_load_mass_kg", 0.0) > 0.0)
+    light = tuple(r for r in swing.runs if not r.setup.get("tip_load_mass_kg", 0.0) > 0.0)
+    if light and not with_weight:
         swing = replace(swing, runs=light)
     bank = _bank(swing)
     heights = {run.name: run.measured[:, 0] for run in swing.runs}
@@ -108,13 +108,17 @@ def setup(
 def free_swing(study: Study, *, from_s: float = FREE_S, until_s: float = UNTIL_S) -> Study:
     """Height of the tip from ``from_s`` to ``until_s`` after release, its clock started anew.
 
-    The second recording of each case is held out. It is no repeat of the first: the clamp sways
-    otherwise, which is a recorded input. So noise is what the study states for its worst marker.
+    The second recording of each case is held out. Where the clamp was recorded it is no repeat of
+    the first: the clamp sways otherwise, which is an input. So noise is what the study states for
+    its worst marker.
     """
     late = tip_window(study, until_s=until_s)
     which = [c.name for c in late.channels].index(HEIGHT)
-    stated = max((c.sd for c in study.channels if c.sd is not None), default=None)
-    channel = replace(late.channels[which], sd=stated)
+    channel = late.channels[which]
+    is_seen = all(set(COMMANDS) <= set(run.command) for run in study.runs)
+    if is_seen:
+        stated = max((c.sd for c in study.channels if c.sd is not None), default=None)
+        channel = replace(channel, sd=stated)
 
     def cut(run: Run) -> Run:
         inside = run.time_s >= from_s
@@ -123,8 +127,8 @@ def free_swing(study: Study, *, from_s: float = FREE_S, until_s: float = UNTIL_S
             time_s=run.time_s[inside] - run.time_s[inside][0],
             measured=run.measured[inside][:, [which]],
             command={name: values[inside] for name, values in run.command.items()},
-            group=run.name,
-            use="holdout" if run.name.endswith(REPEAT) else "fit",
+            group=run.name if is_seen else run.group,
+            use="holdout" if run.name.endswith(REPEAT) else run.use,
         )
 
     return replace(late, channels=(channel,), runs=tuple(cut(r) for r in late.runs))
@@ -196,11 +200,14 @@ def _smooth_force(until_s: float) -> UnknownForce:
 def _bank(study: Study) -> tuple[Run, ...]:
     """Swings that could be recorded: other weights, and larger ones."""
     like = study.fit_runs[0]
+    # nobody knows how the support would sway
+    still = {n: np.zeros_like(v) if n in COMMANDS else v for n, v in like.command.items()}
+    like = replace(like, command=still)
     out = []
     for load_kg in (0.0, 0.02, 0.1):
         for swing_m in (3e-3, 8e-3):
             name = f"weight_{1e3 * load_kg:.0f}g_swing_{1e3 * swing_m:.0f}mm"
             chosen = {**like.setup, "tip_load_mass_kg": load_kg, "swing_m": swing_m}
-            still = np.zeros_like(like.measured)
-            out.append(replace(like, name=name, group=name, measured=still, setup=chosen))
+            blank = np.zeros_like(like.measured)
+            out.append(replace(like, name=name, group=name, measured=blank, setup=chosen))
     return tuple(out)
