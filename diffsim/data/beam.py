@@ -33,12 +33,14 @@ demo's report):
   foreshortening): the inclination is the beam's, not the markers'. Whether gravity follows the
   laboratory's z or the model's cannot be told; it would change the sag by 1 - cos 6.6 deg =
   0.7 %.
-- *The clamp's* markers follow the tip by 0.01-0.06 mm (gravity) and up to 0.14 mm (load52), and
-  jump by up to 0.9 mm when half hidden. Taken as rigid motion this is about 1 % of the sag and
-  not above what the jumps would fake; it is reported, not removed.
-- *Damping depends on amplitude*: without weight 0.055 falling to 0.047; with it 0.051 *rising*
-  to 0.12 below 0.5 mm while the frequency rises from 4.3 to 4.7 Hz, as dry friction where the
-  weight hangs would do; other causes are not excluded.
+- *The clamp sways*: its markers follow the sag by 0.01-0.06 mm (gravity) and up to 0.14 mm
+  (load52), about 1 % of it. Without weight they swing by +-0.09 mm forward at 8.2 Hz, as a stand
+  does that the bar sets going; that is near enough to the bar's 7.9 Hz to matter
+  (docs/measured/silicone_beam.md). Half hidden markers jump by up to 0.9 mm.
+- *Damping*: without weight 0.049, whatever the amplitude, once the clamp's sway is taken into
+  account (0.055 falling to 0.047 without); with it 0.051 *rising* to 0.12 below 0.5 mm while the
+  frequency rises from 4.3 to 4.7 Hz, as dry friction where the weight hangs would do; other causes
+  are not excluded.
 """
 
 from __future__ import annotations
@@ -101,6 +103,8 @@ class BeamTrial:
         markers: Tip markers used.
         marker_displacement_m: (T, num_markers, 3) from the held state.
         clamp_displacement_m: (T, 3) mean over the clamp's markers; NaN if it has none.
+        support_displacement_m: (T, 3) of the point between the clamp's first two markers, nominally
+            on the bar's axis (the third jumps in the load cases); NaN if it has none.
     """
 
     name: str
@@ -116,6 +120,7 @@ class BeamTrial:
     markers: tuple[str, ...]
     marker_displacement_m: Array
     clamp_displacement_m: Array
+    support_displacement_m: Array
 
     @property
     def tip_displacement_m(self) -> Array:
@@ -251,9 +256,9 @@ def _trial(folder: Path, entry: dict[str, Any]) -> BeamTrial:
         )
     has_clamp = set(BASE_MARKERS) <= set(recording.markers)
     clamp = (
-        _from_held(recording.select(BASE_MARKERS), rot).mean(axis=1)
+        _from_held(recording.select(BASE_MARKERS), rot)
         if has_clamp
-        else np.full((len(recording.time_s), 3), np.nan)
+        else np.full((len(recording.time_s), len(BASE_MARKERS), 3), np.nan)
     )
     used = recording.time_s >= recording.time_s[0] + SETTLING_S
     name = Path(entry["file"]).stem
@@ -270,7 +275,8 @@ def _trial(folder: Path, entry: dict[str, Any]) -> BeamTrial:
         time_s=recording.time_s[used] - release_s,
         markers=markers,
         marker_displacement_m=displacement[used],
-        clamp_displacement_m=clamp[used],
+        clamp_displacement_m=clamp[used].mean(axis=1),
+        support_displacement_m=clamp[used, :2].mean(axis=1),
     )
 
 

@@ -1,7 +1,7 @@
 """The demo's last stage: what the simulated beam gets wrong, named, added, and the gain measured.
 
-A quick look: coarse mesh, a short window, few candidates. ``docs/measured/silicone_beam.md`` has
-the diagnosis with all of them.
+A quick look at the bar without weight: a short window, few candidates.
+``docs/measured/silicone_beam.md`` has the diagnosis with all of them.
 """
 
 from __future__ import annotations
@@ -100,7 +100,8 @@ def _pictures(found: Report) -> list[dict[str, str]]:
         (
             draw.before_after(held_out, shown.channels),
             "The run that no fit has seen. Dots: measured; dashed: the fitted model before; line: "
-            "the extended model. Its own start was fitted to it, for both alike.",
+            "the extended model. Its own start was fitted to it, for both alike; what its clamp "
+            "did is an input.",
         ),
         (
             draw.residual_views(shown.runs, shown.channels),

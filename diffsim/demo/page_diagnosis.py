@@ -20,10 +20,12 @@ def section(found: dict[str, Any], plan: Plan) -> Section:
         title=TITLE,
         text=[
             *found["sentences"],
-            f"A quick look at the height of the free swing: {found['num_candidates']} candidate "
-            f"causes against an unknown force and a drift, 0.25 to {plan.diagnosis_until_s:g} s "
-            f"after release, {cells} elements, {1e3 * plan.diagnosis_dt_s:g} ms steps. "
-            "`diffsim diagnose explain silicone_beam` has all causes and a finer mesh.",
+            f"A quick look at the height of the bar without weight, swinging freely: "
+            f"{found['num_candidates']} candidate causes against an unknown force and a drift, "
+            f"0.25 to {plan.diagnosis_until_s:g} s after release, {cells} elements, "
+            f"{1e3 * plan.diagnosis_dt_s:g} ms steps; one recording fitted, one held out. "
+            "`diffsim diagnose explain silicone_beam` has all causes and a longer window. What the "
+            "string does that the weight hangs on is not known: docs/measured/silicone_beam.md.",
         ],
         content=[
             *(Picture(uri=p["uri"], caption=p["caption"]) for p in found["pictures"]),

@@ -46,10 +46,10 @@ class Plan:
     )
     mesh_poissons_ratios: tuple[float, ...] = (0.499, 0.49, 0.45)
     damping_dt_s: tuple[float, ...] = (1e-2, 5e-3, 2.5e-3)
-    diagnosis_cells: Cells = (6, 2, 2)
+    diagnosis_cells: Cells = (8, 3, 3)
     diagnosis_dt_s: float = 5e-3
     diagnosis_until_s: float = 0.75
-    diagnosis_effects: tuple[str, ...] = ("loss_factor", "dry_friction")
+    diagnosis_effects: tuple[str, ...] = ("loss_factor", "creep", "support_motion")
 
     def published(self) -> Setup:
         """Implicit Euler, 10 ms, the weight a constant force."""

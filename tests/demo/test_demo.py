@@ -176,6 +176,6 @@ def test_measured_beam(tmp_path):
     assert left["identified"] < 2.0 * floor < 3.0 * floor < left["published"]
     diagnosis = results["diagnosis"]
     assert diagnosis["sentences"] and len(diagnosis["pictures"]) == 3
-    assert {row[0] for row in diagnosis["table"]} >= {"loss_factor", "dry_friction"}
+    assert {row[0] for row in diagnosis["table"]} >= {"loss_factor", "creep", "support_motion"}
     # the mesh must not be what is diagnosed
     assert all(g["passed"] for g in diagnosis["gates"] if g["name"] in ("mesh", "time_step"))

@@ -15,9 +15,11 @@ from diffsim.diagnose.beds.soft import forces as soft_forces
 from diffsim.diagnose.beds.soft import material as soft_material
 from diffsim.diagnose.beds.soft import sensor as soft_sensor
 from diffsim.diagnose.beds.soft.hanging import SlackString
+from diffsim.diagnose.beds.soft.history import History
 from diffsim.diagnose.beds.soft.models import BEAM_BASE
 from diffsim.diagnose.beds.soft.released import released_beam
 from diffsim.diagnose.beds.soft.scene import Moment
+from diffsim.diagnose.beds.soft.support import SupportMotion
 from diffsim.identify import Parameter
 from tests.diagnose.gate import score_error, typical
 
@@ -54,7 +56,12 @@ def pulled(time):
     return 0.03 * np.sin(2 * np.pi * 3.0 * time) ** 2
 
 
-RUN, PULLED = make_run(), make_run(shortening=pulled)
+def sway(time):
+    return 1e-3 * np.sin(2 * np.pi * 5.0 * time)
+
+
+RUN = make_run()
+PULLED = make_run(shortening=pulled, support_x_m=sway, support_z_m=lambda t: -0.5 * sway(t))
 
 
 def beam(**changes):
@@ -234,6 +241,27 @@ def test_stiffening_force_is_that_of_its_energy():
     h = 1e-7
     slope = (energy(x + h * way) - energy(x - h * way)) / (2 * h)
     assert float((force * way).sum()) == pytest.approx(-slope, rel=1e-6)
+
+
+def test_support_that_moves_as_a_whole():
+    """Constant acceleration of the support is gravity; what is seen moves with it."""
+    model = beam()
+    rise = make_run(0.2, support_x_m=lambda t: 0.0 * t, support_z_m=lambda t: 0.25 * t**2)
+    found = predict(model, rise, SupportMotion(), size(1.0, 0.0))
+    heavy = predict(model, rise, soft_forces.Weight(), size(0.5))
+    heavy[:, 2] += torch.as_tensor(0.25 * rise.time_s**2)
+    torch.testing.assert_close(found, heavy, atol=1e-8, rtol=0)
+
+
+def test_memory_of_the_hand_that_held_the_body():
+    """Slow branches remember the hand, quick ones follow the body, and all forget the hand."""
+    hand, force, weight = size(0, 0, 3.0), size(0, 0, 0.5), size(0, 0, -1.0)
+    tau = size(1e4, 1e-4)
+    slow, quick = History(0.25, hand, size(50.0)[0]).memory(force, weight, tau)
+    torch.testing.assert_close(slow, -weight - hand, atol=1e-3, rtol=0)
+    torch.testing.assert_close(quick, force, atol=1e-3, rtol=0)
+    late = History(1e6, hand, size(50.0)[0]).memory(force, weight, tau)
+    torch.testing.assert_close(late[0], -weight, atol=1e-3, rtol=0)
 
 
 def test_added_mass_only_slows_time_down():

@@ -31,7 +31,11 @@ def record(until_s=0.15, **command):
     return Run("a", time, np.zeros((len(time), 3)), values, "g", order=2)
 
 
-FREE = record()
+SWAY = {
+    "support_x_m": lambda time: 1e-3 * np.sin(30.0 * time),
+    "support_z_m": lambda time: 5e-4 * np.sin(25.0 * time),
+}
+FREE = record(**SWAY)
 PULLED = record(shortening=lambda time: 0.03 * np.sin(2 * np.pi * 3.0 * time) ** 2)
 
 
@@ -88,7 +92,15 @@ def test_effects_that_act():
     assert_alike(problem, x)
 
 
-ACTING = ("loss_factor", "stiffening", "linear_drag", "dry_friction", "tilt", "release_time@a")
+ACTING = (
+    "support_motion",
+    "loss_factor",
+    "stiffening",
+    "linear_drag",
+    "dry_friction",
+    "tilt",
+    "release_time@a",
+)
 
 
 def test_tendon_from_equilibrium():

@@ -16,13 +16,16 @@ def import_silicone_beam(folder: Path) -> Study:
     beam, meta = load_beam_study(folder), read_metadata(folder)
     runs = []
     for order, trial in enumerate(beam.trials):
-        released = np.where(trial.time_s >= 0.0, 1.0, 0.0)
+        command = {"released": np.where(trial.time_s >= 0.0, 1.0, 0.0)}
+        if np.isfinite(trial.support_displacement_m).all():
+            command["support_x_m"] = trial.support_displacement_m[:, 0]
+            command["support_z_m"] = trial.support_displacement_m[:, 2]
         runs.append(
             Run(
                 name=trial.name,
                 time_s=trial.time_s,
                 measured=trial.marker_displacement_m.reshape(len(trial.time_s), -1),
-                command={"released": released},
+                command=command,
                 group=trial.case,
                 order=order,
                 use="holdout" if trial.name == "load52_b" else "fit",

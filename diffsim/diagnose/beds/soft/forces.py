@@ -8,8 +8,9 @@ import torch
 from torch import Tensor
 
 from diffsim.data.study import Run, Study
-from diffsim.diagnose.beds.soft.scene import Force, Moment, SoftScene, node_areas
+from diffsim.diagnose.beds.soft.scene import Force, Moment, SoftScene
 from diffsim.diagnose.effect import Effect
+from diffsim.mesh import HexMesh, TetMesh, surface_triangles
 from diffsim.soft import added_mass
 
 _SLIP_SPEED = 1e-2  # of regularised dry friction [m/s]
@@ -42,7 +43,7 @@ class _Drag(Force):
 
     def __init__(self, scene: SoftScene, coefficient: Tensor, *, quadratic: bool):
         self._coefficient, self._quadratic = coefficient, quadratic
-        self._area = node_areas(scene.body.mesh)[:, None]
+        self._area = _node_areas(scene.body.mesh)[:, None]
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
         v = moment.v - scene.current
@@ -52,6 +53,15 @@ class _Drag(Force):
             speed = torch.where(square > 0.0, torch.where(square > 0.0, square, 1.0).sqrt(), 0.0)
             v = speed * v
         return -self._coefficient * self._area * v
+
+
+def _node_areas(mesh: HexMesh | TetMesh) -> Tensor:
+    """Share of the surface at rest that belongs to each node, (num_vertices,) [m^2]."""
+    faces = surface_triangles(mesh).faces
+    a, b, c = mesh.x_rest[faces].unbind(1)
+    area = 0.5 * torch.linalg.cross(b - a, c - a).norm(dim=-1)
+    areas = torch.zeros(mesh.num_vertices, dtype=torch.float64)
+    return areas.index_add(0, faces.flatten(), (area / 3.0).repeat_interleave(3))
 
 
 class AddedMass(Effect):

@@ -19,6 +19,7 @@ _STRENGTH = 2.0 / math.pi * math.log(10.0) / 2.0  # of a branch, per loss factor
 
 
 _SOLID = ("youngs_modulus", "poissons_ratio")
+_WEIGHT = ("density", "attached_mass", "gravity")
 
 
 class StiffnessDamping(Effect):
@@ -83,7 +84,7 @@ def _relaxing(scene: SoftScene, branch_hz: tuple[float, ...], strength: Tensor) 
 class _Relaxation(Force):
     """- sum_k g m_k with m_k following the solid's force, exact for straight lines of it."""
 
-    leading_axes, reads = True, _SOLID
+    leading_axes, reads = True, (*_SOLID, *_WEIGHT)
 
     def __init__(self, plain: SoftScene, branch_hz: tuple[float, ...], strength: Tensor):
         self._solid, self._strength = plain.solid_force(), strength
@@ -95,7 +96,7 @@ class _Relaxation(Force):
         force, _ = self._solid(moment.x)
         tau = self._tau.reshape(-1, *(1 for _ in force.shape))
         if self._memory is None or self._before is None:
-            self._memory = force.expand(len(self._tau), *force.shape)
+            self._memory = self._at_first(scene, force)
         else:
             steady = tau * (force - self._before) / moment.dt
             error = (self._before - self._memory - steady) * torch.exp(-moment.dt / tau) + steady
@@ -103,6 +104,15 @@ class _Relaxation(Force):
         self._before = force
         # minus the branches' share of E, plus (f - m): together g (f - m) beside the plain solid
         return -self._strength * self._memory.sum(0)
+
+    def _at_first(self, scene: SoftScene, force: Tensor) -> Tensor:
+        """(num_branches, ..., num_vertices, 3) [N]."""
+        if scene.history is None:
+            return force.expand(len(self._tau), *force.shape)
+        mass = scene.parameter("density") * scene.body.nodal_volume
+        mass = mass + scene.parameter("attached_mass")
+        weight = mass[:, None] * scene.parameter("gravity")
+        return scene.history.memory(force, weight, self._tau)
 
 
 class Stiffening(Effect):

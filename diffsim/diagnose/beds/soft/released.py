@@ -172,11 +172,10 @@ def released_beam(
             "attached_mass": load,
         }
         up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-        # reaction of a propped cantilever, and what lifts it further
-        prop = 0.375 * values["density"] * bar.mass_kg / bar.density_kg_m3 * g
         above = hand["held_above"] + float(run.setup.get("held_above_m", 0.0))
-        prop = prop + tip_stiffness(bar, values["youngs_modulus"]) * above
-        holding = (tip.shares * prop + load * g)[:, None] * up
+        lift = tip_stiffness(bar, values["youngs_modulus"]) * above
+        holding = propping_force(bar, values["density"], tip, load)
+        holding = holding + (tip.shares * lift)[:, None] * up
         along = (tip.body.x_rest[:, 0] / bar.length_m + 1.0)[:, None]
         return SoftScene(
             body=tip.body,
@@ -238,6 +237,17 @@ class BeamTip:
         """Channels of positions (..., num_vertices, 3), (..., num_channels)."""
         face = x[..., self.face, :].transpose(-1, -2)[..., list(self.seen.axes), :]
         return (self.seen.weights * face).sum(-1)
+
+
+def propping_force(bar: BeamGeometry, density: Tensor, tip: BeamTip, load: Tensor) -> Tensor:
+    """(num_vertices, 3) of a hand under the tip that holds the bar straight [N].
+
+    The reaction of a propped cantilever, 3/8 of the bar's weight, and all of the tip's load.
+    """
+    g = bar.gravity_m_s2
+    up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+    prop = 0.375 * density * bar.mass_kg / bar.density_kg_m3 * g
+    return (tip.shares * prop + load * g)[:, None] * up
 
 
 def tip_stiffness(bar: BeamGeometry, youngs_modulus: Tensor) -> Tensor:

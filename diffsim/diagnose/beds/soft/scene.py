@@ -12,8 +12,8 @@ from torch import Tensor
 
 from diffsim import soft
 from diffsim.diagnose.beds.signals import sample, straight
+from diffsim.diagnose.beds.soft.history import History
 from diffsim.errors import ConvergenceError
-from diffsim.mesh import HexMesh, TetMesh, surface_triangles
 from diffsim.soft.forces import elastic_gradient
 
 _AHEAD = {"implicit_euler": 1.0, "bdf2": 1.0, "implicit_midpoint": 0.5, "semi_implicit_euler": 0.0}
@@ -82,6 +82,8 @@ class SoftScene:
         start_velocity: (num_vertices, 3) at 0 [m/s]; None: at rest.
         relaxed: Parameters that the body has at rest, once hooks with memory have relaxed: the
             first guess of the equilibrium, which is iterated all the same.
+        history: Of loads that hooks with memory have seen before; None: those of the start, for
+            long.
         start_time: What the hooks' clock shows at 0 [s].
         command: (num_commands, width) evenly spaced, or None.
         command_dt: Its spacing [s].
@@ -108,6 +110,7 @@ class SoftScene:
     start_position: Tensor | None = None
     start_velocity: Tensor | None = None
     relaxed: Mapping[str, Tensor] = field(default_factory=dict)
+    history: History | None = None
     start_time: float = 0.0
     command: Tensor | None = None
     command_dt: float = math.nan
@@ -287,12 +290,3 @@ def _force_and_strain(
     )
     gradient, energy = elastic_gradient(body, x, None, *at_rest, physics)
     return -gradient, energy / scale
-
-
-def node_areas(mesh: HexMesh | TetMesh) -> Tensor:
-    """Share of the surface at rest that belongs to each node, (num_vertices,) [m^2]."""
-    faces = surface_triangles(mesh).faces
-    a, b, c = mesh.x_rest[faces].unbind(1)
-    area = 0.5 * torch.linalg.cross(b - a, c - a).norm(dim=-1)
-    areas = torch.zeros(mesh.num_vertices, dtype=torch.float64)
-    return areas.index_add(0, faces.flatten(), (area / 3.0).repeat_interleave(3))

@@ -14,9 +14,10 @@ import torch
 from torch import Tensor
 
 from diffsim.data.beam import BeamGeometry
+from diffsim.diagnose.beds.soft.history import History
 from diffsim.diagnose.beds.soft.model import SoftModel
 from diffsim.diagnose.beds.soft.models import finer
-from diffsim.diagnose.beds.soft.released import SHARED, BeamTip, tip_stiffness
+from diffsim.diagnose.beds.soft.released import SHARED, BeamTip, propping_force, tip_stiffness
 from diffsim.diagnose.beds.soft.scene import SoftScene
 from diffsim.diagnose.model import Numerics
 from diffsim.identify import Parameter
@@ -46,6 +47,7 @@ def swinging_beam(
     integrator: str = "implicit_midpoint",
     poissons_ratio: float = 0.45,
     rtol: float = 1e-8,
+    since_s: float | None = None,
     base: Sequence[Parameter] = MATERIAL,
 ) -> SoftModel:
     """The bar in free vibration from each run's first sample on.
@@ -61,6 +63,8 @@ def swinging_beam(
         swings_m: By run: height of the tip over its place at rest at the first sample, roughly [m].
         cells, dt_s, integrator, rtol: Numerics; implicit midpoint has no damping of its own.
         poissons_ratio: Hexahedra lock as it nears 0.5, bending hardly depends on it.
+        since_s: First sample, after a hand that long held the bar straight let go [s]: what rubber
+            that relaxes remembers. None: it remembers its first state only.
         base: What all runs share.
     """
     own = tuple(
@@ -86,6 +90,7 @@ def swinging_beam(
         # Rayleigh: squared frequency of the lowest mode, with that shape
         young = values["youngs_modulus"]
         rate = tip_stiffness(bar, young) / (mass @ shape**2)
+        prop = propping_force(bar, values["density"], tip, load)
         rest = tip.look(tip.body.x_rest)
         times = torch.as_tensor(np.asarray(run.time_s), dtype=torch.float64)
         return SoftScene(
@@ -103,6 +108,7 @@ def swinging_beam(
             start="equilibrium",
             holding_force=(local["swing"] * rate * mass * shape)[:, None] * up,
             start_velocity=local["push"] * shape[:, None] * up,
+            history=None if since_s is None else History(since_s, prop, rate.sqrt()),
             friction_shares=tip.shares,
             output_maps=(lambda y, t: y - rest - local["zero_z"],),
         )
