@@ -23,7 +23,12 @@ class LinearDrag(Effect):
     also_looks_like = ("mass-proportional damping", "quadratic drag at one amplitude")
 
     def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        return scene.with_force(lambda: _Drag(scene, size[0], quadratic=False))
+        shares = self.shares(scene)
+        return scene.with_force(lambda: _Drag(shares, size[0], quadratic=False))
+
+    def shares(self, scene: SoftScene) -> Tensor:
+        """(num_vertices,) what of the surface each node stands for [m^2]."""
+        return node_areas(scene.body.mesh)
 
 
 class QuadraticDrag(Effect):
@@ -34,15 +39,20 @@ class QuadraticDrag(Effect):
     also_looks_like = ("linear drag at one amplitude",)
 
     def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        return scene.with_force(lambda: _Drag(scene, size[0], quadratic=True))
+        shares = self.shares(scene)
+        return scene.with_force(lambda: _Drag(shares, size[0], quadratic=True))
+
+    def shares(self, scene: SoftScene) -> Tensor:
+        """(num_vertices,) what of the surface each node stands for [m^2]."""
+        return node_areas(scene.body.mesh)
 
 
 class _Drag(Force):
     leading_axes, reads = True, ()
 
-    def __init__(self, scene: SoftScene, coefficient: Tensor, *, quadratic: bool):
+    def __init__(self, shares: Tensor, coefficient: Tensor, *, quadratic: bool):
         self._coefficient, self._quadratic = coefficient, quadratic
-        self._area = node_areas(scene.body.mesh)[:, None]
+        self._shares = shares[:, None]
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
         v = moment.v - scene.current
@@ -51,7 +61,7 @@ class _Drag(Force):
             square = (v * v).sum(-1, keepdim=True)
             speed = torch.where(square > 0.0, torch.where(square > 0.0, square, 1.0).sqrt(), 0.0)
             v = speed * v
-        return -self._coefficient * self._area * v
+        return -self._coefficient * self._shares * v
 
 
 class AddedMass(Effect):
