@@ -7,8 +7,6 @@ counted as wrong.
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import torch
 from torch import Tensor
 
@@ -25,7 +23,7 @@ STRAIN4 = 9.0 / 5.0
 class LinearDrag(forces.LinearDrag):
     """Force per volume -size v."""
 
-    unit, typical = "N s/m^4", 2e3
+    unit, typical = "N s/m^4", 1e3
 
     def shares(self, scene: SoftScene) -> Tensor:
         """(num_vertices,) volumes [m^3]."""
@@ -35,7 +33,7 @@ class LinearDrag(forces.LinearDrag):
 class QuadraticDrag(forces.QuadraticDrag):
     """Force per volume -size |v| v."""
 
-    unit, typical = "N s^2/m^5", 3e4
+    unit, typical = "N s^2/m^5", 1.5e4
 
     def shares(self, scene: SoftScene) -> Tensor:
         """(num_vertices,) volumes [m^3]."""
@@ -45,7 +43,7 @@ class QuadraticDrag(forces.QuadraticDrag):
 class Stiffening(material.Stiffening):
     """Stress E (1 + size strain^2) strain, under bending of one curvature."""
 
-    typical = 1000.0
+    typical = 400.0
 
     def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
         return super().apply(scene, STRAIN4 * size, run)
@@ -54,7 +52,7 @@ class Stiffening(material.Stiffening):
 class SidewaysTilt(Effect):
     """A constant acceleration sideways."""
 
-    name, family, kind, unit, typical = "tilt", "gravity", "environment", "m/s^2", 0.05
+    name, family, kind, unit, typical = "tilt", "gravity", "environment", "m/s^2", 0.1
     also_looks_like = ("a bent rest shape",)
 
     def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
@@ -65,13 +63,14 @@ class SidewaysTilt(Effect):
 class DryFriction(forces.DryFriction):
     """At the tip."""
 
-    typical = 2e-3
+    typical = 5e-4
+    slip_speed = 2e-3  # a twentieth of what the tip does
 
 
 class AddedMass(forces.AddedMass):
     """Of water, per displaced mass."""
 
-    typical = 0.1
+    typical = 0.05
 
 
 class LossFactor(material.LossFactor):
@@ -83,35 +82,41 @@ class LossFactor(material.LossFactor):
 class Delay(actuator.CommandDelay):
     """Of the tension; it cannot be early."""
 
-    typical, signed = 0.01, False
+    typical, signed = 0.006, False
 
 
 class Lag(actuator.Lag):
     """Of the tension."""
 
-    typical = 0.015
+    typical = 0.006
 
 
 class DeadBand(actuator.DeadBand):
     """Of the tension."""
 
-    unit, typical = "N", 0.05
+    unit, typical = "N", 0.04
 
 
 class Backlash(actuator.Backlash):
     """Of the tension, full width."""
 
-    unit, typical = "N", 0.1
+    unit, typical = "N", 0.05
 
     def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
         changed: SoftScene = super().apply(scene, 0.5 * size, run)
         return changed
 
 
+class TemperatureDrift(material.TemperatureDrift):
+    """As of a room over an afternoon."""
+
+    typical = 0.003
+
+
 class TensionLimit(actuator.ActuatorEffect):
     """The drive gives (1 - size) of its largest tension, and no more."""
 
-    name, family, unit, typical, signed = "saturation", "shape", "-", 0.2, False
+    name, family, unit, typical, signed = "saturation", "shape", "-", 0.1, False
     smooth = False
     also_looks_like = ("gain, if all commands reach as high", "stiffening")
 
@@ -133,13 +138,13 @@ class TensionLimit(actuator.ActuatorEffect):
 class SensorScale(sensor.SensorScale):
     """As of a camera at a distance that is known to a few per cent."""
 
-    typical: ClassVar[float] = 0.03
+    typical = 0.06
 
 
 class TipScale(Effect):
     """The tip's channel is larger by the share size; the other is not."""
 
-    name, family, kind, unit, typical = "tip_scale", "sensor", "sensor", "-", 0.02
+    name, family, kind, unit, typical = "tip_scale", "sensor", "sensor", "-", 0.06
     also_looks_like = ("lens", "slipped marker", "mode shape")
 
     def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
@@ -161,7 +166,7 @@ def causes(largest_N: float) -> tuple[Effect, ...]:
         LossFactor(),
         Stiffening(),
         material.StiffnessLoss(),
-        material.TemperatureDrift(),
+        TemperatureDrift(),
         LinearDrag(),
         QuadraticDrag(),
         AddedMass(),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -12,7 +13,6 @@ from diffsim.diagnose.beds.soft.scene import Force, Moment, SoftScene, node_area
 from diffsim.diagnose.effect import Effect
 from diffsim.soft import added_mass
 
-_SLIP_SPEED = 1e-2  # of regularised dry friction [m/s]
 
 
 class LinearDrag(Effect):
@@ -139,28 +139,33 @@ class Current(Effect):
 
 
 class DryFriction(Effect):
-    """Coulomb friction -size tanh(v / v_s) where the body slides, per axis, v_s = 1 cm/s."""
+    """Coulomb friction -size tanh(v / v_s) where the body slides, per axis.
+
+    Class attributes:
+        slip_speed: v_s [m/s].
+    """
 
     name, family, kind, unit, typical = "dry_friction", "damping", "force", "N", 0.01
     signed = False
+    slip_speed: ClassVar[float] = 1e-2
     also_looks_like = ("linear drag at small speed", "friction where a weight hangs")
 
     def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        return scene.with_force(lambda: _DryFriction(size[0]))
+        return scene.with_force(lambda: _DryFriction(size[0], self.slip_speed))
 
 
 class _DryFriction(Force):
     leading_axes, reads = True, ()
 
-    def __init__(self, size: Tensor):
-        self._size = size
+    def __init__(self, size: Tensor, slip_speed: float):
+        self._size, self._slip_speed = size, slip_speed
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
         shares = scene.friction_shares
         if shares is None:
             shares = scene.body.nodal_volume / scene.body.nodal_volume.sum()
         speed = shares @ moment.v
-        return -self._size * shares[:, None] * torch.tanh(speed / _SLIP_SPEED)[..., None, :]
+        return -self._size * shares[:, None] * torch.tanh(speed / self._slip_speed)[..., None, :]
 
 
 FORCES: tuple[Callable[[], Effect], ...] = (

@@ -86,6 +86,7 @@ class SoftScene:
         command: (num_commands, width) evenly spaced, or None.
         command_dt: Its spacing [s].
         actuate: Command (width,) -> activation (num_muscles,); None: the command itself.
+        actuates_rows: ``actuate`` takes all commands (n, width) at once, which is quicker.
         command_maps: What happens to the command, in order.
         forces: Makers of extra forces.
         water: Drag and thrust of a fluid, explicit; None: there is none.
@@ -112,6 +113,7 @@ class SoftScene:
     command: Tensor | None = None
     command_dt: float = math.nan
     actuate: Callable[[Tensor], Tensor] | None = None
+    actuates_rows: bool = False
     command_maps: tuple[CommandMap, ...] = ()
     forces: tuple[Callable[[], Force], ...] = ()
     water: soft.Hydrodynamics | None = None
@@ -223,7 +225,8 @@ class SoftScene:
                 physics=physics,
             )
             change = float((state.x.detach() - before).abs().max())
-            if change < _STATIC_RTOL * float((before - self.body.x_rest).abs().max()):
+            # an unloaded body does not move at all
+            if change <= _STATIC_RTOL * float((before - self.body.x_rest).abs().max()):
                 return state
         raise ConvergenceError(
             f"no equilibrium with the extra forces: after {_STATIC_ITERATIONS} iterations the body "
@@ -242,6 +245,8 @@ class SoftScene:
             command = change(command, self.command_dt)
         times = self.body.dt * (torch.arange(num_steps, dtype=torch.float64) + self.ahead)
         at_steps = straight(command, self.command_dt, times)
+        if self.actuate is not None and self.actuates_rows:
+            return self.actuate(at_steps)
         if self.actuate is not None:
             at_steps = torch.stack([self.actuate(row) for row in at_steps])
         return at_steps

@@ -150,9 +150,9 @@ class TendonBar:
         return torch.stack([weights[i] * y[..., left - 1 + i] for i in range(4)]).sum(0)
 
     def activation(self, moment: Tensor) -> Tensor:
-        """Commanded lengths over rest lengths for a moment (1,) [N m], (2,)."""
+        """Commanded lengths over rest lengths, (..., 2), for a moment (..., 1) [N m]."""
         share = moment / (2.0 * self.arm * TENDON_STIFFNESS_N)
-        return torch.cat([1.0 - share, 1.0 + share])
+        return torch.cat([1.0 - share, 1.0 + share], -1)
 
     @cached_property
     def softness(self) -> float:
