@@ -65,7 +65,7 @@ def setup(
 
 
 def lab_beam(
-    study: Study, *, cells: tuple[int, int, int], dt_s: float, rtol: float = 1e-7
+    study: Study, *, cells: tuple[int, int, int], dt_s: float, rtol: float = 1e-9
 ) -> SoftModel:
     """A bar clamped at x = 0 with a pair of tendons that give the laboratory's moment.
 

@@ -20,24 +20,24 @@ from diffsim.diagnose.effect import Effect
 STRAIN4 = 9.0 / 5.0
 
 
-class LinearDrag(forces.LinearDrag):
+class _PerVolume:
+    """Drag of every node by its volume."""
+
+    def shares(self, scene: SoftScene) -> Tensor:
+        """(num_vertices,) [m^3]."""
+        return scene.body.nodal_volume
+
+
+class LinearDrag(_PerVolume, forces.LinearDrag):
     """Force per volume -size v."""
 
     unit, typical = "N s/m^4", 1e3
 
-    def shares(self, scene: SoftScene) -> Tensor:
-        """(num_vertices,) volumes [m^3]."""
-        return scene.body.nodal_volume
 
-
-class QuadraticDrag(forces.QuadraticDrag):
+class QuadraticDrag(_PerVolume, forces.QuadraticDrag):
     """Force per volume -size |v| v."""
 
     unit, typical = "N s^2/m^5", 1.5e4
-
-    def shares(self, scene: SoftScene) -> Tensor:
-        """(num_vertices,) volumes [m^3]."""
-        return scene.body.nodal_volume
 
 
 class Stiffening(material.Stiffening):
@@ -126,7 +126,9 @@ class TensionLimit(actuator.ActuatorEffect):
     def needs(self, study: Study) -> str | None:
         top = max(float(run.command["tendon_N"].max()) for run in study.fit_runs)
         if top < (1.0 - self.typical) * self._largest:
-            return f"a tension near {self._largest:g} N; the largest that was commanded is {top:g} N"
+            return (
+                f"a tension near {self._largest:g} N; the largest that was commanded is {top:g} N"
+            )
         return super().needs(study)
 
     def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:

@@ -14,37 +14,34 @@ from diffsim.diagnose.effect import Effect
 from diffsim.soft import added_mass
 
 
+class _DragEffect(Effect):
+    """Drag of every node by what of the surface it stands for."""
 
-class LinearDrag(Effect):
+    quadratic: ClassVar[bool]
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        shares = self.shares(scene)
+        return scene.with_force(lambda: _Drag(shares, size[0], quadratic=self.quadratic))
+
+    def shares(self, scene: SoftScene) -> Tensor:
+        """(num_vertices,) areas [m^2]."""
+        return node_areas(scene.body.mesh)
+
+
+class LinearDrag(_DragEffect):
     """Force per surface area -size (v - current)."""
 
     name, family, kind, unit, typical = "linear_drag", "damping", "force", "N s/m^3", 5.0
-    signed = False
+    signed, quadratic = False, False
     also_looks_like = ("mass-proportional damping", "quadratic drag at one amplitude")
 
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        shares = self.shares(scene)
-        return scene.with_force(lambda: _Drag(shares, size[0], quadratic=False))
 
-    def shares(self, scene: SoftScene) -> Tensor:
-        """(num_vertices,) what of the surface each node stands for [m^2]."""
-        return node_areas(scene.body.mesh)
-
-
-class QuadraticDrag(Effect):
+class QuadraticDrag(_DragEffect):
     """Force per surface area -size |v - current| (v - current); size is density C_d / 2."""
 
     name, family, kind, unit, typical = "quadratic_drag", "damping", "force", "kg/m^3", 50.0
-    signed = False
+    signed, quadratic = False, True
     also_looks_like = ("linear drag at one amplitude",)
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        shares = self.shares(scene)
-        return scene.with_force(lambda: _Drag(shares, size[0], quadratic=True))
-
-    def shares(self, scene: SoftScene) -> Tensor:
-        """(num_vertices,) what of the surface each node stands for [m^2]."""
-        return node_areas(scene.body.mesh)
 
 
 class _Drag(Force):

@@ -162,7 +162,9 @@ class TendonBar:
         """
         shape = self.shape
         moment = SMALL * shape.length / shape.tip_of_moment(1.0)
-        x = self._rest_under(activation=self.activation(torch.tensor([moment], dtype=torch.float64)))
+        x = self._rest_under(
+            activation=self.activation(torch.tensor([moment], dtype=torch.float64))
+        )
         tip = float(self.look(x)[-1])
         return tip / shape.tip_of_moment(moment)
 
