@@ -81,7 +81,15 @@ def main() -> None:
     parser.add_argument("--lambda", dest="strength", action="store_true", help="simulate lambda")
     args = parser.parse_args()
     vault = args.out.with_name(args.out.name + ".vault")
-    blind = Blind(BENCHES["beam"], "beam", 0, args.out, vault, with_lambda=args.strength)
+    blind = Blind(
+        BENCHES["beam"],
+        "beam",
+        0,
+        args.out,
+        vault,
+        with_lambda=args.strength,
+        command=f"python -m tests.diagnose.lab_beam_cases {args.out}",
+    )
     scores = []
     for i, label in enumerate(list(labels())[: args.n]):
         case = f"case_{i:03d}"

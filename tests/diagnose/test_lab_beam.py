@@ -8,11 +8,14 @@ import torch
 
 from diffsim.data.labs import SoftBeamLab
 from diffsim.data.labs.common import Plan
+from diffsim.data.labs.sealed import BENCHES, seal
 from diffsim.data.labs.soft_beam import SD_M
 from diffsim.data.study import Run
-from diffsim.diagnose import Numerics
+from diffsim.diagnose import Numerics, diagnose
+from diffsim.diagnose.blind import Blind
 from diffsim.diagnose.setups import setup_of
 from tests.data.labs.truths import exact
+from tests.diagnose.lab_beam_cases import labels
 
 STILL = {"marker_place_m": np.zeros(2), "zero_seed": 0}
 ORDER = 3  # of the run, for what drifts
@@ -108,3 +111,34 @@ def test_causes_and_runs_that_could_be_recorded(made):
         setup_of(SoftBeamLab()._study(1, runs), cells=[8, 3, 1]).model.scene(
             runs[0], setup.model.at_prior()
         )
+
+
+def first_second(run):
+    command = {name: u[:100] for name, u in run.command.items()}
+    return replace(run, time_s=run.time_s[:100], measured=run.measured[:100], command=command)
+
+
+def test_few_runs_and_causes_end_to_end(lab):
+    """A lag hidden by beam theory is named by the solid, with its size."""
+    study = lab.case(7, {"lag": None}).study
+    kept = [r for r in study.runs if r.name in ("release_a", "chirp_a", "two_tones")]
+    study = replace(study, runs=tuple(first_second(r) for r in kept))
+    s = setup_of(study)
+    chosen = [e for e in s.effects if e.name in ("lag", "linear_drag", "tip_scale")]
+    report = diagnose(study, s.model, chosen, seed=0, settings=s.settings)
+    assert report.verdict == "named" and report.named == ("lag",)
+    (row,) = (r for r in report.table if r.effect == "lag")
+    assert abs(row.size["size"] - 0.006) < 3.0 * row.sd["size"] < 0.002
+    assert report.gain.low > 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("index", [0, 1, 2])
+def test_sealed_cases(index, tmp_path):
+    """Nothing hidden, a drag, and a stop that no library has, with all candidates."""
+    out, vault = tmp_path / "out", tmp_path / "vault"
+    blind = Blind(BENCHES["beam"], "beam", 0, out, vault, with_lambda=False)
+    label = list(labels())[index]
+    seal(blind.bench, label, blind.data, blind.vault, "case")
+    score = blind.score("case")
+    assert score["right"], score

@@ -213,8 +213,8 @@ def _mode_rates(omega: float, damping: float, loss: float) -> Array:
     """A of z' = A z + e_1 force for z = (q, q', m_1, ...).
 
     A loss factor ``loss`` that does not depend on the frequency: Maxwell branches
-    k g (q - m_i), tau_i m_i' = q - m_i with g = (2 / pi) loss ln(spacing), as a sum over branches of
-    w tau / (1 + (w tau)^2) d ln(tau) is pi / 2.
+    k g (q - m_i), tau_i m_i' = q - m_i with g = (2 / pi) loss ln(spacing), as the integral of
+    w tau / (1 + (w tau)^2) over ln(tau) is pi / 2.
     """
     tau = LOSS_TAU_S if loss else np.zeros(0)
     k, g = omega**2, 2.0 / np.pi * loss * np.log(tau[0] / tau[1]) if loss else 0.0

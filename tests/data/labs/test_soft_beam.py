@@ -116,7 +116,7 @@ def test_decay_rate(lab, effects, rate):
 
 
 def test_loss_factor_is_the_same_at_all_frequencies():
-    """Imaginary over real part of the stiffness of one mode, and hardly stiffer when loaded long."""
+    """Imaginary over real part of one mode's stiffness; none under a load that lasts."""
     omega, loss = 1.0, 0.03
     rates = soft_beam._mode_rates(omega, 0.0, loss)
     for hz in (2.0, 6.0, 20.0):

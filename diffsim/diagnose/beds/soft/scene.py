@@ -225,7 +225,6 @@ class SoftScene:
                 physics=physics,
             )
             change = float((state.x.detach() - before).abs().max())
-            # an unloaded body does not move at all
             if change <= _STATIC_RTOL * float((before - self.body.x_rest).abs().max()):
                 return state
         raise ConvergenceError(
@@ -245,11 +244,9 @@ class SoftScene:
             command = change(command, self.command_dt)
         times = self.body.dt * (torch.arange(num_steps, dtype=torch.float64) + self.ahead)
         at_steps = straight(command, self.command_dt, times)
-        if self.actuate is not None and self.actuates_rows:
-            return self.actuate(at_steps)
-        if self.actuate is not None:
-            at_steps = torch.stack([self.actuate(row) for row in at_steps])
-        return at_steps
+        if self.actuate is None or self.actuates_rows:
+            return at_steps if self.actuate is None else self.actuate(at_steps)
+        return torch.stack([self.actuate(row) for row in at_steps])
 
     @property
     def ahead(self) -> float:

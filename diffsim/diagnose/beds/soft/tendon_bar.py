@@ -1,4 +1,4 @@
-"""A clamped bar on hexahedra, bent by a pure moment at its tip, and what its mesh is known to miss."""
+"""A clamped bar on hexahedra, bent by a moment at its tip, and what its mesh is known to miss."""
 
 from __future__ import annotations
 
