@@ -7,6 +7,8 @@ counted as wrong.
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -102,9 +104,8 @@ class Backlash(actuator.Backlash):
 
     unit, typical = "N", 0.05
 
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        changed: SoftScene = super().apply(scene, 0.5 * size, run)
-        return changed
+    def apply(self, scene: actuator.Commanded, size: Tensor, run: Run) -> Any:
+        return super().apply(scene, 0.5 * size, run)
 
 
 class TemperatureDrift(material.TemperatureDrift):
