@@ -78,6 +78,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--n", type=int, help="only so many of them")
+    parser.add_argument("--kinds", nargs="+", default=(), help="only such cases, and what is there")
     parser.add_argument("--lambda", dest="strength", action="store_true", help="simulate lambda")
     args = parser.parse_args()
     vault = args.out.with_name(args.out.name + ".vault")
@@ -93,6 +94,9 @@ def main() -> None:
     scores = []
     for i, label in enumerate(list(labels())[: args.n]):
         case = f"case_{i:03d}"
+        is_scored = (args.out / "scores" / f"{case}.json").is_file()
+        if args.kinds and label["kind"] not in args.kinds and not is_scored:
+            continue
         if not is_sealed(blind.data, vault, case):
             seal(blind.bench, label, blind.data, vault, case)
         scores.append(blind.score(case))

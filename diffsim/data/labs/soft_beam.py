@@ -1,11 +1,11 @@
-"""Virtual laboratory of a clamped silicone bar, bent to one side by a tendon.
+"""Virtual laboratory of a clamped bar of silicone foam, bent to one side by a tendon.
 
 A tendon runs along the bar, off its axis, and is anchored at the tip: tension times offset is a
 moment at the tip. Bending in a horizontal plane; no gravity. Beam theory in modal coordinates,
 propagated by exponentials with a second-order correction for what is not linear (ETD2RK, Cox and
 Matthews 2002); friction, dead band and backlash are sharp.
 
-Not modelled: finite rotations (the tip moves by less than a tenth of the length), axial
+Not modelled: finite rotations (the tip moves by some per cent of the length), axial
 compression by the tendon.
 """
 
