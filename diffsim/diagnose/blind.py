@@ -47,6 +47,7 @@ class Blind:
         timeout_s: Per case.
         setup_file: Own model of the laboratory.
         with_lambda: Score with the simulations that lambda takes.
+        command: That made the cases, for the tables; empty: ``diffsim diagnose blind``.
     """
 
     bench: Bench
@@ -59,6 +60,7 @@ class Blind:
     timeout_s: float = 3600.0
     setup_file: Path | None = None
     with_lambda: bool = True
+    command: str = ""
     _processes: _Processes = field(default_factory=lambda: _Processes())
 
     @property
@@ -173,7 +175,10 @@ class Blind:
         if cpu:
             notes.append(f"Processor time of a diagnosis: median {np.median(cpu):.0f} s.")
         text = markdown(
-            scores, title=f"Sealed cases of the {self.name}", command=command, notes=notes
+            scores,
+            title=f"Sealed cases of the {self.name}",
+            command=self.command or command,
+            notes=notes,
         )
         return write_text_atomic(self.out / "confusion.md", text)
 

@@ -8,26 +8,22 @@ import torch
 
 from diffsim.data.labs import SoftBeamLab
 from diffsim.data.labs.common import Plan
+from diffsim.data.labs.sealed import BENCHES, seal
+from diffsim.data.labs.soft_beam import SD_M
 from diffsim.data.study import Run
+from diffsim.diagnose import Numerics, diagnose
+from diffsim.diagnose.blind import Blind
 from diffsim.diagnose.setups import setup_of
 from tests.data.labs.truths import exact
+from tests.diagnose.lab_beam_cases import labels
 
 STILL = {"marker_place_m": np.zeros(2), "zero_seed": 0}
-CELLS, DT_S = [8, 2, 1], 5e-3
-# library's size of what the laboratory hides per volume, or as a full width
-PER_AREA = 0.1 * 0.03**2 / (4 * 0.03 * 0.1 + 2 * 0.03**2)
-SAME = {
-    "linear_drag": (2e3, [2e3 * PER_AREA]),
-    "quadratic_drag": (2e4, [2e4 * PER_AREA]),
-    "added_mass": (0.3, [0.3]),
-    "tilt": (0.3, [0.0, -0.3]),
-    "delay": (0.01, [0.01]),
-    "lag": (0.015, [0.015]),
-    "dead_band": (0.1, [0.1]),
-    "saturation": (0.2, [0.2]),
-    "sensor_scale": (0.03, [0.03]),
-    "tip_scale": (0.03, [0.03]),
-}
+ORDER = 3  # of the run, for what drifts
+OUT = {"stiffness_damping", "quantisation"}  # a base parameter; no term in the library
+SAME = sorted(n for n, e in SoftBeamLab.effects.items() if not e.outside and n not in OUT)
+# Rms of what is left at the true size over that of the change: stiffening by the body's mean strain
+# instead of each place's, and friction that creeps where the laboratory's sticks, are other forms.
+LEFT = {"stiffening": 0.45, "dry_friction": 0.2, "loss_factor": 0.25}
 
 
 @pytest.fixture(scope="module")
@@ -38,29 +34,28 @@ def lab():
 @pytest.fixture(scope="module")
 def made(lab):
     rng = np.random.default_rng(0)
-    t = np.arange(3) / 100.0
     runs = [
         Run(p.name, p.time_s, np.zeros((len(p.time_s), 2)), p.command, p.group, i, p.use)
         for i, p in enumerate(lab.plans(rng))
     ]
-    study = replace(lab._study(1, runs), metadata={**lab._study(1, runs).metadata, "medium": "air"})
-    assert len(t) == 3
-    return setup_of(study, cells=CELLS, dt_s=DT_S), runs
+    return setup_of(lab._study(1, runs)), runs
 
 
 def noise_free(lab, command, **effects):
     t = np.arange(len(command)) / 100.0
-    out, _ = lab.measure(
-        Plan("r", "g", "fit", t, {"tendon_N": np.asarray(command)}), exact(lab, STILL, **effects)
-    )
-    return out - np.random.default_rng([0, 0]).normal(0.0, 0.1e-3, 2)
+    truth = exact(lab, STILL, **effects) | {"order": ORDER}
+    out, _ = lab.measure(Plan("r", "g", "fit", t, {"tendon_N": np.asarray(command)}), truth)
+    return out - np.random.default_rng([0, ORDER]).normal(0.0, 0.1e-3, 2)
 
 
 def predicted(made, command, effect=None, size=None):
     setup, runs = made
     t = np.arange(len(command)) / 100.0
     run = replace(
-        runs[0], time_s=t, measured=np.zeros((len(t), 2)), command={"tendon_N": np.array(command)}
+        runs[ORDER],
+        time_s=t,
+        measured=np.zeros((len(t), 2)),
+        command={"tendon_N": np.array(command)},
     )
     cause = {e.name: e for e in setup.effects}
     sizes = {} if effect is None else {cause[effect]: torch.tensor(size, dtype=torch.float64)}
@@ -70,53 +65,41 @@ def predicted(made, command, effect=None, size=None):
 
 def test_bends_as_the_laboratory_does_under_a_steady_pull(lab, made):
     shown, want = predicted(made, np.ones(8))[-1], noise_free(lab, np.ones(8))[-1]
-    # tip: five modes of an infinite series leave 0.5 %; middle: the solid's clamp stiffens its root
-    assert shown[0] == pytest.approx(want[0], rel=0.02)
-    # the root of a clamped solid is stiffer; the places of markers have that much freedom (ROOT_M)
-    assert shown[1] == pytest.approx(want[1], rel=0.12)
+    np.testing.assert_allclose(shown, want, rtol=3e-3)
 
 
-def test_refined_mesh_keeps_the_arm_of_the_tendon(made):
-    from diffsim.diagnose import Numerics
+def test_moves_as_the_laboratory_does(lab, made):
+    """Two theories, same numbers, nothing fitted: within a third of the noise, rms."""
+    plan = lab.plans(np.random.default_rng(0))[1]
+    command = plan.command["tendon_N"]
+    off = predicted(made, command) - noise_free(lab, command)
+    assert np.sqrt(np.mean(off**2)) < 0.35 * SD_M
 
+
+def test_refining_mesh_or_step_hardly_moves_the_record(lab, made):
     setup, runs = made
-    run = replace(runs[0], time_s=runs[0].time_s[:6], measured=np.zeros((6, 2)))
-    run = replace(run, command={"tendon_N": np.ones(6)})
+    run = replace(runs[1], time_s=runs[1].time_s[:80], measured=np.zeros((80, 2)))
+    run = replace(run, command={"tendon_N": runs[1].command["tendon_N"][:80]})
     with torch.no_grad():
-        coarse, fine = (
-            setup.model.predict(run, setup.model.at_prior(), None, Numerics(mesh=m))[-1, 0]
-            for m in (1.0, 0.5)
+        plain, *fine = (
+            setup.model.predict(run, setup.model.at_prior(), None, n)
+            for n in (Numerics(), Numerics(mesh=0.5), Numerics(time_step=0.5))
         )
-    # finer elements lock less: softer, by less than the coarse mesh was too stiff
-    assert 1.0 < float(fine / coarse) < 1.6
-
-
-def test_swings_at_the_laboratory_s_frequency(lab, made):
-    command = np.where(np.arange(60) < 3, 1.0, 0.0)
-
-    def turns(y):
-        return np.flatnonzero(np.diff(np.sign(y[4:, 0] - 0.0))) + 4
-
-    ours, theirs = turns(predicted(made, command)), turns(noise_free(lab, command))
-    count = min(len(ours), len(theirs), 6)
-    assert count >= 6
-    ratio = (ours[count - 1] - ours[0]) / (theirs[count - 1] - theirs[0])
-    # E was matched to the bend under a moment; inertia and shear of a swing lock a little less
-    assert ratio == pytest.approx(1.0, abs=0.06)
+    for other in fine:
+        assert 0.0 < float((other - plain).square().mean().sqrt()) < 0.25 * SD_M
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SAME)
 def test_cause_does_what_the_laboratory_does(lab, made, name):
-    """Same size, same change of the record, beside what two theories of a bar differ by."""
-    size, ours = SAME[name]
-    t = np.arange(80) / 100.0
-    command = 0.8 + 0.6 * np.sin(2 * np.pi * 2.0 * t)
+    """Typical size of the laboratory in the library's term: the same change of the record."""
+    size = SoftBeamLab.effects[name].typical
+    t = np.arange(160) / 100.0
+    command = 0.8 * (1.0 - np.cos(2 * np.pi * 1.9 * t))
     want = noise_free(lab, command, **{name: size}) - noise_free(lab, command)
-    found = predicted(made, command, name, ours) - predicted(made, command)
-    share = float((want * found).sum() / (want * want).sum())
+    found = predicted(made, command, name, [size]) - predicted(made, command)
     left = np.linalg.norm(found - want) / np.linalg.norm(want)
-    assert share == pytest.approx(1.0, abs=0.12) and left < 0.2
+    assert left < LEFT.get(name, 0.12)
 
 
 def test_causes_and_runs_that_could_be_recorded(made):
@@ -125,4 +108,37 @@ def test_causes_and_runs_that_could_be_recorded(made):
     assert set(SAME) < names and len(names) == len(setup.effects)
     assert not {run.name for run in setup.bank} & {run.name for run in runs}
     with pytest.raises(ValueError, match="even number"):
-        setup_of(replace(SoftBeamLab()._study(1, runs)), cells=[8, 3, 1])
+        setup_of(SoftBeamLab()._study(1, runs), cells=[8, 3, 1]).model.scene(
+            runs[0], setup.model.at_prior()
+        )
+
+
+def first_second(run):
+    command = {name: u[:100] for name, u in run.command.items()}
+    return replace(run, time_s=run.time_s[:100], measured=run.measured[:100], command=command)
+
+
+def test_few_runs_and_causes_end_to_end(lab):
+    """A lag hidden by beam theory is named by the solid, with its size."""
+    study = lab.case(7, {"lag": None}).study
+    kept = [r for r in study.runs if r.name in ("release_a", "chirp_a", "two_tones")]
+    study = replace(study, runs=tuple(first_second(r) for r in kept))
+    s = setup_of(study)
+    chosen = [e for e in s.effects if e.name in ("lag", "linear_drag", "tip_scale")]
+    report = diagnose(study, s.model, chosen, seed=0, settings=s.settings)
+    assert report.verdict == "named" and report.named == ("lag",)
+    (row,) = (r for r in report.table if r.effect == "lag")
+    assert abs(row.size["size"] - 0.006) < 3.0 * row.sd["size"] < 0.002
+    assert report.gain.value > 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("index", [0, 1])
+def test_sealed_cases(index, tmp_path):
+    """Nothing hidden, and a drag, with all candidates."""
+    out, vault = tmp_path / "out", tmp_path / "vault"
+    blind = Blind(BENCHES["beam"], "beam", 0, out, vault, with_lambda=False)
+    label = list(labels())[index]
+    seal(blind.bench, label, blind.data, blind.vault, "case")
+    score = blind.score("case")
+    assert score["right"], score

@@ -17,13 +17,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BeamShape:
-    """A bar, clamped at x = 0; SI units."""
+    """A bar of silicone foam, clamped at x = 0; SI units.
 
-    length: float = 0.1
-    width: float = 0.03  # across the plane of bending
-    depth: float = 0.03  # in the plane of bending
+    Slender, and without lateral contraction: a clamped solid that cannot contract at its root
+    bends otherwise than any beam theory, by more than what the laboratory hides.
+    """
+
+    length: float = 0.15
+    width: float = 0.02  # across the plane of bending
+    depth: float = 0.02  # in the plane of bending
     density: float = 1070.0
-    poissons_ratio: float = 0.45
+    poissons_ratio: float = 0.0
     num_cells: int = 80
 
     @property
@@ -66,7 +70,7 @@ class BeamModes:
 
 
 def beam_modes(
-    shape: BeamShape, youngs_modulus: float, added_density: float = 0.0, num_modes: int = 5
+    shape: BeamShape, youngs_modulus: float, added_density: float = 0.0, num_modes: int = 12
 ) -> BeamModes:
     """Modes of the bar.
 

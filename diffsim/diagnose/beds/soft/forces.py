@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -13,37 +14,43 @@ from diffsim.diagnose.effect import Effect
 from diffsim.mesh import HexMesh, TetMesh, surface_triangles
 from diffsim.soft import added_mass
 
-_SLIP_SPEED = 1e-2  # of regularised dry friction [m/s]
+
+class _DragEffect(Effect):
+    """Drag of every node by what of the surface it stands for."""
+
+    quadratic: ClassVar[bool]
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        shares = self.shares(scene)
+        return scene.with_force(lambda: _Drag(shares, size[0], quadratic=self.quadratic))
+
+    def shares(self, scene: SoftScene) -> Tensor:
+        """(num_vertices,) areas [m^2]."""
+        return node_areas(scene.body.mesh)
 
 
-class LinearDrag(Effect):
+class LinearDrag(_DragEffect):
     """Force per surface area -size (v - current)."""
 
     name, family, kind, unit, typical = "linear_drag", "damping", "force", "N s/m^3", 5.0
-    signed = False
+    signed, quadratic = False, False
     also_looks_like = ("mass-proportional damping", "quadratic drag at one amplitude")
 
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        return scene.with_force(lambda: _Drag(scene, size[0], quadratic=False))
 
-
-class QuadraticDrag(Effect):
+class QuadraticDrag(_DragEffect):
     """Force per surface area -size |v - current| (v - current); size is density C_d / 2."""
 
     name, family, kind, unit, typical = "quadratic_drag", "damping", "force", "kg/m^3", 50.0
-    signed = False
+    signed, quadratic = False, True
     also_looks_like = ("linear drag at one amplitude",)
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        return scene.with_force(lambda: _Drag(scene, size[0], quadratic=True))
 
 
 class _Drag(Force):
     leading_axes, reads = True, ()
 
-    def __init__(self, scene: SoftScene, coefficient: Tensor, *, quadratic: bool):
+    def __init__(self, shares: Tensor, coefficient: Tensor, *, quadratic: bool):
         self._coefficient, self._quadratic = coefficient, quadratic
-        self._area = _node_areas(scene.body.mesh)[:, None]
+        self._shares = shares[:, None]
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
         v = moment.v - scene.current
@@ -52,10 +59,10 @@ class _Drag(Force):
             square = (v * v).sum(-1, keepdim=True)
             speed = torch.where(square > 0.0, torch.where(square > 0.0, square, 1.0).sqrt(), 0.0)
             v = speed * v
-        return -self._coefficient * self._area * v
+        return -self._coefficient * self._shares * v
 
 
-def _node_areas(mesh: HexMesh | TetMesh) -> Tensor:
+def node_areas(mesh: HexMesh | TetMesh) -> Tensor:
     """Share of the surface at rest that belongs to each node, (num_vertices,) [m^2]."""
     faces = surface_triangles(mesh).faces
     a, b, c = mesh.x_rest[faces].unbind(1)
@@ -139,28 +146,33 @@ class Current(Effect):
 
 
 class DryFriction(Effect):
-    """Coulomb friction -size tanh(v / v_s) where the body slides, per axis, v_s = 1 cm/s."""
+    """Coulomb friction -size tanh(v / v_s) where the body slides, per axis.
+
+    Class attributes:
+        slip_speed: v_s [m/s].
+    """
 
     name, family, kind, unit, typical = "dry_friction", "damping", "force", "N", 0.01
     signed = False
+    slip_speed: ClassVar[float] = 1e-2
     also_looks_like = ("linear drag at small speed", "friction where a weight hangs")
 
     def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        return scene.with_force(lambda: _DryFriction(size[0]))
+        return scene.with_force(lambda: _DryFriction(size[0], self.slip_speed))
 
 
 class _DryFriction(Force):
     leading_axes, reads = True, ()
 
-    def __init__(self, size: Tensor):
-        self._size = size
+    def __init__(self, size: Tensor, slip_speed: float):
+        self._size, self._slip_speed = size, slip_speed
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
         shares = scene.friction_shares
         if shares is None:
             shares = scene.body.nodal_volume / scene.body.nodal_volume.sum()
         speed = shares @ moment.v
-        return -self._size * shares[:, None] * torch.tanh(speed / _SLIP_SPEED)[..., None, :]
+        return -self._size * shares[:, None] * torch.tanh(speed / self._slip_speed)[..., None, :]
 
 
 FORCES: tuple[Callable[[], Effect], ...] = (

@@ -88,6 +88,7 @@ class SoftScene:
         command: (num_commands, width) evenly spaced, or None.
         command_dt: Its spacing [s].
         actuate: Command (width,) -> activation (num_muscles,); None: the command itself.
+        actuates_rows: ``actuate`` takes all commands (n, width) at once, which is quicker.
         command_maps: What happens to the command, in order.
         forces: Makers of extra forces.
         water: Drag and thrust of a fluid, explicit; None: there is none.
@@ -115,6 +116,7 @@ class SoftScene:
     command: Tensor | None = None
     command_dt: float = math.nan
     actuate: Callable[[Tensor], Tensor] | None = None
+    actuates_rows: bool = False
     command_maps: tuple[CommandMap, ...] = ()
     forces: tuple[Callable[[], Force], ...] = ()
     water: soft.Hydrodynamics | None = None
@@ -226,7 +228,7 @@ class SoftScene:
                 physics=physics,
             )
             change = float((state.x.detach() - before).abs().max())
-            if change < _STATIC_RTOL * float((before - self.body.x_rest).abs().max()):
+            if change <= _STATIC_RTOL * float((before - self.body.x_rest).abs().max()):
                 return state
         raise ConvergenceError(
             f"no equilibrium with the extra forces: after {_STATIC_ITERATIONS} iterations the body "
@@ -245,9 +247,9 @@ class SoftScene:
             command = change(command, self.command_dt)
         times = self.body.dt * (torch.arange(num_steps, dtype=torch.float64) + self.ahead)
         at_steps = straight(command, self.command_dt, times)
-        if self.actuate is not None:
-            at_steps = torch.stack([self.actuate(row) for row in at_steps])
-        return at_steps
+        if self.actuate is None or self.actuates_rows:
+            return at_steps if self.actuate is None else self.actuate(at_steps)
+        return torch.stack([self.actuate(row) for row in at_steps])
 
     @property
     def ahead(self) -> float:
