@@ -78,19 +78,24 @@ def make_mesh(refine: int = 1) -> mesh.HexMesh:
     return mesh.HexMesh(x[used], local)
 
 
+def tendons(m: mesh.HexMesh) -> list[soft.Tendon]:
+    """Half a tendon along either leg."""
+    reach = REACH - TENDON
+    ends = (
+        (np.array([0.0, WIDTH / 4]), np.array([reach, 0.0]), np.array([REACH, 0.0])),
+        (np.array([WIDTH / 4, 0.0]), np.array([0.0, reach]), np.array([0.0, REACH])),
+    )
+    return [
+        soft.Tendon(m, [[-DEPTH, *(a + side)], [-DEPTH, *(b + side)]], axial_stiffness=100.0)
+        for side, a, b in ends
+    ]
+
+
 def quarter(
     refine: int, dt_s: float, rtol: float, integrator: str, poissons_ratio: float
 ) -> Quarter:
     """The body with its tendons; density, stiffness and damping are the scene's to say."""
     m = make_mesh(refine)
-    reach = REACH - TENDON
-    tendons = [
-        soft.Tendon(m, [[-DEPTH, *(a + side)], [-DEPTH, *(b + side)]], axial_stiffness=100.0)
-        for side, a, b in (
-            (np.array([0.0, WIDTH / 4]), np.array([reach, 0.0]), np.array([REACH, 0.0])),
-            (np.array([WIDTH / 4, 0.0]), np.array([0.0, reach]), np.array([0.0, REACH])),
-        )
-    ]
     x = m.x_rest
     held = torch.zeros(m.num_vertices, 3, dtype=torch.bool)
     on_rail = (x[:, 1:] < WIDTH / 2 + 1e-9).all(1)  # the same part of the core on every mesh
@@ -108,7 +113,7 @@ def quarter(
         gravity=(0.0, 0.0, 0.0),  # neutrally buoyant, as trimmed
         rayleigh_beta=5e-3,
         fixed=held,
-        muscles=[t.muscle for t in tendons],
+        muscles=[t.muscle for t in tendons(m)],
         added_mass=torch.zeros_like(volume),
         solver=soft.SolverOptions(rtol=rtol),
     )
