@@ -34,14 +34,10 @@ from diffsim.diagnose.stages import DiagnosisSettings
 from diffsim.diagnose.unknown import UnknownForce, smooth_covariance
 from diffsim.identify import Jacobian, Parameter
 
-WINDOW_S = 1.6
+# How much later than 0.2 s before the command a window begins [s].
 WINDOWS = {
-    "water": {n: (0.0, WINDOW_S) for n in ("baseline", "horizontal_cyclic3", "horizontal_cyclic1")},
-    "air": {
-        "airtest": (0.0, WINDOW_S),
-        "airtest+10": (10.0, WINDOW_S),
-        "airtest+20": (20.0, WINDOW_S),
-    },
+    "water": {"baseline": 0.0, "horizontal_cyclic3": 0.0, "horizontal_cyclic1": 0.0},
+    "air": {"airtest": 0.0, "airtest+10": 10.0, "airtest+20": 20.0},
 }
 HELD_OUT = ("horizontal_cyclic1", "airtest+20")
 KNOTS_PER_S = 6.0
@@ -74,6 +70,7 @@ def setup(
     medium: str = "water",
     channels: Sequence[str] = LEGS,
     sd_m: float | None = None,
+    window_s: float = 1.6,
     refine: int = 1,
     dt_s: float = 1.0 / 120.0,
     integrator: str = "bdf2",
@@ -88,6 +85,7 @@ def setup(
         medium: "water" or "air": which ``WINDOWS`` of a study as imported.
         channels: Of ``MODES``, of a study as imported.
         sd_m: As in :func:`modes`, of a study as imported [m].
+        window_s: Length of its windows [s].
         refine: Cells per coarse cell's edge.
         dt_s: Time step [s].
         integrator: Of the body.
@@ -100,7 +98,7 @@ def setup(
     """
     require_choice("medium", medium, tuple(WINDOWS))
     if {c.name for c in study.channels} == AS_IMPORTED:
-        windows = WINDOWS[medium]
+        windows = {name: (later, window_s) for name, later in WINDOWS[medium].items()}
         held = [name for name in windows if name in HELD_OUT]
         study = modes(study, windows=windows, holdout=held, channels=channels, sd_m=sd_m)
     if strange := {c.name for c in study.channels} - set(MODES):
