@@ -210,3 +210,13 @@ def test_rate_limit_is_a_cause_that_slows_the_legs(tiny):
         free = made.model.predict(run, q)
         slow = made.model.predict(run, q, {limit: torch.tensor([0.9], dtype=torch.float64)})
     assert float(slow[:, 0].std()) < 0.9 * float(free[:, 0].std())
+
+
+def test_nuisances_alone_have_slopes_in_water(tiny):
+    """Held-out runs are fitted by clock, scale and zeros only: nothing moves along those."""
+    made = setup_of(tiny)
+    settings = made.settings.jacobian
+    problem = Problem(made.model, tiny.runs, WhiteNoise(tiny.channels), (), settings)
+    own = [i for i, name in enumerate(problem.names) if name.endswith("@a")]
+    _, columns = problem.linearise(np.zeros(problem.num_base), only=own)
+    assert (np.linalg.norm(columns[:, own], axis=0) > 0.0).all()

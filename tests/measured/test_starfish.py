@@ -120,7 +120,6 @@ def test_step_and_mesh_are_fine_enough_in_water(plain_fit):
     problem, local, _ = plain_fit
     fit = SimpleNamespace(problem=problem, jacobian=whitened(problem, local.columns))
     gates = numerics_gate(fit, numerics_changes(problem, local))
-    print({g.name: g.value for g in gates})
     assert {g.name: g.passed for g in gates} == {"time_step": True, "mesh": True, "tolerance": True}
 
 

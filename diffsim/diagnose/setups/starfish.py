@@ -72,7 +72,7 @@ def setup(
     sd_m: float | None = None,
     window_s: float = 1.6,
     refine: int = 1,
-    dt_s: float = 1.0 / 120.0,
+    dt_s: float = 1.0 / 180.0,
     integrator: str = "bdf2",
     poissons_ratio: float = 0.4,
     max_effects: int = 2,
