@@ -7,6 +7,7 @@ both planes; motion along x is all that the rail leaves. The cut is exact for wh
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import torch
@@ -141,7 +142,7 @@ def bending_softness(made: Quarter) -> float:
         body.mesh,
         dt=body.dt,
         youngs_modulus=(young := 6e5),
-        poissons_ratio=float(body.poissons_ratio),
+        poissons_ratio=cast(Tensor, body.poissons_ratio),
         gravity=(0.0, 0.0, 0.0),
         fixed=centre,
         solver=soft.SolverOptions(rtol=1e-6),
