@@ -52,9 +52,10 @@ class Hydrodynamics(nn.Module):
       [-pi/2, pi/2], only its half alpha > 0 is used, and P3 is the head-on value.
 
     Smooth but for three places, where the gradient is one-sided or zero: a face turning edge-on
-    (the force jumps by 1/2 rho A |v|^2 (C_d(0) v_rel/|v_rel| - C_t(0) n)), flow exactly head-on
-    (alpha has a kink; the gradient's part through alpha is 0 there) and the force limit. At
-    v_rel = 0 the force and its gradient are 0. Not modelled: water that remembers (wakes), one
+    (the force jumps by 1/2 rho A |v|^2 (C_d(0) v_rel/|v_rel| - C_t(0) n), unless ``fade_angle``
+    lets it rise: s^3 (10 - 15 s + 6 s^2) times the published, s = alpha / fade_angle), flow exactly
+    head-on (alpha has a kink; the gradient's part through alpha is 0 there) and the force limit.
+    At v_rel = 0 the force and its gradient are 0. Not modelled: water that remembers (wakes), one
     face sheltering another, shear on faces seen edge-on; for the water's inertia see
     :func:`~diffsim.soft.added_mass`.
 
@@ -69,6 +70,8 @@ class Hydrodynamics(nn.Module):
         drag_coefficients: Ordinates of C_d, (4,) [-]. Numbers become an ``nn.Parameter``, a tensor
             is used as it is.
         thrust_coefficients: Ordinates of C_t, (4,) [-]. Defaults of both: Min et al. 2019.
+        fade_angle: Angle of attack below which the force fades to zero, twice continuously
+            differentiable [rad], in [0, pi/2]; 0: it jumps, as published.
         max_force: Greatest force on a node [N]; None: no limit. It guards explicit stepping.
         limit: ``isotropic`` scales the node's force vector to that length; ``component`` clamps
             each component as published, which depends on the frame and turns the force.
@@ -97,6 +100,7 @@ class Hydrodynamics(nn.Module):
         water_velocity: Value = (0.0, 0.0, 0.0),
         drag_coefficients: Value = DRAG_COEFFICIENTS,
         thrust_coefficients: Value = THRUST_COEFFICIENTS,
+        fade_angle: float = 0.0,
         max_force: float | None = None,
         limit: str = "isotropic",
         warn: bool = True,
@@ -111,6 +115,9 @@ class Hydrodynamics(nn.Module):
         hold(self, "water_velocity", water_velocity)
         hold(self, "drag_coefficients", _trainable("drag_coefficients", drag_coefficients))
         hold(self, "thrust_coefficients", _trainable("thrust_coefficients", thrust_coefficients))
+        self.fade_angle = require_number(
+            "fade_angle", fade_angle, at_least=0.0, at_most=0.5 * math.pi, hint="unit is rad"
+        )
         self.max_force = max_force
         if max_force is not None:
             self.max_force = require_number("max_force", max_force, above=0.0, hint="unit is N")
@@ -186,6 +193,8 @@ class Hydrodynamics(nn.Module):
         along = _norm(v_rel + head_on[..., None] * normal)
         alpha = torch.atan2(torch.where(wet, head_on, 1.0), torch.where(wet, along, 0.0))
         pressure = torch.where(wet, 0.5 * self.density * area, 0.0)
+        if self.fade_angle > 0.0:
+            pressure = pressure * _smooth_step(alpha / self.fade_angle)
         drag = (pressure * self.drag_coefficient(alpha) * speed)[..., None] * v_rel
         thrust = (pressure * self.thrust_coefficient(alpha) * speed**2)[..., None] * normal
         return drag - thrust
@@ -230,6 +239,12 @@ def _bezier(ordinates: Tensor, t: Tensor) -> Tensor:
     p0, p1, p2, p3 = ordinates
     s = 1.0 - t
     return s**3 * p0 + 3.0 * s**2 * t * p1 + 3.0 * s * t**2 * p2 + t**3 * p3
+
+
+def _smooth_step(s: Tensor) -> Tensor:
+    """0 up to s = 0, 1 from s = 1 on, twice continuously differentiable."""
+    s = s.clamp(0.0, 1.0)
+    return s**3 * (10.0 - s * (15.0 - 6.0 * s))
 
 
 def _area_and_normal(x: Tensor) -> tuple[Tensor, Tensor]:

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+import torch
 
 from diffsim.data.importers import import_study
 from diffsim.data.recording import find_dataset
 from diffsim.diagnose import diagnose
+from diffsim.diagnose.beds.starfish.record import modes
+from diffsim.diagnose.gates import numerics_changes, numerics_gate
+from diffsim.diagnose.local import local_at, measured_of, whitened
+from diffsim.diagnose.noise import noise_floor
 from diffsim.diagnose.setups import setup_of
-from diffsim.diagnose.setups.starfish import modes
+from diffsim.diagnose.stages import left_in
+from diffsim.identify import Problem, WhiteNoise
 
 PERIOD_S = {"baseline": 0.9216, "horizontal_cyclic3": 0.9290}  # of the legs, the same sequence
 CYCLES, PHASES = 32, 40
@@ -63,33 +72,61 @@ def test_tracks_are_what_the_page_counts_scatter_in(study):
     assert still.std(0).max() < 1e-4
 
 
+# Where the plain model fits the legs in water best, in prior sd.
+PLAIN_FIT = {
+    "youngs_modulus": 0.87,
+    "axial_stiffness": -1.56,
+    "rayleigh_beta": 5.73,
+    "clock_offset@baseline": 0.11,
+    "clock_rate@baseline": 0.68,
+    "camera_scale@baseline": 0.50,
+    "zero_leg_x@baseline": 1.59,
+    "zero_leg_z@baseline": -0.24,
+    "clock_offset@horizontal_cyclic3": 0.96,
+    "clock_rate@horizontal_cyclic3": -1.24,
+    "camera_scale@horizontal_cyclic3": 0.93,
+    "zero_leg_x@horizontal_cyclic3": 1.75,
+    "zero_leg_z@horizontal_cyclic3": -0.35,
+}
+
+
+@pytest.fixture(scope="module")
+def plain_fit(study):
+    """Problem, point and noise floor of the plain model in water."""
+    s = setup_of(study)
+    assert s.study is not None
+    runs, channels = s.study.fit_runs, s.study.channels
+    rough = WhiteNoise([replace(c, sd=5e-4) for c in channels])
+    problem = Problem(s.model, runs, rough, (), s.settings.jacobian)
+    local = local_at(problem, np.array([PLAIN_FIT.get(p.name, 0.0) for p in s.model.base]))
+    noise = noise_floor(runs, channels, left_in(runs, local))
+    return replace(problem, whitener=noise.whitener), local, noise
+
+
 @pytest.mark.slow
-def test_verdict_on_the_legs_in_water_is_numerical(study):
-    """At the thesis' step and a coarse mesh; damping of the solid takes what is actuation's."""
-    legs = modes(
-        study,
-        windows={n: (0.0, 1.6) for n in ("baseline", "horizontal_cyclic3", "horizontal_cyclic1")},
-        holdout=["horizontal_cyclic1"],
-        channels=("leg_x_m", "leg_z_m"),
-    )
-    s = setup_of(legs, max_effects=2)
-    found = diagnose(legs, s.model, s.effects, seed=0, unknowns=s.unknowns, settings=s.settings)
-    assert found.verdict == "numerical"
-    failed = {g.name for g in found.gates if not g.passed}
-    assert {"time_step", "mesh"} <= failed
-    assert found.chi2_null < 1.2 * found.num_samples
-    names = [p.name for p in s.model.base]
-    beta = s.model.base[names.index("rayleigh_beta")]
-    assert found.null.x[names.index("rayleigh_beta")] > 4.0  # prior sd
-    assert beta.value < 0.01
+def test_plain_model_in_water_leaves_little_and_pays_with_damping(plain_fit):
+    problem, local, noise = plain_fit
+    assert noise.source == ("repeats", "repeats")
+    left = whitened(problem, measured_of(problem) - local.record)
+    assert left @ left < 1.2 * len(left)
+    names = [p.name for p in problem.model.base]
+    beta = problem.model.base[names.index("rayleigh_beta")]
+    assert float(beta.value_at(torch.tensor(5.73))) > 0.2  # s; the prior's centre is 0.005 s
+
+
+@pytest.mark.slow
+def test_step_and_mesh_are_fine_enough_in_water(plain_fit):
+    """At the thesis' step and with tendons as deep as the cells both failed: 4.4 and 6.2."""
+    problem, local, _ = plain_fit
+    fit = SimpleNamespace(problem=problem, jacobian=whitened(problem, local.columns))
+    gates = numerics_gate(fit, numerics_changes(problem, local))
+    assert {g.name: g.passed for g in gates} == {"time_step": True, "mesh": True, "tolerance": True}
 
 
 @pytest.mark.slow
 def test_verdict_on_the_legs_in_air_is_unknown_actuation(study):
-    windows = {"airtest": (0.0, 1.6), "airtest+10": (10.0, 1.6), "airtest+20": (20.0, 1.6)}
-    legs = modes(study, windows=windows, holdout=["airtest+20"], channels=("leg_x_m", "leg_z_m"))
-    s = setup_of(legs, max_effects=2)
-    found = diagnose(legs, s.model, s.effects, seed=0, unknowns=s.unknowns, settings=s.settings)
+    s = setup_of(study, medium="air")
+    found = diagnose(s.study, s.model, s.effects, seed=0, unknowns=s.unknowns, settings=s.settings)
     assert found.verdict == "unknown" and not found.named
     nats = {(h.effects, h.unknown): h.nats for h in found.hypotheses}
     pull, force = nats[(), "unknown pull of the tendons"], nats[(), "unknown force"]

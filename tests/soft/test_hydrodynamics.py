@@ -265,6 +265,27 @@ def test_force_jumps_where_a_face_turns_edge_on():
 
 
 @pytest.mark.property
+def test_force_fades_where_a_face_turns_edge_on_if_asked():
+    m = plate("hex")
+    published, faded = (soft.Hydrodynamics(m, fade_angle=a) for a in (0.0, 0.1))
+    x = m.x_rest
+
+    def lift(hydro, angle):
+        way = torch.tensor([math.cos(angle), 0.0, -math.sin(angle)], dtype=torch.float64)
+        return hydro(x, way.expand(x.shape))[:, 2].sum()
+
+    assert torch.equal(lift(faded, 0.11), lift(published, 0.11))
+    jump = abs(lift(published, 1e-6) - lift(published, -1e-6))
+    assert abs(lift(faded, 1e-6) - lift(faded, -1e-6)) < 1e-4 * jump
+    angle = torch.tensor(0.05, dtype=torch.float64, requires_grad=True)
+    way = torch.stack([angle.cos(), torch.zeros_like(angle), -angle.sin()])
+    (slope,) = torch.autograd.grad(faded(x, way.expand(x.shape))[:, 2].sum(), angle)
+    difference = (lift(faded, 0.05 + 1e-6) - lift(faded, 0.05 - 1e-6)) / 2e-6
+    assert abs(slope - difference) < 1e-6 * abs(difference)
+    with pytest.raises(ValueError, match="fade_angle"):
+        soft.Hydrodynamics(m, fade_angle=-0.1)
+
+
 @pytest.mark.parametrize("kind", ["hex", "tet"])
 def test_turns_with_the_body_and_scales_with_speed_squared(kind):
     m, x, v = case(kind)

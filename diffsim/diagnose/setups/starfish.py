@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -13,22 +12,37 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim import soft
-from diffsim.data.importers.starfish import COMMAND, MARKERS
-from diffsim.data.study import Channel, Run, Study
+from diffsim._check import require_choice
+from diffsim.data.importers.starfish import COMMAND
+from diffsim.data.study import Run, Study
 from diffsim.diagnose.beds.soft import SoftModel, SoftScene
-from diffsim.diagnose.beds.starfish.body import LEAD, TENDON, Quarter, quarter, water
+from diffsim.diagnose.beds.soft.material import LossFactor, Stiffening
+from diffsim.diagnose.beds.starfish.body import (
+    LEAD,
+    TENDON,
+    Quarter,
+    bending_softness,
+    quarter,
+    water,
+)
 from diffsim.diagnose.beds.starfish.effects import STARFISH_EFFECTS, unknown_pull, unknown_push
+from diffsim.diagnose.beds.starfish.record import AS_IMPORTED, FIRST, LEGS, MODES, modes
 from diffsim.diagnose.model import Numerics
 from diffsim.diagnose.search import SearchSettings
 from diffsim.diagnose.setups import DiagnosisSetup
 from diffsim.diagnose.stages import DiagnosisSettings
 from diffsim.diagnose.unknown import UnknownForce, smooth_covariance
-from diffsim.identify import Parameter
+from diffsim.identify import Jacobian, Parameter
 
-SPACING = 0.0762  # of the markers m2 and m3, nominal [m]
-MODES = ("leg_x_m", "leg_z_m", "travel_x_m")
-FIRST = 6  # samples that displacements are counted from
+# How much later than 0.2 s before the command a window begins [s].
+WINDOWS = {
+    "water": {"baseline": 0.0, "horizontal_cyclic3": 0.0, "horizontal_cyclic1": 0.0},
+    "air": {"airtest": 0.0, "airtest+10": 10.0, "airtest+20": 20.0},
+}
+HELD_OUT = ("horizontal_cyclic1", "airtest+20")
 KNOTS_PER_S = 6.0
+RTOL = 1e-9  # of steps: differences over DIFFERENCE amplify what is left
+DIFFERENCE = 1e-4  # prior sd
 SHARED = (
     Parameter("youngs_modulus", 6e5, 0.4, "Pa", log=True),
     Parameter("axial_stiffness", 300.0, 0.7, "N", log=True),  # EA of a tendon
@@ -41,7 +55,8 @@ IN_WATER = (
     Parameter("added_mass", 1.0, 0.4, "-", log=True),
 )
 OF_RUN = (
-    Parameter("clock_offset", 0.0, 0.05, "s"),
+    Parameter("clock_offset", 0.0, 0.05, "s"),  # up to about 0.1 s, README
+    Parameter("clock_rate", 1.0, 0.003, "-", log=True),  # of the command's clock: 0.36 % seen once
     Parameter("camera_scale", 1.0, 0.03, "-", log=True),
     Parameter("zero_leg_x", 0.0, 3e-4, "m"),
     Parameter("zero_leg_z", 0.0, 3e-4, "m"),
@@ -49,80 +64,28 @@ OF_RUN = (
 )
 
 
-def modes(
-    study: Study,
-    *,
-    windows: Mapping[str, Sequence[float]],
-    holdout: Sequence[str],
-    channels: Sequence[str] = MODES,
-) -> Study:
-    """What the four markers do alike, in windows of the runs: the symmetric part of the motion.
-
-    Upper and lower leg are averaged, so that pitch of the robot and tilt of the camera drop out:
-    ``leg_x_m`` and ``leg_z_m``, tips (m1, m4) against the middles of the legs (m2, m3), outwards
-    for z; ``travel_x_m``, the middles. Displacements from the first 0.1 s of the window, scaled by
-    the run's marker spacing.
-
-    Args:
-        study: As imported.
-        windows: Name of the window, "baseline" or "baseline+15": run, and how much later it begins
-            than 0.2 s before the command does; values are that delay and its length [s].
-        holdout: Windows that no fit sees.
-        channels: Of ``MODES``.
-    """
-    columns = [MODES.index(c) for c in channels]
-
-    def cut(name: str, later: float, length: float) -> Run:
-        run = next(r for r in study.runs if r.name == name.partition("+")[0])
-        inside = (run.time_s >= later - 0.2) & (run.time_s < later - 0.2 + length)
-        places = run.measured[inside].reshape(int(inside.sum()), len(MARKERS), 2)
-        return replace(
-            run,
-            name=name,
-            group="water_sequence" if run.group.startswith("water_sequence") else name,
-            time_s=run.time_s[inside] - run.time_s[inside][0],
-            measured=symmetric(places, run.setup["marker_spacing_m2_m3_m"])[:, columns],
-            command={COMMAND: run.command[COMMAND][inside]},
-            use="holdout" if name in holdout else "fit",
-        )
-
-    runs = [cut(name, float(w[0]), float(w[1])) for name, w in windows.items()]
-    runs = [replace(run, order=i) for i, run in enumerate(runs)]
-    medium = {"air" if r.name.startswith("airtest") else "water" for r in runs}
-    if len(medium) > 1:
-        raise ValueError(f"windows must be all in water or all in air, got {sorted(windows)}")
-    return replace(
-        study,
-        channels=tuple(Channel(c, "m", "position") for c in channels),
-        runs=tuple(runs),
-        metadata={**study.metadata, "medium": medium.pop(), "setup": "starfish"},
-    )
-
-
-def symmetric(places: NDArray[np.float64], spacing_m: float) -> NDArray[np.float64]:
-    """(n, 3) ``MODES`` from places (n, 4 markers, x and z) [m]."""
-    moved = (SPACING / spacing_m) * (places - places[:FIRST].mean(0))
-    lower, low, high, upper = np.moveaxis(moved, 1, 0)
-    travel = 0.5 * (low + high)[:, 0]
-    leg_x = 0.5 * (lower + upper)[:, 0] - travel
-    leg_z = 0.5 * ((upper - high) - (lower - low))[:, 1]
-    return np.stack([leg_x, leg_z, travel], 1)
-
-
 def setup(
     study: Study,
     *,
+    medium: str = "water",
+    channels: Sequence[str] = LEGS,
+    sd_m: float | None = None,
+    window_s: float = 1.6,
     refine: int = 1,
-    dt_s: float = 1.0 / 60.0,
-    integrator: str = "implicit_euler",
+    dt_s: float = 1.0 / 180.0,
+    integrator: str = "bdf2",
     poissons_ratio: float = 0.4,
-    max_effects: int = 3,
+    max_effects: int = 2,
     accept_numerics: bool = False,
 ) -> DiagnosisSetup:
-    """A quarter of the robot as the thesis simulates it, and what may be missing.
+    """A quarter of the robot as the thesis models it, and what may be missing.
 
     Args:
-        study: What :func:`modes` made of the imported one.
+        study: As imported; or windows of it that :func:`modes` made.
+        medium: "water" or "air": which ``WINDOWS`` of a study as imported.
+        channels: Of ``MODES``, of a study as imported.
+        sd_m: As in :func:`modes`, of a study as imported [m].
+        window_s: Length of its windows [s].
         refine: Cells per coarse cell's edge.
         dt_s: Time step [s].
         integrator: Of the body.
@@ -133,22 +96,31 @@ def setup(
     Raises:
         ValueError: a channel that is none of ``MODES``.
     """
+    require_choice("medium", medium, tuple(WINDOWS))
+    if {c.name for c in study.channels} == AS_IMPORTED:
+        windows = {name: (later, window_s) for name, later in WINDOWS[medium].items()}
+        held = [name for name in windows if name in HELD_OUT]
+        study = modes(study, windows=windows, holdout=held, channels=channels, sd_m=sd_m)
     if strange := {c.name for c in study.channels} - set(MODES):
         raise ValueError(
-            f"study {study.name}: channels must be of {MODES}, got {sorted(strange)}; make them "
-            "with diffsim.diagnose.setups.starfish.modes"
+            f"study {study.name}: channels must be of {MODES}, or all places of the markers as "
+            f"imported, got {sorted(strange)}"
         )
     wet = study.metadata.get("medium") == "water"
     options = (refine, dt_s, integrator, poissons_ratio)
     model = _model([c.name for c in study.channels], [r.name for r in study.runs], wet, options)
-    effects = tuple(make() for make in STARFISH_EFFECTS)
+    effects = tuple(make() for make in (*STARFISH_EFFECTS, LossFactor, Stiffening))
     until_s = LEAD + max(float(r.time_s[-1]) for r in study.runs)
     settings = DiagnosisSettings(
         search=SearchSettings(max_effects=max_effects, num_refits=2, max_rounds=4),
+        # a larger step sees tendons go slack and taut again
+        jacobian=Jacobian(step=DIFFERENCE),
         accept_numerics=accept_numerics,
         noise_rounds=1,
     )
-    return DiagnosisSetup(model, effects, unknowns=_unknowns(until_s), settings=settings)
+    return DiagnosisSetup(
+        model, effects, unknowns=_unknowns(until_s), settings=settings, study=study
+    )
 
 
 def _model(
@@ -161,8 +133,9 @@ def _model(
     of_runs = [Parameter(f"{p.name}@{r}", p.value, p.sd, p.unit, p.log) for r in runs for p in own]
 
     @lru_cache(maxsize=8)
-    def body(refined: int, dt: float, tolerance: float) -> Quarter:
-        return quarter(refined, dt, tolerance, integrator, poissons_ratio)
+    def body(refined: int, dt: float, tolerance: float) -> tuple[Quarter, float]:
+        made = quarter(refined, dt, tolerance, integrator, poissons_ratio)
+        return made, bending_softness(made)
 
     @lru_cache(maxsize=256)
     def cached_water(made: Quarter, drag: float, thrust: float) -> soft.Hydrodynamics:
@@ -175,15 +148,16 @@ def _model(
         return cached_water(made, float(drag), float(thrust))
 
     def build(values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> SoftScene:
-        made = body(
+        made, softness = body(
             max(1, round(refine / numerics.mesh)),
             dt_s * numerics.time_step,
-            1e-5 * numerics.tolerance,
+            RTOL * numerics.tolerance,
         )
         mine = {p.name: values[f"{p.name}@{run.name}"] for p in own}
         zero = torch.stack([mine.get(f"zero_{c[:-2]}", torch.tensor(0.0)) for c in MODES])
         zero = zero.double()
-        parameters = {n: values[n] for n in ("youngs_modulus", "rayleigh_beta", "density")}
+        parameters = {n: values[n] for n in ("rayleigh_beta", "density")}
+        parameters["youngs_modulus"] = softness * values["youngs_modulus"]
         # half a tendon in a quarter of the body
         parameters["fibre_stiffness"] = (0.5 * values["axial_stiffness"]).expand(2)
         around_it = None
@@ -191,10 +165,11 @@ def _model(
             around_it = around(made, values["drag_scale"], values["thrust_scale"])
             volume = made.body.nodal_volume
             parameters["added_mass"] = values["added_mass"] * 1000.0 * volume
+        rate = mine["clock_rate"]
         command, lead_s = led_in(np.asarray(run.command[COMMAND]) / TENDON, run.time_s)
         return SoftScene(
             body=made.body,
-            sample_times=torch.as_tensor(run.time_s - run.time_s[0] + lead_s),
+            sample_times=lead_s + rate * torch.as_tensor(run.time_s - run.time_s[0]),
             observe=made.look,
             axes=(0, 2, 0),
             parameters=parameters,
@@ -241,3 +216,6 @@ def _unknowns(until_s: float) -> tuple[UnknownForce, ...]:
         UnknownForce(unknown_push(count, spacing), both),
         UnknownForce(unknown_pull(count, spacing), in_time, "unknown pull of the tendons"),
     )
+
+
+__all__ = ["WINDOWS", "modes", "setup"]

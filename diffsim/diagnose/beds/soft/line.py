@@ -75,7 +75,9 @@ class LinePoints:
     def __init__(self, lines: Sequence[SceneLine]):
         self.scenes = [p for n in lines for p in n.points]
         self.effects = [n.effect for n in lines for _ in n.points]
-        self._line_of = torch.tensor([k for k, n in enumerate(lines) for _ in n.points])
+        # int64 where there are no lines, too: nothing may move
+        rows = [k for k, n in enumerate(lines) for _ in n.points]
+        self._line_of = torch.tensor(rows, dtype=torch.int64)
         self._offset = _row([o for n in lines for o in n.stencil.offsets])[:, None, None]
         self._weight = torch.zeros(len(lines), len(self.scenes), dtype=torch.float64)
         weights = _row([w for n in lines for w in n.stencil.weights])

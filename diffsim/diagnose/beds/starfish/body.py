@@ -7,6 +7,7 @@ both planes; motion along x is all that the rail leaves. The cut is exact for wh
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import torch
@@ -20,7 +21,10 @@ Array = NDArray[np.float64]
 REACH, WIDTH, CORE, THICK = 0.070, 0.015, 0.018, 0.0175  # tip, leg, half centre, at centre [m]
 TENDON = 0.065  # full length, ends at the tip [m]
 LEAD = 0.5  # the simulation tightens the tendons this long before the record begins [s]
+FADE_ANGLE = 0.1  # of attack, below which the force of the water fades [rad]
+COMPLIANCE = 2.32e4  # E times displacement of the tips per force, extrapolated over meshes [1/m]
 DEPTH = 1.5e-3  # of the tendon under the flat side [m]
+TENDON_LAYER = 2.0 * DEPTH
 # thickness over distance from the centre, read off starfish_half_simplified.obj [m]
 FAR, THICKNESS = (0.0, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07), (17.5, 17.0, 15.6, 13.3, 11.0, 9.1, 6.3)
 MIDDLE, TIP = 0.0381, 0.0666  # places of the markers, mean of the upper and the lower leg [m]
@@ -50,22 +54,42 @@ class Quarter:
 
 
 def make_mesh(refine: int = 1) -> mesh.HexMesh:
-    """Flat side x = 0, top at x < 0, legs along +y and +z; ``refine`` splits every cell's edge."""
+    """Flat side x = 0, top at x < 0, legs along +y and +z; ``refine`` splits every cell's edge.
+
+    The layer under the flat side is one cell, with the tendons in its middle, on every mesh: a
+    fibre acts along the centre of its cells, so that its arm does not depend on ``refine``.
+    """
     core = np.linspace(0.0, WIDTH / 2, 1 + refine)
     shoulder = np.linspace(WIDTH / 2, CORE, 1 + refine)[1:]
-    arm = np.linspace(CORE, REACH, 1 + 6 * refine)[1:]
+    arm = np.linspace(CORE, REACH, 1 + 9 * refine)[1:]
     ticks = np.concatenate([core, shoulder, arm])
-    layers, n = 2 * refine, len(ticks) - 1
+    layers, n = 1 + 2 * refine, len(ticks) - 1
     grid = mesh.hex_box((layers, n, n))
     scale = torch.tensor([layers, n, n], dtype=torch.float64)
     index = torch.round(grid.x_rest * scale).long().numpy()
     y, z = ticks[index[:, 1]], ticks[index[:, 2]]
     thick = 1e-3 * np.interp(np.maximum(y, z), FAR, THICKNESS)
-    x = torch.from_numpy(np.stack([(index[:, 0] / layers - 1.0) * thick, y, z], 1))
+    above = np.minimum(index[:, 0], layers - 1) / (layers - 1)
+    depth = thick - (thick - TENDON_LAYER) * above
+    depth[index[:, 0] == layers] = 0.0
+    x = torch.from_numpy(np.stack([-depth, y, z], 1))
     middle = x[grid.hexes].mean(1)
     leg = (middle[:, 1:] < WIDTH / 2).any(1)
     used, local = torch.unique(grid.hexes[leg | (middle[:, 1:] < CORE).all(1)], return_inverse=True)
     return mesh.HexMesh(x[used], local)
+
+
+def tendons(m: mesh.HexMesh) -> list[soft.Tendon]:
+    """Half a tendon along either leg."""
+    reach = REACH - TENDON
+    ends = (
+        (np.array([0.0, WIDTH / 4]), np.array([reach, 0.0]), np.array([REACH, 0.0])),
+        (np.array([WIDTH / 4, 0.0]), np.array([0.0, reach]), np.array([0.0, REACH])),
+    )
+    return [
+        soft.Tendon(m, [[-DEPTH, *(a + side)], [-DEPTH, *(b + side)]], axial_stiffness=100.0)
+        for side, a, b in ends
+    ]
 
 
 def quarter(
@@ -73,17 +97,9 @@ def quarter(
 ) -> Quarter:
     """The body with its tendons; density, stiffness and damping are the scene's to say."""
     m = make_mesh(refine)
-    reach = REACH - TENDON
-    tendons = [
-        soft.Tendon(m, [[-DEPTH, *(a + side)], [-DEPTH, *(b + side)]], axial_stiffness=100.0)
-        for side, a, b in (
-            (np.array([0.0, WIDTH / 4]), np.array([reach, 0.0]), np.array([REACH, 0.0])),
-            (np.array([WIDTH / 4, 0.0]), np.array([0.0, reach]), np.array([0.0, REACH])),
-        )
-    ]
     x = m.x_rest
     held = torch.zeros(m.num_vertices, 3, dtype=torch.bool)
-    on_rail = (x[:, 1:] < WIDTH).all(1)
+    on_rail = (x[:, 1:] < WIDTH / 2 + 1e-9).all(1)  # the same part of the core on every mesh
     held[on_rail, 1:] = True
     held[x[:, 1] < 1e-9, 1] = True
     held[x[:, 2] < 1e-9, 2] = True
@@ -98,7 +114,7 @@ def quarter(
         gravity=(0.0, 0.0, 0.0),  # neutrally buoyant, as trimmed
         rayleigh_beta=5e-3,
         fixed=held,
-        muscles=[t.muscle for t in tendons],
+        muscles=[t.muscle for t in tendons(m)],
         added_mass=torch.zeros_like(volume),
         solver=soft.SolverOptions(rtol=rtol),
     )
@@ -113,8 +129,37 @@ def quarter(
     return Quarter(body, rail / rail.sum(), torch.tensor(rows, dtype=torch.float64), nodes)
 
 
+def bending_softness(made: Quarter) -> float:
+    """How far small loads bend the legs on this mesh, over what the finest meshes tend to [-].
+
+    Few cells bend too little (locking). The model's Young's modulus is multiplied by this, so that
+    it means the same on every mesh.
+    """
+    body, x = made.body, made.body.x_rest
+    centre = body.fixed.clone()
+    centre[(x[:, 1:] < 1e-9).all(1), 0] = True
+    bare = soft.SoftBody(
+        body.mesh,
+        dt=body.dt,
+        youngs_modulus=(young := 6e5),
+        poissons_ratio=cast(Tensor, body.poissons_ratio),
+        gravity=(0.0, 0.0, 0.0),
+        fixed=centre,
+        solver=soft.SolverOptions(rtol=1e-6),
+    )
+    tips = (x[:, 1:] > REACH - 1e-9).any(1)
+    load_N = 1e-3
+    push = torch.zeros_like(x)
+    push[tips, 0] = -2.0 * load_N / int(tips.sum())  # as many nodes at either tip
+    bent = bare.static_equilibrium(external_force=push).x.detach()
+    moved = made.look(bent) - made.look(x)
+    return -young * float(moved[0]) / load_N / COMPLIANCE
+
+
 def water(m: mesh.HexMesh | mesh.TetMesh, drag: Tensor, thrust: Tensor) -> soft.Hydrodynamics:
     """Water around the quarter: published coefficients times ``drag`` and ``thrust``.
+
+    The force fades where a face turns edge-on; as published it jumps there, and slopes with it.
 
     Faces on the planes of symmetry meet no water; there the flow along them would be edge-on.
     """
@@ -122,6 +167,7 @@ def water(m: mesh.HexMesh | mesh.TetMesh, drag: Tensor, thrust: Tensor) -> soft.
         m,
         drag_coefficients=drag * torch.tensor(DRAG_COEFFICIENTS).double(),
         thrust_coefficients=thrust * torch.tensor(THRUST_COEFFICIENTS).double(),
+        fade_angle=FADE_ANGLE,
     )
     inside = (m.x_rest[found.faces][..., 1:] < 1e-9).all(1).any(1)
     found.faces = found.faces[~inside]
