@@ -90,6 +90,7 @@ class Application:
             the best of our solver's is taken (thesis: walking and swimming).
         oracle_parameters: Those the target was made with, if it was, for comparison.
         obstacles: For pictures.
+        follow: Of positions (..., num_vertices, 3), the point (..., 3) whose path pictures show.
         targets: Points to draw, by name, (3,) [m].
         num_starts: Random first guesses of which the best is taken; 1: only ``parameters.first``.
     """
@@ -105,6 +106,7 @@ class Application:
     oracle: float | None = 0.0
     oracle_parameters: Array | None = None
     obstacles: Sequence[Obstacle] = ()
+    follow: Callable[[Tensor], Tensor] | None = None
     targets: Mapping[str, Sequence[float]] = field(default_factory=dict)
     num_starts: int = 1
 
@@ -114,6 +116,10 @@ class Application:
         return 3 * self.body.mesh.num_vertices
 
     def motion(self, values: Array) -> Tensor:
-        """Positions of all steps, without gradient."""
-        with torch.no_grad():
-            return self.simulate(torch.as_tensor(values, dtype=torch.float64))
+        """Positions of all steps, without gradient; kept, since stories ask for them again."""
+        kept = self.__dict__.setdefault("_motions", {})
+        key = tuple(np.asarray(values, float).tolist())
+        if key not in kept:
+            with torch.no_grad():
+                kept[key] = self.simulate(torch.tensor(key, dtype=torch.float64))
+        return kept[key]
