@@ -34,6 +34,7 @@ def identification(
     upper: tuple[float, float],
     first: tuple[float, float],
     obstacles: Sequence[Obstacle] = (),
+    num_starts: int = 1,
 ) -> Application:
     """The application that finds log E and log nu of the motion of ``truth_body``.
 
@@ -49,6 +50,7 @@ def identification(
         truth: E [Pa] and nu [-] of the data.
         lower, upper, first: Bounds of E and nu, and the first guess.
         obstacles: For pictures.
+        num_starts: As in :class:`Application`.
     """
 
     def physics(of: soft.SoftBody, logarithms: Tensor) -> soft.Physics:
@@ -83,6 +85,7 @@ def identification(
         numbers=numbers,
         oracle_parameters=np.log(truth),
         obstacles=obstacles,
+        num_starts=num_starts,
     )
 
 

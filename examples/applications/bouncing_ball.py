@@ -56,6 +56,7 @@ def build(
         upper=UPPER,
         first=FIRST,
         obstacles=ground,
+        num_starts=1 if quick else 16,
     )
 
 

@@ -141,3 +141,33 @@ def test_random_losses_are_kept_and_normalise_to_one(tmp_path):
 def test_bad_parameters_are_named(change, message):
     with pytest.raises(ValueError, match=message):
         dataclasses.replace(made().parameters, **change)
+
+
+def test_a_motion_that_is_asked_for_again_is_not_simulated_again():
+    application, calls = made(), []
+    simulate = application.simulate
+
+    def counted(p):
+        calls.append(p)
+        return simulate(p)
+
+    application = dataclasses.replace(application, simulate=counted)
+    first = application.motion(TRUTH)
+    assert application.motion(TRUTH.copy()) is first
+    assert not first.requires_grad
+    assert application.motion(TRUTH + 0.01) is not first
+    assert len(calls) == 2
+
+
+def test_strip_shows_the_point_that_is_followed(tmp_path):
+    plt = pytest.importorskip("matplotlib.pyplot")
+    from diffsim.applications.pictures import motion_strip
+
+    application = made()
+    x = {"swing": application.motion(TRUTH)}
+    plain = motion_strip(application, x, tmp_path / "plain.png", frames=2)
+    followed = dataclasses.replace(application, follow=lambda x: x[..., -1, :])
+    dotted = motion_strip(followed, x, tmp_path / "dotted.png", frames=2)
+    dark = [(plt.imread(p)[..., :3].sum(-1) < 0.6).sum() for p in (plain, dotted)]
+    assert dark[1] > dark[0]
+    assert plt.get_fignums() == []
