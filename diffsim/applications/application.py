@@ -89,6 +89,8 @@ class Application:
         oracle: Smallest loss that there can be, 0 of the normalised loss; None: nobody knows, and
             the best of our solver's is taken (thesis: walking and swimming).
         oracle_parameters: Those the target was made with, if it was, for comparison.
+        warm_up: The same parameters with an easier loss, of a shorter motion say, whose answer is
+            the first guess of this one.
         obstacles: For pictures.
         follow: Of positions (..., num_vertices, 3), the point (..., 3) whose path pictures show.
         targets: Points to draw, by name, (3,) [m].
@@ -105,6 +107,7 @@ class Application:
     numbers: Callable[[Array, Tensor], Mapping[str, float]]
     oracle: float | None = 0.0
     oracle_parameters: Array | None = None
+    warm_up: Application | None = None
     obstacles: Sequence[Obstacle] = ()
     follow: Callable[[Tensor], Tensor] | None = None
     targets: Mapping[str, Sequence[float]] = field(default_factory=dict)

@@ -34,7 +34,7 @@ def identification(
     upper: tuple[float, float],
     first: tuple[float, float],
     obstacles: Sequence[Obstacle] = (),
-    num_starts: int = 1,
+    warm_up: Application | None = None,
 ) -> Application:
     """The application that finds log E and log nu of the motion of ``truth_body``.
 
@@ -50,7 +50,7 @@ def identification(
         truth: E [Pa] and nu [-] of the data.
         lower, upper, first: Bounds of E and nu, and the first guess.
         obstacles: For pictures.
-        num_starts: As in :class:`Application`.
+        warm_up: As in :class:`Application`.
     """
 
     def physics(of: soft.SoftBody, logarithms: Tensor) -> soft.Physics:
@@ -85,7 +85,7 @@ def identification(
         numbers=numbers,
         oracle_parameters=np.log(truth),
         obstacles=obstacles,
-        num_starts=num_starts,
+        warm_up=warm_up,
     )
 
 

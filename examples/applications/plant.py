@@ -35,9 +35,9 @@ GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 def build(
     solver: soft.SolverOptions, quick: bool, truth_integrator: str = "implicit_euler"
 ) -> Application:
-    """The plant in cells of 4.8 mm (quick: 12 mm and 25 steps)."""
+    """The plant in cells of 4.8 mm (quick: 12 mm and 40 steps)."""
     shape = grow(0.012 if quick else 0.0048)
-    steps = 25 if quick else STEPS
+    steps = 40 if quick else STEPS
 
     def move(body: soft.SoftBody, physics: soft.Physics) -> Tensor:
         push = physics.mass[:, None] * torch.tensor([PUSH, 0.0, 0.0], dtype=torch.float64)
