@@ -176,7 +176,8 @@ def minimise(
             application, parameters=replace(application.parameters, first=begin_at)
         )
     starts, first = _starts(application, kept, seed, progress)
-    begin = kept.at(application, first)
+    at = parameters.scaled(first)
+    begin = kept.at(application, parameters.values(at))  # what the optimiser asks for first
     if begin.failure:
         raise DiffsimError(f"{application.name}: the first guess fails: {begin.failure}")
     scale = abs(begin.loss) or 1.0
@@ -199,7 +200,7 @@ def minimise(
     try:
         result = minimize(
             objective,
-            parameters.scaled(first),
+            at,
             jac=True,
             method="L-BFGS-B",
             bounds=[(0.0, 1.0)] * len(span),
