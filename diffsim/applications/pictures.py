@@ -48,7 +48,9 @@ def motion_strip(
     figure = plt.figure(figsize=(2.6 * frames, 2.5 * rows + 0.4), layout="constrained")
     for r, (caption, x) in enumerate(motions.items()):
         for c, step in enumerate(_steps(x, frames)):
-            axes = figure.add_subplot(rows, frames, r * frames + c + 1, projection="3d")
+            axes = figure.add_subplot(
+                rows, frames, r * frames + c + 1, projection="3d", computed_zorder=False
+            )
             axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
             axes.set_box_aspect(tuple(size), zoom=1.3)
             axes.view_init(*view)
@@ -60,7 +62,7 @@ def motion_strip(
                 trail = application.follow(x[: step + 1]).numpy().T
                 axes.plot(*trail, ".", color=INK, ms=2, zorder=20)
             for target in application.targets.values():
-                axes.scatter(*target, color=TARGET, s=30, depthshade=False)
+                axes.scatter(*target, color=TARGET, s=30, depthshade=False, zorder=30)
             title = f"{1e3 * step * application.body.dt:.0f} ms"
             axes.set_title(f"{caption}, {title}" if c == 0 else title, fontsize=9, loc="left")
     return save(figure, path, dpi=90)
