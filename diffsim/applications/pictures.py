@@ -52,7 +52,7 @@ def motion_strip(
                 rows, frames, r * frames + c + 1, projection="3d", computed_zorder=False
             )
             axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-            axes.set_box_aspect(tuple(size), zoom=1.3)
+            axes.set_box_aspect(tuple(size), zoom=1.15)
             axes.view_init(*view)
             axes.set_axis_off()
             if application.obstacles:

@@ -6,7 +6,7 @@ from the motion of a ball with three cylindrical holes that is thrown to the gro
 friction of 0.5: with the thesis's floor, to which all that touches sticks, the loss jumps between
 neighbouring parameters and fits end beside the truth (docs/applications.md). The data are made with
 a tolerance of 1e-8, the fit's steps have 1e-4. The first bounce alone is fitted before the whole
-motion.
+motion. Expected of --quick: E = 2.09 MPa, nu = 0.34 after 8 evaluations.
 
     python examples/applications/bouncing_ball.py  # diffsim examples run bouncing_ball --quick
 """
