@@ -3,8 +3,9 @@
 Thesis 4.1.6, "Plant", Fig. 4-9: Young's modulus and Poisson's ratio (truth: 1 MPa, 0.4) from the
 vibration after a horizontal push, 200 steps of 10 ms, root clamped, no gravity. Ours is grown from
 formulas: a stem and eight leaves, 5,072 hexahedra and 29,724 DoF (thesis: 3,863 and 29,763). The
-data are made with a tolerance of 1e-8, the fit's steps have 1e-4. One evaluation would take some 70 CPU
-seconds forward and 15 backward (from 20 steps). Expected of --quick: E = 0.94 MPa, nu = 0.44 after 8 evaluations.
+data are made with a tolerance of 1e-8, the fit's steps have 1e-4. One evaluation would take some
+70 CPU seconds forward and 15 backward (from 20 steps). Expected of --quick: E = 0.94 MPa, nu = 0.44
+after 8 evaluations.
 
     python examples/applications/plant.py  # hours; diffsim examples run plant --quick: a minute
 """

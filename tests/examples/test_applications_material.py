@@ -30,7 +30,10 @@ def test_gradient_is_the_central_difference_along_a_direction(name):
     assert np.array(found.gradient) @ way == pytest.approx(0.5 * (up - down), rel=1e-4)
 
 
-@pytest.mark.parametrize("name, fall", [("plant", 1e3), ("bouncing_ball", 1e2)])
+@pytest.mark.parametrize(
+    "name, fall",
+    [pytest.param("plant", 1e3, marks=pytest.mark.slow), ("bouncing_ball", 1e2)],
+)
 def test_loss_falls_in_few_evaluations(name, fall):
     found = minimise(built(name), max_evaluations=5)
     assert found.best.loss < found.evaluations[0].loss / fall
