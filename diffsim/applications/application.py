@@ -89,7 +89,10 @@ class Application:
         oracle: Smallest loss that there can be, 0 of the normalised loss; None: nobody knows, and
             the best of our solver's is taken (thesis: walking and swimming).
         oracle_parameters: Those the target was made with, if it was, for comparison.
+        warm_up: The same parameters with an easier loss, of a shorter motion say, whose answer is
+            the first guess of this one.
         obstacles: For pictures.
+        follow: Of positions (..., num_vertices, 3), the point (..., 3) whose path pictures show.
         targets: Points to draw, by name, (3,) [m].
         num_starts: Random first guesses of which the best is taken; 1: only ``parameters.first``.
     """
@@ -104,7 +107,9 @@ class Application:
     numbers: Callable[[Array, Tensor], Mapping[str, float]]
     oracle: float | None = 0.0
     oracle_parameters: Array | None = None
+    warm_up: Application | None = None
     obstacles: Sequence[Obstacle] = ()
+    follow: Callable[[Tensor], Tensor] | None = None
     targets: Mapping[str, Sequence[float]] = field(default_factory=dict)
     num_starts: int = 1
 
@@ -114,6 +119,10 @@ class Application:
         return 3 * self.body.mesh.num_vertices
 
     def motion(self, values: Array) -> Tensor:
-        """Positions of all steps, without gradient."""
-        with torch.no_grad():
-            return self.simulate(torch.as_tensor(values, dtype=torch.float64))
+        """Positions of all steps, without gradient; kept, since stories ask for them again."""
+        kept = self.__dict__.setdefault("_motions", {})
+        key = tuple(np.asarray(values, float).tolist())
+        if key not in kept:
+            with torch.no_grad():
+                kept[key] = self.simulate(torch.tensor(key, dtype=torch.float64))
+        return kept[key]

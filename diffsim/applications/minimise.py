@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +46,7 @@ class Outcome:
         best: The evaluation of the smallest loss.
         evaluations: All of them, in order; those of the starts that were only tried come first.
         num_starts: How many of them were tries of a start.
+        num_warm_up: How many evaluations of the application's warm-up came before (not listed).
         converged: The optimiser ended by its own criteria, not by the limit of evaluations.
         message: Its reason.
     """
@@ -55,6 +56,7 @@ class Outcome:
     num_starts: int
     converged: bool
     message: str
+    num_warm_up: int = 0
 
 
 def evaluate(application: Application, values: Array, *, gradient: bool = True) -> Evaluation:
@@ -138,7 +140,7 @@ def minimise(
     """Minimise the loss over the parameters by L-BFGS-B from the first guess.
 
     With ``num_starts`` above 1, the best of that many random points is the first guess (thesis
-    4.1.6, "Torus").
+    4.1.6, "Torus"); with a ``warm_up``, what minimises that one.
 
     Args:
         application: What to minimise.
@@ -158,8 +160,24 @@ def minimise(
         DiffsimError: the simulation of the first guess fails.
     """
     parameters, kept = application.parameters, Record(record)
+    num_warm_up = 0
+    if application.warm_up is not None:
+        before = minimise(
+            application.warm_up,
+            max_evaluations=max_evaluations,
+            record=None if record is None else record.with_name(f"warm_up_{record.name}"),
+            seed=seed,
+            ftol=1e3 * ftol,
+            gtol=1e3 * gtol,
+            progress=progress,
+        )
+        num_warm_up, begin_at = len(before.evaluations), np.array(before.best.values)
+        application = replace(
+            application, parameters=replace(application.parameters, first=begin_at)
+        )
     starts, first = _starts(application, kept, seed, progress)
-    begin = kept.at(application, first)
+    at = parameters.scaled(first)
+    begin = kept.at(application, parameters.values(at))  # what the optimiser asks for first
     if begin.failure:
         raise DiffsimError(f"{application.name}: the first guess fails: {begin.failure}")
     scale = abs(begin.loss) or 1.0
@@ -182,7 +200,7 @@ def minimise(
     try:
         result = minimize(
             objective,
-            parameters.scaled(first),
+            at,
             jac=True,
             method="L-BFGS-B",
             bounds=[(0.0, 1.0)] * len(span),
@@ -200,6 +218,7 @@ def minimise(
         num_starts=len(starts),
         converged=converged,
         message=message,
+        num_warm_up=num_warm_up,
     )
 
 

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from diffsim import mesh
 from diffsim.applications.application import Application
+from diffsim.viz.palette import save
 from diffsim.viz.scene import MovingPoints, MovingSurface, Scene, write
 
 INK, FLOOR, TARGET = "#1d2433", "#e4e8ee", "#b3362a"
@@ -47,22 +48,24 @@ def motion_strip(
     figure = plt.figure(figsize=(2.6 * frames, 2.5 * rows + 0.4), layout="constrained")
     for r, (caption, x) in enumerate(motions.items()):
         for c, step in enumerate(_steps(x, frames)):
-            axes = figure.add_subplot(rows, frames, r * frames + c + 1, projection="3d")
+            axes = figure.add_subplot(
+                rows, frames, r * frames + c + 1, projection="3d", computed_zorder=False
+            )
             axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-            axes.set_box_aspect(tuple(size), zoom=1.3)
+            axes.set_box_aspect(tuple(size), zoom=1.15)
             axes.view_init(*view)
             axes.set_axis_off()
             if application.obstacles:
                 _floor(axes, low, high)
             _surface(axes, x[step].numpy()[faces], COLOURS[r % len(COLOURS)])
+            if application.follow is not None:
+                trail = application.follow(x[: step + 1]).numpy().T
+                axes.plot(*trail, ".", color=INK, ms=2, zorder=20)
             for target in application.targets.values():
-                axes.scatter(*target, color=TARGET, s=30, depthshade=False)
+                axes.scatter(*target, color=TARGET, s=30, depthshade=False, zorder=30)
             title = f"{1e3 * step * application.body.dt:.0f} ms"
             axes.set_title(f"{caption}, {title}" if c == 0 else title, fontsize=9, loc="left")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
-    return path
+    return save(figure, path, dpi=90)
 
 
 def recording(application: Application, motions: Mapping[str, Tensor], path: Path) -> Path:

@@ -91,6 +91,7 @@ def summary(application: Application, found: Outcome) -> dict[str, float]:
     best = np.array(found.best.values)
     numbers = {
         "evaluations": len(found.evaluations) - found.num_starts,
+        "evaluations of the warm-up": found.num_warm_up,
         "failed evaluations": len(found.evaluations) - found.num_starts - len(made),
         "first loss": made[0].loss,
         "final loss": found.best.loss,

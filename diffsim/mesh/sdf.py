@@ -96,6 +96,32 @@ def union(*shapes: Sdf) -> Sdf:
     return lambda x: torch.stack([s(x) for s in shapes]).min(dim=0).values
 
 
+def ellipsoid(half: Vector, center: Vector = (0.0, 0.0, 0.0)) -> Sdf:
+    """Ellipsoid with half axes ``half`` along x, y, z [m]; exact where it is zero, else nearly."""
+    r, c = _vector("half", half), _vector("center", center)
+    if not bool((r > 0).all()):
+        raise ValueError(f"half must be positive, got {tuple(r.tolist())}")
+
+    def distance(x: Tensor) -> Tensor:
+        q = (x - c) / r
+        length, slope = q.norm(dim=1), (q / r).norm(dim=1).clamp(min=1e-9)
+        return length * (length - 1.0) / slope
+
+    return distance
+
+
+def smooth_union(a: Sdf, b: Sdf, width: float) -> Sdf:
+    """Union whose seam is rounded where the two distances differ by less than ``width`` [m]."""
+    width = require_number("width", width, above=0.0)
+
+    def distance(x: Tensor) -> Tensor:
+        p, q = a(x), b(x)
+        near = (1.0 - (p - q).abs() / width).clamp(min=0.0)
+        return torch.minimum(p, q) - 0.25 * width * near**2
+
+    return distance
+
+
 def intersection(*shapes: Sdf) -> Sdf:
     """Points in all of the shapes."""
     _some(shapes)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from diffsim import mesh, soft
+from diffsim.mesh.sdf import ellipsoid, smooth_union
+from diffsim.viz.palette import save as save
 
 Triple = tuple[float, float, float]
 THESIS_DUCK = 0.0111
@@ -26,13 +26,13 @@ def duck(spacing: float = THESIS_DUCK) -> mesh.TetMesh:
     Ellipsoids with smooth seams, cut flat below; tetrahedra with their longest edges about
     ``spacing`` [m].
     """
-    body = _ellipsoid((0.0, 0.0, 0.0), (0.100, 0.076, 0.064))
-    body = _blend(body, _ellipsoid((0.056, 0.0, 0.104), (0.052, 0.050, 0.050)), 0.032)  # head
-    body = _blend(body, _ellipsoid((-0.094, 0.0, 0.040), (0.040, 0.040, 0.024)), 0.040)  # tail
-    body = _blend(body, _ellipsoid((0.114, 0.0, 0.094), (0.028, 0.026, 0.012)), 0.012)  # beak
+    body = ellipsoid((0.100, 0.076, 0.064))
+    body = smooth_union(body, ellipsoid((0.052, 0.050, 0.050), (0.056, 0.0, 0.104)), 0.032)  # head
+    body = smooth_union(body, ellipsoid((0.040, 0.040, 0.024), (-0.094, 0.0, 0.040)), 0.040)  # tail
+    body = smooth_union(body, ellipsoid((0.028, 0.026, 0.012), (0.114, 0.0, 0.094)), 0.012)  # beak
     for side in (-1.0, 1.0):
-        wing = _ellipsoid((-0.012, side * 0.072, 0.012), (0.050, 0.018, 0.028))
-        body = _blend(body, wing, 0.016)
+        wing = ellipsoid((0.050, 0.018, 0.028), (-0.012, side * 0.072, 0.012))
+        body = smooth_union(body, wing, 0.016)
     whole = mesh.sdf.intersection(body, mesh.sdf.plane((0.0, 0.0, -1.0), 0.048))
     tets = mesh.tet_from_sdf(whole, ((-0.16, -0.12, -0.08), (0.16, 0.12, 0.18)), spacing)
     low = tets.x_rest[:, 2].min()
@@ -97,47 +97,5 @@ def tidy(*many) -> None:
         axes.set_axisbelow(True)
 
 
-def save(figure, path: str | Path, dpi: int = 110) -> None:
-    """Write a PNG with a palette of 256 colours: the whole new file or the old one."""
-    from matplotlib.pyplot import close
-    from PIL import Image
-
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.stem}.{os.getpid()}.png")
-    try:
-        figure.savefig(part, dpi=dpi)
-        with Image.open(part) as picture:
-            small = picture.convert("RGB").quantize(256, dither=Image.Dither.NONE)
-        small.save(part, optimize=True)
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
-        close(figure)
-
-
 def _vector(values: Triple) -> Tensor:
     return torch.tensor(values, dtype=torch.float64)
-
-
-def _ellipsoid(center: Triple, half: Triple) -> mesh.sdf.Sdf:
-    """About the distance to an ellipsoid with half axes [m]; exact where it is zero."""
-    c, r = _vector(center), _vector(half)
-
-    def distance(x: Tensor) -> Tensor:
-        q = (x - c) / r
-        length, slope = q.norm(dim=1), (q / r).norm(dim=1).clamp(min=1e-9)
-        return length * (length - 1.0) / slope
-
-    return distance
-
-
-def _blend(a: mesh.sdf.Sdf, b: mesh.sdf.Sdf, width: float) -> mesh.sdf.Sdf:
-    """Union whose seam is rounded where the two distances differ by less than ``width`` [m]."""
-
-    def distance(x: Tensor) -> Tensor:
-        p, q = a(x), b(x)
-        near = (1.0 - (p - q).abs() / width).clamp(min=0.0)
-        return torch.minimum(p, q) - 0.25 * width * near**2
-
-    return distance

@@ -141,3 +141,44 @@ def test_random_losses_are_kept_and_normalise_to_one(tmp_path):
 def test_bad_parameters_are_named(change, message):
     with pytest.raises(ValueError, match=message):
         dataclasses.replace(made().parameters, **change)
+
+
+def test_a_motion_that_is_asked_for_again_is_not_simulated_again():
+    application, calls = made(), []
+    simulate = application.simulate
+
+    def counted(p):
+        calls.append(p)
+        return simulate(p)
+
+    application = dataclasses.replace(application, simulate=counted)
+    first = application.motion(TRUTH)
+    assert application.motion(TRUTH.copy()) is first
+    assert not first.requires_grad
+    assert application.motion(TRUTH + 0.01) is not first
+    assert len(calls) == 2
+
+
+def test_strip_shows_the_point_that_is_followed(tmp_path):
+    plt = pytest.importorskip("matplotlib.pyplot")
+    from diffsim.applications.pictures import motion_strip
+
+    application = made()
+    x = {"swing": application.motion(TRUTH)}
+    plain = motion_strip(application, x, tmp_path / "plain.png", frames=2)
+    followed = dataclasses.replace(application, follow=lambda x: x.mean(-2))
+    dotted = motion_strip(followed, x, tmp_path / "dotted.png", frames=2)
+    a, b = plt.imread(plain), plt.imread(dotted)
+    assert a.shape == b.shape
+    assert (a != b).any()
+    assert plt.get_fignums() == []
+
+
+def test_a_warm_up_makes_the_first_guess(tmp_path):
+    easier = made(name="easier")
+    application = made(warm_up=easier)
+    found = minimise(application, max_evaluations=8, record=tmp_path / "bar.jsonl")
+    before = minimise(easier, max_evaluations=8, ftol=1e-6, gtol=1e-6)
+    assert found.num_warm_up == len(before.evaluations)
+    assert found.evaluations[0].values == pytest.approx(before.best.values, rel=1e-12)
+    assert (tmp_path / "warm_up_bar.jsonl").is_file()

@@ -188,3 +188,29 @@ def test_distances():
     assert torch.equal(inside, (x.norm(dim=1) < 0.5) & (x[:, 0] < 0))
     with pytest.raises(ValueError, match="at least one shape"):
         sdf.union()
+
+
+def test_ellipsoid_is_zero_on_its_surface_and_a_sphere_where_it_is_one():
+    rng = np.random.default_rng(0)
+    rays = torch.from_numpy(rng.normal(size=(50, 3)))
+    rays = rays / rays.norm(dim=1, keepdim=True)
+    half, centre = torch.tensor([0.3, 0.2, 0.1], dtype=torch.float64), (0.1, -0.2, 0.3)
+    at = rays * half + torch.tensor(centre, dtype=torch.float64)
+    shape = sdf.ellipsoid(half, centre)
+    assert shape(at).abs().max() < 1e-15
+    outside = at + 1e-6 * (rays / half) / (rays / half).norm(dim=1, keepdim=True)
+    assert shape(outside).numpy() == pytest.approx(1e-6, rel=1e-4)
+    assert sdf.ellipsoid((0.2,) * 3)(0.5 * rays).numpy() == pytest.approx(0.3)
+    with pytest.raises(ValueError, match="half must be positive"):
+        sdf.ellipsoid((0.1, 0.0, 0.1))
+
+
+def test_smooth_union_fills_the_seam_and_leaves_the_rest():
+    a, b = sdf.sphere(0.3, (-0.2, 0, 0)), sdf.sphere(0.3, (0.2, 0, 0))
+    x = torch.from_numpy(np.random.default_rng(1).uniform(-1, 1, (500, 3)))
+    sharp, smooth = sdf.union(a, b)(x), sdf.smooth_union(a, b, 0.1)(x)
+    far = (a(x) - b(x)).abs() >= 0.1
+    assert torch.equal(smooth[far], sharp[far])
+    assert (smooth <= sharp).all()
+    seam = torch.zeros(1, 3, dtype=torch.float64)
+    assert float(sdf.smooth_union(a, b, 0.1)(seam) - a(seam)) == pytest.approx(-0.025)
