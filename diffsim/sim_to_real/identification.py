@@ -76,8 +76,10 @@ class Identified:
     @classmethod
     def from_plain(cls, saved: Mapping[str, Any]) -> Identified:
         """What ``plain`` made."""
-        lists = ("names", "at_bound", "undetermined")
-        return cls(**{k: tuple(v) if k in lists else v for k, v in saved.items()})
+        known: dict[str, Any] = dict(saved)
+        for name in ("names", "at_bound", "undetermined"):
+            known[name] = tuple(known[name])
+        return cls(**known)
 
 
 def identify(

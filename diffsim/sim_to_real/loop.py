@@ -152,10 +152,12 @@ def sim_to_real(
     with tqdm(total=settings.max_iterations + 1, desc="sim to real", disable=not progress) as bar:
         for k in range(settings.max_iterations + 1):
             place = folder / f"iteration_{k}"
+            bar.set_description(f"iteration {k}: identify, optimise")
             if k == 0:
                 planned = _planned(place) or _baseline(place, model, command, settings)
             else:
                 planned = _planned(place) or _plan(place, model, hardware, settings, done)
+            bar.set_description(f"iteration {k}: execute")
             run = _executed(place, hardware, planned.command, k)
             done.append(_row(place, model, hardware, settings, planned, run, k))
             bar.update()

@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 CHANNELS = tuple(f"{marker}_{axis}_m" for marker in MARKERS for axis in "xz")
 PLACES_M = (-0.070, -0.040, 0.0362, 0.0632)  # of the markers along z (README of the recordings)
 FIRST = 6  # samples that displacements are counted from
+MAX_FORCE_N = 0.5  # of water on a node; swimming makes hundredths
 _ONE = torch.ones((), dtype=torch.float64)
 
 
@@ -226,4 +227,6 @@ def water_of(mesh: HexMesh | TetMesh, drag: Tensor, thrust: Tensor) -> soft.Hydr
     found = water(mesh, _ONE, _ONE)
     found.register_buffer("drag_coefficients", drag)
     found.register_buffer("thrust_coefficients", thrust)
+    # a solver's trial may be unstable with explicit drag: then the misfit is large, not infinite
+    found.max_force, found.warn = MAX_FORCE_N, False
     return found

@@ -101,7 +101,7 @@ def strip(
     Args:
         shots: One row each: title, and (time [s], vertices (num_vertices, 3) of the quarter,
             measured markers (4, 2) as x and z) [m].
-        faces: (num_faces, 4) surface of the quarter.
+        faces: (num_faces, 3) surface of the quarter.
     """
     from matplotlib.collections import PolyCollection
 

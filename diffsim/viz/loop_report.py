@@ -243,7 +243,7 @@ def _strip(result: LoopResult, model: Starfish, count: int = 5) -> Figure:
         picked = np.linspace(0, num_samples - 1, count).round().astype(int)
         row = [(float(it.run.time_s[k]), x[k], places[k]) for k in picked]
         shots.append((loop_figures.name_of(it), row))
-    return loop_figures.strip(shots, mesh.surface_quads(model.quarter.body.mesh).faces.numpy())
+    return loop_figures.strip(shots, mesh.surface_triangles(model.quarter.body.mesh).faces.numpy())
 
 
 def _vertices(model: Starfish, it: Iteration, num_samples: int) -> Array:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from diffsim.data import import_study
@@ -37,8 +38,8 @@ from diffsim.sim_to_real import (
 
 FULL = LoopSettings(
     max_iterations=4,
-    fit=FitSettings(duration_s=4.5, max_evaluations=20),
-    trajectory=TrajectorySettings(max_evaluations=20),
+    fit=FitSettings(duration_s=3.0, max_evaluations=12),
+    trajectory=TrajectorySettings(max_evaluations=12),
 )
 QUICK = LoopSettings(
     max_iterations=1,
@@ -55,11 +56,14 @@ def main(
     rig: str | None = None,
     real: bool = True,
     seed: int = 0,
+    max_iterations: int | None = None,
 ) -> dict[str, float] | None:
     """Run the loop and write its report; None while a rig's recording is awaited."""
     settings = QUICK if quick else FULL
+    if max_iterations is not None:
+        settings = replace(settings, max_iterations=max_iterations)
     limits = Limits()
-    duration_s = 6.0 if quick else 18.0
+    duration_s = 6.0 if quick else 12.0
     hardware: Hardware = VirtualLaboratory(seed=seed, duration_s=duration_s, limits=limits)
     if rig is not None:
         hardware = FileHardware(folder=Path(rig), duration_s=duration_s, limits=limits)
@@ -97,6 +101,7 @@ if __name__ == "__main__":
     parser.add_argument("--resume", action="store_true", help="go on with an interrupted loop")
     parser.add_argument("--rig", metavar="FOLDER", help="hardware of yours, through files")
     parser.add_argument("--no-real", action="store_true", help="leave the real recordings out")
+    parser.add_argument("--max-iterations", type=int, help="after bl-ctrl; 4 by default")
     parser.add_argument("--seed", type=int, default=0, help="of the laboratory's scatter")
     args = parser.parse_args()
     found = main(
@@ -106,6 +111,7 @@ if __name__ == "__main__":
         rig=args.rig,
         real=not args.no_real,
         seed=args.seed,
+        max_iterations=args.max_iterations,
     )
     for name, value in (found or {}).items():
         print(f"{name:16s} {value:.4g}")
