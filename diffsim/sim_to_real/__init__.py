@@ -8,9 +8,10 @@ from diffsim.sim_to_real.hardware import (
 )
 from diffsim.sim_to_real.identification import FitSettings, Identified, identify
 from diffsim.sim_to_real.laboratory import VirtualLaboratory
-from diffsim.sim_to_real.loop import Iteration, LoopResult, LoopSettings, sim_to_real
+from diffsim.sim_to_real.loop import sim_to_real
 from diffsim.sim_to_real.measured import on_real_recording
 from diffsim.sim_to_real.model import Starfish
+from diffsim.sim_to_real.records import Iteration, LoopResult, LoopSettings
 from diffsim.sim_to_real.trajectory import TrajectorySettings, optimise, travel_loss
 
 __all__ = [

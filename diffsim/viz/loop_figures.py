@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.sim_to_real.command import RATE_HZ
 from diffsim.sim_to_real.model import CHANNELS, PLACES_M
 from diffsim.viz.figures import COLOURS, CYCLE, INK, LINE, SOFT, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from diffsim.sim_to_real.loop import Iteration
+    from diffsim.sim_to_real.records import Iteration
 
 Array = NDArray[np.float64]
-RATE_HZ = 60.0
 _MARKER_Z = np.array(PLACES_M)
 
 
@@ -57,12 +57,12 @@ def markers(pairs: Sequence[tuple[str, Array, Array]]) -> Figure:
 def travel(iterations: Sequence[Iteration]) -> Figure:
     """Fig. 5-7: where the robot is over time, mean of its four markers, measured and simulated."""
     figure, axes = new_figure(1, 2, height=3.6, sharey=False, squeeze=False)
-    titles = ("model before its experiment, every iteration", "the last iteration")
+    titles = ("every iteration, predicted and measured", "the last iteration")
     for ax, chosen, title in zip(axes[0], (iterations, iterations[-1:]), titles, strict=True):
         for it in chosen:
             colour = CYCLE[it.idx % len(CYCLE)]
             measured = -1e3 * np.nanmean(it.run.measured[:, ::2] - _start(it.run.measured), axis=1)
-            simulated = -1e3 * it.markers_m[:, ::2].mean(1)
+            simulated = -1e3 * (it.markers_m[:, ::2] - _start(it.markers_m)).mean(1)
             ax.plot(it.run.time_s, measured, color=colour, lw=1.1, label=f"{it.idx} measured")
             times = np.arange(len(simulated)) / RATE_HZ
             ax.plot(times, simulated, color=colour, lw=1.0, ls="--", label=f"{it.idx} simulated")
@@ -107,19 +107,25 @@ def strip(
 
     columns = max(len(row) for _, row in shots)
     figure, axes = new_figure(
-        len(shots), columns, height=2.6 * len(shots) + 0.3, sharex=True, sharey=True, squeeze=False
+        len(shots), columns, height=2.0 * len(shots), sharex=True, sharey=True, squeeze=False
     )
+    places = np.concatenate([-x[:, 0] for _, row in shots for _, x, _ in row])
+    low, high = 1e3 * places.min() - 6.0, 1e3 * places.max() + 6.0
+    rest = shots[0][1][0][1][faces].mean(1)
+    towards_us = (rest[:, 1] > rest[:, 2]) & (rest[:, 1] > 0.02)
     for line, (title, row) in zip(axes, shots, strict=True):
         for ax, (time, x, seen) in zip(line, row, strict=True):
-            for side in (-1.0, 1.0):
-                flat = 1e3 * np.stack([side * x[:, 2], -x[:, 0]], 1)[faces]
-                ax.add_collection(PolyCollection(list(flat), facecolors="#f0a95c", lw=0))
-            ax.scatter(1e3 * seen[:, 1], -1e3 * seen[:, 0], s=14, color=INK, zorder=3)
-            ax.set_title(f"{title}, {time:.2f} s", loc="left", fontsize=8.5, color=INK)
-            ax.set_aspect("equal")
-    axes[-1, 0].set_xlabel("z [mm]", color=SOFT)
-    axes[-1, 0].set_ylabel("forwards [mm]", color=SOFT)
-    axes[0, 0].autoscale_view()
+            for colour, chosen in (("#f8dcb9", towards_us), ("#f0a95c", ~towards_us)):
+                for side in (-1.0, 1.0):
+                    flat = 1e3 * np.stack([side * x[:, 2], -x[:, 0]], 1)[faces[chosen]]
+                    ax.add_collection(PolyCollection(list(flat), facecolors=colour, lw=0))
+            ax.scatter(1e3 * seen[:, 1], -1e3 * seen[:, 0], s=12, color=INK, zorder=3)
+            ax.set_title(f"{title}, {time:.2f} s", loc="left", fontsize=8, color=INK)
+            ax.set(xlim=(-80.0, 80.0), ylim=(low, high), aspect="equal")
+    for ax in axes[-1]:
+        ax.set_xlabel("z [mm]", color=SOFT)
+    for ax in axes[:, 0]:
+        ax.set_ylabel("forwards [mm]", color=SOFT)
     return figure
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from diffsim import mesh
 from diffsim._files import write_bytes_atomic, write_json_atomic
 from diffsim.data.importers.starfish import COMMAND
+from diffsim.sim_to_real.command import RATE_HZ
 from diffsim.sim_to_real.model import PLACES_M, Starfish
 from diffsim.viz import diagnosis_figures, loop_figures
 from diffsim.viz import report as page
@@ -21,10 +22,9 @@ from diffsim.viz.figures import data_uri
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from diffsim.sim_to_real.loop import Iteration, LoopResult
+    from diffsim.sim_to_real.records import Iteration, LoopResult
 
 Array = NDArray[np.float64]
-RATE_HZ = 60.0
 SHORT = {"youngs_modulus": "E [Pa]", "axial_stiffness": "w = EA [N]"}
 
 
