@@ -197,11 +197,12 @@ def _cell(it: Iteration, name: str) -> str:
 
 def _real_section(real: Mapping[str, Any]) -> page.Section:
     rows = [
-        [r["run"], r["use"], f"{1e3 * r['rms_before_m']:.2f}", f"{1e3 * r['rms_after_m']:.2f}"]
+        [r["run"], r["use"]]
+        + [f"{1e3 * r[k]:.2f}" for k in ("rms_still_m", "rms_before_m", "rms_after_m")]
         for r in real["runs"]
     ]
     table = page.Table(
-        columns=["window", "use", "rms, first guesses [mm]", "rms, identified [mm]"], rows=rows
+        columns=["window", "use", "rms, no motion [mm]", "first guesses", "identified"], rows=rows
     )
     values = page.Table(
         columns=["parameter", "value ± sd", "prior only"],

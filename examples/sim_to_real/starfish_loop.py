@@ -47,6 +47,8 @@ QUICK = LoopSettings(
     trajectory=TrajectorySettings(periods=1, max_evaluations=4),
 )
 
+REAL = FitSettings(duration_s=3.0, method="gauss_newton", max_evaluations=8)
+
 
 def main(
     out: str = "runs/starfish_loop",
@@ -74,7 +76,7 @@ def main(
         print(awaited)
         return None
     loop_s = time.process_time() - begin
-    found = _real(model, settings.fit) if real else None
+    found = _real(model, QUICK.fit if quick else REAL) if real else None
     # matplotlib and jinja2 are only needed from here on
     from diffsim.viz.loop_report import write_loop
 

@@ -111,8 +111,12 @@ def test_report(resumed, tmp_path):
     pytest.importorskip("jinja2", reason="needs the extra viz")
     from diffsim.viz.loop_report import write_loop
 
-    page = write_loop(resumed[2], Starfish(), tmp_path, fit_s=0.3)
+    found = resumed[2].iterations[-1].identified
+    row = {"run": "baseline", "use": "fit", "rms_before_m": 0.01, "rms_after_m": 0.002}
+    real = {"runs": [row | {"rms_still_m": 0.004}], **found.plain()}
+    page = write_loop(resumed[2], Starfish(), tmp_path, fit_s=0.3, real=real)
     text = page.read_text()
+    assert "measured robot" in text and "10.00" in text
     assert "bl-one-iter" in text and "Virtual hardware" in text
     for name in ("speeds", "markers", "travel", "commands", "strip", "correlations"):
         assert (tmp_path / f"{name}.png").stat().st_size > 5_000
