@@ -109,8 +109,8 @@ def strip(
     figure, axes = new_figure(
         len(shots), columns, height=2.0 * len(shots), sharex=True, sharey=True, squeeze=False
     )
-    places = np.concatenate([-x[:, 0] for _, row in shots for _, x, _ in row])
-    low, high = 1e3 * places.min() - 6.0, 1e3 * places.max() + 6.0
+    places = [-p[:, 0] for _, row in shots for _, x, seen in row for p in (x, seen)]
+    low, high = 1e3 * np.nanmin(np.concatenate(places)), 1e3 * np.nanmax(np.concatenate(places))
     rest = shots[0][1][0][1][faces].mean(1)
     towards_us = (rest[:, 1] > rest[:, 2]) & (rest[:, 1] > 0.02)
     for line, (title, row) in zip(axes, shots, strict=True):
@@ -121,7 +121,7 @@ def strip(
                     ax.add_collection(PolyCollection(list(flat), facecolors=colour, lw=0))
             ax.scatter(1e3 * seen[:, 1], -1e3 * seen[:, 0], s=12, color=INK, zorder=3)
             ax.set_title(f"{title}, {time:.2f} s", loc="left", fontsize=8, color=INK)
-            ax.set(xlim=(-80.0, 80.0), ylim=(low, high), aspect="equal")
+            ax.set(xlim=(-80.0, 80.0), ylim=(low - 6.0, high + 6.0), aspect="equal")
     for ax in axes[-1]:
         ax.set_xlabel("z [mm]", color=SOFT)
     for ax in axes[:, 0]:

@@ -139,7 +139,7 @@ def _page(
 _CAPTIONS = {
     "speeds": "Forward speed between the second period and the last, mean of four markers.",
     "markers": "After thesis Fig. 5-6: markers before and after identification, from rest (open) "
-    "to the end of the fitted part (filled).",
+    "to the end of the fitted part (filled), seen with the identified clock.",
     "travel": "After Fig. 5-7: mean of the four markers; simulations are predictions, made before "
     "the experiment.",
     "commands": "After Fig. 5-8: optimised commands; grey: bl-ctrl.",
@@ -225,13 +225,26 @@ def _fits(result: LoopResult, model: Starfish, fit_s: float) -> list[tuple[str, 
         n = round(fit_s * RATE_HZ)
         run = before.run
         measured = run.measured[:n] - np.nanmean(run.measured[:6], axis=0)
-        executed = torch.from_numpy(run.command[COMMAND][:n])
+        clock = 0.0
+        if after.identified is not None:
+            clock = after.identified.values.get(f"clock_offset@{run.name}", 0.0)
         for label, values in (("before", before.values), ("after", after.values)):
-            with torch.no_grad():
-                moved = model.motion(values, executed).numpy()[:, :-1]
-            moved = moved - moved[:6].mean(0)
+            moved = _simulated(model, values, run.command[COMMAND][:n], clock)
             pairs.append((f"identification {after.idx}, {label}", measured, moved))
     return pairs
+
+
+def _simulated(
+    model: Starfish, values: Mapping[str, float], executed: Array, clock: float
+) -> Array:
+    """Displacements (n, 8) of the markers under an executed contraction [m]."""
+    tensors = {n: torch.tensor(v, dtype=torch.float64) for n, v in values.items()}
+    times = torch.arange(len(executed), dtype=torch.float64) / RATE_HZ
+    offset = torch.tensor(clock, dtype=torch.float64)
+    with torch.no_grad():
+        scene = model.scene(tensors, torch.from_numpy(executed.copy()), times, offset)
+        moved = scene.simulate().numpy()[:, :-1]
+    return np.asarray(moved - moved[:6].mean(0))
 
 
 def _strip(result: LoopResult, model: Starfish, count: int = 5) -> Figure:
