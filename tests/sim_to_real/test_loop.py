@@ -87,6 +87,7 @@ def test_books(resumed):
     assert [i.idx for i in result.iterations] == [0, 1, 2]
     assert (np.diff(result.best_so_far) >= 0.0).all()
     assert result.best.speed_measured == result.best_so_far[-1]
+    assert result.best.speed_measured > result.iterations[0].speed_measured + 1e-3  # [m/s]
     assert result.iterations[0].identified is None
     for it in result.iterations[1:]:
         assert it.identified is not None
