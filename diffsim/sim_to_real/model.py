@@ -1,0 +1,232 @@
+"""The simulated starfish of thesis 5.2: a quarter of it, with the parameters of Table 5.1."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from diffsim import soft
+from diffsim.data.importers.starfish import COMMAND, MARKERS
+from diffsim.data.study import Channel, Run
+from diffsim.diagnose.beds.soft import SoftModel, SoftScene
+from diffsim.diagnose.beds.starfish.body import LEAD, TENDON, Quarter, quarter, water
+from diffsim.diagnose.model import Numerics
+from diffsim.identify import Parameter
+from diffsim.mesh import HexMesh, TetMesh
+from diffsim.sim_to_real.command import RATE_HZ
+from diffsim.soft.hydrodynamics import DRAG_COEFFICIENTS, THRUST_COEFFICIENTS
+
+Array = NDArray[np.float64]
+CHANNELS = tuple(f"{marker}_{axis}_m" for marker in MARKERS for axis in "xz")
+PLACES_M = (-0.070, -0.040, 0.0362, 0.0632)  # of the markers along z (README of the recordings)
+FIRST = 6  # samples that displacements are counted from
+MAX_FORCE_N = 0.5  # of water on a node; swimming makes hundredths
+_ONE = torch.ones((), dtype=torch.float64)
+
+
+def _shortened(contraction: Tensor) -> Tensor:
+    """Activation of both tendons: length over full length."""
+    return (1.0 - contraction / TENDON).expand(2)
+
+
+def table_5_1() -> tuple[Parameter, ...]:
+    """Trainable parameters with priors about the thesis's first guesses (Table 5.1).
+
+    E in [Pa]; w as the axial stiffness EA of one tendon [N], for which 300 N is the guess; four
+    control points each of C_d and C_t. C_d is not negative; the bounds of C_t keep explicit drag
+    stable.
+    """
+    stiff = (
+        Parameter("youngs_modulus", 9e5, 0.7, "Pa", log=True, lower=1e5, upper=5e6),
+        Parameter("axial_stiffness", 300.0, 0.7, "N", log=True, lower=20.0, upper=5e3),
+    )
+    drag = [
+        Parameter(f"drag_{i}", c, 0.5, lower=0.0, upper=5.0)
+        for i, c in enumerate(DRAG_COEFFICIENTS, 1)
+    ]
+    thrust = [
+        Parameter(f"thrust_{i}", c, 0.5, lower=-4.0, upper=4.0)
+        for i, c in enumerate(THRUST_COEFFICIENTS, 1)
+    ]
+    return (*stiff, *drag, *thrust)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Starfish:
+    """What a simulation of the robot is made of, beside its trainable parameters.
+
+    Attributes:
+        parameters: Trainable, shared by all runs.
+        dt_s: Time step; 1/60 s in thesis 5.2.1.
+        refine: Cells per coarse cell's edge.
+        poissons_ratio: 0.48 in the thesis, 0.4 in the authors' code.
+        rayleigh_beta: Damping of the foam, held fixed [s].
+        added_mass: Inertia of the water, in volumes of the body, held fixed [-].
+        clock_sd_s: Prior of the offset between the clocks of command and camera [s].
+        rtol: Of a step.
+    """
+
+    parameters: tuple[Parameter, ...] = field(default_factory=table_5_1)
+    dt_s: float = 1.0 / 60.0
+    refine: int = 1
+    poissons_ratio: float = 0.4
+    rayleigh_beta: float = 5e-3
+    added_mass: float = 1.0
+    clock_sd_s: float = 0.05
+    rtol: float = 1e-4
+
+    @cached_property
+    def quarter(self) -> Quarter:
+        """The body, made once."""
+        return quarter(self.refine, self.dt_s, self.rtol, "implicit_euler", self.poissons_ratio)
+
+    @cached_property
+    def _rows(self) -> tuple[Tensor, Tensor]:
+        """Weights (4, n) of the edge's nodes, one row per marker, and the sides of the markers."""
+        made = self.quarter
+        along = made.body.x_rest[made.nodes, 2].numpy()
+        rows = [[np.interp(abs(z), along, unit) for unit in np.eye(len(along))] for z in PLACES_M]
+        return torch.tensor(rows, dtype=torch.float64), torch.tensor(PLACES_M).sign().double()
+
+    def observe(self, x: Tensor) -> Tensor:
+        """Places of the markers and of the centre of mass.
+
+        Args:
+            x: (..., num_vertices, 3) [m].
+
+        Returns:
+            (..., 9): x and z of four markers, and x of the centre of mass (thesis eq. 5.11; by
+            volume, not by vertex) [m].
+        """
+        made = self.quarter
+        rows, side = self._rows
+        places = rows @ x[..., made.nodes, :]
+        volume = made.body.nodal_volume
+        centre = (volume * x[..., 0]).sum(-1, keepdim=True) / volume.sum()
+        seen = torch.stack([places[..., 0], side * places[..., 2]], -1).flatten(-2)
+        return torch.cat([seen, centre], -1)
+
+    def scene(
+        self,
+        values: Mapping[str, Tensor],
+        contraction: Tensor,
+        times: Tensor,
+        clock_offset: Tensor | None = None,
+    ) -> SoftScene:
+        """One run: tendons are tightened to the first value, and held, before the record begins.
+
+        Args:
+            values: Of ``parameters``, by name.
+            contraction: Commanded at ``times``, (n,) [m]. Carries gradients.
+            times: Evenly spaced from 0, (n,) [s]; when ``observe`` is asked for.
+            clock_offset: The record's clock is late by this, () [s].
+        """
+        made = self.quarter
+        dt = float(times[1] - times[0])
+        count = round(LEAD / dt)
+        ramp = torch.clamp(torch.arange(count, dtype=torch.float64) * dt / (0.5 * LEAD), max=1.0)
+        drag, thrust = (
+            torch.stack([values[f"{name}_{i}"] for i in range(1, 5)]) for name in ("drag", "thrust")
+        )
+        volume = made.body.nodal_volume
+        return SoftScene(
+            body=made.body,
+            sample_times=times + count * dt,
+            observe=self.observe,
+            axes=(0, 2) * len(MARKERS) + (0,),
+            parameters={
+                "youngs_modulus": values["youngs_modulus"],
+                # half a tendon in a quarter of the body
+                "fibre_stiffness": (0.5 * values["axial_stiffness"]).expand(2),
+                "rayleigh_beta": torch.tensor(self.rayleigh_beta, dtype=torch.float64),
+                "added_mass": 1000.0 * self.added_mass * volume,
+            },
+            command=torch.cat([ramp * contraction[0], contraction])[:, None],
+            command_dt=dt,
+            actuate=_shortened,
+            water=water_of(made.body.mesh, drag, thrust),
+            clock_offset=torch.zeros((), dtype=torch.float64)
+            if clock_offset is None
+            else clock_offset,
+        )
+
+    def motion(self, values: Mapping[str, float | Tensor], contraction: Tensor) -> Tensor:
+        """What ``observe`` says of a command at ``RATE_HZ``, (num_samples, 9) [m].
+
+        Args:
+            values: Of ``parameters``, by name.
+            contraction: (num_samples,) [m]. Gradients: contraction, values.
+        """
+        tensors = {n: torch.as_tensor(v, dtype=torch.float64) for n, v in values.items()}
+        times = torch.arange(len(contraction), dtype=torch.float64) / RATE_HZ
+        return self.scene(tensors, contraction, times).simulate()
+
+    def fit_model(self, runs: Sequence[str]) -> SoftModel:
+        """For :func:`diffsim.identify.fit`: markers' displacements from the first 0.1 s.
+
+        Args:
+            runs: Names of the runs, each with a clock of its own.
+        """
+        clocks = [
+            Parameter(f"clock_offset@{r}", 0.0, self.clock_sd_s, "s", lower=-0.2, upper=0.2)
+            for r in runs
+        ]
+
+        def build(values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> SoftScene:
+            contraction = torch.from_numpy(np.ascontiguousarray(run.command[COMMAND]))
+            times = torch.from_numpy(run.time_s - run.time_s[0])
+            scene = self.scene(values, contraction, times, values[f"clock_offset@{run.name}"])
+            return scene.with_output(lambda y, t: displacements(y)[:, : len(CHANNELS)])
+
+        return SoftModel(build, (*self.parameters, *clocks), "starfish, thesis 5.2")
+
+
+def displacements(observed: Tensor) -> Tensor:
+    """Places (n, ...) from their mean over the first samples [m]."""
+    return observed - observed[:FIRST].mean(0)
+
+
+def as_displacements(run: Run, duration_s: float, sd_m: float) -> tuple[Run, tuple[Channel, ...]]:
+    """The beginning of a recording as the fit sees it.
+
+    Places of the camera's origin and of the markers drop out of displacements from the first 0.1 s.
+
+    Args:
+        run: With ``CHANNELS`` and the executed contraction.
+        duration_s: What is kept, from the first sample on [s].
+        sd_m: What a single sample is trusted to, noise and model together [m].
+
+    Raises:
+        ValueError: wrong channels, a hole in the command, or no marker seen at the start.
+    """
+    if COMMAND not in run.command or run.measured.shape[1:] != (len(CHANNELS),):
+        raise ValueError(
+            f"run {run.name} must have the channels {CHANNELS} and the command {COMMAND}, got "
+            f"{run.measured.shape[1]} channels and {sorted(run.command)}"
+        )
+    kept = run.time_s - run.time_s[0] < duration_s - 1e-9
+    start = run.measured[:FIRST]
+    if not np.isfinite(start).any(0).all():
+        raise ValueError(f"run {run.name}: a marker is not seen in the first {FIRST} samples")
+    command = run.command[COMMAND][kept]
+    if not np.isfinite(command).all():
+        raise ValueError(f"run {run.name}: {COMMAND} has holes in the first {duration_s:g} s")
+    moved = run.measured[kept] - np.nanmean(start, axis=0)
+    cut = replace(run, time_s=run.time_s[kept], measured=moved, command={COMMAND: command})
+    return cut, tuple(Channel(c, "m", "position", sd_m) for c in CHANNELS)
+
+
+def water_of(mesh: HexMesh | TetMesh, drag: Tensor, thrust: Tensor) -> soft.Hydrodynamics:
+    """Water around the quarter with these control points, (4,) each."""
+    found = water(mesh, _ONE, _ONE)
+    found.register_buffer("drag_coefficients", drag)
+    found.register_buffer("thrust_coefficients", thrust)
+    # a solver's trial may be unstable with explicit drag: then the misfit is large, not infinite
+    found.max_force, found.warn = MAX_FORCE_N, False
+    return found

@@ -1,0 +1,160 @@
+"""Trajectory optimisation (thesis eqs. 5.10-5.12): a cyclic command that travels far."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy import optimize
+from torch import Tensor
+
+from diffsim.errors import DiffsimError
+from diffsim.sim_to_real.command import (
+    RATE_HZ,
+    Command,
+    Limits,
+    followed,
+    interpolation,
+)
+from diffsim.sim_to_real.model import Starfish
+
+Array = NDArray[np.float64]
+_UNIT_M = 0.01  # scale of the travel, so that L-BFGS' tolerances fit
+_IMPOSSIBLE = 1e3
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrajectorySettings:
+    """How the command is optimised.
+
+    Attributes:
+        periods: Simulated from rest; travel counts from the first sample to the last.
+        num_knots: Per period, with straight lines between them.
+        max_evaluations: Of the travel with its gradient.
+    """
+
+    periods: int = 2
+    num_knots: int = 60
+    max_evaluations: int = 25
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Optimised:
+    """A command with what the simulation promises.
+
+    Attributes:
+        command: Within bounds and rate.
+        loss_before, loss_after: L_a, thesis eq. 5.11 [m]; negative is forwards.
+        num_evaluations: Of L_a and its gradient.
+        message: The solver's reason to stop.
+    """
+
+    command: Command
+    loss_before: float
+    loss_after: float
+    num_evaluations: int
+    message: str
+
+    def plain(self) -> dict[str, Any]:
+        """For JSON, the command apart."""
+        return {k: v for k, v in asdict(self).items() if k != "command"}
+
+
+def travel_loss(
+    model: Starfish, values: Mapping[str, float | Tensor], period: Tensor, periods: int
+) -> Tensor:
+    """L_a = COM_x(s_N) - COM_x(s_0) [m], thesis eq. 5.11; gradient: period, values.
+
+    Args:
+        model: Of the robot.
+        values: Its parameters.
+        period: (num_samples,) contraction of one period [m].
+        periods: How many are simulated.
+    """
+    # one sample more: N is the end of the last period
+    contraction = torch.cat([period.repeat(periods), period[:1]])
+    centre = model.motion(values, contraction)[:, -1]
+    return centre[-1] - centre[0]
+
+
+def optimise(
+    model: Starfish,
+    values: Mapping[str, float],
+    start: Command,
+    limits: Limits,
+    settings: TrajectorySettings,
+) -> Optimised:
+    """Minimise L_a over the knots of a period by L-BFGS-B; theta stays fixed.
+
+    Bounds of the knots are the solver's; what is too fast for the servo is turned into what it can
+    follow (:func:`~diffsim.sim_to_real.followed`), through which gradients flow.
+
+    Args:
+        model: Of the robot.
+        values: theta.
+        start: Command to start at; its period is kept.
+        limits: Of the servo.
+        settings: How.
+    """
+    num_samples = len(start.contraction_m)
+    rows = interpolation(min(settings.num_knots, num_samples), num_samples)
+    lines = torch.from_numpy(rows)
+    knots = np.linalg.lstsq(rows, start.contraction_m, rcond=None)[0] / limits.contraction_m
+    history: list[tuple[float, Array]] = []
+
+    def cost(u: Array) -> tuple[float, Array]:
+        leaf = torch.tensor(u, dtype=torch.float64, requires_grad=True)
+        period = followed(lines @ leaf * limits.contraction_m, limits)
+        try:
+            loss = travel_loss(model, values, period, settings.periods) / _UNIT_M
+        except (DiffsimError, ValueError):
+            if not history:
+                raise  # the start must be possible
+            return _IMPOSSIBLE, np.zeros_like(u)  # the line search turns back
+        (slope,) = torch.autograd.grad(loss, leaf)
+        history.append((loss.item(), period.detach().numpy()))
+        return loss.item(), slope.numpy()
+
+    found = optimize.minimize(
+        cost,
+        np.clip(knots, 0.0, 1.0),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(0.0, 1.0)] * rows.shape[1],
+        options={"maxfun": settings.max_evaluations, "ftol": 1e-5, "gtol": 1e-5},
+    )
+    best, period = min(history, key=lambda entry: entry[0])
+    return Optimised(
+        command=Command(period),
+        loss_before=history[0][0] * _UNIT_M,
+        loss_after=best * _UNIT_M,
+        num_evaluations=int(found.nfev),
+        message=str(found.message),
+    )
+
+
+def speed(times: Array, x: Array, period_s: float) -> float:
+    """Mean forward speed [m/s] between the second period and the last; forwards is -x.
+
+    Means over whole periods, so that the phase within a period does not count; the first period
+    gets the robot going. With two periods, between these.
+
+    Args:
+        times: (n,) [s], from 0.
+        x: (n,) or (n, num_markers) places along the rail [m]; NaN where not seen.
+        period_s: [s].
+    """
+    count = int((times[-1] + 1.0 / RATE_HZ) / period_s + 1e-6)
+    if count < 2:
+        raise ValueError(f"a speed needs two periods of {period_s:g} s, got {times[-1]:g} s")
+    first, last = (1 if count > 2 else 0), count - 1
+
+    def mean_of(k: int) -> float:
+        inside = (times >= k * period_s - 1e-6) & (times < (k + 1) * period_s - 1e-6)
+        return float(np.nanmean(x[inside]))
+
+    return -(mean_of(last) - mean_of(first)) / ((last - first) * period_s)

@@ -1,0 +1,282 @@
+"""The report of a sim-to-real loop: Table 5.2 with uncertainties, and Figs. 5-6 to 5-9 of ours."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from diffsim import mesh
+from diffsim._files import write_bytes_atomic, write_json_atomic
+from diffsim.data.importers.starfish import COMMAND
+from diffsim.sim_to_real.command import RATE_HZ
+from diffsim.sim_to_real.model import PLACES_M, Starfish
+from diffsim.viz import diagnosis_figures, loop_figures
+from diffsim.viz import report as page
+from diffsim.viz.figures import data_uri
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from diffsim.sim_to_real.records import Iteration, LoopResult
+
+Array = NDArray[np.float64]
+SHORT = {"youngs_modulus": "E [Pa]", "axial_stiffness": "w = EA [N]"}
+
+
+def table_5_2(result: LoopResult) -> list[dict[str, Any]]:
+    """Rows for JSON, SI units."""
+    rows = []
+    for it in result.iterations:
+        found = it.identified
+        rows.append(
+            {
+                "iteration": loop_figures.name_of(it),
+                "L_theta_m2": it.loss_theta,
+                "L_theta_before_m2": None if found is None else found.loss_before,
+                "rms_after_m": None if found is None else found.rms_after,
+                "L_a_m": it.loss_action,
+                "L_a_before_m": it.loss_action_before,
+                "v_s_m_s": it.speed_simulated,
+                "v_r_m_s": it.speed_measured,
+                "values": it.values,
+                "sd": None if found is None else found.sd,
+                "correlation_E_w": None if found is None else found.correlation[0][1],
+                "at_bound": [] if found is None else list(found.at_bound),
+                "undetermined": [] if found is None else list(found.undetermined),
+            }
+        )
+    return rows
+
+
+def write_loop(
+    result: LoopResult,
+    model: Starfish,
+    folder: str | Path,
+    *,
+    fit_s: float,
+    real: Mapping[str, Any] | None = None,
+) -> Path:
+    """``report.html``, ``table_5_2.json`` and the figures as PNG and SVG.
+
+    Args:
+        result: Of the loop.
+        model: It was made with.
+        folder: Where.
+        fit_s: Length of the recordings that parameters were fitted to [s].
+        real: What :func:`diffsim.sim_to_real.on_real_recording` found, None: left out.
+
+    Returns:
+        Path of the page.
+    """
+    folder = Path(folder)
+    figures = {
+        "speeds": loop_figures.progress(result.iterations),
+        "markers": loop_figures.markers(_fits(result, model, fit_s)),
+        "travel": loop_figures.travel(result.iterations),
+        "commands": loop_figures.commands(result.iterations),
+        "strip": _strip(result, model),
+    }
+    last = result.iterations[-1].identified
+    if last is not None:
+        matrix = np.array(last.correlation)
+        figures["correlations"] = diagnosis_figures.confounding_matrix(
+            last.names, matrix, bar="posterior correlation"
+        )
+    uris = {name: _saved(figure, folder / name) for name, figure in figures.items()}
+    content: dict[str, Any] = {
+        "hardware": result.hardware,
+        "virtual": result.virtual,
+        "converged": result.converged,
+        "best_so_far_m_s": result.best_so_far,
+        "iterations": table_5_2(result),
+    }
+    if real is not None:
+        content["real_recording"] = real
+    write_json_atomic(folder / "table_5_2.json", content)
+    return page.write(_page(result, uris, real), folder / "report.html")
+
+
+def _page(
+    result: LoopResult, uris: Mapping[str, str], real: Mapping[str, Any] | None
+) -> page.Report:
+    first, best, last = result.iterations[0], result.best, result.iterations[-1]
+    gap = abs(last.speed_simulated - last.speed_measured)
+    stop = "converged" if result.converged else "stopped at the greatest number of iterations"
+    pictures = [
+        page.Picture(uri=uris[name], caption=caption)
+        for name, caption in _CAPTIONS.items()
+        if name in uris
+    ]
+    sections = [
+        page.Section(title="Progress", content=[pictures[0], _table(result.iterations)]),
+        page.Section(title="Parameters", text=[_TRADE], content=_parameters(result.iterations)),
+        page.Section(title="Figures", content=pictures[1:]),
+    ]
+    if real is not None:
+        sections.append(_real_section(real))
+    return page.Report(
+        title="Sim-to-real loop of a starfish",
+        subtitle=f"Thesis Alg. 7 on: {result.hardware}",
+        banner="Virtual hardware: every recording was computed." if result.virtual else None,
+        verdict=[
+            f"Measured speed went from {1e2 * first.speed_measured:.2f} cm/s (bl-ctrl) to "
+            f"{1e2 * best.speed_measured:.2f} cm/s (iteration {best.idx}); the loop {stop}.",
+            f"Prediction and measurement of the last iteration differ by {1e2 * gap:.2f} cm/s.",
+        ],
+        numbers=[
+            page.Number(label="best speed", value=f"{1e2 * best.speed_measured:.2f}", unit="cm/s"),
+            page.Number(label="last gap |v_s - v_r|", value=f"{1e2 * gap:.2f}", unit="cm/s"),
+        ],
+        sections=sections,
+    )
+
+
+_CAPTIONS = {
+    "speeds": "Forward speed between the second period and the last, mean of four markers.",
+    "markers": "After thesis Fig. 5-6: markers before and after identification, from rest (open) "
+    "to the end of the fitted part (filled), seen with the identified clock.",
+    "travel": "After Fig. 5-7: mean of the four markers; simulations are predictions, made before "
+    "the experiment.",
+    "commands": "After Fig. 5-8: optimised commands; grey: bl-ctrl.",
+    "strip": "After Fig. 5-9: the simulated robot (orange), the measured markers (dots).",
+    "correlations": "Posterior correlations of the last identification.",
+}
+_TRADE = (
+    "Value ± posterior standard deviation with the prior (misfit taken as coloured). A strong "
+    "correlation of E and w says that the data see a combination of both; a tilde marks what the "
+    "data tell little about, an asterisk what lies on its bound, where ± says nothing."
+)
+
+
+def _table(iterations: Sequence[Iteration]) -> page.Table:
+    rows = [
+        [
+            loop_figures.name_of(i),
+            f"{i.loss_theta:.2e}",
+            f"{i.loss_action:.2e}",
+            f"{1e2 * i.speed_simulated:.2f}",
+            f"{1e2 * i.speed_measured:.2f}",
+            f"{i.values['youngs_modulus']:.2e}",
+            f"{i.values['axial_stiffness']:.2e}",
+        ]
+        for i in iterations
+    ]
+    return page.Table(
+        columns=["iter.", "L_theta [m²]", "L_a [m]", "v_s [cm/s]", "v_r [cm/s]", *SHORT.values()],
+        rows=rows,
+        caption="As thesis Table 5.2. Row k: theta fitted to the recording of row k - 1, the "
+        "command optimised for it, its predicted (v_s) and then measured (v_r) speed.",
+    )
+
+
+def _parameters(iterations: Sequence[Iteration]) -> list[page.Table]:
+    names = list(iterations[0].values)
+    rows = []
+    for it in iterations:
+        cells = [loop_figures.name_of(it)]
+        cells += [_cell(it, name) for name in names]
+        found = it.identified
+        cells.append("" if found is None else f"{found.correlation[0][1]:+.2f}")
+        rows.append(cells)
+    heads = [SHORT.get(n, n.replace("drag_", "C_d ").replace("thrust_", "C_t ")) for n in names]
+    return [page.Table(columns=["iter.", *heads, "corr(E, w)"], rows=rows)]
+
+
+def _cell(it: Iteration, name: str) -> str:
+    value, found = it.values[name], it.identified
+    if found is None:
+        return f"{value:.3g}"
+    mark = "*" if name in found.at_bound else "~" if name in found.undetermined else ""
+    return f"{value:.3g} ± {found.sd[name]:.1g}{mark}"
+
+
+def _real_section(real: Mapping[str, Any]) -> page.Section:
+    rows = [
+        [r["run"], r["use"]]
+        + [f"{1e3 * r[k]:.2f}" for k in ("rms_still_m", "rms_before_m", "rms_after_m")]
+        for r in real["runs"]
+    ]
+    table = page.Table(
+        columns=["window", "use", "rms, no motion [mm]", "first guesses", "identified"], rows=rows
+    )
+    values = page.Table(
+        columns=["parameter", "value ± sd", "prior only"],
+        rows=[
+            [n, f"{real['values'][n]:.3g} ± {real['sd'][n]:.1g}", str(n in real["undetermined"])]
+            for n in real["values"]
+        ],
+    )
+    return page.Section(
+        title="The same identification on the measured robot",
+        text=["Recordings of the real starfish; held-out windows set their own clock only."],
+        content=[table, values],
+    )
+
+
+def _fits(result: LoopResult, model: Starfish, fit_s: float) -> list[tuple[str, Array, Array]]:
+    """Measured and simulated displacements before and after every identification."""
+    pairs = []
+    for before, after in zip(result.iterations, result.iterations[1:], strict=False):
+        n = round(fit_s * RATE_HZ)
+        run = before.run
+        measured = run.measured[:n] - np.nanmean(run.measured[:6], axis=0)
+        clock = 0.0
+        if after.identified is not None:
+            clock = after.identified.values.get(f"clock_offset@{run.name}", 0.0)
+        for label, values in (("before", before.values), ("after", after.values)):
+            moved = _simulated(model, values, run.command[COMMAND][:n], clock)
+            pairs.append((f"identification {after.idx}, {label}", measured, moved))
+    return pairs
+
+
+def _simulated(
+    model: Starfish, values: Mapping[str, float], executed: Array, clock: float
+) -> Array:
+    """Displacements (n, 8) of the markers under an executed contraction [m]."""
+    tensors = {n: torch.tensor(v, dtype=torch.float64) for n, v in values.items()}
+    times = torch.arange(len(executed), dtype=torch.float64) / RATE_HZ
+    offset = torch.tensor(clock, dtype=torch.float64)
+    with torch.no_grad():
+        scene = model.scene(tensors, torch.from_numpy(executed.copy()), times, offset)
+        moved = scene.simulate().numpy()[:, :-1]
+    return np.asarray(moved - moved[:6].mean(0))
+
+
+def _strip(result: LoopResult, model: Starfish, count: int = 5) -> Figure:
+    shots = []
+    for it in (result.iterations[0], result.best):
+        num_samples = min(len(it.run.time_s), round(3.0 * it.command.period_s * RATE_HZ))
+        x = _vertices(model, it, num_samples)
+        seen = it.run.measured[:num_samples] - np.nanmean(it.run.measured[:6], axis=0)
+        places = seen.reshape(-1, 4, 2) + np.stack([np.zeros(4), np.array(PLACES_M)], 1)
+        picked = np.linspace(0, num_samples - 1, count).round().astype(int)
+        row = [(float(it.run.time_s[k]), x[k], places[k]) for k in picked]
+        shots.append((loop_figures.name_of(it), row))
+    return loop_figures.strip(shots, mesh.surface_triangles(model.quarter.body.mesh).faces.numpy())
+
+
+def _vertices(model: Starfish, it: Iteration, num_samples: int) -> Array:
+    """(num_samples, num_vertices, 3) of the quarter, from where it is at the start [m]."""
+    values = {n: torch.tensor(v, dtype=torch.float64) for n, v in it.values.items()}
+    times = torch.arange(num_samples, dtype=torch.float64) / RATE_HZ
+    wish = torch.from_numpy(it.command.during(num_samples / RATE_HZ))
+    scene = model.scene(values, wish, times).changed(observe=lambda x: x.flatten(-2))
+    with torch.no_grad():
+        x = scene.simulate().numpy().reshape(num_samples, -1, 3)
+    return np.asarray(x - [x[0, model.quarter.nodes, 0].mean(), 0.0, 0.0])
+
+
+def _saved(figure: Figure, stem: Path) -> str:
+    """PNG and SVG beside the page; the PNG for it."""
+    import base64
+
+    svg = data_uri(figure).partition(",")[2]
+    png = data_uri(figure, png=True)
+    write_bytes_atomic(stem.with_suffix(".svg"), base64.b64decode(svg))
+    write_bytes_atomic(stem.with_suffix(".png"), base64.b64decode(png.partition(",")[2]))
+    return png

@@ -1,0 +1,25 @@
+"""Does the story of the sim-to-real loop end, and resume, as told? At its small size."""
+
+import pytest
+
+from tests.examples.stories import load_story
+
+pytestmark = pytest.mark.example
+
+
+def test_starfish_loop_runs_and_resumes(tmp_path):
+    pytest.importorskip("matplotlib", reason="needs the extra viz")
+    story, out = load_story("sim_to_real/starfish_loop.py"), tmp_path / "loop"
+    numbers = story.main(str(out), quick=True, real=False)
+    assert numbers is not None and {"v_r_0_cm_s", "v_r_1_cm_s", "cpu_s"} <= set(numbers)
+    assert (out / "report.html").stat().st_size > 50_000
+    again = story.main(str(out), quick=True, real=False, resume=True)
+    assert again is not None and again["v_r_1_cm_s"] == numbers["v_r_1_cm_s"]
+
+
+def test_a_rig_is_told_what_to_execute(tmp_path, capsys):
+    story = load_story("sim_to_real/starfish_loop.py")
+    rig = tmp_path / "rig"
+    assert story.main(str(tmp_path / "loop"), quick=True, real=False, rig=str(rig)) is None
+    assert (rig / "command_0.csv").is_file()
+    assert "resume the loop" in capsys.readouterr().out
