@@ -92,6 +92,9 @@ class Application:
         obstacles: For pictures.
         targets: Points to draw, by name, (3,) [m].
         num_starts: Random first guesses of which the best is taken; 1: only ``parameters.first``.
+        scale: The optimiser sees the loss over this; None: over the first loss. All parameters are
+            bounded, so the first step of L-BFGS-B is the slope of what it sees (of parameters from
+            0 to 1): a scale of some five times the loss's slope keeps it inside.
     """
 
     name: str
@@ -107,6 +110,7 @@ class Application:
     obstacles: Sequence[Obstacle] = ()
     targets: Mapping[str, Sequence[float]] = field(default_factory=dict)
     num_starts: int = 1
+    scale: float | None = None
 
     @property
     def num_dofs(self) -> int:
