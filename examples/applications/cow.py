@@ -37,13 +37,13 @@ def build(solver: soft.SolverOptions, quick: bool, refine: int = 1) -> Applicati
             names=("front strength", "back strength", "frequency Hz"),
             lower=np.array([0.0, 0.0, 2.0]),
             upper=np.array([1.0, 1.0, 9.0]),
-            first=np.array([0.5, 0.4, 6.0]),
+            first=np.array([0.5, 0.3, 8.0]),
         ),
         sinusoid(dt, steps),
         title="A cow with a heavy head comes far, upright",
         source="thesis Fig. 4-15",
         rise_weight=RISE_WEIGHT,
-        scale=50.0,
+        scale=5.0,
     )
 
 
