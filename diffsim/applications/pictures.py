@@ -46,9 +46,10 @@ def motion_strip(
     low, high = whole.min(0).values.numpy(), whole.max(0).values.numpy()
     size = np.maximum(high - low, 0.05 * (high - low).max())
     # a way along the floor is long and flat: times from top to bottom, and wide frames
-    wide = size.max() > 2.5 * size[2]
+    wide = bool(application.obstacles) and size.max() > 1.5 * size[2]
     rows, columns = (frames, len(motions)) if wide else (len(motions), frames)
-    side, height = (5.0, 1.2) if wide else (2.6, 2.6)
+    side = 5.0 if wide else 2.6
+    height = max(1.2, 0.84 * side * size[2] / size.max() + 0.4) if wide else side
     figure = plt.figure(figsize=(side * columns, height * rows))
     for m, (caption, x) in enumerate(motions.items()):
         for f, step in enumerate(_steps(x, frames)):

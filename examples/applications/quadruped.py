@@ -48,4 +48,4 @@ def build(solver: soft.SolverOptions, quick: bool, refine: int = 1) -> Applicati
 
 
 if __name__ == "__main__":
-    main(build, __doc__, rtol=RTOL, max_evaluations=MAX_EVALUATIONS, view=(12.0, -75.0))
+    main(build, __doc__, rtol=RTOL, max_evaluations=MAX_EVALUATIONS, view=(10.0, -82.0))
