@@ -43,7 +43,7 @@ def build(solver: soft.SolverOptions, quick: bool, refine: int = 1) -> Applicati
         title="A soft slab on four legs comes far",
         source="thesis Fig. 4-14",
         scale=50.0,
-        num_starts=1 if quick else 16,  # from one, it ends at a fifth of the way
+        num_starts=1 if quick else 16,  # from one it ended at a third of the way
     )
 
 
