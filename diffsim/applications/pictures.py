@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -57,7 +58,7 @@ def motion_strip(
             # axes in 3D are square: those of a flat row overlap their neighbours', unseen
             bottom = 1.0 - ((r + 0.5) * height + 0.5 * side) / (height * rows)
             place = (c / columns, bottom, 1.0 / columns, side / (height * rows))
-            axes = figure.add_axes(place, projection="3d")
+            axes: Any = figure.add_axes(place, projection="3d")
             axes.patch.set_visible(False)
             axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
             axes.set_box_aspect(tuple(size), zoom=0.84 if wide else 1.3)
