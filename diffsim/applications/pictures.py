@@ -50,7 +50,7 @@ def motion_strip(
     wide = bool(application.obstacles) and size.max() > 1.5 * size[2]
     rows, columns = (frames, len(motions)) if wide else (len(motions), frames)
     side = 5.0 if wide else 2.6
-    height = max(1.2, 0.84 * side * size[2] / size.max() + 0.4) if wide else side
+    height = max(1.2, 0.84 * side * size[2] / size.max() + 0.4) if wide else side + 0.3
     figure = plt.figure(figsize=(side * columns, height * rows))
     for m, (caption, x) in enumerate(motions.items()):
         for f, step in enumerate(_steps(x, frames)):
@@ -72,7 +72,7 @@ def motion_strip(
             title = f"{1e3 * step * application.body.dt:.0f} ms"
             figure.text(
                 c / columns + 0.01,
-                1.0 - (r + 0.12) / rows,
+                1.0 - (r + 0.03) / rows,
                 f"{caption}, {title}" if f == 0 else title,
                 fontsize=9,
                 va="top",
