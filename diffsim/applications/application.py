@@ -95,6 +95,9 @@ class Application:
         follow: Of positions (..., num_vertices, 3), the point (..., 3) whose path pictures show.
         targets: Points to draw, by name, (3,) [m].
         num_starts: Random first guesses of which the best is taken; 1: only ``parameters.first``.
+        scale: The optimiser sees the loss over this; None: over the first loss. All parameters are
+            bounded, so the first step of L-BFGS-B is the slope of what it sees (of parameters from
+            0 to 1): a scale of some five times the loss's slope keeps it inside.
     """
 
     name: str
@@ -112,6 +115,7 @@ class Application:
     follow: Callable[[Tensor], Tensor] | None = None
     targets: Mapping[str, Sequence[float]] = field(default_factory=dict)
     num_starts: int = 1
+    scale: float | None = None
 
     @property
     def num_dofs(self) -> int:

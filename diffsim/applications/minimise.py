@@ -148,8 +148,8 @@ def minimise(
         record: File of the evaluations (JSON lines); what it holds is not computed again.
         seed: Of the random starts.
         ftol: Ends when the loss falls by less, relative to its size.
-        gtol: Ends when the largest slope of the loss, relative to the first loss and in the scaled
-            parameters, is below.
+        gtol: Ends when the largest slope of the loss, relative to the application's scale (None:
+            the first loss) and in the scaled parameters, is below.
         progress: Show a bar.
 
     Returns:
@@ -180,7 +180,7 @@ def minimise(
     begin = kept.at(application, parameters.values(at))  # what the optimiser asks for first
     if begin.failure:
         raise DiffsimError(f"{application.name}: the first guess fails: {begin.failure}")
-    scale = abs(begin.loss) or 1.0
+    scale = application.scale or abs(begin.loss) or 1.0
     span = parameters.upper - parameters.lower
     made: list[Evaluation] = []
     bar = tqdm(total=max_evaluations, desc=application.name, leave=False, disable=not progress)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -29,11 +30,13 @@ def motion_strip(
 ) -> Path:
     """Draw frames of several motions: a row each, times from left to right, one scale for all.
 
+    Motions along a floor have a column each, times from top to bottom.
+
     Args:
         application: Whose body and targets are drawn.
         motions: By caption, positions (num_steps + 1, num_vertices, 3) [m].
         path: Of the PNG.
-        frames: Columns.
+        frames: Times of each.
         view: Elevation and azimuth [degrees].
     """
     import matplotlib.pyplot as plt
@@ -44,27 +47,40 @@ def motion_strip(
     whole = torch.cat([whole, points.reshape(-1, 3)])
     low, high = whole.min(0).values.numpy(), whole.max(0).values.numpy()
     size = np.maximum(high - low, 0.05 * (high - low).max())
-    rows = len(motions)
-    figure = plt.figure(figsize=(2.6 * frames, 2.5 * rows + 0.4), layout="constrained")
-    for r, (caption, x) in enumerate(motions.items()):
-        for c, step in enumerate(_steps(x, frames)):
-            axes = figure.add_subplot(
-                rows, frames, r * frames + c + 1, projection="3d", computed_zorder=False
-            )
+    # a way along the floor is long and flat: times from top to bottom, and wide frames
+    wide = bool(application.obstacles) and size.max() > 1.5 * size[2]
+    rows, columns = (frames, len(motions)) if wide else (len(motions), frames)
+    side = 5.0 if wide else 2.6
+    height = max(1.2, 0.84 * side * size[2] / size.max() + 0.4) if wide else side + 0.3
+    figure = plt.figure(figsize=(side * columns, height * rows))
+    for m, (caption, x) in enumerate(motions.items()):
+        for f, step in enumerate(_steps(x, frames)):
+            r, c = (f, m) if wide else (m, f)
+            # axes in 3D are square: those of a flat row overlap their neighbours', unseen
+            bottom = 1.0 - ((r + 0.5) * height + 0.5 * side) / (height * rows)
+            place = (c / columns, bottom, 1.0 / columns, side / (height * rows))
+            axes: Any = figure.add_axes(place, projection="3d", computed_zorder=False)
+            axes.patch.set_visible(False)
             axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-            axes.set_box_aspect(tuple(size), zoom=1.15)
+            axes.set_box_aspect(tuple(size), zoom=0.84 if wide else 1.3)
             axes.view_init(*view)
             axes.set_axis_off()
             if application.obstacles:
                 _floor(axes, low, high)
-            _surface(axes, x[step].numpy()[faces], COLOURS[r % len(COLOURS)])
+            _surface(axes, x[step].numpy()[faces], COLOURS[m % len(COLOURS)])
             if application.follow is not None:
                 trail = application.follow(x[: step + 1]).numpy().T
                 axes.plot(*trail, ".", color=INK, ms=2, zorder=20)
             for target in application.targets.values():
                 axes.scatter(*target, color=TARGET, s=30, depthshade=False, zorder=30)
             title = f"{1e3 * step * application.body.dt:.0f} ms"
-            axes.set_title(f"{caption}, {title}" if c == 0 else title, fontsize=9, loc="left")
+            figure.text(
+                c / columns + 0.01,
+                1.0 - (r + 0.03) / rows,
+                f"{caption}, {title}" if f == 0 else title,
+                fontsize=9,
+                va="top",
+            )
     return save(figure, path, dpi=90)
 
 

@@ -62,7 +62,8 @@ def main(
     found = minimise(application, max_evaluations=limit, record=kept, progress=True)
     numbers = summary(application, found)
     if not args.quick:
-        random = float(np.mean(random_losses(application, record=out / f"random_{size}.jsonl")))
+        tried, kept = found.evaluations[: found.num_starts], out / f"random_{size}.jsonl"
+        random = float(np.mean(random_losses(application, record=kept, tried=tried)))
         numbers["random loss"] = random
         if application.oracle is not None:
             numbers["normalised loss"] = normalised(found.best.loss, random, application.oracle)

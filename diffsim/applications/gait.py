@@ -1,0 +1,123 @@
+"""Gaits: a robot's muscles follow a signal of few parameters, and it should come far (4.1.6)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+import torch
+from torch import Tensor
+
+from diffsim import soft
+from diffsim.applications.application import Application, Array, Parameters
+from diffsim.robots import SoftRobot
+
+
+def gait(
+    robot: SoftRobot,
+    solver: soft.SolverOptions,
+    parameters: Parameters,
+    commands: Callable[[Tensor], Tensor],
+    *,
+    title: str,
+    source: str,
+    rise_weight: float = 0.0,
+    scale: float,
+    num_starts: int = 1,
+) -> Application:
+    """The application of a robot that should come far along +x from rest.
+
+    The loss is minus the centre's x at the end, and minus ``rise_weight`` times its z (thesis
+    4.1.6: 0.3 for the cow), both from where they were at the start [m].
+
+    Args:
+        robot: Body, muscles, floor.
+        solver: Of its steps; replaces the robot's own.
+        parameters: Of the signal.
+        commands: Of parameters (num_parameters,): the command of every step, in [-1, 1],
+            (num_steps, num_commands).
+        title, source, scale, num_starts: As in :class:`~diffsim.applications.Application`.
+        rise_weight: See above [-].
+    """
+    body = robot.body
+    body.solver = solver
+    start = robot.centre(body.x_rest)
+    length = float(body.x_rest[:, 0].max() - body.x_rest[:, 0].min())
+
+    def simulate(values: Tensor) -> Tensor:
+        activation = robot.activation(commands(values))
+        return soft.rollout(
+            body,
+            body.rest_state(),
+            len(activation),
+            activation=lambda k, _state: activation[k],
+            obstacles=robot.obstacles,
+        ).x
+
+    def loss(_values: Tensor, x: Tensor) -> Tensor:
+        moved = robot.centre(x[-1]) - start
+        return -moved[0] - rise_weight * moved[2]
+
+    def numbers(_values: Array, x: Tensor) -> Mapping[str, float]:
+        moved = robot.centre(x[-1]) - start
+        axis = robot.upright_axis
+        upright = robot.attitude(x)[:, axis, axis].clamp(-1.0, 1.0)
+        return {
+            "travel mm": 1e3 * float(moved[0]),
+            "travel body lengths": float(moved[0]) / length,
+            "drift mm": 1e3 * float(moved[1]),
+            "rise mm": 1e3 * float(moved[2]),
+            "largest tilt degrees": math.degrees(math.acos(float(upright.min()))),
+            "turned degrees": _turned(robot.attitude(x)),
+        }
+
+    return Application(
+        name=robot.name,
+        title=title,
+        source=source,
+        body=body,
+        parameters=parameters,
+        simulate=simulate,
+        loss=loss,
+        numbers=numbers,
+        oracle=None,
+        obstacles=robot.obstacles,
+        scale=scale,
+        num_starts=num_starts,
+    )
+
+
+def sinusoid(dt: float, num_steps: int) -> Callable[[Tensor], Tensor]:
+    """Commands of (front strength, back strength, frequency [Hz]) of a legged robot.
+
+    One sinusoid bends all legs: the fronts of the legs follow it, the backs its negative, each by
+    their own strength (thesis 4.1.6, "Quadruped"). It is read at the end of a step, as the forces
+    of implicit Euler are.
+    """
+    time = dt * torch.arange(1, num_steps + 1, dtype=torch.float64)
+
+    def commands(values: Tensor) -> Tensor:
+        wave = torch.sin(2.0 * math.pi * values[2] * time)
+        return wave[:, None] * torch.stack([values[0], -values[1]])
+
+    return commands
+
+
+def lines_between_knots(num_knots: int, num_steps: int) -> Callable[[Tensor], Tensor]:
+    """Commands that run straight between evenly spaced knots, the last at the end.
+
+    Of (num_knots x num_commands,) values, knot by knot.
+    """
+    place = torch.linspace(0.0, num_knots - 1.0, num_steps, dtype=torch.float64)
+    hats = (1.0 - (place[:, None] - torch.arange(num_knots)).abs()).clamp(min=0.0)
+    return lambda values: hats @ values.reshape(num_knots, -1)
+
+
+def _turned(attitude: Tensor) -> float:
+    """How far the x-z plane has turned, from +z towards +x, over (num_steps + 1, 3, 3) [degrees].
+
+    Counted on over full turns; a step must turn by less than half of one.
+    """
+    angle = torch.atan2(attitude[:, 0, 2], attitude[:, 2, 2])
+    step = (angle.diff() + math.pi) % (2.0 * math.pi) - math.pi
+    return math.degrees(float(step.sum()))
