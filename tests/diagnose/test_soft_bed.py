@@ -20,6 +20,7 @@ from diffsim.diagnose.beds.soft.models import BEAM_BASE
 from diffsim.diagnose.beds.soft.released import released_beam
 from diffsim.diagnose.beds.soft.scene import Moment
 from diffsim.diagnose.beds.soft.support import SupportMotion
+from diffsim.errors import DiffsimError
 from diffsim.identify import Parameter
 from tests.diagnose.gate import score_error, typical
 
@@ -286,6 +287,18 @@ def test_weight_tilt_and_drift_are_what_other_settings_give():
     torch.testing.assert_close(drifted, predict(stiffer, RUN), atol=1e-9, rtol=0)
     lost = predict(model, RUN, soft_material.StiffnessLoss(), size(-0.1, -0.1, -0.1))
     torch.testing.assert_close(lost, drifted, atol=1e-9, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("effect", "at"),
+    [
+        (soft_material.TemperatureDrift(), size(-0.6)),  # RUN is third of its series
+        (soft_material.StiffnessLoss(), size(0.0, 0.0, 1.2)),
+    ],
+)
+def test_size_that_leaves_no_stiffness_is_a_step_too_far_for_a_search(effect, at):
+    with pytest.raises(DiffsimError, match="no stiffness"):
+        predict(beam(), RUN, effect, at)
 
 
 def test_current_bends_the_bar_downstream(plain):

@@ -11,6 +11,7 @@ from torch import Tensor
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.beds.soft.scene import Force, Moment, SoftScene
 from diffsim.diagnose.effect import Effect
+from diffsim.errors import DiffsimError
 
 # Branches of the loss factor: half a decade apart, flat from about 0.6 to 50 Hz.
 _BRANCH_HZ = (0.316, 1.0, 3.16, 10.0, 31.6, 100.0)
@@ -158,8 +159,7 @@ class StiffnessLoss(Effect):
         share = (centre - mesh.x_rest[:, axis].min()) / spread[axis]
         places = torch.tensor([0.0, 0.5, 1.0], dtype=share.dtype)
         hats = (1.0 - 2.0 * (share[:, None] - places).abs()).clamp(min=0.0)
-        young = scene.parameter("youngs_modulus")
-        return scene.with_parameter("youngs_modulus", young * (1.0 - hats @ size))
+        return _stiffness_times(scene, 1.0 - hats @ size)
 
 
 class TemperatureDrift(Effect):
@@ -174,8 +174,18 @@ class TemperatureDrift(Effect):
         return None
 
     def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        young = scene.parameter("youngs_modulus")
-        return scene.with_parameter("youngs_modulus", young * (1.0 + size[0] * run.order))
+        return _stiffness_times(scene, 1.0 + size[0] * run.order)
+
+
+def _stiffness_times(scene: SoftScene, factor: Tensor) -> SoftScene:
+    """The scene with E times a factor, one or per element.
+
+    Raises:
+        DiffsimError: somewhere it is not positive; a search then takes a smaller step.
+    """
+    if not bool((factor > 0.0).all()):
+        raise DiffsimError(f"no stiffness: E times {float(factor.min()):.3g}; the size is too far")
+    return scene.with_parameter("youngs_modulus", scene.parameter("youngs_modulus") * factor)
 
 
 MATERIAL: tuple[Callable[[], Effect], ...] = (
