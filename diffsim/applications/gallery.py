@@ -2,7 +2,8 @@
 
 ``examples/gallery.yaml`` says which script, with which options, which line of its output holds the
 number, and which file is the picture. A result is kept in the output folder and not made again
-while the script and its options stay as they were.
+while the script and its options stay as they were. What takes hours (training, sets of sealed
+cases) is not run: its number is read from the page that its own command fills.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ from diffsim._files import write_json_atomic, write_text_atomic
 from diffsim.applications.catalogue import FOLDER, examples
 from diffsim.errors import DiffsimError
 
+DOCS = FOLDER.parent / "docs"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
@@ -36,24 +39,28 @@ class Entry:
     Attributes:
         title: A line for people.
         group: Its heading.
-        example: Name of the script.
+        example: Name of the script; "" where ``page`` is given.
         options: Of the script; ``{out}`` is replaced by the folder that keeps the result.
         picture: File below that folder.
         image: Its name under docs/images.
         pattern: Regular expression with one group per number, searched in the output.
         number: Text with ``{}`` for each group.
         thesis: What the thesis has, and why ours differs, one line; "" where it has nothing.
+        page: Instead of a script: page below docs/ that has number and picture.
+        command: Instead of a script: what fills that page.
     """
 
     title: str
     group: str
-    example: str
-    options: tuple[str, ...]
-    picture: str
     image: str
     pattern: str
     number: str
+    example: str = ""
+    options: tuple[str, ...] = ()
+    picture: str = ""
     thesis: str = ""
+    page: str = ""
+    command: str = ""
 
     @property
     def key(self) -> str:
@@ -74,7 +81,8 @@ def entries(path: Path = FOLDER / "gallery.yaml") -> list[Entry]:
             entry = Entry(**{**raw, "options": tuple(str(o) for o in raw.get("options", ()))})
         except TypeError as err:
             raise ValueError(f"{path.name}, entry {raw.get('title', raw)!r}: {err}") from err
-        require_choice(f"example of {entry.title!r}", entry.example, tuple(known))
+        if not (entry.page and entry.command):
+            require_choice(f"example of {entry.title!r}", entry.example, tuple(known))
         found.append(entry)
     return found
 
@@ -97,7 +105,8 @@ def make(out: Path, names: Sequence[str] = (), docs: Path | None = None) -> list
     with tqdm(chosen, desc="gallery") as bar:
         for entry in bar:
             bar.set_postfix_str(entry.key)
-            _run(entry, out / entry.key)
+            if entry.example:
+                _run(entry, out / entry.key)
     results = [r for e in listed if (r := _kept(e, out / e.key)) is not None]
     shown = {r["key"]: r for r in results}
     images = Path("images") if docs is not None else None
@@ -105,7 +114,7 @@ def make(out: Path, names: Sequence[str] = (), docs: Path | None = None) -> list
     write_text_atomic(out / "gallery.md", page)
     if docs is not None:
         for entry in listed:
-            if entry.key in shown and not shown[entry.key]["failure"]:
+            if entry.example and entry.key in shown and not shown[entry.key]["failure"]:
                 shutil.copyfile(out / entry.key / entry.picture, docs / "images" / entry.image)
         write_text_atomic(docs / "gallery.md", page)
     return results
@@ -118,6 +127,8 @@ def _fingerprint(entry: Entry) -> str:
 
 def _kept(entry: Entry, folder: Path) -> dict[str, Any] | None:
     """The result on file; its number is read anew, so that a changed pattern needs no new run."""
+    if entry.page:
+        return _from_page(entry)
     path = folder / "result.json"
     if not path.is_file():
         return None
@@ -132,6 +143,15 @@ def _kept(entry: Entry, folder: Path) -> dict[str, Any] | None:
     else:
         result["number"] = entry.number.format(*(_short(g) for g in match.groups()))
     return result
+
+
+def _from_page(entry: Entry) -> dict[str, Any]:
+    match = re.search(entry.pattern, (DOCS / entry.page).read_text(encoding="utf-8"))
+    if match is None:
+        failure = f"docs/{entry.page} has no line like {entry.pattern!r}"
+        return {"key": entry.key, "seconds": 0.0, "failure": failure}
+    number = entry.number.format(*match.groups())
+    return {"key": entry.key, "seconds": 0.0, "failure": "", "number": number}
 
 
 def _run(entry: Entry, folder: Path) -> None:
@@ -194,14 +214,25 @@ def markdown(
         if result["failure"]:
             lines += [f"failed: {result['failure']}"]
             continue
-        place = f"{entry.key}/{entry.picture}" if images is None else f"{images}/{entry.image}"
+        place = f"{images}/{entry.image}" if images else _place(entry)
         lines += [f"![{entry.title}]({place})", "", f"**{result['number']}**"]
         if entry.thesis:
             lines += ["", f"Thesis: {entry.thesis}"]
-        options = " ".join(o for o in entry.options if not o.startswith("{out}"))
-        command = f"diffsim examples run {entry.example}"
-        lines += ["", f"`{command}{' -- ' + options if options else ''}`"]
+        lines += ["", f"`{_command(entry)}`"]
     return "\n".join(lines) + "\n"
+
+
+def _place(entry: Entry) -> str:
+    if entry.page:
+        return str(DOCS / "images" / entry.image)
+    return f"{entry.key}/{entry.picture}"
+
+
+def _command(entry: Entry) -> str:
+    if entry.command:
+        return entry.command
+    options = " ".join(entry.options).replace("{out}", f"runs/{entry.key}")
+    return f"diffsim examples run {entry.example}{' -- ' + options if options else ''}"
 
 
 def require_success(results: Sequence[dict[str, Any]]) -> None:
