@@ -40,11 +40,14 @@ def run_all(
     Args:
         plan: Task, budgets, candidates.
         folder: Of the task's results.
-        methods, seeds: Some of them only; None: all.
+        methods, seeds: Some of them only; None: all. Methods that are not in the plan are passed
+            over.
         show: Whether to draw progress bars.
     """
     for seed in plan.seeds if seeds is None else seeds:
         for method in methods:
+            if method not in plan.candidates:
+                continue
             options = tune(plan, method, folder, show=show)
             setup = plan.run_setup(method, seed)
             train_once(setup, method, options, folder / method / f"seed_{seed}", show=show)

@@ -32,13 +32,13 @@ _COPTER: _Candidates = {
     ),
 }
 # measured with ``gradient_step_cost`` on the coarse bodies, as is the copter's 1.9
-_STEP_COST = {"StarfishSwim": 2.3, "SharkSwim": 3.0}
-_SWIM_QUALITY = {"horizons": (5, 10, 25, 50, 100), "episodes": 2, "directions": 8}
+_STEP_COST = {"StarfishSwim": 2.1, "SharkSwim": 2.2}
+_SWIM_QUALITY = {"horizons": (5, 10, 25, 50, 100), "episodes": 2, "directions": 32}
 _SWIM: _Candidates = {
     "gradient": (
-        {"batch": 2, "learning_rate": 3e-3},
+        {"batch": 1, "learning_rate": 1e-2},
         {"batch": 2, "learning_rate": 1e-2},
-        {"batch": 2, "learning_rate": 1e-2, "cut_every": 50},
+        {"batch": 2, "learning_rate": 1e-2, "horizon": 100},
     ),
     "shac": (
         {"batch": 8, "window": 16, "actor_rate": 3e-3},
@@ -46,9 +46,9 @@ _SWIM: _Candidates = {
         {"batch": 8, "window": 32, "actor_rate": 1e-2},
     ),
     "ppo": (
-        {"envs": 16, "rollout": 128, "learning_rate": 3e-4},
-        {"envs": 16, "rollout": 128, "learning_rate": 1e-3},
-        {"envs": 16, "rollout": 128, "learning_rate": 3e-4, "exploration": 1.0},
+        {"envs": 16, "rollout": 64, "learning_rate": 1e-3},
+        {"envs": 16, "rollout": 128, "learning_rate": 1e-3, "exploration": 1.0},
+        {"envs": 16, "rollout": 64, "learning_rate": 1e-3, "hold_noise": 8},
     ),
 }
 
@@ -61,9 +61,10 @@ def _copter(task: str, scale: float) -> Plan:
 
 def _swim(task: str, *, coarse: bool, steps: int, ppo_steps: int) -> Plan:
     options = {"robot": {"coarse": coarse}}
-    setup = Setup(task, options, evaluation_episodes=4, step_cost=_STEP_COST[task])
+    setup = Setup(task, options, evaluation_episodes=2, step_cost=_STEP_COST[task])
     budget = {"gradient": steps, "shac": steps, "ppo": ppo_steps}
-    return Plan(setup, budget, _times(0.5, budget), _SWIM, quality=_SWIM_QUALITY)
+    tuning = {"gradient": steps, "shac": steps, "ppo": ppo_steps // 3}
+    return Plan(setup, budget, tuning, _SWIM, ratings=6, quality=_SWIM_QUALITY)
 
 
 def _times(scale: float, steps: dict[str, int]) -> dict[str, int]:
@@ -88,8 +89,9 @@ def _quick() -> dict[str, Plan]:
 def _coarse() -> dict[str, Plan]:
     return {
         "CopterHover": _copter("CopterHover", 1.0),
-        "StarfishSwim": _swim("StarfishSwim", coarse=True, steps=16_000, ppo_steps=64_000),
-        "SharkSwim": _swim("SharkSwim", coarse=True, steps=16_000, ppo_steps=64_000),
+        "CopterTrack": _copter("CopterTrack", 1.0),
+        "StarfishSwim": _swim("StarfishSwim", coarse=True, steps=2_400, ppo_steps=20_480),
+        "SharkSwim": _swim("SharkSwim", coarse=True, steps=2_400, ppo_steps=20_480),
     }
 
 
