@@ -95,7 +95,7 @@ class SacLearner:
         )
         start_from(first, self._policy_layers(), self.venv)
         with torch.no_grad():
-            spread = self.model.actor.log_std
+            spread: Any = self.model.actor.log_std
             spread.weight.zero_()
             spread.bias.fill_(float(np.log(o.exploration)))
 
