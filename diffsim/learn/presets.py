@@ -21,14 +21,19 @@ _COPTER: _Candidates = {
         {"batch": 16, "horizon": 100, "learning_rate": 1e-2},
     ),
     "shac": (
-        {"batch": 16, "window": 16, "actor_rate": 3e-3},
-        {"batch": 16, "window": 16, "actor_rate": 1e-2},
-        {"batch": 16, "window": 32, "actor_rate": 1e-2},
+        {"batch": 64, "window": 16, "actor_rate": 1e-2},
+        {"batch": 64, "window": 32, "actor_rate": 3e-3},
+        {"batch": 64, "window": 32, "actor_rate": 1e-2},
     ),
     "ppo": (
         {"envs": 16, "rollout": 128, "learning_rate": 3e-4},
         {"envs": 16, "rollout": 128, "learning_rate": 1e-3},
         {"envs": 16, "rollout": 64, "learning_rate": 1e-3, "exploration": 0.3},
+    ),
+    "sac": (
+        {"passes": 32, "learning_rate": 1e-3},
+        {"passes": 32, "learning_rate": 3e-3},
+        {"passes": 64, "learning_rate": 1e-3},
     ),
 }
 # measured with ``gradient_step_cost`` on the coarse bodies, as is the copter's 1.9
@@ -39,31 +44,44 @@ _SWIM: _Candidates = {
         {"batch": 1, "learning_rate": 1e-2},
         {"batch": 2, "learning_rate": 1e-2},
         {"batch": 2, "learning_rate": 1e-2, "horizon": 100},
+        {"batch": 2, "learning_rate": 1e-2, "horizon": 50},
+        {"batch": 4, "learning_rate": 1e-2, "horizon": 50},
     ),
     "shac": (
-        {"batch": 8, "window": 16, "actor_rate": 3e-3},
-        {"batch": 8, "window": 32, "actor_rate": 3e-3},
+        {"batch": 4, "window": 16, "actor_rate": 1e-2},
+        {"batch": 4, "window": 32, "actor_rate": 1e-2},
+        {"batch": 8, "window": 16, "actor_rate": 1e-2},
         {"batch": 8, "window": 32, "actor_rate": 1e-2},
+        {"batch": 8, "window": 32, "actor_rate": 3e-3},
     ),
     "ppo": (
         {"envs": 16, "rollout": 64, "learning_rate": 1e-3},
         {"envs": 16, "rollout": 128, "learning_rate": 1e-3, "exploration": 1.0},
         {"envs": 16, "rollout": 64, "learning_rate": 1e-3, "hold_noise": 8},
+        {"envs": 16, "rollout": 64, "learning_rate": 3e-3, "exploration": 1.0},
+        {"envs": 16, "rollout": 64, "learning_rate": 3e-3, "exploration": 2.0, "hold_noise": 8},
+    ),
+    "cma": (
+        {"kind": "sinusoid", "spread": 0.3},
+        {"kind": "sinusoid", "spread": 0.5},
+        {"kind": "sinusoid", "spread": 1.0},
+        {"kind": "sinusoid", "spread": 0.5, "population": 12},
+        {"kind": "knots", "spread": 0.5},
     ),
 }
 
 
 def _copter(task: str, scale: float) -> Plan:
-    steps = {"gradient": 24_000, "shac": 48_000, "ppo": 80_000}
-    tuning = {"gradient": 24_000, "shac": 24_000, "ppo": 64_000}
+    steps = {"gradient": 24_000, "shac": 96_000, "ppo": 80_000, "sac": 24_000}
+    tuning = {"gradient": 24_000, "shac": 48_000, "ppo": 64_000, "sac": 12_000}
     return Plan(Setup(task, step_cost=1.9), _times(scale, steps), _times(scale, tuning), _COPTER)
 
 
 def _swim(task: str, *, coarse: bool, steps: int, ppo_steps: int) -> Plan:
     options = {"robot": {"coarse": coarse}}
     setup = Setup(task, options, evaluation_episodes=2, step_cost=_STEP_COST[task])
-    budget = {"gradient": steps, "shac": steps, "ppo": ppo_steps}
-    tuning = {"gradient": steps, "shac": steps, "ppo": ppo_steps // 3}
+    budget = {"gradient": steps, "shac": 2 * steps, "ppo": ppo_steps, "cma": ppo_steps}
+    tuning = {"gradient": steps, "shac": steps, "ppo": ppo_steps // 4, "cma": ppo_steps // 4}
     return Plan(setup, budget, tuning, _SWIM, ratings=6, quality=_SWIM_QUALITY)
 
 
@@ -80,8 +98,10 @@ def _quick() -> dict[str, Plan]:
             {"envs": 4, "rollout": 32, "minibatch": 64},
             {"envs": 8, "rollout": 16, "minibatch": 64},
         ),
+        "sac": ({"passes": 2, "first": 128}, {"passes": 4, "first": 128}),
+        "cma": ({"population": 4}, {"population": 8}),
     }
-    steps = {"gradient": 640, "shac": 640, "ppo": 1280}
+    steps = {"gradient": 640, "shac": 640, "ppo": 1280, "sac": 640, "cma": 640}
     plan = Plan(setup, steps, _times(0.5, steps), candidates, seeds=(0, 1), ratings=4)
     return {"CopterHover": plan}
 
@@ -90,8 +110,8 @@ def _coarse() -> dict[str, Plan]:
     return {
         "CopterHover": _copter("CopterHover", 1.0),
         "CopterTrack": _copter("CopterTrack", 1.0),
-        "StarfishSwim": _swim("StarfishSwim", coarse=True, steps=2_400, ppo_steps=20_480),
-        "SharkSwim": _swim("SharkSwim", coarse=True, steps=2_400, ppo_steps=20_480),
+        "StarfishSwim": _swim("StarfishSwim", coarse=True, steps=2_400, ppo_steps=28_672),
+        "SharkSwim": _swim("SharkSwim", coarse=True, steps=2_400, ppo_steps=28_672),
     }
 
 

@@ -78,10 +78,10 @@ def gradient_quality(
     draws = torch.from_numpy(rng.standard_normal((len(flat), directions)))
     basis = torch.linalg.qr(draws).Q.mT  # (directions, parameters)
     length = spread * float(flat.norm())
+    all_sampled = _sampled(task, controller, parameters, basis, length, horizons, episodes, seed)
     rows = []
-    for horizon in horizons:
+    for horizon, sampled in zip(horizons, all_sampled, strict=True):
         analytic = _per_episode(task, controller, parameters, horizon, episodes, seed)
-        sampled = _sampled(task, controller, parameters, basis, length, horizon, episodes, seed)
         within = analytic.mean(0) @ basis.mT
         norms = analytic.norm(dim=1)
         finite = norms[torch.isfinite(norms)]
@@ -138,11 +138,11 @@ def _sampled(
     parameters: Parameters,
     basis: Tensor,
     length: float,
-    horizon: int,
+    horizons: Sequence[int],
     episodes: int,
     seed: int,
 ) -> Tensor:
-    """Zeroth-order gradient within the basis, (directions,)."""
+    """Zeroth-order gradients within the basis, (horizons, directions), from one longest rollout."""
     moves = torch.cat([length * basis, -length * basis]).repeat_interleave(episodes, 0)
     weights, place = {}, 0
     for name, p in parameters.items():
@@ -151,6 +151,11 @@ def _sampled(
     start = task.start(episodes, np.random.default_rng(seed))
     many = {k: v.repeat(2 * len(basis), *(1,) * (v.dim() - 1)) for k, v in start.items()}
     with torch.no_grad():
-        rewards = rollout_task(task, steer_members(controller, weights), many, horizon).rewards
-    plus, minus = rewards.mean(0).reshape(2, len(basis), episodes).mean(2)
-    return (plus - minus) / (2.0 * length)
+        rewards = rollout_task(
+            task, steer_members(controller, weights), many, max(horizons)
+        ).rewards
+    out = []
+    for horizon in horizons:
+        mean = rewards[:horizon].mean(0).reshape(2, len(basis), episodes).mean(2)
+        out.append((mean[0] - mean[1]) / (2.0 * length))
+    return torch.stack(out)
