@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from diffsim._files import write_json_atomic
+from diffsim._files import to_plain, write_json_atomic, write_text_atomic
 from diffsim.learn.methods import FAILURE, METHODS, Plan, train_once, tune
 from diffsim.learn.quality import gradient_quality
 from diffsim.learn.run import CHECKPOINT, Row, load_controller, read_rows
@@ -23,6 +23,7 @@ AXES = {
     "forward_equivalents": "forward-equivalents",
 }
 Runs = dict[str, dict[int, list[Row]]]
+RECORD = "ratings.jsonl"  # all ratings of a task in one file, which stands in for its runs
 HORIZONS = (5, 10, 25, 50, 100, 200)  # of gradient quality
 GOAL = 0.9  # of the final gradient result
 
@@ -54,17 +55,34 @@ def run_all(
 
 
 def collect(plan: Plan, folder: Path) -> Runs:
-    """Ratings of the runs that ended, failed ones too, by method and seed."""
-    extra = plan.setup.step_cost - 1.0
+    """Ratings of the runs that ended, failed ones too, by method and seed.
+
+    Where there are no runs they come from the record that ``keep_record`` left.
+    """
     found: Runs = {}
     for method in METHODS:
         for path in sorted((folder / method).glob("seed_*")):
             rows = read_rows(path)
-            for row in rows:
-                row["forward_equivalents"] = row["steps"] + extra * row["gradient_steps"]
             if rows and (rows[-1]["finished"] or (path / FAILURE).exists()):
                 found.setdefault(method, {})[int(path.name.removeprefix("seed_"))] = rows
+    if not found and (folder / RECORD).exists():
+        for row in read_rows(folder / RECORD):
+            found.setdefault(row["method"], {}).setdefault(row["seed"], []).append(row)
+    extra = plan.setup.step_cost - 1.0
+    for row in (r for by_seed in found.values() for rows in by_seed.values() for r in rows):
+        row["forward_equivalents"] = row["steps"] + extra * row["gradient_steps"]
     return found
+
+
+def keep_record(runs: Runs, folder: Path) -> None:
+    """Write all ratings into one small file, from which figure and tables can be made again."""
+    lines = [
+        json.dumps(to_plain({"method": method, "seed": seed} | row), allow_nan=False)
+        for method, by_seed in runs.items()
+        for seed, rows in by_seed.items()
+        for row in rows
+    ]
+    write_text_atomic(folder / RECORD, "\n".join(lines) + "\n")
 
 
 def scale_of(plan: Plan, folder: Path, runs: Runs) -> Scale:

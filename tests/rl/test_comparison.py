@@ -207,3 +207,8 @@ def test_runs_in_progress_are_not_summed_up_but_failed_ones_are(tmp_path: Path) 
     (row,) = comparison.summarise(runs, Scale(0.0, 1.0))
     assert (row["runs"], row["finished"]) == (2, 1)
     assert "(1 failed)" in comparison.table("X", [row])
+
+    alone = tmp_path / "record"
+    alone.mkdir()
+    comparison.keep_record(runs, alone)
+    assert comparison.summarise(comparison.collect(plan, alone), Scale(0.0, 1.0)) == [row]
