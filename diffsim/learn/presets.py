@@ -39,7 +39,7 @@ _COPTER: _Candidates = {
 # measured with ``gradient_step_cost`` on the coarse bodies, as is the copter's 1.9
 _STEP_COST = {"StarfishSwim": 2.1, "SharkSwim": 2.2}
 _SWIM_QUALITY = {"horizons": (5, 10, 25, 50, 100), "episodes": 2, "directions": 32}
-_SWIM: _Candidates = {
+_STARFISH: _Candidates = {
     "gradient": (
         {"batch": 1, "learning_rate": 1e-2},
         {"batch": 2, "learning_rate": 1e-2},
@@ -55,19 +55,34 @@ _SWIM: _Candidates = {
         {"batch": 8, "window": 32, "actor_rate": 3e-3},
     ),
     "ppo": (
-        {"envs": 16, "rollout": 64, "learning_rate": 1e-3},
-        {"envs": 16, "rollout": 128, "learning_rate": 1e-3, "exploration": 1.0},
-        {"envs": 16, "rollout": 64, "learning_rate": 1e-3, "hold_noise": 8},
-        {"envs": 16, "rollout": 64, "learning_rate": 3e-3, "exploration": 1.0},
-        {"envs": 16, "rollout": 64, "learning_rate": 3e-3, "exploration": 2.0, "hold_noise": 8},
+        {"rollout": 64, "learning_rate": 1e-3},
+        {"rollout": 128, "learning_rate": 1e-3, "exploration": 1.0},
+        {"rollout": 64, "learning_rate": 1e-3, "hold_noise": 8},
+        {"rollout": 64, "learning_rate": 3e-3, "exploration": 1.0},
+        {"rollout": 64, "learning_rate": 3e-3, "exploration": 2.0, "hold_noise": 8},
     ),
     "cma": (
-        {"kind": "sinusoid", "spread": 0.3},
         {"kind": "sinusoid", "spread": 0.5},
+        {"kind": "sinusoid", "spread": 0.3},
         {"kind": "sinusoid", "spread": 1.0},
         {"kind": "sinusoid", "spread": 0.5, "population": 12},
         {"kind": "knots", "spread": 0.5},
     ),
+}
+# of what the starfish's search has shown to be best, and the best of the others
+_SHARK: _Candidates = {
+    "gradient": (
+        {"batch": 1, "learning_rate": 1e-2},
+        {"batch": 2, "learning_rate": 1e-2, "horizon": 100},
+        {"batch": 2, "learning_rate": 1e-2, "horizon": 50},
+    ),
+    "shac": _STARFISH["shac"][1:4],
+    "ppo": (
+        {"rollout": 128, "learning_rate": 1e-3, "exploration": 1.0},
+        {"rollout": 64, "learning_rate": 3e-3, "exploration": 1.0},
+        {"rollout": 64, "learning_rate": 3e-3, "exploration": 2.0, "hold_noise": 8},
+    ),
+    "cma": _STARFISH["cma"][:3],
 }
 
 
@@ -77,12 +92,12 @@ def _copter(task: str, scale: float) -> Plan:
     return Plan(Setup(task, step_cost=1.9), _times(scale, steps), _times(scale, tuning), _COPTER)
 
 
-def _swim(task: str, *, coarse: bool, steps: int, ppo_steps: int) -> Plan:
+def _swim(task: str, candidates: _Candidates, *, coarse: bool, steps: int, ppo_steps: int) -> Plan:
     options = {"robot": {"coarse": coarse}}
     setup = Setup(task, options, evaluation_episodes=2, step_cost=_STEP_COST[task])
     budget = {"gradient": steps, "shac": 2 * steps, "ppo": ppo_steps, "cma": ppo_steps}
     tuning = {"gradient": steps, "shac": steps, "ppo": ppo_steps // 4, "cma": ppo_steps // 4}
-    return Plan(setup, budget, tuning, _SWIM, ratings=6, quality=_SWIM_QUALITY)
+    return Plan(setup, budget, tuning, candidates, ratings=6, quality=_SWIM_QUALITY)
 
 
 def _times(scale: float, steps: dict[str, int]) -> dict[str, int]:
@@ -110,8 +125,10 @@ def _coarse() -> dict[str, Plan]:
     return {
         "CopterHover": _copter("CopterHover", 1.0),
         "CopterTrack": _copter("CopterTrack", 1.0),
-        "StarfishSwim": _swim("StarfishSwim", coarse=True, steps=2_400, ppo_steps=28_672),
-        "SharkSwim": _swim("SharkSwim", coarse=True, steps=2_400, ppo_steps=28_672),
+        "StarfishSwim": _swim(
+            "StarfishSwim", _STARFISH, coarse=True, steps=2_400, ppo_steps=28_672
+        ),
+        "SharkSwim": _swim("SharkSwim", _SHARK, coarse=True, steps=2_400, ppo_steps=28_672),
     }
 
 
@@ -120,8 +137,10 @@ def _thesis() -> dict[str, Plan]:
     return {
         "CopterHover": _copter("CopterHover", 8.0),
         "CopterTrack": _copter("CopterTrack", 8.0),
-        "StarfishSwim": _swim("StarfishSwim", coarse=False, steps=40_000, ppo_steps=800_000),
-        "SharkSwim": _swim("SharkSwim", coarse=False, steps=40_000, ppo_steps=800_000),
+        "StarfishSwim": _swim(
+            "StarfishSwim", _STARFISH, coarse=False, steps=40_000, ppo_steps=800_000
+        ),
+        "SharkSwim": _swim("SharkSwim", _SHARK, coarse=False, steps=40_000, ppo_steps=800_000),
     }
 
 
