@@ -133,7 +133,7 @@ def _coarse() -> dict[str, Plan]:
 
 
 def _thesis() -> dict[str, Plan]:
-    """7,020 and 10,017 degrees of freedom; 40,000 steps with and 800,000 without gradients a run."""
+    """7,020 and 10,017 degrees of freedom; 40,000 steps with gradients, 800,000 without, a run."""
     return {
         "CopterHover": _copter("CopterHover", 8.0),
         "CopterTrack": _copter("CopterTrack", 8.0),

@@ -85,6 +85,9 @@ def test_summary_keeps_runs_that_never_reach_the_goal() -> None:
     gradient, ppo = comparison.summarise(runs, Scale(0.0, 1.0))
     assert gradient["reached"] == 3 and gradient["steps_to_goal"] == 10.0
     assert ppo["reached"] == 1 and ppo["steps_to_goal"] == math.inf
+    # PPO ends at 0.1, 0.95 and 0.2, the gradient is better at its first rating
+    assert ppo["gradient_steps_to_final"] == 10.0
+    assert comparison.summarise({"ppo": runs["ppo"]}, Scale(0.0, 1.0))[0]["reached"] == 1
     assert "| - | - | - |" in comparison.table("X", [ppo])
 
 
