@@ -37,7 +37,7 @@ _COPTER: _Candidates = {
     ),
 }
 # measured with ``gradient_step_cost`` on the coarse bodies, as is the copter's 1.9
-_STEP_COST = {"StarfishSwim": 2.1, "SharkSwim": 2.2}
+_SWIM_COST = 2.1
 _SWIM_QUALITY = {"horizons": (5, 10, 25, 50, 100), "episodes": 2, "directions": 32}
 _STARFISH: _Candidates = {
     "gradient": (
@@ -94,7 +94,7 @@ def _copter(task: str, scale: float) -> Plan:
 
 def _swim(task: str, candidates: _Candidates, *, coarse: bool, steps: int, ppo_steps: int) -> Plan:
     options = {"robot": {"coarse": coarse}}
-    setup = Setup(task, options, evaluation_episodes=2, step_cost=_STEP_COST[task])
+    setup = Setup(task, options, evaluation_episodes=2, step_cost=_SWIM_COST)
     budget = {"gradient": steps, "shac": 2 * steps, "ppo": ppo_steps, "cma": ppo_steps}
     tuning = {"gradient": steps, "shac": steps, "ppo": ppo_steps // 4, "cma": ppo_steps // 4}
     return Plan(setup, budget, tuning, candidates, ratings=6, quality=_SWIM_QUALITY)
