@@ -2,11 +2,14 @@
 
 python rl/compare.py --preset quick       # a minute
 python rl/compare.py --preset coarse      # copter and coarse swimmers
-python rl/compare.py --preset thesis      # 7,026 and 9,921 degrees of freedom: days
+python rl/compare.py --preset thesis      # 7,020 and 10,017 degrees of freedom: days
 python rl/compare.py --preset coarse --tasks CopterHover --methods gradient ppo --seeds 0 1
 
 Interrupt it at will: finished runs are not repeated, others continue. Several processes may share
-the work by giving each other methods or seeds. ``--report`` only sums up what is there.
+the work by giving each other methods or seeds. ``--report`` only sums up what is there, and so
+makes the documentation's figures again from the records of their runs:
+
+python rl/compare.py --preset coarse --report --out rl/results --images docs/images
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ def report(task: str, plan: Plan, folder: Path, images: Path, *, quality: bool) 
     runs = comparison.collect(plan, folder)
     if "gradient" not in runs:
         return None
+    comparison.keep_record(runs, folder)
     scale = comparison.scale_of(plan, folder, runs)
     summary = comparison.summarise(runs, scale)
     write_json_atomic(folder / "summary.json", {"task": task, "methods": summary})

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from diffsim._files import write_json_atomic
+from diffsim._files import to_plain, write_json_atomic, write_text_atomic
 from diffsim.learn.methods import FAILURE, METHODS, Plan, train_once, tune
 from diffsim.learn.quality import gradient_quality
 from diffsim.learn.run import CHECKPOINT, Row, load_controller, read_rows
@@ -23,6 +23,7 @@ AXES = {
     "forward_equivalents": "forward-equivalents",
 }
 Runs = dict[str, dict[int, list[Row]]]
+RECORD = "ratings.jsonl"  # all ratings of a task in one file, which stands in for its runs
 HORIZONS = (5, 10, 25, 50, 100, 200)  # of gradient quality
 GOAL = 0.9  # of the final gradient result
 
@@ -40,28 +41,48 @@ def run_all(
     Args:
         plan: Task, budgets, candidates.
         folder: Of the task's results.
-        methods, seeds: Some of them only; None: all.
+        methods, seeds: Some of them only; None: all. Methods that are not in the plan are passed
+            over.
         show: Whether to draw progress bars.
     """
     for seed in plan.seeds if seeds is None else seeds:
         for method in methods:
+            if method not in plan.candidates:
+                continue
             options = tune(plan, method, folder, show=show)
             setup = plan.run_setup(method, seed)
             train_once(setup, method, options, folder / method / f"seed_{seed}", show=show)
 
 
 def collect(plan: Plan, folder: Path) -> Runs:
-    """Ratings of the runs that ended, failed ones too, by method and seed."""
-    extra = plan.setup.step_cost - 1.0
+    """Ratings of the runs that ended, failed ones too, by method and seed.
+
+    Where there are no runs they come from the record that ``keep_record`` left.
+    """
     found: Runs = {}
     for method in METHODS:
         for path in sorted((folder / method).glob("seed_*")):
             rows = read_rows(path)
-            for row in rows:
-                row["forward_equivalents"] = row["steps"] + extra * row["gradient_steps"]
             if rows and (rows[-1]["finished"] or (path / FAILURE).exists()):
                 found.setdefault(method, {})[int(path.name.removeprefix("seed_"))] = rows
+    if not found and (folder / RECORD).exists():
+        for row in read_rows(folder / RECORD):
+            found.setdefault(row["method"], {}).setdefault(row["seed"], []).append(row)
+    extra = plan.setup.step_cost - 1.0
+    for row in (r for by_seed in found.values() for rows in by_seed.values() for r in rows):
+        row["forward_equivalents"] = row["steps"] + extra * row["gradient_steps"]
     return found
+
+
+def keep_record(runs: Runs, folder: Path) -> None:
+    """Write all ratings into one small file, from which figure and tables can be made again."""
+    lines = [
+        json.dumps(to_plain({"method": method, "seed": seed} | row), allow_nan=False)
+        for method, by_seed in runs.items()
+        for seed, rows in by_seed.items()
+        for row in rows
+    ]
+    write_text_atomic(folder / RECORD, "\n".join(lines) + "\n")
 
 
 def scale_of(plan: Plan, folder: Path, runs: Runs) -> Scale:
@@ -75,7 +96,10 @@ def scale_of(plan: Plan, folder: Path, runs: Runs) -> Scale:
 
 
 def summarise(runs: Runs, scale: Scale) -> list[Row]:
-    """Per method: final normalised reward, and where runs reach 90 % of the gradient's."""
+    """Per method: final normalised reward, and where runs reach 90 % of the gradient's.
+
+    Also where the gradient's runs first reach what the method ends with (medians).
+    """
     out = []
     goal = scale.zero + GOAL * (scale.one - scale.zero)
     for method, by_seed in runs.items():
@@ -95,6 +119,11 @@ def summarise(runs: Runs, scale: Scale) -> list[Row]:
             "budget_seconds": float(np.median([rows[-1]["seconds"] for rows in by_seed.values()])),
         }
         for axis in AXES:
+            places = [
+                first_reach(rows, axis, row["final_reward"])
+                for rows in runs.get("gradient", {}).values()
+            ]
+            row[f"gradient_{axis}_to_final"] = float(np.median(places)) if places else math.nan
             places = [first_reach(rows, axis, goal) for rows in by_seed.values()]
             row[f"{axis}_to_goal"] = float(np.median(places))
             row["reached"] = sum(math.isfinite(p) for p in places)
@@ -125,21 +154,28 @@ def table(task: str, summary: list[Row]) -> str:
     """The summary in Markdown."""
     lines = [
         f"| {task} | final reward (IQM, 95 %) | reached 90 % | steps to 90 % | CPU s to 90 % | "
-        "forward-equivalents to 90 % | budget: steps, CPU s |",
-        "|---|---|---|---|---|---|---|",
+        "forward-equivalents to 90 % | budget: steps, CPU s | "
+        "gradient is as good after: steps, CPU s |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for r in summary:
-        places = [r[f"{axis}_to_goal"] for axis in AXES]
-        cells = [f"{p:,.3g}" if p < 100 else f"{p:,.0f}" for p in places]
-        cells = [c if math.isfinite(p) else "-" for c, p in zip(cells, places, strict=True)]
+        cells = [_place(r[f"{axis}_to_goal"]) for axis in AXES]
+        as_far = [_place(r[f"gradient_{axis}_to_final"]) for axis in ("steps", "seconds")]
         missing = r["runs"] - r["finished"]
         failures = f" ({missing} failed)" if missing else ""
         lines.append(
             f"| {r['method']} | {r['final']:.2f} ({r['low']:.2f} to {r['high']:.2f}) | "
             f"{r['reached']} of {r['runs']}{failures} | {' | '.join(cells)} | "
-            f"{r['budget_steps']:,}, {r['budget_seconds']:.0f} |"
+            f"{r['budget_steps']:,}, {r['budget_seconds']:.0f} | {', '.join(as_far)} |"
         )
     return "\n".join(lines)
+
+
+def _place(value: float) -> str:
+    """A place on an axis; a dash where it is never reached."""
+    if not math.isfinite(value):
+        return "-"
+    return f"{value:,.3g}" if value < 100 else f"{value:,.0f}"
 
 
 def quality_table(task: str, quality: dict[str, list[Row]]) -> str:

@@ -21,6 +21,8 @@ LOOK = {
     "gradient": ("Adam through the simulator", CYCLE[0]),
     "shac": ("short-horizon actor-critic", CYCLE[2]),
     "ppo": ("PPO", CYCLE[1]),
+    "sac": ("SAC", CYCLE[3]),
+    "cma": ("CMA-ES, open loop", CYCLE[4]),
 }
 NUM_PLACES = 200
 

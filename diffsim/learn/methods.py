@@ -18,7 +18,7 @@ from diffsim.learn.setup import Setup, broke_down
 from diffsim.learn.shac import ShacLearner, ShacOptions
 
 Options = Mapping[str, Any]
-METHODS = ("gradient", "shac", "ppo")
+METHODS = ("gradient", "shac", "ppo", "sac", "cma")
 FAILURE = "failure.txt"  # why a run ended before its budget
 TUNING_SEED = 100  # of no compared run
 
@@ -36,7 +36,16 @@ def make_learner(method: str, setup: Setup, options: Options) -> Learner:
         return GradientLearner(setup, GradientOptions(**options))
     if method == "shac":
         return ShacLearner(setup, ShacOptions(**options))
-    from diffsim.learn.ppo import PpoLearner, PpoOptions  # needs stable-baselines3
+    # what follows needs packages of the extra "rl"
+    if method == "cma":
+        from diffsim.learn.cma_es import CmaLearner, CmaOptions
+
+        return CmaLearner(setup, CmaOptions(**options))
+    if method == "sac":
+        from diffsim.learn.sac import SacLearner, SacOptions
+
+        return SacLearner(setup, SacOptions(**options))
+    from diffsim.learn.ppo import PpoLearner, PpoOptions
 
     return PpoLearner(setup, PpoOptions(**options))
 
@@ -49,7 +58,8 @@ class Plan:
         setup: Task; seed and budget are set per run.
         steps: Budget of simulation steps of a compared run, by method.
         tuning_steps: The same of a candidate's run.
-        candidates: Options among which the search chooses, by method; as many for each.
+        candidates: Options among which the search chooses, by method; as many for each. Methods
+            without candidates are not compared.
         seeds: Of the compared runs.
         ratings: Per run, spread evenly over its budget.
         quality: Of ``gradient_quality``, where it differs from the defaults.

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.vec_env import VecNormalize
@@ -23,6 +22,13 @@ from diffsim.envs.task import Task
 from diffsim.envs.vector_env import TaskVectorEnv
 from diffsim.learn.run import Update
 from diffsim.learn.setup import Setup, first_controller
+from diffsim.learn.stable_baselines3 import (
+    as_controller,
+    linear_layers,
+    moments_of,
+    set_moments,
+    start_from,
+)
 
 
 @dataclass(frozen=True)
@@ -39,6 +45,8 @@ class PpoOptions:
         clip: Of the policy's ratio and of the value.
         entropy: Weight of the bonus.
         exploration: First standard deviation of commands; learnt.
+        hold_noise: Steps for which noise stays one function of the state (gSDE, Raffin et al.
+            2021), so that it moves slow bodies; 0: white noise.
     """
 
     envs: int = 16
@@ -51,6 +59,7 @@ class PpoOptions:
     clip: float = 0.2
     entropy: float = 0.0
     exploration: float = 0.5
+    hold_noise: int = 0
 
 
 class TanhMeanPolicy(ActorCriticPolicy):
@@ -90,30 +99,23 @@ class PpoLearner:
             clip_range=o.clip,
             clip_range_vf=o.clip,
             ent_coef=o.entropy,
+            use_sde=o.hold_noise > 0,
+            sde_sample_freq=o.hold_noise or -1,
             seed=setup.seed,
             device="cpu",
             policy_kwargs={
                 "net_arch": {"pi": [64, 64], "vf": [64, 64]},
                 "activation_fn": nn.Tanh,
                 "ortho_init": True,
-                "log_std_init": float(np.log(o.exploration)),
+                # held noise adds up over the last layer's units, each at most 1
+                "log_std_init": float(np.log(o.exploration / (8.0 if o.hold_noise else 1.0))),
             },
         )
-        self._start_from(first)
+        start_from(first, self._policy_layers(), self.venv)
 
     def controller(self) -> MLPController:
-        """The policy's mean as a controller in double precision, observations normalised alike."""
-        net = MLPController(self.task.num_observations, self.task.num_actions)
-        moments: Any = self.venv.obs_rms
-        assert net.normaliser is not None  # asked for by default
-        with torch.no_grad():
-            for ours, theirs in zip(_linear(net.layers), self._policy_layers(), strict=True):
-                ours.weight.copy_(theirs.weight)
-                ours.bias.copy_(theirs.bias)
-            net.normaliser.mean.copy_(torch.as_tensor(moments.mean))
-            net.normaliser.variance.copy_(torch.as_tensor(moments.var))
-            net.normaliser.count.copy_(torch.as_tensor(moments.count))
-        return net
+        """See ``Learner``."""
+        return as_controller(self.task, self._policy_layers(), self.venv)
 
     def update(self, progress: float) -> Update:
         """One rollout and its epochs; the learning rate is annealed over the whole budget."""
@@ -126,29 +128,14 @@ class PpoLearner:
 
     def _policy_layers(self) -> list[nn.Linear]:
         policy = self.model.policy
-        return [*_linear(policy.mlp_extractor.policy_net), *_linear(policy.action_net)]
-
-    def _start_from(self, first: MLPController) -> None:
-        assert first.normaliser is not None  # of first_controller
-        with torch.no_grad():
-            for ours, theirs in zip(_linear(first.layers), self._policy_layers(), strict=True):
-                theirs.weight.copy_(ours.weight)
-                theirs.bias.copy_(ours.bias)
-        moments: Any = self.venv.obs_rms
-        moments.mean = first.normaliser.mean.numpy().copy()
-        moments.var = first.normaliser.variance.numpy().copy()
-        moments.count = float(first.normaliser.count)
+        return linear_layers(policy.mlp_extractor.policy_net, policy.action_net)
 
     def state_dict(self) -> dict[str, Any]:
         """See ``Learner``. Episodes in progress are not kept: a resumed run starts new ones."""
-        moments = {}
-        for name in ("obs_rms", "ret_rms"):
-            rms = getattr(self.venv, name)
-            moments[name] = [torch.as_tensor(rms.mean), torch.as_tensor(rms.var), float(rms.count)]
         return {
             "policy": self.model.policy.state_dict(),
             "optimizer": self.model.policy.optimizer.state_dict(),
-            "moments": moments,
+            "moments": moments_of(self.venv),
             "num_timesteps": self.model.num_timesteps,
         }
 
@@ -156,13 +143,7 @@ class PpoLearner:
         """See ``Learner``."""
         self.model.policy.load_state_dict(state["policy"])
         self.model.policy.optimizer.load_state_dict(state["optimizer"])
-        for name, (mean, var, count) in state["moments"].items():
-            rms = getattr(self.venv, name)
-            rms.mean, rms.var, rms.count = mean.numpy(), var.numpy(), count
+        set_moments(self.venv, state["moments"])
         self.model.num_timesteps = state["num_timesteps"]
         # not the episodes of the first part again
         self.model.set_random_seed(self.model.seed + state["num_timesteps"])
-
-
-def _linear(module: nn.Module) -> list[nn.Linear]:
-    return [m for m in module.modules() if isinstance(m, nn.Linear)]

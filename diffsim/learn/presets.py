@@ -21,49 +21,83 @@ _COPTER: _Candidates = {
         {"batch": 16, "horizon": 100, "learning_rate": 1e-2},
     ),
     "shac": (
-        {"batch": 16, "window": 16, "actor_rate": 3e-3},
-        {"batch": 16, "window": 16, "actor_rate": 1e-2},
-        {"batch": 16, "window": 32, "actor_rate": 1e-2},
+        {"batch": 64, "window": 16, "actor_rate": 1e-2},
+        {"batch": 64, "window": 32, "actor_rate": 3e-3},
+        {"batch": 64, "window": 32, "actor_rate": 1e-2},
     ),
     "ppo": (
         {"envs": 16, "rollout": 128, "learning_rate": 3e-4},
         {"envs": 16, "rollout": 128, "learning_rate": 1e-3},
         {"envs": 16, "rollout": 64, "learning_rate": 1e-3, "exploration": 0.3},
     ),
+    "sac": (
+        {"passes": 32, "learning_rate": 1e-3},
+        {"passes": 32, "learning_rate": 3e-3},
+        {"passes": 64, "learning_rate": 1e-3},
+    ),
 }
 # measured with ``gradient_step_cost`` on the coarse bodies, as is the copter's 1.9
-_STEP_COST = {"StarfishSwim": 2.3, "SharkSwim": 3.0}
-_SWIM_QUALITY = {"horizons": (5, 10, 25, 50, 100), "episodes": 2, "directions": 8}
-_SWIM: _Candidates = {
+_SWIM_COST = 2.1
+_SWIM_QUALITY = {"horizons": (5, 10, 25, 50, 100), "episodes": 2, "directions": 32}
+_STARFISH: _Candidates = {
     "gradient": (
-        {"batch": 2, "learning_rate": 3e-3},
+        {"batch": 1, "learning_rate": 1e-2},
         {"batch": 2, "learning_rate": 1e-2},
-        {"batch": 2, "learning_rate": 1e-2, "cut_every": 50},
+        {"batch": 2, "learning_rate": 1e-2, "horizon": 100},
+        {"batch": 2, "learning_rate": 1e-2, "horizon": 50},
+        {"batch": 4, "learning_rate": 1e-2, "horizon": 50},
     ),
     "shac": (
-        {"batch": 8, "window": 16, "actor_rate": 3e-3},
-        {"batch": 8, "window": 32, "actor_rate": 3e-3},
+        {"batch": 4, "window": 16, "actor_rate": 1e-2},
+        {"batch": 4, "window": 32, "actor_rate": 1e-2},
+        {"batch": 8, "window": 16, "actor_rate": 1e-2},
         {"batch": 8, "window": 32, "actor_rate": 1e-2},
+        {"batch": 8, "window": 32, "actor_rate": 3e-3},
     ),
     "ppo": (
-        {"envs": 16, "rollout": 128, "learning_rate": 3e-4},
-        {"envs": 16, "rollout": 128, "learning_rate": 1e-3},
-        {"envs": 16, "rollout": 128, "learning_rate": 3e-4, "exploration": 1.0},
+        {"rollout": 64, "learning_rate": 1e-3},
+        {"rollout": 128, "learning_rate": 1e-3, "exploration": 1.0},
+        {"rollout": 64, "learning_rate": 1e-3, "hold_noise": 8},
+        {"rollout": 64, "learning_rate": 3e-3, "exploration": 1.0},
+        {"rollout": 64, "learning_rate": 3e-3, "exploration": 2.0, "hold_noise": 8},
     ),
+    "cma": (
+        {"kind": "sinusoid", "spread": 0.5},
+        {"kind": "sinusoid", "spread": 0.3},
+        {"kind": "sinusoid", "spread": 1.0},
+        {"kind": "sinusoid", "spread": 0.5, "population": 12},
+        {"kind": "knots", "spread": 0.5},
+    ),
+}
+# of what the starfish's search has shown to be best, and the best of the others
+_SHARK: _Candidates = {
+    "gradient": (
+        {"batch": 1, "learning_rate": 1e-2},
+        {"batch": 2, "learning_rate": 1e-2, "horizon": 100},
+        {"batch": 2, "learning_rate": 1e-2, "horizon": 50},
+    ),
+    "shac": _STARFISH["shac"][1:4],
+    "ppo": (
+        {"rollout": 128, "learning_rate": 1e-3, "exploration": 1.0},
+        {"rollout": 64, "learning_rate": 3e-3, "exploration": 1.0},
+        {"rollout": 64, "learning_rate": 3e-3, "exploration": 2.0, "hold_noise": 8},
+    ),
+    "cma": _STARFISH["cma"][:3],
 }
 
 
 def _copter(task: str, scale: float) -> Plan:
-    steps = {"gradient": 24_000, "shac": 48_000, "ppo": 80_000}
-    tuning = {"gradient": 24_000, "shac": 24_000, "ppo": 64_000}
+    steps = {"gradient": 24_000, "shac": 96_000, "ppo": 80_000, "sac": 24_000}
+    tuning = {"gradient": 24_000, "shac": 48_000, "ppo": 64_000, "sac": 12_000}
     return Plan(Setup(task, step_cost=1.9), _times(scale, steps), _times(scale, tuning), _COPTER)
 
 
-def _swim(task: str, *, coarse: bool, steps: int, ppo_steps: int) -> Plan:
+def _swim(task: str, candidates: _Candidates, *, coarse: bool, steps: int, ppo_steps: int) -> Plan:
     options = {"robot": {"coarse": coarse}}
-    setup = Setup(task, options, evaluation_episodes=4, step_cost=_STEP_COST[task])
-    budget = {"gradient": steps, "shac": steps, "ppo": ppo_steps}
-    return Plan(setup, budget, _times(0.5, budget), _SWIM, quality=_SWIM_QUALITY)
+    setup = Setup(task, options, evaluation_episodes=2, step_cost=_SWIM_COST)
+    budget = {"gradient": steps, "shac": 2 * steps, "ppo": ppo_steps, "cma": ppo_steps}
+    tuning = {"gradient": steps, "shac": steps, "ppo": ppo_steps // 4, "cma": ppo_steps // 4}
+    return Plan(setup, budget, tuning, candidates, ratings=6, quality=_SWIM_QUALITY)
 
 
 def _times(scale: float, steps: dict[str, int]) -> dict[str, int]:
@@ -79,8 +113,10 @@ def _quick() -> dict[str, Plan]:
             {"envs": 4, "rollout": 32, "minibatch": 64},
             {"envs": 8, "rollout": 16, "minibatch": 64},
         ),
+        "sac": ({"passes": 2, "first": 128}, {"passes": 4, "first": 128}),
+        "cma": ({"population": 4}, {"population": 8}),
     }
-    steps = {"gradient": 640, "shac": 640, "ppo": 1280}
+    steps = {"gradient": 640, "shac": 640, "ppo": 1280, "sac": 640, "cma": 640}
     plan = Plan(setup, steps, _times(0.5, steps), candidates, seeds=(0, 1), ratings=4)
     return {"CopterHover": plan}
 
@@ -88,18 +124,23 @@ def _quick() -> dict[str, Plan]:
 def _coarse() -> dict[str, Plan]:
     return {
         "CopterHover": _copter("CopterHover", 1.0),
-        "StarfishSwim": _swim("StarfishSwim", coarse=True, steps=16_000, ppo_steps=64_000),
-        "SharkSwim": _swim("SharkSwim", coarse=True, steps=16_000, ppo_steps=64_000),
+        "CopterTrack": _copter("CopterTrack", 1.0),
+        "StarfishSwim": _swim(
+            "StarfishSwim", _STARFISH, coarse=True, steps=2_400, ppo_steps=28_672
+        ),
+        "SharkSwim": _swim("SharkSwim", _SHARK, coarse=True, steps=2_400, ppo_steps=28_672),
     }
 
 
 def _thesis() -> dict[str, Plan]:
-    """7,026 and 9,921 degrees of freedom; 40,000 steps with and 800,000 without gradients a run."""
+    """7,020 and 10,017 degrees of freedom; 40,000 steps with gradients, 800,000 without, a run."""
     return {
         "CopterHover": _copter("CopterHover", 8.0),
         "CopterTrack": _copter("CopterTrack", 8.0),
-        "StarfishSwim": _swim("StarfishSwim", coarse=False, steps=40_000, ppo_steps=800_000),
-        "SharkSwim": _swim("SharkSwim", coarse=False, steps=40_000, ppo_steps=800_000),
+        "StarfishSwim": _swim(
+            "StarfishSwim", _STARFISH, coarse=False, steps=40_000, ppo_steps=800_000
+        ),
+        "SharkSwim": _swim("SharkSwim", _SHARK, coarse=False, steps=40_000, ppo_steps=800_000),
     }
 
 

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.func import functional_call, vmap
 
 from diffsim.envs.rollout import Controller, rollout_task
 from diffsim.envs.task import Task
+from diffsim.learn.members import steer_members
 
 Parameters = dict[str, Tensor]
 
@@ -78,10 +78,10 @@ def gradient_quality(
     draws = torch.from_numpy(rng.standard_normal((len(flat), directions)))
     basis = torch.linalg.qr(draws).Q.mT  # (directions, parameters)
     length = spread * float(flat.norm())
+    all_sampled = _sampled(task, controller, parameters, basis, length, horizons, episodes, seed)
     rows = []
-    for horizon in horizons:
+    for horizon, sampled in zip(horizons, all_sampled, strict=True):
         analytic = _per_episode(task, controller, parameters, horizon, episodes, seed)
-        sampled = _sampled(task, controller, parameters, basis, length, horizon, episodes, seed)
         within = analytic.mean(0) @ basis.mT
         norms = analytic.norm(dim=1)
         finite = norms[torch.isfinite(norms)]
@@ -114,17 +114,6 @@ def contact_share(
     return float(torch.stack(touching).mean())
 
 
-def _members(controller: nn.Module, parameters: Parameters) -> Controller:
-    """A controller whose member k of the batch has parameters[k]."""
-    buffers = dict(controller.named_buffers())
-
-    def one(weights: Parameters, observation: Tensor) -> Tensor:
-        out: Tensor = functional_call(controller, {**buffers, **weights}, (observation,))
-        return out
-
-    return lambda observation, step: vmap(one)(parameters, observation)
-
-
 def _per_episode(
     task: Task,
     controller: nn.Module,
@@ -138,7 +127,7 @@ def _per_episode(
         k: p.expand(episodes, *p.shape).clone().requires_grad_() for k, p in parameters.items()
     }
     start = task.start(episodes, np.random.default_rng(seed))
-    rewards = rollout_task(task, _members(controller, leaves), start, horizon).rewards
+    rewards = rollout_task(task, steer_members(controller, leaves), start, horizon).rewards
     grads = torch.autograd.grad(rewards.mean(0).sum(), list(leaves.values()))
     return torch.cat([g.flatten(1) for g in grads], 1)
 
@@ -149,11 +138,11 @@ def _sampled(
     parameters: Parameters,
     basis: Tensor,
     length: float,
-    horizon: int,
+    horizons: Sequence[int],
     episodes: int,
     seed: int,
 ) -> Tensor:
-    """Zeroth-order gradient within the basis, (directions,)."""
+    """Zeroth-order gradients within the basis, (horizons, directions), from one longest rollout."""
     moves = torch.cat([length * basis, -length * basis]).repeat_interleave(episodes, 0)
     weights, place = {}, 0
     for name, p in parameters.items():
@@ -162,6 +151,11 @@ def _sampled(
     start = task.start(episodes, np.random.default_rng(seed))
     many = {k: v.repeat(2 * len(basis), *(1,) * (v.dim() - 1)) for k, v in start.items()}
     with torch.no_grad():
-        rewards = rollout_task(task, _members(controller, weights), many, horizon).rewards
-    plus, minus = rewards.mean(0).reshape(2, len(basis), episodes).mean(2)
-    return (plus - minus) / (2.0 * length)
+        rewards = rollout_task(
+            task, steer_members(controller, weights), many, max(horizons)
+        ).rewards
+    out = []
+    for horizon in horizons:
+        mean = rewards[:horizon].mean(0).reshape(2, len(basis), episodes).mean(2)
+        out.append((mean[0] - mean[1]) / (2.0 * length))
+    return torch.stack(out)

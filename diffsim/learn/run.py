@@ -131,9 +131,10 @@ def train(
     return run
 
 
-def read_rows(folder: str | Path) -> list[Row]:
-    """Ratings of a run; an empty list where there are none."""
-    path = Path(folder) / RESULTS
+def read_rows(path: str | Path) -> list[Row]:
+    """Ratings of a run's folder, or of a file of them; an empty list where there are none."""
+    path = Path(path)
+    path = path / RESULTS if path.suffix != ".jsonl" else path
     if not path.exists():
         return []
     rows: list[Row] = [json.loads(line) for line in path.read_text().splitlines()]

@@ -31,6 +31,7 @@ class ShacOptions:
         trace: Lambda of the critic's targets.
         target_keep: Share of the target critic that stays at an update.
         critic_passes, critic_parts: Over the window's data, each in so many parts.
+        warm_up: Windows at the start that train the critic alone: the actor follows its slope.
         exploration: First standard deviation of commands; learnt.
         clip: Largest norm of a gradient.
         max_bad: As for ``GradientOptions``.
@@ -45,6 +46,7 @@ class ShacOptions:
     target_keep: float = 0.4
     critic_passes: int = 8
     critic_parts: int = 4
+    warm_up: int = 0
     exploration: float = 0.2
     clip: float = 1.0
     max_bad: int = 10
@@ -52,6 +54,9 @@ class ShacOptions:
 
 class Critic(nn.Module):
     """Value of an observation, scaled so that a mean reward per step of 1 is an output of 1.
+
+    It starts near zero everywhere: the actor follows its slope from the first window on, and random
+    values of tens of rewards would outweigh the rewards of a window.
 
     Args:
         num_observations: Width of normalised observations.
@@ -62,7 +67,7 @@ class Critic(nn.Module):
     def __init__(self, num_observations: int, discount: float, seed: int):
         super().__init__()
         self.scale = 1.0 / (1.0 - discount)
-        net = MLPController(num_observations, 1, normalise=False, seed=seed, output_gain=1.0)
+        net = MLPController(num_observations, 1, normalise=False, seed=seed)
         self.layers = net.layers[:-1]  # a value is not bounded: no tanh at the end
 
     def forward(self, normalised: Tensor) -> Tensor:
@@ -138,6 +143,7 @@ class ShacLearner:
             self.critic.parameters(), lr=o.critic_rate, betas=(0.7, 0.95)
         )
         self.rng = np.random.default_rng([setup.seed, 3])
+        self.windows = 0
         self.guard = NanGuard(o.max_bad)
         self.state = self.task.start(o.batch, self.rng)
         # so that episodes do not all end in the same window
@@ -164,10 +170,12 @@ class ShacLearner:
                 raise
         if self.guard.good(loss, norm):
             assert window is not None  # of good updates
-            self.actor_adam.step()
+            if self.windows >= o.warm_up:
+                self.actor_adam.step()
             self._fit_critic(window)
         else:
             self.state = self.task.start(len(before["step"]), self.rng)
+        self.windows += 1
         steps = o.window * o.batch
         scalars = {
             "train/reward": math.nan if window is None else float(window.rewards.mean()),
@@ -256,6 +264,7 @@ class ShacLearner:
         return {name: part.state_dict() for name, part in self._modules().items()} | {
             "log_spread": self.log_spread.detach().clone(),
             "rng": rng_state(self.rng),
+            "windows": self.windows,
             "bad": [self.guard.total, self.guard.in_a_row],
             "state": dict(self.state),
         }
@@ -267,5 +276,6 @@ class ShacLearner:
         with torch.no_grad():
             self.log_spread.copy_(state["log_spread"])
         set_rng_state(self.rng, state["rng"])
+        self.windows = state["windows"]
         self.guard.total, self.guard.in_a_row = state["bad"]
         self.state = state["state"]

@@ -14,6 +14,7 @@ pytest.importorskip("gymnasium", reason="environments need gymnasium: pip instal
 pytest.importorskip("stable_baselines3", reason="PPO is stable-baselines3's: pip install '.[rl]'")
 pytest.importorskip("tensorboard", reason="training writes a TensorBoard log")
 pytest.importorskip("matplotlib", reason="the comparison draws a figure")
+pytest.importorskip("cma", reason="CMA-ES is the package cma: pip install '.[rl]'")
 
 from diffsim.envs.registry import make_task
 from diffsim.learn import comparison, methods, presets
@@ -84,6 +85,9 @@ def test_summary_keeps_runs_that_never_reach_the_goal() -> None:
     gradient, ppo = comparison.summarise(runs, Scale(0.0, 1.0))
     assert gradient["reached"] == 3 and gradient["steps_to_goal"] == 10.0
     assert ppo["reached"] == 1 and ppo["steps_to_goal"] == math.inf
+    # PPO ends at 0.1, 0.95 and 0.2, the gradient is better at its first rating
+    assert ppo["gradient_steps_to_final"] == 10.0
+    assert comparison.summarise({"ppo": runs["ppo"]}, Scale(0.0, 1.0))[0]["reached"] == 1
     assert "| - | - | - |" in comparison.table("X", [ppo])
 
 
@@ -158,7 +162,7 @@ def test_every_method_may_try_equally_many_candidates() -> None:
                 set(plan.steps)
                 == set(plan.tuning_steps)
                 == set(plan.candidates)
-                == set(methods.METHODS)
+                <= set(methods.METHODS)
             )
             assert name == "quick" or len(plan.seeds) >= 5
 
@@ -206,3 +210,8 @@ def test_runs_in_progress_are_not_summed_up_but_failed_ones_are(tmp_path: Path) 
     (row,) = comparison.summarise(runs, Scale(0.0, 1.0))
     assert (row["runs"], row["finished"]) == (2, 1)
     assert "(1 failed)" in comparison.table("X", [row])
+
+    alone = tmp_path / "record"
+    alone.mkdir()
+    comparison.keep_record(runs, alone)
+    assert comparison.summarise(comparison.collect(plan, alone), Scale(0.0, 1.0)) == [row]

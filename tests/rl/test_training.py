@@ -14,14 +14,17 @@ import torch
 pytest.importorskip("gymnasium", reason="environments need gymnasium: pip install '.[rl]'")
 pytest.importorskip("stable_baselines3", reason="PPO is stable-baselines3's: pip install '.[rl]'")
 pytest.importorskip("tensorboard", reason="training writes a TensorBoard log")
+pytest.importorskip("cma", reason="CMA-ES is the package cma: pip install '.[rl]'")
 
 from diffsim.learn import gradient, run, shac
 from diffsim.learn.gradient import BadGradients, GradientLearner, GradientOptions, NanGuard
-from diffsim.learn.ppo import PpoLearner, PpoOptions
+from diffsim.learn.members import steer_members
+from diffsim.learn.methods import make_learner
+from diffsim.learn.open_loop import make_open_loop
 from diffsim.learn.run import Learner, Update, read_rows, train
 from diffsim.learn.setup import Setup, evaluate, first_controller
 from diffsim.learn.shac import ShacLearner, ShacOptions, td_lambda_targets
-from rl import train_gradient, train_ppo, train_shac
+from rl import train_cma, train_gradient, train_ppo, train_sac, train_shac
 
 TINY = Setup(
     "CopterHover",
@@ -34,16 +37,21 @@ TINY = Setup(
 FEW = GradientOptions(batch=4)
 
 
+SMALL: dict[str, dict[str, Any]] = {
+    "gradient": {"batch": 4},
+    "shac": {"batch": 4, "window": 5, "critic_passes": 1},
+    "ppo": {"envs": 4, "rollout": 10, "minibatch": 20, "epochs": 1},
+    "sac": {"envs": 4, "rollout": 10, "minibatch": 20, "passes": 2, "first": 40, "keep": 400},
+    "cma": {"population": 4},
+}
+
+
 def learner(method: str, setup: Setup = TINY) -> Learner:
     """Small ones."""
-    if method == "gradient":
-        return GradientLearner(setup, FEW)
-    if method == "shac":
-        return ShacLearner(setup, ShacOptions(batch=4, window=5, critic_passes=1))
-    return PpoLearner(setup, PpoOptions(envs=4, rollout=10, minibatch=20, epochs=1))
+    return make_learner(method, setup, SMALL[method])
 
 
-@pytest.mark.parametrize("script", [train_gradient, train_shac, train_ppo])
+@pytest.mark.parametrize("script", [train_gradient, train_shac, train_ppo, train_sac, train_cma])
 def test_quick_runs_write_results_a_checkpoint_and_a_log(script: Any, tmp_path: Path) -> None:
     script.main(["--quick", "--out", str(tmp_path)])
     rows = read_rows(tmp_path)
@@ -62,18 +70,24 @@ def test_open_loop_controllers_are_fitted_by_l_bfgs(tmp_path: Path) -> None:
     assert len(written["parameters"]["raw"]) == 20
 
 
-@pytest.mark.parametrize("method", ["gradient", "shac", "ppo"])
+@pytest.mark.parametrize("method", ["gradient", "shac", "ppo", "sac"])
 def test_methods_start_from_the_same_controller(method: str) -> None:
     first = first_controller(TINY.make_task(), TINY.seed, TINY.warm_up)
     made = learner(method).controller()
     x = torch.from_numpy(np.random.default_rng(0).standard_normal((5, 22)))
-    tolerance = 1e-6 if method == "ppo" else 0.0  # stable-baselines3 computes in single precision
+    tolerance = 1e-6 if method in ("ppo", "sac") else 0.0  # those compute in single precision
     torch.testing.assert_close(made(x), first(x), rtol=tolerance, atol=tolerance)
 
 
-def test_ppos_policy_is_the_controller_it_is_rated_as() -> None:
-    made = PpoLearner(TINY, PpoOptions(envs=4, rollout=10, minibatch=20, epochs=1))
-    made.update(0.0)
+@pytest.mark.parametrize(
+    ("method", "options"), [("ppo", {}), ("ppo", {"hold_noise": 4}), ("sac", {})]
+)
+def test_a_policy_of_stable_baselines3_is_the_controller_it_is_rated_as(
+    method: str, options: dict[str, Any]
+) -> None:
+    made: Any = make_learner(method, TINY, SMALL[method] | options)
+    for _ in range(3):
+        made.update(0.0)
     x = np.random.default_rng(0).standard_normal((5, 22))
     theirs, _ = made.model.predict(made.venv.normalize_obs(x), deterministic=True)
     ours = made.controller()(torch.from_numpy(x)).detach().numpy()
@@ -96,7 +110,7 @@ class Interrupted:
         return getattr(self.inner, name)
 
 
-@pytest.mark.parametrize("method", ["gradient", "shac"])
+@pytest.mark.parametrize("method", ["gradient", "shac", "cma"])
 def test_an_interrupted_run_continues_bit_for_bit(method: str, tmp_path: Path) -> None:
     whole = learner(method)
     straight = train(TINY, whole, tmp_path / "a", show=False)
@@ -111,12 +125,82 @@ def test_an_interrupted_run_continues_bit_for_bit(method: str, tmp_path: Path) -
         assert [r[key] for r in resumed.rows] == [r[key] for r in straight.rows]
 
 
-def test_ppo_continues_from_its_checkpoint(tmp_path: Path) -> None:
-    cut: Any = Interrupted(learner("ppo"), at=2)
+@pytest.mark.parametrize("method", ["ppo", "sac"])
+def test_stable_baselines3_continues_from_its_checkpoint(method: str, tmp_path: Path) -> None:
+    cut: Any = Interrupted(learner(method), at=2)
     with pytest.raises(KeyboardInterrupt):
         train(TINY, cut, tmp_path, show=False)
-    resumed = train(TINY, learner("ppo"), tmp_path, resume=True, show=False)
+    again: Any = learner(method)
+    again.load_state_dict(torch.load(tmp_path / run.CHECKPOINT, weights_only=True)["learner"])
+    for (key, old), new in zip(
+        cut.controller().state_dict().items(), again.controller().state_dict().values(), strict=True
+    ):
+        assert torch.equal(old, new), key
+    resumed = train(TINY, learner(method), tmp_path, resume=True, show=False)
     assert resumed.finished and resumed.updates == 4
+
+
+def test_sac_remembers_its_transitions() -> None:
+    made: Any = learner("sac")
+    for _ in range(3):
+        made.update(0.0)
+    again: Any = learner("sac")
+    again.load_state_dict(made.state_dict())
+    old, new = made.model.replay_buffer, again.model.replay_buffer
+    assert new.pos == old.pos == 30
+    np.testing.assert_array_equal(new.observations[:30], old.observations[:30])
+    assert np.abs(new.observations[:30]).max() > 0.0
+    assert torch.equal(again.model.log_ent_coef, made.model.log_ent_coef)
+    assert float(made.model.log_ent_coef.detach()) != 0.0
+
+
+def test_noise_that_is_held_is_one_function_of_the_state_for_some_steps() -> None:
+    made: Any = make_learner("ppo", TINY, SMALL["ppo"] | {"hold_noise": 4})
+    x = torch.from_numpy(np.random.default_rng(0).standard_normal((4, 22))).float()
+    policy = made.model.policy
+    first, again = (policy.get_distribution(x).get_actions() for _ in range(2))
+    assert torch.equal(first, again)
+    policy.reset_noise(4)
+    fresh = policy.get_distribution(x).get_actions()
+    away = (fresh - policy.get_distribution(x).mode()).detach().square().mean().sqrt()
+    assert 0.1 < float(away) < 1.0  # of the order of ``exploration``
+
+
+def test_members_are_steered_by_parameters_of_their_own() -> None:
+    task = TINY.make_task()
+    for kind in ("sinusoid", "knots"):
+        made = [make_open_loop(kind, task, seed) for seed in range(3)]
+        many = {
+            k: torch.stack([dict(m.named_parameters())[k].detach() for m in made])
+            for k, _ in made[0].named_parameters()
+        }
+        seen = torch.zeros(3, task.num_observations, dtype=torch.float64)
+        want = torch.stack([m(seen[0], 7) for m in made])
+        torch.testing.assert_close(steer_members(made[0], many)(seen, 7), want)
+
+
+def test_cma_es_finds_a_signal_of_known_best(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: Any = make_learner("cma", TINY, {"population": 8, "spread": 0.3})
+    best = np.linspace(-0.5, 0.5, 9)
+    monkeypatch.setattr(
+        made, "_rewards", lambda rows: torch.from_numpy(-np.square(rows - best).sum(1))
+    )
+    for _ in range(60):
+        made.update(0.0)
+    np.testing.assert_allclose(made.search.mean, best, atol=0.05)
+    found = torch.cat([p.detach().flatten() for p in made.controller().parameters()])
+    np.testing.assert_allclose(found.numpy(), made.search.mean)
+
+
+def test_the_first_window_may_train_the_critic_alone() -> None:
+    made = ShacLearner(TINY, ShacOptions(batch=4, window=5, critic_passes=1, warm_up=1))
+    actor = [p.detach().clone() for p in made.net.parameters()]
+    critic = [p.detach().clone() for p in made.critic.parameters()]
+    made.update(0.0)
+    assert all(torch.equal(a, b) for a, b in zip(actor, made.net.parameters(), strict=True))
+    assert not torch.equal(critic[0], next(made.critic.parameters()))
+    made.update(0.1)
+    assert not torch.equal(actor[0], next(made.net.parameters()))
 
 
 def test_a_checkpoint_of_another_run_is_refused(tmp_path: Path) -> None:
@@ -224,7 +308,11 @@ def test_a_cosine_falls_from_one_to_a_tenth() -> None:
     assert gradient.cosine_rate(1.0, 2.0) == pytest.approx(0.1)
 
 
-def test_the_critic_is_not_bounded() -> None:
+def test_the_critic_starts_near_zero_and_is_not_bounded() -> None:
     critic = shac.Critic(3, 0.99, seed=0)
     assert critic.scale == pytest.approx(100.0)
-    assert float(critic(1e3 * torch.ones(1, 3).double()).detach().abs()) > 1.0
+    x = torch.from_numpy(np.random.default_rng(0).standard_normal((50, 3)))
+    assert float(critic(x).detach().abs().max()) < 5.0  # of 100: the actor follows its slope
+    with torch.no_grad():
+        critic.layers[-1].weight.mul_(1e3)
+    assert float(critic(x).detach().abs().max()) > 100.0

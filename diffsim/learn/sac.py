@@ -1,0 +1,142 @@
+"""SAC of stable-baselines3, from the same first controller as the gradient methods.
+
+Its policy is a tanh of a Gaussian; rated is the tanh of the mean, which is an ``MLPController``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3 import SAC
+from stable_baselines3.common.vec_env import VecNormalize
+from torch import nn
+
+from diffsim.control import MLPController
+from diffsim.envs.sb3 import Sb3VecEnv
+from diffsim.envs.task import Task
+from diffsim.envs.vector_env import TaskVectorEnv
+from diffsim.learn.run import Update
+from diffsim.learn.setup import Setup, first_controller
+from diffsim.learn.stable_baselines3 import (
+    as_controller,
+    linear_layers,
+    moments_of,
+    set_moments,
+    start_from,
+)
+
+_BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+@dataclass(frozen=True)
+class SacOptions:
+    """Of ``SacLearner``.
+
+    Attributes:
+        envs: Members of the vector environment.
+        rollout: Steps of each between two rounds of training.
+        passes: Steps of Adam per such round.
+        minibatch: Transitions per step of Adam.
+        learning_rate: Of actor, critics and temperature.
+        discount: Per step.
+        keep: Transitions remembered.
+        first: Transitions under random commands before training begins.
+        soft: Share of the critics that enters the target ones per step of Adam.
+        exploration: First standard deviation before the tanh.
+    """
+
+    envs: int = 16
+    rollout: int = 8
+    passes: int = 64
+    minibatch: int = 256
+    learning_rate: float = 1e-3
+    discount: float = 0.99
+    keep: int = 200_000
+    first: int = 1_000
+    soft: float = 0.005
+    exploration: float = 0.5
+
+
+class SacLearner:
+    """stable-baselines3's SAC, one round of collecting and training per update.
+
+    Args:
+        setup: Task and seed.
+        options: Of the method.
+    """
+
+    def __init__(self, setup: Setup, options: SacOptions | None = None):
+        self.options = o = options or SacOptions()
+        self.task: Task = setup.make_task()
+        first = first_controller(self.task, setup.seed, setup.warm_up)
+        self.venv = VecNormalize(
+            Sb3VecEnv(TaskVectorEnv(self.task, o.envs)),
+            gamma=o.discount,
+            clip_obs=10.0,
+            norm_reward=False,
+        )
+        self.model: Any = SAC(
+            "MlpPolicy",
+            self.venv,
+            learning_rate=o.learning_rate,
+            buffer_size=o.keep,
+            learning_starts=o.first,
+            batch_size=o.minibatch,
+            tau=o.soft,
+            gamma=o.discount,
+            train_freq=(o.rollout, "step"),
+            gradient_steps=o.passes,
+            seed=setup.seed,
+            device="cpu",
+            policy_kwargs={"net_arch": [64, 64], "activation_fn": nn.Tanh},
+        )
+        start_from(first, self._policy_layers(), self.venv)
+        with torch.no_grad():
+            spread: Any = self.model.actor.log_std
+            spread.weight.zero_()
+            spread.bias.fill_(float(np.log(o.exploration)))
+
+    def controller(self) -> MLPController:
+        """See ``Learner``."""
+        return as_controller(self.task, self._policy_layers(), self.venv)
+
+    def update(self, progress: float) -> Update:
+        """Some steps of all members, then some of Adam."""
+        steps = self.options.envs * self.options.rollout
+        self.model.learn(total_timesteps=steps, reset_num_timesteps=False)
+        values = self.model.logger.name_to_value
+        return Update(steps, 0, {k: float(v) for k, v in values.items() if k.startswith("train/")})
+
+    def _policy_layers(self) -> list[nn.Linear]:
+        actor = self.model.actor
+        return linear_layers(actor.latent_pi, actor.mu)
+
+    def state_dict(self) -> dict[str, Any]:
+        """See ``Learner``. Episodes in progress are not kept: a resumed run starts new ones."""
+        buffer = self.model.replay_buffer
+        rows = buffer.buffer_size if buffer.full else buffer.pos
+        return {
+            "parameters": self.model.get_parameters(),
+            "log_temperature": self.model.log_ent_coef.detach().clone(),
+            "moments": moments_of(self.venv),
+            "buffer": {k: torch.from_numpy(getattr(buffer, k)[:rows].copy()) for k in _BUFFER},
+            "place": [buffer.pos, buffer.full],
+            "num_timesteps": self.model.num_timesteps,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """See ``Learner``."""
+        self.model.set_parameters(state["parameters"])
+        with torch.no_grad():
+            self.model.log_ent_coef.copy_(state["log_temperature"])
+        set_moments(self.venv, state["moments"])
+        buffer = self.model.replay_buffer
+        for name, rows in state["buffer"].items():
+            getattr(buffer, name)[: len(rows)] = rows.numpy()
+        buffer.pos, buffer.full = state["place"]
+        self.model.num_timesteps = state["num_timesteps"]
+        # not the episodes of the first part again
+        self.model.set_random_seed(self.model.seed + state["num_timesteps"])

@@ -1,0 +1,25 @@
+"""Search an open-loop controller with few parameters by CMA-ES.
+
+python rl/train_cma.py --task SharkSwim --task-options '{"robot": {"coarse": true}}' --seed 0
+python rl/train_cma.py --kind knots --task StarfishSwim
+python rl/train_cma.py --quick
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from diffsim.learn.cma_es import CmaLearner, CmaOptions
+from diffsim.learn.options import main_training
+from diffsim.learn.run import Run
+
+QUICK = {"population": 4}
+
+
+def main(argv: Sequence[str] | None = None) -> Run:
+    """Run; see the module."""
+    return main_training("cma", CmaLearner, CmaOptions, QUICK, __doc__, argv)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,24 @@
+"""Train a controller with stable-baselines3's SAC on the native vector environment.
+
+python rl/train_sac.py --task CopterHover --seed 0 --steps 50000
+python rl/train_sac.py --quick
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from diffsim.learn.options import main_training
+from diffsim.learn.run import Run
+from diffsim.learn.sac import SacLearner, SacOptions
+
+QUICK = {"envs": 8, "rollout": 10, "passes": 2, "minibatch": 40, "first": 80, "keep": 1_000}
+
+
+def main(argv: Sequence[str] | None = None) -> Run:
+    """Run; see the module."""
+    return main_training("sac", SacLearner, SacOptions, QUICK, __doc__, argv)
+
+
+if __name__ == "__main__":
+    main()
