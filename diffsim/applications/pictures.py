@@ -62,7 +62,7 @@ def motion_strip(
             axes: Any = figure.add_axes(place, projection="3d", computed_zorder=False)
             axes.patch.set_visible(False)
             axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-            axes.set_box_aspect(tuple(size), zoom=0.84 if wide else 1.3)
+            axes.set_box_aspect(tuple(size), zoom=0.84 if wide else 1.1)
             axes.view_init(*view)
             axes.set_axis_off()
             if application.obstacles:

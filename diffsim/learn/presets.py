@@ -69,12 +69,12 @@ _STARFISH: _Candidates = {
         {"kind": "knots", "spread": 0.5},
     ),
 }
-# of what the starfish's search has shown to be best, and the best of the others
+# of what the starfish's search has shown to be best; short episodes leave the shark where it starts
 _SHARK: _Candidates = {
     "gradient": (
         {"batch": 1, "learning_rate": 1e-2},
-        {"batch": 2, "learning_rate": 1e-2, "horizon": 100},
-        {"batch": 2, "learning_rate": 1e-2, "horizon": 50},
+        {"batch": 1, "learning_rate": 3e-2},
+        {"batch": 2, "learning_rate": 3e-2},
     ),
     "shac": _STARFISH["shac"][1:4],
     "ppo": (
@@ -128,7 +128,7 @@ def _coarse() -> dict[str, Plan]:
         "StarfishSwim": _swim(
             "StarfishSwim", _STARFISH, coarse=True, steps=2_400, ppo_steps=28_672
         ),
-        "SharkSwim": _swim("SharkSwim", _SHARK, coarse=True, steps=2_400, ppo_steps=28_672),
+        "SharkSwim": _swim("SharkSwim", _SHARK, coarse=True, steps=4_800, ppo_steps=28_672),
     }
 
 

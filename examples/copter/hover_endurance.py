@@ -9,7 +9,7 @@ come from the electrical power of the thrusts flown, which stays the same as the
 thesis prints no numbers.
 
 Expected: after five minutes 11.12 V and 12.83 A for the standard quadcopter (142 W), 11.23 V and
-11.52 A for the optimised one (129 W), as the thesis has it; 10.7 % more endurance (9.9 and 10.9
+11.52 A for the optimised one (129 W), as the thesis has it; 10.5 % more endurance (9.9 and 10.9
 minutes to 5 % of charge). Both hold their place to 0.05 m rms. Charge left 0.536 and 0.583; counted
 at constant current, as the kernel does, 0.516 and 0.561. Running time: 0.09 CPU seconds per flight,
 5 with imports and loading.
