@@ -6,8 +6,8 @@ command, execute it again. The laboratory is a robot of rods with its own water,
 camera, and shares no code with the model. Ends with Table 5.2 and Figs. 5-6 to 5-9 of ours, and
 with the same identification on the recordings of the real robot.
 
-Expected: from -0.02 cm/s (hand-made sine) to 0.92, 1.17, 1.12 and 1.14 cm/s, predicted to 0.02 cm/s
-in the end; 210 s of processor time, and 40 s for the real robot (docs/sim_to_real.md). Every
+Expected: from -0.02 cm/s (hand-made sine) to 1.20, 1.25 and 1.24 cm/s, predicted to 0.11 cm/s in
+the end; 240 s of processor time, and 40 s for the real robot (docs/sim_to_real.md). Every
 experiment is saved at once; after an interruption ``--resume`` goes on without repeating one.
 
     python examples/sim_to_real/starfish_loop.py --out runs/starfish_loop
