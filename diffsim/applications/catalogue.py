@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from diffsim._check import require_choice
@@ -31,6 +32,7 @@ class Example:
         return self.path.parent.name
 
 
+@cache  # the gallery asks for every result, and all scripts are read
 def examples(folder: Path = FOLDER) -> dict[str, Example]:
     """All runnable examples by name.
 

@@ -24,6 +24,8 @@ from diffsim.learn.run import Update
 from diffsim.learn.setup import Setup, first_controller
 from diffsim.learn.stable_baselines3 import (
     as_controller,
+    go_on_from,
+    learn,
     linear_layers,
     moments_of,
     set_moments,
@@ -121,10 +123,7 @@ class PpoLearner:
         """One rollout and its epochs; the learning rate is annealed over the whole budget."""
         o = self.options
         self.rate = o.learning_rate * max(0.0, 1.0 - progress)
-        steps = o.envs * o.rollout
-        self.model.learn(total_timesteps=steps, reset_num_timesteps=False)
-        values = self.model.logger.name_to_value
-        return Update(steps, 0, {k: float(v) for k, v in values.items() if k.startswith("train/")})
+        return learn(self.model, o.envs * o.rollout)
 
     def _policy_layers(self) -> list[nn.Linear]:
         policy = self.model.policy
@@ -144,6 +143,4 @@ class PpoLearner:
         self.model.policy.load_state_dict(state["policy"])
         self.model.policy.optimizer.load_state_dict(state["optimizer"])
         set_moments(self.venv, state["moments"])
-        self.model.num_timesteps = state["num_timesteps"]
-        # not the episodes of the first part again
-        self.model.set_random_seed(self.model.seed + state["num_timesteps"])
+        go_on_from(self.model, state["num_timesteps"])

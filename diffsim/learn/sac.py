@@ -22,6 +22,8 @@ from diffsim.learn.run import Update
 from diffsim.learn.setup import Setup, first_controller
 from diffsim.learn.stable_baselines3 import (
     as_controller,
+    go_on_from,
+    learn,
     linear_layers,
     moments_of,
     set_moments,
@@ -105,10 +107,7 @@ class SacLearner:
 
     def update(self, progress: float) -> Update:
         """Some steps of all members, then some of Adam."""
-        steps = self.options.envs * self.options.rollout
-        self.model.learn(total_timesteps=steps, reset_num_timesteps=False)
-        values = self.model.logger.name_to_value
-        return Update(steps, 0, {k: float(v) for k, v in values.items() if k.startswith("train/")})
+        return learn(self.model, self.options.envs * self.options.rollout)
 
     def _policy_layers(self) -> list[nn.Linear]:
         actor = self.model.actor
@@ -137,6 +136,4 @@ class SacLearner:
         for name, rows in state["buffer"].items():
             getattr(buffer, name)[: len(rows)] = rows.numpy()
         buffer.pos, buffer.full = state["place"]
-        self.model.num_timesteps = state["num_timesteps"]
-        # not the episodes of the first part again
-        self.model.set_random_seed(self.model.seed + state["num_timesteps"])
+        go_on_from(self.model, state["num_timesteps"])

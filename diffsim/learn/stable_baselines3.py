@@ -11,6 +11,7 @@ from torch import nn
 
 from diffsim.control import MLPController
 from diffsim.envs.task import Task
+from diffsim.learn.run import Update
 
 
 def linear_layers(*modules: nn.Module) -> list[nn.Linear]:
@@ -62,3 +63,16 @@ def set_moments(venv: VecNormalize, moments: dict[str, list[Any]]) -> None:
     for name, (mean, var, count) in moments.items():
         rms = getattr(venv, name)
         rms.mean, rms.var, rms.count = mean.numpy().copy(), var.numpy().copy(), count
+
+
+def learn(model: Any, steps: int) -> Update:
+    """Let a model take ``steps`` steps and train on them; its own figures are the update's."""
+    model.learn(total_timesteps=steps, reset_num_timesteps=False)
+    values = model.logger.name_to_value
+    return Update(steps, 0, {k: float(v) for k, v in values.items() if k.startswith("train/")})
+
+
+def go_on_from(model: Any, num_timesteps: int) -> None:
+    """Set a loaded model's count of steps, and a seed that draws other episodes than the first."""
+    model.num_timesteps = num_timesteps
+    model.set_random_seed(model.seed + num_timesteps)
