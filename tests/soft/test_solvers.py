@@ -429,3 +429,36 @@ def test_prepared_objects_die_with_their_body():
         use(backward)
         gc.collect()
         assert len(_soft_context.contexts) == before
+
+
+@pytest.mark.parametrize(
+    ("method", "counter", "limit"),
+    [
+        # before lines were searched beyond the full step, and saddles left by L-BFGS: 80
+        ("newton_cholesky", "num_factorizations", 50),
+        ("auto", "num_factorizations", 8),  # 17
+        ("newton_pcg", "num_solves", 500),  # 1746
+    ],
+)
+def test_a_bar_that_buckles_within_a_step_takes_few_iterations(method, counter, limit):
+    box = mesh.hex_box((24, 2, 2), (0.24, 0.02, 0.02))
+    x = box.x_rest
+    ends = (x[:, 0] == 0) | (x[:, 0] == x[:, 0].max())
+    options = dict(dt=0.05, youngs_modulus=1e5, poissons_ratio=0.3, fixed=ends)
+    target = x.clone()
+    target[x[:, 0] > 0.23, 0] -= 0.024
+    side = torch.zeros_like(x)
+    side[:, 2] = 1e-5
+    ended = {}
+    for name in (method, "quasi_newton"):
+        solver = soft.SolverOptions(method=name, rtol=1e-8)
+        body = soft.SoftBody(box, solver=solver, **options)
+        with soft.record_stats() as solves:
+            end = soft.step(body, body.rest_state(), external_force=side, dirichlet_target=target).x
+        ended[name] = end, solves[0]
+    found, by_lbfgs = ended[method], ended["quasi_newton"]
+    assert getattr(found[1], counter).item() <= limit
+    middle = (x[:, 0] - 0.12).abs() < 1e-9
+    assert abs((found[0] - x)[middle, 2].mean()) > 0.02  # a tenth of its length shorter: it bows
+    torch.testing.assert_close(found[0], by_lbfgs[0], atol=1e-5, rtol=0)
+    torch.testing.assert_close(found[1].energy, by_lbfgs[1].energy, atol=0, rtol=1e-6)
