@@ -1,8 +1,9 @@
 """Training through the simulator against reinforcement learning (thesis Fig. 4-17).
 
-python rl/compare.py --preset quick       # a minute
-python rl/compare.py --preset coarse      # copter and coarse swimmers
-python rl/compare.py --preset thesis      # 7,020 and 10,017 degrees of freedom: days
+python rl/compare.py --preset quick         # a minute
+python rl/compare.py --preset coarse        # copter and coarse swimmers
+python rl/compare.py --preset thesis_short  # 7,020 and 10,017 degrees of freedom: hours
+python rl/compare.py --preset thesis        # the same, twenty times the budget: days
 python rl/compare.py --preset coarse --tasks CopterHover --methods gradient ppo --seeds 0 1
 
 Interrupt it at will: finished runs are not repeated, others continue. Several processes may share
@@ -27,7 +28,7 @@ from diffsim.learn.methods import METHODS, Plan
 from diffsim.learn.presets import PRESETS, preset
 
 
-def report(task: str, plan: Plan, folder: Path, images: Path, *, quality: bool) -> str | None:
+def report(task: str, plan: Plan, folder: Path, figure: Path, *, quality: bool) -> str | None:
     """Figure and tables of one task; None where no training by gradient has ended yet."""
     runs = comparison.collect(plan, folder)
     if "gradient" not in runs:
@@ -36,7 +37,7 @@ def report(task: str, plan: Plan, folder: Path, images: Path, *, quality: bool) 
     scale = comparison.scale_of(plan, folder, runs)
     summary = comparison.summarise(runs, scale)
     write_json_atomic(folder / "summary.json", {"task": task, "methods": summary})
-    comparison_figure(images / f"learning_{task}.png", task, runs, scale)
+    comparison_figure(figure, task, runs, scale)
     tables = [comparison.table(task, summary)]
     if quality:
         tables.append(comparison.quality_table(task, comparison.quality_of(plan, folder)))
@@ -69,7 +70,9 @@ def main(argv: Sequence[str] | None = None) -> None:
                 comparison.run_all(plan, folder, methods=args.methods, seeds=args.seeds)
             except KeyboardInterrupt:
                 raise SystemExit(130) from None
-        text = report(task, plan, folder, args.images or folder, quality=not args.no_quality)
+        size = "_thesis_size" if args.preset.startswith("thesis") else ""
+        figure = (args.images or folder) / f"learning_{task}{size}.png"
+        text = report(task, plan, folder, figure, quality=not args.no_quality)
         if text is not None:
             write_text_atomic(folder / "report.md", text)
             print(text)

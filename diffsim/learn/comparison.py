@@ -57,17 +57,20 @@ def run_all(
 def collect(plan: Plan, folder: Path) -> Runs:
     """Ratings of the runs that ended, failed ones too, by method and seed.
 
-    Where there are no runs they come from the record that ``keep_record`` left.
+    Runs that are not in the folder come from the record that ``keep_record`` left, so that methods
+    and seeds can be added to a comparison whose runs are gone.
     """
     found: Runs = {}
+    if (folder / RECORD).exists():
+        for row in read_rows(folder / RECORD):
+            method, seed = row.pop("method"), row.pop("seed")
+            found.setdefault(method, {}).setdefault(seed, []).append(row)
     for method in METHODS:
         for path in sorted((folder / method).glob("seed_*")):
             rows = read_rows(path)
             if rows and (rows[-1]["finished"] or (path / FAILURE).exists()):
                 found.setdefault(method, {})[int(path.name.removeprefix("seed_"))] = rows
-    if not found and (folder / RECORD).exists():
-        for row in read_rows(folder / RECORD):
-            found.setdefault(row["method"], {}).setdefault(row["seed"], []).append(row)
+    found = {method: dict(sorted(found[method].items())) for method in METHODS if method in found}
     extra = plan.setup.step_cost - 1.0
     for row in (r for by_seed in found.values() for rows in by_seed.values() for r in rows):
         row["forward_equivalents"] = row["steps"] + extra * row["gradient_steps"]

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 LOOK = {
     "gradient": ("Adam through the simulator", CYCLE[0]),
     "shac": ("short-horizon actor-critic", CYCLE[2]),
+    "sapo": ("SAPO", CYCLE[6]),
+    "mixed": ("mix with sampled gradients", CYCLE[5]),
     "ppo": ("PPO", CYCLE[1]),
     "sac": ("SAC", CYCLE[3]),
     "cma": ("CMA-ES, open loop", CYCLE[4]),

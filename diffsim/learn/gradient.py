@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from diffsim.control import MLPController
 from diffsim.envs.rollout import rollout_task
-from diffsim.envs.task import Task
+from diffsim.envs.task import Task, TaskState
 from diffsim.learn.run import Update, rng_state, set_rng_state
 from diffsim.learn.setup import Setup, broke_down, first_controller
 
@@ -81,6 +81,21 @@ def set_rate(optimiser: torch.optim.Optimizer, rate: float) -> None:
         group["lr"] = rate
 
 
+@dataclass(frozen=True)
+class Batch:
+    """What a differentiated batch of episodes leaves besides its gradient.
+
+    Attributes:
+        reward: Mean over steps and episodes, without gradient.
+        seen: (n, num_observations) before failures.
+        scalars: For the log, beside those of all batches.
+    """
+
+    reward: Tensor
+    seen: Tensor
+    scalars: dict[str, float] = field(default_factory=dict)
+
+
 class GradientLearner:
     """Adam on the mean reward of whole episodes.
 
@@ -108,28 +123,32 @@ class GradientLearner:
         start = self.task.start(o.batch, self.rng)
         self.adam.zero_grad()
         set_rate(self.adam, cosine_rate(o.learning_rate, progress))
-        loss, norm, seen = None, None, None
+        batch, norm = None, None
         try:
-            episode = rollout_task(
-                self.task, self.net, start, horizon, cut_every=o.cut_every or None
-            )
-            loss, seen = -episode.rewards.mean(), episode.observations[episode.alive]
-            loss.backward()  # type: ignore[no-untyped-call]
+            batch = self._differentiate(start, horizon)
             norm = nn.utils.clip_grad_norm_(self.net.parameters(), o.clip)
         except (ArithmeticError, RuntimeError, ValueError) as error:
             if not broke_down(error):
                 raise
-        if self.guard.good(loss, norm):
+        if self.guard.good(None if batch is None else batch.reward, norm):
             self.adam.step()
-            assert self.net.normaliser is not None and seen is not None  # of good updates
-            self.net.normaliser.update(seen)
+            assert self.net.normaliser is not None and batch is not None  # of good updates
+            self.net.normaliser.update(batch.seen)
         steps = horizon * o.batch
         scalars = {
-            "train/reward": math.nan if loss is None else -float(loss.detach()),
+            "train/reward": math.nan if batch is None else float(batch.reward),
             "train/gradient_norm": math.nan if norm is None else float(norm),
             "train/bad_updates": float(self.guard.total),
         }
-        return Update(steps, steps, scalars)
+        return Update(steps, steps, scalars | ({} if batch is None else batch.scalars))
+
+    def _differentiate(self, start: TaskState, horizon: int) -> Batch:
+        """Leave the gradient of minus the mean reward in the network's parameters."""
+        cut = self.options.cut_every or None
+        episode = rollout_task(self.task, self.net, start, horizon, cut_every=cut)
+        reward = episode.rewards.mean()
+        (-reward).backward()  # type: ignore[no-untyped-call]
+        return Batch(reward.detach(), episode.observations[episode.alive])
 
     def state_dict(self) -> dict[str, Any]:
         """See ``Learner``."""

@@ -13,12 +13,14 @@ import numpy as np
 from diffsim._check import require_choice
 from diffsim._files import write_json_atomic
 from diffsim.learn.gradient import BadGradients, GradientLearner, GradientOptions
+from diffsim.learn.mixed import MixedLearner, MixedOptions
 from diffsim.learn.run import Learner, is_finished, read_rows, train
+from diffsim.learn.sapo import SapoLearner, SapoOptions
 from diffsim.learn.setup import Setup, broke_down
 from diffsim.learn.shac import ShacLearner, ShacOptions
 
 Options = Mapping[str, Any]
-METHODS = ("gradient", "shac", "ppo", "sac", "cma")
+METHODS = ("gradient", "shac", "sapo", "mixed", "ppo", "sac", "cma")
 FAILURE = "failure.txt"  # why a run ended before its budget
 TUNING_SEED = 100  # of no compared run
 
@@ -36,6 +38,10 @@ def make_learner(method: str, setup: Setup, options: Options) -> Learner:
         return GradientLearner(setup, GradientOptions(**options))
     if method == "shac":
         return ShacLearner(setup, ShacOptions(**options))
+    if method == "sapo":
+        return SapoLearner(setup, SapoOptions(**options))
+    if method == "mixed":
+        return MixedLearner(setup, MixedOptions(**options))
     # what follows needs packages of the extra "rl"
     if method == "cma":
         from diffsim.learn.cma_es import CmaLearner, CmaOptions

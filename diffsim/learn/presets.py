@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from diffsim._check import require_choice
-from diffsim.learn.methods import Plan
+from diffsim.learn.methods import Options, Plan
 from diffsim.learn.setup import Setup
 
 _Candidates = dict[str, tuple[dict[str, Any], ...]]
@@ -24,6 +24,17 @@ _COPTER: _Candidates = {
         {"batch": 64, "window": 16, "actor_rate": 1e-2},
         {"batch": 64, "window": 32, "actor_rate": 3e-3},
         {"batch": 64, "window": 32, "actor_rate": 1e-2},
+    ),
+    # with what the search has chosen for the short-horizon actor-critic
+    "sapo": (
+        {"batch": 64, "window": 32, "actor_rate": 1e-2, "temperature": 0.1},
+        {"batch": 64, "window": 32, "actor_rate": 1e-2, "temperature": 0.01},
+        {"batch": 64, "window": 32, "actor_rate": 1e-2, "temperature": 1.0},
+    ),
+    "mixed": (
+        {"batch": 16, "horizon": 50, "learning_rate": 1e-2},
+        {"batch": 4, "learning_rate": 1e-2},
+        {"batch": 4, "learning_rate": 1e-2, "cut_every": 50},
     ),
     "ppo": (
         {"envs": 16, "rollout": 128, "learning_rate": 3e-4},
@@ -87,17 +98,28 @@ _SHARK: _Candidates = {
 
 
 def _copter(task: str, scale: float) -> Plan:
-    steps = {"gradient": 24_000, "shac": 96_000, "ppo": 80_000, "sac": 24_000}
-    tuning = {"gradient": 24_000, "shac": 48_000, "ppo": 64_000, "sac": 12_000}
+    steps = {"gradient": 24_000, "shac": 96_000, "sapo": 96_000, "mixed": 24_000}
+    tuning = {"gradient": 24_000, "shac": 48_000, "sapo": 48_000, "mixed": 24_000}
+    steps |= {"ppo": 80_000, "sac": 24_000}
+    tuning |= {"ppo": 64_000, "sac": 12_000}
     return Plan(Setup(task, step_cost=1.9), _times(scale, steps), _times(scale, tuning), _COPTER)
 
 
-def _swim(task: str, candidates: _Candidates, *, coarse: bool, steps: int, ppo_steps: int) -> Plan:
+def _swim(
+    task: str,
+    candidates: _Candidates,
+    *,
+    coarse: bool,
+    steps: int,
+    ppo_steps: int,
+    quality: Options = _SWIM_QUALITY,
+) -> Plan:
     options = {"robot": {"coarse": coarse}}
     setup = Setup(task, options, evaluation_episodes=2, step_cost=_SWIM_COST)
     budget = {"gradient": steps, "shac": 2 * steps, "ppo": ppo_steps, "cma": ppo_steps}
     tuning = {"gradient": steps, "shac": steps, "ppo": ppo_steps // 4, "cma": ppo_steps // 4}
-    return Plan(setup, budget, tuning, candidates, ratings=6, quality=_SWIM_QUALITY)
+    budget, tuning = ({m: b[m] for m in candidates} for b in (budget, tuning))
+    return Plan(setup, budget, tuning, candidates, ratings=6, quality=quality)
 
 
 def _times(scale: float, steps: dict[str, int]) -> dict[str, int]:
@@ -109,6 +131,8 @@ def _quick() -> dict[str, Plan]:
     candidates: _Candidates = {
         "gradient": ({"batch": 4}, {"batch": 4, "learning_rate": 1e-2}),
         "shac": ({"batch": 4, "window": 8}, {"batch": 4, "window": 4}),
+        "sapo": ({"batch": 4, "window": 8}, {"batch": 4, "window": 4}),
+        "mixed": ({"batch": 4}, {"batch": 4, "learning_rate": 1e-2}),
         "ppo": (
             {"envs": 4, "rollout": 32, "minibatch": 64},
             {"envs": 8, "rollout": 16, "minibatch": 64},
@@ -116,7 +140,7 @@ def _quick() -> dict[str, Plan]:
         "sac": ({"passes": 2, "first": 128}, {"passes": 4, "first": 128}),
         "cma": ({"population": 4}, {"population": 8}),
     }
-    steps = {"gradient": 640, "shac": 640, "ppo": 1280, "sac": 640, "cma": 640}
+    steps = dict.fromkeys(candidates, 640) | {"ppo": 1280}
     plan = Plan(setup, steps, _times(0.5, steps), candidates, seeds=(0, 1), ratings=4)
     return {"CopterHover": plan}
 
@@ -144,9 +168,34 @@ def _thesis() -> dict[str, Plan]:
     }
 
 
+def _thesis_short() -> dict[str, Plan]:
+    """The thesis's bodies, on about the coarse preset's budgets (PPO: 16,384 steps).
+
+    The two best candidates of each method's search on the coarse body are tried again.
+    """
+    starfish: _Candidates = {
+        "gradient": (_STARFISH["gradient"][3], _STARFISH["gradient"][0]),
+        "ppo": (_STARFISH["ppo"][4], _STARFISH["ppo"][3]),
+    }
+    shark: _Candidates = {
+        "gradient": (_SHARK["gradient"][2], _SHARK["gradient"][0]),
+        "ppo": (_SHARK["ppo"][1], _SHARK["ppo"][2]),
+    }
+    few = {"horizons": (10, 25, 50, 100), "episodes": 1, "directions": 16}
+    return {
+        "StarfishSwim": _swim(
+            "StarfishSwim", starfish, coarse=False, steps=2_400, ppo_steps=16_384, quality=few
+        ),
+        "SharkSwim": _swim(
+            "SharkSwim", shark, coarse=False, steps=4_800, ppo_steps=16_384, quality=few
+        ),
+    }
+
+
 PRESETS: dict[str, Callable[[], dict[str, Plan]]] = {
     "quick": _quick,
     "coarse": _coarse,
+    "thesis_short": _thesis_short,
     "thesis": _thesis,
 }
 

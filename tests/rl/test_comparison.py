@@ -215,3 +215,12 @@ def test_runs_in_progress_are_not_summed_up_but_failed_ones_are(tmp_path: Path) 
     alone.mkdir()
     comparison.keep_record(runs, alone)
     assert comparison.summarise(comparison.collect(plan, alone), Scale(0.0, 1.0)) == [row]
+
+    # a method added later joins the record
+    folder = alone / "ppo" / "seed_3"
+    folder.mkdir(parents=True)
+    later = [r | {"gradient_steps": 0} for r in rows([0.0, 0.2])]
+    (folder / "results.jsonl").write_text("\n".join(json.dumps(r) for r in later) + "\n")
+    both = comparison.collect(plan, alone)
+    assert {m: sorted(r) for m, r in both.items()} == {"gradient": [1, 2], "ppo": [3]}
+    assert both["gradient"] == runs["gradient"]

@@ -16,15 +16,16 @@ pytest.importorskip("stable_baselines3", reason="PPO is stable-baselines3's: pip
 pytest.importorskip("tensorboard", reason="training writes a TensorBoard log")
 pytest.importorskip("cma", reason="CMA-ES is the package cma: pip install '.[rl]'")
 
-from diffsim.learn import gradient, run, shac
+from diffsim.learn import gradient, run
+from diffsim.learn.critics import Critic, td_lambda_targets
 from diffsim.learn.gradient import BadGradients, GradientLearner, GradientOptions, NanGuard
 from diffsim.learn.members import steer_members
 from diffsim.learn.methods import make_learner
 from diffsim.learn.open_loop import make_open_loop
 from diffsim.learn.run import Learner, Update, read_rows, train
 from diffsim.learn.setup import Setup, evaluate, first_controller
-from diffsim.learn.shac import ShacLearner, ShacOptions, td_lambda_targets
-from rl import train_cma, train_gradient, train_ppo, train_sac, train_shac
+from diffsim.learn.shac import ShacLearner, ShacOptions
+from rl import train_cma, train_gradient, train_mixed, train_ppo, train_sac, train_sapo, train_shac
 
 TINY = Setup(
     "CopterHover",
@@ -40,6 +41,8 @@ FEW = GradientOptions(batch=4)
 SMALL: dict[str, dict[str, Any]] = {
     "gradient": {"batch": 4},
     "shac": {"batch": 4, "window": 5, "critic_passes": 1},
+    "sapo": {"batch": 4, "window": 5, "critic_passes": 1},
+    "mixed": {"batch": 4},
     "ppo": {"envs": 4, "rollout": 10, "minibatch": 20, "epochs": 1},
     "sac": {"envs": 4, "rollout": 10, "minibatch": 20, "passes": 2, "first": 40, "keep": 400},
     "cma": {"population": 4},
@@ -51,7 +54,9 @@ def learner(method: str, setup: Setup = TINY) -> Learner:
     return make_learner(method, setup, SMALL[method])
 
 
-@pytest.mark.parametrize("script", [train_gradient, train_shac, train_ppo, train_sac, train_cma])
+@pytest.mark.parametrize(
+    "script", [train_gradient, train_shac, train_sapo, train_mixed, train_ppo, train_sac, train_cma]
+)
 def test_quick_runs_write_results_a_checkpoint_and_a_log(script: Any, tmp_path: Path) -> None:
     script.main(["--quick", "--out", str(tmp_path)])
     rows = read_rows(tmp_path)
@@ -70,7 +75,7 @@ def test_open_loop_controllers_are_fitted_by_l_bfgs(tmp_path: Path) -> None:
     assert len(written["parameters"]["raw"]) == 20
 
 
-@pytest.mark.parametrize("method", ["gradient", "shac", "ppo", "sac"])
+@pytest.mark.parametrize("method", ["gradient", "shac", "sapo", "mixed", "ppo", "sac"])
 def test_methods_start_from_the_same_controller(method: str) -> None:
     first = first_controller(TINY.make_task(), TINY.seed, TINY.warm_up)
     made = learner(method).controller()
@@ -110,7 +115,7 @@ class Interrupted:
         return getattr(self.inner, name)
 
 
-@pytest.mark.parametrize("method", ["gradient", "shac", "cma"])
+@pytest.mark.parametrize("method", ["gradient", "shac", "sapo", "mixed", "cma"])
 def test_an_interrupted_run_continues_bit_for_bit(method: str, tmp_path: Path) -> None:
     whole = learner(method)
     straight = train(TINY, whole, tmp_path / "a", show=False)
@@ -195,10 +200,10 @@ def test_cma_es_finds_a_signal_of_known_best(monkeypatch: pytest.MonkeyPatch) ->
 def test_the_first_window_may_train_the_critic_alone() -> None:
     made = ShacLearner(TINY, ShacOptions(batch=4, window=5, critic_passes=1, warm_up=1))
     actor = [p.detach().clone() for p in made.net.parameters()]
-    critic = [p.detach().clone() for p in made.critic.parameters()]
+    critic = [p.detach().clone() for p in made.critics.members.parameters()]
     made.update(0.0)
     assert all(torch.equal(a, b) for a, b in zip(actor, made.net.parameters(), strict=True))
-    assert not torch.equal(critic[0], next(made.critic.parameters()))
+    assert not torch.equal(critic[0], next(made.critics.members.parameters()))
     made.update(0.1)
     assert not torch.equal(actor[0], next(made.net.parameters()))
 
@@ -289,7 +294,7 @@ def test_a_window_pays_rewards_and_what_comes_after_but_nothing_after_a_failure(
     made = ShacLearner(TINY, ShacOptions(batch=2, window=2, discount=0.9))
     made.state["step"].zero_()
     task = made.task
-    monkeypatch.setattr(made.target, "forward", lambda x: 0.0 * x[:, 0] + 7.0)
+    monkeypatch.setattr(made.critics.targets[0], "forward", lambda x: 0.0 * x[:, 0] + 7.0)
     monkeypatch.setattr(
         task, "step", lambda s, a: (s | {"step": s["step"] + 1}, 0.0 * a[:, 0] + 1.0)
     )
@@ -309,7 +314,7 @@ def test_a_cosine_falls_from_one_to_a_tenth() -> None:
 
 
 def test_the_critic_starts_near_zero_and_is_not_bounded() -> None:
-    critic = shac.Critic(3, 0.99, seed=0)
+    critic = Critic(3, 0.99, seed=0)
     assert critic.scale == pytest.approx(100.0)
     x = torch.from_numpy(np.random.default_rng(0).standard_normal((50, 3)))
     assert float(critic(x).detach().abs().max()) < 5.0  # of 100: the actor follows its slope

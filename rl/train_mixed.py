@@ -1,0 +1,24 @@
+"""Train a controller by a mix of first- and zeroth-order gradients (Suh et al. 2022).
+
+python rl/train_mixed.py --task CopterHover --seed 0
+python rl/train_mixed.py --quick
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from diffsim.learn.mixed import MixedLearner, MixedOptions
+from diffsim.learn.options import main_training
+from diffsim.learn.run import Run
+
+QUICK = {"batch": 8, "horizon": 0}
+
+
+def main(argv: Sequence[str] | None = None) -> Run:
+    """Run; see the module."""
+    return main_training("mixed", MixedLearner, MixedOptions, QUICK, __doc__, argv)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,24 @@
+"""Train a controller with soft analytic policy optimisation (SAPO, Xing et al. 2025).
+
+python rl/train_sapo.py --task CopterHover --seed 0
+python rl/train_sapo.py --quick
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from diffsim.learn.options import main_training
+from diffsim.learn.run import Run
+from diffsim.learn.sapo import SapoLearner, SapoOptions
+
+QUICK = {"batch": 8, "window": 4, "critic_passes": 1}
+
+
+def main(argv: Sequence[str] | None = None) -> Run:
+    """Run; see the module."""
+    return main_training("sapo", SapoLearner, SapoOptions, QUICK, __doc__, argv)
+
+
+if __name__ == "__main__":
+    main()
