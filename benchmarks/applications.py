@@ -27,6 +27,7 @@ def main() -> None:
     parser.add_argument("--names", nargs="+", choices=table.NAMES, default=table.NAMES)
     parser.add_argument("--solvers", nargs="+", choices=tuple(SOLVERS), default=tuple(SOLVERS))
     parser.add_argument("--evaluations", type=int, metavar="N", help="default: the script's")
+    parser.add_argument("--baseline-evaluations", type=int, metavar="N", help="of Newton's only")
     parser.add_argument("--out", type=Path, help="default: runs/table44[_quick]")
     args = parser.parse_args()
     torch.set_num_threads(1)
@@ -38,6 +39,7 @@ def main() -> None:
         solvers=args.solvers,
         quick=args.quick,
         evaluations=args.evaluations,
+        baseline_evaluations=args.baseline_evaluations,
     )
     print(table.markdown(rows))
 

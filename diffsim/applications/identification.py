@@ -17,8 +17,9 @@ from diffsim.contact import Obstacle
 TRUTH_RTOL = 1e-8
 """Tolerance of the truth's steps: its rounding is not that of the simulation fitted to it."""
 
-Move = Callable[[soft.SoftBody, soft.Physics], Tensor]
-"""Positions of all steps, (num_steps + 1, num_vertices, 3) [m], of a body and its parameters."""
+Move = Callable[[soft.SoftBody, soft.Physics, int], Tensor]
+"""Positions of all steps, (num_steps + 1, num_vertices, 3) [m], of a body, its parameters, and how
+many steps there are."""
 
 
 def identification(
@@ -29,12 +30,13 @@ def identification(
     body: soft.SoftBody,
     truth_body: soft.SoftBody,
     move: Move,
+    steps: int,
     truth: tuple[float, float],
     lower: tuple[float, float],
     upper: tuple[float, float],
     first: tuple[float, float],
     obstacles: Sequence[Obstacle] = (),
-    warm_up: Application | None = None,
+    warm_up_steps: int | None = None,
 ) -> Application:
     """The application that finds log E and log nu of the motion of ``truth_body``.
 
@@ -47,11 +49,18 @@ def identification(
         truth_body: What made the data: the same mesh, another tolerance, perhaps another
             integrator. It moves when the first loss is asked for, once.
         move: Simulates either.
+        steps: Of the motion.
         truth: E [Pa] and nu [-] of the data.
         lower, upper, first: Bounds of E and nu, and the first guess.
         obstacles: For pictures.
-        warm_up: As in :class:`Application`.
+        warm_up_steps: Fit so many first steps before all, None: not. Far from the truth a long
+            motion is out of step with the data, and its loss has many minima.
     """
+
+    if warm_up_steps is not None and not 0 < warm_up_steps < steps:
+        raise ValueError(
+            f"warm_up_steps must be positive and below steps = {steps}, got {warm_up_steps}"
+        )
 
     def physics(of: soft.SoftBody, logarithms: Tensor) -> soft.Physics:
         return of.physics(youngs_modulus=logarithms[0].exp(), poissons_ratio=logarithms[1].exp())
@@ -59,34 +68,37 @@ def identification(
     @cache
     def target() -> Tensor:
         with torch.no_grad():
-            return move(truth_body, physics(truth_body, torch.tensor(np.log(truth))))
+            return move(truth_body, physics(truth_body, torch.tensor(np.log(truth))), steps)
 
     def loss(_logarithms: Tensor, x: Tensor) -> Tensor:
-        return (x - target()).square().sum()
+        return (x - target()[: len(x)]).square().sum()
 
     def numbers(values: Array, x: Tensor) -> Mapping[str, float]:
-        off = (x.detach() - target()).square().sum(-1).mean().sqrt()
+        off = (x.detach() - target()[: len(x)]).square().sum(-1).mean().sqrt()
         modulus, ratio = np.exp(values)
         return {"E MPa": modulus / 1e6, "nu": ratio, "off the data, RMS mm": 1e3 * float(off)}
 
-    return Application(
-        name=name,
-        title=title,
-        source=source,
-        body=body,
-        parameters=Parameters(
-            names=("log E", "log nu"),
-            lower=np.log(lower),
-            upper=np.log(upper),
-            first=np.log(first),
-        ),
-        simulate=lambda logarithms: move(body, physics(body, logarithms)),
-        loss=loss,
-        numbers=numbers,
-        oracle_parameters=np.log(truth),
-        obstacles=obstacles,
-        warm_up=warm_up,
-    )
+    def of_steps(count: int, warm_up: Application | None) -> Application:
+        return Application(
+            name=name,
+            title=title,
+            source=source,
+            body=body,
+            parameters=Parameters(
+                names=("log E", "log nu"),
+                lower=np.log(lower),
+                upper=np.log(upper),
+                first=np.log(first),
+            ),
+            simulate=lambda logarithms: move(body, physics(body, logarithms), count),
+            loss=loss,
+            numbers=numbers,
+            oracle_parameters=np.log(truth),
+            obstacles=obstacles,
+            warm_up=warm_up,
+        )
+
+    return of_steps(steps, None if warm_up_steps is None else of_steps(warm_up_steps, None))
 
 
 @dataclass(frozen=True, kw_only=True)

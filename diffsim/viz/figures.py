@@ -34,7 +34,7 @@ COLOURS = {
     "fourth": "#b08a00",
     "bad": "#b3362a",
 }
-CYCLE = ("#0b6e75", "#c2571a", "#7a4fa3", "#b08a00", "#1d2433", "#8a93a3")
+CYCLE = ("#0b6e75", "#c2571a", "#7a4fa3", "#b08a00", "#1d2433", "#8a93a3", "#4f8a3c")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,7 +14,6 @@ motion. Expected of --quick: E = 2.09 MPa, nu = 0.34 after 8 evaluations.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -44,21 +43,8 @@ def build(
     """The ball, 24 cells across, after a warm-up; quick: 12 cells, and only the warm-up's steps."""
     shape = holed_ball(12 if quick else 24)
     ground = (contact.floor(friction=friction),)
-    one_bounce = _application(shape, ground, WARM_UP, solver, truth_integrator)
-    if quick:
-        return one_bounce
-    return _application(shape, ground, STEPS, solver, truth_integrator, warm_up=one_bounce)
 
-
-def _application(
-    shape: mesh.HexMesh,
-    ground: Sequence[contact.Obstacle],
-    steps: int,
-    solver: soft.SolverOptions,
-    truth_integrator: str,
-    warm_up: Application | None = None,
-) -> Application:
-    def move(body: soft.SoftBody, physics: soft.Physics) -> Tensor:
+    def move(body: soft.SoftBody, physics: soft.Physics, steps: int) -> Tensor:
         v = torch.tensor(SPEED, dtype=torch.float64).expand_as(body.x_rest).contiguous()
         start = soft.State(body.x_rest, v)
         return soft.rollout(body, start, steps, obstacles=ground, physics=physics).x
@@ -70,12 +56,13 @@ def _application(
         body=_body(shape, solver, "implicit_euler"),
         truth_body=_body(shape, replace(solver, rtol=TRUTH_RTOL), truth_integrator),
         move=move,
+        steps=WARM_UP if quick else STEPS,
+        warm_up_steps=None if quick else WARM_UP,
         truth=TRUTH,
         lower=LOWER,
         upper=UPPER,
         first=FIRST,
         obstacles=ground,
-        warm_up=warm_up,
     )
 
 

@@ -11,10 +11,10 @@ interference between the propellers, and its battery and voltage are not given.
 
 Expected: with the bench's motors nobody saturates at these loads (the limits on a full battery are
 2437 and 3246 g: 1.4 and 1.5 times the overall weight of the thesis). Derated, the flat one's motors
-2 and 3 - the two that turn against the other three - are at the clamp for 16 and 4 % of the flight,
+2 and 3 - the two that turn against the other three - are at the clamp for 20 and 4 % of the flight,
 most of it while it turns by 90 degrees at the new place, and motor 5 stays lowest: the thesis's
 picture up to the numbering of its motors. The optimised one's five pulses lie within 1 us of each
-other in hover (flat: 217 us); while it turns four of them reach the clamp, for up to 6 %. Its limit
+other in hover (flat: 217 us); while it turns four of them reach the clamp, for up to 7 %. Its limit
 is 1952 g where the flat one's is 1413 g: 16 % more overall weight; the thesis predicted 15.8 and
 measured 11.1 %. Running time: 40 CPU seconds.
 
