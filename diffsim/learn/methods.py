@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from diffsim._check import require_choice
-from diffsim._files import write_json_atomic
+from diffsim._files import to_plain, write_json_atomic
 from diffsim.learn.gradient import BadGradients, GradientLearner, GradientOptions
 from diffsim.learn.mixed import MixedLearner, MixedOptions
 from diffsim.learn.run import Learner, is_finished, read_rows, train
@@ -90,7 +91,8 @@ def tune(plan: Plan, method: str, folder: Path, *, show: bool = True) -> Options
     """The best of a method's candidates after one run each; every result is written down.
 
     Best by the mean of the last two ratings of one seed that no compared run uses. Candidates that
-    ran already are not run again. A single candidate is taken as it is.
+    ran already are not run again, nor is a search whose record holds the same candidates on the
+    same budget. A single candidate is taken as it is.
 
     Args:
         plan: Task and candidates.
@@ -101,6 +103,9 @@ def tune(plan: Plan, method: str, folder: Path, *, show: bool = True) -> Options
     candidates = plan.candidates[method]
     if len(candidates) == 1:
         return candidates[0]
+    path = folder / f"tuning_{method}.json"
+    if (known := _recorded_best(plan, method, path)) is not None:
+        return candidates[known]
     record: list[dict[str, Any]] = []
     for k, options in enumerate(candidates):
         run = folder / "tuning" / method / f"candidate_{k}"
@@ -113,10 +118,25 @@ def tune(plan: Plan, method: str, folder: Path, *, show: bool = True) -> Options
     scores = [r["score"] if r["error"] is None else -np.inf for r in record]
     best = int(np.nanargmax(scores))
     write_json_atomic(
-        folder / f"tuning_{method}.json",
-        {"method": method, "seed": TUNING_SEED, "candidates": record, "best": best},
+        path, {"method": method, "seed": TUNING_SEED, "candidates": record, "best": best}
     )
     return candidates[best]
+
+
+def _recorded_best(plan: Plan, method: str, path: Path) -> int | None:
+    """What an earlier search of the same candidates chose; None where it asked for something else.
+
+    The runs of a search are large and thrown away, its record is kept with the results.
+    """
+    if not path.exists():
+        return None
+    kept = json.loads(path.read_text())
+    asked = [to_plain(dict(options)) for options in plan.candidates[method]]
+    if [row["options"] for row in kept["candidates"]] != asked:
+        return None
+    budget = plan.tuning_steps[method]
+    complete = all(row["error"] or row.get("steps", 0) >= budget for row in kept["candidates"])
+    return int(kept["best"]) if complete else None
 
 
 def train_once(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -131,6 +133,14 @@ def test_the_search_is_recorded_and_nothing_runs_twice(
     assert [c["steps"] for c in record["candidates"]] == [80, 80]
     monkeypatch.setattr(methods, "train", lambda *a, **k: pytest.fail("ran again"))
     assert tune(tiny_plan(), "gradient", tmp_path, show=False) == best
+    shutil.rmtree(tmp_path / "tuning")  # the record stands in for its runs, of these options only
+    assert tune(tiny_plan(), "gradient", tmp_path, show=False) == best
+    for change in (
+        {"candidates": {"gradient": ({"batch": 4}, {"batch": 2})}},
+        {"tuning_steps": {"gradient": 160}},
+    ):
+        with pytest.raises(pytest.fail.Exception, match="ran again"):
+            tune(dataclasses.replace(tiny_plan(), **change), "gradient", tmp_path, show=False)
 
 
 def test_a_run_that_dies_is_a_result(tmp_path: Path) -> None:

@@ -169,28 +169,38 @@ class ContactNewton {
       if (space_.status[k] != ContactStatus::kSeparate) touched_[k] = true;
     problem_.assemble(x_, clamp_);
     solve_.matrix_changed();
-    Vector onto, q;
-    double rhs_norm = 0.0;
     const double forcing = forcing_term(residual_norm);
-    // Friction that would push a node backwards stops it instead.
+    const Search found = search(forcing, 0.3 * tolerance_);
+    if (found != Search::kAscends) return found == Search::kDescended;
+    // GMRES, unlike conjugate gradients, may stop at a direction that leads up: on a stiff body a
+    // small residual leaves rigid motion open. Solved to its digits it leads down.
+    return search(kTightForcing, 0.0) == Search::kDescended;
+  }
+
+  enum class Search { kDescended, kFailed, kAscends };
+
+  /// Newton's direction on the statuses as they are: onto the constraints, then within them.
+  /// Friction that would push a node backwards stops it instead.
+  /// @param[in] forcing, floor  accuracy of the linear solve: relative, and what is enough [N]
+  /// Returns the norm of what is left to solve on them [N].
+  double direction(double forcing, double floor, Vector& onto, Vector& q) {
+    double size = 0.0;
     for (int trial = 0; trial < 5; ++trial) {
-      rhs_norm = direction(forcing, onto, q);
+      size = direction_on_statuses(forcing, floor, onto, q);
       if (!statuses_.stop_reversed(x_, q)) break;
       solve_.statuses_changed();
     }
-    return search(onto, q, rhs_norm);
+    return size;
   }
 
-  /// Newton's direction on the statuses as they are: onto the constraints, then within them.
-  /// Returns the norm of what is left to solve on them [N].
-  double direction(double forcing, Vector& onto, Vector& q) {
+  double direction_on_statuses(double forcing, double floor, Vector& onto, Vector& q) {
     Vector rhs;
     space_.correction(x_, onto);
     problem_.multiply(onto, rhs);
     for (std::size_t i = 0; i < rhs.size(); ++i) rhs[i] = -(rhs[i] + gradient_[i]);
     space_.reduce(rhs);
     const double size = problem_.ops().norm(rhs);
-    solve_linear(rhs, std::max(forcing * size, std::min(0.5 * size, 0.3 * tolerance_)), q);
+    solve_linear(rhs, std::max(forcing * size, std::min(0.5 * size, floor)), q);
     return size;
   }
 
@@ -242,7 +252,10 @@ class ContactNewton {
     return limits;
   }
 
-  bool search(const Vector& onto, const Vector& q, double rhs_norm) {
+  /// Moves x along Newton's direction; leaves it where that direction ascends for want of digits.
+  Search search(double forcing, double floor) {
+    Vector onto, q;
+    const double rhs_norm = direction(forcing, floor, onto, q);
     const bool corrected = std::any_of(onto.begin(), onto.end(), [](double v) { return v != 0.0; });
     const Vector limits = friction_limits(onto, q);
     Vector start = x_;
@@ -255,12 +268,17 @@ class ContactNewton {
         value_ = problem_.value_gradient(x_, gradient_);
         Vector residual = gradient_;
         space_.reduce(residual);
-        if (std::isfinite(value_) && problem_.ops().norm(residual) <= 0.3 * rhs_norm) return true;
+        if (std::isfinite(value_) && problem_.ops().norm(residual) <= 0.3 * rhs_norm)
+          return Search::kDescended;
       }
       value_ = problem_.value_gradient(start, gradient_);
     }
     const double before = merit(start, value_, limits);
     const double slope = merit_slope(q, limits);
+    if (slope > 0.0 && forcing > kTightForcing && space_.any_sliding_friction()) {
+      if (corrected) value_ = problem_.value_gradient(x_, gradient_);
+      return Search::kAscends;
+    }
     const double rounding = 1e-14 * problem_.magnitude();
     for (double step = 1.0; step > 1e-9; step *= 0.5) {
       x_ = start;
@@ -268,11 +286,12 @@ class ContactNewton {
       value_ = problem_.value_gradient(x_, gradient_);
       const double after = merit(x_, value_, limits);
       if (!std::isfinite(after)) continue;
-      if (after <= before + 1e-4 * step * std::min(slope, 0.0) + rounding) return true;
+      if (after <= before + 1e-4 * step * std::min(slope, 0.0) + rounding)
+        return Search::kDescended;
       // Near the answer the energy has no digits left, but its slope has.
       if (after <= before + 1e-6 * problem_.magnitude() &&
           std::abs(merit_slope(q, limits)) <= 0.9 * std::abs(slope))
-        return true;
+        return Search::kDescended;
     }
     // No descent: the statuses are not those of an answer. A whole step changes them.
     x_ = start;
@@ -283,7 +302,7 @@ class ContactNewton {
       value_ = problem_.value_gradient(x_, gradient_);
     }
     clamp_ = true;
-    return false;
+    return Search::kFailed;
   }
 
   double merit_slope(const Vector& q, const Vector& limits) {
@@ -313,6 +332,7 @@ class ContactNewton {
 
   // The dense operator of the fallback has (3 k)^2 entries.
   static constexpr std::size_t kMaxRelaxed = 1500;
+  static constexpr double kTightForcing = 1e-9;
   static constexpr int kMaxStalled = 20;
   static constexpr int kMaxDoublings = 5;
   const ConstantSystem& system_;
