@@ -2,8 +2,10 @@
 
 ``examples/gallery.yaml`` says which script, with which options, which line of its output holds the
 number, and which file is the picture. A result is kept in the output folder and not made again
-while the script and its options stay as they were. What takes hours (training, sets of sealed
-cases) is not run: its number is read from the page that its own command fills.
+while the script and its options stay as they were, and the numbers on the documentation's page in
+``docs/gallery.json``, so that one entry can be made anew where the others' folders are gone. What
+takes hours (training, sets of sealed cases) is not run: its number is read from the page that its
+own command fills.
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ from diffsim.applications.catalogue import FOLDER, examples
 from diffsim.errors import DiffsimError
 
 DOCS = FOLDER.parent / "docs"
+RECORD = "gallery.json"  # beside the page: what it shows of scripts
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +96,8 @@ def make(out: Path, names: Sequence[str] = (), docs: Path | None = None) -> list
     Args:
         out: Folder of the results, one folder each.
         names: Keys of the entries to run; empty: all. The page shows all that there are.
-        docs: Copy pictures to ``docs/images`` and the page to ``docs/gallery.md``.
+        docs: Copy pictures to ``docs/images`` and the page to ``docs/gallery.md``, which goes on
+            showing what it showed of entries that are not in ``out``.
 
     Returns:
         The results in the order of the file, ``{"key", "number", "seconds", "failure"}``.
@@ -107,17 +111,26 @@ def make(out: Path, names: Sequence[str] = (), docs: Path | None = None) -> list
             bar.set_postfix_str(entry.key)
             if entry.example:
                 _run(entry, out / entry.key)
-    results = [r for e in listed if (r := _kept(e, out / e.key)) is not None]
-    shown = {r["key"]: r for r in results}
+    shown = {} if docs is None else _recorded(docs / RECORD)
+    made = {e.key: r for e in listed if (r := _kept(e, out / e.key)) is not None}
+    shown = {e.key: (shown | made)[e.key] for e in listed if e.key in shown | made}
     images = Path("images") if docs is not None else None
     page = markdown([e for e in listed if e.key in shown], shown, images)
     write_text_atomic(out / "gallery.md", page)
     if docs is not None:
         for entry in listed:
-            if entry.example and entry.key in shown and not shown[entry.key]["failure"]:
+            if entry.example and entry.key in made and not made[entry.key]["failure"]:
                 shutil.copyfile(out / entry.key / entry.picture, docs / "images" / entry.image)
         write_text_atomic(docs / "gallery.md", page)
-    return results
+        scripts = [shown[e.key] for e in listed if e.example and e.key in shown]
+        write_json_atomic(docs / RECORD, [r for r in scripts if not r["failure"]])
+    return list(shown.values())
+
+
+def _recorded(path: Path) -> dict[str, dict[str, Any]]:
+    if not path.is_file():
+        return {}
+    return {result["key"]: result for result in json.loads(path.read_text())}
 
 
 def _fingerprint(entry: Entry) -> str:

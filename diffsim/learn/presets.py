@@ -65,6 +65,20 @@ _STARFISH: _Candidates = {
         {"batch": 8, "window": 32, "actor_rate": 1e-2},
         {"batch": 8, "window": 32, "actor_rate": 3e-3},
     ),
+    "sapo": (
+        {"batch": 4, "window": 32, "actor_rate": 1e-2, "temperature": 0.1},
+        {"batch": 4, "window": 32, "actor_rate": 1e-2, "temperature": 0.01},
+        {"batch": 4, "window": 32, "actor_rate": 1e-2, "temperature": 1.0},
+        {"batch": 4, "window": 16, "actor_rate": 1e-2, "temperature": 0.1},
+        {"batch": 8, "window": 16, "actor_rate": 1e-2, "temperature": 0.1},
+    ),
+    "mixed": (
+        {"batch": 2, "learning_rate": 1e-2},
+        {"batch": 2, "learning_rate": 1e-2, "horizon": 100},
+        {"batch": 2, "learning_rate": 1e-2, "horizon": 50},
+        {"batch": 4, "learning_rate": 1e-2, "horizon": 50},
+        {"batch": 4, "learning_rate": 1e-2, "horizon": 50, "spread": 0.3},
+    ),
     "ppo": (
         {"rollout": 64, "learning_rate": 1e-3},
         {"rollout": 128, "learning_rate": 1e-3, "exploration": 1.0},
@@ -88,6 +102,17 @@ _SHARK: _Candidates = {
         {"batch": 2, "learning_rate": 3e-2},
     ),
     "shac": _STARFISH["shac"][1:4],
+    # a window of a second may be shorter than what finding a stroke takes, so a longer one too
+    "sapo": (
+        {"batch": 4, "window": 32, "actor_rate": 1e-2, "temperature": 0.1},
+        {"batch": 4, "window": 32, "actor_rate": 1e-2, "temperature": 1.0},
+        {"batch": 4, "window": 100, "actor_rate": 1e-2, "temperature": 0.1},
+    ),
+    "mixed": (
+        {"batch": 2, "learning_rate": 3e-2},
+        {"batch": 2, "learning_rate": 3e-2, "spread": 0.3},
+        {"batch": 4, "learning_rate": 3e-2, "spread": 0.3},
+    ),
     "ppo": (
         {"rollout": 128, "learning_rate": 1e-3, "exploration": 1.0},
         {"rollout": 64, "learning_rate": 3e-3, "exploration": 1.0},
@@ -116,8 +141,11 @@ def _swim(
 ) -> Plan:
     options = {"robot": {"coarse": coarse}}
     setup = Setup(task, options, evaluation_episodes=2, step_cost=_SWIM_COST)
-    budget = {"gradient": steps, "shac": 2 * steps, "ppo": ppo_steps, "cma": ppo_steps}
-    tuning = {"gradient": steps, "shac": steps, "ppo": ppo_steps // 4, "cma": ppo_steps // 4}
+    budget = dict.fromkeys(("gradient", "mixed"), steps)
+    tuning = dict.fromkeys(("gradient", "mixed", "shac", "sapo"), steps)
+    budget |= dict.fromkeys(("shac", "sapo"), 2 * steps)
+    budget |= dict.fromkeys(("ppo", "cma"), ppo_steps)
+    tuning |= dict.fromkeys(("ppo", "cma"), ppo_steps // 4)
     budget, tuning = ({m: b[m] for m in candidates} for b in (budget, tuning))
     return Plan(setup, budget, tuning, candidates, ratings=6, quality=quality)
 

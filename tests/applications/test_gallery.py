@@ -1,5 +1,7 @@
 """The gallery: runs scripts, reads their numbers, keeps what is done."""
 
+import shutil
+
 import pytest
 
 from diffsim.applications import catalogue, gallery
@@ -48,6 +50,19 @@ def test_page_has_picture_number_thesis_and_command(scripts, tmp_path):
     for part in ("## Walks", "![A walk](images/walked.png)", "**12.3 m**", "Thesis: 11 m", "walk"):
         assert part in page
     assert (tmp_path / "docs/images/walked.png").read_bytes() == b"picture"
+
+
+def test_one_entry_anew_leaves_the_others_on_the_page(scripts, tmp_path):
+    docs, again = tmp_path / "docs", ENTRY.replace("A walk", "Again").replace("walked", "again")
+    (docs / "images").mkdir(parents=True)
+    (scripts / "gallery.yaml").write_text(ENTRY + again)
+    gallery.make(tmp_path / "out", ["walked"], docs)
+    assert "Again" not in (docs / "gallery.md").read_text()
+    shutil.rmtree(tmp_path / "out")
+    results = gallery.make(tmp_path / "out", ["again"], docs)
+    assert [r["key"] for r in results] == ["walked", "again"]
+    assert (docs / "gallery.md").read_text().count("**12.3 m**") == 2
+    assert (scripts / "walks/runs.txt").read_text() == "xx"
 
 
 def test_result_is_kept_until_the_script_changes(scripts, tmp_path):
