@@ -91,7 +91,7 @@ def _table(found: Report) -> list[list[str]]:
 def _pictures(found: Report) -> list[dict[str, str]]:
     """Before and after on the run that no fit has seen, residuals, and what mimics what."""
     from diffsim.viz import diagnosis_figures as draw
-    from diffsim.viz.diagnosis_report import figures_of
+    from diffsim.viz.diagnosis_content import figures_of
     from diffsim.viz.figures import data_uri
 
     shown = figures_of(found)

@@ -148,7 +148,8 @@ def _write(report: Report, inputs: Inputs, out: Path) -> None:
     print(f"wrote {out / REPORT_FILE} and {out / MODEL_FILE}")
 
     def page() -> Path:
-        from diffsim.viz.diagnosis_report import figures_of, write_diagnosis
+        from diffsim.viz.diagnosis_content import figures_of
+        from diffsim.viz.diagnosis_report import write_diagnosis
 
         return write_diagnosis(figures_of(report), out / "report.html")
 

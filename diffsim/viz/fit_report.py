@@ -9,7 +9,7 @@ import numpy as np
 
 from diffsim.viz import diagnosis_figures as draw
 from diffsim.viz import report as page
-from diffsim.viz.diagnosis_report import comparisons, measured_channels
+from diffsim.viz.diagnosis_content import comparisons, measured_channels
 from diffsim.viz.figures import data_uri
 
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ pytest.importorskip("matplotlib", reason="reports need pip install 'diffsim-robo
 pytest.importorskip("jinja2", reason="reports need pip install 'diffsim-robot[viz]'")
 
 from diffsim.identify import WhiteNoise
+from diffsim.viz import diagnosis_content as dc
 from diffsim.viz import diagnosis_figures as draw
 from diffsim.viz import diagnosis_report as dr
 from diffsim.viz import report as page
@@ -39,18 +40,18 @@ def comparison(name: str, use: str, lag: float, seed: int) -> RunComparison:
     )
 
 
-def example(**changes) -> dr.DiagnosisFigures:
+def example(**changes) -> dc.DiagnosisFigures:
     runs = [comparison("a", "fit", 0.02, 1), comparison("b", "holdout", 0.03, 2)]
     rows = [
-        dr.CauseRow(
+        dc.CauseRow(
             name="delay", status="named", size=0.021, sd=0.001, unit="s", nats=212.4,
             gain=(0.97, 0.93, 0.99), share=0.98, aliases=("clock offset",), smallest_visible=0.002,
         ),
-        dr.CauseRow(
+        dc.CauseRow(
             name="lag <b>", status="rival", size=0.02, sd=0.002, unit="s", nats=-3.0,
             smallest_visible=0.003,
         ),
-        dr.CauseRow(name="drag", status="screened", size=0.0, sd=np.nan, unit="-", note="small"),
+        dc.CauseRow(name="drag", status="screened", size=0.0, sd=np.nan, unit="-", note="small"),
     ]  # fmt: skip
     settings = {
         "study": "swing",
@@ -63,7 +64,7 @@ def example(**changes) -> dr.DiagnosisFigures:
         "confounding_names": ["delay", "drag", "lag <b>"],
         "confounding": np.array([[1.0, 0.1, 0.97], [0.1, 1.0, -0.2], [0.97, -0.2, 1.0]]),
         "cannot_see": {"tilt": "leaves no trace"},
-        "gates": [dr.GateRow(name="mesh", passed=False, value=3.1, limit=2.0, note="lambda")],
+        "gates": [dc.GateRow(name="mesh", passed=False, value=3.1, limit=2.0, note="lambda")],
         "rivals": [("lag <b>",)],
         "gain": (0.97, 0.93, 0.99),
         "chi2_null": 5000.0,
@@ -72,7 +73,7 @@ def example(**changes) -> dr.DiagnosisFigures:
         "next_run": ("hold and release", {"hold and release": 1258.0, "sine": 2.0}, 600.0),
         "settings": {"seed": 3},
     }
-    return dr.DiagnosisFigures(**{**settings, **changes})
+    return dc.DiagnosisFigures(**{**settings, **changes})
 
 
 def test_page_has_its_parts_in_order(tmp_path):
@@ -226,7 +227,7 @@ def test_filled_from_a_report():
         next_run={"best": "a", "chi2_gain": {"a": 4.0}, "over_median": 1.0},
         force_map=force,
     )
-    found = dr.figures_of(report)
+    found = dc.figures_of(report)
     assert [c.name for c in found.causes] == ["tilt.x", "tilt.y"]
     assert found.causes[1].smallest_visible == 0.04 and found.gain == (0.9, 0.8, 0.95)
     assert [c.sd for c in found.channels] == [2e-4, 3e-4]
