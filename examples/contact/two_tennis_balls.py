@@ -17,8 +17,9 @@ Not explained: in the end both balls roll 0.05 m/s slower than simulated. The y 
 160 to 164 looks like a hop of the incoming ball by about 5 mm (an estimate from its duration);
 simulated are 1.7 mm: perhaps the real balls rebound more from the shear of the impact. Facets of
 the skins leave the cost rough: 20 evaluations end where 9 do, and an earlier version, from another
-rigid fit of nearly equal quality, ended at 1.1 px and 7.1 px. Such fits differ by 2.8 in stiffness: 60 frames per second hardly show it. The centres come as
-near as 65 mm, the published diameter is 68.6 mm, the camera's own error 11 px.
+rigid fit of nearly equal quality, ended at 1.1 px and 7.1 px. Such fits differ by 2.8 in stiffness:
+60 frames per second hardly show it. The centres come as near as 65 mm, the published diameter is
+68.6 mm, the camera's own error 11 px.
 
     python examples/contact/two_tennis_balls.py --plot runs/two_tennis_balls.png
     python examples/contact/two_tennis_balls.py --synthetic --small  # recovers known parameters
