@@ -256,6 +256,22 @@ def test_an_episode_without_first_order_gradient_counts_with_its_zeroth_order_on
     assert scalars["train/alpha"] < 0.75
 
 
+@pytest.mark.parametrize(("weighing", "index"), [("first_order", 1), ("zeroth_order", 2)])
+def test_controls_take_one_of_both_gradients_alone(
+    monkeypatch: pytest.MonkeyPatch, weighing: str, index: int
+) -> None:
+    kept: list[Tensor] = []
+
+    def record(*args: Any) -> Any:
+        found = both_gradients(*args)
+        kept.append(found[index].mean(0))
+        return found
+
+    monkeypatch.setattr(mixed, "both_gradients", record)
+    got = gradient_of(MixedLearner(TINY, MixedOptions(batch=4, weighing=weighing)))
+    torch.testing.assert_close(got, kept[0])
+
+
 class Refusing(torch.autograd.Function):
     """An adjoint that refuses what it is given."""
 
@@ -292,6 +308,7 @@ def test_gradients_of_episodes_are_sums_over_their_steps() -> None:
         ({"batch": 1}, "batch must lie in"),
         ({"spread": 0.0}, "spread must lie in"),
         ({"confidence": 1.5}, "confidence must lie in"),
+        ({"weighing": "second_order"}, "weighing must be one of"),
     ],
 )
 def test_options_out_of_range_are_refused(options: dict[str, Any], message: str) -> None:
