@@ -56,8 +56,9 @@ def comparison_figure(path: Path, title: str, runs: Runs, scale: Scale) -> Path:
     panels[0].set_ylabel("normalised reward", color=SOFT, fontsize=9)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.suptitle(title, x=0.01, ha="left", fontsize=10, color=INK, fontweight="bold")
+    columns = len(labels) if len(labels) < 5 else (len(labels) + 1) // 2
     figure.legend(
-        handles, labels, loc="outside lower center", ncols=len(labels), frameon=False, fontsize=8.5
+        handles, labels, loc="outside lower center", ncols=columns, frameon=False, fontsize=8.5
     )
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi=160)

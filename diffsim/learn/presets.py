@@ -209,6 +209,7 @@ def _thesis_short() -> dict[str, Plan]:
         "gradient": (_SHARK["gradient"][2], _SHARK["gradient"][0]),
         "mixed": (_SHARK["mixed"][1], _SHARK["mixed"][2]),
         "ppo": (_SHARK["ppo"][1], _SHARK["ppo"][2]),
+        "cma": (_SHARK["cma"][2], _SHARK["cma"][1]),
     }
     few = {"horizons": (10, 25, 50, 100), "episodes": 1, "directions": 16}
     return {
