@@ -7,8 +7,11 @@ z ~ N(0, a^2), columns B = [A_base, A_effects, a H] and r = W (y - S(x0)) + A x0
         - (number of effects + unknown) ln(number of families) - unknown ln(number of unknowns)
 
 t and s are mean and standard deviation of an unsigned size where its sign is left free: exact for
-one such size in a linear problem, and ln 2 each (the half-normal's height) where t >> s. The
-amplitude a is averaged over ``AMPLITUDES``. The constant -N/2 ln(2 pi) + ln|W| is left out.
+one such size in a linear problem, and ln 2 each (the half-normal's height) where t >> s. Bounds of
+base parameters cost likewise the share of the normal beyond them. Where several bounds are active
+they cost together what the optimum within them has lost, so no model is credited with a fit beyond
+its bounds. The amplitude a is averaged over ``AMPLITUDES``. Constants are left out: -N/2 ln(2 pi) +
+ln|W|, and the share of the base parameters' prior within the bounds.
 """
 
 from __future__ import annotations
@@ -24,7 +27,6 @@ from scipy import linalg, special
 from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.unknown import Unknown
 from diffsim.identify import Fit, Problem
-from diffsim.identify.fitting import posterior_covariance
 
 Array = NDArray[np.float64]
 # root mean square of the unknown's part of the record, in noise standard deviations
@@ -94,6 +96,7 @@ class Linearisation:
         self.projection = stacked.T @ right
         self.power = float(right @ right)
         self.columns = [problem.columns_of(e) for e in problem.effects]
+        self.bounds = problem.bounds
 
     def weigh(self, hypothesis: Hypothesis) -> Weighed:
         """Evidence of a hypothesis."""
@@ -124,34 +127,77 @@ class Linearisation:
         mean = linalg.cho_solve(factor, b)
         log_det = 2.0 * np.log(np.diag(factor[0])).sum()
         nats = -0.5 * (self.power - b @ mean) - 0.5 * log_det
-        chi2 = self.power - 2.0 * (b @ mean) + mean @ gram @ mean
         inverse = linalg.cho_solve(factor, np.eye(len(idx)))
         sd = np.sqrt(np.diag(inverse))
+        unbounded = np.full(len(extra), np.inf)
+        low = np.concatenate([self.bounds[0][free], -unbounded])
+        high = np.concatenate([self.bounds[1][free], unbounded])
+        mean, lost = _within(mean, sd, gram, b, low, high)
+        chi2 = self.power - 2.0 * (b @ mean) + mean @ gram @ mean
+        unsigned = [
+            c for i in members if not self.problem.effects[i].signed for c in self.columns[i]
+        ]
+        nats += len(unsigned) * np.log(2.0) - lost
         x, deviation = np.zeros(len(self.x0)), np.zeros(len(self.x0))
         x[free], deviation[free] = mean[: len(free)], sd[: len(free)]
-        for i in members:
-            if not self.problem.effects[i].signed:
-                c = self.columns[i]
-                nats += float(np.sum(np.log(2.0) + special.log_ndtr(x[c] / deviation[c])))
-                x[c] = np.maximum(x[c], 0.0)
         return float(nats), x, deviation, float(chi2)
 
 
-def unrealised(fit: Fit) -> float:
+def _within(
+    mean: Array, sd: Array, gram: Array, right: Array, low: Array, high: Array
+) -> tuple[Array, float]:
+    """The optimum within bounds and the nats that they cost.
+
+    Args:
+        mean, sd: (n,) of the posterior without bounds.
+        gram, right: (n, n) B'B and (n,) B'r.
+        low, high: (n,).
+    """
+    shares = _log_share(mean, sd, low, high)
+    held = (mean < low) | (mean > high)
+    if not held.any():
+        return mean, -float(shares.sum())
+    # together the bounds cost what the optimum lost, not each one's share of it once more
+    lost = -float((shares + 0.5 * ((mean - np.clip(mean, low, high)) / sd) ** 2).sum())
+    hessian, x = gram + np.eye(len(mean)), mean
+    while True:  # what leaves its bounds is held there; ends, for none is let go
+        x = np.where(held, np.clip(x, low, high), x)
+        moves, stays = np.flatnonzero(~held), np.flatnonzero(held)
+        pull = right[moves] - hessian[np.ix_(moves, stays)] @ x[stays]
+        x[moves] = linalg.solve(hessian[np.ix_(moves, moves)], pull, assume_a="pos")
+        left = (x < low) | (x > high)
+        if not left.any():
+            step = x - mean
+            return x, lost + 0.5 * float(step @ hessian @ step)
+        held |= left
+
+
+def unrealised(fit: Fit, weighed: Weighed) -> float:
     """Nats that a Gauss-Newton step from a fit promises but the fit did not find.
 
     The evidence from a linearisation holds at its optimum; a fit that stopped elsewhere (a kink, a
     fold, too few steps) must not be credited with an optimum that nobody has seen.
+
+    Args:
+        fit: Where it was linearised.
+        weighed: What that linearisation says.
     """
-    free = [i for i, n in enumerate(fit.problem.names) if n not in fit.at_bound]
-    j = fit.jacobian[:, free]
-    slope = j.T @ fit.residual - fit.x[free]
-    return 0.5 * float(slope @ posterior_covariance(j) @ slope)
+    return 0.5 * (fit.chi2 + fit.prior - weighed.chi2 - float(weighed.x @ weighed.x))
 
 
 def families(effects: Sequence[Effect], unknowns: Sequence[Unknown]) -> int:
     """How many kinds of causes there are to choose from."""
     return len({e.family for e in effects}) + (1 if unknowns else 0)
+
+
+def _log_share(mean: Array, sd: Array, low: Array, high: Array) -> Array:
+    """ln of a normal's share between bounds."""
+    above, below = (low - mean) / sd, (high - mean) / sd
+    swap = above > 0.0  # the tail that has digits
+    upper, lower = np.where(swap, -above, below), np.where(swap, -below, above)
+    wide = special.log_ndtr(upper)
+    with np.errstate(divide="ignore"):
+        return np.asarray(wide + np.log1p(-np.exp(special.log_ndtr(lower) - wide)))
 
 
 def _unit_power(responses: Array) -> Array:

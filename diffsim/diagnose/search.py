@@ -179,7 +179,7 @@ class Search:
         own = Linearisation(fit.problem, fit.x, fit.residual, fit.jacobian, [], self.num_families)
         weighed = own.weigh(Hypothesis(frozenset(range(len(members)))))
         key = Hypothesis(members)
-        nats = weighed.nats - unrealised(fit)
+        nats = weighed.nats - unrealised(fit, weighed)
         self.entries[key] = Entry(key, replace(weighed, nats=nats, chi2=fit.chi2), fit)
         return self.entries[key]
 

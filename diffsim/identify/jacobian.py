@@ -38,8 +38,8 @@ class Stencil:
         return cls((h, -h), (0.5 / h, -0.5 / h))
 
     @classmethod
-    def upwards(cls, h: float) -> Stencil:
-        """Second order, from points at and above 0."""
+    def one_sided(cls, h: float) -> Stencil:
+        """Second order, from points at and above 0; at and below for a negative h."""
         return cls((0.0, h, 2.0 * h), (-1.5 / h, 2.0 / h, -0.5 / h))
 
     @classmethod
@@ -76,7 +76,7 @@ class Jacobian:
         at: Tensor,
         idx: Sequence[int],
         *,
-        one_sided: Sequence[bool],
+        inward: Sequence[int],
         secant: Sequence[float],
         smooth: Sequence[bool] | None = None,
         tangents: Tangents | None = None,
@@ -87,8 +87,8 @@ class Jacobian:
             many: Coordinates (n,) each -> predictions of equal shape.
             at: (n,) where.
             idx: The coordinates to differentiate.
-            one_sided: (n,) True where the coordinate cannot go below its place: second-order
-                differences upwards.
+            inward: (n,) 1 where a coordinate cannot go below its place, -1 where it cannot go
+                above: second-order differences to the other side; 0: central ones.
             secant: (n,) above 0: the slope of the chord from here to here + secant.
             smooth: (n,) False where only simulations tell the slope; None: all are smooth.
             tangents: The model's own: stencils by coordinate -> the flattened prediction and one
@@ -99,7 +99,7 @@ class Jacobian:
         """
         if self.method == "forward_mode":
             return _forward_mode(many, at, idx)
-        stencils = {i: self._stencil(one_sided[i], secant[i]) for i in idx}
+        stencils = {i: self._stencil(inward[i], secant[i]) for i in idx}
         quick = [i for i in idx if secant[i] == 0.0 and (smooth is None or smooth[i])]
         found = None
         if self.method == "auto" and tangents is not None and quick:
@@ -115,10 +115,10 @@ class Jacobian:
         own |= {i: by_simulation[:, j] for j, i in enumerate(slow)}
         return here, np.column_stack([own[i] for i in idx])
 
-    def _stencil(self, one_sided: bool, secant: float) -> Stencil:
+    def _stencil(self, inward: int, secant: float) -> Stencil:
         if secant > 0.0:
             return Stencil.chord(secant)
-        return Stencil.upwards(self.step) if one_sided else Stencil.central(self.step)
+        return Stencil.one_sided(inward * self.step) if inward else Stencil.central(self.step)
 
 
 def _differences(

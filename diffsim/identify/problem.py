@@ -172,9 +172,9 @@ class Problem:
             (num_valid,) and (num_valid, n).
         """
         point = torch.from_numpy(np.ascontiguousarray(x, dtype=np.float64))
-        low, _ = self.bounds
+        low, high = self.bounds
         step = self.jacobian.step
-        one_sided = [bool(x[i] - step < low[i]) for i in range(len(x))]
+        inward = [int(x[i] - step < low[i]) or -int(x[i] + step > high[i]) for i in range(len(x))]
         secant = [0.0] * self.num_base + [
             SECANT / PRIOR_WIDTH if screen and not e.smooth else 0.0 for e, _ in self.owners
         ]
@@ -188,7 +188,7 @@ class Problem:
                 lambda points: self.predict_many(run, points),
                 point,
                 idx,
-                one_sided=one_sided,
+                inward=inward,
                 secant=secant,
                 smooth=smooth,
                 tangents=lambda stencils: self._tangents(run, point, stencils),

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from diffsim.diagnose import SimModel
 from diffsim.diagnose.descend import descend
 from diffsim.diagnose.local import Local, local_at, measured_of, record_at, whitened
 from diffsim.diagnose.points import Points
-from diffsim.identify import Problem, WhiteNoise, fit
+from diffsim.identify import Parameter, Problem, WhiteNoise, fit
 from diffsim.identify.problem import PredictionError
 from tests.diagnose import linear, toy
 
@@ -42,6 +43,27 @@ def test_same_minimum_as_scipy_for_fewer_simulations(study, effects):
     np.testing.assert_allclose(np.diag(found.covariance), np.diag(truth.covariance), rtol=0.15)
     # from the prior both must linearise several times; from a neighbour it is a step or two
     assert spent < 0.7 * paid
+
+
+def test_a_curved_valley_is_followed_to_its_end():
+    """v = u^2, stiffly: the way along it is much longer than the slopes of a place hold."""
+    run = linear.run("r1", 1)
+    across, along = (linear.shapes(name, run)[..., 0] for name in ("across", "along"))
+
+    def build(values, run, numerics):
+        u, v = values["u"], values["v"]
+        return linear.LinearScene(30.0 * (v - u * u) * across + u * along)
+
+    base = [Parameter("u", -1.0, 5.0, "m"), Parameter("v", 1.0, 5.0, "m")]
+    model = SimModel(build, base, "valley")
+    truth = build({"u": torch.tensor(2.0), "v": torch.tensor(4.0)}, run, None).record
+    runs = (replace(run, measured=run.measured + truth.numpy()),)
+    problem = Problem(model, runs, WhiteNoise(linear.CHANNELS), ())
+    found = descend(problem, local_at(problem, np.zeros(2))).fit
+    assert found.converged
+    best = fit(model, runs, linear.CHANNELS, max_evaluations=200)
+    assert best.converged
+    assert abs(found.chi2 + found.prior - best.chi2 - best.prior) < 0.1
 
 
 def test_slopes_from_elsewhere_find_the_same_place(study):

@@ -2,9 +2,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import integrate, stats
+from scipy import integrate, optimize, stats
 
-from diffsim.diagnose import Unknown, UnknownDrift
+from diffsim.diagnose import SimModel, Unknown, UnknownDrift
 from diffsim.diagnose.descend import Descended
 from diffsim.diagnose.evidence import AMPLITUDES, Hypothesis, Linearisation, unrealised
 from diffsim.diagnose.local import local_at
@@ -72,6 +72,92 @@ def test_half_normal_against_a_brute_force_integral(push):
     np.testing.assert_allclose(found, peak + np.log(area), rtol=1e-6)
 
 
+def bounded(problem, low, high):
+    """With bounds of the base parameters, in coordinates; they must hold the prior's centre."""
+    base = [
+        replace(p, lower=p.value + p.sd * a, upper=p.value + p.sd * b)
+        for p, a, b in zip(problem.model.base, low, high, strict=True)
+    ]
+    return replace(problem, model=SimModel(problem.model.build, base))
+
+
+def moved(mass=0.0, gain=0.0):
+    """Runs whose base parameters lie off the prior's centre, coordinates."""
+    return [
+        replace(
+            r,
+            measured=r.measured
+            + mass * 0.7 * linear.shapes("mass", r).numpy()[..., 0]
+            + gain * 1.5 * linear.shapes("gain", r).numpy()[..., 0],
+        )
+        for r in (linear.run("r1", 1), linear.run("r2", 2))
+    ]
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize("beyond", [-2.0, -0.3, 0.0, 1.0, 6.0])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_bound_against_a_brute_force_integral(beyond, side):
+    """Over mass by quadrature, over the others analytically; the optimum lies ``beyond`` posterior
+    standard deviations beyond the bound."""
+    effect = linear.Line("push")
+    runs = moved(mass=4.0 * side)
+    y, a = linear.matrices((effect,), runs)
+    inverse = np.linalg.inv(a.T @ a + np.eye(3))
+    mean, sd = (inverse @ a.T @ y)[0], np.sqrt(inverse[0, 0])
+    bound = mean - side * beyond * sd
+    others = stats.multivariate_normal(cov=np.eye(len(y)) + a[:, 1:] @ a[:, 1:].T)
+
+    def log(x):
+        return others.logpdf(y - a[:, 0] * x) + stats.norm.logpdf(x)
+
+    near = min(mean, bound) if side > 0.0 else max(mean, bound)
+    edges = sorted([bound, near - side * 14.0 * sd])
+    points = np.linspace(*edges, 60)
+    peak = max(log(x) for x in points)
+    area, _ = integrate.quad(
+        lambda x: np.exp(log(x) - peak), *edges, epsabs=1e-13, limit=500, points=points[1:-1]
+    )
+    low, high = np.full(2, -np.inf), np.full(2, np.inf)
+    (high if side > 0.0 else low)[0] = bound
+    problem = bounded(linear.problem((effect,), runs), low, high)
+    weighed = linearised(problem, np.array([0.3, -0.2, 0.7]), (), 1).weigh(
+        Hypothesis(frozenset({0}))
+    )
+    np.testing.assert_allclose(weighed.nats + constant(y), peak + np.log(area), rtol=1e-6)
+    assert low[0] - 1e-12 <= weighed.x[0] <= high[0] + 1e-12
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize("limits", [(2.0, np.inf), (2.0, 1.0), (3.9, 3.9)])
+def test_the_optimum_within_several_bounds(limits):
+    runs = moved(4.0, 4.0)
+    y, a = linear.matrices((), runs)
+    problem = bounded(linear.problem((), runs), np.full(2, -np.inf), limits)
+    weighed = linearised(problem, np.zeros(2), (), 1).weigh(Hypothesis())
+    stacked, right = np.vstack([a, np.eye(2)]), np.concatenate([y, np.zeros(2)])
+    truth = optimize.lsq_linear(stacked, right, (-np.inf, limits), method="bvls", tol=1e-12)
+    np.testing.assert_allclose(weighed.x, truth.x, atol=1e-9)
+    np.testing.assert_allclose(weighed.chi2, np.sum((y - a @ truth.x) ** 2), rtol=1e-9)
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize("beyond", [(1.5, 2.5), (0.0, 0.0), (-1.0, 3.0)])
+def test_two_bounds_against_the_normal_beyond_them(beyond):
+    """Two are not exact: within a quarter of a nat here."""
+    runs = moved(4.0, 4.0)
+    y, a = linear.matrices((), runs)
+    inverse = np.linalg.inv(a.T @ a + np.eye(2))
+    mean, sd = inverse @ a.T @ y, np.sqrt(np.diag(inverse))
+    high = mean - beyond * sd
+    problem = linear.problem((), runs)
+    free = linearised(problem, np.zeros(2), (), 1).weigh(Hypothesis()).nats
+    within = bounded(problem, np.full(2, -np.inf), high)
+    held = linearised(within, np.zeros(2), (), 1).weigh(Hypothesis()).nats
+    share = stats.multivariate_normal(mean=mean, cov=inverse).logcdf(high)
+    np.testing.assert_allclose(held - free, share, atol=0.25)
+
+
 class Given(Unknown):
     name = "given"
 
@@ -130,17 +216,41 @@ def test_drift_moves_its_channel_only_and_alike_in_repeats():
 
 
 @pytest.mark.reference
+def stopped_at(best, x):
+    """A fit that ended at x, and what its linearisation says."""
+    residual = best.problem.residual(x)
+    fit = replace(best, x=x, residual=residual, chi2=residual @ residual, prior=x @ x)
+    own = Linearisation(best.problem, x, residual, best.jacobian, [], 1)
+    return fit, own.weigh(Hypothesis())
+
+
 def test_what_a_fit_left_unrealised_is_what_its_cost_lies_above_the_optimum():
     runs = (linear.run("r1", 1), linear.run("r2", 2))
     best = fit(linear.model(), runs, linear.CHANNELS)
-    assert unrealised(best) == pytest.approx(0.0, abs=1e-6)
+    assert unrealised(*stopped_at(best, best.x)) == pytest.approx(0.0, abs=1e-6)
 
     def cost(x):
         return 0.5 * float(np.sum(best.problem.residual(x) ** 2) + x @ x)
 
     x = best.x + np.array([0.4, -0.3])
-    stopped = replace(best, x=x, residual=best.problem.residual(x))
-    assert unrealised(stopped) == pytest.approx(cost(x) - cost(best.x), rel=1e-6)
+    assert unrealised(*stopped_at(best, x)) == pytest.approx(cost(x) - cost(best.x), rel=1e-6)
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize("at", [1.0, 0.6])
+def test_a_fit_on_its_bound_is_credited_with_what_lies_within(at):
+    """At the bound nothing is left; before it, what leads to it."""
+    runs = moved(mass=4.0)
+    best = fit(
+        bounded(linear.problem((), runs), [-np.inf] * 2, [1.0, np.inf]).model, runs, linear.CHANNELS
+    )
+    assert best.at_bound == ("mass",)
+    x = best.x.copy()
+    x[0] = at
+    ended, weighed = stopped_at(best, x)
+    assert unrealised(ended, weighed) == pytest.approx(
+        0.5 * (ended.chi2 + ended.prior - best.chi2 - best.prior), rel=1e-6, abs=1e-6
+    )
 
 
 def test_the_search_does_not_credit_an_optimum_that_a_fit_has_not_found():
@@ -150,7 +260,7 @@ def test_the_search_does_not_credit_an_optimum_that_a_fit_has_not_found():
     moved = found.x + np.array([0.4, -0.3])
     nats = []
     for x in (found.x, moved):
-        stopped = replace(found, x=x, residual=found.problem.residual(x))
+        stopped, weighed = stopped_at(found, x)
         null = Descended(stopped, local_at(found.problem, x))
         nats.append(Search(problem, (), null).entries[Hypothesis()].nats)
-    assert nats[0] - nats[1] == pytest.approx(unrealised(stopped), rel=1e-6)
+    assert nats[0] - nats[1] == pytest.approx(unrealised(stopped, weighed), rel=1e-6)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -110,6 +112,27 @@ def test_nuisance_of_a_run_acts_in_that_run_only():
     half = len(a) // 2
     assert not a[half:, 2].any() and not a[:half, 3].any()
     assert a[:half, 2].all() and a[half:, 3].all()
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize("method", ["differences", "forward_mode"])
+@pytest.mark.parametrize("side", ["lower", "upper"])
+def test_slopes_at_a_bound_are_those_within(method, side):
+    """Beyond a bound a parameter is cut: differences across it would see half of the slope."""
+    plain, at = decay_model(), 0.8 if side == "upper" else -0.8
+    x = np.array([at, 0.0, 0.0, 0.0])
+
+    def slope(**bounds):
+        base = [replace(p, **(bounds if p.name == "rate" else {})) for p in plain.base]
+        model = SimModel(plain.build, base, batched=True)
+        jacobian = Jacobian(method=method, step=1e-3)
+        problem = Problem(model, decay_runs(), WhiteNoise(CHANNEL), (), jacobian)
+        return problem.linearise(x)[1][:, 0]
+
+    free, edge = slope(), 0.5 * np.exp(0.5 * at)
+    near = edge + (1e-5 if side == "upper" else -1e-5)  # less than a step away
+    for bound in (edge, near):
+        np.testing.assert_allclose(slope(**{side: bound}), free, atol=1e-5 * np.abs(free).max())
 
 
 def test_bound_is_kept_and_stated():
