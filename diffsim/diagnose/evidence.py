@@ -47,8 +47,7 @@ class Weighed:
 
     Attributes:
         nats: Evidence.
-        x: (n,) coordinates, zero for effects not in the set; an unsigned size of negative mean is
-            cut at zero.
+        x: (n,) coordinates of the optimum within the bounds, zero for effects not in the set.
         sd: (n,) of the coordinates, zero for effects not in the set.
         chi2: |r - B x|^2, after the unknown cause's part.
         amplitude: Of the unknown cause that is most probable; 0 without.
@@ -148,6 +147,9 @@ def _within(
 ) -> tuple[Array, float]:
     """The optimum within bounds and the nats that they cost.
 
+    By holding what leaves its bounds until nothing does: where one that is held would come back
+    for the sake of others, it lies a little above the optimum.
+
     Args:
         mean, sd: (n,) of the posterior without bounds.
         gram, right: (n, n) B'B and (n,) B'r.
@@ -160,7 +162,7 @@ def _within(
     # together the bounds cost what the optimum lost, not each one's share of it once more
     lost = -float((shares + 0.5 * ((mean - np.clip(mean, low, high)) / sd) ** 2).sum())
     hessian, x = gram + np.eye(len(mean)), mean
-    while True:  # what leaves its bounds is held there; ends, for none is let go
+    while True:  # ends, for none is let go
         x = np.where(held, np.clip(x, low, high), x)
         moves, stays = np.flatnonzero(~held), np.flatnonzero(held)
         pull = right[moves] - hessian[np.ix_(moves, stays)] @ x[stays]
