@@ -28,7 +28,7 @@ TRUSTED = 0.05  # share of its movement by which the record may stray from its s
 MISLED = 0.5  # noise standard deviations of the misfit that slopes may mistake
 STRAYED = 0.3
 LONGEST, SHORTEST = 4.0, 1e-3  # prior standard deviations in one step
-MAX_STEPS = 200  # curved valleys took 212 (fish tail); a fit that ends early names the wrong cause
+MAX_STEPS = 200  # valleys are curved: after 30 the fish tail's fit was not at its end
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, special
+from scipy import linalg, optimize, special
 
 from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.unknown import Unknown
@@ -131,7 +131,7 @@ class Linearisation:
         unbounded = np.full(len(extra), np.inf)
         low = np.concatenate([self.bounds[0][free], -unbounded])
         high = np.concatenate([self.bounds[1][free], unbounded])
-        mean, lost = _within(mean, sd, gram, b, low, high)
+        mean, lost = _within(mean, sd, np.tril(factor[0]).T, low, high)
         chi2 = self.power - 2.0 * (b @ mean) + mean @ gram @ mean
         unsigned = [
             c for i in members if not self.problem.effects[i].signed for c in self.columns[i]
@@ -142,36 +142,22 @@ class Linearisation:
         return float(nats), x, deviation, float(chi2)
 
 
-def _within(
-    mean: Array, sd: Array, gram: Array, right: Array, low: Array, high: Array
-) -> tuple[Array, float]:
+def _within(mean: Array, sd: Array, root: Array, low: Array, high: Array) -> tuple[Array, float]:
     """The optimum within bounds and the nats that they cost.
-
-    By holding what leaves its bounds until nothing does: where one that is held would come back
-    for the sake of others, it lies a little above the optimum.
 
     Args:
         mean, sd: (n,) of the posterior without bounds.
-        gram, right: (n, n) B'B and (n,) B'r.
+        root: (n, n) upper, root' root = 1 + B'B.
         low, high: (n,).
     """
     shares = _log_share(mean, sd, low, high)
-    held = (mean < low) | (mean > high)
-    if not held.any():
+    inside = np.clip(mean, low, high)
+    if (inside == mean).all():
         return mean, -float(shares.sum())
+    x = optimize.lsq_linear(root, root @ mean, (low, high), method="bvls").x
     # together the bounds cost what the optimum lost, not each one's share of it once more
-    lost = -float((shares + 0.5 * ((mean - np.clip(mean, low, high)) / sd) ** 2).sum())
-    hessian, x = gram + np.eye(len(mean)), mean
-    while True:  # ends, for none is let go
-        x = np.where(held, np.clip(x, low, high), x)
-        moves, stays = np.flatnonzero(~held), np.flatnonzero(held)
-        pull = right[moves] - hessian[np.ix_(moves, stays)] @ x[stays]
-        x[moves] = linalg.solve(hessian[np.ix_(moves, moves)], pull, assume_a="pos")
-        left = (x < low) | (x > high)
-        if not left.any():
-            step = x - mean
-            return x, lost + 0.5 * float(step @ hessian @ step)
-        held |= left
+    lost = 0.5 * float(np.sum((root @ (x - mean)) ** 2))
+    return x, lost - float((shares + 0.5 * ((mean - inside) / sd) ** 2).sum())
 
 
 def unrealised(fit: Fit, weighed: Weighed) -> float:

@@ -215,7 +215,6 @@ def test_drift_moves_its_channel_only_and_alike_in_repeats():
     assert h[2].any()
 
 
-@pytest.mark.reference
 def stopped_at(best, x):
     """A fit that ended at x, and what its linearisation says."""
     residual = best.problem.residual(x)
@@ -224,6 +223,7 @@ def stopped_at(best, x):
     return fit, own.weigh(Hypothesis())
 
 
+@pytest.mark.reference
 def test_what_a_fit_left_unrealised_is_what_its_cost_lies_above_the_optimum():
     runs = (linear.run("r1", 1), linear.run("r2", 2))
     best = fit(linear.model(), runs, linear.CHANNELS)
