@@ -16,8 +16,8 @@ from pathlib import Path
 import torch
 
 from benchmarks.machine import machine
-from diffsim._files import write_json_atomic
 from diffsim.applications import SOLVERS, table
+from diffsim.core.files import write_json_atomic
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from diffsim import mesh, soft
-from diffsim.errors import ConvergenceError
+from diffsim.core.errors import ConvergenceError
 
 LENGTH, WIDTH = 0.1, 0.0393  # [m] a square of the cylinder's area (outer radius 22.2 mm)
 YOUNGS, POISSON, DENSITY = 263_824.0, 0.45, 1070.0

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from diffsim._files import write_json_atomic
 from diffsim.applications import Application, Evaluation, minimise, solver_options
 from diffsim.applications.table import OURS, load
+from diffsim.core.files import write_json_atomic
 
 
 def throw(application: Application, first: np.ndarray, evaluations: int) -> Evaluation:

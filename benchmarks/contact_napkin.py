@@ -23,7 +23,7 @@ from benchmarks.contact_scenes import (
 from benchmarks.harness import Part, cores, spread
 from benchmarks.soft_scenes import mean
 from diffsim import contact, soft
-from diffsim.errors import ConvergenceWarning
+from diffsim.core.errors import ConvergenceWarning
 
 MAX_CANDIDATES = 3000
 """Beyond it the columns of A^-1 and the dense Schur complement take minutes and gigabytes."""

@@ -24,7 +24,6 @@ import numpy as np
 from benchmarks.copter_codesign_plots import draw, tables
 from benchmarks.copter_soft_program import SoftProgram, solve_active_set, solve_scipy
 from benchmarks.harness import Benchmark, Part
-from diffsim._paths import data_folder
 from diffsim.copter import load_design
 from diffsim.copter.codesign import AlternatingOptions, CoDesignError, CurrentModel, codesign
 from diffsim.copter.codesign.alternating import Alternation, alternate, judge
@@ -34,6 +33,7 @@ from diffsim.copter.codesign.limits import Limits
 from diffsim.copter.codesign.spin_condition import most_controllable
 from diffsim.copter.codesign.steps import thrust_step
 from diffsim.copter.codesign.task import Point, Task
+from diffsim.core.paths import data_folder
 
 OPTIONS = AlternatingOptions()  # eta = 0.3, mu = 0.7 as in the caption of Fig. 3-3
 CASES: dict[str, tuple[str, dict[str, float]]] = {

@@ -20,9 +20,9 @@ import torch
 from torch import Tensor
 
 from benchmarks.harness import repeat_for, spread
-from diffsim import _ops
-from diffsim._files import write_json_atomic
 from diffsim.copter import Multicopter, hover, hover_thrusts, linearise, lqr, lqr_stats, lyapunov
+from diffsim.core.compiled import INSTRUCTION_SET
+from diffsim.core.files import write_json_atomic
 
 Layer = Callable[..., tuple[Tensor, ...]]
 
@@ -168,7 +168,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, help="JSON file")
     args = parser.parse_args()
     torch.set_num_threads(1)
-    print(f"{_ops.INSTRUCTION_SET}, one thread, CPU time")
+    print(f"{INSTRUCTION_SET}, one thread, CPU time")
     results = []
     for num_rotors in (4, 6, 8):
         result = measure(num_rotors, args.seconds)

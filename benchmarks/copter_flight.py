@@ -16,11 +16,11 @@ from collections.abc import Callable
 import torch
 
 from benchmarks.harness import Seconds, cores, repeat_for, spread
-from diffsim import _ops
 from diffsim.copter import Multicopter
 from diffsim.copter.effects import BodyDrag, FlightEffects, MotorLag, RotorDrag
 from diffsim.copter.flight import Feedback, fly
 from diffsim.copter.flight_state import FlightState
+from diffsim.core.compiled import INSTRUCTION_SET
 
 BATCHES = (1, 8, 64, 512, 4096)
 
@@ -105,7 +105,7 @@ def main() -> None:
     args = parser.parse_args()
     torch.manual_seed(0)
     torch.set_num_threads(1)  # the few torch operations around the kernel only spin with more
-    print(f"{args.steps} steps, {_ops.INSTRUCTION_SET}, {args.threads} threads; vehicle-steps:")
+    print(f"{args.steps} steps, {INSTRUCTION_SET}, {args.threads} threads; vehicle-steps:")
     with cores(args.threads):
         for kind in ("bare", "drag, wind, lag"):
             for batch in BATCHES:

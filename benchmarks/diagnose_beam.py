@@ -11,9 +11,10 @@ from dataclasses import replace
 
 from diffsim.data.importers import import_study
 from diffsim.data.study import Study
-from diffsim.diagnose import SearchSettings, diagnose
+from diffsim.diagnose import diagnose
 from diffsim.diagnose.gain import gain
-from diffsim.diagnose.setups.silicone_beam import setup
+from diffsim.identify import SearchSettings
+from diffsim.systems.published.silicone_beam import setup
 
 
 def main() -> None:

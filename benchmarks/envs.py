@@ -26,7 +26,7 @@ from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 import diffsim.envs
 from benchmarks.harness import spread
 from benchmarks.machine import machine
-from diffsim._files import to_plain, write_json_atomic
+from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.envs import make_task, make_vector
 
 BATCHES = (1, 8, 64)

@@ -20,9 +20,9 @@ import numpy as np
 import torch
 
 from benchmarks.machine import machine
-from diffsim._files import write_json_atomic
 from diffsim.applications import Application, evaluate, solver_options
 from diffsim.applications.table import OURS, load
+from diffsim.core.files import write_json_atomic
 
 NAMES = ("torus", "quadruped", "cow")
 CHECKS = ("steps", "tolerance", "gradient", "line")

@@ -19,7 +19,7 @@ import torch
 from tqdm import tqdm
 
 from benchmarks.machine import code_fingerprint, machine
-from diffsim._files import to_plain, write_json_atomic, write_text_atomic
+from diffsim.core.files import to_plain, write_json_atomic, write_text_atomic
 
 Result = Any
 T = TypeVar("T")

@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from diffsim._files import write_json_atomic
 from diffsim.applications import evaluate, minimise, solver_options
 from diffsim.applications.identification import visibility
 from diffsim.applications.table import OURS, load
+from diffsim.core.files import write_json_atomic
 
 NAMES = ("plant", "bouncing_ball")
 

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 import torch
 
-from diffsim._ops_linalg import SparseFactor
+from diffsim.linalg._ops_cholesky import SparseFactor
 
 
 def grid_matrix(shape: tuple[int, ...], block: int) -> tuple[sp.bsr_matrix, np.ndarray]:

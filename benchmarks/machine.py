@@ -15,8 +15,7 @@ import numpy
 import torch
 
 import diffsim
-from diffsim import _ops
-from diffsim._core import core
+from diffsim.core.compiled import INSTRUCTION_SET, core
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -28,7 +27,7 @@ def machine() -> dict[str, Any]:
         "cores": num_cores(),
         "caches": _caches(),
         "memory_available_GiB": round(available_memory() / 2**30, 1),
-        "instruction_set": _ops.INSTRUCTION_SET,
+        "instruction_set": INSTRUCTION_SET,
         "compiler": _compiler(),
         "system": f"{platform.system()} {platform.release()}",
         "python": platform.python_version(),
@@ -45,12 +44,12 @@ def code_fingerprint(*rooms: str) -> str:
     """Digest of the loaded binary, of Python files and their data: what results depend on.
 
     Args:
-        rooms: Folders of the package besides the doors to the binary, such as "soft".
+        rooms: Folders of the package besides ``core`` and ``linalg``, such as "soft".
     """
     digest = hashlib.sha256(Path(core.__file__).read_bytes())
     package = Path(diffsim.__file__).parent
     inside = [f"{room}/**/*.{ending}" for room in rooms for ending in ("py", "yaml")]
-    for pattern in (*inside, "_ops_*.py", "_soft_context.py"):
+    for pattern in (*inside, "core/*.py", "linalg/*.py"):
         for path in sorted(package.glob(pattern)):
             digest.update(path.read_bytes())
     return digest.hexdigest()[:16]

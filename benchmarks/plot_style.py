@@ -12,7 +12,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
-from diffsim._files import write_bytes_atomic
+from diffsim.core.files import write_bytes_atomic
 from diffsim.viz.figures import INK, LINE, SOFT
 
 Rows = list[dict[str, Any]]

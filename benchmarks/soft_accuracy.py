@@ -1,7 +1,7 @@
 """How the weights of the constant matrix were chosen: iterations over VOLUME_SHARE and FIBRE_SHARE.
 
 The constant matrix takes the volume and fibre terms with a share of their weight
-(diffsim/_soft_context.py, ``preconditioner_stiffness``); 1 is thesis eq. 4.15.
+(diffsim/_context.py, ``preconditioner_stiffness``); 1 is thesis eq. 4.15.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ import torch
 from benchmarks.harness import Part
 from benchmarks.soft_cantilever import options
 from benchmarks.soft_scenes import cantilever, one_pass
-from diffsim import _soft_context, soft
+from diffsim import soft
+from diffsim.soft import _context
 
 MUSCLE_STIFFNESS = 2e6  # [Pa], twice the body's Young's modulus
 
@@ -91,7 +92,7 @@ def sweep(
                 {
                     "name": name,
                     "share": share,
-                    "chosen": share == getattr(_soft_context, name),
+                    "chosen": share == getattr(_context, name),
                     "kind": kind,
                     "method": method,
                     **case,
@@ -117,9 +118,9 @@ def muscular(kind: str, cells: Sequence[int]) -> soft.SoftBody:
 @contextmanager
 def preconditioner_share(name: str, value: float) -> Iterator[None]:
     """Set a weight of the constant matrix, for bodies that have not made theirs yet."""
-    before = getattr(_soft_context, name)  # AttributeError: the solver no longer has this constant
-    setattr(_soft_context, name, value)
+    before = getattr(_context, name)  # AttributeError: the solver no longer has this constant
+    setattr(_context, name, value)
     try:
         yield
     finally:
-        setattr(_soft_context, name, before)
+        setattr(_context, name, before)

@@ -18,7 +18,7 @@ from benchmarks.processes import run_child
 from benchmarks.soft_cantilever import options
 from benchmarks.soft_scenes import LENGTH, cantilever, twisted, weighted_loss
 from diffsim import soft
-from diffsim.errors import DiffsimError
+from diffsim.core.errors import DiffsimError
 
 Array = NDArray[np.float64]
 STABILITY = "explicit/stable step"

@@ -12,7 +12,7 @@ import torch
 from benchmarks.harness import cores, repeat_for, spread, timed
 from benchmarks.soft_scenes import cantilever, loss_weights, twisted
 from diffsim import mesh
-from diffsim._core import core
+from diffsim.core.compiled import core
 
 # Larger factorisations of the 3x3-block tangent are not tried: about ten seconds on one core.
 MAX_BLOCK_FLOPS = 4e11

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from benchmarks.harness import Seconds, timed
 from diffsim import mesh, soft
-from diffsim.errors import ConvergenceWarning
+from diffsim.core.errors import ConvergenceWarning
 
 LENGTH, WIDTH = 0.32, 0.08  # [m]
 MATERIAL: dict[str, Any] = {

@@ -32,7 +32,7 @@ from benchmarks.plot_style import (
     style,
 )
 from benchmarks.stokes_exact import Exact, all_flows
-from diffsim._files import write_json_atomic, write_text_atomic
+from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.stokes import Grid, StokesFlow
 from diffsim.viz.figures import INK
 

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.machine import machine
-from diffsim._files import write_json_atomic, write_text_atomic
+from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.stokes import FlowField, Grid, Inlet, Open, StokesFlow
 from diffsim.stokes.shapes import BezierCurve2d, Intersection
 

@@ -24,7 +24,7 @@ from torch.nn.functional import interpolate
 
 from benchmarks.harness import timed
 from benchmarks.machine import machine
-from diffsim._files import write_json_atomic
+from diffsim.core.files import write_json_atomic
 from diffsim.stokes import Grid, Inlet, Open, StokesFlow
 from diffsim.stokes.devices import funnel, twister
 from diffsim.stokes.devices.device import Device, quiet

@@ -28,7 +28,7 @@ from benchmarks.plot_style import (
     save,
     style,
 )
-from diffsim._files import write_json_atomic, write_text_atomic
+from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.stokes import devices
 from diffsim.stokes.devices.log import Log
 from diffsim.stokes.devices.optimise import search_settings

@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 from torch.utils.benchmark import Timer
 
-from diffsim import _ops
-from diffsim.svd import polar3, svd3
+from diffsim.core.compiled import INSTRUCTION_SET
+from diffsim.linalg.svd import polar3, svd3
 
 
 def inputs(num_matrices: int) -> dict[str, Tensor]:
@@ -48,7 +48,7 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     n, threads = args.num_matrices, args.threads
-    print(f"{n} matrices, {_ops.INSTRUCTION_SET}, {threads} threads")
+    print(f"{n} matrices, {INSTRUCTION_SET}, {threads} threads")
     for kind, F in inputs(n).items():
         leaf = F.clone().requires_grad_()
 

@@ -24,13 +24,13 @@ import torch
 from torch import Tensor
 
 from benchmarks.machine import machine
-from diffsim._files import write_json_atomic
 from diffsim.applications import SOLVERS, solver_options
 from diffsim.control import MLPController
+from diffsim.core.errors import ConvergenceError
+from diffsim.core.files import write_json_atomic
 from diffsim.envs import make_task
 from diffsim.envs.rollout import rollout_task
 from diffsim.envs.soft_tasks import SoftTask
-from diffsim.errors import ConvergenceError
 
 TASKS = ("StarfishSwim", "SharkSwim")
 RTOL, STEPS = 1e-3, 200

@@ -21,11 +21,11 @@ from pathlib import Path
 
 import torch
 
-from diffsim._files import write_json_atomic, write_text_atomic
+from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.learn import comparison
-from diffsim.learn.figures import comparison_figure
 from diffsim.learn.methods import METHODS, Plan
 from diffsim.learn.presets import PRESETS, preset
+from diffsim.viz.learning_figures import comparison_figure
 
 
 def report(task: str, plan: Plan, folder: Path, figure: Path, *, quality: bool) -> str | None:

@@ -1,6 +1,6 @@
 // What every binding file shares: the list of them, and views of memory that Python owns.
 //
-// Arguments are raw addresses and sizes that diffsim/_ops.py has checked (dtype, contiguity, size),
+// Arguments are raw addresses and sizes that diffsim/core/kernels.py has checked (dtype, contiguity, size),
 // so nothing is converted or copied behind the caller's back.
 #pragma once
 

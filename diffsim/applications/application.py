@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim import soft
-from diffsim._check import require_choice
 from diffsim.contact import Obstacle
+from diffsim.core.check import require_choice
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from diffsim._check import require_choice
-from diffsim._paths import PROJECT
+from diffsim.core.check import require_choice
+from diffsim.core.paths import PROJECT
 
 FOLDER = PROJECT / "examples"
 _QUICK = {"--quick", "--small"}  # what scripts call their short version
@@ -51,7 +51,7 @@ def examples(folder: Path = FOLDER) -> dict[str, Example]:
             continue  # a helper module of its neighbours
         doc = ast.get_docstring(ast.parse(text)) or ""
         quick = next((flag for flag in sorted(_QUICK) if f'"{flag}"' in text), None)
-        if quick is None and "applications.story" in text:
+        if quick is None and "diffsim.cli.application" in text:
             quick = "--quick"
         found[path.stem] = Example(path.stem, path, doc.partition("\n")[0], quick)
     return found

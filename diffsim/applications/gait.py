@@ -10,7 +10,7 @@ from torch import Tensor
 
 from diffsim import soft
 from diffsim.applications.application import Application, Array, Parameters
-from diffsim.robots import SoftRobot
+from diffsim.systems.robots import SoftRobot
 
 
 def gait(

@@ -26,10 +26,10 @@ from typing import Any
 import yaml
 from tqdm import tqdm
 
-from diffsim._check import require_choice
-from diffsim._files import write_json_atomic, write_text_atomic
 from diffsim.applications.catalogue import FOLDER, examples
-from diffsim.errors import DiffsimError
+from diffsim.core.check import require_choice
+from diffsim.core.errors import DiffsimError
+from diffsim.core.files import write_json_atomic, write_text_atomic
 
 DOCS = FOLDER.parent / "docs"
 RECORD = "gallery.json"  # beside the page: what it shows of scripts

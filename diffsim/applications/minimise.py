@@ -16,9 +16,9 @@ import torch
 from scipy.optimize import minimize
 from tqdm import tqdm
 
-from diffsim._files import write_text_atomic
 from diffsim.applications.application import Application, Array
-from diffsim.errors import ConvergenceError, DiffsimError
+from diffsim.core.errors import ConvergenceError, DiffsimError
+from diffsim.core.files import write_text_atomic
 
 
 @dataclass(frozen=True, kw_only=True)

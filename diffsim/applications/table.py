@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from diffsim._files import write_json_atomic, write_text_atomic
 from diffsim.applications.application import SOLVERS, Application, solver_options
 from diffsim.applications.catalogue import FOLDER
 from diffsim.applications.minimise import minimise
 from diffsim.applications.normalise import normalised, random_losses
-from diffsim.errors import DiffsimError
+from diffsim.core.errors import DiffsimError
+from diffsim.core.files import write_json_atomic, write_text_atomic
 
 NAMES = ("plant", "bouncing_ball", "bunny", "routing_tendon", "torus", "quadruped", "cow")
 OURS = "projective_dynamics"

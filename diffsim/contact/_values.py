@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from diffsim._check import require, require_number, require_range
+from diffsim.core.check import require, require_number, require_range
 
 Number = float | Tensor
 Vector = Sequence[float] | Tensor

@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from diffsim._check import require
 from diffsim.contact._values import Number, dot, scalar
 from diffsim.contact.triangles import feature_distance
+from diffsim.core.check import require
 from diffsim.mesh import HexMesh, SurfaceDistance, TetMesh, surface_triangles
 
 _Mesh = HexMesh | TetMesh

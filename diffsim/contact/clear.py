@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from diffsim._check import require, require_number
 from diffsim.contact.obstacle import Obstacle, require_obstacles
+from diffsim.core.check import require, require_number
 from diffsim.mesh import HexMesh, TetMesh, surface_vertices
 
 

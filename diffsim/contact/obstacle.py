@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from diffsim._check import require
 from diffsim.contact._values import Number, Vector, friction_coefficient, scalar, vector
 from diffsim.contact.rotation import rotation_matrix, turn_offset
 from diffsim.contact.shapes import Box, Capsule, Pair, Plane, Shape, Sphere
+from diffsim.core.check import require
 
 
 @dataclass(frozen=True, eq=False, init=False)

@@ -9,8 +9,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from diffsim._check import require
 from diffsim.contact._values import Number, Vector, direction, dot, scalar, vector
+from diffsim.core.check import require
 from diffsim.mesh.sdf import Sdf
 
 Pair = tuple[Tensor, Tensor]

@@ -8,7 +8,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from diffsim._check import require_number
+from diffsim.core.check import require_number
 
 
 class Normaliser(nn.Module):

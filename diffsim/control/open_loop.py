@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from diffsim._check import require_number
+from diffsim.core.check import require_number
 
 
 class OpenLoop(nn.Module):

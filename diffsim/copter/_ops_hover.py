@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from diffsim._core import core
+from diffsim.core.compiled import core
 
 INFO = ("status", "rank", "free_rank", "num_iters")
 STATUSES = ("optimal", "infeasible", "rank_deficient", "not_converged")

@@ -11,8 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from diffsim._core import core
 from diffsim.copter.stabilizability import raise_lyapunov_failure, raise_riccati_failure
+from diffsim.core.compiled import core
 
 REPORT = ("solved", "num_iters", "residual", "abscissa")
 

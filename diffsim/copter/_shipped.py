@@ -6,7 +6,7 @@ import os
 from importlib import resources
 from pathlib import Path
 
-from diffsim._check import require_choice
+from diffsim.core.check import require_choice
 
 
 def shipped(folder: str) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ import scipy.optimize
 import torch
 from torch import Tensor
 
-from diffsim.errors import ConvergenceError, DiffsimError
+from diffsim.core.errors import ConvergenceError, DiffsimError
 
 
 class ThrustLimitError(DiffsimError):

@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim._check import require_number
 from diffsim.copter.effects import BatterySag
 from diffsim.copter.rotor import RotorModel
+from diffsim.core.check import require_number
 
 # Resting voltage of a lithium-polymer cell against its charge: the table that hobby chargers and
 # battery alarms print, 0 to 100 % in steps of 5 %.

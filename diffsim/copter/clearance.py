@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from diffsim.copter.vehicle import Multicopter
-from diffsim.errors import ConvergenceError
+from diffsim.core.errors import ConvergenceError
 
 _TOUCH = 1e-9  # distance, in radii, below which discs count as cutting each other
 _MAX_ITERS = 20000

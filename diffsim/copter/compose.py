@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from diffsim._check import require_choice
 from diffsim.copter.adapters import ADAPTERS, adapters_for, closest_pair, ports
 from diffsim.copter.constraints import Constraint
 from diffsim.copter.contact import ContactEnd, Target, contact_of
@@ -23,7 +22,8 @@ from diffsim.copter.patches import aligning_rotation
 from diffsim.copter.placement import LinearForm, PlacedPart
 from diffsim.copter.spec import Connection, DesignSpec, PartSpec
 from diffsim.copter.tilts import clip_for, require_direction
-from diffsim.errors import MeshError
+from diffsim.core.check import require_choice
+from diffsim.core.errors import MeshError
 
 
 class Composer:

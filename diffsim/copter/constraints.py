@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from diffsim.copter.geometry import Array
-from diffsim.errors import DiffsimError
+from diffsim.core.errors import DiffsimError
 
 
 class InfeasibleDesignError(DiffsimError):

@@ -13,10 +13,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from diffsim._check import require, require_number
 from diffsim.copter._thrust_lp import max_scale
 from diffsim.copter.vehicle import Multicopter
-from diffsim.errors import DiffsimError
+from diffsim.core.check import require, require_number
+from diffsim.core.errors import DiffsimError
 
 _RANK_DROP = 1e-9  # singular value, relative to the largest, that counts as zero
 

@@ -13,7 +13,6 @@ import torch
 import trimesh
 from torch import Tensor
 
-from diffsim._check import require, require_choice
 from diffsim.copter.evaluate import PartTensors
 from diffsim.copter.feasible import FeasibleSet
 from diffsim.copter.geometry import Array
@@ -23,6 +22,7 @@ from diffsim.copter.parts import RotorMount
 from diffsim.copter.placement import PlacedPart, distance_weights
 from diffsim.copter.spec import DesignSpec
 from diffsim.copter.vehicle import Multicopter
+from diffsim.core.check import require, require_choice
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,7 +37,6 @@ from typing import Any
 
 import yaml
 
-from diffsim._files import to_plain, write_text_atomic
 from diffsim.copter._shipped import read_named, shipped
 from diffsim.copter.assemble import build_design
 from diffsim.copter.design import Design
@@ -45,7 +44,8 @@ from diffsim.copter.parts.database import PART_KINDS, option_names
 from diffsim.copter.spec import Connection, DesignSpec, PartSpec
 from diffsim.copter.yaml_lines import Located, read_yaml
 from diffsim.copter.yaml_lines import Path as Keys
-from diffsim.errors import MeshError
+from diffsim.core.errors import MeshError
+from diffsim.core.files import to_plain, write_text_atomic
 
 _TOP = ["name", "notes", "parts", "connections", "rigid", "constraints", "values"]
 _PART = {"kind", "bounds", "rotation", "place", "anchored", "direction", "propeller"}

@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from diffsim._check import require, require_range
+from diffsim.core.check import require, require_range
 
 
 def _require(

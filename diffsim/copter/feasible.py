@@ -24,7 +24,7 @@ from diffsim.copter.constraints import (
 )
 from diffsim.copter.geometry import Array, IntArray
 from diffsim.copter.quadratic_program import solve_qp
-from diffsim.errors import ConvergenceError
+from diffsim.core.errors import ConvergenceError
 
 _RANK_TOL = 1e-9  # coefficients are lengths' multiples, of order one
 _FEASIBLE = 1e-7  # [m], a tenth of a micrometre

@@ -1,11 +1,10 @@
-"""Fit rotor models to bench tables; as a command, write those that come with the package.
+"""Fit rotor models to bench tables.
 
 python -m diffsim.copter.fit_rotor [--data FOLDER] [--output FOLDER] [--figures FOLDER]
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,10 +15,9 @@ import torch
 import yaml
 from scipy.optimize import least_squares
 
-from diffsim._files import write_text_atomic
-from diffsim._paths import data_folder
 from diffsim.copter.rotor import SIGNAL_HIGH, SIGNAL_LOW, RotorModel
-from diffsim.copter.rotor_table import Array, RotorTable, read_rotor_bench
+from diffsim.copter.rotor_table import Array, RotorTable
+from diffsim.core.files import write_text_atomic
 
 # Not in the tables. A first-order lag of 50 ms is usual for 10 to 14 inch propellers, 25 ms for
 # 5 inch ones; take your own where it matters.
@@ -225,7 +223,7 @@ def write_rotor(fit: RotorFit, folder: Path) -> Path:
         "provenance": {
             "title": fit.table.title,
             "source": fit.table.source,
-            "command": "python -m diffsim.copter.fit_rotor",
+            "command": "python -m diffsim.cli.fit_rotors",
         },
     }
     text = yaml.safe_dump(_rounded(record), sort_keys=False, width=100)
@@ -237,32 +235,3 @@ def _rounded(value: Any) -> Any:
     if isinstance(value, dict):
         return {k: _rounded(v) for k, v in value.items()}
     return float(f"{value:.10g}") if isinstance(value, float) else value
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, help="folder that holds rotor_bench")
-    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "rotors")
-    parser.add_argument("--figures", type=Path, help="also draw every fit here")
-    args = parser.parse_args()
-    data = args.data or data_folder()
-    if data is None:
-        parser.error("no data folder found; give --data or set DIFFSIM_DATA")
-    for table in read_rotor_bench(data / "rotor_bench").values():
-        fit = fit_rotor(table)
-        path = write_rotor(fit, args.output)
-        thrust = fit.curves["thrust"]
-        error = thrust.standard_errors["exponent"]
-        print(
-            f"{path.name:32s} thrust ~ speed^{thrust.values['exponent']:.3f} +- {error:.3f}, rms "
-            f"{thrust.rms:.3f} N, speed rms {fit.curves['speed'].rms:.1f} rad/s"
-        )
-        if args.figures:
-            from diffsim.viz.rotors import rotor_fit  # matplotlib is optional
-
-            args.figures.mkdir(parents=True, exist_ok=True)
-            rotor_fit(fit).savefig(args.figures / f"{table.name}.png", dpi=110)
-
-
-if __name__ == "__main__":
-    main()

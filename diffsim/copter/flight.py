@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from diffsim import _ops_flight
-from diffsim._check import require, require_number
+from diffsim.copter import _ops_flight
 from diffsim.copter.effects import FlightEffects
 from diffsim.copter.fleet import Fleet
 from diffsim.copter.flight_state import FlightState
 from diffsim.copter.vehicle import GRAVITY, Multicopter
-from diffsim.errors import DiffsimError
+from diffsim.core.check import require, require_number
+from diffsim.core.errors import DiffsimError
 
 _NEUTRAL = {"curve_reference": 1.0, "nominal_voltage": 1.0}  # the others are zero where absent
 

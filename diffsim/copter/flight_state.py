@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from diffsim._check import require
 from diffsim.copter.attitude import (
     body_rates_from_rpy_rates,
     quaternion_from_rpy,
@@ -15,6 +14,7 @@ from diffsim.copter.attitude import (
     rpy_from_rotation,
     rpy_rates_from_body_rates,
 )
+from diffsim.core.check import require
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from diffsim._check import require, require_choice, require_number, require_range
 from diffsim.copter import _ops_hover
 from diffsim.copter.hover_result import HoverResult, report
 from diffsim.copter.rotation import attitude_of_thrust
 from diffsim.copter.vehicle import Multicopter
+from diffsim.core.check import require, require_choice, require_number, require_range
 
 _WEAK = 1e-6  # multiplier or distance to a bound, in shares of the weight per rotor
 

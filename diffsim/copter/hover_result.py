@@ -10,7 +10,7 @@ from torch import Tensor
 
 from diffsim.copter import _ops_hover
 from diffsim.copter.rotation import rotation_from_euler
-from diffsim.errors import DiffsimError
+from diffsim.core.errors import DiffsimError
 
 
 class HoverError(DiffsimError):

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from diffsim._check import require, require_choice
 from diffsim.copter.rotation import body_rates_from_euler_rates, rotation_from_euler, skew
 from diffsim.copter.vehicle import GRAVITY, Multicopter
+from diffsim.core.check import require, require_choice
 
 FORMS = ("euler", "rotation_vector")
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from diffsim._check import require
 from diffsim.copter import _ops_riccati
+from diffsim.core.check import require
 
 _SYMMETRY = 1e-9  # relative to the largest entry: products in two orders round apart
 _SEMIDEFINITE = 1e-10  # eigenvalue below zero, relative to the largest, that is rounding

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from diffsim._check import require, require_number
 from diffsim.copter.effects import FlightEffects
 from diffsim.copter.flight import Flight, fly
 from diffsim.copter.flight_state import FlightState
 from diffsim.copter.vehicle import GRAVITY, Multicopter
+from diffsim.core.check import require, require_number
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from diffsim._check import require_choice
 from diffsim.copter.constraints import Constraint
 from diffsim.copter.geometry import Array, LinearPoints
 from diffsim.copter.parts.part import Part
 from diffsim.copter.patches import Patch, Slide
+from diffsim.core.check import require_choice
 
 AXES = "xyz"
 

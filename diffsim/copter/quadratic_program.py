@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse
 
 from diffsim.copter.geometry import Array
-from diffsim.errors import ConvergenceError
+from diffsim.core.errors import ConvergenceError
 
 
 def solve_qp(hessian: Array, gradient: Array, rows: Array, lower: Array, upper: Array) -> Array:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from diffsim._check import require, require_number
 from diffsim.copter.flight_state import FlightState
 from diffsim.copter.vehicle import GRAVITY
+from diffsim.core.check import require, require_number
 
 
 @dataclass(frozen=True, kw_only=True)

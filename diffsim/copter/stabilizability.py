@@ -6,7 +6,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from diffsim.errors import DiffsimError
+from diffsim.core.errors import DiffsimError
 
 _DROP = 1e-9  # singular value of [A - s, B], relative to the entries, that counts as zero
 _AXIS = 1e-7  # real part, relative to A, that counts as zero: double roots split by sqrt(1e-16)

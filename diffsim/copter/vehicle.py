@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from diffsim._check import require
+from diffsim.core.check import require
 
 GRAVITY = 9.81  # [m/s^2]
 

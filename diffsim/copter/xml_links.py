@@ -11,7 +11,7 @@ import trimesh
 
 from diffsim.copter.geometry import Array, rotation_rpy
 from diffsim.copter.spec import Connection, PartSpec
-from diffsim.errors import MeshError
+from diffsim.core.errors import MeshError
 from diffsim.mesh.files import load_surface
 
 _GAP = 0.003  # parts closer than this touch; the tool's designs leave up to 2.4 mm [m]

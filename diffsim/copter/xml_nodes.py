@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
 
-from diffsim._check import require_choice
+from diffsim.core.check import require_choice
 
 
 @dataclass

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from diffsim._check import require_choice, require_number
+from diffsim.core.check import require_choice, require_number
 
 Path = tuple[str | int, ...]
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from diffsim._check import require_number
+from diffsim.core.check import require_number
 from diffsim.data.calibration import calibrate
 from diffsim.data.importers.common import read_columns
 from diffsim.data.importers.tennis_balls import CHANNELS, two_parts

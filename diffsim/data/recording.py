@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim._paths import data_candidates
+from diffsim.core.paths import data_candidates
 from diffsim.data.table import did_you_mean, open_table, parse_number, parse_time, time_column
 
 Array = NDArray[np.float64]

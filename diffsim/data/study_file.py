@@ -33,8 +33,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from diffsim._check import require_choice
-from diffsim._files import to_plain, write_text_atomic
+from diffsim.core.check import require_choice
+from diffsim.core.files import to_plain, write_text_atomic
 from diffsim.data.study import SYSTEMS, USES, Channel, Run, Study
 from diffsim.data.table import did_you_mean, open_table, parse_number, parse_time, time_column
 

@@ -20,9 +20,9 @@ from scipy import ndimage
 from scipy.cluster.vq import kmeans2
 from scipy.optimize import linear_sum_assignment
 
-from diffsim._check import require_number
-from diffsim._files import write_text_atomic
-from diffsim.errors import DiffsimError
+from diffsim.core.check import require_number
+from diffsim.core.errors import DiffsimError
+from diffsim.core.files import write_text_atomic
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -37,7 +37,7 @@ import yaml
 from numpy.typing import NDArray
 from scipy import linalg
 
-from diffsim._files import write_text_atomic
+from diffsim.core.files import write_text_atomic
 from diffsim.data.recording import Recording, format_csv
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from diffsim import __version__
-from diffsim._files import write_bytes_atomic, write_json_atomic
+from diffsim.core.files import write_bytes_atomic, write_json_atomic
 from diffsim.data.beam import BeamStudy, load_beam_study
 from diffsim.data.recording import find_dataset
 from diffsim.data.virtual_lab import write_beam_study

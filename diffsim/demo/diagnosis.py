@@ -10,7 +10,7 @@ import time
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from diffsim._files import to_plain
+from diffsim.core.files import to_plain
 from diffsim.data.beam import BeamStudy
 from diffsim.data.importers.silicone_beam import import_silicone_beam
 from diffsim.demo.plan import Plan
@@ -38,8 +38,9 @@ def describe(study: BeamStudy, plan: Plan) -> dict[str, Any]:
     if not plan.diagnosis_effects:
         return {"skipped": NOT_RUN}
     # the diagnosis uses the demo's beam, so it cannot be there before it
-    from diffsim.diagnose import SearchSettings, diagnose
-    from diffsim.diagnose.setups import silicone_beam
+    from diffsim.diagnose import diagnose
+    from diffsim.identify import SearchSettings
+    from diffsim.systems.published import silicone_beam
 
     began = time.process_time()
     made = silicone_beam.setup(

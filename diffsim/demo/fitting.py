@@ -12,9 +12,9 @@ from torch import Tensor
 from diffsim.data.beam import BeamGeometry, BeamTrial
 from diffsim.demo.compare import MAX_RELEASE_SHIFT_S, window
 from diffsim.demo.identify import Unknown, fit
-from diffsim.demo.model import Beam, Setup
 from diffsim.demo.plan import Plan
 from diffsim.demo.workers import Workers
+from diffsim.systems.soft_body.clamped_beam import Beam, Setup
 
 Residual = Callable[[Mapping[str, Tensor]], Tensor]
 LOW_PA, HIGH_PA = 20e3, 5e6

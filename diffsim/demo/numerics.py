@@ -11,9 +11,9 @@ import torch
 from diffsim.data import signal
 from diffsim.data.beam import BeamGeometry
 from diffsim.demo.measured import RING_DOWN_START_S
-from diffsim.demo.model import Beam
 from diffsim.demo.plan import Plan
 from diffsim.demo.workers import Workers
+from diffsim.systems.soft_body.clamped_beam import Beam
 
 INTEGRATORS = ("implicit_euler", "bdf2", "implicit_midpoint")
 LENGTH_S = 1.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from diffsim.demo.model import Setup
+from diffsim.systems.soft_body.clamped_beam import Setup
 
 Cells = tuple[int, int, int]
 

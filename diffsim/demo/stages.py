@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import diffsim
-from diffsim._files import to_plain, write_json_atomic
+from diffsim.core.files import to_plain, write_json_atomic
 
 Result = dict[str, Any]
 

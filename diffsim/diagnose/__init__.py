@@ -1,47 +1,22 @@
 """Show what a simulator gets wrong, name the cause, extend the model, measure the gain."""
 
 from diffsim.diagnose.diagnosis import diagnose
-from diffsim.diagnose.effect import Effect
-from diffsim.diagnose.extended import ExtendedModel, extended_model
 from diffsim.diagnose.force_map import ForceMap, force_map
 from diffsim.diagnose.gain import Gain, gain
-from diffsim.diagnose.libraries import library
-from diffsim.diagnose.model import Scene, SimModel
-from diffsim.diagnose.model_file import load_extended, save_extended
+from diffsim.diagnose.gate_result import GateResult
 from diffsim.diagnose.next_run import NextRun, next_run
-from diffsim.diagnose.numerical import NumericalEffect
-from diffsim.diagnose.numerics import Numerics
-from diffsim.diagnose.report import EffectRow, GateResult, HypothesisRow, Report
-from diffsim.diagnose.search import SearchSettings
-from diffsim.diagnose.stages import DiagnosisSettings
-from diffsim.diagnose.unknown import Unknown, UnknownDrift, UnknownForce, smooth_covariance
+from diffsim.diagnose.report import EffectRow, HypothesisRow, Report
 
 __all__ = [
-    "DiagnosisSettings",
-    "Effect",
     "EffectRow",
-    "ExtendedModel",
     "ForceMap",
     "Gain",
     "GateResult",
     "HypothesisRow",
     "NextRun",
-    "NumericalEffect",
-    "Numerics",
     "Report",
-    "Scene",
-    "SearchSettings",
-    "SimModel",
-    "Unknown",
-    "UnknownDrift",
-    "UnknownForce",
     "diagnose",
-    "extended_model",
     "force_map",
     "gain",
-    "library",
-    "load_extended",
     "next_run",
-    "save_extended",
-    "smooth_covariance",
 ]

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, optimize
 
-from diffsim.diagnose.local import Local, local_at, measured_of, record_at, whitened
-from diffsim.errors import DiffsimError
+from diffsim.core.errors import DiffsimError
 from diffsim.identify import Fit, Problem
 from diffsim.identify.fitting import summary
+from diffsim.identify.local import Local, local_at, measured_of, record_at, whitened
 
 Array = NDArray[np.float64]
 ENOUGH_NATS = 0.02  # what a further step may promise, far below the 3 nats that part two names

@@ -16,9 +16,9 @@ from diffsim import __version__
 from diffsim.data.study import Run, Study
 from diffsim.diagnose import decide as rules
 from diffsim.diagnose.decide import Decision
-from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.evidence import Hypothesis
 from diffsim.diagnose.force_map import ForceMap, force_map
+from diffsim.diagnose.gate_result import GateResult
 from diffsim.diagnose.gates import (
     data_gate,
     gradient_gate,
@@ -27,12 +27,11 @@ from diffsim.diagnose.gates import (
     numerics_gate,
 )
 from diffsim.diagnose.judge import NAMES, Judgement, decision_of, judge
-from diffsim.diagnose.model import SimModel
 from diffsim.diagnose.next_run import next_run
 from diffsim.diagnose.noise import UNREPEATABLE, NoiseFloor
 from diffsim.diagnose.points import Points
 from diffsim.diagnose.repeatability import repeatability_gate
-from diffsim.diagnose.report import GateResult, Report
+from diffsim.diagnose.report import Report
 from diffsim.diagnose.screen import Screen, screen
 from diffsim.diagnose.search import NONE, Search
 from diffsim.diagnose.stages import (
@@ -45,9 +44,11 @@ from diffsim.diagnose.stages import (
 )
 from diffsim.diagnose.store import Store, key_of
 from diffsim.diagnose.tables import cannot_see, effect_rows, hypothesis_rows, set_names
-from diffsim.diagnose.unknown import Unknown, UnknownForce, drifts
 from diffsim.diagnose.words import sentences
 from diffsim.identify import Fit
+from diffsim.identify.effect import Effect
+from diffsim.identify.model import SimModel
+from diffsim.identify.unknown import Unknown, UnknownForce, drifts
 
 Array = NDArray[np.float64]
 

@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, optimize, special
 
-from diffsim.diagnose.effect import Effect
-from diffsim.diagnose.unknown import Unknown
 from diffsim.identify import Fit, Problem
+from diffsim.identify.effect import Effect
+from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
 # root mean square of the unknown's part of the record, in noise standard deviations

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.diagnose.unknown import UnknownForce
 from diffsim.identify import Problem
+from diffsim.identify.unknown import UnknownForce
 
 Array = NDArray[np.float64]
 

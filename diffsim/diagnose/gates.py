@@ -10,25 +10,20 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim.data.study import Study
-from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.evidence import Linearisation
-from diffsim.diagnose.local import Local, record_at, whitened
-from diffsim.diagnose.model import has_tangents
-from diffsim.diagnose.numerical import NumericalEffect
-from diffsim.diagnose.numerics import Numerics
-from diffsim.diagnose.report import GateResult
+from diffsim.diagnose.gate_result import GateResult
 from diffsim.identify import Fit, Jacobian, Problem
+from diffsim.identify.effect import Effect
 from diffsim.identify.fitting import posterior_covariance
+from diffsim.identify.local import Local, record_at, whitened
+from diffsim.identify.model import has_tangents
+from diffsim.identify.numerical import NumericalEffect
+from diffsim.identify.numerics import REFINEMENTS
 
 Array = NDArray[np.float64]
 GRADIENT_RTOL = 1e-4
 NUMERICS_LAMBDA = 2.0
 UNFELT = 1e-6  # noise sd that a change moves the whole record: rounding
-REFINEMENTS = {
-    "time_step": Numerics(time_step=0.5),
-    "mesh": Numerics(mesh=0.5),
-    "tolerance": Numerics(tolerance=0.1),
-}
 
 
 def data_gate(study: Study) -> list[GateResult]:

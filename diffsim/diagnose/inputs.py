@@ -1,27 +1,16 @@
-"""What a diagnosis from the command line is given: study, setup, chosen causes; and their hash."""
+"""What one diagnosis is given, and a hash of it: equal hashes give equal answers."""
 
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from diffsim import __version__
-from diffsim._check import require_choice
-from diffsim._files import to_plain
-from diffsim.data.importers import IMPORTERS, import_study
+from diffsim.core.files import to_plain
 from diffsim.data.study import Study
-from diffsim.data.study_file import load_study
-from diffsim.diagnose.effect import Effect
-from diffsim.diagnose.setups import DiagnosisSetup, setup_of
-
-QUICK = {"num_refits": 2, "max_rounds": 4, "max_effects": 2}
+from diffsim.identify.setup import DiagnosisSetup
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,133 +34,3 @@ class Inputs:
         """The fingerprint in one short word."""
         text = json.dumps(to_plain(dict(self.fingerprint)), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def read_study(given: str) -> Study:
-    """A study from a file, a folder, or the name of a published data set.
-
-    Raises:
-        FileNotFoundError: neither; the message offers the closest names.
-    """
-    path = Path(given)
-    if path.exists():
-        return load_study(path)
-    if given in IMPORTERS:
-        return import_study(given)
-    try:
-        require_choice("STUDY", given, IMPORTERS)
-    except ValueError as error:
-        raise FileNotFoundError(f"{given} is no file or folder of a study, and {error}") from None
-    raise AssertionError("require_choice refuses what is not among its choices")
-
-
-def choose(
-    effects: Sequence[Effect], only: Sequence[str] = (), without: Sequence[str] = ()
-) -> tuple[Effect, ...]:
-    """Effects by name, in their own order.
-
-    Args:
-        effects: To choose from.
-        only: All if empty.
-        without: Left out.
-
-    Raises:
-        ValueError: no such name; the message offers the closest ones.
-    """
-    known = [e.name for e in effects]
-    for option, names in (("--effects", only), ("--without", without)):
-        for name in names:
-            require_choice(option, name, known)
-    return tuple(e for e in effects if (not only or e.name in only) and e.name not in without)
-
-
-def own_setup(path: Path, study: Study) -> DiagnosisSetup:
-    """What ``setup(study)`` of a Python file makes.
-
-    Raises:
-        FileNotFoundError: no such file.
-        ValueError: the file has no such function, or it makes something else.
-    """
-    if not path.is_file():
-        raise FileNotFoundError(f"--setup must be a Python file with setup(study), got {path}")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if spec is None or spec.loader is None:
-        raise ValueError(f"--setup must be a Python file (.py), got {path}")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    if not callable(make := getattr(module, "setup", None)):
-        raise ValueError(f"--setup {path} has no function setup(study)")
-    made = make(study)
-    if not isinstance(made, DiagnosisSetup):
-        raise ValueError(
-            f"setup(study) of {path} must return a DiagnosisSetup, got {type(made).__name__}"
-        )
-    return made
-
-
-def inputs_of(
-    study: Study,
-    *,
-    seed: int,
-    setup_file: Path | None = None,
-    only: Sequence[str] = (),
-    without: Sequence[str] = (),
-    quick: bool = False,
-    workers: int = 1,
-    accept_numerics: bool = False,
-) -> Inputs:
-    """The setup of a study with the user's choices.
-
-    Raises:
-        ValueError: no setup, or names that it does not have.
-    """
-    setup = setup_of(study) if setup_file is None else own_setup(setup_file, study)
-    study = setup.study or study
-    settings = replace(
-        setup.settings,
-        workers=workers,
-        accept_numerics=accept_numerics or setup.settings.accept_numerics,
-    )
-    if quick:
-        search = replace(settings.search, **QUICK)
-        settings = replace(settings, search=search, noise_rounds=1)
-    setup = replace(setup, effects=choose(setup.effects, only, without), settings=settings)
-    return Inputs(study, setup, seed, _fingerprint(study, setup, setup_file, seed))
-
-
-def _fingerprint(
-    study: Study, setup: DiagnosisSetup, setup_file: Path | None, seed: int
-) -> dict[str, Any]:
-    effort = {k: v for k, v in asdict(setup.settings).items() if k != "workers"}
-    base = [[p.name, p.value, p.sd, p.unit, p.log] for p in setup.model.base]
-    source = "" if setup_file is None else setup_file.read_text(encoding="utf-8")
-    return {
-        "study": _study_hash(study),
-        "model": hashlib.sha256(f"{setup.model.name} {base} {source}".encode()).hexdigest(),
-        "effects": [e.name for e in setup.effects],
-        "settings": to_plain(effort),
-        "seed": seed,
-        "version": __version__,
-    }
-
-
-def changed(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Which parts of two fingerprints differ."""
-    now = json.loads(json.dumps(now))  # as it is read back
-    return [name for name in now if before.get(name) != now[name]]
-
-
-def _study_hash(study: Study) -> str:
-    total = hashlib.sha256()
-    facts = {
-        "name": study.name,
-        "channels": [asdict(c) for c in study.channels],
-        "metadata": to_plain(dict(study.metadata)),
-    }
-    total.update(json.dumps(facts, sort_keys=True).encode())
-    for run in study.runs:
-        header = [run.name, run.group, run.order, run.use, sorted(run.setup.items())]
-        total.update(json.dumps(header).encode())
-        for name, values in [("t", run.time_s), ("y", run.measured), *sorted(run.command.items())]:
-            total.update(name.encode() + np.ascontiguousarray(values, dtype=np.float64).tobytes())
-    return total.hexdigest()

@@ -13,7 +13,7 @@ from diffsim.diagnose.crosscheck import swap_probability
 from diffsim.diagnose.decide import Decision, decide
 from diffsim.diagnose.evidence import Hypothesis
 from diffsim.diagnose.gain import Gain, gain
-from diffsim.diagnose.report import GateResult
+from diffsim.diagnose.gate_result import GateResult
 from diffsim.diagnose.search import Search
 from diffsim.identify import Fit
 

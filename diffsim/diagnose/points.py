@@ -15,10 +15,10 @@ from scipy import linalg
 
 from diffsim.diagnose.descend import Descended, descend
 from diffsim.diagnose.evidence import Linearisation
-from diffsim.diagnose.local import Local, local_at, measured_of, record_at, whitened
 from diffsim.diagnose.store import Store
-from diffsim.diagnose.unknown import Unknown, by_group
 from diffsim.identify import Problem
+from diffsim.identify.local import Local, local_at, measured_of, record_at, whitened
+from diffsim.identify.unknown import Unknown, by_group
 
 Array = NDArray[np.float64]
 Members = frozenset[int]

@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim._check import require_choice
-from diffsim._files import to_plain, write_json_atomic
+from diffsim.core.check import require_choice
+from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.data.study import Study
-from diffsim.diagnose.effect import Effect
-from diffsim.diagnose.extended import ExtendedModel, extended_model
 from diffsim.diagnose.gain import Gain, gain
 from diffsim.diagnose.inputs import Inputs
-from diffsim.diagnose.model_file import MODEL_FILE, SavedModel, effects_of, save_extended
 from diffsim.diagnose.next_run import NextRun, next_run
 from diffsim.diagnose.noise import NoiseFloor
 from diffsim.diagnose.report import fit_to_dict
 from diffsim.diagnose.stages import Case, null_fit
 from diffsim.identify import Fit
 from diffsim.identify import fit as fit_runs
+from diffsim.identify.effect import Effect
+from diffsim.identify.extended import ExtendedModel, extended_model
+from diffsim.identify.model_file import MODEL_FILE, SavedModel, effects_of, save_extended
 from diffsim.identify.problem import PRIOR_WIDTH, effect_coordinates
 
 Array = NDArray[np.float64]

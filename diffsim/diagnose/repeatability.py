@@ -11,8 +11,8 @@ from collections import defaultdict
 import numpy as np
 from scipy.stats import chi2
 
+from diffsim.diagnose.gate_result import GateResult
 from diffsim.diagnose.noise import UNREPEATABLE
-from diffsim.diagnose.report import GateResult
 from diffsim.identify import Fit
 
 PREFIX = "repeats:"

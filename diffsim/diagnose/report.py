@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim._files import to_plain, write_json_atomic
+from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.data.study import Study
-from diffsim.diagnose.extended import extended_model
 from diffsim.diagnose.force_map import ForceMap
 from diffsim.diagnose.gain import Gain
-from diffsim.diagnose.model import SimModel
-from diffsim.diagnose.model_file import MODEL_FILE, save_extended
+from diffsim.diagnose.gate_result import GateResult
 from diffsim.identify import Fit
+from diffsim.identify.extended import extended_model
+from diffsim.identify.model import SimModel
+from diffsim.identify.model_file import MODEL_FILE, save_extended
 
 Array = NDArray[np.float64]
 
@@ -76,25 +77,6 @@ class HypothesisRow:
     nats: float
     chi2: float
     refitted: bool = True
-
-
-@dataclass(frozen=True)
-class GateResult:
-    """One check before any physics is blamed.
-
-    Attributes:
-        name: Such as "time_step".
-        passed: Whether.
-        value: Measured, such as lambda.
-        limit: What it is held against.
-        note: In words.
-    """
-
-    name: str
-    passed: bool
-    value: float
-    limit: float
-    note: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,38 +13,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.decide import ALONE_NATS, KEEP_NATS
 from diffsim.diagnose.descend import Descended
 from diffsim.diagnose.evidence import Hypothesis, Linearisation, Weighed, families, unrealised
-from diffsim.diagnose.local import Local, local_at, measured_of, whitened
 from diffsim.diagnose.points import Members, Points
-from diffsim.diagnose.unknown import Unknown
-from diffsim.errors import DiffsimError
 from diffsim.identify import Fit, Problem
+from diffsim.identify.effort import SearchSettings
+from diffsim.identify.local import Local, local_at, measured_of, whitened
+from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
 NONE: Members = frozenset()
-
-
-@dataclass(frozen=True)
-class SearchSettings:
-    """Effort.
-
-    Attributes:
-        max_effects: In one set.
-        num_refits: Neighbours refitted per round.
-        max_rounds: Of moving to a better set.
-        rival_nats: What linear evidence puts further behind the best set is not refitted.
-        misled: Share of the misfit [nats] by which linear evidence may be wrong beyond that.
-        unknown_steps: Gauss-Newton steps of a set together with an unknown cause.
-    """
-
-    max_effects: int = 3
-    num_refits: int = 4
-    max_rounds: int = 8
-    rival_nats: float = 6.0
-    misled: float = 0.1
-    unknown_steps: int = 3
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -11,16 +11,17 @@ from numpy.typing import NDArray
 
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.descend import Descended, descend
-from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.judge import decision_of
-from diffsim.diagnose.local import Local, local_at
-from diffsim.diagnose.model import SimModel
 from diffsim.diagnose.noise import NoiseFloor, noise_floor, without_spikes
 from diffsim.diagnose.points import Points
-from diffsim.diagnose.search import Search, SearchSettings
+from diffsim.diagnose.search import Search
 from diffsim.diagnose.store import Store
-from diffsim.diagnose.unknown import Unknown
-from diffsim.identify import Fit, Jacobian, Problem, Whitener, WhiteNoise
+from diffsim.identify import Fit, Problem, Whitener, WhiteNoise
+from diffsim.identify.effect import Effect
+from diffsim.identify.effort import DiagnosisSettings
+from diffsim.identify.local import Local, local_at
+from diffsim.identify.model import SimModel
+from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float, str], None]
@@ -30,25 +31,6 @@ NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another 
 
 def silent(stage: str, fraction: float, message: str) -> None:
     """No progress is shown."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class DiagnosisSettings:
-    """Effort and choices; the thresholds of the verdict are constants of ``decide``.
-
-    Attributes:
-        search: Effort of the search.
-        jacobian: How to differentiate.
-        workers: Threads over runs.
-        accept_numerics: Go on although the numerics gate fails.
-        noise_rounds: At most; the floor is estimated again after each.
-    """
-
-    search: SearchSettings = field(default_factory=SearchSettings)
-    jacobian: Jacobian = field(default_factory=Jacobian)
-    workers: int = 1
-    accept_numerics: bool = False
-    noise_rounds: int = 3
 
 
 @dataclass(frozen=True, eq=False)

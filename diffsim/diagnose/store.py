@@ -11,10 +11,10 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim._files import write_bytes_atomic
+from diffsim.core.files import write_bytes_atomic
 from diffsim.data.study import Study
-from diffsim.diagnose.local import Local
-from diffsim.diagnose.model import SimModel
+from diffsim.identify.local import Local
+from diffsim.identify.model import SimModel
 
 Array = NDArray[np.float64]
 

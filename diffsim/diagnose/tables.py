@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from diffsim.data.study import Study
 from diffsim.diagnose.decide import Decision
-from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.evidence import Hypothesis, Weighed
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.gates import numerical_shift
 from diffsim.diagnose.report import EffectRow, HypothesisRow
 from diffsim.diagnose.screen import Screen
 from diffsim.diagnose.search import Search
-from diffsim.diagnose.unknown import Unknown
+from diffsim.identify.effect import Effect
 from diffsim.identify.problem import PRIOR_WIDTH, effect_coordinates
+from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
 MODEL_FORM = 0.01  # relative uncertainty of a size, beside the statistical one

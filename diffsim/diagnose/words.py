@@ -7,12 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from diffsim.diagnose.decide import EXPLAINED, Decision
-from diffsim.diagnose.effect import Effect
 from diffsim.diagnose.gain import Gain
+from diffsim.diagnose.gate_result import GateResult
 from diffsim.diagnose.noise import NoiseFloor
 from diffsim.diagnose.repeatability import PREFIX
-from diffsim.diagnose.report import EffectRow, GateResult
-from diffsim.diagnose.unknown import Unknown
+from diffsim.diagnose.report import EffectRow
+from diffsim.identify.effect import Effect
+from diffsim.identify.unknown import Unknown
 
 MAX_TOLD = 3  # rival sets in a sentence; the page lists all
 Z90 = 1.645  # half-width of a 90 % interval in standard deviations

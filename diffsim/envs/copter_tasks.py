@@ -10,7 +10,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim._check import require_number
 from diffsim.copter import (
     FlightEffects,
     FlightState,
@@ -20,6 +19,7 @@ from diffsim.copter import (
     load_design,
 )
 from diffsim.copter.effects import BodyDrag, MotorLag
+from diffsim.core.check import require_number
 from diffsim.envs.pictures import copter_picture
 from diffsim.envs.task import Entry, Randomisation, Task, TaskState
 

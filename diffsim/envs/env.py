@@ -11,7 +11,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim._check import require_choice
+from diffsim.core.check import require_choice
 from diffsim.envs.sensing import Sensing
 from diffsim.envs.task import Entry, Task, TaskState, detached
 

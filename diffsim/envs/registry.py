@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim._check import require_choice
+from diffsim.core.check import require_choice
 from diffsim.envs.env import TaskEnv
 from diffsim.envs.task import Task
 from diffsim.envs.vector_env import TaskVectorEnv
@@ -138,9 +138,9 @@ class StarfishSwimEnv(NamedEnv):
 0.1 m/s at the arms' ends, centre at rest |
     | termination | none |
     | truncation | 200 steps of 33.3 ms |
-    | options | robot (arguments of ``diffsim.robots.starfish``, ``coarse`` for quick trials), \
-num_steps, substeps, start_speed, current, drift_weight, rise_weight, speed_scale, action_delay, \
-randomisation (muscles, water), sensor_noise |
+    | options | robot (arguments of ``diffsim.systems.robots.starfish``, ``coarse`` for quick \
+trials), num_steps, substeps, start_speed, current, drift_weight, rise_weight, speed_scale, \
+action_delay, randomisation (muscles, water), sensor_noise |
     | versions | v0: first |
     """
 
@@ -157,7 +157,8 @@ class SharkSwimEnv(NamedEnv):
 [m/s] |
     | reward | per step, speeds of the centre over 0.1 m/s: 1.0 along +x - 0.5 across |
     | start, termination, truncation | as ``StarfishSwimEnv`` |
-    | options | robot: arguments of ``diffsim.robots.shark``; others as ``StarfishSwimEnv`` |
+    | options | robot: arguments of ``diffsim.systems.robots.shark``; others as \
+``StarfishSwimEnv`` |
     | versions | v0: first |
     """
 
@@ -177,9 +178,9 @@ mean deformation gradient by rows [-]: where the robot's axes point; all unbound
     | start | shape of rest, on the floor, at rest; it settles under its weight |
     | termination | tipped over: its z axis has turned by more than about 60 degrees |
     | truncation | 100 steps of 10 ms |
-    | options | robot (arguments of ``diffsim.robots.quadruped``: coarse, friction, per_muscle, \
-...), num_steps, substeps, start_speed, drift_weight, rise_weight, speed_scale, action_delay, \
-randomisation (muscles), sensor_noise |
+    | options | robot (arguments of ``diffsim.systems.robots.quadruped``: coarse, friction, \
+per_muscle, ...), num_steps, substeps, start_speed, drift_weight, rise_weight, speed_scale, \
+action_delay, randomisation (muscles), sensor_noise |
     | versions | v0: first |
     """
 
@@ -194,7 +195,7 @@ class CowWalkEnv(NamedEnv):
     | actions, observations, start, termination | as ``QuadrupedWalkEnv`` |
     | reward | as there, + 0.3 upward speed (thesis: -0.3 z in the loss) |
     | truncation | 60 steps of 10 ms, each 10 time steps of the body |
-    | options | robot: arguments of ``diffsim.robots.cow``; others as ``QuadrupedWalkEnv`` |
+    | options | robot: arguments of ``diffsim.systems.robots.cow``; others as ``QuadrupedWalkEnv`` |
     | versions | v0: first |
     """
 
@@ -214,7 +215,8 @@ mean deformation gradient by rows [-]: how far it has rolled; all unbounded |
     | start | shape of rest, on the floor, at rest; it settles under its weight |
     | termination | fallen: its y axis has turned by more than about 60 degrees |
     | truncation | 100 steps of 16 ms, each 4 time steps of the body |
-    | options | robot: arguments of ``diffsim.robots.torus``; others as ``QuadrupedWalkEnv`` |
+    | options | robot: arguments of ``diffsim.systems.robots.torus``; others as \
+``QuadrupedWalkEnv`` |
     | versions | v0: first |
     """
 
@@ -236,7 +238,7 @@ zero) - 0.001 mean squared action |
 -0.06 to 0.02 m |
     | termination | none |
     | truncation | 100 steps of 10 ms |
-    | options | robot (arguments of ``diffsim.robots.tendon_arm``: coarse, gravity, ...), \
+    | options | robot (arguments of ``diffsim.systems.robots.tendon_arm``: coarse, gravity, ...), \
 num_steps, substeps, goal_low, goal_high, node, effort_weight, start_speed, action_delay, \
 randomisation (muscles), sensor_noise |
     | versions | v0: first |

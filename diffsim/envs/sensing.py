@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim._check import require_number
+from diffsim.core.check import require_number
 
 Array32 = NDArray[np.float32]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from diffsim import robots
 from diffsim.envs.soft_tasks import Advance, Reach
+from diffsim.systems import robots
 
 
 class StarfishSwim(Advance):

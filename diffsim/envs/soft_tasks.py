@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim import mesh, soft
-from diffsim._check import require_number
+from diffsim.core.check import require_number
 from diffsim.envs.pictures import body_picture
 from diffsim.envs.task import Entry, Randomisation, Task, TaskState
-from diffsim.robots import SoftRobot
+from diffsim.systems.robots import SoftRobot
 
 _BODY = ("x", "v", "x_prev", "v_prev", "contact_force")
 MIN_UPRIGHT = 0.5  # of the upright axis's share along its old direction: a tilt of 60 degrees

@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim._check import require, require_choice
+from diffsim.core.check import require, require_choice
 
 TaskState = dict[str, Tensor]
 """Tensors by name, all with a leading batch axis; holds everything that the next step needs."""

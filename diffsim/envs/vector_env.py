@@ -11,7 +11,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim._check import require_choice, require_number
+from diffsim.core.check import require_choice, require_number
 from diffsim.envs.env import RENDER_MODES, spaces_of
 from diffsim.envs.sensing import Sensing
 from diffsim.envs.task import Task, TaskState, where

@@ -1,9 +1,41 @@
-"""Fit parameters of a simulator to recordings: priors, nuisances, uncertainties, correlations."""
+"""Models of recorded systems, effects on them, and fits: priors, nuisances, uncertainties."""
 
+from diffsim.identify.effect import Effect
+from diffsim.identify.effort import DiagnosisSettings, SearchSettings
+from diffsim.identify.extended import ExtendedModel, extended_model
 from diffsim.identify.fitting import Fit, fit
 from diffsim.identify.jacobian import Jacobian
+from diffsim.identify.model import Scene, SimModel
+from diffsim.identify.model_file import save_extended
 from diffsim.identify.noise_model import Whitener, WhiteNoise
+from diffsim.identify.numerical import NumericalEffect
+from diffsim.identify.numerics import Numerics
 from diffsim.identify.parameter import Parameter
 from diffsim.identify.problem import Problem
+from diffsim.identify.setup import DiagnosisSetup
+from diffsim.identify.unknown import Unknown, UnknownDrift, UnknownForce, smooth_covariance
 
-__all__ = ["Fit", "Jacobian", "Parameter", "Problem", "WhiteNoise", "Whitener", "fit"]
+__all__ = [
+    "DiagnosisSettings",
+    "DiagnosisSetup",
+    "Effect",
+    "ExtendedModel",
+    "Fit",
+    "Jacobian",
+    "NumericalEffect",
+    "Numerics",
+    "Parameter",
+    "Problem",
+    "Scene",
+    "SearchSettings",
+    "SimModel",
+    "Unknown",
+    "UnknownDrift",
+    "UnknownForce",
+    "WhiteNoise",
+    "Whitener",
+    "extended_model",
+    "fit",
+    "save_extended",
+    "smooth_covariance",
+]

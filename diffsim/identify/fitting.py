@@ -11,8 +11,8 @@ import torch
 from numpy.typing import NDArray
 from scipy import linalg, optimize
 
-from diffsim._check import require_choice
-from diffsim.errors import DiffsimError
+from diffsim.core.check import require_choice
+from diffsim.core.errors import DiffsimError
 from diffsim.identify.jacobian import Jacobian
 from diffsim.identify.noise_model import Whitener, WhiteNoise
 from diffsim.identify.parameter import Parameter
@@ -20,8 +20,8 @@ from diffsim.identify.problem import PRIOR_WIDTH, Problem
 
 if TYPE_CHECKING:
     from diffsim.data.study import Channel, Run
-    from diffsim.diagnose.effect import Effect
-    from diffsim.diagnose.model import SimModel
+    from diffsim.identify.effect import Effect
+    from diffsim.identify.model import SimModel
 
 Array = NDArray[np.float64]
 METHODS = ("gauss_newton", "lbfgs")

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim._check import require_choice, require_number
+from diffsim.core.check import require_choice, require_number
 
 Array = NDArray[np.float64]
 PredictMany = Callable[[Sequence[Tensor]], Tensor]  # K points -> (K, ...)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, optimize
 
-from diffsim._check import require_number
-from diffsim.errors import DiffsimError
+from diffsim.core.check import require_number
+from diffsim.core.errors import DiffsimError
 from diffsim.identify.problem import Problem
 
 Array = NDArray[np.float64]

@@ -9,53 +9,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim.errors import DiffsimError
+from diffsim.core.errors import DiffsimError
+from diffsim.data.study import Run
+from diffsim.identify.effect import Effect
 from diffsim.identify.jacobian import Jacobian, Stencil
+from diffsim.identify.line import Line, Point
+from diffsim.identify.model import SimModel
 from diffsim.identify.noise_model import Whitener
-
-if TYPE_CHECKING:
-    from diffsim.data.study import Run
-    from diffsim.diagnose.effect import Effect
-    from diffsim.diagnose.model import Numerics, SimModel
+from diffsim.identify.numerics import Numerics
 
 Array = NDArray[np.float64]
 PRIOR_WIDTH = 1.5  # of a component, in units of its typical size
 SECANT = 0.1  # of the typical size
-
-
-@dataclass(frozen=True)
-class Point:
-    """Where a model is simulated.
-
-    Attributes:
-        q: Standardised base parameters, (num_base,).
-        sizes: Of the effects [unit], (num_components,) each.
-    """
-
-    q: Tensor
-    sizes: Mapping[Effect, Tensor]
-
-
-@dataclass(frozen=True)
-class Line:
-    """One coordinate that a model is differentiated along.
-
-    Attributes:
-        stencil: The difference formula for what is cheap to evaluate at its points.
-        points: At the stencil's offsets.
-        effect: Whose size the coordinate is; None: a base parameter.
-    """
-
-    stencil: Stencil
-    points: tuple[Point, ...]
-    effect: Effect | None
 
 
 class PredictionError(DiffsimError):

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from diffsim._files import to_plain, write_json_atomic, write_text_atomic
+from diffsim.core.files import to_plain, write_json_atomic, write_text_atomic
 from diffsim.learn.methods import FAILURE, METHODS, Plan, train_once, tune
 from diffsim.learn.quality import gradient_quality
 from diffsim.learn.run import CHECKPOINT, Row, load_controller, read_rows

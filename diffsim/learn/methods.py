@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from diffsim._check import require_choice
-from diffsim._files import to_plain, write_json_atomic
+from diffsim.core.check import require_choice
+from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.learn.gradient import BadGradients, GradientLearner, GradientOptions
 from diffsim.learn.mixed import MixedLearner, MixedOptions
 from diffsim.learn.run import Learner, is_finished, read_rows, train

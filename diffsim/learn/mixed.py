@@ -23,7 +23,7 @@ import torch
 from torch import Tensor, nn
 from torch.func import functional_call, vjp, vmap
 
-from diffsim._check import require_choice, require_number
+from diffsim.core.check import require_choice, require_number
 from diffsim.envs.rollout import Episode, rollout_task
 from diffsim.envs.task import Task, TaskState
 from diffsim.learn.gradient import Batch, GradientLearner, GradientOptions

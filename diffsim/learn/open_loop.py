@@ -14,9 +14,9 @@ from scipy.optimize import OptimizeResult, minimize
 from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
-from diffsim._check import require_choice
-from diffsim._files import write_json_atomic
 from diffsim.control import Knots, OpenLoop, Sinusoid
+from diffsim.core.check import require_choice
+from diffsim.core.files import write_json_atomic
 from diffsim.envs.rollout import rollout_task
 from diffsim.envs.task import Task
 from diffsim.learn.options import setup_from, training_parser

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from diffsim._check import require_choice
+from diffsim.core.check import require_choice
 from diffsim.learn.methods import Options, Plan
 from diffsim.learn.setup import Setup
 

@@ -14,7 +14,7 @@ import torch
 from torch import nn
 from tqdm import tqdm
 
-from diffsim._files import to_plain, write_bytes_atomic, write_text_atomic
+from diffsim.core.files import to_plain, write_bytes_atomic, write_text_atomic
 from diffsim.learn.setup import Setup, evaluate
 
 Row = dict[str, Any]

@@ -17,8 +17,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from diffsim._check import require_number
 from diffsim.control import MLPController
+from diffsim.core.check import require_number
 from diffsim.envs.task import Task
 from diffsim.learn.explorer import Explorer, normal_entropy
 from diffsim.learn.setup import Setup

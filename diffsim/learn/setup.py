@@ -12,11 +12,11 @@ import torch
 from torch import Tensor
 
 from diffsim.control import MLPController
+from diffsim.core.errors import DiffsimError
 from diffsim.envs.registry import make_task
 from diffsim.envs.rollout import Controller, rollout_task
 from diffsim.envs.task import Task
 from diffsim.envs.vector_env import TaskVectorEnv
-from diffsim.errors import DiffsimError
 
 EVALUATION_SEED = 20_000  # of the starts that rate controllers; no run trains with it
 WARM_UP_ENVS, WARM_UP_HOLD = 8, 5

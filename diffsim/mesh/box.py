@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from diffsim._check import require_number
+from diffsim.core.check import require_number
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import HEX_CORNERS, Array, IntArray
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from diffsim.errors import MeshError
+from diffsim.core.errors import MeshError
 from diffsim.mesh.reference import Array, IntArray
 
 SurfaceLike = trimesh.Trimesh | str | Path

@@ -9,8 +9,8 @@ from typing import ClassVar, Literal
 import torch
 from torch import Tensor
 
-from diffsim._check import require
-from diffsim.errors import MeshError
+from diffsim.core.check import require
+from diffsim.core.errors import MeshError
 from diffsim.mesh import validate
 from diffsim.mesh.reference import HEX_EDGES, TET_EDGES, IntArray
 

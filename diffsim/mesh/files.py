@@ -17,8 +17,8 @@ import torch
 import trimesh
 from torch import Tensor
 
-from diffsim._check import require, require_number
-from diffsim.errors import MeshError
+from diffsim.core.check import require, require_number
+from diffsim.core.errors import MeshError
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import HEX_FROM_VTK, VTK_FROM_HEX
 from diffsim.mesh.repair import remove_unreferenced_nodes

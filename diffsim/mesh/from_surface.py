@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 import torch
 
-from diffsim._check import require_choice, require_number
+from diffsim.core.check import require_choice, require_number
 from diffsim.mesh.closed_surface import SurfaceLike, closed_surface
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.distance import SurfaceDistance

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from diffsim.errors import MeshError
+from diffsim.core.errors import MeshError
 from diffsim.mesh.reference import Array, IntArray
 
 _BUDGET = 4_000_000

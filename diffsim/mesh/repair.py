@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from diffsim._check import require
+from diffsim.core.check import require
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import HEX_MIRROR, IntArray
 from diffsim.mesh.validate import (

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from diffsim._check import require_number
+from diffsim.core.check import require_number
 
 Sdf = Callable[[Tensor], Tensor]
 Vector = Sequence[float] | Tensor

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from diffsim._check import require_number
+from diffsim.core.check import require_number
 from diffsim.mesh import sdf
 from diffsim.mesh.box import box_arrays
 from diffsim.mesh.core import HexMesh, TetMesh

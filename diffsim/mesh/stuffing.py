@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from diffsim._check import require_choice
-from diffsim.errors import MeshError
+from diffsim.core.check import require_choice
+from diffsim.core.errors import MeshError
 from diffsim.mesh.box import grid_hexes
 from diffsim.mesh.core import TetMesh
 from diffsim.mesh.hinges import without_hinges

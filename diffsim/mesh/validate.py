@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from diffsim.errors import MeshError
+from diffsim.core.errors import MeshError
 from diffsim.mesh.congruence import congruence_classes
 from diffsim.mesh.reference import (
     HEX_CORNERS,

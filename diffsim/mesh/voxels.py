@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from scipy import ndimage
 
-from diffsim._check import require_choice, require_number
-from diffsim.errors import MeshError
+from diffsim.core.check import require_choice, require_number
+from diffsim.core.errors import MeshError
 from diffsim.mesh.box import grid_hexes
 from diffsim.mesh.core import HexMesh
 from diffsim.mesh.hinges import without_hinges

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim._check import require_number
+from diffsim.core.check import require_number
 
 Array = NDArray[np.float64]
 RATE_HZ = 60.0  # of commands and recordings, thesis 5.4.1

@@ -9,11 +9,11 @@ from typing import Protocol
 
 import numpy as np
 
-from diffsim._files import write_text_atomic
+from diffsim.core.errors import DiffsimError
+from diffsim.core.files import write_text_atomic
 from diffsim.data.importers.starfish import COMMAND
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_file import STUDY_FILE, load_study
-from diffsim.errors import DiffsimError
 from diffsim.sim_to_real.command import RATE_HZ, Command, Limits
 from diffsim.sim_to_real.model import CHANNELS
 

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from diffsim._files import write_json_atomic
+from diffsim.core.files import write_json_atomic
 from diffsim.data.study import Run
 from diffsim.data.study_file import STUDY_FILE, load_study, save_study
 from diffsim.sim_to_real.command import RATE_HZ, Command

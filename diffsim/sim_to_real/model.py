@@ -14,13 +14,13 @@ from torch import Tensor
 from diffsim import soft
 from diffsim.data.importers.starfish import COMMAND, MARKERS
 from diffsim.data.study import Channel, Run
-from diffsim.diagnose.beds.soft import SoftModel, SoftScene
-from diffsim.diagnose.beds.starfish.body import LEAD, TENDON, Quarter, quarter, water
-from diffsim.diagnose.model import Numerics
 from diffsim.identify import Parameter
+from diffsim.identify.model import Numerics
 from diffsim.mesh import HexMesh, TetMesh
 from diffsim.sim_to_real.command import RATE_HZ
 from diffsim.soft.hydrodynamics import DRAG_COEFFICIENTS, THRUST_COEFFICIENTS
+from diffsim.systems.soft_body import SoftModel, SoftScene
+from diffsim.systems.starfish.body import LEAD, TENDON, Quarter, quarter, water
 
 Array = NDArray[np.float64]
 CHANNELS = tuple(f"{marker}_{axis}_m" for marker in MARKERS for axis in "xz")

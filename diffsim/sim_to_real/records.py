@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim._check import require_number
-from diffsim._files import to_plain, write_json_atomic
+from diffsim.core.check import require_number
+from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.data.study import Run
 from diffsim.sim_to_real.command import Command
 from diffsim.sim_to_real.hardware import Hardware

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import optimize
 from torch import Tensor
 
-from diffsim.errors import DiffsimError
+from diffsim.core.errors import DiffsimError
 from diffsim.sim_to_real.command import (
     RATE_HZ,
     Command,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from diffsim._check import require, require_number, require_range
+from diffsim.core.check import require, require_number, require_range
 from diffsim.soft.parameters import Value, hold
 
 

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from diffsim._check import require, require_choice, require_indices, require_number
-from diffsim._soft_context import SoftContext
 from diffsim.contact import Obstacle
+from diffsim.core.check import require, require_choice, require_indices, require_number
 from diffsim.mesh import HexMesh, TetMesh, nodal_volume, shape_gradients, surface_vertices
+from diffsim.soft._context import SoftContext
 from diffsim.soft.chambers import ChamberSet, PressureChamber
 from diffsim.soft.forces import elastic_energy, elastic_force
 from diffsim.soft.integrators import INTEGRATORS

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim._check import require, require_indices, require_number
+from diffsim.core.check import require, require_indices, require_number
 from diffsim.mesh import HexMesh, TetMesh, cavities, surface_quads, surface_triangles
 from diffsim.mesh.surface import face_keys
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from diffsim import _ops_elastic
-from diffsim._check import require
+from diffsim.core.check import require
+from diffsim.soft import _ops_elastic
 from diffsim.soft.inputs import EMPTY, check_inputs, flat
 from diffsim.soft.physics import Physics
 from diffsim.soft.state import State

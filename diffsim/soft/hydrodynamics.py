@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from diffsim._check import require, require_choice, require_number, require_range
+from diffsim.core.check import require, require_choice, require_number, require_range
 from diffsim.mesh import HexMesh, TetMesh, surface_quads, surface_triangles
 from diffsim.soft.inputs import broadcast
 from diffsim.soft.parameters import Value, as_tensor, hold

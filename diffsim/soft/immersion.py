@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from diffsim._check import require, require_range
+from diffsim.core.check import require, require_range
 from diffsim.mesh import HexMesh, TetMesh, nodal_volume
 from diffsim.soft.hydrodynamics import Hydrodynamics
 from diffsim.soft.parameters import Value, as_tensor

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from diffsim import _ops_contact
 from diffsim.contact import ContactPlanes, Obstacle, detect
+from diffsim.soft import _ops_contact
 from diffsim.soft.inputs import flat
 from diffsim.soft.problem import Problem, solver_arguments
 from diffsim.soft.state import State

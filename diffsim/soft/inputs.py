@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from diffsim._check import require
+from diffsim.core.check import require
 from diffsim.soft.physics import Physics, require_physics
 from diffsim.soft.state import State, require_state
 

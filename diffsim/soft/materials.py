@@ -25,8 +25,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from diffsim._check import require_choice, require_range
-from diffsim._soft_context import MATERIALS
+from diffsim.core.check import require_choice, require_range
+from diffsim.soft._context import MATERIALS
 
 VOLUME_WEIGHTS = ("small_strain", "thesis")
 

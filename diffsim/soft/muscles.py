@@ -8,7 +8,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from diffsim._check import require, require_choice, require_indices, require_number, require_range
+from diffsim.core.check import (
+    require,
+    require_choice,
+    require_indices,
+    require_number,
+    require_range,
+)
 
 KINDS = ("length", "contraction", "tendon")
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from diffsim import _ops_soft
-from diffsim._check import require_choice, require_number
+from diffsim.core.check import require_choice, require_number
+from diffsim.soft import _ops_step
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +28,7 @@ class SolverOptions:
         cache_columns: With obstacles: keep columns of the constant matrix's inverse from step to
             step (thesis Alg. 5). False only to measure what that is worth.
         num_threads: Threads of one step; a batch deals its items out to them [-].
-        on_failure: ``raise`` :class:`~diffsim.errors.ConvergenceError`, or ``warn``.
+        on_failure: ``raise`` :class:`~diffsim.core.errors.ConvergenceError`, or ``warn``.
     """
 
     method: str = "auto"
@@ -42,7 +42,7 @@ class SolverOptions:
     on_failure: str = "raise"
 
     def __post_init__(self) -> None:
-        require_choice("method", self.method, _ops_soft.METHODS)
+        require_choice("method", self.method, _ops_step.METHODS)
         require_number("rtol", self.rtol, above=0.0, below=1.0)
         require_number("atol", self.atol, at_least=0.0)
         if self.adjoint_rtol is not None:

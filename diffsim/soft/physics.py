@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from diffsim._check import require, require_range
-from diffsim._soft_context import small_strain_lambda
+from diffsim.core.check import require, require_range
+from diffsim.soft._context import small_strain_lambda
 from diffsim.soft.materials import material_weights
 
 

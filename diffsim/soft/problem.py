@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from torch import Tensor
 
-from diffsim import _ops_soft
+from diffsim.soft import _ops_step
 from diffsim.soft.inputs import EMPTY, flat
 from diffsim.soft.options import SolverOptions
 from diffsim.soft.physics import Physics
@@ -59,7 +59,7 @@ class Problem:
 
 def solve(body: SoftBody, problem: Problem) -> Tensor:
     """The positions (..., num_vertices, 3) that solve a problem [m]."""
-    x, _ = _ops_soft.soft_step(problem.inputs(body), body.handle, *solver_arguments(body.solver))
+    x, _ = _ops_step.soft_step(problem.inputs(body), body.handle, *solver_arguments(body.solver))
     return x.reshape(problem.y.shape)
 
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from diffsim import _ops_soft
-from diffsim._soft_context import small_strain_lambda
+from diffsim.soft import _ops_step
+from diffsim.soft._context import small_strain_lambda
 from diffsim.soft.integrators import Stage
 from diffsim.soft.physics import Physics
 from diffsim.soft.problem import Problem, solver_arguments
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def solve_along(body: SoftBody, problem: Problem, x: Tensor, rates: dict[str, Tensor]) -> Tensor:
     method, _, _, _, threads, on_failure, rtol, max_iters = solver_arguments(body.solver)
-    return _ops_soft.step_tangents(
+    return _ops_step.step_tangents(
         x[None].contiguous(),
         problem.inputs(body),
         {name: rate.contiguous() for name, rate in rates.items()},

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from diffsim._check import require_number
 from diffsim.contact import Obstacle, check_clear
 from diffsim.contact.obstacle import require_obstacles
+from diffsim.core.check import require_number
 from diffsim.soft.physics import Physics
 from diffsim.soft.state import State, Trajectory, require_state
 from diffsim.soft.step import step

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from diffsim._check import require
+from diffsim.core.check import require
 from diffsim.soft.inputs import check_inputs
 from diffsim.soft.physics import Physics
 from diffsim.soft.problem import Problem, solve

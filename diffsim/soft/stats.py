@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from diffsim import _ops_soft
+from diffsim.soft import _ops_step
 
 
 class SolveStats(NamedTuple):
@@ -62,8 +62,8 @@ def record_stats() -> Iterator[list[SolveStats]]:
     def listen(kind: str, stats: Tensor) -> None:
         solves.append(SolveStats(kind, *stats.clone().unbind(1)))
 
-    _ops_soft.listeners.append(listen)
+    _ops_step.listeners.append(listen)
     try:
         yield solves
     finally:
-        _ops_soft.listeners.remove(listen)
+        _ops_step.listeners.remove(listen)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from diffsim.contact import Obstacle
 from diffsim.contact.obstacle import require_obstacles
-from diffsim.errors import DiffsimError
+from diffsim.core.errors import DiffsimError
 from diffsim.soft.forces import elastic_gradient
 from diffsim.soft.in_contact import contact_planes, enters, in_contact, solve_in_contact
 from diffsim.soft.inputs import check_inputs

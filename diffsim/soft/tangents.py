@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import torch
 from torch import Tensor
 
-from diffsim._check import require
+from diffsim.core.check import require
 from diffsim.soft.inputs import check_inputs
 from diffsim.soft.integrators import IMPLICIT, finish_stage, make_stage
 from diffsim.soft.physics import Physics

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from diffsim._check import require, require_number
+from diffsim.core.check import require, require_number
 from diffsim.mesh import HexMesh, TetMesh, element_volumes, shape_gradients
 from diffsim.soft.muscles import Muscle
 from diffsim.soft.routing import route

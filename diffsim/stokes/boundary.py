@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from diffsim._check import require, require_choice
+from diffsim.core.check import require, require_choice
 from diffsim.stokes.grid import Grid
 
 WALLS = ("no_slip", "slip")

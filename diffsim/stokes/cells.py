@@ -7,8 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from diffsim import _ops_stokes as ops
-from diffsim._check import require
+from diffsim.core.check import require
+from diffsim.stokes import _ops as ops
 from diffsim.stokes.grid import Grid
 
 

@@ -14,8 +14,8 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from diffsim._check import require, require_number
-from diffsim.errors import MeshError
+from diffsim.core.check import require, require_number
+from diffsim.core.errors import MeshError
 from diffsim.stokes.boundary import Boundary
 from diffsim.stokes.cells import cut_cells
 from diffsim.stokes.grid import Grid

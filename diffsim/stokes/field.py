@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from diffsim import _ops_stokes as ops
-from diffsim._check import require
+from diffsim.core.check import require
+from diffsim.stokes import _ops as ops
 from diffsim.stokes.grid import Grid
 
 

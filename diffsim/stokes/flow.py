@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping
 import torch
 from torch import Tensor, nn
 
-from diffsim import _ops_stokes as ops
-from diffsim._check import require, require_choice, require_number
+from diffsim.core.check import require, require_choice, require_number
+from diffsim.stokes import _ops as ops
 from diffsim.stokes.boundary import Boundary, Inlet, Open, Wall
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.grid import Grid

@@ -9,9 +9,9 @@ import numpy as np
 import trimesh
 from scipy import sparse
 
-from diffsim._check import require_choice
-from diffsim._files import write_bytes_atomic
-from diffsim.errors import MeshError
+from diffsim.core.check import require_choice
+from diffsim.core.errors import MeshError
+from diffsim.core.files import write_bytes_atomic
 
 UNITS = {"m": 1.0, "mm": 1e3, "um": 1e6}
 """Units of an STL file per metre; the format itself has none, slicers take millimetres."""

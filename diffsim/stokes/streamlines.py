@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim._check import require, require_choice, require_number
+from diffsim.core.check import require, require_choice, require_number
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.grid import Grid
 

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from diffsim import _ops_stokes as ops
-from diffsim._check import require_number
+from diffsim.core.check import require_number
+from diffsim.stokes import _ops as ops
 from diffsim.stokes.boundary import Boundary
 from diffsim.stokes.cut_volume import Plane, cut_area, cut_volume, fit_plane
 from diffsim.stokes.field import FlowField

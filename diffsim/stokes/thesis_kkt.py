@@ -11,7 +11,7 @@ from scipy.sparse.linalg import SuperLU, splu
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from diffsim.errors import FactorizationError
+from diffsim.core.errors import FactorizationError
 from diffsim.stokes.boundary import Boundary
 from diffsim.stokes.grid import Grid
 

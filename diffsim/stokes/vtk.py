@@ -12,7 +12,7 @@ import meshio
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim._files import write_text_atomic
+from diffsim.core.files import write_text_atomic
 from diffsim.stokes.field import FlowField
 
 

@@ -17,7 +17,7 @@ from diffsim.viz import scene
 from diffsim.viz.ball_video import outline, view_of
 
 if TYPE_CHECKING:
-    from diffsim.diagnose.beds.balls.soft import SoftBallModel
+    from diffsim.systems.balls.soft import SoftBallModel
 
 Array = NDArray[np.float64]
 COLOURS = ("#1f6f9f", "#c8502b")  # ball 0, ball 1

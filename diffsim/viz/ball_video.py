@@ -16,12 +16,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from diffsim._check import require_number
-from diffsim.diagnose.beds.balls.camera import HEIGHT_PX, WIDTH_PX, eye, projected
+from diffsim.core.check import require_number
+from diffsim.systems.balls.camera import HEIGHT_PX, WIDTH_PX, eye, projected
 from diffsim.viz._require import optional
 
 if TYPE_CHECKING:
-    from diffsim.diagnose.beds.balls.soft import SoftBallModel
+    from diffsim.systems.balls.soft import SoftBallModel
 
 Array = NDArray[np.float64]
 FELT = (70, 225, 205)  # blue, green, red: optic yellow

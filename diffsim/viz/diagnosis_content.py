@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from diffsim._check import require_choice
+from diffsim.core.check import require_choice
 from diffsim.diagnose.gain import held_out_point
 from diffsim.diagnose.whiteness import ljung_box
 from diffsim.viz import diagnosis_figures as draw

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim._files import write_bytes_atomic
 from diffsim.copter.simulator import FlightLog
+from diffsim.core.files import write_bytes_atomic
 from diffsim.viz.figures import COLOURS, CYCLE, INK, SOFT, new_figure
 
 if TYPE_CHECKING:

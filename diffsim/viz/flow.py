@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim._files import write_bytes_atomic
+from diffsim.core.files import write_bytes_atomic
 from diffsim.stokes.fabrication import wall_mesh
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.streamlines import Streamline, streamlines

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim._check import require_number
+from diffsim.core.check import require_number
 from diffsim.stokes.fabrication import wall_mesh
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.streamlines import Streamline, streamlines

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim import mesh
-from diffsim._files import write_bytes_atomic, write_json_atomic
+from diffsim.core.files import write_bytes_atomic, write_json_atomic
 from diffsim.data.importers.starfish import COMMAND
 from diffsim.sim_to_real.command import RATE_HZ
 from diffsim.sim_to_real.model import PLACES_M, Starfish

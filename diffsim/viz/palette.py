@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from pathlib import Path
 
-from diffsim._files import write_bytes_atomic
+from diffsim.core.files import write_bytes_atomic
 
 
 def save(figure, path: str | Path, dpi: int = 110) -> Path:

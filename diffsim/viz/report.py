@@ -13,7 +13,7 @@ from importlib import metadata, resources
 from pathlib import Path
 
 from diffsim import __version__
-from diffsim._files import write_text_atomic
+from diffsim.core.files import write_text_atomic
 from diffsim.viz._require import optional
 
 TONES = ("good", "fair", "bad", "plain")

@@ -22,7 +22,7 @@ from torch import Tensor
 from diffsim import contact, mesh, soft
 from diffsim.applications import Application
 from diffsim.applications.identification import TRUTH_RTOL, identification
-from diffsim.applications.story import main
+from diffsim.cli.application import main
 
 RTOL, MAX_EVALUATIONS = 1e-4, 40
 TRUTH = (2e6, 0.4)  # Young's modulus [Pa], Poisson's ratio

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from diffsim import contact, mesh, soft
 from diffsim.applications import Application, Parameters
-from diffsim.applications.story import main
+from diffsim.cli.application import main
 from diffsim.mesh.sdf import ellipsoid, rotate, smooth_union, translate
 
 RTOL, MAX_EVALUATIONS = 1e-4, 40

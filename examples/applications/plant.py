@@ -21,7 +21,7 @@ from torch import Tensor
 from diffsim import mesh, soft
 from diffsim.applications import Application
 from diffsim.applications.identification import TRUTH_RTOL, identification
-from diffsim.applications.story import main
+from diffsim.cli.application import main
 
 RTOL, MAX_EVALUATIONS = 1e-4, 30
 TRUTH = (1e6, 0.4)  # Young's modulus [Pa], Poisson's ratio

@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from diffsim import robots, soft
+from diffsim import soft
 from diffsim.applications import Application, Parameters
 from diffsim.applications.gait import gait, lines_between_knots
-from diffsim.applications.story import main
+from diffsim.cli.application import main
+from diffsim.systems import robots
 
 RTOL, MAX_EVALUATIONS = 1e-6, 25  # the thesis's tolerance
 DT, STEPS, KNOTS = 0.004, 400, 20  # [s]

@@ -44,7 +44,7 @@ from scipy.optimize import least_squares, minimize
 from torch import Tensor
 
 from diffsim import contact, mesh, soft
-from diffsim._paths import data_folder
+from diffsim.core.paths import data_folder
 
 Array = NDArray[np.float64]
 

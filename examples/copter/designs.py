@@ -141,7 +141,7 @@ def tell(name: str, seconds: float = 8.0) -> Story:
 
 def draw(story: Story, path: Path) -> None:
     """The copter, its way to the target, its thrusts."""
-    from diffsim.viz.fabrication import view
+    from diffsim.viz.fabrication_figures import view
     from diffsim.viz.figures import CYCLE, INK, SOFT, new_figure
 
     path.parent.mkdir(parents=True, exist_ok=True)

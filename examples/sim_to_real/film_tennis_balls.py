@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from diffsim._files import write_json_atomic, write_text_atomic
+from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.data import Run, Study
-from diffsim.diagnose.beds.balls.soft import SoftBallModel
-from diffsim.diagnose.setups.tennis_balls import soft_model
+from diffsim.systems.balls.soft import SoftBallModel
+from diffsim.systems.published.tennis_balls import soft_model
 from diffsim.viz.ball_video import film_balls, view_of
 
 RATE = 60.0  # frames per second

@@ -35,15 +35,15 @@ import torch
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from diffsim._files import write_json_atomic
-from diffsim._paths import data_folder
+from diffsim.core.files import write_json_atomic
+from diffsim.core.paths import data_folder
 from diffsim.data import Channel, Run, Study, import_study
 from diffsim.data.ball_video import ball_video_study
-from diffsim.diagnose.beds.balls.effects import BallFriction, RollingResistance, SlidingFriction
-from diffsim.diagnose.beds.balls.soft import MOTION, SoftBallModel
-from diffsim.diagnose.setups.tennis_balls import setup, soft_model
 from diffsim.identify import Jacobian, Problem, WhiteNoise, fit
 from diffsim.identify.multi_start import descend, random_starts
+from diffsim.systems.balls.effects import BallFriction, RollingResistance, SlidingFriction
+from diffsim.systems.balls.soft import MOTION, SoftBallModel
+from diffsim.systems.published.tennis_balls import setup, soft_model
 from diffsim.viz.ball_figures import Shown, misfits, overlay, recording, simulated, strip
 from diffsim.viz.ball_video import view_of
 

@@ -24,8 +24,8 @@ import argparse
 import torch
 from torch import Tensor
 
+from diffsim.cli.devices import run
 from diffsim.stokes import devices
-from diffsim.stokes.devices.__main__ import run
 from diffsim.stokes.devices.losses import area, mean_velocity
 
 

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import sys
 
-from diffsim.stokes.devices.__main__ import main
+from diffsim.cli.devices import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -17,7 +17,7 @@ from diffsim.applications import (
     solver_options,
 )
 from diffsim.applications.normalise import normalised
-from diffsim.errors import ConvergenceError, DiffsimError
+from diffsim.core.errors import ConvergenceError, DiffsimError
 
 TRUTH = np.array([np.log(2e5), -3.0])
 
@@ -161,7 +161,7 @@ def test_a_motion_that_is_asked_for_again_is_not_simulated_again():
 
 def test_strip_shows_the_point_that_is_followed(tmp_path):
     plt = pytest.importorskip("matplotlib.pyplot")
-    from diffsim.applications.pictures import motion_strip
+    from diffsim.viz.application_pictures import motion_strip
 
     application = made()
     x = {"swing": application.motion(TRUTH)}

@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 from diffsim.applications import catalogue, gallery
-from diffsim.errors import DiffsimError
+from diffsim.core.errors import DiffsimError
 
 SCRIPT = '''"""How far?"""
 import sys

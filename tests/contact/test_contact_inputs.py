@@ -5,8 +5,9 @@ import math
 import pytest
 import torch
 
-from diffsim import _ops_contact, contact, mesh, soft
-from diffsim.errors import ConvergenceError
+from diffsim import contact, mesh, soft
+from diffsim.core.errors import ConvergenceError
+from diffsim.soft import _ops_contact
 from tests.contact.scenes import moving, slab
 
 FLOOR = contact.floor()

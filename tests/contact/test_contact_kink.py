@@ -9,7 +9,8 @@ import math
 import pytest
 import torch
 
-from diffsim import _ops_contact, contact, soft
+from diffsim import contact, soft
+from diffsim.soft import _ops_contact
 from tests.soft.cases import irregular_mesh, leaf, noise, soft_body
 
 EPS = 1e-5

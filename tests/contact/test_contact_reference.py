@@ -9,7 +9,8 @@ import math
 import pytest
 import torch
 
-from diffsim import _ops_contact, contact, soft
+from diffsim import contact, soft
+from diffsim.soft import _ops_contact
 from diffsim.soft.integrators import make_stage
 from diffsim.soft.problem import solver_arguments
 from tests.contact.scenes import violations

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from diffsim import contact, mesh, soft
-from diffsim.errors import ConvergenceError, DiffsimError
+from diffsim.core.errors import ConvergenceError, DiffsimError
 from tests.contact.scenes import moving, slab, violations
 from tests.soft.cases import leaf
 

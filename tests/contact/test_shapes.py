@@ -7,7 +7,7 @@ import torch
 
 from diffsim import contact, mesh
 from diffsim.contact.height_field import _padded
-from diffsim.errors import MeshError
+from diffsim.core.errors import MeshError
 from tests.contact.cases import SHAPES, points, tensor, uniform, unit, waves
 
 KINDS = list(SHAPES)

@@ -21,7 +21,7 @@ from diffsim.copter import (
     rotor_out_margins,
 )
 from diffsim.copter._thrust_lp import ThrustLimitError
-from diffsim.errors import DiffsimError
+from diffsim.core.errors import DiffsimError
 from tests.copter.designs import random_copter
 from tests.copter.test_vehicle import NAMES, from_reference, plus_quadcopter, reference
 

@@ -26,7 +26,7 @@ from diffsim.copter.fabrication.print_check import check_print, thinnest_wall
 from diffsim.copter.fabrication.printable import has_screw_holes
 from diffsim.copter.fabrication.prism import circle, inside, perforated_prism, refined
 from diffsim.copter.fabrication.rods import RodCut, pack
-from diffsim.errors import MeshError
+from diffsim.core.errors import MeshError
 from tests.measured import data_folder
 
 LARGE = Printer(bed=(700.0, 700.0, 300.0))

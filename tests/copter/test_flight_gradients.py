@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim import _ops_flight
+from diffsim.copter import _ops_flight
 from diffsim.copter.effects import FlightEffects, MotorLag
 from diffsim.copter.flight import Feedback, fly
 from diffsim.copter.flight_state import FlightState

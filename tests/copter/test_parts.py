@@ -12,7 +12,7 @@ from diffsim.copter.geometry import fan_prism, rotation_about, rotation_rpy
 from diffsim.copter.mass import Moments, mesh_moments, placed_moments, rigid_body
 from diffsim.copter.parts import PART_KINDS, make_part, rotor_data
 from diffsim.copter.patches import aligning_rotation, misalignment
-from diffsim.errors import MeshError
+from diffsim.core.errors import MeshError
 
 SQUARE = [[0.5, 0.5], [-0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]]
 TILTED = (0.1, -0.2, -math.sqrt(0.95))

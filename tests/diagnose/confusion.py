@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.diagnose import SimModel, diagnose
-from diffsim.identify import Whitener, fit
+from diffsim.diagnose import diagnose
+from diffsim.identify import SimModel, Whitener, fit
 from tests.diagnose import toy
 
 Case = dict[str, Any]

@@ -8,8 +8,7 @@ import numpy as np
 import torch
 
 from diffsim.data.study import Channel, Run
-from diffsim.diagnose import Effect, SimModel
-from diffsim.identify import Parameter, Problem, WhiteNoise
+from diffsim.identify import Effect, Parameter, Problem, SimModel, WhiteNoise
 from diffsim.identify.problem import PRIOR_WIDTH
 
 CHANNELS = (Channel("a", "m", "position", sd=0.5), Channel("b", "m", "position", sd=2.0))

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.diagnose import SimModel
 from diffsim.diagnose.descend import descend
-from diffsim.diagnose.local import Local, local_at, measured_of, record_at, whitened
 from diffsim.diagnose.points import Points
-from diffsim.identify import Parameter, Problem, WhiteNoise, fit
+from diffsim.identify import Parameter, Problem, SimModel, WhiteNoise, fit
+from diffsim.identify.local import Local, local_at, measured_of, record_at, whitened
 from diffsim.identify.problem import PredictionError
 from tests.diagnose import linear, toy
 

@@ -9,15 +9,7 @@ import torch
 import yaml
 
 from diffsim.data.study import Study
-from diffsim.diagnose import (
-    DiagnosisSettings,
-    NumericalEffect,
-    Numerics,
-    SearchSettings,
-    diagnose,
-    extended_model,
-    next_run,
-)
+from diffsim.diagnose import diagnose, next_run
 from diffsim.diagnose.crosscheck import swap_probability
 from diffsim.diagnose.evidence import Linearisation
 from diffsim.diagnose.gates import (
@@ -27,8 +19,18 @@ from diffsim.diagnose.gates import (
     numerical_shift,
     numerics_gate,
 )
-from diffsim.diagnose.unknown import UnknownDrift
-from diffsim.identify import Jacobian, Problem, WhiteNoise, fit
+from diffsim.identify import (
+    DiagnosisSettings,
+    Jacobian,
+    NumericalEffect,
+    Numerics,
+    Problem,
+    SearchSettings,
+    WhiteNoise,
+    extended_model,
+    fit,
+)
+from diffsim.identify.unknown import UnknownDrift
 from tests.diagnose import linear, toy
 
 FEW = (toy.Drag(), toy.Delay(), toy.Bias(), toy.Scale())

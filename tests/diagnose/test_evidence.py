@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from scipy import integrate, optimize, stats
 
-from diffsim.diagnose import SimModel, Unknown, UnknownDrift
 from diffsim.diagnose.descend import Descended
 from diffsim.diagnose.evidence import AMPLITUDES, Hypothesis, Linearisation, unrealised
-from diffsim.diagnose.local import local_at
 from diffsim.diagnose.search import Search
-from diffsim.identify import fit
+from diffsim.identify import SimModel, Unknown, UnknownDrift, fit
+from diffsim.identify.local import local_at
 from tests.diagnose import linear
 
 

@@ -9,10 +9,9 @@ import pytest
 import torch
 
 from diffsim.data.study import Channel, Run
-from diffsim.diagnose import SimModel
 from diffsim.diagnose.noise import UNREPEATABLE
 from diffsim.diagnose.repeatability import repeatability_gate
-from diffsim.identify import Parameter, fit
+from diffsim.identify import Parameter, SimModel, fit
 from tests.diagnose.linear import LinearScene
 
 SD, JITTER = 0.002, 0.005  # so that data, not priors, tell the gains

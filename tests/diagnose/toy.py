@@ -18,9 +18,8 @@ from scipy import integrate
 from scipy.signal import lfilter
 
 from diffsim.data.study import Channel, Run, Study
-from diffsim.diagnose import Effect, Numerics, SimModel
-from diffsim.diagnose.unknown import UnknownForce, smooth_covariance
-from diffsim.identify import Parameter
+from diffsim.identify import Effect, Numerics, Parameter, SimModel
+from diffsim.identify.unknown import UnknownForce, smooth_covariance
 
 RATE_HZ, DURATION_S = 50.0, 4.0
 TIME = np.arange(round(RATE_HZ * DURATION_S)) / RATE_HZ

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from diffsim.data.study import Run, Study
-from diffsim.diagnose import DiagnosisSettings, SearchSettings
-from diffsim.diagnose.setups import DiagnosisSetup
+from diffsim.identify import DiagnosisSettings, SearchSettings
+from diffsim.identify.setup import DiagnosisSetup
 from tests.diagnose import toy
 
 EFFECTS = (toy.Drag(), toy.Delay(), toy.Bias(), toy.Scale())

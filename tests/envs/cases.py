@@ -8,7 +8,7 @@ import torch
 
 from diffsim import mesh, soft
 from diffsim.contact import floor
-from diffsim.robots import SoftRobot
+from diffsim.systems.robots import SoftRobot
 
 COARSE = {"robot": {"coarse": True}}
 OPTIONS: dict[str, dict[str, Any]] = {

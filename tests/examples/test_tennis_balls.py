@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim._paths import data_folder
+from diffsim.core.paths import data_folder
 from tests.examples.stories import load_story
 
 pytestmark = pytest.mark.example

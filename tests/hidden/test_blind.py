@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.blind import sessions as blind_module
+from benchmarks.blind.case import CoarseModel, Twin
+from benchmarks.blind.score import score_answer, true_sizes, with_strength
+from benchmarks.blind.sessions import Blind
+from benchmarks.blind.table import confusion, figures, markdown
 from diffsim import cli
-from diffsim.diagnose import blind as blind_module
-from diffsim.diagnose.blind import Blind
-from diffsim.diagnose.blind_case import CoarseModel, Twin
-from diffsim.diagnose.blind_score import score_answer, true_sizes, with_strength
-from diffsim.diagnose.blind_table import confusion, figures, markdown
-from diffsim.diagnose.model import Numerics, SimModel
+from diffsim.identify.model import Numerics, SimModel
 from tests.diagnose import toy, toy_setup
 from tests.hidden.toy_lab import TOY
 

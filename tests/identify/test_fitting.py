@@ -5,8 +5,7 @@ import pytest
 import torch
 
 from diffsim.data.study import Channel, Run
-from diffsim.diagnose import SimModel
-from diffsim.identify import Jacobian, Parameter, Problem, WhiteNoise, fit
+from diffsim.identify import Jacobian, Parameter, Problem, SimModel, WhiteNoise, fit
 from tests.diagnose import linear
 
 TIME = np.linspace(0.0, 2.0, 41)

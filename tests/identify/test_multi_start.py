@@ -9,10 +9,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Channel, Run
-from diffsim.diagnose.model import SimModel
-from diffsim.errors import DiffsimError
 from diffsim.identify import Parameter, Problem, WhiteNoise, fit
+from diffsim.identify.model import SimModel
 from diffsim.identify.multi_start import descend, random_starts
 
 TIME = np.linspace(0.0, 2.0, 30)

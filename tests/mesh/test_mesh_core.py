@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from diffsim import mesh as m
-from diffsim.errors import MeshError
+from diffsim.core.errors import MeshError
 
 CELLS = st.tuples(*[st.integers(1, 4)] * 3)
 SIZE = st.tuples(*[st.floats(1e-3, 10.0)] * 3)

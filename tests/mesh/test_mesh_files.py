@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from diffsim import mesh as m
-from diffsim.errors import MeshError
+from diffsim.core.errors import MeshError
 from diffsim.mesh.files import SURFACE_FORMATS, VOLUME_FORMATS
 
 

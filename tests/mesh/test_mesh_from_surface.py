@@ -8,7 +8,7 @@ import torch
 import trimesh
 
 from diffsim import mesh as m
-from diffsim.errors import MeshError
+from diffsim.core.errors import MeshError
 from diffsim.mesh import from_surface
 from diffsim.mesh.inside import grid_inside
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from diffsim import mesh as m
-from diffsim.errors import MeshError
+from diffsim.core.errors import MeshError
 from diffsim.mesh import sdf
 from diffsim.mesh.hinges import hinged_elements
 

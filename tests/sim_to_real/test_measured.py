@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diffsim._paths import data_folder
+from diffsim.core.paths import data_folder
 from diffsim.data import import_study
 from diffsim.data.importers.starfish import COMMAND
 from diffsim.sim_to_real import FitSettings, Starfish, on_real_recording

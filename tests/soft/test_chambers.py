@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from diffsim import mesh, soft
-from diffsim.errors import ConvergenceError
+from diffsim.core.errors import ConvergenceError
 from tests.helpers import check_layer
 from tests.soft.cases import deformed, leaf, noise, rail_mask, soft_body
 from tests.soft.test_step_gradients import recorded_ops

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from diffsim import mesh, soft
-from diffsim.errors import DiffsimError, FactorizationError
+from diffsim.core.errors import DiffsimError, FactorizationError
 from tests.soft.cases import irregular_mesh, soft_body, two_muscles
 
 MESH = mesh.hex_box((2, 1, 1))
@@ -490,7 +490,7 @@ def test_empty_batches_are_used_or_refused():
 
 def test_ops_refuse_sizes_that_kernels_would_overrun():
     """The ops are the door to compiled code: public functions check, but so do they."""
-    from diffsim import _ops_elastic
+    from diffsim.soft import _ops_elastic
 
     physics, empty = BODY.physics(), zeros(0)
     x, none = X[None].contiguous(), zeros(1, 0)

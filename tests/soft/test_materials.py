@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from diffsim import mesh, soft
-from diffsim._soft_context import preconditioner_stiffness
-from diffsim.errors import ConvergenceError, DiffsimError, InvertedElementError
+from diffsim.core.errors import ConvergenceError, DiffsimError, InvertedElementError
+from diffsim.soft._context import preconditioner_stiffness
 from diffsim.soft.materials import material_weights
 from tests.soft.cases import (
     SHARP,
@@ -350,7 +350,7 @@ def test_steps_from_inverted_elements(material, kind):
 
 
 def inverted(body, x):
-    from diffsim._core import core
+    from diffsim.core.compiled import core
 
     return core.count_inverted(body._context.pattern, x.contiguous().data_ptr())
 

@@ -9,9 +9,15 @@ import warnings
 import pytest
 import torch
 
-from diffsim import _ops_soft, _soft_context, mesh, soft
-from diffsim._soft_context import STEP_GRADIENTS, STEP_INPUTS
-from diffsim.errors import ConvergenceError, ConvergenceWarning, DiffsimError, FactorizationError
+from diffsim import mesh, soft
+from diffsim.core.errors import (
+    ConvergenceError,
+    ConvergenceWarning,
+    DiffsimError,
+    FactorizationError,
+)
+from diffsim.soft import _context, _ops_step
+from diffsim.soft._context import STEP_GRADIENTS, STEP_INPUTS
 from tests.soft.cases import SHARP, deformed, irregular_mesh, leaf, noise, soft_body, two_muscles
 
 pytestmark = pytest.mark.reference
@@ -280,7 +286,7 @@ def test_the_adjoint_at_an_indefinite_point_solves_its_system_or_raises(method, 
     inputs |= {"w_mu": physics.w_mu, "w_vol": physics.w_vol}
     inputs["activation"] = inputs["pressure"] = torch.zeros(1, 0, dtype=torch.float64)
     values = [inputs.get(name, empty) for name in STEP_INPUTS]
-    grads = _ops_soft.soft_step_vjp(
+    grads = _ops_step.soft_step_vjp(
         b, x[None], values, body.handle, method, 1e-10, 2000, 1, "raise"
     )
     z = grads[STEP_GRADIENTS.index("force")].flatten()
@@ -424,11 +430,11 @@ def test_prepared_objects_die_with_their_body():
             state.x.sum().backward()
 
     gc.collect()
-    before = len(_soft_context.contexts)
+    before = len(_context.contexts)
     for backward in (False, True):
         use(backward)
         gc.collect()
-        assert len(_soft_context.contexts) == before
+        assert len(_context.contexts) == before
 
 
 @pytest.mark.parametrize(

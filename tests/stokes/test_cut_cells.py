@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim import _ops_stokes as ops
 from diffsim import stokes
+from diffsim.stokes import _ops as ops
 from tests.helpers import check_layer
 
 

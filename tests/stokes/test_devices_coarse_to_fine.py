@@ -7,7 +7,7 @@ import json
 import pytest
 import torch
 
-from diffsim.errors import DiffsimError
+from diffsim.core.errors import DiffsimError
 from diffsim.stokes import devices
 from diffsim.stokes.devices.coarse_to_fine import unit_on_fine_grid
 from diffsim.stokes.devices.log import Log

@@ -9,8 +9,8 @@ import pytest
 import torch
 import trimesh
 
+from diffsim.cli.devices import main
 from diffsim.stokes import devices
-from diffsim.stokes.devices.__main__ import main
 from tests.stokes.test_devices import some_design
 from tests.stokes.test_export import _read_image
 
@@ -27,7 +27,7 @@ def _coarse():
 
 @pytest.fixture
 def export():
-    from diffsim.stokes.devices.hand_over import export
+    from diffsim.viz.device_files import export
 
     return export
 

@@ -8,8 +8,8 @@ import json
 import pytest
 import torch
 
+from diffsim.cli.devices import main
 from diffsim.stokes import devices
-from diffsim.stokes.devices.__main__ import main
 from diffsim.stokes.devices.losses import area, mean_velocity
 
 

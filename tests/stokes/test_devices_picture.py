@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from diffsim.stokes import devices
-from diffsim.stokes.devices.evolution import draw_shapes, milestones
+from diffsim.viz.device_evolution import draw_shapes, milestones
 from tests.stokes.test_devices import made_up, some_design
 
 pytest.importorskip("matplotlib")
@@ -15,7 +15,7 @@ F64 = torch.float64
 
 
 def picture():
-    from diffsim.stokes.devices import picture
+    from diffsim.viz import device_picture as picture
 
     return picture
 

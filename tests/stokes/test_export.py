@@ -10,7 +10,7 @@ import pytest
 import torch
 import trimesh
 
-from diffsim.errors import MeshError
+from diffsim.core.errors import MeshError
 from diffsim.stokes.boundary import Boundary, Inlet, Open
 from diffsim.stokes.cells import cut_cells
 from diffsim.stokes.export import (

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from diffsim import stokes
-from diffsim.errors import FactorizationError
+from diffsim.core.errors import FactorizationError
 from tests.stokes.cases import channel, small_flow, small_inputs, tensor
 
 

@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from diffsim import _ops_stokes as ops
 from diffsim import stokes
+from diffsim.stokes import _ops as ops
 from tests.helpers import check_layer
 from tests.stokes.cases import small_flow, small_inputs, tensor
 

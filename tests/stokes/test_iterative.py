@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from diffsim import stokes
-from diffsim.errors import ConvergenceError, ConvergenceWarning
+from diffsim.core.errors import ConvergenceError, ConvergenceWarning
 from diffsim.stokes.flow import MAX_DIRECT_NODES
 from tests.stokes.cases import pipe, small_flow, small_inputs, tensor
 

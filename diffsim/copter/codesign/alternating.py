@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim._check import require_choice, require_number
 from diffsim.copter.codesign.errors import CoDesignError
 from diffsim.copter.codesign.hover import LEVEL
 from diffsim.copter.codesign.program import Program
@@ -23,6 +22,7 @@ from diffsim.copter.codesign.spin_condition import condition_number, most_contro
 from diffsim.copter.codesign.steps import direction_step, shape_step, soft_energy, thrust_step
 from diffsim.copter.codesign.task import Point, Task
 from diffsim.copter.codesign.wrench import Rotors
+from diffsim.core.check import require_choice, require_number
 
 Array = NDArray[np.float64]
 

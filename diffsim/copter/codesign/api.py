@@ -10,7 +10,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim._check import require_choice, require_number
 from diffsim.copter.codesign.alternating import AlternatingOptions, alternating, judge
 from diffsim.copter.codesign.bound import lower_bound
 from diffsim.copter.codesign.cases import Demands
@@ -22,6 +21,7 @@ from diffsim.copter.codesign.report import design_metrics, largest_weight
 from diffsim.copter.codesign.result import CoDesignResult, StartRecord, attitude_of
 from diffsim.copter.codesign.space import DesignSpace
 from diffsim.copter.codesign.task import Point, Task, hover_residual
+from diffsim.core.check import require_choice, require_number
 
 _FREE = ("shape", "directions", "attitude")
 _HOVERS = 1e-8

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from diffsim.errors import DiffsimError
+from diffsim.core.errors import DiffsimError
 
 
 class CoDesignError(DiffsimError):

@@ -9,7 +9,7 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim._check import require_choice, require_number
+from diffsim.core.check import require_choice, require_number
 
 Array = NDArray[np.float64]
 

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from diffsim._check import require_number
 from diffsim.copter.codesign.api import codesign
 from diffsim.copter.codesign.metrics import parse_objective
 from diffsim.copter.codesign.result import CoDesignResult
 from diffsim.copter.codesign.space import DesignSpace
+from diffsim.core.check import require_number
 
 Array = NDArray[np.float64]
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim._check import require_choice
 from diffsim.copter.codesign.free_program import FreeProgram, Notes
 from diffsim.copter.codesign.program import Program
 from diffsim.copter.codesign.solver_scipy import by_scipy
 from diffsim.copter.codesign.solver_uno import PRESETS, by_uno
+from diffsim.core.check import require_choice
 
 Array = NDArray[np.float64]
 

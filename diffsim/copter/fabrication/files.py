@@ -1,4 +1,4 @@
-"""A plan as files: STL meshes [mm], CSV tables, YAML, and one HTML page."""
+"""A plan as files: STL meshes [mm], CSV tables, YAML."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from typing import Any
 import yaml
 from trimesh.exchange.stl import export_stl
 
-from diffsim._files import to_plain, write_bytes_atomic, write_text_atomic
 from diffsim.copter.fabrication.planner import FabricationPlan
+from diffsim.core.files import to_plain, write_bytes_atomic, write_text_atomic
 
 
 def write_plan(plan: FabricationPlan, folder: str | Path) -> Path:
-    """Write everything a workshop needs; each file is whole or absent.
+    """Write everything a workshop needs but the page; each file is whole or absent.
 
-    ``index.html``, ``plan.yaml``, ``design.yaml``, ``stl/*.stl``, and the tables ``rods.csv``,
+    ``plan.yaml``, ``design.yaml``, ``stl/*.stl``, and the tables ``rods.csv``,
     ``stock.csv``, ``connectors.csv``, ``motors.csv``, ``materials.csv``, ``prints.csv``.
 
     Args:
@@ -26,14 +26,8 @@ def write_plan(plan: FabricationPlan, folder: str | Path) -> Path:
         folder: Made where it is missing; files of the same names are replaced.
 
     Returns:
-        The page.
-
-    Raises:
-        ImportError: matplotlib or jinja2 is missing (``pip install diffsim-robot[viz]``).
+        The folder.
     """
-    from diffsim.copter.fabrication.page import page  # matplotlib and jinja2 are optional
-    from diffsim.viz.report import write
-
     folder = Path(folder)
     for part in plan.printed:
         write_bytes_atomic(folder / "stl" / part.file, export_stl(part.mesh))
@@ -42,7 +36,7 @@ def write_plan(plan: FabricationPlan, folder: str | Path) -> Path:
     text = yaml.safe_dump(to_plain(summary(plan)), sort_keys=False, width=100)
     write_text_atomic(folder / "plan.yaml", text)
     plan.design.save(folder / "design.yaml")
-    return write(page(plan), folder / "index.html")
+    return folder
 
 
 def tables(plan: FabricationPlan) -> dict[str, list[dict[str, Any]]]:

@@ -21,7 +21,7 @@ from diffsim.copter.fabrication.printable import print_mesh
 from diffsim.copter.fabrication.rods import RodCut, StockBar, pack, rod_cuts
 from diffsim.copter.geometry import Array
 from diffsim.copter.placement import PlacedPart
-from diffsim.errors import DiffsimError
+from diffsim.core.errors import DiffsimError
 
 _MASS_TOLERANCE = 1e-9  # the bill against the design, relative: only the order of sums differs
 _SHEETS = ("plate", "circular_plate")

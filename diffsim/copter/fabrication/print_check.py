@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
-from diffsim._check import require_number
 from diffsim.copter.geometry import Array
+from diffsim.core.check import require_number
 
 _OPPOSITE = 0.5  # cosine: two faces make a wall if their normals oppose within 60 degrees
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
 from diffsim.copter.geometry import Array
-from diffsim.errors import MeshError
+from diffsim.core.errors import MeshError
 
 IntArray = NDArray[np.int64]
 _FLAT = 1e-9  # height over length of triangles between three points of one straight side: rounding

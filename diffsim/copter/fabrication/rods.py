@@ -7,9 +7,9 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from diffsim._check import require_number
 from diffsim.copter.listing import PartEntry
 from diffsim.copter.placement import PlacedPart
+from diffsim.core.check import require_number
 
 _SAME = 1e-4  # lengths that agree to a tenth of a millimetre are cut alike [m]
 

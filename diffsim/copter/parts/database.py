@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from inspect import Parameter, signature
 from typing import Any
 
-from diffsim._check import require_choice, require_number
 from diffsim.copter.parts.fittings import (
     compound_angle_clip,
     motor,
@@ -19,6 +18,7 @@ from diffsim.copter.parts.frames import mesh_frame, outline_frame, x_frame
 from diffsim.copter.parts.imported import imported_mesh, imported_motor, imported_rod
 from diffsim.copter.parts.part import Part, PartMaker
 from diffsim.copter.parts.structure import box_part, circular_plate, plate, rod
+from diffsim.core.check import require_choice, require_number
 
 
 def battery(size: Sequence[float] = (0.1008, 0.0336, 0.0224), mass: float = 0.2127) -> Part:

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from diffsim._check import require_choice
 from diffsim.copter.geometry import (
     UP,
     LinearMesh,
@@ -20,6 +19,7 @@ from diffsim.copter.geometry import (
 from diffsim.copter.parts.part import Parameter, Part, RotorMount, density_of, linear_center
 from diffsim.copter.parts.rotors import RotorData, rotor_data
 from diffsim.copter.patches import Patch
+from diffsim.core.check import require_choice
 
 X, Y, DOWN = np.eye(3)
 MOTOR_RADIUS = 0.018  # [m]

@@ -13,7 +13,7 @@ import trimesh
 from diffsim.copter.geometry import Array, LinearMesh, LinearPoints
 from diffsim.copter.parts.rotors import RotorData
 from diffsim.copter.patches import Patch
-from diffsim.errors import MeshError
+from diffsim.core.errors import MeshError
 from diffsim.mesh.closed_surface import closed_surface
 
 Source = Literal["bought", "cut", "printed"]

@@ -12,8 +12,8 @@ import math
 from dataclasses import dataclass
 from functools import cache
 
-from diffsim._check import require_choice
 from diffsim.copter.rotor import rotor_model
+from diffsim.core.check import require_choice
 
 
 @dataclass(frozen=True)

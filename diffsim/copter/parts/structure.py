@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from diffsim._check import require_number
 from diffsim.copter.geometry import (
     UP,
     Array,
@@ -20,6 +19,7 @@ from diffsim.copter.geometry import (
 )
 from diffsim.copter.parts.part import Parameter, Part, density_of, linear_center
 from diffsim.copter.patches import Patch, Slide
+from diffsim.core.check import require_number
 
 X, Y, DOWN = np.eye(3)
 END_INSET = 0.02  # half the length of a round connector: it ends where the rod ends [m]

@@ -9,7 +9,6 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from diffsim._check import require_number
 from diffsim.copter.attitude import quaternion_from_rpy, rotation_from_quaternion
 from diffsim.copter.flight_state import FlightState
 from diffsim.copter.hover import hover
@@ -19,6 +18,7 @@ from diffsim.copter.lqr import lqr
 from diffsim.copter.pid import PidController, PidGains
 from diffsim.copter.simulator.setpoint import Setpoint
 from diffsim.copter.vehicle import GRAVITY, Multicopter
+from diffsim.core.check import require_number
 
 
 class Controller(Protocol):

@@ -9,7 +9,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim._check import require_choice, require_number
 from diffsim.copter.battery import Battery
 from diffsim.copter.design import Design
 from diffsim.copter.effects import FlightEffects
@@ -30,6 +29,7 @@ from diffsim.copter.simulator.payload import require_payload, with_payload
 from diffsim.copter.simulator.sensing import FlightSensors, SensorStream, StateEstimator
 from diffsim.copter.simulator.setpoint import Pilot, Setpoint
 from diffsim.copter.vehicle import Multicopter
+from diffsim.core.check import require_choice, require_number
 
 CONTROLLERS = ("lqr", "pid")
 Observer = Callable[[FlightSample], None]

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import torch
 
-from diffsim._check import require_number
 from diffsim.copter.flight import FlightError
 from diffsim.copter.flight_state import FlightState
+from diffsim.core.check import require_number
 
 
 class Ground:

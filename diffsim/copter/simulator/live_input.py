@@ -7,9 +7,9 @@ import os
 import sys
 from types import ModuleType
 
-from diffsim._check import require_choice, require_number
 from diffsim.copter.simulator.sticks import Sticks
-from diffsim.errors import DiffsimError
+from diffsim.core.check import require_choice, require_number
+from diffsim.core.errors import DiffsimError
 
 DEVICES = ("keyboard", "gamepad")
 HELP = "W/S up and down, A/D turn, arrow keys move over ground; Escape ends the flight"

@@ -12,8 +12,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from diffsim._check import require_choice
-from diffsim._files import to_plain, write_text_atomic
+from diffsim.core.check import require_choice
+from diffsim.core.files import to_plain, write_text_atomic
 
 Array = NDArray[np.float64]
 

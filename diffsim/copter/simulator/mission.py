@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim._check import require_number
 from diffsim.copter._shipped import read_named, shipped
 from diffsim.copter.simulator.setpoint import Setpoint
 from diffsim.copter.yaml_lines import Located, read_yaml
+from diffsim.core.check import require_number
 
 _PEAK_SPEED = 15.0 / 8.0  # of the least-jerk polynomial, per mean speed
 _PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)  # per way and squared duration

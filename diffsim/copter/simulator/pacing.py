@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from diffsim._check import require_number
+from diffsim.core.check import require_number
 
 
 class Pacer:

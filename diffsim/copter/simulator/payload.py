@@ -6,12 +6,12 @@ import torch
 from scipy.optimize import brentq
 from torch import Tensor
 
-from diffsim._check import require_number
 from diffsim.copter.battery import Battery
 from diffsim.copter.control_metrics import max_hover_weight
 from diffsim.copter.hover import hover_thrusts
 from diffsim.copter.simulator.outputs import MotorOutputs
 from diffsim.copter.vehicle import GRAVITY, Multicopter
+from diffsim.core.check import require_number
 
 
 class PayloadError(ValueError):

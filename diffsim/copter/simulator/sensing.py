@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 from scipy.spatial.transform import Rotation
 
-from diffsim._check import require_number
 from diffsim.copter.flight_state import FlightState
 from diffsim.copter.sensors import SensorNoise
 from diffsim.copter.vehicle import GRAVITY
+from diffsim.core.check import require_number
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim._check import require_choice, require_number
 from diffsim.copter.simulator.setpoint import Setpoint
+from diffsim.core.check import require_choice, require_number
 
 NAMES = ("roll", "pitch", "yaw", "throttle")
 MODES = ("position", "attitude")

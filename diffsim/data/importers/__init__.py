@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from diffsim._check import require_choice
+from diffsim.core.check import require_choice
 from diffsim.data.importers.cube_toss import import_cube_toss
 from diffsim.data.importers.fish_tail import import_fish_tail
 from diffsim.data.importers.pneumatic_arm import import_arm_p25, import_arm_step

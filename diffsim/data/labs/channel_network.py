@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, root
 
+from diffsim.core.errors import DiffsimError
 from diffsim.data.labs.common import GAIN_JITTER, Base, Lab, LabEffect, Plan, size_of, vector_of
 from diffsim.data.study import Channel
-from diffsim.errors import DiffsimError
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from diffsim._check import require_choice
+from diffsim.core.check import require_choice
 from diffsim.data.study import Channel, Run, Study
 
 Array = NDArray[np.float64]

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from diffsim._check import require_choice
-from diffsim._files import to_plain, write_json_atomic, write_text_atomic
+from diffsim.core.check import require_choice
+from diffsim.core.files import to_plain, write_json_atomic, write_text_atomic
 from diffsim.data.labs.channel_network import NetworkLab
 from diffsim.data.labs.common import DECOYS, Lab
 from diffsim.data.labs.multicopter import CopterLab

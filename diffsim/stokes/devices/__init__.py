@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from diffsim._check import require_choice
+from diffsim.core.check import require_choice
 from diffsim.stokes.devices.amplifier import amplifier
 from diffsim.stokes.devices.averager import averager
 from diffsim.stokes.devices.coarse_to_fine import CoarseStage, coarse_to_fine

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from diffsim._check import require_choice
+from diffsim.core.check import require_choice
 from diffsim.stokes.boundary import Inlet, Open
 from diffsim.stokes.devices.device import Device, Parameter, State, between, points2d, scaled
 from diffsim.stokes.devices.losses import mean_velocity, squared_difference

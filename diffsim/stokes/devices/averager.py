@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from diffsim._check import require_choice
+from diffsim.core.check import require_choice
 from diffsim.stokes.boundary import Inlet, Open, Wall
 from diffsim.stokes.devices.device import (
     Device,

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from torch import Tensor
 
-from diffsim._files import to_plain
-from diffsim.errors import DiffsimError
+from diffsim.core.errors import DiffsimError
+from diffsim.core.files import to_plain
 from diffsim.stokes.devices.device import Device
 from diffsim.stokes.devices.log import Log
 from diffsim.stokes.devices.optimise import (

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from diffsim._check import require
-from diffsim.errors import DiffsimError
+from diffsim.core.check import require
+from diffsim.core.errors import DiffsimError
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.flow import StokesFlow
 from diffsim.stokes.grid import Grid

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from diffsim._check import require_number
+from diffsim.core.check import require_number
 from diffsim.stokes.devices.corner import CASES, OUTLETS, conditions, inputs, walls
 from diffsim.stokes.devices.device import Device, Parameter, State, scaled
 from diffsim.stokes.devices.losses import angle_difference

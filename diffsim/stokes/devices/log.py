@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from diffsim._files import write_json_atomic
+from diffsim.core.files import write_json_atomic
 
 
 class Log:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from torch import Tensor
 
-from diffsim._files import to_plain
+from diffsim.core.files import to_plain
 from diffsim.stokes.devices.device import Device
 from diffsim.stokes.devices.log import Log
 from diffsim.stokes.devices.sampling import Samples, draw

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from diffsim.errors import DiffsimError
+from diffsim.core.errors import DiffsimError
 from diffsim.stokes.devices.device import FAILURES, Device, quiet
 from diffsim.stokes.devices.log import Log
 

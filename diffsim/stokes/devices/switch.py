@@ -8,7 +8,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from diffsim._check import require_choice
+from diffsim.core.check import require_choice
 from diffsim.stokes.boundary import Inlet, Open, Wall
 from diffsim.stokes.devices.column import NUM_AROUND, column
 from diffsim.stokes.devices.device import Device, Parameter, State, between, points2d, scaled

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from diffsim._check import require_choice
+from diffsim.core.check import require_choice
 from diffsim.stokes.boundary import Inlet, Open
 from diffsim.stokes.devices.column import NUM_AROUND, column
 from diffsim.stokes.devices.device import Device, Parameter, State, scaled

@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor, nn
 
-from diffsim._check import require, require_choice, require_number
 from diffsim.contact._values import Number, scalar
+from diffsim.core.check import require, require_choice, require_number
 
 LevelSet = Callable[[Tensor], Tensor]
 Vector = Sequence[float] | Tensor

@@ -7,7 +7,7 @@ import warnings
 import torch
 from torch import Tensor
 
-from diffsim._check import require, require_choice, require_range
+from diffsim.core.check import require, require_choice, require_range
 from diffsim.stokes.shapes.base import Shape
 from diffsim.stokes.shapes.bernstein import basis
 from diffsim.stokes.shapes.closest_curve import Chain, closest

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from diffsim._check import require, require_choice, require_number, require_range
-from diffsim.errors import ConvergenceWarning
+from diffsim.core.check import require, require_choice, require_number, require_range
+from diffsim.core.errors import ConvergenceWarning
 from diffsim.stokes.shapes.base import Shape
 from diffsim.stokes.shapes.closest_surface import Patch, Samples, closest
 from diffsim.stokes.shapes.envelope import signed_distance

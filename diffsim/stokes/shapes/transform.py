@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim._check import require_choice
+from diffsim.core.check import require_choice
 from diffsim.stokes.shapes.base import LevelSet, Number, Shape, Vector, as_shape, scalar, vector
 
 _AXES = ("x", "y", "z")

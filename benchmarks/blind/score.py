@@ -1,0 +1,219 @@
+"""Hold the answer to a sealed case against its label."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.blind.case import TWIN
+from diffsim.cli.diagnose_inputs import inputs_of
+from diffsim.data.labs.sealed import Bench, study_of
+from diffsim.data.study import Study
+from diffsim.data.study_file import load_study
+from diffsim.diagnose.gain import gain
+from diffsim.diagnose.inputs import Inputs
+from diffsim.diagnose.refit import NullFit, fit_null, refit
+from diffsim.diagnose.stages import left_of
+from diffsim.identify import Fit
+from diffsim.identify import fit as fit_runs
+from diffsim.identify.effect import Effect
+from diffsim.identify.problem import effect_coordinates
+
+Array = NDArray[np.float64]
+Z90 = 1.645
+ABSORBED = 3.0  # lambda: 4.5 nats, of which about 9 are needed to be seen
+LARGE_EXCESS = 0.05  # noise variances per sample; below it a share of the excess means nothing
+
+
+def score_answer(
+    label: Mapping[str, Any], answer: Mapping[str, Any], effects: Sequence[Effect]
+) -> dict[str, Any]:
+    """Verdict and sizes, without any simulation.
+
+    Args:
+        label: What was hidden.
+        answer: Of ``blind_case``.
+        effects: The whole library, with what this diagnosis was not given.
+    """
+    known = {e.name: e for e in effects}
+    truth = true_sizes(label, known)
+    is_inside = None not in truth.values()
+    kind = label["kind"]
+    if kind in ("single", "pair", "twins", "confounded") and not is_inside:
+        kind = "outside"  # the laboratory knows a cause that this library lacks
+    sets = [sorted(s) for s in (answer.get("named", []), *answer.get("rivals", [])) if s]
+    verdict, wanted = answer["verdict"], sorted(truth)
+    in_set = verdict in ("named", "ambiguous") and wanted in sets
+    return {
+        "kind": label["kind"],
+        "scored_as": kind,
+        "truth": {name: list(s) if s is not None else None for name, s in truth.items()},
+        "decoys": label["decoys"],
+        "verdict": verdict,
+        "named": answer.get("named", []),
+        "rivals": answer.get("rivals", []),
+        "in_set": in_set,
+        "alone": in_set and verdict == "named",
+        "wrong_alone": verdict == "named" and answer["named"] != wanted,
+        "right": _is_right(kind, label, answer, truth, in_set, sets, known),
+        "class_given": _class_given(label, verdict, sets),
+        "sizes": _sizes(truth, answer, known) if in_set else {},
+        "gain": answer.get("gain"),
+        "cpu_s": answer.get("cpu_s"),
+        "error": answer.get("error"),
+    }
+
+
+def true_sizes(
+    label: Mapping[str, Any], known: Mapping[str, Effect]
+) -> dict[str, tuple[float, ...] | None]:
+    """Hidden effects by the library's names; None where the library has none such.
+
+    A laboratory's effect with several places is one effect per place in a library:
+    ``weak_rotor: [0, 0.1, 0, 0]`` is weak_rotor_2.
+    """
+    out: dict[str, tuple[float, ...] | None] = {}
+    for name, sizes in label["effects"].items():
+        places = {f"{name}_{i + 1}": (s,) for i, s in enumerate(sizes) if s != 0.0}
+        if name in known:
+            out[name] = tuple(sizes)
+        elif places and all(place in known for place in places):
+            out |= places
+        else:
+            out[name] = None
+    return out
+
+
+def _is_right(
+    kind: str,
+    label: Mapping[str, Any],
+    answer: Mapping[str, Any],
+    truth: Mapping[str, Any],
+    in_set: bool,
+    sets: Sequence[Sequence[str]],
+    known: Mapping[str, Effect],
+) -> bool:
+    verdict = answer["verdict"]
+    if kind == "twins":
+        (name,) = label["effects"]
+        return verdict == "ambiguous" and in_set and [TWIN.format(name)] in sets
+    if kind in ("single", "pair", "confounded"):
+        return in_set
+    if kind == "look_alike":
+        # accepted: alternatives of what was left out, or honestly unknown
+        family = {known[name].family for name in truth if name in known}
+        named = {n for s in sets for n in s}
+        mimics = bool(named) and all(n in known and known[n].family in family for n in named)
+        return verdict == "unknown" or (verdict in ("named", "ambiguous") and mimics)
+    if kind == "invisible":
+        blind = {name.split(".")[0] for name in answer.get("cannot_see", {})}
+        return verdict == "none" and blind >= set(truth)
+    if kind == "decoy" and "scatter" in label["decoys"]:
+        return verdict == "unrepeatable"
+    return verdict == {"outside": "unknown", "numerical": "numerical"}.get(kind, "none")
+
+
+def _class_given(
+    label: Mapping[str, Any], verdict: str, sets: Sequence[Sequence[str]]
+) -> bool | None:
+    if "class" not in label:
+        return None
+    return verdict == "ambiguous" and {n for s in sets for n in s} >= set(label["class"])
+
+
+def _sizes(
+    truth: Mapping[str, tuple[float, ...] | None],
+    answer: Mapping[str, Any],
+    known: Mapping[str, Effect],
+) -> dict[str, Any]:
+    """By component: true, found, its 90 % interval, whether the truth is inside."""
+    out = {}
+    for name, sizes in truth.items():
+        effect, found = known[name], answer["sizes"].get(name)
+        if found is None or sizes is None or len(sizes) != len(effect.components):
+            continue
+        pairs = zip(effect_coordinates([effect]), effect.components, sizes, strict=True)
+        for coordinate, component, true in pairs:
+            size, half = found["size"][component], found["sd"][component]
+            if size is None or half is None:
+                continue
+            half *= Z90
+            out[coordinate] = {
+                "true": true,
+                "found": size,
+                "half_width": half,
+                "inside": abs(size - true) <= half,
+            }
+    return out
+
+
+def with_strength(score: Mapping[str, Any]) -> dict[str, Any]:
+    """The score, where what the library lacks turned out to be absorbed by the base parameters.
+
+    With a lambda below ``ABSORBED`` nothing is missing from the fitted model: to say so is right.
+    """
+    strength = max(score.get("lambda", {}).values(), default=np.inf)
+    if score["scored_as"] in ("outside", "look_alike") and strength < ABSORBED:
+        return {**score, "scored_as": "absorbed", "right": score["verdict"] == "none"}
+    return dict(score)
+
+
+def score_simulated(
+    bench: Bench,
+    label: Mapping[str, Any],
+    folder: Path,
+    score: Mapping[str, Any],
+    setup_file: Path | None = None,
+) -> dict[str, Any]:
+    """What takes simulations: lambda, delta, and the gain of the true extended model.
+
+    Args:
+        bench: The laboratory; makes the data again without noise.
+        label: What was hidden.
+        folder: Of the case's data.
+        score: Of ``score_answer``.
+        setup_file: As the diagnosis had it.
+    """
+    inputs = inputs_of(load_study(folder), seed=0, setup_file=setup_file)
+    by_name = {e.name: e for e in inputs.setup.effects}
+    true = {name: sizes for name, sizes in score["truth"].items() if sizes is not None}
+    null = fit_null(inputs)
+    clean, _ = study_of(bench, label, noise=0.0)
+    out: dict[str, Any] = {"lambda": {}}
+    for name in score["truth"]:
+        others = [by_name[n] for n in true if n != name]
+        left = _fit_clean(null, clean, others, inputs)
+        out["lambda"][name] = float(np.sqrt(left.chi2))
+        out["delta"] = _delta(null, clean, left)
+    if len(true) == len(score["truth"]) and true and null.study.holdout_runs:
+        best = refit(null, [by_name[n] for n in true], inputs, {})
+        found = gain(null.study.holdout_runs, null.fit, best, seed=inputs.seed)
+        out["true_gain"] = found.value
+        if found.value > 0.0 and found.excess > LARGE_EXCESS and score["gain"] is not None:
+            out["share_of_true_gain"] = score["gain"][0] / found.value
+    return out
+
+
+def _fit_clean(null: NullFit, clean: Study, effects: Sequence[Effect], inputs: Inputs) -> Fit:
+    """Refit to data without noise, weighed as the noisy ones were."""
+    problem = null.fit.problem
+    return fit_runs(
+        problem.model,
+        clean.fit_runs,
+        clean.channels,
+        effects=effects,
+        whitener=problem.whitener,
+        jacobian=problem.jacobian,
+        workers=inputs.setup.settings.workers,
+    )
+
+
+def _delta(null: NullFit, clean: Study, left: Fit) -> float:
+    """Rms of the misfit over one sample's noise sd."""
+    sd = null.noise.sd
+    parts = [(left_of(left, run) / sd).ravel() for run in clean.fit_runs]
+    return float(np.sqrt(np.nanmean(np.concatenate(parts) ** 2)))

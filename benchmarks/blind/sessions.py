@@ -1,0 +1,262 @@
+"""``diffsim diagnose blind``: sealed cases, each diagnosed in a process that sees its data only."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import secrets
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+import diffsim
+from benchmarks.blind.score import score_answer, score_simulated, with_strength
+from benchmarks.blind.table import confusion, figures, markdown
+from diffsim.cli.diagnose_inputs import inputs_of
+from diffsim.core.errors import DiffsimError
+from diffsim.core.files import write_json_atomic, write_text_atomic
+from diffsim.data.labs.sealed import BENCHES, Bench, draw_label, is_sealed, open_label, seal
+from diffsim.data.study_file import load_study
+
+_KEPT_ENVIRONMENT = ("PATH", "LD_LIBRARY_PATH", "OMP_NUM_THREADS", "DIFFSIM_CORE", "LANG", "TMPDIR")
+
+
+@dataclass(frozen=True)
+class Blind:
+    """A set of sealed cases on disk.
+
+    Attributes:
+        bench: The laboratory.
+        name: Of the bench.
+        seed: Of the cases.
+        out: Folder: ``data/CASE``, ``answers/CASE.json``, ``scores/CASE.json``, the tables.
+        vault: Labels, outside ``out``.
+        kinds: Only such cases; all if empty.
+        quick: Fewer refits.
+        timeout_s: Per case.
+        setup_file: Own model of the laboratory.
+        with_lambda: Score with the simulations that lambda takes.
+        command: That made the cases, for the tables; empty: ``diffsim diagnose blind``.
+    """
+
+    bench: Bench
+    name: str
+    seed: int
+    out: Path
+    vault: Path
+    kinds: tuple[str, ...] = ()
+    quick: bool = False
+    timeout_s: float = 3600.0
+    setup_file: Path | None = None
+    with_lambda: bool = True
+    command: str = ""
+    _processes: _Processes = field(default_factory=lambda: _Processes())
+
+    @property
+    def data(self) -> Path:
+        """What diagnoses may see."""
+        return self.out / "data"
+
+    def seal_all(self, count: int) -> list[str]:
+        """Draw and seal the first cases; those that are sealed already stay."""
+        rng = np.random.default_rng(self.seed)
+        names = [f"case_{i:03d}" for i in range(count)]
+        for case in names:
+            label = draw_label(rng, self.bench, self.kinds)
+            if not is_sealed(self.data, self.vault, case):
+                seal(self.bench, label, self.data, self.vault, case)
+        return names
+
+    def answer(self, case: str) -> dict[str, Any]:
+        """Diagnose a case in a process of its own; an answer that is there is kept."""
+        path = self._answer_path(case)
+        if not self._is_answered(case):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            # a copy: nothing of the other cases lies beside what the process is given
+            with tempfile.TemporaryDirectory(prefix="blind_") as room:
+                folder = Path(room) / "study"
+                shutil.copytree(self.data / case, folder)
+                error = self._run(folder, Path(room) / "answer.json")
+                if error is not None:
+                    answer = {"verdict": "failed", "error": error, "timeout_s": self.timeout_s}
+                else:
+                    answer = json.loads((Path(room) / "answer.json").read_text("utf-8"))
+            write_json_atomic(path, answer)
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return found
+
+    def _answer_path(self, case: str) -> Path:
+        return self.out / "answers" / f"{case}.json"
+
+    def _is_answered(self, case: str) -> bool:
+        """Whether an answer is there; a failure within less time than there is now is none."""
+        path = self._answer_path(case)
+        if not path.is_file():
+            return False
+        answer = json.loads(path.read_text(encoding="utf-8"))
+        return bool(answer.get("timeout_s", np.inf) >= self.timeout_s)
+
+    def _run(self, folder: Path, result: Path) -> str | None:
+        """What went wrong, or None."""
+        command = [sys.executable, "-m", "benchmarks.blind.case", ".", str(result)]
+        command += ["--quick"] if self.quick else []
+        command += ["--setup", str(self.setup_file.resolve())] if self.setup_file else []
+        kept = {name: os.environ[name] for name in _KEPT_ENVIRONMENT if name in os.environ}
+        paths = [str(Path(diffsim.__file__).parent.parent), os.environ.get("PYTHONPATH", "")]
+        environment = kept | {"PYTHONPATH": os.pathsep.join(p for p in paths if p)}
+        try:
+            status, said = self._processes.run(command, folder, environment, self.timeout_s)
+        except subprocess.TimeoutExpired:
+            return f"no answer within {self.timeout_s:g} s"
+        if status in (-signal.SIGINT, -signal.SIGTERM):
+            raise KeyboardInterrupt  # no answer: the case is asked again
+        if status:
+            return f"status {status}: {(said.strip().splitlines() or ['no message'])[-1]}"
+        return None
+
+    def score(self, case: str) -> dict[str, Any]:
+        """Diagnose and score a case; a score that is there is kept.
+
+        Raises:
+            ValueError: the label is not the one that was sealed.
+        """
+        path = self.out / "scores" / f"{case}.json"
+        label = open_label(self.data, self.vault, case)["label"]
+        if not (path.is_file() and self._is_answered(case)):
+            answer = self.answer(case)
+            folder = self.data / case
+            setup = inputs_of(load_study(folder), seed=0, setup_file=self.setup_file).setup
+            score = {"case": case, **score_answer(label, answer, setup.effects)}
+            if self.with_lambda and label["effects"]:
+                try:
+                    score |= score_simulated(self.bench, label, folder, score, self.setup_file)
+                except DiffsimError as error:
+                    score["not_simulated"] = str(error)
+            write_json_atomic(path, with_strength(score))
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return found
+
+    def run(self, count: int, workers: int = 1) -> list[dict[str, Any]]:
+        """All cases; tables are written after each, so that an interruption loses one case."""
+        names = self.seal_all(count)
+        scores: dict[str, dict[str, Any]] = {}
+        with ThreadPoolExecutor(workers) as pool:
+            jobs = {pool.submit(self.score, case): case for case in names}
+            try:
+                for job in tqdm(as_completed(jobs), total=count, desc="blind", unit="case"):
+                    scores[jobs[job]] = job.result()
+                    self.write([scores[c] for c in names if c in scores])
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                self._processes.end()
+                raise
+        return [scores[case] for case in names]
+
+    def write(self, scores: Sequence[Mapping[str, Any]]) -> Path:
+        """confusion.json and confusion.md, the path of the latter."""
+        content = {"confusion": confusion(scores), "figures": figures(scores)}
+        write_json_atomic(self.out / "confusion.json", {**content, "seed": self.seed})
+        command = f"diffsim diagnose blind --system {self.name} --n {len(scores)}"
+        command += f" --seed {self.seed}" + (" --quick" if self.quick else "")
+        command += f" --kinds {','.join(self.kinds)}" if self.kinds else ""
+        cpu = [s["cpu_s"] for s in scores if s["cpu_s"] is not None]
+        notes = [f"diffsim {diffsim.__version__}."]
+        if cpu:
+            notes.append(f"Processor time of a diagnosis: median {np.median(cpu):.0f} s.")
+        text = markdown(
+            scores,
+            title=f"Sealed cases of the {self.name}",
+            command=self.command or command,
+            notes=notes,
+        )
+        return write_text_atomic(self.out / "confusion.md", text)
+
+
+class _Processes:
+    """Running diagnoses, so that an interruption ends them."""
+
+    def __init__(self) -> None:
+        self._running: set[subprocess.Popen[str]] = set()
+        self._ended = False
+
+    def run(
+        self, command: list[str], folder: Path, environment: dict[str, str], timeout_s: float
+    ) -> tuple[int, str]:
+        """Exit status and what was said on stderr.
+
+        Raises:
+            subprocess.TimeoutExpired: it ran too long, and was ended.
+        """
+        if self._ended:
+            raise KeyboardInterrupt
+        process = subprocess.Popen(
+            command,
+            cwd=folder,
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self._running.add(process)
+        try:
+            _, said = process.communicate(timeout=timeout_s)
+        finally:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+            self._running.discard(process)
+        return process.returncode, said
+
+    def end(self) -> None:
+        """End all that run; none is started any more."""
+        self._ended = True
+        for process in list(self._running):
+            process.terminate()
+
+
+def blind_command(args: argparse.Namespace) -> None:
+    """Seal, diagnose and score as the arguments of ``diffsim diagnose blind`` say."""
+    blind = _planned(args)
+    print(f"seed {blind.seed}; data and answers in {blind.out}, labels in {blind.vault}")
+    scores = blind.run(args.n, args.workers)
+    page = blind.write(scores)
+    print(page.read_text(encoding="utf-8"))
+    print(f"wrote {page} and {page.with_suffix('.json')}")
+
+
+def _planned(args: argparse.Namespace) -> Blind:
+    """The set of cases; an earlier one in --out is gone on with.
+
+    Raises:
+        ValueError: --out holds another set.
+    """
+    seed = secrets.randbits(31) if args.seed is None else args.seed
+    out = args.out or Path("runs/blind") / f"{args.system}_{seed}"
+    vault = args.vault or out.with_name(out.name + ".vault")
+    # the plan holds the seed, from which every label follows: it belongs into the vault
+    plan = vault / "plan.json"
+    wanted = {"system": args.system, "kinds": list(args.kinds), "quick": args.quick}
+    if plan.is_file():
+        earlier = json.loads(plan.read_text(encoding="utf-8"))
+        seed = earlier["seed"] if args.seed is None else seed
+        if earlier != wanted | {"seed": seed}:
+            raise ValueError(
+                f"--out {out} holds other cases ({earlier}); choose another folder, or the same "
+                "--system, --kinds, --quick and --seed"
+            )
+    write_json_atomic(plan, wanted | {"seed": seed})
+    bench = BENCHES[args.system]
+    return Blind(
+        bench, args.system, seed, out, vault, args.kinds, args.quick, args.timeout, args.setup
+    )

@@ -1,0 +1,126 @@
+"""The command line that all application scripts share."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from diffsim import soft
+from diffsim.applications.application import SOLVERS, Application, solver_options
+from diffsim.applications.minimise import Outcome, minimise
+from diffsim.applications.normalise import normalised, random_losses
+from diffsim.core.files import write_json_atomic
+from diffsim.viz.application_pictures import motion_strip, recording
+
+Build = Callable[[soft.SolverOptions, bool], Application]
+"""Application of solver options and ``quick``; the options' tolerances are the script's to set."""
+
+
+def main(
+    build: Build,
+    doc: str,
+    *,
+    rtol: float = 1e-4,
+    max_evaluations: int = 60,
+    view: tuple[float, float] = (14.0, -65.0),
+    argv: Sequence[str] | None = None,
+) -> dict[str, float]:
+    """Optimise an application, print and keep its numbers, draw it, record it.
+
+    Args:
+        build: Makes the application.
+        doc: The script's docstring, for ``--help``.
+        rtol: Of a step.
+        max_evaluations: Of loss and gradient; ``--quick`` takes 8 at most.
+        view: Elevation and azimuth of the picture [degrees].
+        argv: Arguments; None: the process's.
+
+    Returns:
+        The numbers that it prints.
+    """
+    args = _parser(doc, max_evaluations).parse_args(argv)
+    torch.set_num_threads(args.threads)
+    application = build(
+        solver_options(args.solver, rtol=rtol, num_threads=args.threads), args.quick
+    )
+    out = args.out or Path("runs/applications") / application.name
+    size = "quick" if args.quick else "full"
+    limit = min(8, args.evaluations) if args.quick else args.evaluations
+    steps = len(application.motion(application.parameters.first)) - 1
+    print(
+        f"{application.name} ({application.source}): {application.body.mesh.num_elements} elements,"
+        f" {application.num_dofs} DoF, {steps} steps of {1e3 * application.body.dt:g} ms"
+    )
+    kept = out / f"{args.solver}_{size}.jsonl"
+    if args.fresh:
+        kept.unlink(missing_ok=True)
+    found = minimise(application, max_evaluations=limit, record=kept, progress=True)
+    numbers = summary(application, found)
+    if not args.quick:
+        tried, kept = found.evaluations[: found.num_starts], out / f"random_{size}.jsonl"
+        random = float(np.mean(random_losses(application, record=kept, tried=tried)))
+        numbers["random loss"] = random
+        if application.oracle is not None:
+            numbers["normalised loss"] = normalised(found.best.loss, random, application.oracle)
+    for name, value in numbers.items():
+        print(f"{name:36s} {value:.6g}")
+    print(f"ended: {found.message}")
+    write_json_atomic(
+        out / f"result_{args.solver}_{size}.json",
+        {"numbers": numbers, "message": found.message, "best": asdict(found.best)},
+    )
+    if not args.no_pictures:
+        shown = {
+            "before": application.motion(application.parameters.first),
+            "optimised": application.motion(np.array(found.best.values)),
+        }
+        if application.oracle_parameters is not None:
+            shown["target"] = application.motion(application.oracle_parameters)
+        print("picture:", motion_strip(application, shown, out / f"strip_{size}.png", view=view))
+        print("recording:", recording(application, shown, out / f"{application.name}_{size}.rrd"))
+    return numbers
+
+
+def summary(application: Application, found: Outcome) -> dict[str, float]:
+    """Losses, evaluations and times of an optimisation, and what the solution means."""
+    made = [e for e in found.evaluations[found.num_starts :] if not e.failure]
+    best = np.array(found.best.values)
+    numbers = {
+        "evaluations": len(found.evaluations) - found.num_starts,
+        "evaluations of the warm-up": found.num_warm_up,
+        "failed evaluations": len(found.evaluations) - found.num_starts - len(made),
+        "first loss": made[0].loss,
+        "final loss": found.best.loss,
+        "forward s (median)": float(np.median([e.forward_s for e in made])),
+        "backward s (median)": float(np.median([e.backward_s for e in made])),
+        "forward CPU s (median)": float(np.median([e.forward_cpu_s for e in made])),
+        "backward CPU s (median)": float(np.median([e.backward_cpu_s for e in made])),
+    }
+    first = application.parameters.first
+    before = application.numbers(first, application.motion(first))
+    after = application.numbers(best, application.motion(best))
+    for name in after:
+        numbers[f"{name}, before"] = before[name]
+        numbers[f"{name}, optimised"] = after[name]
+    if application.oracle_parameters is not None:
+        truth = application.oracle_parameters
+        for name, value in application.numbers(truth, application.motion(truth)).items():
+            numbers[f"{name}, truth"] = value
+    return numbers
+
+
+def _parser(doc: str, max_evaluations: int) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=doc.partition("\n")[0])
+    parser.add_argument("--quick", action="store_true", help="a coarse mesh, few evaluations")
+    parser.add_argument("--solver", choices=tuple(SOLVERS), default="projective_dynamics")
+    parser.add_argument("--evaluations", type=int, default=max_evaluations, metavar="N")
+    parser.add_argument("--threads", type=int, default=1, metavar="N")
+    parser.add_argument("--out", type=Path, help="default: runs/applications/NAME")
+    parser.add_argument("--fresh", action="store_true", help="forget the evaluations on record")
+    parser.add_argument("--no-pictures", action="store_true")
+    return parser

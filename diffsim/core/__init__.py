@@ -1,0 +1,19 @@
+"""What every room stands on: errors, argument checks, atomic files, rotations, compiled core."""
+
+from diffsim.core.errors import (
+    ConvergenceError,
+    ConvergenceWarning,
+    DiffsimError,
+    FactorizationError,
+    InvertedElementError,
+    MeshError,
+)
+
+__all__ = [
+    "ConvergenceError",
+    "ConvergenceWarning",
+    "DiffsimError",
+    "FactorizationError",
+    "InvertedElementError",
+    "MeshError",
+]

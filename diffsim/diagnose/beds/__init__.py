@@ -1,1 +1,0 @@
-"""Testbeds of the diagnosis: for each simulator a scene with hooks, models and effects."""

@@ -1,0 +1,134 @@
+"""A model with effects built in: their sizes are ordinary, differentiable parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim.identify.effect import Effect
+from diffsim.identify.fitting import Fit
+from diffsim.identify.model import Scene, SimModel
+from diffsim.identify.numerics import Numerics
+from diffsim.identify.parameter import Parameter
+from diffsim.identify.problem import effect_coordinates
+
+if TYPE_CHECKING:
+    from diffsim.data.study import Run
+
+
+class ExtendedModel(SimModel):
+    """A model whose base parameters are those of another one, then the sizes of effects.
+
+    Args:
+        inner: The plain model.
+        effects: Built in, in this order.
+        base: Parameters of ``inner``, then the components of the effects ("wind.x").
+    """
+
+    def __init__(self, inner: SimModel, effects: Sequence[Effect], base: Sequence[Parameter]):
+        suffix = "".join(f" + {e.name}" for e in effects)
+        super().__init__(self._build, base, inner.name + suffix, batched=inner.batched)
+        self.inner, self.effects = inner, tuple(effects)
+        self.simulations = inner.simulations
+        self._components = [effect_coordinates([e]) for e in effects]
+
+    def _build(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> Scene:
+        scene = self.inner.build({p.name: values[p.name] for p in self.inner.base}, run, numerics)
+        for effect, components in zip(self.effects, self._components, strict=True):
+            size = torch.stack([values[c] for c in components], dim=-1)
+            scene = effect.apply(scene, size, run)
+        return scene
+
+    def predict(
+        self,
+        run: Run,
+        q: Tensor,
+        sizes: Mapping[Effect, Tensor] | None = None,
+        numerics: Numerics | None = None,
+    ) -> Tensor:
+        """By the plain model, with its effects."""
+        return self.inner.predict(run, self._inner_q(q), self._sizes(q, sizes), numerics)
+
+    def predict_many(
+        self,
+        run: Run,
+        q: Tensor,
+        sizes: Mapping[Effect, Tensor] | None = None,
+        numerics: Numerics | None = None,
+    ) -> Tensor:
+        """As many at once as the plain model can."""
+        return self.inner.predict_many(run, self._inner_q(q), self._sizes(q, sizes), numerics)
+
+    def _inner_q(self, q: Tensor) -> Tensor:
+        """Standardised coordinates of the plain model, (..., num_base): the same values."""
+        columns = []
+        for i, (own, plain) in enumerate(zip(self.base, self.inner.base, strict=False)):
+            offset = plain.coordinate_of(own.value)
+            width = own.sd / plain.sd  # both of the value, or both of its logarithm
+            columns.append(offset + width * q[..., i])
+        return torch.stack(columns, dim=-1) if columns else q[..., :0]
+
+    def _sizes(self, q: Tensor, more: Mapping[Effect, Tensor] | None) -> dict[Effect, Tensor]:
+        sizes, k = {}, len(self.inner.base)
+        for effect in self.effects:
+            own = range(k, k := k + len(effect.components))
+            sizes[effect] = torch.stack([self.base[i].value_at(q[..., i]) for i in own], dim=-1)
+        return sizes | dict(more or {})
+
+    def prepared_at(self, q: Tensor) -> SimModel:
+        """With the plain model prepared at the values of its own parameters at ``q``."""
+        return ExtendedModel(self.inner.prepared_at(self._inner_q(q)), self.effects, self.base)
+
+
+def extended_model(fit: Fit) -> ExtendedModel:
+    """The fitted model and its effects as one model.
+
+    Args:
+        fit: With effects; its posterior becomes the prior of the new model's parameters.
+
+    Returns:
+        A model whose base parameters are the old ones, then the sizes ("wind.x").
+    """
+    problem = fit.problem
+    return extended_at(problem.model, problem.effects, fit.values, fit.sd)
+
+
+def extended_at(
+    inner: SimModel, effects: Sequence[Effect], values: Mapping[str, float], sd: Mapping[str, float]
+) -> ExtendedModel:
+    """A model with effects built in, at given values.
+
+    Args:
+        inner: The plain model.
+        effects: To build in.
+        values, sd: By name of base parameter or component, [unit]: centre and width of the new
+            priors.
+    """
+    base = [
+        Parameter(
+            p.name,
+            values[p.name],
+            sd[p.name] / (values[p.name] if p.log else 1.0),
+            p.unit,
+            p.log,
+            p.lower,
+            p.upper,
+        )
+        for p in inner.base
+    ]
+    sizes = [
+        Parameter(
+            name,
+            values[name],
+            sd[name],
+            effect.unit,
+            lower=-np.inf if effect.signed else 0.0,
+        )
+        for effect in effects
+        for name in effect_coordinates([effect])
+    ]
+    return ExtendedModel(inner, effects, [*base, *sizes])

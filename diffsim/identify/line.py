@@ -1,0 +1,39 @@
+"""Points at which a model is simulated, and lines along which it is differentiated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from diffsim.identify.effect import Effect
+from diffsim.identify.jacobian import Stencil
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where a model is simulated.
+
+    Attributes:
+        q: Standardised base parameters, (num_base,).
+        sizes: Of the effects [unit], (num_components,) each.
+    """
+
+    q: Tensor
+    sizes: Mapping[Effect, Tensor]
+
+
+@dataclass(frozen=True)
+class Line:
+    """One coordinate that a model is differentiated along.
+
+    Attributes:
+        stencil: The difference formula for what is cheap to evaluate at its points.
+        points: At the stencil's offsets.
+        effect: Whose size the coordinate is; None: a base parameter.
+    """
+
+    stencil: Stencil
+    points: tuple[Point, ...]
+    effect: Effect | None

@@ -1,0 +1,207 @@
+"""Extended models as files: ``extended_model.yaml``, written by a diagnosis, read to simulate.
+
+::
+
+    model: multicopter
+    study: lab_flights
+    setup: lab_copter            # which model and effects the names below belong to
+    verdict: named
+    prepared_at: null            # where the model prepared what it prepares once (standardised)
+    parameters:                  # of the plain model, nuisances too
+      mass: {value: 1.41, sd: 0.004, unit: kg}
+    effects:                     # sizes; components of vector effects as "wind.north"
+      wind.north: {value: 0.31, sd: 0.01, unit: N}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+import yaml
+
+from diffsim.core.check import require_choice
+from diffsim.core.files import to_plain, write_text_atomic
+from diffsim.data.study import Study
+from diffsim.identify.effect import Effect
+from diffsim.identify.extended import ExtendedModel, extended_at
+from diffsim.identify.fitting import Fit
+from diffsim.identify.model import SimModel
+from diffsim.identify.numerical import NumericalEffect
+from diffsim.identify.numerics import REFINEMENTS
+from diffsim.identify.problem import effect_coordinates
+from diffsim.identify.setup import DiagnosisSetup
+
+MODEL_FILE = "extended_model.yaml"
+_ENTRY_KEYS = ("value", "sd", "unit")
+
+
+@dataclass(frozen=True)
+class SavedModel:
+    """Content of the file.
+
+    Attributes:
+        path: Of the file.
+        values, sd: By name of parameter or component, [unit].
+        parameters: Names of the plain model's parameters.
+        components: Names of the effects' components.
+        verdict: Of the diagnosis behind it.
+        setup: What the study named.
+        units: By name.
+        prepared_at: Standardised parameters at which the model prepared what it prepares once.
+    """
+
+    path: Path
+    values: Mapping[str, float]
+    sd: Mapping[str, float]
+    parameters: tuple[str, ...]
+    components: tuple[str, ...]
+    verdict: str = ""
+    setup: Any = None
+    units: Mapping[str, str] = field(default_factory=dict)
+    prepared_at: Mapping[str, float] | None = None
+
+
+def save_extended(fit: Fit, path: str | Path, *, study: Study, verdict: str) -> Path:
+    """Write a fit as an extended model.
+
+    Args:
+        fit: With or without effects.
+        path: Of the file.
+        study: What was fitted.
+        verdict: Of the diagnosis.
+    """
+    problem = fit.problem
+    units = [p.unit for p in problem.model.base] + [e.unit for e, _ in problem.owners]
+    entries = {
+        name: {"value": fit.values[name], "sd": fit.sd[name], "unit": unit}
+        for name, unit in zip(problem.names, units, strict=True)
+    }
+    count, prepared = problem.num_base, problem.model.prepared_q
+    content = {
+        "model": problem.model.name,
+        "study": study.name,
+        "setup": study.metadata.get("setup"),
+        "verdict": verdict,
+        "prepared_at": None
+        if prepared is None
+        else dict(zip(problem.names, prepared.tolist(), strict=False)),
+        "parameters": dict(list(entries.items())[:count]),
+        "effects": dict(list(entries.items())[count:]),
+    }
+    return write_text_atomic(path, yaml.safe_dump(to_plain(content), sort_keys=False))
+
+
+def read_extended(path: str | Path) -> SavedModel:
+    """Read the file; a folder stands for the ``extended_model.yaml`` in it.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: not such a file; the message names the entry.
+    """
+    path = Path(path)
+    path = path / MODEL_FILE if path.is_dir() else path
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path}: no such extended model; make one with `diffsim diagnose explain`"
+        )
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except yaml.YAMLError as error:
+        raise ValueError(f"{path}: not YAML: {error}") from None
+    parts: dict[str, dict[str, Any]] = {}
+    for part in ("parameters", "effects"):
+        given = content.get(part) if isinstance(content, dict) else None
+        if not isinstance(given, dict):
+            raise ValueError(f"{path}: {part} must be a mapping of names to value, sd and unit")
+        parts[part] = given
+    entries = {**parts["parameters"], **parts["effects"]}
+    for name, entry in entries.items():
+        if not isinstance(entry, dict) or not all(
+            isinstance(entry.get(key), (int, float)) for key in ("value", "sd")
+        ):
+            raise ValueError(f"{path}: {name} must have {', '.join(_ENTRY_KEYS)}, got {entry!r}")
+    return SavedModel(
+        path=path,
+        values={name: float(entry["value"]) for name, entry in entries.items()},
+        sd={name: float(entry["sd"]) for name, entry in entries.items()},
+        parameters=tuple(parts["parameters"]),
+        components=tuple(parts["effects"]),
+        verdict=str(content.get("verdict", "")),
+        setup=content.get("setup"),
+        units={name: str(entry.get("unit", "-")) for name, entry in entries.items()},
+        prepared_at=content.get("prepared_at"),
+    )
+
+
+def rebuilt(saved: SavedModel, setup: DiagnosisSetup) -> ExtendedModel:
+    """The saved model, ready to be simulated, differentiated or fitted further.
+
+    Args:
+        saved: Content of the file.
+        setup: Plain model and effects by name. Nuisances of runs that the file does not know
+            ("offset@run_9") keep their prior.
+
+    Returns:
+        A model whose priors are centered at the saved values.
+
+    Raises:
+        ValueError: an effect or parameter that the setup does not have; the message names the
+            closest ones.
+    """
+    effects = effects_of(saved, setup.effects)
+    known = {p.name: p for p in setup.model.base}
+    for name in saved.parameters:
+        if "@" not in name:
+            require_choice(f"{saved.path}: parameter", name, known)
+    values = {name: p.value for name, p in known.items()} | dict(saved.values)
+    sd = {name: p.sd * (p.value if p.log else 1.0) for name, p in known.items()} | dict(saved.sd)
+    _require_units(saved, {**{n: p.unit for n, p in known.items()}, **_units(effects)})
+    return extended_at(_prepared(setup.model, saved), effects, values, sd)
+
+
+def effects_of(saved: SavedModel, candidates: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Effects of a saved model, in its order.
+
+    Raises:
+        ValueError: an effect that is not among the candidates, or lacks a component.
+    """
+    numerical = [NumericalEffect(name, finer) for name, finer in REFINEMENTS.items()]
+    by_name: dict[str, Effect] = {e.name: e for e in (*numerical, *candidates)}
+    names = dict.fromkeys(
+        c if c in by_name else c.rsplit(".", 1)[0] for c in saved.components
+    )  # a component is "wind.north", an effect with one component its own name
+    found = []
+    for name in names:
+        require_choice(f"{saved.path}: effect", name, by_name)
+        wanted = effect_coordinates([by_name[name]])
+        given = [c for c in saved.components if c == name or c.rsplit(".", 1)[0] == name]
+        if sorted(wanted) != sorted(given):
+            raise ValueError(
+                f"{saved.path}: effect {name} must have {', '.join(wanted)}, got {', '.join(given)}"
+            )
+        found.append(by_name[name])
+    return tuple(found)
+
+
+def _prepared(model: SimModel, saved: SavedModel) -> SimModel:
+    if saved.prepared_at is None:
+        return model
+    at = [float(saved.prepared_at.get(p.name, 0.0)) for p in model.base]
+    q = torch.tensor(at, dtype=torch.float64)
+    prepared = model.prepared_at(q)
+    prepared.prepared_q = q
+    return prepared
+
+
+def _units(effects: Sequence[Effect]) -> dict[str, str]:
+    return {c: e.unit for e in effects for c in effect_coordinates([e])}
+
+
+def _require_units(saved: SavedModel, units: Mapping[str, str]) -> None:
+    for name, unit in saved.units.items():
+        if name in units and units[name] != unit:
+            raise ValueError(f"{saved.path}: {name} must be in {units[name]}, got {unit}")

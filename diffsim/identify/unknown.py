@@ -1,0 +1,159 @@
+"""Causes without a form: a smooth force, or a smooth drift of one channel, as Gaussian processes.
+
+Each gives responses H, the change of the record per independent N(0, 1) coefficient. Their
+common amplitude is averaged over in ``evidence``, so only their shape matters here.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from diffsim.identify.effect import Effect
+from diffsim.identify.local import local_at
+from diffsim.identify.model import has_tangents
+from diffsim.identify.problem import Problem
+
+if TYPE_CHECKING:
+    from diffsim.data.study import Run
+
+Array = NDArray[np.float64]
+
+
+class Unknown(ABC):
+    """A generic cause.
+
+    Attributes:
+        name: For the report, such as "unknown force".
+    """
+
+    name: str
+
+    @abstractmethod
+    def slopes(self, problem: Problem, x: Array) -> Array:
+        """(N, k) change of all samples of all runs per component, at x, not whitened."""
+
+    def mix(self, slopes: Array) -> Array:
+        """(N, m) of (N, k): from components to independent coefficients."""
+        return slopes
+
+    def responses(self, problem: Problem, x: Array) -> Array:
+        """(num_valid, m * num_groups) whitened responses at x, rows in the order of
+        ``problem.runs``; one block of columns per command."""
+        return by_group(problem, self.mix(self.slopes(problem, x)))
+
+
+class UnknownForce(Unknown):
+    """A smooth force, the same in all repeats of a command, different between commands.
+
+    Args:
+        effect: Whose components are the force's coefficients, such as knots in time times shapes.
+        covariance: (num_components, num_components) of the coefficients, such as
+            ``smooth_covariance`` of the knots; scale free.
+        name: For the report.
+    """
+
+    def __init__(self, effect: Effect, covariance: Array, name: str = "unknown force"):
+        m = len(effect.components)
+        if covariance.shape != (m, m):
+            raise ValueError(f"covariance must have shape ({m}, {m}), got {covariance.shape}")
+        self.effect, self.name = effect, name
+        self._root = _root(covariance)
+        # by a secant, one simulation each, where simulations must tell: only the shape matters
+        self._secant = copy(effect)
+        vars(self._secant)["smooth"] = False
+
+    def mix(self, slopes: Array) -> Array:
+        """Components drawn from their covariance."""
+        return slopes @ self._root
+
+    def slopes(self, problem: Problem, x: Array) -> Array:
+        """Per standardised component of the effect; simulated for one run of each command, as
+        repeats differ by their nuisances only."""
+        first: dict[object, Run] = {}
+        twins = [first.setdefault(_sampling(run), run) for run in problem.runs]
+        effect = self.effect if has_tangents(problem.model) else self._secant
+        wide = replace(problem, runs=tuple(first.values()), effects=(*problem.effects, effect))
+        own = wide.columns_of(effect)
+        found = local_at(wide, np.concatenate([x, np.zeros(len(own))]), own, screen=True).columns
+        edges = np.cumsum([run.measured.size for run in wide.runs])[:-1]
+        of_run = dict(zip((run.name for run in wide.runs), np.split(found, edges), strict=True))
+        return np.concatenate([of_run[run.name] for run in twins])
+
+
+class UnknownDrift(Unknown):
+    """A smooth drift of one channel, the same in all repeats of a command: no force.
+
+    Args:
+        channel: Index of the channel.
+        name: For the report.
+        knots_per_s: Density; the correlation length is two knots.
+        num_knots: At most, over the longest run.
+    """
+
+    def __init__(self, channel: int, name: str, knots_per_s: float = 5.0, num_knots: int = 30):
+        self.channel, self.name = channel, name
+        self.knots_per_s, self.num_knots = knots_per_s, num_knots
+
+    def slopes(self, problem: Problem, x: Array) -> Array:
+        """Smooth functions of time; nothing is simulated."""
+        longest = max(float(r.time_s[-1] - r.time_s[0]) for r in problem.runs)
+        count = min(max(round(longest * self.knots_per_s) + 1, 4), self.num_knots)
+        knots = np.linspace(0.0, longest, count)
+        root = _root(smooth_covariance(knots, 2.0 * longest / (count - 1)))
+        blocks = []
+        for run in problem.runs:
+            curves = [np.interp(run.time_s - run.time_s[0], knots, e) for e in root.T]
+            record = np.zeros((*run.measured.shape, len(curves)))
+            record[:, self.channel] = np.stack(curves, 1)
+            blocks.append(record.reshape(-1, len(curves)))
+        return np.concatenate(blocks)
+
+
+def smooth_covariance(knots: Array, length: float) -> Array:
+    """(m, m) squared-exponential covariance of values at ``knots``."""
+    return np.exp(-0.5 * ((knots[:, None] - knots[None, :]) / length) ** 2)
+
+
+def _root(covariance: Array) -> Array:
+    """R with R R' = covariance, directions without variance left out."""
+    values, vectors = linalg.eigh(covariance)
+    keep = values > 1e-8 * values[-1]
+    return vectors[:, keep] * np.sqrt(values[keep])
+
+
+def by_group(problem: Problem, slopes: Array) -> Array:
+    """Whitened, columns of each command side by side: independent between commands.
+
+    Args:
+        problem: Whose runs the rows are.
+        slopes: (N, m).
+    """
+    groups = list(dict.fromkeys(run.group for run in problem.runs))
+    m = slopes.shape[1]
+    parts, start = [], 0
+    for run in problem.runs:
+        own = problem.whiten(run, slopes[start : start + run.measured.size])
+        start += run.measured.size
+        spread = np.zeros((len(own), m * len(groups)))
+        at = groups.index(run.group) * m
+        spread[:, at : at + m] = own
+        parts.append(spread)
+    return np.concatenate(parts)
+
+
+def _sampling(run: Run) -> object:
+    """Equal for repeats that are sampled alike."""
+    return run.group, run.time_s.tobytes()
+
+
+def drifts(channels: Sequence[str]) -> list[Unknown]:
+    """One ``UnknownDrift`` per channel."""
+    return [UnknownDrift(i, f"unknown drift of {name}") for i, name in enumerate(channels)]

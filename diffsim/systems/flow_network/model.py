@@ -1,0 +1,291 @@
+"""The flow device as a model: base parameters in, outlet flows, pressures and a profile out."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim.core.errors import ConvergenceError
+from diffsim.data.study import Run
+from diffsim.identify.model import Numerics, SimModel
+from diffsim.identify.parameter import Parameter
+from diffsim.stokes import FlowField
+from diffsim.systems.flow_network.corrections import shear_rate_squared
+from diffsim.systems.flow_network.device import ChannelDevice
+from diffsim.systems.flow_network.rig import Rig
+
+SWEEP_RTOL = 1e-8
+MAX_SWEEPS = 60
+WALL_SWEEPS = 3
+"""Walls follow the pressure so often, each time ten times closer. Not to the last digit: the flow
+jumps by some 1e-4 where a wall passes nodes, and such a map may have no fixed point."""
+SWEPT = ("leak", "slip_length", "compliance", "viscosity_gradient", "thinning", "density")
+_ZERO = torch.zeros((), dtype=torch.float64)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StokesScene:
+    """One run of the device, with the hooks of its effects; zero or None is "not there".
+
+    Attributes:
+        rig: Device on its grid.
+        drive: Levels of the command, (num_levels, num_inlets) [m^2/s or Pa].
+        level: Which level holds at each sample, (num_samples,).
+        viscosity: At the nominal temperature [Pa s].
+        wall_offset: All walls outwards [m].
+        narrowing: Distance by which walls come inwards at the nodes, (*node_shape,) [m].
+        inlet_skew: See ``Rig.inflow`` [-].
+        outlet_pressure: Beyond each outlet, (num_outlets,) [Pa].
+        leak: Flow lost ahead of each inlet over the pressure there [m^2/(s Pa)].
+        channel_gain: Of every channel, (num_channels,) [-].
+        channel_offset: Of every channel, (num_channels,) [its unit].
+        slip_length: Navier [m].
+        compliance: c of w (1 + c p) [1/Pa].
+        viscosity_gradient: Relative viscosity across the box in y, from -g/2 to g/2 [-].
+        thinning: 1 - n: viscosity (1 + (rate / shear_rate)^2)^(-thinning / 2) [-].
+        density: Of the fluid's inertia [kg/m^3].
+        rtol: Of the sweeps over the terms that are not linear.
+    """
+
+    rig: Rig
+    drive: Tensor
+    level: Tensor
+    viscosity: Tensor
+    outlet_pressure: Tensor
+    channel_gain: Tensor
+    channel_offset: Tensor
+    wall_offset: Tensor = _ZERO
+    narrowing: Tensor | None = None
+    inlet_skew: Tensor = _ZERO
+    leak: Tensor | None = None
+    slip_length: Tensor | None = None
+    compliance: Tensor | None = None
+    viscosity_gradient: Tensor | None = None
+    thinning: Tensor | None = None
+    density: Tensor | None = None
+    rtol: float = SWEEP_RTOL
+
+    def narrowed(self, outlet: int, size: Tensor) -> StokesScene:
+        """The middle of a branch narrower by ``size`` of its width."""
+        device = self.rig.device
+        half = 0.5 * device.outlets[outlet].width
+        return with_added(self, narrowing=half * size * device.throat(outlet, self.rig.grid.nodes))
+
+    def simulate(self) -> Tensor:
+        """Predicted channels, (num_samples, num_channels).
+
+        Raises:
+            ConvergenceError: the sweeps over leak, slip, compliance, viscosity or inertia do not
+                settle: the effect is too large for this expansion.
+        """
+        # A wall that gives way has its own shape at each level; else one factorisation serves all.
+        each = 1 if self.compliance is not None else len(self.drive)
+        parts = [self._readings(self._steady(levels)) for levels in self.drive.split(each)]
+        return (torch.cat(parts) * self.channel_gain + self.channel_offset)[self.level]
+
+    def _readings(self, field: FlowField) -> Tensor:
+        rig = self.rig
+        return torch.cat(
+            [rig.outlet_flows(field), rig.tap_pressures(field), rig.profile(field)], -1
+        )
+
+    @property
+    def _sweeping(self) -> bool:
+        return any(getattr(self, term) is not None for term in SWEPT)
+
+    def _steady(self, drive: Tensor) -> FlowField:
+        """The flow at some levels, (levels, num_inlets): repeated until the terms agree with it."""
+        flow = self._solve(drive, None, self._rigid)
+        if not self._sweeping:
+            return flow
+        change, phi, loads = float("inf"), flow.phi, dict[str, Tensor]()
+        for sweep in range(MAX_SWEEPS):
+            if sweep < WALL_SWEEPS:
+                phi = self._moved(flow)
+            loads = self._loads(flow, phi, loads.get("wall_velocity"))
+            before, flow = flow, self._solve(drive, flow, phi, loads)
+            with torch.no_grad():
+                # Nodes beyond the wall come and go with the cells that need them.
+                inside = self.rig.phi > max(self.rig.grid.spacing)
+                scale = flow.velocity.abs().max()
+                difference = (flow.velocity - before.velocity)[:, inside]
+                change = float(difference.abs().max() / scale.clamp(1e-300))
+            if change <= self.rtol:
+                return flow
+        raise ConvergenceError(
+            f"the flow changed by {change:.1e} of its largest speed in sweep {MAX_SWEEPS}, needed "
+            f"{self.rtol:.1e}; an effect is too large to be swept (sizes: {self._sizes()})",
+            residual_norm=change,
+            tolerance=self.rtol,
+            num_iters=MAX_SWEEPS,
+        )
+
+    def _sizes(self) -> str:
+        given = {t: getattr(self, t) for t in SWEPT if getattr(self, t) is not None}
+        return ", ".join(f"{name} {float(value.detach()):.3g}" for name, value in given.items())
+
+    @property
+    def _rigid(self) -> Tensor:
+        """Level set without the pressure's doing."""
+        phi = self.rig.phi + self.wall_offset
+        return phi if self.narrowing is None else phi - self.narrowing
+
+    def _solve(
+        self,
+        drive: Tensor,
+        before: FlowField | None,
+        phi: Tensor,
+        loads: Mapping[str, Tensor] | None = None,
+    ) -> FlowField:
+        """Linear flow under loads; leaks are those at the pressures before."""
+        rig = self.rig
+        slip = _ZERO if self.slip_length is None else self.slip_length
+        if rig.device.drive == "flow":
+            if self.leak is not None and before is not None:
+                drive = drive - self.leak * rig.tap_pressures(before)
+            inlet = rig.inflow(phi, drive, self.inlet_skew, self.wall_offset, slip)
+            traction = rig.traction(None, self.outlet_pressure)
+        else:
+            inlet, traction = None, rig.traction(drive, self.outlet_pressure)
+        return rig.solver(phi, inlet, viscosity=self.viscosity, traction=traction, **(loads or {}))
+
+    def _moved(self, before: FlowField) -> Tensor:
+        """The level set of walls that give way to the pressure."""
+        if self.compliance is None:
+            return self._rigid
+        # Stencils of the rigid shape: cells on the verge would come and go with the sweeps.
+        at_nodes = self.rig.derivatives(self._rigid).pressure_at_nodes(before.pressure)[0]
+        return self._rigid + 0.5 * self.compliance * self.rig.width * at_nodes
+
+    def _loads(
+        self, before: FlowField, phi: Tensor, wall_before: Tensor | None
+    ) -> dict[str, Tensor]:
+        """Body force and wall velocity by name, as the flow before asks for."""
+        d = self.rig.derivatives(self._rigid)
+        loads: dict[str, Tensor] = {}
+        gradient = d.gradient(before.velocity)
+        extra = self._extra_viscosity(gradient, d.centers)
+        if extra is not None:
+            loads["body_force"] = d.viscous_force(gradient, extra)
+        if self.density is not None:
+            inertia = -self.density * d.convection(before.velocity, gradient)
+            loads["body_force"] = loads.get("body_force", 0.0) + inertia
+        if self.slip_length is not None:
+            wall = self.slip_length * d.slip_velocity(gradient, phi)
+            # Waves of the wall velocity over two cells would grow by slip over cell size.
+            share = 1.0 / (
+                1.0 + 1.5 * float(self.slip_length.detach()) / min(self.rig.grid.spacing)
+            )
+            loads["wall_velocity"] = share * wall
+            if wall_before is not None:
+                loads["wall_velocity"] = loads["wall_velocity"] + (1.0 - share) * wall_before
+        return loads
+
+    def _extra_viscosity(self, gradient: Tensor, centers: Tensor) -> Tensor | None:
+        """Viscosity above the nominal one in fluid cells, (levels or 1, n) [Pa s]."""
+        if self.viscosity_gradient is None and self.thinning is None:
+            return None
+        factor = torch.ones(1, len(centers), dtype=torch.float64)
+        if self.viscosity_gradient is not None:
+            height = self.rig.device.size[1]
+            factor = factor + self.viscosity_gradient * (centers[:, 1] / height - 0.5)
+        if self.thinning is not None:
+            rate = shear_rate_squared(gradient) / self.rig.device.shear_rate**2
+            factor = factor * (1.0 + rate) ** (-0.5 * self.thinning)
+        return self.viscosity * (factor - 1.0)
+
+
+def device_base(device: ChannelDevice) -> tuple[Parameter, ...]:
+    """What is always imperfectly known of a device: viscosity to 2 %, each meter's and pump's gain
+    to 0.5 %, walls to 0.3 % of the narrowest channel."""
+    narrowest = min(o.width for o in (*device.inlets, *device.outlets))
+    drives = [Parameter(f"drive_gain_{i + 1}", 1.0, 0.005) for i in range(len(device.inlets))]
+    meters = [Parameter(f"flow_gain_{i + 1}", 1.0, 0.005) for i in range(len(device.outlets))]
+    return (
+        Parameter("viscosity", device.viscosity, 0.02, "Pa s", log=True),
+        Parameter("wall_offset", 0.0, 0.0015 * narrowest, "m"),
+        *drives,
+        *meters,
+    )
+
+
+def device_model(
+    device: ChannelDevice | None = None, base: Sequence[Parameter] | None = None
+) -> SimModel:
+    """The device as a model for the diagnosis.
+
+    Args:
+        device: Default ``ChannelDevice()``.
+        base: Base parameters, of the names that ``device_base`` uses; those left out hold their
+            nominal value. Default ``device_base(device)``.
+
+    Returns:
+        Model whose runs hold the commands ``device.commands`` and the channels
+        ``device.channels``. ``Numerics.mesh`` scales the cells, ``tolerance`` the sweeps;
+        ``time_step`` has no meaning, as the flow is steady.
+
+    Raises:
+        ValueError: unknown base parameters.
+    """
+    device = ChannelDevice() if device is None else device
+    nominal = {p.name: p.value for p in device_base(device)}
+    base = device_base(device) if base is None else tuple(base)
+    if unknown := sorted({p.name for p in base} - set(nominal)):
+        raise ValueError(f"base parameters {unknown} are unknown; known are {sorted(nominal)}")
+
+    @lru_cache(maxsize=4)
+    def rig(mesh: float) -> Rig:
+        return Rig(device, mesh)
+
+    def build(values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> StokesScene:
+        on_grid = rig(numerics.mesh)
+        all_values = {k: torch.tensor(v, dtype=torch.float64) for k, v in nominal.items()}
+        all_values |= dict(values)
+        levels, level = _levels(device, run)
+        gains = [all_values[f"drive_gain_{i + 1}"] for i in range(len(device.inlets))]
+        meters = [all_values[f"flow_gain_{i + 1}"] for i in range(len(device.outlets))]
+        others = [torch.ones((), dtype=torch.float64)] * (
+            len(device.inlets) + device.num_profile_points
+        )
+        return StokesScene(
+            rig=on_grid,
+            drive=levels * torch.stack(gains),
+            level=level,
+            viscosity=all_values["viscosity"],
+            wall_offset=all_values["wall_offset"],
+            outlet_pressure=torch.zeros(len(device.outlets), dtype=torch.float64),
+            channel_gain=torch.stack([*meters, *others]),
+            channel_offset=torch.zeros(len(meters) + len(others), dtype=torch.float64),
+            rtol=SWEEP_RTOL * numerics.tolerance,
+        )
+
+    return SimModel(build, base, name="stokes device")
+
+
+def _levels(device: ChannelDevice, run: Run) -> tuple[Tensor, Tensor]:
+    """Different levels of the commands (num_levels, num_inlets), and which holds at each sample."""
+    missing = [name for name in device.commands if name not in run.command]
+    if missing:
+        raise ValueError(
+            f"run {run.name}: commands {missing} are missing; a device with drive "
+            f"{device.drive!r} needs {list(device.commands)}, got {sorted(run.command)}"
+        )
+    commands = np.stack([np.asarray(run.command[name]) for name in device.commands], -1)
+    levels, level = np.unique(commands, axis=0, return_inverse=True)
+    return torch.from_numpy(levels), torch.from_numpy(level.reshape(-1))
+
+
+def with_added(scene: Any, **changes: Tensor) -> Any:
+    """The scene with sizes added to those that it has."""
+    present = {name: getattr(scene, name) for name in changes}
+    total: dict[str, Any] = {
+        k: v if present[k] is None else present[k] + v for k, v in changes.items()
+    }
+    return dataclasses.replace(scene, **total)

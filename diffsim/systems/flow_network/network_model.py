@@ -1,0 +1,186 @@
+"""A channel network as a model: unit flows of the Stokes simulator, driven, loaded and read."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim.data.study import Run
+from diffsim.identify import Parameter
+from diffsim.identify.model import Numerics, SimModel
+from diffsim.systems.flow_network.network import NetworkDevice
+from diffsim.systems.flow_network.network_balance import RTOL, Balance
+from diffsim.systems.flow_network.unit_flows import UnitFlowTable
+
+_ZERO = torch.zeros((), dtype=torch.float64)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NetworkScene:
+    """One run of the network with the hooks of its effects; at zero each is not there.
+
+    Attributes:
+        table: Unit flows of the device on its grid.
+        drive: What the pump gives at each level, (num_levels, 1) [m^3/s].
+        back_pressure: Commanded beyond each outlet, (num_levels, num_outlets) [Pa].
+        level: Which level holds at each sample, (num_samples,).
+        viscosity: [Pa s].
+        width_gain: Of each channel's width, (num_segments,) [-]; small: by the cube law of slits.
+        outlet_pressure: Beyond each outlet, on top of the commanded one, (num_outlets,) [Pa].
+        channel_gain, channel_offset: Of every channel, (num_channels,): flows, then pressures.
+        wall_offset: All walls outwards [m].
+        slip_length: Navier [m].
+        narrowing: Of the middle of each branch, relative to its width, (num_outlets,) [-].
+        viscosity_gradient: Relative viscosity across the box in y, from -g/2 to g/2 [-].
+        thinning: s of viscosity (1 + (rate / shear_rate)^2)^(-s / 2) [-].
+        compliance: c of w (1 + c p) [1/Pa].
+        entrance_loss: K of a loss K rho u^2 / 2 at each branch's entrance [-].
+        leak: Flow lost at the pump over the pressure there [m^3/(s Pa)].
+        columns: Channels that were measured, by index; all if None.
+        rtol: Of the balance of pressures.
+    """
+
+    table: UnitFlowTable
+    drive: Tensor
+    back_pressure: Tensor
+    level: Tensor
+    viscosity: Tensor
+    width_gain: Tensor
+    outlet_pressure: Tensor
+    channel_gain: Tensor
+    channel_offset: Tensor
+    narrowing: Tensor
+    wall_offset: Tensor = _ZERO
+    slip_length: Tensor = _ZERO
+    viscosity_gradient: Tensor = _ZERO
+    thinning: Tensor = _ZERO
+    compliance: Tensor = _ZERO
+    entrance_loss: Tensor = _ZERO
+    leak: Tensor = _ZERO
+    columns: tuple[int, ...] | None = None
+    rtol: float = RTOL
+
+    def narrowed(self, outlet: int, size: Tensor) -> NetworkScene:
+        """The middle of a branch narrower by ``size`` of its width."""
+        one = torch.eye(len(self.narrowing), dtype=torch.float64)[outlet]
+        return dataclasses.replace(self, narrowing=self.narrowing + size * one)
+
+    def simulate(self) -> Tensor:
+        """Flows and pressures, (num_samples, num_channels).
+
+        Raises:
+            ConvergenceError: flows and pressures do not balance; an effect is too large.
+        """
+        balance = Balance(self)
+        with torch.no_grad():
+            y = balance.solved()
+        residual, slope, tap = balance.at(y)
+        # one Newton step more carries the gradients of the balance (implicit function theorem)
+        y = y - torch.linalg.solve(slope.detach(), residual)
+        if residual.requires_grad:
+            tap = balance.at(y)[2]
+        levels = torch.cat([y[:, :-1] * balance.flow_scale, y[:, -1:], tap[:, None]], 1)
+        shown = levels * self.channel_gain + self.channel_offset
+        if self.columns is not None:
+            shown = shown[:, list(self.columns)]
+        return shown[self.level]
+
+
+def network_base(device: NetworkDevice, runs: Sequence[str]) -> tuple[Parameter, ...]:
+    """What is always imperfectly known of a network.
+
+    Viscosity to 1 %, widths to 0.3 %, what the pump gives in each run to 0.5 %, each meter to
+    0.5 %, the zeros of the pressure sensors to 0.2 Pa.
+    """
+    return (
+        Parameter("viscosity", device.viscosity, 0.01, "Pa s", log=True),
+        *(Parameter(f"width_{s.name}", s.width, 0.003, "m", log=True) for s in device.segments),
+        *(Parameter(f"flow_gain_{i + 1}", 1.0, 0.005) for i in range(len(device.outlets))),
+        *(Parameter(f"pressure_zero_{i + 1}", 0.0, 0.2, "Pa") for i in range(2)),
+        *(Parameter(f"pump_gain@{run}", 1.0, 0.005) for run in runs),
+    )
+
+
+def network_model(
+    device: NetworkDevice,
+    base: Sequence[Parameter],
+    *,
+    pump: str,
+    back_pressures: Sequence[str],
+    columns: Sequence[int] | None = None,
+    corrected: bool = True,
+) -> SimModel:
+    """A network as a model for the diagnosis: channels are outlet flows, pump and tap pressure.
+
+    Args:
+        device: The network.
+        base: Of the names that ``network_base`` uses; those left out hold their nominal value.
+        pump: Name of the command of the pump [m^3/s].
+        back_pressures: Names of the commands of pressures beyond the outlets [Pa]. Those that a
+            run does not have are zero.
+        columns: Which of the channels are measured, by index; all if None.
+        corrected: As for ``UnitFlowTable``.
+
+    Returns:
+        Model. Unit flows are simulated when first needed and kept with the model;
+        ``Numerics.mesh`` scales the cells, ``tolerance`` the balance; ``time_step`` has no meaning.
+    """
+    nominal = {p.name: p.value for p in network_base(device, ())}
+    unknown = sorted(
+        p.name for p in base if p.name not in nominal and not p.name.startswith("pump_gain@")
+    )
+    if unknown:
+        raise ValueError(f"base parameters {unknown} are unknown; known are {sorted(nominal)}")
+    num_flows = len(device.outlets)
+
+    @lru_cache(maxsize=4)
+    def table(mesh: float) -> UnitFlowTable:
+        return UnitFlowTable(device, mesh, corrected=corrected)
+
+    def build(values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> NetworkScene:
+        fixed = {k: torch.tensor(v, dtype=torch.float64) for k, v in nominal.items()}
+        v = fixed | dict(values)
+        one = torch.ones((), dtype=torch.float64)
+        gains = [v[f"width_{s.name}"] / s.width for s in device.segments]
+        drive, back, level = _levels(run, pump, back_pressures)
+        zeros = torch.zeros(num_flows, dtype=torch.float64)
+        return NetworkScene(
+            table=table(numerics.mesh),
+            drive=drive * v.get(f"pump_gain@{run.name}", one),
+            back_pressure=back,
+            level=level,
+            viscosity=v["viscosity"],
+            width_gain=torch.stack(gains),
+            outlet_pressure=zeros,
+            channel_gain=torch.stack(
+                [*(v[f"flow_gain_{i + 1}"] for i in range(num_flows)), one, one]
+            ),
+            channel_offset=torch.cat(
+                [zeros, torch.stack([v["pressure_zero_1"], v["pressure_zero_2"]])]
+            ),
+            narrowing=zeros,
+            columns=None if columns is None else tuple(columns),
+            rtol=RTOL * numerics.tolerance,
+        )
+
+    make: Any = build
+    return SimModel(make, base, name="channel network")
+
+
+def _levels(run: Run, pump: str, back: Sequence[str]) -> tuple[Tensor, Tensor, Tensor]:
+    """Different levels of the pump (levels, 1) and of the back pressures (levels, m), and which of
+    them holds at each sample."""
+    if pump not in run.command:
+        raise ValueError(f"run {run.name}: command {pump} is missing, got {sorted(run.command)}")
+    none = np.zeros(len(run.time_s))
+    commands = np.stack([np.asarray(run.command.get(name, none)) for name in (pump, *back)], -1)
+    levels, level = np.unique(commands, axis=0, return_inverse=True)
+    rows = torch.from_numpy(levels)
+    return rows[:, :1], rows[:, 1:], torch.from_numpy(level.reshape(-1))

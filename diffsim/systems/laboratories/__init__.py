@@ -1,0 +1,1 @@
+"""The virtual laboratories of ``diffsim.data.labs`` as systems to be diagnosed."""

@@ -1,0 +1,268 @@
+"""Windows of a flight by the flight kernel, and what sensors read in them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from diffsim.copter import FlightEffects, fly
+from diffsim.copter.attitude import rpy_from_rotation
+from diffsim.copter.fleet import Fleet
+from diffsim.copter.vehicle import GRAVITY
+from diffsim.core.errors import ConvergenceError
+from diffsim.systems.multicopter.shooting import RIGID, flight_state
+
+if TYPE_CHECKING:
+    from diffsim.systems.multicopter.scene import CopterScene
+
+_MAX_PASSES = 40  # over causes that depend on the motion
+_NO_LIMIT_N = 1e6
+_SETTLED = 1e-8  # change of forces from pass to pass [N]
+_MORE_FOR_GRADIENTS = 2  # passes: derivatives settle after the values
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What a cause may depend on, in the middle of every control step.
+
+    Attributes:
+        vehicle: That flies.
+        position: World frame, (points, num_windows, length, 3) [m].
+        velocity: World frame, of the same shape [m/s].
+        rotation: World from body, (points, num_windows, length, 3, 3).
+        body_rates: (points, num_windows, length, 3) [rad/s].
+    """
+
+    vehicle: Fleet
+    position: Tensor
+    velocity: Tensor
+    rotation: Tensor
+    body_rates: Tensor
+
+    @property
+    def body_velocity(self) -> Tensor:
+        """(points, num_windows, length, 3) [m/s]."""
+        return turned_back(self.rotation, self.velocity)
+
+
+def turned_back(rotation: Tensor, value: Tensor) -> Tensor:
+    """R' v without a product of many small matrices, which is slow."""
+    return (rotation * value[..., None]).sum(-2)
+
+
+def by_rotor(vectors: Tensor, rotors: Tensor) -> Tensor:
+    """Products of vectors (points, windows, length, k) with rows (points, n_rotors, k)."""
+    return vectors @ rotors.mT[:, None]
+
+
+class Flyer:
+    """Flies all windows of a scene at all its points; keeps the forces that it found last.
+
+    Forces follow from the motion, and it from them: repeated until they stay. Without gradients the
+    last forces are the first guess of the next flight. (With them they must not be: values would
+    settle at once, but derivatives would not.)
+
+    A force in the world is exact without a term of its own in the dynamics: seen from a frame that
+    accelerates with a = F / m it is absent, and the drags feel a wind, less the frame's velocity.
+
+    Args:
+        scene: One run.
+        points: How many its leading axes stand for.
+    """
+
+    def __init__(self, scene: CopterScene, points: int):
+        self.scene, self.points = scene, points
+        # limits hold for commands; what a gain or a cause makes of them may lie beyond
+        free = torch.full_like(scene.vehicle.max_thrusts, _NO_LIMIT_N)
+        self._fleet = scene.vehicle.replace(max_thrusts=free)
+        self._last: tuple[Tensor, Tensor] | None = None
+
+    def __call__(self, start: Tensor) -> Tensor:
+        """Channels at the end of every step, (points, num_windows, length, num_channels).
+
+        Args:
+            start: States of 12 and the thrusts held before the record,
+                (points or 1, num_windows, 12 + n_rotors); those of the first window count.
+
+        Raises:
+            ConvergenceError: forces that depend on the motion did not settle.
+        """
+        windows, length = self.scene.windows.measured.shape[:2]
+        start = start.expand(self.points, -1, -1)
+        heard = self.scene.heard(start[:, 0, RIGID:])
+        return self.fly_thrusts(start[..., :RIGID], windowed(heard, windows, length))
+
+    def fly_thrusts(self, start: Tensor, thrusts: Tensor) -> Tensor:
+        """Channels as above.
+
+        Args:
+            start: States of 12, (points, num_windows, 12).
+            thrusts: Held over the steps from the start, (points, num_windows, length, n_rotors)
+                [N].
+        """
+        scene = self.scene
+        if not scene.schedules and not scene.air:
+            return _read(scene, self._fly(start, thrusts, None))
+        flown, air = self._last or (thrusts, thrusts.new_zeros(1))
+        still = 0 if torch.is_grad_enabled() else _MORE_FOR_GRADIENTS
+        for _ in range(_MAX_PASSES):
+            record = self._fly(start, flown, air if air.dim() > 1 else None)
+            motion = record.motion(scene.vehicle)
+            before, air_before = flown, air
+            flown, air = self._scheduled(motion, thrusts), self._air(motion)
+            with torch.no_grad():
+                change = float(max((flown - before).abs().max(), (air - air_before).abs().max()))
+            still += change < _SETTLED
+            if still > _MORE_FOR_GRADIENTS:
+                if not torch.is_grad_enabled():
+                    self._last = flown, air
+                return _read(scene, record)
+        raise ConvergenceError(
+            f"forces that depend on the motion still change by {change:.1e} N after "
+            f"{_MAX_PASSES} passes; shorten the windows or reduce the effects' sizes",
+            residual_norm=change,
+            tolerance=_SETTLED,
+            num_iters=_MAX_PASSES,
+        )
+
+    def _scheduled(self, motion: Motion, thrusts: Tensor) -> Tensor:
+        for change in self.scene.schedules:
+            thrusts = change(motion, thrusts)
+        return thrusts
+
+    def _air(self, motion: Motion) -> Tensor:
+        total = torch.zeros_like(motion.velocity)
+        for force in self.scene.air:
+            total = total + force(motion)
+        return total
+
+    def _fly(self, start: Tensor, thrusts: Tensor, air: Tensor | None) -> _Record:
+        """Flights under thrusts, and forces ``air`` in the world, (points, ..., 3) [N]."""
+        scene, points = self.scene, self.points
+        _, windows, length, rotors = thrusts.shape
+        force = self._world_force(windows, length)
+        force = force if air is None else force + air
+        pull = force / scene.vehicle.mass[:, None, None, None]
+        frame = _Frame.of(pull, scene.dt)
+        flight = fly(
+            self._fleet.repeated(windows),
+            flight_state(start.reshape(-1, RIGID)),
+            thrusts.expand(points, -1, -1, -1).reshape(-1, length, rotors).contiguous(),
+            dt=scene.dt,
+            substeps=scene.substeps,
+            effects=self._effects(windows, length, frame),
+        )
+        state = flight.state
+
+        def shaped(value: Tensor) -> Tensor:
+            return value.reshape(points, windows, *value.shape[1:])
+
+        return _Record(
+            shaped(state.position) + frame.way,
+            shaped(state.velocity) + frame.velocity,
+            shaped(state.rotation),
+            shaped(state.body_rates),
+        )
+
+    def _world_force(self, windows: int, length: int) -> Tensor:
+        """(points or 1, num_windows or 1, length, 3) [N]."""
+        force = self.scene.world_force
+        if force.shape[1] == 1:
+            return force[:, None].expand(-1, 1, length, 3)
+        return windowed(torch.cat([force[:, :1], force[:, :-1]], 1), windows, length)
+
+    def _effects(self, windows: int, length: int, frame: _Frame) -> FlightEffects:
+        """The scene's effects, one per window, and the wind of the accelerating frames."""
+        repeated: dict[str, Any] = {}
+        for name, effect in self.scene.flight_effects.present():
+            values = {f.name: getattr(effect, f.name) for f in fields(effect)}
+            rows = {k: v.repeat_interleave(windows, 0) for k, v in values.items() if len(v) > 1}
+            repeated[name] = replace(effect, **rows)
+        if "rotor_drag" in repeated or "body_drag" in repeated:
+            wind = -0.5 * (frame.velocity[..., :-1, :] + frame.velocity[..., 1:, :])
+            wind = wind.expand(self.points, windows, length, 3)
+            repeated["wind"] = wind.reshape(-1, length, 3).contiguous()
+        return FlightEffects(**repeated)
+
+
+def windowed(values: Tensor, windows: int, length: int) -> Tensor:
+    """(points, num_samples, width) -> (points, windows, length, width).
+
+    The last row fills up the last window.
+    """
+    missing = windows * length - values.shape[1]
+    padded = torch.cat([values, values[:, -1:].expand(-1, missing, -1)], 1)
+    return padded.reshape(values.shape[0], windows, length, -1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Record:
+    """States of windows, (points, num_windows, length + 1, ...), the one after the last too."""
+
+    position: Tensor
+    velocity: Tensor
+    rotation: Tensor
+    body_rates: Tensor
+
+    def motion(self, vehicle: Fleet) -> Motion:
+        """In the middle of steps, where causes are right to second order."""
+        middle = [
+            0.5 * (value[:, :, :-1] + value[:, :, 1:])
+            for value in (self.position, self.velocity, self.rotation, self.body_rates)
+        ]
+        return Motion(vehicle, *middle)
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """The accelerating frame in which forces in the world are absent.
+
+    Attributes:
+        way, velocity: Since the window began, (..., length + 1, 3) [m], [m/s].
+    """
+
+    way: Tensor
+    velocity: Tensor
+
+    @classmethod
+    def of(cls, pull: Tensor, dt: float) -> _Frame:
+        """From accelerations held over each step, (..., length, 3) [m/s^2]."""
+        zero = torch.zeros_like(pull[..., :1, :])
+        velocity = torch.cat([zero, (dt * pull).cumsum(-2)], -2)
+        steps = dt * (velocity[..., :-1, :] + 0.5 * dt * pull)
+        return cls(torch.cat([zero, steps.cumsum(-2)], -2), velocity)
+
+
+def _read(scene: CopterScene, record: _Record) -> Tensor:
+    """What the sensors show, (points, num_windows, length, num_channels)."""
+
+    def wide(value: Tensor) -> Tensor:
+        """(points, ...) against (points, num_windows, length, ...)."""
+        return value[:, None, None]
+
+    rotation = record.rotation[:, :, 1:]
+    seen = record.position[:, :, 1:] + (rotation * wide(scene.marker[:, None])).sum(-1)
+    # the mean over the step before
+    acceleration = record.velocity.diff(dim=2) / scene.dt
+    halfway = 0.5 * (record.rotation[:, :, :-1] + rotation)
+    gravity = seen.new_tensor([0.0, 0.0, GRAVITY])
+    specific = turned_back(halfway, acceleration - gravity)
+
+    def in_unit(value: Tensor) -> Tensor:
+        tilt, value = torch.broadcast_tensors(wide(scene.imu_tilt), value)
+        return value - torch.linalg.cross(tilt, value)
+
+    def scaled(scale: Tensor, value: Tensor) -> Tensor:
+        return wide(scale)[..., None] * value
+
+    channels = {
+        "position": scaled(scene.position_scale, seen),
+        "attitude": rpy_from_rotation(rotation) + wide(scene.attitude_offset),
+        "body_rates": in_unit(record.body_rates[:, :, 1:]) + wide(scene.body_rates_offset),
+        "accelerometer": scaled(scene.accelerometer_scale, in_unit(specific))
+        + wide(scene.accelerometer_offset),
+    }
+    return torch.cat([channels[name] for name in scene.sensors], -1)

@@ -1,0 +1,262 @@
+"""A ready model of flights under recorded commands, made from a multicopter's design."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim.copter import Multicopter
+from diffsim.copter.fleet import Fleet
+from diffsim.core.check import require_choice
+from diffsim.identify import Parameter
+from diffsim.identify.effect import Effect
+from diffsim.identify.model import Numerics, SimModel
+from diffsim.systems.multicopter.scene import SENSORS, CopterScene
+from diffsim.systems.multicopter.shooting import Windows, filled, guess_states
+from diffsim.systems.signals import held_lagged
+
+if TYPE_CHECKING:
+    from diffsim.data.study import Run
+
+FLIGHT_BASE = (
+    Parameter("thrust_gain", 1.0, 0.05, log=True),
+    Parameter("torque_gain", 1.0, 0.2, log=True),
+    Parameter("inertia_gain", 1.0, 0.1, log=True),
+    Parameter("motor_time_constant", 0.03, 0.3, "s", log=True),
+)
+_OFFSETS = ("attitude_offset", "body_rates_offset", "accelerometer_offset")
+BASE_NAMES = (
+    *(p.name for p in FLIGHT_BASE),
+    "mass_gain",
+    *(f"{o}_{axis}" for o in _OFFSETS for axis in "xyz"),
+)
+
+
+def flight_nuisances(
+    runs: Sequence[str],
+    attitude_rad: float = 3e-3,
+    accelerometer_m_s2: float = 0.03,
+    gain: float = 5e-3,
+) -> tuple[Parameter, ...]:
+    """Set-up facts that no flight is without: sensor offsets, and the thrust gain of each run."""
+    spread = {"attitude_offset": attitude_rad, "accelerometer_offset": accelerometer_m_s2}
+    units = {"attitude_offset": "rad", "accelerometer_offset": "m/s^2"}
+    offsets = [Parameter(f"{o}_{a}", 0.0, sd, units[o]) for o, sd in spread.items() for a in "xyz"]
+    return (*offsets, *(Parameter(f"thrust_gain@{run}", 1.0, gain, log=True) for run in runs))
+
+
+# Noise of a channel while nothing better is known: motion capture and a small inertial unit.
+SENSOR_SD = {"position": 2e-3, "attitude": 5e-3, "body_rates": 1e-2, "accelerometer": 0.1}
+_UNEVEN = 1e-3  # of the mean step
+THRUST_COEFFICIENT = 1e-5  # of a small propeller, where a design states none [N s^2]
+
+
+class CopterModel(SimModel):
+    """A model that flies many parameter points as one batch.
+
+    Args:
+        flights: Makes the scenes.
+        base: Base parameters.
+    """
+
+    def __init__(self, flights: Flights, base: Sequence[Parameter]):
+        super().__init__(flights, base, "multicopter")
+
+    def simulate_many(
+        self,
+        run: Run,
+        q: Tensor,
+        sizes: Mapping[Effect, Tensor],
+        numerics: Numerics | None = None,
+    ) -> Tensor:
+        """Points with the same effects in one batch: what is absent costs nothing.
+
+        Best initial states are found with the tangents of the first point, the centre of a stencil.
+        """
+        present = torch.stack(
+            [torch.zeros(len(q), dtype=torch.bool), *((s != 0.0).any(1) for s in sizes.values())], 1
+        )
+        kinds, kind = torch.unique(present, dim=0, return_inverse=True)
+        out = q.new_empty(len(q), *run.measured.shape)
+        shooting = self._scene(run, q[:1], sizes, present[0, 1:], numerics).settled()
+        for k, row in enumerate(kinds[:, 1:]):
+            mine = torch.nonzero(kind == k)[:, 0]
+            mine_only = {e: s[mine] for e, s in sizes.items()}
+            scene = self._scene(run, q[mine], mine_only, row, numerics)
+            out[mine] = scene.simulate_many(len(mine), shooting)
+        return out
+
+    def _scene(
+        self,
+        run: Run,
+        q: Tensor,
+        sizes: Mapping[Effect, Tensor],
+        present: Tensor,
+        numerics: Numerics | None,
+    ) -> CopterScene:
+        there = {e: s for (e, s), on in zip(sizes.items(), present, strict=True) if on}
+        scene = self.scene(run, q, {e: s[: len(q)] for e, s in there.items()}, numerics)
+        assert isinstance(scene, CopterScene)
+        return scene
+
+
+def flight_model(
+    vehicle: Multicopter,
+    *,
+    commands: Sequence[str],
+    sensors: Sequence[str] = ("position", "attitude", "body_rates", "accelerometer"),
+    sensor_sd: Mapping[str, float] | None = None,
+    window_s: float = 1.0,
+    substeps: int = 2,
+    base: Sequence[Parameter] = FLIGHT_BASE,
+    thrust_coefficient: float = THRUST_COEFFICIENT,
+) -> CopterModel:
+    """Flights of one vehicle under its recorded thrust commands.
+
+    A run is cut into windows; the initial state of each is fitted away, so no parameter is needed
+    for it (:class:`~diffsim.systems.multicopter.shooting.Shooting`). Channels must come in the
+    groups of ``sensors``, three columns each, NED; yaw must be free of jumps. A run's set-up may
+    have a ``payload_kg`` at the centre of mass and a ``terrain_height_m``.
+
+    Args:
+        vehicle: As designed.
+        commands: Names of the runs' commands, commanded thrust of each rotor in order [N].
+        sensors: Groups of channels: "position" and "attitude", with "body_rates" and
+            "accelerometer" if there are.
+        sensor_sd: Noise by group, in the unit of the group; weighs the fit of initial states.
+        window_s: Length of a window [s].
+        substeps: Integration steps per sample.
+        base: Any of thrust_gain, torque_gain (reaction torque), inertia_gain, mass_gain [-] and
+            motor_time_constant [s]; without the last, motors follow at once. Nuisances as
+            ``flight_nuisances`` makes them.
+        thrust_coefficient: Thrust over the square of a rotor's speed [N s^2].
+    """
+    groups = tuple(require_choice("sensors", s, SENSORS) for s in sensors)
+    if not {"position", "attitude"} <= set(groups):
+        raise ValueError(f'sensors must have "position" and "attitude", got {list(groups)}')
+    if len(commands) != vehicle.num_rotors:
+        raise ValueError(
+            f"commands must name one column per rotor, {vehicle.num_rotors}, got {list(commands)}"
+        )
+    for parameter in base:
+        if not parameter.name.startswith("thrust_gain@"):
+            require_choice("base", parameter.name, BASE_NAMES)
+    sd_of = SENSOR_SD | dict(sensor_sd or {})
+    flights = Flights(
+        vehicle=Fleet.of([vehicle]),
+        commands=tuple(commands),
+        sensors=groups,
+        sd=torch.tensor([sd_of[g] for g in groups for _ in range(3)], dtype=torch.float64),
+        window_s=window_s,
+        substeps=substeps,
+        thrust_coefficient=thrust_coefficient,
+    )
+    return CopterModel(flights, tuple(base))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Flights:
+    """Makes the scene of a run at values of the base parameters, () or (points,) each.
+
+    Attributes:
+        vehicle: As designed, one.
+        commands: Names of the runs' commands.
+        sensors: Groups of channels.
+        sd: Noise of the channels, (num_channels,).
+        window_s: [s].
+        substeps: Integration steps per sample.
+        thrust_coefficient: [N s^2].
+        known: Windows of runs.
+    """
+
+    vehicle: Fleet
+    commands: tuple[str, ...]
+    sensors: tuple[str, ...]
+    sd: Tensor
+    window_s: float
+    substeps: int
+    thrust_coefficient: float
+    known: dict[Run, Windows] = field(default_factory=dict)
+
+    def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> CopterScene:
+        if run not in self.known:
+            self.known[run] = self._windows(run)
+
+        def of(name: str) -> Tensor:
+            return values[name].reshape(-1) if name in values else self.sd.new_ones(1)
+
+        gain = (of("thrust_gain") * of(f"thrust_gain@{run.name}"))[:, None, None]
+        limits = self.vehicle.max_thrusts[:, None]
+        scene = CopterScene(
+            vehicle=self.vehicle.replace(
+                mass=self.vehicle.mass * of("mass_gain") + float(run.setup.get("payload_kg", 0.0)),
+                inertia=self.vehicle.inertia * of("inertia_gain")[:, None, None],
+                torque_ratios=self.vehicle.torque_ratios * of("torque_gain")[:, None],
+            ),
+            commands=_columns(run, self.commands).clamp(min=0.0).minimum(limits) * gain,
+            attitude_offset=_vector(values, "attitude_offset"),
+            body_rates_offset=_vector(values, "body_rates_offset"),
+            accelerometer_offset=_vector(values, "accelerometer_offset"),
+            dt=_spacing(run),
+            sensors=self.sensors,
+            windows=self.known[run],
+            substeps=max(1, round(self.substeps / numerics.time_step)),
+            terrain_height=float(run.setup.get("terrain_height_m", 0.0)),
+            thrust_coefficient=self.thrust_coefficient,
+        )
+        if "motor_time_constant" in values:
+            tau = of("motor_time_constant")
+            scene = scene.with_command(lambda u, dt: held_lagged(u, dt, tau))
+        return scene
+
+    def _windows(self, run: Run) -> Windows:
+        """Start one sample early, for the accelerometer shows the mean over the step before."""
+        measured = torch.as_tensor(np.asarray(run.measured), dtype=torch.float64)
+        if measured.shape[1] != len(self.sd):
+            raise ValueError(
+                f"run {run.name} has {measured.shape[1]} channels, the sensors "
+                f"{list(self.sensors)} need {len(self.sd)}"
+            )
+        dt = _spacing(run)
+        length = min(max(5, round(self.window_s / dt)), len(measured))
+        windows = -(-len(measured) // length)
+        record = torch.full((windows * length, len(self.sd)), np.nan, dtype=torch.float64)
+        record[: len(measured)] = measured
+        whole = filled(measured)
+        groups = {g: whole[:, 3 * i : 3 * i + 3] for i, g in enumerate(self.sensors)}
+        states = guess_states(groups["position"], groups["attitude"], groups.get("body_rates"), dt)
+        before = (torch.arange(windows) * length - 1).clamp(min=0)
+        past = _columns(run, self.commands).mean(1).expand(windows, -1)
+        guess = torch.cat([states[before], past], 1)
+        return Windows(guess, record.reshape(windows, length, -1), self.sd, [])
+
+
+def _vector(values: Mapping[str, Tensor], name: str) -> Tensor:
+    """(points, 3) of the parameters name_x, name_y, name_z; 0 where there are none."""
+    zero = torch.zeros(1, dtype=torch.float64)
+    parts = [values.get(f"{name}_{axis}", zero).reshape(-1) for axis in "xyz"]
+    return torch.stack(torch.broadcast_tensors(*parts), -1)
+
+
+def _columns(run: Run, names: Sequence[str]) -> Tensor:
+    """(1, num_samples, n_rotors) [N]."""
+    for name in names:
+        require_choice(f"run {run.name}: command", name, run.command)
+    rows = [np.asarray(run.command[name], dtype=np.float64) for name in names]
+    return torch.from_numpy(np.stack(rows, -1))[None]
+
+
+def _spacing(run: Run) -> float:
+    steps = np.diff(run.time_s)
+    dt = float(steps.mean())
+    if np.abs(steps - dt).max() > _UNEVEN * dt:
+        raise ValueError(
+            f"run {run.name}: flights need evenly spaced samples, got steps of {steps.min():.4g} "
+            f"to {steps.max():.4g} s; resample the record"
+        )
+    return dt

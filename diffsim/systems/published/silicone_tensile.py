@@ -1,0 +1,23 @@
+"""Pull tests of casting silicones, published recordings."""
+
+from __future__ import annotations
+
+from diffsim.data.study import Study
+from diffsim.identify.effort import DiagnosisSettings, SearchSettings
+from diffsim.identify.setup import DiagnosisSetup
+from diffsim.systems.tensile.effects import TENSILE
+from diffsim.systems.tensile.model import pull_model
+
+
+def setup(study: Study, *, max_effects: int = 4) -> DiagnosisSetup:
+    """Neo-Hookean specimens and what a pull test may have beyond them.
+
+    Args:
+        study: ``import_study("silicone_tensile")``.
+        max_effects: In one set.
+    """
+    return DiagnosisSetup(
+        pull_model(study.runs),
+        tuple(effect() for effect in TENSILE),
+        settings=DiagnosisSettings(search=SearchSettings(max_effects=max_effects)),
+    )

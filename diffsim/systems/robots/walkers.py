@@ -1,0 +1,268 @@
+"""Quadruped, cow and torus: the robots of thesis 4.1.6 that walk and roll, on a floor.
+
+The thesis publishes sizes of meshes and time steps, not shapes, lengths or materials; ours are made
+of cubes (the torus of bricks), about as many. Its contacts stick without bound; ours have Coulomb
+friction of 1 (rubber on wood), pass ``friction=math.inf`` for the thesis's.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim import mesh, soft
+from diffsim.contact import floor
+from diffsim.mesh.voxels import hex_from_mask
+from diffsim.systems.robots.robot import SoftRobot, element_centres, fibres, spread_nodes
+
+DENSITY = 1000.0  # [kg/m^3]
+_SIDES = ("left", "right")
+
+
+def quadruped(
+    *,
+    cell: float = 0.01,
+    coarse: bool = False,
+    dt: float = 0.01,
+    youngs_modulus: float = 1e5,
+    amplitude: float = 0.3,
+    friction: float = 1.0,
+    per_muscle: bool = True,
+    num_sensors: int = 12,
+    rtol: float = 1e-4,
+) -> SoftRobot:
+    """A slab on four legs; it should walk along +x.
+
+    Each leg has a muscle along its front and one along its back; a command of 1 shortens.
+
+    Args:
+        cell: Edge of an element [m].
+        coarse: Elements of twice the edge, for quick trials.
+        dt: Time step [s].
+        youngs_modulus: [Pa].
+        amplitude: Largest contraction of a muscle [-].
+        friction: Of the floor, >= 0 or infinite [-].
+        per_muscle: One command per muscle (8); or two, for the fronts and for the backs of all
+            legs: with one sinusoid in opposite phase the thesis's three parameters.
+        num_sensors: Velocity sensors.
+        rtol: Of a step.
+    """
+    if coarse:
+        inside, legs = _table((10, 5, 2), (2, 2, 3))
+    else:
+        inside, legs = _table((18, 8, 3), (3, 3, 6))
+    return _legged(
+        "quadruped",
+        inside,
+        legs,
+        edge=cell * (1.8 if coarse else 1.0),
+        dt=dt,
+        youngs_modulus=youngs_modulus,
+        amplitude=amplitude,
+        friction=friction,
+        per_muscle=per_muscle,
+        num_sensors=num_sensors,
+        rtol=rtol,
+        method="newton_cholesky",  # a third of the time of "auto" at 10 ms and large strokes
+    )
+
+
+def cow(
+    *,
+    cell: float = 0.01,
+    coarse: bool = False,
+    dt: float = 0.001,
+    youngs_modulus: float = 1e5,
+    amplitude: float = 0.3,
+    friction: float = 1.0,
+    per_muscle: bool = True,
+    num_sensors: int = 12,
+    rtol: float = 1e-4,
+) -> SoftRobot:
+    """As ``quadruped``, with a head too large for it: it tends to fall on its face."""
+    if coarse:
+        inside, legs = _table((8, 5, 2), (2, 2, 3), front=2, above=1)
+        inside[-4:, :, -3:] = True
+    else:
+        inside, legs = _table((12, 5, 4), (2, 2, 6), front=4, above=3)
+        inside[-6:-1, :, -5:] = True
+        inside[-1, :, -5:-2] = True  # muzzle
+        inside[-4:-2, ::4, -1] = True
+    return _legged(
+        "cow",
+        inside,
+        legs,
+        edge=cell * (1.5 if coarse else 1.0),
+        dt=dt,
+        youngs_modulus=youngs_modulus,
+        amplitude=amplitude,
+        friction=friction,
+        per_muscle=per_muscle,
+        num_sensors=num_sensors,
+        rtol=rtol,
+    )
+
+
+def torus(
+    *,
+    radius: float = 0.08,
+    coarse: bool = False,
+    dt: float = 0.004,
+    youngs_modulus: float = 1e5,
+    amplitude: float = 0.3,
+    friction: float = 1.0,
+    num_sensors: int = 8,
+    rtol: float = 1e-4,
+) -> SoftRobot:
+    """A ring on its edge with eight muscles along its rim; it should roll along +x.
+
+    Args:
+        radius: Of the ring's middle line [m].
+        coarse: Half as many sections, of 2 x 2 elements instead of 3 x 3, for quick trials.
+        dt, youngs_modulus, amplitude, friction, num_sensors, rtol: As for ``quadruped``.
+    """
+    sections, width = (24, 2) if coarse else (64, 3)
+    x, hexes = _ring(sections, width, radius, 0.4 * radius)
+    shape = mesh.HexMesh(x, hexes)
+    centre = element_centres(shape)
+    turn = torch.atan2(centre[:, 0], radius * 1.4 - centre[:, 2])  # from the lowest point to +x
+    along = torch.stack([torch.cos(turn), torch.zeros_like(turn), torch.sin(turn)], 1)
+    eighth = torch.floor((turn / (2.0 * math.pi)) % 1.0 * 8.0 + 1e-9).long()
+    muscles = [fibres(eighth == k, along[eighth == k], 2.0 * youngs_modulus) for k in range(8)]
+    return _walker(
+        "torus",
+        shape,
+        muscles,
+        -amplitude * torch.eye(8, dtype=torch.float64),
+        tuple(f"shorten eighth {k} of the rim" for k in range(8)),
+        dt=dt,
+        youngs_modulus=youngs_modulus,
+        friction=friction,
+        num_sensors=num_sensors,
+        rtol=rtol,
+        upright_axis=1,
+    )
+
+
+def _ring(sections: int, width: int, radius: float, half: float) -> tuple[Tensor, Tensor]:
+    """Nodes and bricks of a ring standing on z = 0, axis along y, section a round square."""
+    tick = np.linspace(-1.0, 1.0, width + 1)
+    a, b = (g.ravel() for g in np.meshgrid(tick, tick, indexing="ij"))
+    out, across = a * np.sqrt(1.0 - 0.35 * b**2), b * np.sqrt(1.0 - 0.35 * a**2)
+    turn = 2.0 * math.pi * np.arange(sections) / sections
+    distance = radius + half * out
+    x = np.stack(
+        [
+            np.sin(turn)[:, None] * distance,
+            np.broadcast_to(half * across, (sections, len(a))),
+            radius + half - np.cos(turn)[:, None] * distance,
+        ],
+        -1,
+    )
+    n = width + 1
+    i, j, k = np.indices((sections, width, width)).reshape(3, -1)
+    corners = [
+        ((i + di) % sections * n + j + dj) * n + k + dk
+        for di in (0, 1)
+        for dj in (0, 1)
+        for dk in (0, 1)
+    ]
+    return torch.from_numpy(x.reshape(-1, 3)), torch.from_numpy(np.stack(corners, -1))
+
+
+def _table(
+    body: tuple[int, int, int], leg: tuple[int, int, int], front: int = 0, above: int = 0
+) -> tuple[np.ndarray, tuple[int, int, int]]:
+    """Cells of a slab on legs at its corners, with room in front and above; and the legs' cells."""
+    (nx, ny, nz), (lx, ly, lz) = body, leg
+    inside = np.zeros((nx + front, ny, nz + lz + above), dtype=bool)
+    inside[:nx, :, lz : lz + nz] = True
+    for x in (slice(0, lx), slice(nx - lx, nx)):
+        for y in (slice(0, ly), slice(ny - ly, ny)):
+            inside[x, y, :lz] = True
+    return inside, leg
+
+
+def _legged(
+    name: str,
+    inside: np.ndarray,
+    leg: tuple[int, int, int],
+    *,
+    edge: float,
+    amplitude: float,
+    youngs_modulus: float,
+    per_muscle: bool,
+    **options: Any,
+) -> SoftRobot:
+    """A robot of cubes on four legs, a muscle along the front and the back of each."""
+    grid = hex_from_mask(inside, np.zeros(3), 1.0, "largest")
+    centre = element_centres(grid)
+    lx, _, lz = leg
+    low = centre[:, 2] < lz
+    middle = centre[low].mean(0)
+    muscles, names = [], []
+    for where, ahead in (("hind", False), ("front", True)):
+        for side in _SIDES:
+            of_leg = low & ((centre[:, 0] > middle[0]) == ahead)
+            of_leg &= (centre[:, 1] > middle[1]) == (side == "left")
+            start = float(centre[of_leg, 0].min()) - 0.5
+            for face, place in (("front", lx - 0.5), ("back", 0.5)):
+                layer = of_leg & ((centre[:, 0] - start - place).abs() < 1e-6)
+                muscles.append(fibres(layer, (0.0, 0.0, 1.0), 2.0 * youngs_modulus))
+                names.append(f"shorten {face} of {where} {side} leg")
+    drive = -amplitude * torch.eye(8, dtype=torch.float64)
+    if not per_muscle:
+        drive = torch.stack([drive[0::2].sum(0), drive[1::2].sum(0)])
+        names = ["shorten fronts of legs", "shorten backs of legs"]
+    middle_line = torch.tensor([0.0, 0.5 * inside.shape[1], 0.0], dtype=torch.float64)
+    shape = mesh.HexMesh(edge * (grid.x_rest - middle_line), grid.hexes)
+    return _walker(
+        name,
+        shape,
+        muscles,
+        drive,
+        tuple(names),
+        youngs_modulus=youngs_modulus,
+        upright_axis=2,
+        **options,
+    )
+
+
+def _walker(
+    name: str,
+    shape: mesh.HexMesh,
+    muscles: list[soft.Muscle],
+    drive: Tensor,
+    command_names: tuple[str, ...],
+    *,
+    dt: float,
+    youngs_modulus: float,
+    friction: float,
+    num_sensors: int,
+    rtol: float,
+    upright_axis: int,
+    method: str = "auto",
+) -> SoftRobot:
+    body = soft.SoftBody(
+        shape,
+        dt=dt,
+        youngs_modulus=youngs_modulus,
+        poissons_ratio=0.4,
+        density=DENSITY,
+        muscles=muscles,
+        solver=soft.SolverOptions(method=method, rtol=rtol),
+    )
+    return SoftRobot(
+        name=name,
+        body=body,
+        drive=drive,
+        command_names=command_names,
+        sensors=spread_nodes(shape.x_rest, num_sensors),
+        forward=torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64),
+        obstacles=(floor(friction=friction, name="floor"),),
+        upright_axis=upright_axis,
+    )

@@ -1,0 +1,28 @@
+"""Soft bodies: a clamped bar let go or pulled by a tendon, and what real ones add to it."""
+
+from diffsim.identify.effect import Effect
+from diffsim.systems.actuator import ACTUATOR
+from diffsim.systems.soft_body.forces import FORCES
+from diffsim.systems.soft_body.material import MATERIAL
+from diffsim.systems.soft_body.model import SoftModel
+from diffsim.systems.soft_body.models import beam_model, tendon_model
+from diffsim.systems.soft_body.scene import SoftScene
+from diffsim.systems.soft_body.sensor import SENSOR
+from diffsim.systems.soft_body.support import SupportMotion
+from diffsim.systems.soft_body.unknown import unknown_force
+
+
+def soft_body_library() -> tuple[Effect, ...]:
+    """Causes in soft bodies, around them, in their actuators and in the cameras."""
+    return tuple(make() for make in (*MATERIAL, *FORCES, SupportMotion, *ACTUATOR, *SENSOR))
+
+
+__all__ = [
+    "SoftModel",
+    "SoftScene",
+    "SupportMotion",
+    "beam_model",
+    "soft_body_library",
+    "tendon_model",
+    "unknown_force",
+]

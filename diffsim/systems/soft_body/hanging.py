@@ -1,0 +1,170 @@
+"""A weight that hangs from a soft body by a limp string, and hangs slack for a while."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim.data.study import Run, Study
+from diffsim.identify.effect import Effect
+from diffsim.systems.signals import sample
+from diffsim.systems.soft_body.line import OwnedScene, SceneLine
+from diffsim.systems.soft_body.scene import SoftScene
+from diffsim.systems.soft_body.tangents import motion_tangents
+
+
+class SlackString(Effect):
+    """The weight falls freely by the height size after release, then the string catches it.
+
+    Until then the body moves without it; the catch is plastic (momentum is kept). Size 0 is the
+    weight as a mass fixed to the body. Whether the size is physical can be checked: the tip must
+    have come down as far by then.
+
+    Not smooth: the time of the fall, sqrt(2 size / g), has no derivative at 0.
+    """
+
+    name, family, kind, unit, typical = "slack_string", "load", "force", "m", 0.01
+    signed = False
+    smooth = False
+    also_looks_like = ("a hand that goes down with the tip at first", "weight let go later")
+
+    def needs(self, study: Study) -> str | None:
+        if not any(run.setup.get("tip_load_mass_kg", 0.0) > 0.0 for run in study.fit_runs):
+            return "a run with a weight (setup tip_load_mass_kg)"
+        return None
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        if not run.setup.get("tip_load_mass_kg", 0.0) > 0.0:
+            return scene
+        if not float(size[0].detach()) > 0.0:
+            return scene
+        kept = {f.name: getattr(scene, f.name) for f in fields(scene)}
+        g = scene.parameter("gravity").norm()
+        return SlackScene(**kept, slack_s=(2.0 * size[0] / g).sqrt())
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SlackScene(SoftScene):
+    """A scene whose ``attached_mass`` joins the body only after ``slack_s`` [s].
+
+    Two motions, one after the other: the body alone, then with the weight from the state at the
+    catch, which lies between steps and is found by cubics in the places. Hooks with memory start
+    anew at the catch.
+    """
+
+    slack_s: Tensor = field(default_factory=lambda: torch.zeros((), dtype=torch.float64))
+
+    def simulate(self) -> Tensor:
+        """Predicted channels, (num_samples, num_channels)."""
+        last = self.last_fall_step()
+        falling = self.falling(last)
+        fall = falling.motion(falling.num_steps())
+        swinging = self.swinging(fall, last)
+        return self.joined(fall, swinging.motion(swinging.num_steps()), last)
+
+    def last_fall_step(self) -> int:
+        """The step before the catch."""
+        return int(float(self.slack_s.detach()) / self.body.dt)
+
+    def falling(self, last: int) -> SoftScene:
+        """The body without the weight; places of all nodes are observed."""
+        load, gravity = self.parameter("attached_mass"), self.parameter("gravity")
+        held = self.holding_force
+        return self._plain(
+            sample_times=torch.tensor([(last + 1.0) * self.body.dt], dtype=torch.float64),
+            time_scale=torch.ones((), dtype=torch.float64),
+            clock_offset=torch.zeros((), dtype=torch.float64),
+            parameters={**self.parameters, "attached_mass": torch.zeros_like(load)},
+            # the hand need not hold the weight
+            holding_force=None if held is None else held + load[:, None] * gravity,
+            observe=_places,
+        )
+
+    def swinging(self, fall: Tensor, last: int) -> SoftScene:
+        """From the catch on: plastic along gravity, every loaded node shares the momentum."""
+        x, v = self._at_catch(fall, last)
+        load, gravity = self.parameter("attached_mass"), self.parameter("gravity")
+        down = gravity / gravity.norm()
+        own = self.parameter("density") * self.body.nodal_volume
+        gap = (gravity * self.slack_s - v) @ down
+        return self._plain(
+            start="given",
+            holding_force=None,
+            start_position=x,
+            start_velocity=v + (load / (load + own) * gap)[:, None] * down,
+            start_time=float(self.slack_s.detach()),
+        )
+
+    def joined(self, fall: Tensor, swing: Tensor, last: int) -> Tensor:
+        """Channels of both motions, each at its times."""
+        dt, times = self.body.dt, self._times()
+        caught = self.swinging(fall, last)
+        x, v = caught.initial_state(None, self.body.physics(**caught.parameters))[:2]
+        # channels are linear in the places: their rate is what they show of the speeds
+        rate = self.observe(x + v) - self.observe(x)
+        early = sample(torch.stack([self.observe(p.reshape(-1, 3)) for p in fall]), dt, times)
+        late = sample(swing, dt, times - self.slack_s, start_rate=rate)
+        channels = torch.where((times < self.slack_s)[:, None], early, late)
+        for change in self.output_maps:
+            channels = change(channels, self.sample_times)
+        return channels
+
+    def _plain(self, **changes: Any) -> SoftScene:
+        kept = {f.name: getattr(self, f.name) for f in fields(SoftScene)}
+        return SoftScene(**(kept | changes))
+
+    def _at_catch(self, fall: Tensor, last: int) -> tuple[Tensor, Tensor]:
+        """Places and speeds (num_vertices, 3) by Lagrange through four steps around the catch."""
+        first = max(last - 1, 0)
+        s = self.slack_s / self.body.dt - first
+        nodes = range(4)
+        value, slope = [], []
+        for i in nodes:
+            others = [j for j in nodes if j != i]
+            scale = float(np.prod([i - j for j in others]))
+            value.append(torch.stack([s - j for j in others]).prod() / scale)
+            pairs = [(a, b) for k, a in enumerate(others) for b in others[k + 1 :]]
+            slope.append(torch.stack([(s - a) * (s - b) for a, b in pairs]).sum() / scale)
+        around = fall[first : first + 4]
+        x = torch.tensordot(torch.stack(value), around, 1).reshape(-1, 3)
+        v = torch.tensordot(torch.stack(slope), around, 1).reshape(-1, 3) / self.body.dt
+        return x, v
+
+
+def slack_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor, Tensor]:
+    """As :func:`scene_tangents`: tangents of the fall move the start of the swing."""
+    scene = base.scene
+    assert isinstance(scene, SlackScene)
+    last = scene.last_fall_step()
+    falls = [line.mapped(lambda o, s: s.falling(last)) for line in lines]
+    fall, fall_rates = motion_tangents(OwnedScene(scene.falling(last), base.owners), falls)
+
+    def later(rate: Tensor, offset: float, moved: SlackScene) -> SoftScene:
+        return moved.swinging(fall + offset * rate, last)
+
+    swings = [
+        line.mapped(partial(later, rate)) for line, rate in zip(lines, fall_rates, strict=True)
+    ]
+    start = OwnedScene(scene.swinging(fall, last), base.owners)
+    swing, swing_rates = motion_tangents(start, swings)
+
+    def shown(early: Tensor, late: Tensor, offset: float, moved: SlackScene) -> Tensor:
+        return moved.joined(fall + offset * early, swing + offset * late, last)
+
+    columns = [
+        line.difference(partial(shown, early, late))
+        for line, early, late in zip(lines, fall_rates, swing_rates, strict=True)
+    ]
+    here = scene.joined(fall, swing, last)
+    return here, torch.stack(columns) if columns else here.new_zeros(0, *here.shape)
+
+
+def _places(x: Tensor) -> Tensor:
+    """All nodes' places in a row, (..., 3 num_vertices)."""
+    return x.flatten(-2)

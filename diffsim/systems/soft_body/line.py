@@ -1,0 +1,116 @@
+"""Scenes along one coordinate: what a difference formula sees of it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from diffsim.identify.effect import Effect
+from diffsim.identify.jacobian import Stencil
+from diffsim.systems.soft_body.scene import Force, SoftScene
+
+Key = tuple[Effect | None, int]
+
+
+@dataclass(frozen=True, eq=False)
+class OwnedScene:
+    """A scene, and of each of its extra forces the effect that added it.
+
+    Attributes:
+        scene: The scene.
+        owners: One per entry of ``scene.forces``; None: it was there before all effects.
+    """
+
+    scene: SoftScene
+    owners: tuple[Effect | None, ...]
+
+    def makers(self) -> dict[Key, Callable[[], Force]]:
+        """Of the forces, by owner and place among the owner's."""
+        count: Counter[Effect | None] = Counter()
+        out = {}
+        for owner, make in zip(self.owners, self.scene.forces, strict=True):
+            out[owner, count[owner]] = make
+            count[owner] += 1
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class SceneLine:
+    """One line: the scenes at the points of its stencil.
+
+    Attributes:
+        stencil: The difference formula.
+        points: At its offsets.
+        effect: Whose size moves; None: a base parameter.
+    """
+
+    stencil: Stencil
+    points: tuple[OwnedScene, ...]
+    effect: Effect | None
+
+    def mapped(self, f: Callable[[float, Any], SoftScene]) -> SceneLine:
+        """The line of the scenes f(offset, scene) at its points."""
+        points = zip(self.stencil.offsets, self.points, strict=True)
+        made = tuple(OwnedScene(f(o, p.scene), p.owners) for o, p in points)
+        return SceneLine(self.stencil, made, self.effect)
+
+    def difference(self, f: Callable[[float, Any], Tensor]) -> Tensor:
+        """The slope of f(offset, scene)."""
+        terms = zip(self.stencil.offsets, self.stencil.weights, self.points, strict=True)
+        return torch.stack([w * f(o, p.scene) for o, w, p in terms]).sum(0)
+
+
+class LinePoints:
+    """The points of several lines in a row.
+
+    Args:
+        lines: K lines with P points together.
+    """
+
+    def __init__(self, lines: Sequence[SceneLine]):
+        self.scenes = [p for n in lines for p in n.points]
+        self.effects = [n.effect for n in lines for _ in n.points]
+        # int64 where there are no lines, too: nothing may move
+        rows = [k for k, n in enumerate(lines) for _ in n.points]
+        self._line_of = torch.tensor(rows, dtype=torch.int64)
+        self._offset = _row([o for n in lines for o in n.stencil.offsets])[:, None, None]
+        self._weight = torch.zeros(len(lines), len(self.scenes), dtype=torch.float64)
+        weights = _row([w for n in lines for w in n.stencil.weights])
+        self._weight[self._line_of, torch.arange(len(weights))] = weights
+
+    def at(self, x: Tensor, tangent: Tensor) -> Tensor:
+        """States (P, V, 3) around a state (V, 3) along its tangents (K, V, 3)."""
+        return x + self._offset * tangent[self._line_of]
+
+    def slopes(self, rows: Tensor) -> Tensor:
+        """(K, ...) from values at the points, (P, ...)."""
+        return torch.tensordot(self._weight, rows, 1)
+
+
+def same_surroundings(a: SoftScene, b: SoftScene, reads: tuple[str, ...] | None) -> bool:
+    """Whether forces that read the scenes find the same there.
+
+    Args:
+        a, b: Of one body.
+        reads: Names of the physical parameters that matter; None: all.
+    """
+    values = [
+        (a.current, b.current),
+        (a.friction_shares, b.friction_shares),
+        (a.holding_force, b.holding_force),
+        (a.start_position, b.start_position),
+        (a.start_velocity, b.start_velocity),
+    ]
+    names = {*a.parameters, *b.parameters} if reads is None else reads
+    values += [(a.parameter(n), b.parameter(n)) for n in names]
+    same = all(x is y or (x is not None and y is not None and torch.equal(x, y)) for x, y in values)
+    return same and a.fluid_density == b.fluid_density and a.water is b.water
+
+
+def _row(values: Sequence[float]) -> Tensor:
+    return torch.tensor(values, dtype=torch.float64)

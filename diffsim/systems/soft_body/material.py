@@ -1,0 +1,198 @@
+"""Causes in the material of a soft body."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from diffsim.core.errors import DiffsimError
+from diffsim.data.study import Run, Study
+from diffsim.identify.effect import Effect
+from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
+
+# Branches of the loss factor: half a decade apart, flat from about 0.6 to 50 Hz.
+_BRANCH_HZ = (0.316, 1.0, 3.16, 10.0, 31.6, 100.0)
+_CREEP_HZ = (0.316, 0.0316, 0.00316)  # a decade apart: half a second to a minute
+_STRENGTH = 2.0 / math.pi * math.log(10.0) / 2.0  # of a branch, per loss factor
+
+
+_SOLID = ("youngs_modulus", "poissons_ratio")
+_WEIGHT = ("density", "attached_mass", "gravity")
+
+
+class StiffnessDamping(Effect):
+    """Force -size K v: damping ratio size w / 2, growing with the frequency w."""
+
+    name, family, kind, unit, typical = "stiffness_damping", "damping", "material", "s", 2e-3
+    signed = False
+    also_looks_like = ("numerical damping of implicit steps", "viscosity of the solid")
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        beta = scene.parameter("rayleigh_beta") + size[0]
+        return scene.with_parameter("rayleigh_beta", beta)
+
+
+class LossFactor(Effect):
+    """Loss factor that does not depend on the frequency: damping ratio size / 2.
+
+    Maxwell branches of equal strength, half a decade apart: the solid's force f is joined by
+    sum_k g (f - m_k), tau_k m_k' = f - m_k, with g = (2 / pi) ln(spacing) size. Long loads relax:
+    the stiffness is E at rest and E (1 + size (2 / pi) ln(...)) in fast motion. Memory is kept in
+    world axes, so rotations of the body must stay small (a bending bar, not a tumbling one).
+    """
+
+    name, family, kind, unit, typical = "loss_factor", "damping", "material", "-", 0.1
+    signed = False
+    also_looks_like = ("friction inside filled rubber", "damping at a clamp")
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        return _relaxing(scene, _BRANCH_HZ, _STRENGTH * size[0])
+
+
+class Creep(Effect):
+    """Compliance that grows by the share size per decade of time, from half a second to minutes.
+
+    Slow Maxwell branches, one per decade, of strength size: slower than any swing, so that no
+    damping comes with them. The stiffness is E for loads that last, E (1 + 3 size) in motion.
+    """
+
+    name, family, kind, unit, typical = "creep", "creep", "material", "1/decade", 0.04
+    signed = False
+    also_looks_like = (
+        "slow sinking of the clamp",
+        "drift of the held state",
+        "lower end of a loss",
+    )
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        return _relaxing(scene, _CREEP_HZ, size[0])
+
+
+def _relaxing(scene: SoftScene, branch_hz: tuple[float, ...], strength: Tensor) -> SoftScene:
+    """Maxwell branches of equal strength beside the solid."""
+    # the branches' instantaneous part is stiffness, which the implicit step takes
+    young = scene.parameter("youngs_modulus")
+    stiff = scene.with_parameter("youngs_modulus", young * (1.0 + len(branch_hz) * strength))
+    relaxed = {"youngs_modulus": young, **scene.relaxed}
+    return stiff.changed(relaxed=relaxed).with_force(
+        lambda: _Relaxation(scene, branch_hz, strength)
+    )
+
+
+class _Relaxation(Force):
+    """- sum_k g m_k with m_k following the solid's force, exact for straight lines of it."""
+
+    leading_axes, reads = True, (*_SOLID, *_WEIGHT)
+
+    def __init__(self, plain: SoftScene, branch_hz: tuple[float, ...], strength: Tensor):
+        self._solid, self._strength = plain.solid_force(), strength
+        self._tau = 1.0 / (2.0 * math.pi * torch.tensor(branch_hz, dtype=torch.float64))
+        self._memory: Tensor | None = None
+        self._before: Tensor | None = None
+
+    def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
+        force, _ = self._solid(moment.x)
+        tau = self._tau.reshape(-1, *(1 for _ in force.shape))
+        if self._memory is None or self._before is None:
+            self._memory = self._at_first(scene, force)
+        else:
+            steady = tau * (force - self._before) / moment.dt
+            error = (self._before - self._memory - steady) * torch.exp(-moment.dt / tau) + steady
+            self._memory = force - error
+        self._before = force
+        # minus the branches' share of E, plus (f - m): together g (f - m) beside the plain solid
+        return -self._strength * self._memory.sum(0)
+
+    def _at_first(self, scene: SoftScene, force: Tensor) -> Tensor:
+        """(num_branches, ..., num_vertices, 3) [N]."""
+        if scene.history is None:
+            return force.expand(len(self._tau), *force.shape)
+        mass = scene.parameter("density") * scene.body.nodal_volume
+        mass = mass + scene.parameter("attached_mass")
+        weight = mass[:, None] * scene.parameter("gravity")
+        return scene.history.memory(force, weight, self._tau)
+
+
+class Stiffening(Effect):
+    """E (1 + size e^2), e^2 the body's mean square strain 2 U / (E V)."""
+
+    name, family, kind, unit, typical = "stiffening", "stiffness", "material", "-", 20.0
+    also_looks_like = ("strain softening (negative)", "saturating drive")
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        return scene.with_force(lambda: _Stiffening(size[0]))
+
+
+class _Stiffening(Force):
+    """The force of the energy U + size U^2 / (E V) beside that of U."""
+
+    leading_axes, reads = True, _SOLID
+
+    def __init__(self, size: Tensor):
+        self._size = size
+        self._solid: Callable[[Tensor], tuple[Tensor, Tensor]] | None = None
+
+    def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
+        self._solid = self._solid or scene.solid_force()
+        force, strain_squared = self._solid(moment.x)
+        return self._size * strain_squared[..., None, None] * force
+
+
+class StiffnessLoss(Effect):
+    """E (1 - sum_i size_i hat_i) with straight-sided hats at the ends and the middle of the body.
+
+    Places are shares of its length along its longest axis.
+    """
+
+    name, family, kind, unit, typical = "stiffness_loss", "stiffness_field", "material", "-", 0.2
+    components = ("root", "middle", "tip")
+    also_looks_like = ("loose clamp", "tear", "uneven cure", "Young's modulus, all three alike")
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        mesh = scene.body.mesh
+        spread = mesh.x_rest.amax(0) - mesh.x_rest.amin(0)
+        axis = int(spread.argmax())
+        centre = mesh.x_rest[mesh.elements][:, :, axis].mean(1)
+        share = (centre - mesh.x_rest[:, axis].min()) / spread[axis]
+        places = torch.tensor([0.0, 0.5, 1.0], dtype=share.dtype)
+        hats = (1.0 - 2.0 * (share[:, None] - places).abs()).clamp(min=0.0)
+        return _stiffness_times(scene, 1.0 - hats @ size)
+
+
+class TemperatureDrift(Effect):
+    """E (1 + size order), order the place of the run in the series."""
+
+    name, family, kind, unit, typical = "temperature_drift", "drift", "environment", "1/run", 0.01
+    also_looks_like = ("ageing", "softening by repeated strain (Mullins)", "drying")
+
+    def needs(self, study: Study) -> str | None:
+        if len({run.order for run in study.fit_runs}) < 3:
+            return "three runs or more of known order"
+        return None
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        return _stiffness_times(scene, 1.0 + size[0] * run.order)
+
+
+def _stiffness_times(scene: SoftScene, factor: Tensor) -> SoftScene:
+    """The scene with E times a factor, one or per element.
+
+    Raises:
+        DiffsimError: somewhere it is not positive; a search then takes a smaller step.
+    """
+    if not bool((factor > 0.0).all()):
+        raise DiffsimError(f"no stiffness: E times {float(factor.min()):.3g}; the size is too far")
+    return scene.with_parameter("youngs_modulus", scene.parameter("youngs_modulus") * factor)
+
+
+MATERIAL: tuple[Callable[[], Effect], ...] = (
+    StiffnessDamping,
+    LossFactor,
+    Creep,
+    Stiffening,
+    StiffnessLoss,
+    TemperatureDrift,
+)

@@ -1,0 +1,100 @@
+"""Soft-body models: derivatives of predictions by tangents of the simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from diffsim.identify.effect import Effect
+from diffsim.identify.model import SimModel
+from diffsim.identify.numerical import NumericalEffect
+from diffsim.identify.numerics import Numerics
+from diffsim.systems.soft_body.hanging import SlackScene, slack_tangents
+from diffsim.systems.soft_body.line import OwnedScene, SceneLine
+from diffsim.systems.soft_body.scene import SoftScene
+from diffsim.systems.soft_body.tangents import scene_tangents
+
+if TYPE_CHECKING:
+    from diffsim.data.study import Run
+    from diffsim.identify.line import Line, Point
+
+
+class SoftModel(SimModel):
+    """A simulator whose ``build`` makes :class:`SoftScene`; arguments as for ``SimModel``.
+
+    All smooth columns of a linearisation come from one rollout with its tangents. Effects of size
+    zero are left out wherever they are not what is differentiated: at zero they are the scene
+    itself.
+    """
+
+    def tangents(
+        self,
+        run: Run,
+        at: Point,
+        lines: Sequence[Line],
+        numerics: Numerics | None = None,
+    ) -> tuple[Tensor, Tensor] | None:
+        """As :meth:`SimModel.tangents`."""
+        acting = {e for e, size in at.sizes.items() if bool(size.any())}
+        if any(isinstance(e, NumericalEffect) for e in acting):
+            return None
+        base = self._owned(run, at, acting, numerics)
+        if base is None:
+            return None
+        physical = [n for n in lines if not isinstance(n.effect, NumericalEffect)]
+        found = []
+        for line in physical:
+            present = acting if line.effect is None else acting | {line.effect}
+            points = [self._owned(run, p, present, numerics) for p in line.points]
+            scenes = tuple(p for p in points if p is not None)
+            if len(scenes) < len(points):
+                return None
+            found.append(SceneLine(line.stencil, scenes, line.effect))
+        slack = isinstance(base.scene, SlackScene)
+        moved = slack_tangents(base, found) if slack else scene_tangents(base, found)
+        if moved is None or len(physical) == len(lines):
+            return moved
+        here, columns = moved[0], iter(moved[1])
+        blended = [
+            next(columns)
+            if not isinstance(n.effect, NumericalEffect)
+            else self._blend(run, at, n, n.effect, here, numerics)
+            for n in lines
+        ]
+        return here, torch.stack(blended)
+
+    def _blend(
+        self,
+        run: Run,
+        at: Point,
+        line: Line,
+        effect: NumericalEffect,
+        here: Tensor,
+        numerics: Numerics | None,
+    ) -> Tensor:
+        """Column of a numerical cause, whose size blends two predictions."""
+        sizes = {e: s for e, s in at.sizes.items() if not isinstance(e, NumericalEffect)}
+        rate = sum(
+            w * float(p.sizes[effect][0])
+            for w, p in zip(line.stencil.weights, line.points, strict=True)
+        )
+        finer = (numerics or Numerics()).refined(effect.refined)
+        with torch.no_grad():
+            return rate * (self.predict(run, at.q, sizes, finer) - here)
+
+    def _owned(
+        self, run: Run, at: Point, present: set[Effect], numerics: Numerics | None
+    ) -> OwnedScene | None:
+        """The scene at a point with some of its effects; None where it is no soft scene."""
+        scene = self.scene(run, at.q, None, numerics)
+        if not isinstance(scene, SoftScene):
+            return None
+        owners: list[Effect | None] = [None] * len(scene.forces)
+        for effect, size in at.sizes.items():
+            if effect in present and not isinstance(effect, NumericalEffect):
+                scene = effect.apply(scene, size, run)
+                owners += [effect] * (len(scene.forces) - len(owners))
+        return OwnedScene(scene, tuple(owners))

@@ -1,0 +1,294 @@
+"""A soft body in one run, with the places where candidate causes act."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from diffsim import soft
+from diffsim.core.errors import ConvergenceError
+from diffsim.soft.forces import elastic_gradient
+from diffsim.systems.signals import sample, straight
+from diffsim.systems.soft_body.history import History
+
+_AHEAD = {"implicit_euler": 1.0, "bdf2": 1.0, "implicit_midpoint": 0.5, "semi_implicit_euler": 0.0}
+_STATIC_ITERATIONS = 60
+_STATIC_RTOL = 1e-9  # of the largest displacement
+_NO_FIBRES = 1e-12  # share of the fibres' stiffness that is left in the solid's own force
+
+CommandMap = Callable[[Tensor, float], Tensor]
+OutputMap = Callable[[Tensor, Tensor], Tensor]
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What a force may depend on.
+
+    Attributes:
+        x, v: (num_vertices, 3) [m], [m/s].
+        time: Since the start [s].
+        dt: Step [s].
+    """
+
+    x: Tensor
+    v: Tensor
+    time: float
+    dt: float
+
+
+class Force:
+    """A force that may remember; made anew for every simulation.
+
+    ``__call__`` returns nodal forces (num_vertices, 3) [N] of one moment; called once per step, in
+    order.
+
+    Class attributes:
+        leading_axes: Whether moments with leading axes, x and v (..., num_vertices, 3), are
+            understood: then derivatives ask for many states at once.
+        reads: The physical parameters of the scene that the force depends on; None: any.
+    """
+
+    leading_axes: ClassVar[bool] = False
+    reads: ClassVar[tuple[str, ...] | None] = None
+
+    def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SoftScene:
+    """One run of a soft body; effects return changed copies.
+
+    Forces of hooks are evaluated at the start of steps and extrapolated from the last two to where
+    the integrator wants them, which keeps its second order; stiff ones need small steps.
+
+    Attributes:
+        body: The body, with its time step and solver.
+        sample_times: When channels were recorded, since the start of the simulation, (num_samples,)
+            [s]. Before 0 the body rests as it starts.
+        observe: Positions (num_vertices, 3) [m] -> channels (num_channels,). Derivatives are
+            quicker where it is one function for all scenes and takes leading axes.
+        axes: Of every channel: 0, 1, 2 for x, y, z, so that maps of space find their components.
+        parameters: For ``body.physics``; scalars or fields.
+        start: "rest" (the unstrained shape, released at 0) or "equilibrium" under the first
+            command and ``holding_force``, or "given": ``start_position``.
+        holding_force: (num_vertices, 3) of a hand that lets go at 0 [N]; None: none.
+        start_position: (num_vertices, 3) for the start "given" [m].
+        start_velocity: (num_vertices, 3) at 0 [m/s]; None: at rest.
+        relaxed: Parameters that the body has at rest, once hooks with memory have relaxed: the
+            first guess of the equilibrium, which is iterated all the same.
+        history: Of loads that hooks with memory have seen before; None: those of the start, for
+            long.
+        start_time: What the hooks' clock shows at 0 [s].
+        command: (num_commands, width) evenly spaced, or None.
+        command_dt: Its spacing [s].
+        actuate: Command (width,) -> activation (num_muscles,); None: the command itself.
+        actuates_rows: ``actuate`` takes all commands (n, width) at once, which is quicker.
+        command_maps: What happens to the command, in order.
+        forces: Makers of extra forces.
+        water: Drag and thrust of a fluid, explicit; None: there is none.
+        current: Of the fluid and of every drag force, (3,) [m/s].
+        fluid_density: For added mass [kg/m^3].
+        friction_shares: (num_vertices,) of dry friction, summing to 1; None: evenly by volume.
+        time_scale: True seconds per second of the record.
+        clock_offset: The record's clock is late by this [s].
+        output_maps: What happens to channels, in order; they get (num_samples, num_channels) and
+            the sample times.
+    """
+
+    body: soft.SoftBody
+    sample_times: Tensor
+    observe: Callable[[Tensor], Tensor]
+    axes: tuple[int, ...]
+    parameters: Mapping[str, Tensor] = field(default_factory=dict)
+    start: str = "rest"
+    holding_force: Tensor | None = None
+    start_position: Tensor | None = None
+    start_velocity: Tensor | None = None
+    relaxed: Mapping[str, Tensor] = field(default_factory=dict)
+    history: History | None = None
+    start_time: float = 0.0
+    command: Tensor | None = None
+    command_dt: float = math.nan
+    actuate: Callable[[Tensor], Tensor] | None = None
+    actuates_rows: bool = False
+    command_maps: tuple[CommandMap, ...] = ()
+    forces: tuple[Callable[[], Force], ...] = ()
+    water: soft.Hydrodynamics | None = None
+    current: Tensor = field(default_factory=lambda: torch.zeros(3, dtype=torch.float64))
+    fluid_density: float = 1000.0
+    friction_shares: Tensor | None = None
+    time_scale: Tensor = field(default_factory=lambda: torch.ones((), dtype=torch.float64))
+    clock_offset: Tensor = field(default_factory=lambda: torch.zeros((), dtype=torch.float64))
+    output_maps: tuple[OutputMap, ...] = ()
+
+    def changed(self, **changes: Any) -> SoftScene:
+        """A copy with some entries replaced."""
+        return replace(self, **changes)
+
+    def parameter(self, name: str) -> Tensor:
+        """A physical parameter as it is in this run; 0 where the body has none."""
+        value = self.parameters.get(name, getattr(self.body, name))
+        return torch.zeros((), dtype=torch.float64) if value is None else value
+
+    def with_parameter(self, name: str, value: Tensor) -> SoftScene:
+        """A copy with one physical parameter replaced."""
+        return self.changed(parameters={**self.parameters, name: value})
+
+    def with_force(self, make: Callable[[], Force]) -> SoftScene:
+        """A copy with one more force."""
+        return self.changed(forces=(*self.forces, make))
+
+    def with_command(self, change: CommandMap) -> SoftScene:
+        """A copy whose command is changed on its way: f(command, dt) -> command."""
+        return self.changed(command_maps=(*self.command_maps, change))
+
+    def with_output(self, change: OutputMap) -> SoftScene:
+        """A copy whose channels are changed: f(channels, times) -> channels."""
+        return self.changed(output_maps=(*self.output_maps, change))
+
+    def solid_force(self) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
+        """What the solid does without fibres, as a function of x (..., num_vertices, 3) [m].
+
+        It returns the elastic force, shape of x [N], and the mean square strain (...) [-]: that of
+        a bar with the same energy, 2 U / (E V), whatever E.
+        """
+        body = self.body
+        values: dict[str, Any] = dict(self.parameters)
+        values["fibre_stiffness"] = _NO_FIBRES * self.parameter("fibre_stiffness")
+        physics = body.physics(**values)
+        # a field of moduli weighs the strain; the energy carries gradients in x alone
+        scale = 0.5 * self.parameter("youngs_modulus").detach().mean() * body.nodal_volume.sum()
+        return lambda x: _force_and_strain(body, x, physics, scale)
+
+    def simulate(self) -> Tensor:
+        """Predicted channels, (num_samples, num_channels)."""
+        return self.channels(self.motion(self.num_steps()))
+
+    def motion(self, num_steps: int) -> Tensor:
+        """What is observed at every step, (num_steps + 1, ...)."""
+        activations = self.activations(num_steps)
+        physics = self.body.physics(**self.parameters)
+        return soft.rollout(
+            self.body,
+            self.initial_state(None if activations is None else activations[0], physics),
+            num_steps,
+            external_force=self._external_force(),
+            activation=None if activations is None else lambda k, state: activations[k],
+            physics=physics,
+            keep=lambda state: self.observe(state.x),
+        ).x
+
+    def num_steps(self) -> int:
+        """Steps that the record needs."""
+        # two more than asked for: the interpolation looks that far ahead
+        return max(5, math.ceil(float(self._times().detach().max()) / self.body.dt - 1e-9) + 2)
+
+    def channels(self, observed: Tensor) -> Tensor:
+        """What the record shows of (num_steps + 1, num_channels), observed at every step."""
+        channels = sample(observed, self.body.dt, self._times())
+        for change in self.output_maps:
+            channels = change(channels, self.sample_times)
+        return channels
+
+    def _times(self) -> Tensor:
+        return (self.sample_times - self.clock_offset) * self.time_scale
+
+    def initial_state(self, activation: Tensor | None, physics: soft.Physics) -> soft.State:
+        """How the body starts, under the first activation."""
+        state = self.body.rest_state()
+        if self.start == "equilibrium":
+            state = self._equilibrium(activation, physics)
+        x = state.x if self.start_position is None else self.start_position
+        return soft.State(x, state.v if self.start_velocity is None else self.start_velocity)
+
+    def _equilibrium(self, activation: Tensor | None, physics: soft.Physics) -> soft.State:
+        """At rest under the first activation, the holding force and all hooks' forces."""
+        held = self.holding_force
+        guess = (
+            self.body.physics(**{**self.parameters, **self.relaxed}) if self.relaxed else physics
+        )
+        state = self.body.static_equilibrium(
+            external_force=held, activation=activation, physics=guess
+        )
+        if not self.forces and self.water is None:
+            return state
+        for _ in range(_STATIC_ITERATIONS):
+            force = self.force_at(0, state, [make() for make in self.forces])
+            before = state.x.detach()
+            state = self.body.static_equilibrium(
+                guess=before,
+                external_force=force if held is None else force + held,
+                activation=activation,
+                physics=physics,
+            )
+            change = float((state.x.detach() - before).abs().max())
+            if change <= _STATIC_RTOL * float((before - self.body.x_rest).abs().max()):
+                return state
+        raise ConvergenceError(
+            f"no equilibrium with the extra forces: after {_STATIC_ITERATIONS} iterations the body "
+            f"still moves by {change:.1e} m; reduce the effects' sizes",
+            residual_norm=change,
+            tolerance=_STATIC_RTOL * float((before - self.body.x_rest).abs().max()),
+            num_iters=_STATIC_ITERATIONS,
+        )
+
+    def activations(self, num_steps: int) -> Tensor | None:
+        """Activation of every step: the command where the integrator wants it."""
+        if self.command is None:
+            return None
+        command = self.command
+        for change in self.command_maps:
+            command = change(command, self.command_dt)
+        times = self.body.dt * (torch.arange(num_steps, dtype=torch.float64) + self.ahead)
+        at_steps = straight(command, self.command_dt, times)
+        if self.actuate is None or self.actuates_rows:
+            return at_steps if self.actuate is None else self.actuate(at_steps)
+        return torch.stack([self.actuate(row) for row in at_steps])
+
+    @property
+    def ahead(self) -> float:
+        """What explicit forces are extrapolated to, in steps ahead of the step's start."""
+        return _AHEAD[self.body.integrator]
+
+    def _external_force(self) -> Callable[[int, soft.State], Tensor] | None:
+        """All hooks' forces, extrapolated; remembers, so it serves one rollout."""
+        if not self.forces and self.water is None:
+            return None
+        forces = [make() for make in self.forces]
+        before: list[Tensor] = []
+
+        def total(k: int, state: soft.State) -> Tensor:
+            now = self.force_at(k, state, forces)
+            past = before.pop() if before else now
+            before.append(now)
+            return now + self.ahead * (now - past)
+
+        return total
+
+    def force_at(self, k: int, state: soft.State, forces: Sequence[Force]) -> Tensor:
+        """Sum of the hooks' forces at the start of step k, (num_vertices, 3) [N]."""
+        dt = self.body.dt
+        moment = Moment(state.x, state.v, self.start_time + k * dt, dt)
+        total = torch.zeros_like(state.x)
+        if self.water is not None:
+            total = total + self.water(state.x, state.v, water_velocity=self.current)
+        for force in forces:
+            total = total + force(self, moment)
+        return total
+
+
+def _force_and_strain(
+    body: soft.SoftBody, x: Tensor, physics: soft.Physics, scale: Tensor
+) -> tuple[Tensor, Tensor]:
+    at_rest = (
+        body.muscles.rest_activation.expand(*x.shape[:-2], -1),
+        x.new_zeros(*x.shape[:-2], body.chambers.num_chambers),
+    )
+    gradient, energy = elastic_gradient(body, x, None, *at_rest, physics)
+    return -gradient, energy / scale

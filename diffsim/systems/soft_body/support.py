@@ -1,0 +1,108 @@
+"""The support of a soft body moves, as markers on it show."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from scipy.interpolate import make_interp_spline
+from torch import Tensor
+
+from diffsim.identify.effect import Effect
+from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
+
+if TYPE_CHECKING:
+    from diffsim.data.study import Run, Study
+
+COMMANDS = ("support_x_m", "support_z_m")  # recorded places of the support: along the bar, up
+
+
+class SupportMotion(Effect):
+    """What holds the body moves: shift times what its markers show, and turns as it goes.
+
+    ``shift``: 1 if the markers show it all. ``turn``: rotation about y per forward displacement,
+    times the body's length; a stand that sways about an axis far below has little, one that tips
+    near the clamp much. The body is simulated in the support's frame, with its inertia as a force,
+    and seen from the room. Left out is that gravity turns with that frame: it acts along the bar.
+
+    The record of the support is an input, as a command is: on runs held out, too.
+    """
+
+    name, family, kind, unit, typical = "support_motion", "support", "environment", "-", 1.0
+    components = ("shift", "turn")
+    also_looks_like = (
+        "a stand that resonates with the body",
+        "floor vibration",
+        "cameras that sway",
+    )
+
+    def needs(self, study: Study) -> str | None:
+        if not all(set(COMMANDS) <= set(run.command) for run in study.runs):
+            return f"the support's recorded motion in every run (commands {', '.join(COMMANDS)})"
+        return None
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        path = _Path(run, scene, size)
+        if not path.moves:
+            return scene
+        rest = scene.body.x_rest
+        # channels are linear in the places
+        shown = torch.stack([scene.observe(rest + m) for m in path.modes]) - scene.observe(rest)
+
+        def seen(y: Tensor, times: Tensor) -> Tensor:
+            return y + path.amplitudes(times.detach().numpy(), 0) @ shown
+
+        return scene.with_force(lambda: _Inertia(path)).with_output(seen)
+
+
+class _Path:
+    """Rigid motion of a support, small: shift of its middle forward and up, rotation about y.
+
+    Args:
+        run: With the support's record.
+        scene: Whose fixed nodes are the support.
+        size: (2,) shift, turn.
+
+    Attributes:
+        moves: Whether the record shows any motion.
+        modes: (3, num_vertices, 3) displacement of all nodes per forward shift, upward shift [-]
+            and rotation [m].
+    """
+
+    def __init__(self, run: Run, scene: SoftScene, size: Tensor):
+        places = np.column_stack([run.command[name] for name in COMMANDS])
+        self.moves = bool((places != places[0]).any())
+        time = np.asarray(run.time_s) - run.time_s[0]
+        self._spline: Any = make_interp_spline(time, places, k=5)
+        rest = scene.body.x_rest
+        length = float((rest.amax(0) - rest.amin(0)).max())
+        self._last, self._size, self._turn = float(time[-1]), size, size[1] / length
+        arm = rest - rest[scene.body.fixed.all(-1)].mean(0)
+        one, none = torch.ones_like(arm[:, 0]), torch.zeros_like(arm[:, 0])
+        fields = [(one, none, none), (none, none, one), (arm[:, 2], none, -arm[:, 0])]
+        self.modes = torch.stack([torch.stack(f, -1) for f in fields])
+
+    def amplitudes(self, times: np.ndarray, order: int) -> Tensor:
+        """(num_times, 3) of the modes, or a derivative in time; the support rests in the end."""
+        at = self._spline(np.clip(times, 0.0, self._last), order)
+        if order:
+            at = at * ((times >= 0.0) & (times <= self._last))[:, None]
+        x, z = torch.from_numpy(at).unbind(-1)
+        return torch.stack([self._size[0] * x, self._size[0] * z, self._turn * x], -1)
+
+
+class _Inertia(Force):
+    """Minus mass times the frame's acceleration."""
+
+    leading_axes, reads = True, ("density", "attached_mass", "added_mass")
+
+    def __init__(self, path: _Path):
+        self._path = path
+
+    def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
+        mass = scene.parameter("density") * scene.body.nodal_volume
+        mass = mass + scene.parameter("attached_mass") + scene.parameter("added_mass")
+        rates = self._path.amplitudes(np.array([moment.time]), 2)[0]
+        frame = torch.tensordot(rates, self._path.modes, 1)
+        return (-mass[:, None] * frame).expand(moment.x.shape)

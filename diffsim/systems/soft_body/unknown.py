@@ -1,0 +1,57 @@
+"""A generic smooth force on a soft body: a cause without a form."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from diffsim.data.study import Run
+from diffsim.identify.effect import Effect
+from diffsim.systems.signals import straight
+from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
+
+_SHAPES = ("even", "growing")
+
+
+class _UnknownForce(Effect):
+    """Force per volume: per axis evenly spread, and growing along the body's length.
+
+    Components: knots of time fastest, then shapes, then axes; straight lines between knots.
+    """
+
+    name, family, kind, unit, typical = "unknown_force", "unknown", "force", "N/m^3", 100.0
+    also_looks_like = ("anything",)
+
+    def __init__(self, num_knots: int, until_s: float, axes: str):
+        self._num_knots, self._spacing = num_knots, until_s / (num_knots - 1)
+        self._axes = ["xyz".index(axis) for axis in axes]
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        x = scene.body.mesh.x_rest
+        spread = x.amax(0) - x.amin(0)
+        axis = int(spread.argmax())
+        along = (x[:, axis] - x[:, axis].min()) / spread[axis]
+        shapes = torch.stack([torch.ones_like(along), along]) * scene.body.nodal_volume
+        knots = torch.zeros(3, len(_SHAPES), self._num_knots, dtype=size.dtype)
+        own = size.reshape(len(self._axes), len(_SHAPES), self._num_knots)
+        knots = knots.index_copy(0, torch.tensor(self._axes), own)
+        return scene.with_force(lambda: _Knots(knots, shapes, self._spacing))
+
+
+class _Knots(Force):
+    leading_axes, reads = True, ()
+
+    def __init__(self, knots: Tensor, shapes: Tensor, spacing: float):
+        self._rows = knots.reshape(-1, knots.shape[-1]).T  # (num_knots, 3 * num_shapes)
+        self._shapes, self._spacing = shapes, spacing
+
+    def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
+        time = torch.tensor([moment.time], dtype=torch.float64)
+        now = straight(self._rows, self._spacing, time).reshape(3, -1)
+        return (now @ self._shapes).T.expand(moment.x.shape)
+
+
+def unknown_force(num_knots: int, until_s: float, axes: str = "xyz") -> Effect:
+    """The effect with ``num_knots`` >= 2 knots from 0 to ``until_s`` [s], along ``axes``."""
+    names = tuple(f"{a}_{s}_{k}" for a in axes for s in _SHAPES for k in range(num_knots))
+    return type("UnknownForce", (_UnknownForce,), {"components": names})(num_knots, until_s, axes)

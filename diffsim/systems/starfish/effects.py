@@ -1,0 +1,192 @@
+"""What may lie between the starfish's command and its motion, beside the common causes.
+
+Commands are contractions as shares of the full tendon (65 mm).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from diffsim.data.study import Run, Study
+from diffsim.identify.effect import Effect
+from diffsim.systems.actuator import ActuatorEffect, Backlash, DeadBand, Lag, Saturation
+from diffsim.systems.signals import straight
+from diffsim.systems.soft_body.forces import DryFriction
+from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
+from diffsim.systems.starfish.body import LEAD, TENDON
+
+QUARTERS = 4.0
+FASTEST = 0.8 / TENDON  # what the commands ask for at most [1/s]
+
+
+class RateLimit(ActuatorEffect):
+    """The servo moves no faster than (1 - size) times 0.8 m/s, the fastest that is commanded."""
+
+    name, family, unit, typical, signed = "rate_limit", "timing", "-", 0.5, False
+    smooth = False
+    also_looks_like = ("lag of the servo, at one amplitude", "weak battery")
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        return scene.with_command(lambda u, dt: rate_limited(u, dt, size[0]))
+
+
+def rate_limited(u: Tensor, dt: float, loss: Tensor) -> Tensor:
+    """Command (num_samples, width) followed at most at FASTEST (1 - loss); loss () [-].
+
+    With no loss it is the command itself, steps included.
+    """
+    most = FASTEST * (1.0 - loss.clamp(max=0.99)) * dt
+    now, out = u[0], [u[0]]
+    for target in u[1:]:
+        now = now + torch.minimum(torch.maximum(target - now, -most), most)
+        out.append(now)
+    return torch.where(loss > 0.0, torch.stack(out), u)
+
+
+class CommandGain(ActuatorEffect):
+    """The tendons are pulled (1 + size) times as far."""
+
+    name, family, unit, typical = "command_gain", "gain", "-", 0.2
+    also_looks_like = ("radius of the pulley", "scale of the camera", "stretch of the tendons")
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        return scene.with_command(lambda u, dt: u * (1.0 + size[0]))
+
+
+class RailFriction(DryFriction):
+    """Coulomb friction of the whole robot on its rail."""
+
+    name, also_looks_like = "rail_friction", ("sticking on the twine", "drag at small speed")
+
+    def needs(self, study: Study) -> str | None:
+        return _travels(study)
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        return super().apply(scene, size / QUARTERS, run)
+
+
+class RailDrag(Effect):
+    """Force -size v of the rail on the centre."""
+
+    name, family, kind, unit, typical = "rail_drag", "damping", "force", "N s/m", 0.3
+    signed = False
+    also_looks_like = ("drag of the core", "cable that is towed along")
+
+    def needs(self, study: Study) -> str | None:
+        return _travels(study)
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        return scene.with_force(lambda: _RailDrag(size[0] / QUARTERS))
+
+
+class _RailDrag(Force):
+    leading_axes, reads = True, ()
+
+    def __init__(self, coefficient: Tensor):
+        self._coefficient = coefficient
+
+    def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
+        shares = scene.friction_shares
+        assert shares is not None
+        force = -self._coefficient * shares[:, None] * moment.v
+        return force * torch.tensor([1.0, 0.0, 0.0], dtype=force.dtype)
+
+
+class RailTilt(Effect):
+    """Constant force along the rail, from where the record begins."""
+
+    name, family, kind, unit, typical = "rail_tilt", "gravity", "environment", "N", 0.01
+    also_looks_like = (
+        "pull of the cable",
+        "current",
+        "a tilted rail of a robot that is not quite buoyant",
+    )
+
+    def needs(self, study: Study) -> str | None:
+        return _travels(study)
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        return scene.with_force(lambda: _Push(size[None, :] / QUARTERS, 1e9))
+
+
+class _Push(Force):
+    """Along x, knots in time (n, 1 or 2): evenly by volume, and growing from the centre [N].
+
+    None before the record begins.
+    """
+
+    leading_axes, reads = True, ()
+
+    def __init__(self, knots: Tensor, spacing: float):
+        self._knots, self._spacing = knots, spacing
+
+    def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
+        x = scene.body.mesh.x_rest
+        out = x[:, 1:].amax(1) / x.max()
+        shapes = torch.stack([torch.ones_like(out), out]) * scene.body.nodal_volume
+        shapes = shapes / shapes.sum(1, keepdim=True)
+        time = torch.tensor([moment.time], dtype=torch.float64)
+        now = straight(self._knots, self._spacing, time)[0] * (moment.time >= LEAD)
+        along = now @ shapes[: self._knots.shape[1]]
+        unit = torch.tensor([1.0, 0.0, 0.0], dtype=along.dtype)
+        return (along[:, None] * unit).expand(moment.x.shape)
+
+
+class _UnknownPush(Effect):
+    name, family, kind, unit, typical = "unknown_force", "unknown", "force", "N", 0.01
+
+    def __init__(self, num_knots: int, spacing: float):
+        vars(self)["components"] = tuple(
+            f"{s}_{k}" for s in ("even", "out") for k in range(num_knots)
+        )
+        self._spacing = spacing
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        return scene.with_force(lambda: _Push(size.reshape(2, -1).T, self._spacing))
+
+
+class _UnknownPull(Effect):
+    name, family, kind, unit, typical = "unknown_pull", "unknown", "actuator", "-", 0.01
+
+    def __init__(self, num_knots: int, spacing: float):
+        vars(self)["components"] = tuple(f"knot_{k}" for k in range(num_knots))
+        self._spacing = spacing
+
+    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+        def changed(u: Tensor, dt: float) -> Tensor:
+            times = dt * torch.arange(len(u), dtype=u.dtype)
+            return u + straight(size[:, None], self._spacing, times)
+
+        return scene.with_command(changed)
+
+
+def unknown_push(num_knots: int, spacing: float) -> Effect:
+    """A force along the rail, on the whole quarter and more towards the tips, knots in time."""
+    return _UnknownPush(num_knots, spacing)
+
+
+def unknown_pull(num_knots: int, spacing: float) -> Effect:
+    """What the tendons do and the command does not say, knots in time."""
+    return _UnknownPull(num_knots, spacing)
+
+
+def _travels(study: Study) -> str | None:
+    if not any(c.name == "travel_x_m" for c in study.channels):
+        return "the travel along the rail among the channels"
+    return None
+
+
+STARFISH_EFFECTS: tuple[Callable[[], Effect], ...] = (
+    Lag,
+    RateLimit,
+    DeadBand,
+    Backlash,
+    Saturation,
+    CommandGain,
+    RailFriction,
+    RailDrag,
+    RailTilt,
+)

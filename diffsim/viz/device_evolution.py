@@ -1,0 +1,103 @@
+"""How a design changed from the best random one to the optimum (thesis fig. 4-24)."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim.core.files import write_bytes_atomic
+from diffsim.stokes.devices.device import Device, quiet
+from diffsim.stokes.devices.optimise import Optimum
+from diffsim.viz._require import optional
+from diffsim.viz.figures import INK, new_figure
+from diffsim.viz.flow import SPEED
+
+
+def milestones(optimum: Optimum, count: int = 6) -> list[tuple[int, float, Tensor]]:
+    """Designs on the way, each better than all before.
+
+    Those of the coarse grid that led to the result come first, in its unit.
+
+    Args:
+        optimum: What was found.
+        count: At most, at least 2; the first and the last are always among them.
+
+    Returns:
+        Evaluation (from 1), normalised loss, design (num_parameters,).
+    """
+    if count < 2:
+        raise ValueError(f"count must be at least 2, got {count}")
+    losses, designs = [optimum.evaluation_losses], [optimum.evaluations]
+    if optimum.coarse is not None:
+        descent = optimum.coarse.descents[int(optimum.coarse.fine_losses.argmin())]
+        losses.insert(0, descent.losses / optimum.coarse.unit_loss)
+        designs.insert(0, descent.designs)
+    improved: list[tuple[int, float, Tensor]] = []
+    before = 0
+    for stage, path in zip(losses, designs, strict=True):
+        least = np.inf  # grids are compared with themselves only
+        for k, (loss, x) in enumerate(zip(stage.tolist(), path, strict=True)):
+            if loss < least:
+                least = loss
+                improved.append((before + k + 1, loss, x))
+        before += len(stage)
+    chosen = np.unique(np.linspace(0, len(improved) - 1, count).round().astype(int))
+    return [improved[k] for k in chosen]
+
+
+def draw_shapes(device: Device, optimum: Optimum, path: str | Path, count: int = 6) -> Path:
+    """Walls of designs on the way, light to dark, at every height that the device's pictures show.
+
+    Args:
+        device: The device.
+        optimum: Its optimum.
+        path: PNG to write.
+        count: Designs, at most.
+    """
+    plt_colours = optional("matplotlib.colors", purpose="the picture of a device")
+    shown = milestones(optimum, count)
+    heights = device.slices if device.grid.dim == 3 else (None,)
+    panels = [(k, height) for k in range(len(device.states)) for height in heights]
+    size = device.grid.size
+    width = 3.2 * len(panels)
+    figure, axes = new_figure(
+        1, len(panels), width=width + 1.8, height=3.2 * size[1] / size[0] + 0.4, squeeze=False
+    )
+    figure.set_facecolor("white")
+    ramp = plt_colours.LinearSegmentedColormap.from_list("evaluations", SPEED[1:])
+    x = np.linspace(0.0, size[0], device.grid.node_shape[0])
+    y = np.linspace(0.0, size[1], device.grid.node_shape[1])
+    handles: list[Any] = []
+    lines = optional("matplotlib.lines", purpose="the picture of a device")
+    for i, (number, loss, design) in enumerate(shown):
+        share = i / max(len(shown) - 1, 1)
+        colour, weight = ramp(share), 0.9 + 1.1 * (i == len(shown) - 1)
+        label = f"{number}: {loss:.2g}"
+        handles.append(lines.Line2D([], [], color=colour, lw=weight, label=label))
+        with torch.no_grad(), quiet():
+            levels = [device.level_set(design, k).numpy() for k in range(len(device.states))]
+        for ax, (k, height) in zip(axes[0], panels, strict=True):
+            phi = levels[k]
+            if height is not None:
+                phi = phi[:, :, round(height * device.grid.shape[2])]
+            ax.contour(x, y, phi.T, levels=[0.0], colors=[colour], linewidths=weight)
+    for ax, (k, height) in zip(axes[0], panels, strict=True):
+        parts = [device.states[k].name] if len(device.states) > 1 else []
+        parts += [f"height {height:g}"] if len(heights) > 1 else []
+        ax.set_title(", ".join(parts), fontsize=9, color=INK)
+        ax.grid(False)
+        ax.set(xlim=(0, size[0]), ylim=(0, size[1]), xticks=[], yticks=[], aspect="equal")
+        for side in ax.spines.values():
+            side.set(visible=True, color=INK)
+    figure.legend(
+        handles=handles, title="evaluation: loss", loc="outside right center", frameon=False,
+        fontsize=8.5, title_fontsize=9,
+    )  # fmt: skip
+    content = BytesIO()
+    figure.savefig(content, dpi=110, format="png")
+    return write_bytes_atomic(path, content.getvalue())

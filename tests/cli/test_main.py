@@ -1,0 +1,140 @@
+"""The command line: arguments reach the demo, errors are one line, Ctrl-C says how to go on."""
+
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import pytest
+
+from diffsim import __version__, cli
+from diffsim.core import compiled
+from diffsim.core.errors import ConvergenceError
+
+
+@pytest.fixture
+def fake_demo(monkeypatch):
+    """Stand-in for diffsim.demo; returns the calls, and raises what ``.error`` holds."""
+    module = types.ModuleType("diffsim.demo")
+    record = types.SimpleNamespace(calls=[], error=None)
+
+    def main(**kwargs):
+        record.calls.append(kwargs)
+        if record.error is not None:
+            raise record.error
+
+    module.main = main
+    monkeypatch.setitem(sys.modules, "diffsim.demo", module)
+    return record
+
+
+def test_demo_receives_every_option(fake_demo, tmp_path):
+    argv = ["demo", "--data", str(tmp_path), "--out", "o", "--quick", "--resume", "--threads", "3"]
+    assert cli.main(argv) == 0
+    assert fake_demo.calls == [
+        {"data": tmp_path, "out": Path("o"), "quick": True, "resume": True, "threads": 3}
+    ]
+
+
+def test_demo_defaults(fake_demo):
+    assert cli.main(["demo"]) == 0
+    (call,) = fake_demo.calls
+    assert call["data"] is None  # the demo then looks in the folders of diffsim.core.paths
+    assert call["out"] == Path("runs/demo")
+    assert not call["quick"] and not call["resume"] and call["threads"] >= 1
+
+
+def test_missing_data_folder_is_named(fake_demo, capsys, tmp_path):
+    missing = tmp_path / "nowhere"
+    assert cli.main(["demo", "--data", str(missing)]) == 2
+    assert f"--data must be an existing folder, got {missing}" in capsys.readouterr().err
+    assert fake_demo.calls == []
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        ValueError("dt must be\n> 0, got -1"),
+        ConvergenceError("stopped", residual_norm=1.0, tolerance=0.1, num_iters=5),
+        ImportError("No module named 'rerun'"),
+    ],
+)
+def test_errors_are_one_line_with_status_2(fake_demo, capsys, error):
+    fake_demo.error = error
+    assert cli.main(["demo"]) == 2
+    first, hint = capsys.readouterr().err.splitlines()
+    assert first == f"diffsim: {type(error).__name__}: {' '.join(str(error).split())}"
+    assert "--debug" in hint
+
+
+def test_debug_shows_the_traceback(fake_demo):
+    fake_demo.error = ValueError("dt must be > 0")
+    with pytest.raises(ValueError, match="dt must be > 0"):
+        cli.main(["demo", "--debug"])
+
+
+def test_a_bug_is_not_hidden(fake_demo):
+    fake_demo.error = KeyError("bug")
+    with pytest.raises(KeyError):
+        cli.main(["demo"])
+
+
+def test_interrupt_says_how_to_resume(fake_demo, capsys):
+    fake_demo.error = KeyboardInterrupt()
+    assert cli.main(["demo", "--out", "my runs", "--quick"]) == 130
+    assert "diffsim demo --out 'my runs' --quick --resume" in capsys.readouterr().err
+    cli.main(["demo", "--resume"])
+    assert "--resume --resume" not in capsys.readouterr().err
+
+
+def test_threads_must_be_positive(capsys):
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["demo", "--threads", "0"])
+    assert stop.value.code == 2
+    assert "must be 1 or more, got 0" in capsys.readouterr().err
+
+
+def test_info_names_versions_core_and_data(capsys, monkeypatch, tmp_path):
+    monkeypatch.setenv("DIFFSIM_DATA", str(tmp_path / "absent"))
+    assert cli.main(["info"]) == 0
+    text = capsys.readouterr().out
+    assert __version__ in text
+    assert compiled.core.instruction_set in text
+    assert "set DIFFSIM_DATA" in text and str(tmp_path / "absent") in text
+
+
+def test_runs_as_a_module():
+    done = subprocess.run(
+        [sys.executable, "-m", "diffsim", "--version"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == f"diffsim {__version__}"
+
+
+def test_a_closed_pipe_is_no_error_message():
+    line = f"{sys.executable} -m diffsim info | true"
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+
+
+def test_diagnose_names_a_missing_study(capsys):
+    assert cli.main(["diagnose", "check", "nowhere.yaml"]) == 2
+    assert "nowhere.yaml is no file or folder of a study" in capsys.readouterr().err
+
+
+def test_diagnose_check_of_a_good_and_a_bad_study(capsys, tmp_path):
+    from dataclasses import replace
+
+    from diffsim.data.labs import LABS
+    from diffsim.data.study_file import save_study
+
+    study = LABS["stokes"]()(0)
+    path = save_study(study, tmp_path / "good")
+    file = path if path.is_file() else path / "study.yaml"
+    assert cli.main(["diagnose", "check", str(file)]) == 0
+    assert "ready for a diagnosis" in capsys.readouterr().out
+    fitted = replace(study, runs=study.fit_runs)
+    path = save_study(fitted, tmp_path / "bad")
+    file = path if path.is_file() else path / "study.yaml"
+    assert cli.main(["diagnose", "check", str(file)]) == 2
+    said = capsys.readouterr()
+    assert "held" in said.out and "keep" in said.err

@@ -1,0 +1,316 @@
+"""The flow device: effects vanish at size 0, scores are exact, each acts as its physics says."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import quad
+from scipy.optimize import brentq
+
+from diffsim.core.errors import ConvergenceError
+from diffsim.data.study import Run, Study
+from diffsim.identify import Effect, Numerics, Parameter, SimModel
+from diffsim.systems.flow_network import (
+    ChannelDevice,
+    Opening,
+    device_base,
+    device_model,
+    stokes_library,
+)
+
+DEVICES = {
+    "pumps": ChannelDevice(),
+    "two_pumps": ChannelDevice.two_inlets(),
+    "regulator": ChannelDevice(drive="pressure", nominal_drive=100.0),
+}
+BRANCH = Opening(4.527e-3, 1.629e-3)
+SINGLE = ChannelDevice(outlets=(BRANCH,))
+EFFECTS = [(name, e) for name, device in DEVICES.items() for e in stokes_library(device)]
+
+
+def run_of(device: ChannelDevice, levels: list[float], repeats: int = 2) -> Run:
+    """Drive levels in units of the nominal one, each held for some samples."""
+    command = np.repeat(np.asarray(levels) * device.nominal_drive, repeats)
+    columns = len(device.channels(1.0, 1.0, 1.0))
+    shares = 1.0 + 0.3 * np.arange(len(device.commands))
+    return Run(
+        name="levels",
+        time_s=np.arange(len(command), dtype=float),
+        measured=np.zeros((len(command), columns)),
+        command={n: s * command for n, s in zip(device.commands, shares, strict=True)},
+        group="levels",
+    )
+
+
+def predict(model: SimModel, run: Run, effect: Effect | None = None, size=0.0, mesh: float = 1.0):
+    sizes = None if effect is None else {effect: torch.tensor([size], dtype=torch.float64)}
+    with torch.no_grad():
+        return model.predict(run, model.at_prior(), sizes, Numerics(mesh=mesh)).numpy()
+
+
+def effect_of(device: ChannelDevice, name: str) -> Effect:
+    return {e.name: e for e in stokes_library(device)}[name]
+
+
+def change(device: ChannelDevice, name: str, size: float, levels: list[float], mesh: float = 1.0):
+    """Relative change of all channels by an effect, (num_levels, num_channels)."""
+    model, run = device_model(device), run_of(device, levels, repeats=1)
+    effect = effect_of(device, name)
+    return predict(model, run, effect, size, mesh) / predict(model, run, mesh=mesh) - 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "effect"), [pair for pair in EFFECTS if pair[0] == "two_pumps"],
+    ids=lambda x: getattr(x, "name", x),
+)  # fmt: skip
+def test_size_zero_is_the_scene_itself(name, effect):
+    model, run = device_model(DEVICES[name]), run_of(DEVICES[name], [1.0])
+    plain = predict(model, run)
+    # a load of exact zeros adds a solve, whose rounding differs by the condition number
+    np.testing.assert_allclose(predict(model, run, effect, 0.0), plain, rtol=1e-9)
+
+
+@pytest.mark.grad
+@pytest.mark.parametrize(
+    ("name", "effect"), [pair for pair in EFFECTS if pair[0] != "two_pumps"],
+    ids=lambda x: getattr(x, "name", x),
+)  # fmt: skip
+def test_scores_against_differences(name, effect):
+    device = DEVICES[name]
+    if name == "regulator" and effect.name in ("leak", "skewed_inlet"):
+        assert effect.needs(study_of(device)) is not None  # no response at all
+        return
+    model, run = device_model(device), run_of(device, [0.5, 1.0], repeats=1)
+    plain = predict(model, run)
+    weights = torch.linspace(1.0, 2.0, plain.size, dtype=torch.float64).view(plain.shape)
+    weights /= torch.from_numpy(plain).abs().amax(0)
+
+    def score(size):
+        return (weights * model.predict(run, model.at_prior(), {effect: size})).sum()
+
+    leaf = torch.zeros(1, dtype=torch.float64, requires_grad=True)
+    (adjoint,) = torch.autograd.grad(score(leaf), leaf)
+    h = 1e-3 * effect.typical  # at most 0.04 um of wall: none of them passes a node
+    at = [score(torch.tensor([k * h], dtype=torch.float64)).item() for k in (0, 1, 2)]
+    forwards = (-3.0 * at[0] + 4.0 * at[1] - at[2]) / (2.0 * h)  # most cannot be negative
+    assert abs(adjoint.item()) > 0.0
+    # second-order differences at 1e-3 of a typical size
+    np.testing.assert_allclose(adjoint.item(), forwards, rtol=2e-4)
+
+
+@pytest.mark.grad
+def test_gradient_in_base_parameters():
+    model, run = device_model(SINGLE), run_of(SINGLE, [1.0], repeats=1)
+    scale = predict(model, run)[0]
+
+    def f(q):
+        return model.predict(run, q)[0] / torch.from_numpy(scale)
+
+    q = 0.1 * torch.ones(len(model.base), dtype=torch.float64)
+    assert torch.autograd.gradcheck(f, q.requires_grad_(), eps=1e-3, atol=1e-6, rtol=1e-3)
+
+
+def test_outlets_sum_to_the_pump_on_both_grids():
+    device = DEVICES["two_pumps"]
+    model, run = device_model(device), run_of(device, [1.0], repeats=1)
+    given = sum(c[0] for c in run.command.values())
+    lost = []
+    for mesh in (1.0, 0.5):
+        with torch.no_grad():
+            out = model.predict(run, model.at_prior(), None, Numerics(mesh=mesh))[0]
+        lost.append(abs(float(out[:3].sum()) / given - 1.0))
+    assert lost[0] < 6e-3 and lost[1] < 2e-3  # through walls at the corners: second order
+
+
+def test_branch_profile_is_a_parabola():
+    out = predict(device_model(SINGLE), run_of(SINGLE, [1.0], 1), mesh=0.5)[0]
+    y = SINGLE.profile_points[:, 1] - BRANCH.y
+    parabola = 1.5 * out[0] / BRANCH.width * (1.0 - (2.0 * y / BRANCH.width) ** 2)
+    np.testing.assert_allclose(out[2:], parabola, rtol=6e-3)  # 26 cells across, linear in each
+
+
+def profile_ratio(name: str, size: float, of_width) -> None:
+    """Profile with an effect over that without, against a closed form u(y, width, flow)."""
+    measured = change(SINGLE, name, size, [1.0], mesh=0.5)[0, 2:] + 1.0
+    y = SINGLE.profile_points[:, 1] - BRANCH.y
+    plain = 1.5 / BRANCH.width * (1.0 - (2.0 * y / BRANCH.width) ** 2)
+    np.testing.assert_allclose(measured, of_width(y) / plain, rtol=8e-3)
+
+
+def test_slip_profile():
+    b, w = 8e-5, BRANCH.width
+    profile_ratio("slip", b, lambda y: (w**2 / 4 - y**2 + b * w) / (w**3 / 6 * (1 + 6 * b / w)))
+
+
+def test_wall_offset_profile():
+    w = BRANCH.width + 2.0 * 6e-5
+    profile_ratio("wall_offset", 6e-5, lambda y: 1.5 / w * (1.0 - (2.0 * y / w) ** 2))
+
+
+def test_compliance_widens_with_the_pressure_there():
+    c = 3e-4
+    x = SINGLE.profile_points[0, 0]
+    out = predict(device_model(SINGLE), run_of(SINGLE, [1.0], 1))[0]
+    drop = 12.0 * SINGLE.viscosity * out[0] / BRANCH.width**3 * (SINGLE.size[0] - x)
+    w = BRANCH.width * (1.0 + c * drop)
+    assert w / BRANCH.width > 1.01
+    profile_ratio("compliance", c, lambda y: 1.5 / w * (1.0 - (2.0 * y / w) ** 2))
+
+
+def test_temperature_gradient_leans_the_profile():
+    """Poiseuille flow with viscosity linear in y, by quadrature."""
+    g, w, height = 0.8, BRANCH.width, SINGLE.size[1]
+
+    def eta(y):
+        return 1.0 + g * ((y + BRANCH.y) / height - 0.5)
+
+    def integral(f, to):
+        return quad(f, -w / 2, to)[0]
+
+    middle = integral(lambda s: s / eta(s), w / 2) / integral(lambda s: 1.0 / eta(s), w / 2)
+
+    def u(y):
+        return -integral(lambda s: (s - middle) / eta(s), y)
+
+    flow = quad(u, -w / 2, w / 2)[0]
+    profile_ratio("temperature_gradient", g, lambda y: np.array([u(v) for v in y]) / flow)
+
+
+def test_thinning_blunts_the_profile():
+    """Poiseuille flow of the shear-thinning fluid, by root finding and quadrature."""
+    n, w, rate0 = 0.3, BRANCH.width, SINGLE.shear_rate
+
+    def rate(stress):  # rate (1 + (rate / rate0)^2)^(-n / 2) = stress, viscosity 1
+        def excess(r):
+            return r * (1.0 + (r / rate0) ** 2) ** (-n / 2) - stress
+
+        return brentq(excess, 0.0, 10.0 * stress + 1e-9)
+
+    def u(y, slope):
+        return quad(lambda s: rate(slope * s), abs(y), w / 2)[0]
+
+    def flow(slope):
+        return 2.0 * quad(lambda y: u(y, slope), 0.0, w / 2, epsrel=1e-6)[0]
+
+    target = 1e-4  # nominal flow
+    slope = brentq(lambda k: flow(k) - target, 0.2 * 12e-4 / w**3, 1.2 * 12e-4 / w**3, rtol=1e-6)
+    profile_ratio("thinning", n, lambda y: np.array([u(v, slope) for v in y]) / target)
+
+
+def test_inertia_grows_with_the_drive_and_turns_with_it():
+    shares = change(DEVICES["pumps"], "inertia", 300.0, [-0.1, 0.1, 0.2])[:, :3]
+    np.testing.assert_allclose(shares[2], 2.0 * shares[1], rtol=0.03)  # next order
+    np.testing.assert_allclose(shares[0], -shares[1], rtol=0.03)
+    assert np.abs(shares[1]).max() > 1e-4
+
+
+def test_inertia_leaves_a_developed_profile():
+    moved = change(SINGLE, "inertia", 1000.0, [1.0])[0]
+    assert np.abs(moved[2:]).max() < 1e-3 < 2e-3 < abs(moved[1])  # the tap sees the widening
+
+
+def test_leak_follows_the_pressure():
+    k, device = 3e-8, DEVICES["pumps"]
+    model, run = device_model(device), run_of(device, [1.0, 2.0], 1)
+    plain, leaking = predict(model, run), predict(model, run, effect_of(device, "leak"), k)
+    lost = (plain - leaking)[:, :3].sum(1) / (plain[:, :3].sum(1) / run.command["flow_in_1_m2_s"])
+    np.testing.assert_allclose(lost, k * leaking[:, 3], rtol=1e-5)
+
+
+def test_regulators_hold_pressure_while_viscosity_slows_the_flow():
+    slower = change(DEVICES["regulator"], "viscosity", 0.25, [1.0])[0]
+    np.testing.assert_allclose(slower[:3], -0.2, rtol=1e-6)
+    np.testing.assert_allclose(slower[3], 0.0, atol=1e-8)
+    pumped = change(DEVICES["pumps"], "viscosity", 0.25, [1.0])[0]
+    np.testing.assert_allclose(pumped[[0, 1, 2, 3]], [0.0, 0.0, 0.0, 0.25], atol=1e-7)
+
+
+def test_gains_act_on_what_they_name():
+    pump = change(DEVICES["pumps"], "pump_gain_1", 0.1, [0.5, 1.0])
+    np.testing.assert_allclose(pump, 0.1, rtol=1e-9)
+    meter = change(DEVICES["pumps"], "meter_gain_2", 0.1, [1.0])[0]
+    np.testing.assert_allclose(meter[1], 0.1, rtol=1e-9)
+    assert np.abs(np.delete(meter, 1)).max() == 0.0
+
+
+def test_blocked_branch_is_constant_and_offset_fades_with_the_drive():
+    blocked = change(DEVICES["pumps"], "blocked_branch_1", 0.2, [0.5, 2.0])
+    np.testing.assert_allclose(blocked[0], blocked[1], rtol=1e-6)
+    assert blocked[0, 0] < -0.1 and (blocked[0, 1:3] > 0.02).all()
+    offset = change(DEVICES["pumps"], "pressure_offset_1", 5.0, [0.5, 2.0])
+    np.testing.assert_allclose(offset[0], 4.0 * offset[1], rtol=1e-6)
+    assert offset[0, 0] < -0.01
+
+
+def test_skewed_inlet_keeps_the_flow_and_moves_the_split():
+    moved = change(DEVICES["pumps"], "skewed_inlet", 1.0, [1.0])[0]
+    assert abs(moved[0]) > 1e-3 and moved[0] * moved[2] < 0.0
+    weights = predict(device_model(), run_of(DEVICES["pumps"], [1.0], 1))[0, :3]
+    assert abs((moved[:3] * weights).sum() / weights.sum()) < 1e-5
+
+
+def test_slip_and_wall_offset_are_nearly_the_same():
+    """To first order a wall with slip b is a wall b further out: an honest confounding."""
+    slip = change(DEVICES["pumps"], "slip", 4e-6, [1.0])[0]
+    offset = change(DEVICES["pumps"], "wall_offset", 4e-6, [1.0])[0]
+    assert slip @ offset / np.linalg.norm(slip) / np.linalg.norm(offset) > 0.99
+
+
+def study_of(device: ChannelDevice, **changes) -> Study:
+    channels = device.channels(1e-7, 0.5, 1e-4)
+    settings = {"channels": channels, "runs": (run_of(device, [0.5, 1.0]),), **changes}
+    return Study(name="s", system="stokes", **settings)
+
+
+def test_needs():
+    device = DEVICES["pumps"]
+    no_pressure = tuple(c for c in device.channels(1.0, 1.0, 1.0) if c.kind != "pressure")
+    blind = study_of(device, channels=no_pressure, runs=(run_of(device, [1.0]),))
+    unmet = {e.name: e.needs(blind) for e in stokes_library(device)}
+    assert unmet["viscosity"] == "a pressure channel"
+    assert unmet["compliance"] == "two drive levels or more"
+    assert unmet["slip"] is None
+    assert all(e.needs(study_of(device)) is None for e in stokes_library(device))
+    regulated = study_of(DEVICES["regulator"])
+    assert "driven by flow" in (effect_of(device, "leak").needs(regulated) or "")
+
+
+def test_names_are_unique_and_texts_complete():
+    library = stokes_library(DEVICES["two_pumps"])
+    assert len({e.name for e in library}) == len(library) == 20
+    assert all(e.also_looks_like and e.__doc__ for e in library)
+
+
+def test_mistakes_are_named():
+    device = DEVICES["pumps"]
+    with pytest.raises(ValueError, match="drive must be one of"):
+        ChannelDevice(drive="flows")
+    with pytest.raises(ValueError, match=r"outlets must be ordered .* refine cells"):
+        ChannelDevice(outlets=(Opening(3e-3, 1.4e-3), Opening(4.5e-3, 1.4e-3)))
+    with pytest.raises(ValueError, match=r"base parameters \['viscos'\] are unknown"):
+        device_model(device, [Parameter("viscos", 0.1, 0.1)])
+    with pytest.raises(ValueError, match=r"commands \['flow_in_1_m2_s'\] are missing"):
+        predict(device_model(device), run_of(DEVICES["regulator"], [1.0]))
+    with pytest.raises(ConvergenceError, match=r"too large to be swept \(sizes: slip_length 0.002"):
+        predict(device_model(device), run_of(device, [1.0]), effect_of(device, "slip"), 2e-3)
+
+
+def test_base_can_be_chosen():
+    base = [p for p in device_base(SINGLE) if p.name == "viscosity"]
+    model, run = device_model(SINGLE, base), run_of(SINGLE, [1.0])
+    assert [p.name for p in model.base] == ["viscosity"]
+    np.testing.assert_allclose(predict(model, run), predict(device_model(SINGLE), run))
+
+
+def test_a_prediction_is_fast():
+    """Factorisation once, then one solve whatever the number of samples."""
+    device = DEVICES["pumps"]
+    model, run = device_model(device), run_of(device, [0.25, 0.5, 1.0, 2.0], repeats=50)
+    predict(model, run)
+    start = time.process_time()
+    for _ in range(5):
+        predict(model, run, effect_of(device, "pump_gain_1"), 0.01)
+    assert (time.process_time() - start) / 5 < 0.1

@@ -1,0 +1,401 @@
+"""Multicopter bed: effects are absent at size 0, have right scores, and act as physics says."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from diffsim import copter
+from diffsim.copter import GRAVITY
+from diffsim.copter.fleet import Fleet
+from diffsim.copter.sensors import finite_acceleration
+from diffsim.data.study import Channel, Run, Study
+from diffsim.identify import NumericalEffect, Numerics, Parameter
+from diffsim.systems import actuator, library
+from diffsim.systems.multicopter import effects as causes
+from diffsim.systems.multicopter import flight_model, unknown_wrench
+from diffsim.systems.multicopter.flying import Flyer, Motion
+from diffsim.systems.multicopter.shooting import Windows
+from tests.diagnose.gate import score_error, typical
+
+DT, SAMPLES = 0.02, 110
+NAMES = ["u0", "u1", "u2", "u3"]
+SD = torch.tensor(np.repeat([2e-3, 5e-3, 1e-2, 0.1], 3))
+HOVER = GRAVITY / 4
+EFFECTS = library("copter", num_rotors=4)
+PLAIN = (
+    Parameter("thrust_gain", 1.0, 0.05, log=True),
+    Parameter("inertia_gain", 1.0, 0.1, log=True),
+)
+
+
+def tensor(value):
+    return torch.as_tensor(np.asarray(value), dtype=torch.float64)
+
+
+def size(*values):
+    return tensor(values)
+
+
+def quadcopter():
+    a = 0.2
+    return copter.Multicopter(
+        mass=tensor(1.0),
+        inertia=torch.diag(tensor([0.01, 0.012, 0.02])),
+        positions=tensor([[a, a, 0], [-a, -a, 0], [a, -a, 0], [-a, a, 0]]),
+        directions=tensor([[0, 0, -1.0]] * 4),
+        spins=tensor([1.0, 1.0, -1.0, -1.0]),
+        torque_ratios=tensor([0.015] * 4),
+        max_thrusts=tensor([8.0] * 4),
+        radii=tensor([0.12] * 4),
+    )
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """A closed-loop flight about with turns, its thrusts and noise-free channels."""
+    vehicle, eye = quadcopter(), torch.eye
+    linear = copter.linearise(vehicle, tensor([HOVER] * 4), torch.zeros(2, dtype=torch.float64))
+    weight = eye(12, dtype=torch.float64)
+    gain = copter.lqr(linear.A, linear.B, weight, eye(4, dtype=torch.float64)).K
+    t = DT * torch.arange(SAMPLES, dtype=torch.float64)
+    aim = torch.zeros(SAMPLES, 12, dtype=torch.float64)
+    aim[:, 0], aim[:, 1] = 1.5 * torch.sin(2 * t), torch.cos(1.5 * t) - 1
+    aim[:, 2], aim[:, 5] = -0.6 + 0.3 * torch.sin(3 * t), 0.4 * t
+    flight = copter.fly(
+        vehicle,
+        copter.FlightState.at_rest(tensor([[0.0, 0.0, -0.6]])),
+        tensor([HOVER] * 4).expand(1, SAMPLES, 4).contiguous(),
+        dt=DT,
+        substeps=4,
+        feedback=copter.Feedback(gain=gain, reference=aim),
+    )
+    state, thrusts = flight.state, flight.state.thrusts[0, 1:]
+    assert float(thrusts.min()) > 0.1 and float(thrusts.max()) < 7.9  # bounds are kinks
+    acceleration = finite_acceleration(state.velocity, DT) - tensor([0, 0, GRAVITY])
+    halfway = 0.5 * (state.rotation[:, 1:] + state.rotation[:, :-1])  # of the step before
+    halfway = torch.cat([halfway[:, :1], halfway], 1)
+    specific = (halfway.mT @ acceleration[..., None])[..., 0]
+    channels = torch.cat([state.position, state.rpy, state.body_rates, specific], -1)[0, :SAMPLES]
+    command = {name: thrusts[:, i].numpy() for i, name in enumerate(NAMES)}
+    command["voltage_V"] = np.linspace(12.0, 11.0, SAMPLES)
+    rng = np.random.default_rng(0)
+    measured = channels.numpy() + SD.numpy() * rng.standard_normal(channels.shape)
+    ground = {"terrain_height_m": 0.0}
+    return Run("a", t.numpy(), measured, command, "g", setup=ground), channels
+
+
+@pytest.fixture(scope="module")
+def model():
+    return flight_model(quadcopter(), commands=NAMES, base=PLAIN)
+
+
+def predict(model, run, effect=None, at=None):
+    with torch.no_grad():
+        return model.predict(run, model.at_prior(), {} if effect is None else {effect: at})
+
+
+def test_initial_states_are_fitted_away(model, flown):
+    """Noisy records give the noise-free flight, but for the initial states' own error."""
+    run, truth = flown
+    found = predict(model, run)
+    assert float((((found - truth) / SD) ** 2).mean().sqrt()) < 0.5
+    misfit = (((found - tensor(run.measured)) / SD) ** 2).sum()
+    assert float(misfit) / (SAMPLES * 12 - 3 * 12) == pytest.approx(1.0, abs=0.1)
+    # another first guess of the same windows ends in the same place
+    scene = model.build({}, run, Numerics())
+    moved = replace(scene.windows, guess=scene.windows.guess + 0.02, latest=[])
+    other = scene.changed(windows=moved).simulate()
+    # but for the pull of the prior
+    assert float(((other - scene.simulate()) / SD).abs().max()) < 0.05
+
+
+def test_gaps_do_not_count(model, flown):
+    run, _ = flown
+    holes = run.measured.copy()
+    holes[30:34, :3] = np.nan
+    found = predict(model, replace(run, measured=holes))
+    assert torch.isfinite(found).all()
+    assert float(((found - predict(model, run)) / SD).abs().max()) < 0.5
+
+
+def test_many_points_are_as_one_by_one(model, flown):
+    run, _ = flown
+    q = 0.01 * torch.tensor([[0.0, 0.0], [1.0, -1.0], [-0.5, 2.0]], dtype=torch.float64)
+    sizes = {
+        causes.Wind(): tensor([[0.0, 0.0], [0.01, 0.02], [0.0, -0.01]]),
+        causes.RotorDragEffect(): tensor([[0.0], [0.001], [0.002]]),
+        causes.Wake(): tensor([[0.002], [0.0], [0.001]]),
+    }
+    many = model.predict_many(run, q, sizes)
+    alone = [
+        model.predict(run, q[k], {e: s[k] for e, s in sizes.items()}).detach() for k in range(3)
+    ]
+    torch.testing.assert_close(many[0], alone[0], atol=1e-6, rtol=0)
+    for k in (1, 2):
+        # a stencil: initial states follow by the tangents of its centre, which change with the
+        # point; that change times the misfit is left out, as ever in Gauss-Newton
+        moved, wrong = (
+            ((a - b) / SD).norm() for a, b in ((alone[k], alone[0]), (many[k], alone[k]))
+        )
+        assert float(wrong) < 0.05 * float(moved)
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
+def test_nothing_at_size_zero_and_something_at_typical(effect, model, flown):
+    run, _ = flown
+    base = predict(model, run)
+    none = predict(model, run, effect, 0 * typical(effect))
+    torch.testing.assert_close(none, base, atol=1e-11, rtol=0)
+    assert float(((predict(model, run, effect, typical(effect)) - base) / SD).norm()) > 0.5
+
+
+@pytest.mark.grad
+@pytest.mark.parametrize("effect", [e for e in EFFECTS if e.smooth], ids=lambda e: e.name)
+def test_scores(effect, model, flown):
+    run, _ = flown
+
+    def at(amount):
+        if amount.requires_grad:
+            return model.predict(run, model.at_prior(), {effect: amount})
+        # about size zero, as in a linearisation
+        q = model.at_prior().expand(2, -1)
+        return model.predict_many(run, q, {effect: torch.stack([0 * amount, amount])})[1]
+
+    # the cubic of a delayed command has a first derivative only: differences of first order
+    step = 1e-4 if effect.name == "delay" else 1e-3
+    assert score_error(at, effect, tensor(run.measured), SD, step) < 1e-4
+
+
+def test_base_parameters_and_numerics(flown):
+    run, _ = flown
+    model = flight_model(quadcopter(), commands=NAMES)
+    plain = predict(model, run)
+    q = torch.zeros(4, dtype=torch.float64, requires_grad=True)
+    grads = torch.autograd.grad(((model.predict(run, q) - plain - 1e-3) ** 2).sum(), q)[0]
+    assert (grads.abs() > 0).all()
+    half = model.predict(run, model.at_prior(), None, Numerics(time_step=0.5))
+    assert 0 < float(((half - plain) / SD).abs().max()) < 0.1
+
+
+def test_a_numerical_cause_blends_flights_beside_others(flown):
+    run, _ = flown
+    model = flight_model(quadcopter(), commands=NAMES, substeps=1)
+    cause, wind = NumericalEffect("time_step", Numerics(time_step=0.25)), causes.Wind()
+    q = model.at_prior().expand(3, -1)
+    # the kernel is of fourth order: only large multiples of what refining changes can be seen
+    sizes = {cause: tensor([[0.0], [4e5], [1e6]]), wind: tensor([[0.01, 0.0]] * 3)}
+    many = model.predict_many(run, q, sizes)
+    at = {wind: sizes[wind]}
+    coarse = model.predict_many(run, q, at)[0]
+    fine = model.predict_many(run, q, at, cause.refined)[0]
+    assert float(((many[2] - many[0]) / SD).abs().max()) > 0.01
+    expected = coarse + sizes[cause][..., None] * (fine - coarse)
+    torch.testing.assert_close(many, expected, atol=1e-7, rtol=0)
+
+
+# Physics, of one window with a known start: straight_up(effect) flies with equal thrusts.
+
+
+def straight_up(effect, at, thrust=1.2 * HOVER, steps=50, velocity=(0.0, 0.0, 0.0), **start):
+    """Channels (steps, 12) of a level flight from the origin after each step, and their times."""
+    command = {name: np.full(steps, thrust) for name in NAMES}
+    command["voltage_V"] = np.linspace(12.0, 9.0, steps)
+    run = Run("b", DT * np.arange(steps), np.zeros((steps, 12)), command, "g")
+    scene = flight_model(quadcopter(), commands=NAMES, base=(), window_s=DT * steps).build(
+        {}, run, Numerics()
+    )
+    scene = effect.apply(scene, at, run)
+    x12 = tensor([[0, 0, 0, 0, 0, 0, *velocity, 0, 0, 0]]).clone()
+    for place, value in start.items():
+        x12[0, {"yaw": 5, "p": 9, "q": 10, "r": 11}[place]] = value
+    # the thrusts of every sample, not of the one before
+    thrusts = torch.cat([scene.commands, scene.commands[:, -1:]], 1)
+    for change in scene.command_maps:
+        thrusts = change(thrusts, DT)
+    with torch.no_grad():
+        return Flyer(scene, 1).fly_thrusts(x12[None], thrusts[:, None, 1:])[0, 0], run.time_s + DT
+
+
+def test_wind_with_drag_is_the_closed_form():
+    """m v' = F - k T v: exact but for the drag's wind, held over a step."""
+
+    class Both(causes.Wind):
+        def apply(self, scene, amount, run):
+            scene = causes.RotorDragEffect().apply(scene, size(0.1), run)
+            return super().apply(scene, amount, run)
+
+    channels, t = straight_up(Both(), size(0.5, 0.0), thrust=HOVER)
+    rate = 0.1 * GRAVITY  # k T / m
+    want = 0.5 / rate * (t - (1 - np.exp(-rate * t)) / rate)
+    # the wind of the mid of a step is held over it: (k T / m) a dt^3 / 12 of place in each step
+    error = np.abs(channels[:, 0].numpy() - want)
+    assert (error <= rate * 0.5 * DT**2 / 12 * t + 1e-9).all()
+
+
+def test_unknown_wrench_of_constant_knots_is_wind_and_a_torque():
+    unknown = unknown_wrench(3, 1.0)
+    knots = torch.zeros(6, 3, dtype=torch.float64)
+    knots[0], knots[5] = 0.5, 0.1  # north, and yaw in 0.02 N m
+    found, t = straight_up(unknown, knots.flatten(), thrust=HOVER)
+    want, _ = straight_up(causes.Wind(), size(0.5, 0.0), thrust=HOVER)
+    torch.testing.assert_close(found[:, :3], want[:, :3], atol=1e-9, rtol=0)
+    np.testing.assert_allclose(found[:, 8], 0.1 * 0.02 / 0.02 * t, atol=1e-9)
+
+
+def test_wind_stays_and_body_tilt_turns():
+    pushed, t = straight_up(causes.Wind(), size(0.5, 0.0), thrust=HOVER, yaw=np.pi / 2)
+    np.testing.assert_allclose(pushed[:, 0], 0.25 * t**2, atol=1e-12)
+    leaning, _ = straight_up(causes.BodyTilt(), size(0.0, 0.02), thrust=HOVER, yaw=np.pi / 2)
+    # pitched by 0.02: thrust leans to the body's -x, which is west with the nose east
+    np.testing.assert_allclose(leaning[:, 0], 0.0, atol=1e-9)
+    np.testing.assert_allclose(leaning[:, 1], -0.5 * GRAVITY * 0.02 * t**2, rtol=1e-3, atol=1e-9)
+
+
+def test_inflow_ends_at_a_climb_speed():
+    """m v' = T (1 - k v) - m g, v upwards."""
+    k, lift = 0.2, 1.2 * GRAVITY
+    channels, t = straight_up(causes.Inflow(), size(k))
+    rate, final = k * lift, (1 - 1 / 1.2) / k
+    want = -final * (t - (1 - np.exp(-rate * t)) / rate)
+    # loss at the mean speed of a step: an error of second order
+    np.testing.assert_allclose(channels[:, 2], want, atol=(rate * DT) ** 2 / 12 * abs(want[-1]))
+
+
+def test_weak_rotor_centre_of_mass_and_curvature_push_as_levers_do():
+    arm, thrust = 0.2, HOVER
+    weak, _ = straight_up(causes.weak_rotor(0), size(0.05), thrust=thrust, steps=5)
+    # the front right rotor lacks 5 %: roll to the right, nose down, and yaw
+    want = 0.05 * thrust * np.array([arm / 0.01, -arm / 0.012, -0.015 * 1.0 / 0.02 * -1.0])
+    np.testing.assert_allclose(weak[0, 6:9] / DT, want, rtol=1e-3)
+    heavy, _ = straight_up(causes.CentreOfMass(), size(0.003, 0.0), thrust=thrust, steps=5)
+    np.testing.assert_allclose(heavy[0, 7] / DT, -0.003 * GRAVITY / 0.012, rtol=1e-6)
+    curved, _ = straight_up(causes.ThrustCurvature(), size(0.1), thrust=HOVER, steps=5)
+    np.testing.assert_allclose(curved[:, 11], -GRAVITY, rtol=1e-12)  # in hover it is not there
+    loaded, _ = straight_up(causes.ThrustCurvature(), size(0.1), thrust=2 * HOVER, steps=5)
+    np.testing.assert_allclose(loaded[:, 11], -2 * GRAVITY * (1 + 0.1 * HOVER / 8.0), rtol=1e-12)
+
+
+def test_voltage_exponent_is_the_power_of_the_voltage():
+    channels, t = straight_up(causes.VoltageExponent(), size(2.0), thrust=HOVER)
+    voltage = np.linspace(12.0, 9.0, len(t))
+    held = GRAVITY * (1.0 - (voltage / 12.0) ** 2)
+    velocity = np.cumsum(held * DT)
+    place = np.cumsum(velocity * DT - 0.5 * held * DT**2)
+    np.testing.assert_allclose(channels[:, 2], place, atol=1e-12)
+    # the accelerometer shows thrust alone
+    np.testing.assert_allclose(channels[:, 11], -GRAVITY + held, atol=1e-9)
+
+
+def test_drags_slow_down():
+    fast = {"thrust": HOVER, "velocity": (5.0, 0.0, 0.0)}
+    parasitic, t = straight_up(causes.ParasiticDrag(), size(0.1), **fast)
+    # m v' = -c v^2: x = m / c ln(1 + c v_0 t / m), held over a step at its mean speed: dt^2
+    np.testing.assert_allclose(parasitic[:, 0], 10.0 * np.log(1 + 0.5 * t), atol=0.25 * DT**2)
+    linear, _ = straight_up(causes.LinearDrag(), size(0.3), **fast)
+    np.testing.assert_allclose(linear[:, 0], 5.0 * (1 - np.exp(-0.3 * t)) / 0.3, atol=1e-8)
+    rotor, _ = straight_up(causes.RotorDragEffect(), size(0.05), **fast)
+    rate = 0.05 * GRAVITY
+    np.testing.assert_allclose(rotor[:, 0], 5.0 * (1 - np.exp(-rate * t)) / rate, atol=1e-8)
+
+
+def test_wake_takes_thrust_from_the_rear_only_in_fast_flight():
+    rest, _ = straight_up(causes.Wake(), size(0.1), thrust=HOVER, steps=5)
+    np.testing.assert_allclose(rest[:, 6:9], 0.0, atol=1e-9)
+    fast, _ = straight_up(causes.Wake(), size(0.1), thrust=HOVER, steps=5, velocity=(3.0, 0, 0))
+    # at v_h half the loss, times the rear rotors' share a / (a sqrt 2) of the largest arm
+    lost = 0.1 * 0.5 / np.sqrt(2) * HOVER
+    np.testing.assert_allclose(fast[0, 7] / DT, 2 * lost * 0.2 / 0.012, rtol=0.01)
+
+
+def test_gyroscopic_torque_is_minus_rates_cross_spin():
+    vehicle, amount = quadcopter(), 1e-4
+    rates = size(0.3, -0.5, 0.2)
+    thrusts = size(2.0, 2.5, 1.0, 1.5)
+
+    class Scene:
+        vehicle = Fleet.of([quadcopter()])
+        thrust_coefficient = 1e-5
+
+        def with_schedule(self, change):
+            return change
+
+    change = causes.Gyroscopic().apply(Scene(), size(amount), None)
+    still = torch.zeros(1, 1, 1, 3)
+    motion = Motion(Scene.vehicle, still, still, torch.eye(3)[None, None, None], rates + still)
+    more = (change(motion, thrusts[None, None, None]) - thrusts)[0, 0, 0]
+    # seen from above (z down), spins +1 turns clockwise: about +z
+    spin = amount * np.sum(np.sqrt(thrusts.numpy() / 1e-5) * np.array([1, 1, -1, -1]))
+    want = -np.cross(rates.numpy(), [0.0, 0.0, spin])
+    np.testing.assert_allclose(vehicle.torque_matrix @ more, want, atol=1e-12)
+    assert float(more.sum().abs()) < 1e-12
+
+
+def test_sensors_by_their_formulas():
+    plain, _ = straight_up(causes.PositionScale(), size(0.0), r=1.0, velocity=(1.0, 0, 0))
+    still = {"r": 1.0, "velocity": (1.0, 0.0, 0.0)}
+    larger, _ = straight_up(causes.PositionScale(), size(0.1), **still)
+    torch.testing.assert_close(larger[:, :3], 1.1 * plain[:, :3])
+    torch.testing.assert_close(larger[:, 3:], plain[:, 3:])
+    moved, t = straight_up(causes.MarkerPlacement(), size(0.01, 0.0, 0.0), **still)
+    np.testing.assert_allclose((moved - plain)[:, 0], 0.01 * np.cos(t), atol=1e-12)
+    np.testing.assert_allclose((moved - plain)[:, 1], 0.01 * np.sin(t), atol=1e-12)
+    # turned about its x by e, the unit's y sees z times e, its z minus y times e
+    tilted, _ = straight_up(causes.ImuTilt(), size(0.02, 0.0, 0.0), **still)
+    np.testing.assert_allclose(tilted[:, 7], plain[:, 7] + 0.02 * plain[:, 8], atol=1e-12)
+    np.testing.assert_allclose(tilted[:, 10], plain[:, 10] + 0.02 * plain[:, 11], atol=1e-12)
+
+
+def test_ground_effect_falls_with_the_square_of_the_height():
+    class Near(causes.GroundEffectCause):
+        def apply(self, scene, amount, run):
+            return super().apply(scene.changed(terrain_height=-0.3), amount, run)
+
+    channels, _ = straight_up(Near(), size(1.0), thrust=HOVER, steps=6)
+    gain = 1 + (0.12 / (4 * 0.3)) ** 2
+    np.testing.assert_allclose(channels[0, 11], -GRAVITY * gain, rtol=1e-4)
+
+
+def test_needs_and_errors(flown):
+    run, _ = flown
+    channels = tuple(Channel(f"c{i}", "-", "any") for i in range(12))
+    bare = replace(run, command={n: run.command[n] for n in NAMES}, setup={})
+    study = Study("s", "copter", channels, (bare,))
+    assert "voltage_V" in causes.VoltageExponent().needs(study)
+    assert actuator.Lag().needs(study) is None
+    with pytest.raises(ValueError, match="did you mean 'position'"):
+        flight_model(quadcopter(), commands=NAMES, sensors=["positon", "attitude"])
+    with pytest.raises(ValueError, match="one column per rotor"):
+        flight_model(quadcopter(), commands=NAMES[:3])
+    with pytest.raises(ValueError, match="command must be one of"):
+        predict(flight_model(quadcopter(), commands=["a", *NAMES[1:]]), run)
+    uneven = replace(run, time_s=run.time_s**1.1)
+    with pytest.raises(ValueError, match="evenly spaced"):
+        predict(flight_model(quadcopter(), commands=NAMES), uneven)
+    few = replace(run, measured=run.measured[:, :9])
+    with pytest.raises(ValueError, match="9 channels"):
+        predict(flight_model(quadcopter(), commands=NAMES), few)
+
+
+def test_weak_rotors_travel_between_processes():
+    again = pickle.loads(pickle.dumps(causes.weak_rotor(2)))
+    assert (again.name, again.index) == ("weak_rotor_3", 2)
+
+
+def test_profile_of_a_linear_model_is_ridge_regression():
+    rng = np.random.default_rng(0)
+    tangent = tensor(rng.standard_normal((20, 16)))
+    measured = tensor(rng.standard_normal((1, 20, 1)))
+
+    def predict(start):
+        return (start @ tangent.T)[..., None]
+
+    windows = Windows(torch.zeros(1, 16, dtype=torch.float64), measured, tensor([0.5]), [])
+    shooting = windows.settled(predict)
+    spread = np.array([0.3] * 3 + [0.2] * 3 + [1.0] * 6 + [2.0] * 4)
+    normal = 4 * tangent.T.numpy() @ tangent.numpy() + np.diag(spread**-2)
+    best = np.linalg.solve(normal, 4 * tangent.T.numpy() @ measured[0, :, 0].numpy())
+    found = shooting.profile(predict)[0, :, 0]
+    np.testing.assert_allclose(found, tangent.numpy() @ best, atol=1e-9)

@@ -1,0 +1,119 @@
+"""Signals on their way: against closed forms and scipy."""
+
+import numpy as np
+import pytest
+import torch
+from scipy import interpolate, signal
+
+from diffsim.systems import signals
+
+
+def column(values):
+    return torch.as_tensor(np.asarray(values), dtype=torch.float64)[:, None]
+
+
+@pytest.mark.order
+def test_sampling_is_of_fourth_order():
+    times = torch.linspace(0.0, 1.0, 137, dtype=torch.float64)
+    steps = [1 / 20, 1 / 40, 1 / 80]
+    errors = []
+    for dt in steps:
+        grid = np.arange(0, 1 + dt / 2, dt)
+        found = signals.sample(column(1 - np.cos(7 * grid)), dt, times)[:, 0]
+        errors.append(float((found - (1 - torch.cos(7 * times))).abs().max()))
+    assert np.polyfit(np.log(steps), np.log(errors), 1)[0] > 3.8
+
+
+def test_sampling_differentiates_times_and_holds_the_ends():
+    dt, values = (
+        0.1,
+        torch.randn(9, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0)),
+    )
+    times = torch.tensor([0.03, 0.27, 0.55], dtype=torch.float64, requires_grad=True)
+    values.requires_grad_()
+    assert torch.autograd.gradcheck(lambda v, t: signals.sample(v, dt, t), (values, times))
+    outside = signals.sample(values, dt, torch.tensor([-1.0, 5.0], dtype=torch.float64))
+    torch.testing.assert_close(outside, values[[0, -1]])
+    with pytest.raises(ValueError, match="five steps"):
+        signals.sample(values[:4], dt, times)
+
+
+def test_lag_is_that_of_a_linear_system():
+    rng = np.random.default_rng(0)
+    dt, u = 0.02, np.cumsum(rng.standard_normal(60))
+    for tau in (0.003, 0.05, 1.0):
+        system = signal.StateSpace([[-1 / tau]], [[1 / tau]], [[1.0]], [[0.0]])
+        _, want, _ = signal.lsim(system, u, dt * np.arange(60), X0=[u[0]])
+        got = signals.lagged(column(u), dt, torch.tensor(tau, dtype=torch.float64))[:, 0]
+        np.testing.assert_allclose(got, want, atol=1e-9)  # lsim's matrix exponential
+
+
+def test_small_lag_and_delay_have_minus_the_slope():
+    dt = 0.01
+    t = dt * torch.arange(50, dtype=torch.float64)
+    u, slope = torch.sin(3 * t)[:, None], 3 * torch.cos(3 * t)
+    for change in (signals.lagged, signals.delayed):
+        _, got = torch.autograd.functional.jvp(
+            lambda size, change=change: change(u, dt, size),
+            torch.zeros((), dtype=torch.float64),
+            torch.ones((), dtype=torch.float64),
+        )
+        # straight lines: the slope over a step is off by dt u'' / 2
+        torch.testing.assert_close(got[1:-1, 0], -slope[1:-1], atol=0.5 * dt * 9 + 1e-6, rtol=0)
+
+
+def test_delay_shifts_samples():
+    u = column([0, 1, 4, 9, 16, 25])
+    got = signals.delayed(u, 0.1, torch.tensor(0.2, dtype=torch.float64))
+    torch.testing.assert_close(got, column([0, 0, 0, 1, 4, 9]))
+
+
+def test_delay_between_samples_is_a_monotone_cubic():
+    rng = np.random.default_rng(0)
+    u, dt = np.round(rng.standard_normal(30), 1), 0.1
+    delay = 0.034
+    got = signals.delayed(column(u), dt, torch.tensor(delay, dtype=torch.float64))
+    t = dt * np.arange(30)
+    want = interpolate.PchipInterpolator(t, u)(t - delay)
+    np.testing.assert_allclose(got[2:-1, 0], want[2:-1], atol=1e-12)  # its ends are not held
+
+
+def test_dead_band_backlash_and_saturation_by_hand():
+    u = column([0, 1, 3, 2, 1, -2])
+    half = torch.tensor(0.5, dtype=torch.float64)
+    torch.testing.assert_close(signals.dead_band(u, half), column([0, 0.5, 2.5, 1.5, 0.5, -1.5]))
+    torch.testing.assert_close(signals.backlash(u, half), column([0, 0.5, 2.5, 2.5, 1.5, -1.5]))
+    neutral = torch.zeros(1, dtype=torch.float64)
+    got = signals.saturated(u, torch.tensor(1 / 3, dtype=torch.float64), neutral)
+    torch.testing.assert_close(got, column([0, 1, 2, 2, 1, -2]))
+
+
+def held_means(u, dt, response, fine=4000):
+    """Mean over each step of a response to a held command, by brute force."""
+    t = (np.arange(len(u) * fine) + 0.5) * dt / fine
+    return response(np.repeat(u, fine), t).reshape(len(u), fine).mean(1)
+
+
+def test_held_lag_and_delay_are_means_over_steps():
+    rng = np.random.default_rng(0)
+    u, dt, tau = rng.standard_normal(8), 0.01, 0.013
+
+    def late(fine, t):
+        return u[np.clip(np.floor((t - 0.024) / dt).astype(int), 0, 7)]
+
+    got = signals.held_delayed(column(u), dt, torch.tensor(0.024, dtype=torch.float64))[:, 0]
+    np.testing.assert_allclose(got, held_means(u, dt, late), atol=1e-12)
+
+    def lagging(fine, t):
+        h = t[1] - t[0]
+        share = -np.expm1(-h / tau)
+        y, out = u[0], []
+        for target in fine:
+            out.append(y + (target - y) * 0.5 * share)
+            y += (target - y) * share
+        return np.array(out)
+
+    got = signals.held_lagged(column(u), dt, torch.tensor(tau, dtype=torch.float64))[:, 0]
+    np.testing.assert_allclose(got, held_means(u, dt, lagging), atol=1e-6)  # midpoints
+    none = signals.held_lagged(column(u), dt, torch.zeros((), dtype=torch.float64))[:, 0]
+    np.testing.assert_allclose(none, u)

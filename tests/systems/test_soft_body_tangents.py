@@ -1,0 +1,183 @@
+"""Soft-body bed: columns by tangents of the simulation against differences of whole simulations.
+
+Both difference with a step of 0.002, one what is cheap and the other the record. Central
+differences are then wrong by about 1e-5 of a column, and the solver's tolerance of 1e-11 adds 1e-8.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from diffsim.data.study import Channel, Run
+from diffsim.identify import Jacobian, Parameter, Problem, SimModel, WhiteNoise
+from diffsim.systems import actuator, library
+from diffsim.systems.soft_body import SoftModel, beam_model, tendon_model, unknown_force
+from diffsim.systems.soft_body import forces as soft_forces
+from diffsim.systems.soft_body.scene import Force
+from tests.systems.test_soft_body import BAR
+
+CELLS = (4, 1, 1)
+SMOOTH = [e for e in library("soft_body") if e.smooth]
+AIR = [e for e in SMOOTH if e.kind != "actuator" and e.name != "delay"]
+NOISE = WhiteNoise([Channel(c, "m", "position", sd=1e-3) for c in "xyz"])
+
+
+def record(until_s=0.15, **command):
+    time = np.arange(0.0, until_s + 1e-9, 0.01)
+    values = {name: signal(time) for name, signal in command.items()}
+    return Run("a", time, np.zeros((len(time), 3)), values, "g", order=2)
+
+
+SWAY = {
+    "support_x_m": lambda time: 1e-3 * np.sin(30.0 * time),
+    "support_z_m": lambda time: 5e-4 * np.sin(25.0 * time),
+}
+FREE = record(**SWAY)
+PULLED = record(shortening=lambda time: 0.03 * np.sin(2 * np.pi * 3.0 * time) ** 2)
+
+
+def beam(**changes):
+    return beam_model(BAR, **{"cells": CELLS, "dt_s": 8e-3, "rtol": 1e-11, "runs": ["a"]} | changes)
+
+
+def tendon(**changes):
+    return tendon_model(**{"cells": (4, 1, 2), "dt_s": 8e-3, "rtol": 1e-11} | changes)
+
+
+def problem_of(model, run, *effects):
+    return Problem(model, (run,), NOISE, effects, Jacobian(step=2e-3))
+
+
+def assert_alike(problem, x, rtol=1e-4):
+    residual, found = problem.linearise(x)
+    simulated = replace(problem, jacobian=Jacobian(method="differences", step=2e-3))
+    expected_residual, expected = simulated.linearise(x)
+    np.testing.assert_allclose(residual, expected_residual, atol=1e-6)
+    for k, name in enumerate(problem.names):
+        error = np.linalg.norm(found[:, k] - expected[:, k])
+        assert error <= rtol * np.linalg.norm(expected[:, k]) + 1e-9, name
+
+
+def simulations(monkeypatch):
+    """Counts scenes that are simulated as a whole."""
+    count = []
+    simulate = SimModel.simulate_scenes
+
+    def counted(self, scenes):
+        count.extend(scenes)
+        return simulate(self, scenes)
+
+    monkeypatch.setattr(SimModel, "simulate_scenes", counted)
+    return count
+
+
+@pytest.mark.parametrize("integrator", ["bdf2", "implicit_midpoint"])
+def test_every_effect_at_zero(integrator, monkeypatch):
+    count = simulations(monkeypatch)
+    effects = AIR if integrator == "bdf2" else AIR[:3]
+    problem = problem_of(beam(integrator=integrator), FREE, *effects)
+    x = np.zeros(len(problem.names))
+    problem.linearise(x)
+    assert not count  # no column is simulated
+    assert_alike(problem, x)
+
+
+def test_effects_that_act():
+    """Forces that remember, of the speed and of the material, at sizes that matter."""
+    problem = problem_of(beam(), FREE, *AIR)
+    x = np.array([0.3 if n.split(".")[0] in ACTING else 0.0 for n in problem.names])
+    assert_alike(problem, x)
+
+
+ACTING = (
+    "support_motion",
+    "loss_factor",
+    "stiffening",
+    "linear_drag",
+    "dry_friction",
+    "tilt",
+    "release_time@a",
+)
+
+
+def test_tendon_from_equilibrium():
+    """A command on its way through a lag, a start that depends on the material, no forces."""
+    effects = tuple(e for e in SMOOTH if e.name in ("lag", "weight", "sensor_scale", "delay"))
+    late = actuator.CommandDelay()
+    for delay in (effects, (*(e for e in effects if e.name != "delay"), late)):
+        problem = problem_of(tendon(), PULLED, *delay)
+        x = np.zeros(len(problem.names))
+        assert_alike(problem, x)
+
+
+def test_tendon_in_water():
+    """Drag, in a start that is sought with the forces and in the motion."""
+    problem = problem_of(tendon(water=True), PULLED, soft_forces.LinearDrag())
+    x = np.zeros(len(problem.names))
+    x[-1] = 0.2
+    assert_alike(problem, x)
+
+
+def test_unknown_force():
+    effect = unknown_force(3, 0.2)
+    problem = problem_of(beam(), FREE, soft_forces.LinearDrag(), effect)
+    x = np.zeros(len(problem.names))
+    x[3] = 0.3
+    assert_alike(problem, x)
+
+
+def test_non_smooth_effects_are_simulated(monkeypatch):
+    band = actuator.DeadBand()
+    problem = problem_of(tendon(), PULLED, band)
+    x = np.zeros(len(problem.names))
+    count = simulations(monkeypatch)
+    _, found = problem.linearise(x, screen=True)
+    assert len(count) == 2  # here, and where the secant ends
+    by_differences = replace(problem, jacobian=Jacobian(method="differences"))
+    _, expected = by_differences.linearise(x, screen=True)
+    np.testing.assert_allclose(found[:, -1], expected[:, -1], atol=1e-9)
+
+
+class OldHook(Force):
+    """Understands single states only, as hooks may."""
+
+    def __init__(self, size):
+        self._size, self._seen = size, 0.0
+
+    def __call__(self, scene, moment):
+        self._seen = self._seen + moment.v[-1, 2]
+        force = torch.zeros_like(moment.x)
+        force[-1] = -self._size * self._seen
+        return force
+
+
+class Remembering(soft_forces.LinearDrag):
+    typical = 2e-3
+
+    def apply(self, scene, size, run):
+        return scene.with_force(lambda: OldHook(size[0]))
+
+
+def test_hooks_and_observers_without_leading_axes():
+    plain = beam()
+
+    def build(values, run, numerics):
+        scene = plain.build(values, run, numerics)
+        nodes = [-1, -2]
+        return scene.changed(observe=lambda x: x[nodes].mean(0) + values["place"])
+
+    model = SoftModel(build, (*plain.base, Parameter("place", 0.0, 1e-3, "m")))
+    problem = problem_of(model, FREE, Remembering(), soft_forces.LinearDrag())
+    x = np.zeros(len(problem.names))
+    x[-2:] = 0.3
+    assert_alike(problem, x)
+
+
+def test_explicit_steps_fall_back_to_differences(monkeypatch):
+    model = beam(integrator="semi_implicit_euler", dt_s=5e-5, cells=(2, 1, 1))
+    problem = problem_of(model, record(0.02))
+    count = simulations(monkeypatch)
+    problem.linearise(np.zeros(len(problem.names)))
+    assert len(count) == 1 + 2 * len(problem.names)
