@@ -10,6 +10,7 @@ from pathlib import Path
 import torch
 
 from diffsim.core.files import write_json_atomic
+from diffsim.optim import LogError
 from diffsim.stokes.devices import DEVICES, Device, Optimum, coarse_to_fine, make, optimise
 from diffsim.viz.device_evolution import draw_shapes
 from diffsim.viz.device_files import export
@@ -170,6 +171,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         again = ", the same command goes on" if given.out else ""
         print(f"interrupted{again}", file=sys.stderr)
         return 130
+    except LogError as error:
+        print(error, file=sys.stderr)
+        return 2
     return 0
 
 
