@@ -24,7 +24,7 @@ import argparse
 import torch
 from torch import Tensor
 
-from diffsim.cli.devices import run
+from diffsim.cli.device_design import run
 from diffsim.stokes import devices
 from diffsim.stokes.devices.losses import area, mean_velocity
 

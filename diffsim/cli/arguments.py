@@ -1,0 +1,18 @@
+"""Argument types that several commands share."""
+
+from __future__ import annotations
+
+import argparse
+
+
+def positive(text: str) -> int:
+    """A whole number from 1."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"must be 1 or more, got {value}")
+    return value
+
+
+def names(text: str) -> tuple[str, ...]:
+    """Names parted by commas; blanks do not count."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())
