@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from diffsim.core.files import to_plain
 from diffsim.data.beam import BeamStudy
 from diffsim.data.importers.silicone_beam import import_silicone_beam
-from diffsim.demo.plan import Plan
-
-if TYPE_CHECKING:
-    from diffsim.diagnose import Report
+from diffsim.diagnose import Report, diagnose
+from diffsim.identify import SearchSettings
+from diffsim.systems.published import silicone_beam
+from examples.demo.plan import Plan
 
 SKIPPED = (
     "These recordings were computed by the virtual laboratory: a cause found in them would say "
@@ -37,11 +37,6 @@ def describe(study: BeamStudy, plan: Plan) -> dict[str, Any]:
         return {"skipped": SKIPPED}
     if not plan.diagnosis_effects:
         return {"skipped": NOT_RUN}
-    # the diagnosis uses the demo's beam, so it cannot be there before it
-    from diffsim.diagnose import diagnose
-    from diffsim.identify import SearchSettings
-    from diffsim.systems.published import silicone_beam
-
     began = time.process_time()
     made = silicone_beam.setup(
         import_silicone_beam(study.folder),

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from diffsim.data.beam import BeamStudy
-from diffsim.demo import verdict
-from diffsim.demo.measured import COMPARE_S, moving_tip_mass
-from diffsim.demo.numerics import euler_damping_ratio
+from diffsim.data.beam_motion import COMPARE_S, moving_tip_mass
 from diffsim.viz import figures
 from diffsim.viz.figures import COLOURS, INK, SOFT
 from diffsim.viz.report import Picture, Section, Table
+from examples.demo import verdict
+from examples.demo.numerics import euler_damping_ratio
 
 INTEGRATOR_NAMES = {
     "implicit_euler": "implicit Euler",

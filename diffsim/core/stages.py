@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import diffsim
 from diffsim.core.files import to_plain, write_json_atomic
 
 Result = dict[str, Any]
@@ -66,10 +65,21 @@ def file_digest(paths: list[Path]) -> str:
     return digest.hexdigest()
 
 
-def code_digest() -> str:
-    """SHA-256 of the package as installed: sources and compiled parts."""
-    root = Path(diffsim.__file__).parent
-    return file_digest(sorted(p for p in root.rglob("*") if p.suffix in (".py", ".so", ".j2")))
+def code_digest(*folders: Path) -> str:
+    """SHA-256 of the package as installed, sources and compiled parts, and of further folders.
+
+    Args:
+        folders: Code outside the package that the stages run.
+    """
+    package = Path(__file__).parents[1]
+    return file_digest(
+        sorted(
+            path
+            for folder in (package, *folders)
+            for path in folder.rglob("*")
+            if path.suffix in (".py", ".so", ".j2")
+        )
+    )
 
 
 def _read(path: Path) -> Result | None:

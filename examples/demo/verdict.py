@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from diffsim.data.beam import BeamStudy
-from diffsim.demo.measured import moving_tip_mass
-from diffsim.demo.numerics import euler_damping_ratio
+from diffsim.data.beam_motion import moving_tip_mass
+from examples.demo.numerics import euler_damping_ratio
 
 
 def sentences(study: BeamStudy, results: dict[str, Any]) -> list[str]:

@@ -10,13 +10,13 @@ import torch
 
 from diffsim.data import signal
 from diffsim.data.beam import BeamStudy, BeamTrial
-from diffsim.demo import verdict
-from diffsim.demo.compare import window
-from diffsim.demo.ladder import Rung, run_of
-from diffsim.demo.measured import COMPARE_S, RING_DOWN_START_S
-from diffsim.demo.measured_page import case_title
+from diffsim.data.beam_motion import COMPARE_S, RING_DOWN_START_S
+from diffsim.systems.soft_body.tip_window import window
 from diffsim.viz import figures
 from diffsim.viz.report import Picture, Section, Table
+from examples.demo import verdict
+from examples.demo.ladder import Rung, run_of
+from examples.demo.page_measured import case_title
 
 ROLE = {"published": "published", "identified": "fitted", "joint": "third"}
 SHOWN = {False: ("published", "identified"), True: ("published", "identified", "joint")}

@@ -8,7 +8,7 @@ import numpy as np
 
 from diffsim.data import signal
 from diffsim.data.beam import BeamStudy, BeamTrial
-from diffsim.demo.measured import COMPARE_S, moving_tip_mass, ring_down
+from diffsim.data.beam_motion import COMPARE_S, moving_tip_mass, ring_down
 from diffsim.viz import figures
 from diffsim.viz.report import Picture, Section, Table
 

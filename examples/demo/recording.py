@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from diffsim.data.beam import TIP_MARKERS, BeamStudy
-from diffsim.demo.ladder import Rung, run_of
-from diffsim.demo.measured import COMPARE_S
+from diffsim.data.beam_motion import COMPARE_S
 from diffsim.viz import scene
 from diffsim.viz.figures import COLOURS
 from diffsim.viz.frames import triangles
+from examples.demo.ladder import Rung, run_of
 
 ROLE = {"published": "published", "identified": "fitted", "mass": "third", "joint": "fourth"}
 ASIDE_M = 0.07  # beams stand side by side, so that they can be seen

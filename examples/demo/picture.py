@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.data.beam import TIP_MARKERS, BeamStudy
-from diffsim.demo import verdict
-from diffsim.demo.measured import COMPARE_S
+from diffsim.data.beam_motion import COMPARE_S
 from diffsim.viz import figures
 from diffsim.viz._require import optional
 from diffsim.viz.figures import COLOURS, INK, SOFT
+from examples.demo import verdict
 
 Array = NDArray[np.float64]
 SIZE_INCH, DPI = (12.0, 5.4), 100

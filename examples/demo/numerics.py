@@ -10,10 +10,10 @@ import torch
 
 from diffsim.data import signal
 from diffsim.data.beam import BeamGeometry
-from diffsim.demo.measured import RING_DOWN_START_S
-from diffsim.demo.plan import Plan
-from diffsim.demo.workers import Workers
+from diffsim.data.beam_motion import RING_DOWN_START_S
 from diffsim.systems.soft_body.clamped_beam import Beam
+from examples.demo.plan import Plan
+from examples.demo.workers import Workers
 
 INTEGRATORS = ("implicit_euler", "bdf2", "implicit_midpoint")
 LENGTH_S = 1.0

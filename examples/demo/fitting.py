@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from diffsim.data.beam import BeamGeometry, BeamTrial
-from diffsim.demo.compare import MAX_RELEASE_SHIFT_S, window
-from diffsim.demo.identify import Unknown, fit
-from diffsim.demo.plan import Plan
-from diffsim.demo.workers import Workers
 from diffsim.systems.soft_body.clamped_beam import Beam, Setup
+from diffsim.systems.soft_body.tip_window import MAX_RELEASE_SHIFT_S, window
+from examples.demo.identify import Unknown, fit
+from examples.demo.plan import Plan
+from examples.demo.workers import Workers
 
 Residual = Callable[[Mapping[str, Tensor]], Tensor]
 LOW_PA, HIGH_PA = 20e3, 5e6

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from diffsim.demo.plan import Plan
+from examples.demo.plan import Plan
 
 #: Coarse and short: two fits in a few seconds. Its mesh is 30-40 % too stiff, by the locking that
 #: the mesh study measures and the tests below take out again.
@@ -26,10 +26,10 @@ TINY = Plan(
 def virtual_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     pytest.importorskip("matplotlib", reason="the demo's page needs diffsim-robot[viz]")
     pytest.importorskip("jinja2", reason="the demo's page needs diffsim-robot[viz]")
-    from diffsim import demo
+    from examples import demo
 
     out = tmp_path_factory.mktemp("demo") / "run"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("diffsim.demo.find_dataset", lambda *_: None)
+        patch.setattr("examples.demo.story.find_dataset", lambda *_: None)
         results = demo.run(out=out, plan=TINY, threads=2)
     return out, results

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from diffsim.data.beam import BeamStudy
-from diffsim.demo import measured_page, page_causes, page_diagnosis, page_ladder, verdict
-from diffsim.demo.ladder import Rung
-from diffsim.demo.plan import Plan
 from diffsim.viz import report as rp
+from examples.demo import page_causes, page_diagnosis, page_ladder, page_measured, verdict
+from examples.demo.ladder import Rung
+from examples.demo.plan import Plan
 
 
 def report(
@@ -34,7 +34,7 @@ def report(
             page_causes.weight(study, results),
             page_causes.mesh(study, results),
             page_ladder.identification(study, results),
-            measured_page.section(study, results["measured"]),
+            page_measured.section(study, results["measured"]),
             page_diagnosis.section(results["diagnosis"], plan),
         ],
         held_fixed=_held_fixed(study, plan),

@@ -7,8 +7,8 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from diffsim.demo.compare import Window, rms, sampling_matrix, window
 from diffsim.systems.soft_body.markers import marker_weights
+from diffsim.systems.soft_body.tip_window import Window, rms, sampling_matrix, window
 
 MARKERS = np.array([[0.0, 0.015, 0.036], [0.0, -0.006, 0.024], [0.0, 0.036, 0.006]])
 

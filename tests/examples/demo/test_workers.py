@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from diffsim.demo.workers import Stopped, Workers
+from examples.demo.workers import Stopped, Workers
 
 
 @pytest.mark.parametrize("threads", [1, 3])

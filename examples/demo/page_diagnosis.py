@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from diffsim.demo.plan import Plan
 from diffsim.viz.report import Picture, Section, Table
+from examples.demo.plan import Plan
 
 TITLE = "What the simulation still gets wrong, and why"
 COLUMNS = ("cause", "status", "size (90 %)", "nats", "held-out gain (90 %)", "may also be")

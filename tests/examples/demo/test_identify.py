@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.demo.identify import Unknown, fit
+from examples.demo.identify import Unknown, fit
 
 T = torch.arange(0, 2, 0.01, dtype=torch.float64)
 

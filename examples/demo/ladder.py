@@ -11,15 +11,15 @@ import numpy as np
 import torch
 
 from diffsim.core.files import write_bytes_atomic
+from diffsim.core.stages import file_digest
 from diffsim.data.beam import BeamGeometry, BeamStudy, BeamTrial
-from diffsim.demo.compare import MAX_RELEASE_SHIFT_S, rms, window
-from diffsim.demo.measured import COMPARE_S
-from diffsim.demo.numerics import motion
-from diffsim.demo.plan import Plan
-from diffsim.demo.stages import file_digest
-from diffsim.demo.workers import Workers
+from diffsim.data.beam_motion import COMPARE_S
 from diffsim.systems.soft_body.clamped_beam import Beam, Release, Setup
+from diffsim.systems.soft_body.tip_window import MAX_RELEASE_SHIFT_S, rms, window
 from diffsim.viz.frames import pack, surface_quads
+from examples.demo.numerics import motion
+from examples.demo.plan import Plan
+from examples.demo.workers import Workers
 
 FRAME_S = 0.01  # of the kept surface, as the camera's
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from typing import Any
 
 from diffsim.data.beam import BeamGeometry
-from diffsim.demo.plan import Plan
-from diffsim.demo.workers import Workers
 from diffsim.systems.soft_body.clamped_beam import Beam, Setup, timoshenko_sag
+from examples.demo.plan import Plan
+from examples.demo.workers import Workers
 
 
 def describe(bar: BeamGeometry, plan: Plan, workers: Workers) -> dict[str, Any]:

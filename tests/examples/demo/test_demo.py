@@ -15,10 +15,11 @@ import pytest
 pytest.importorskip("matplotlib", reason="the demo's page needs diffsim-robot[viz]")
 pytest.importorskip("jinja2", reason="the demo's page needs diffsim-robot[viz]")
 
-from diffsim import cli, demo
+from diffsim import cli
 from diffsim.data import find_dataset
-from diffsim.demo.numerics import euler_damping_ratio
-from tests.demo.conftest import TINY
+from examples import demo
+from examples.demo.numerics import euler_damping_ratio
+from tests.examples.demo.conftest import TINY
 
 pytestmark = pytest.mark.example
 
@@ -116,13 +117,13 @@ def test_recording_for_rerun(virtual_run):
 
 def test_resume_reuses_every_stage_and_gives_the_same_numbers(virtual_run, monkeypatch):
     out, first = virtual_run
-    monkeypatch.setattr("diffsim.demo.find_dataset", lambda *_: out / "virtual_beam")
+    monkeypatch.setattr("examples.demo.story.find_dataset", lambda *_: out / "virtual_beam")
 
     def forbidden(*_, **__):
         raise AssertionError("a finished stage was computed again")
 
-    monkeypatch.setattr("diffsim.demo.ladder.simulate", forbidden)
-    monkeypatch.setattr("diffsim.demo.fitting.fit_motion", forbidden)
+    monkeypatch.setattr("examples.demo.ladder.simulate", forbidden)
+    monkeypatch.setattr("examples.demo.fitting.fit_motion", forbidden)
     again = demo.run(out=out, plan=TINY, resume=True, threads=1)
     assert again["verdict"] == first["verdict"]
     with pytest.raises(AssertionError, match="computed again"):  # another plan is another key
@@ -131,12 +132,12 @@ def test_resume_reuses_every_stage_and_gives_the_same_numbers(virtual_run, monke
 
 def test_ctrl_c_keeps_finished_stages(virtual_run, tmp_path, monkeypatch, capsys):
     folder = virtual_run[0] / "virtual_beam"
-    monkeypatch.setattr("diffsim.demo.find_dataset", lambda *_: folder)
+    monkeypatch.setattr("examples.demo.story.find_dataset", lambda *_: folder)
 
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("diffsim.demo.numerics.describe", interrupted)
+    monkeypatch.setattr("examples.demo.numerics.describe", interrupted)
     command = ["demo", "--quick", "--out", str(tmp_path / "run"), "--threads", "1"]
     assert cli.main(command) == 130
     stages = {path.stem for path in (tmp_path / "run" / "stages").glob("*.json")}
@@ -147,7 +148,7 @@ def test_ctrl_c_keeps_finished_stages(virtual_run, tmp_path, monkeypatch, capsys
 
 def test_command_prints_the_verdict(virtual_run, monkeypatch, capsys):
     out, results = virtual_run
-    monkeypatch.setattr("diffsim.demo.run", lambda **_: results)
+    monkeypatch.setattr("examples.demo.story.run", lambda **_: results)
     demo.main(quick=True)
     told = capsys.readouterr().out
     assert "VIRTUAL DATA" in told and str(out / "report.html") in told

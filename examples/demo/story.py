@@ -1,4 +1,4 @@
-"""The demo: a silicone beam, measured against simulated, on one page (``diffsim demo``)."""
+"""The story in its order: recordings, meshes, stiffness, damping, fits, models, diagnosis, page."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from typing import Any
 
 from diffsim import __version__
 from diffsim.core.files import write_bytes_atomic, write_json_atomic
+from diffsim.core.stages import Stages, code_digest, file_digest
+from diffsim.data import beam_motion
 from diffsim.data.beam import BeamStudy, load_beam_study
 from diffsim.data.recording import find_dataset
 from diffsim.data.virtual_lab import write_beam_study
-from diffsim.demo import diagnosis, fitting, ladder, measured, mesh_study, numerics, verdict
-from diffsim.demo.plan import FULL, QUICK, Plan
-from diffsim.demo.stages import Stages, code_digest, file_digest
-from diffsim.demo.workers import Workers
+from examples.demo import diagnosis, fitting, ladder, mesh_study, numerics, verdict
+from examples.demo.plan import FULL, QUICK, Plan
+from examples.demo.workers import Workers
 
 VIRTUAL_BANNER = (
     "VIRTUAL DATA. No measured recordings were found, so these were computed by diffsim's "
@@ -65,7 +66,7 @@ def run(
     files = [study.folder / "metadata.yaml", *(t.recording.source for t in study.trials)]
     settings = {
         "version": __version__,
-        "code": code_digest(),
+        "code": code_digest(Path(__file__).parent),
         "plan": repr(plan),
         "data": file_digest([path for path in files if path is not None]),
     }
@@ -120,7 +121,7 @@ def _compute(
     results: dict[str, Any] = {"is_virtual": study.is_virtual, "data": str(study.folder)}
 
     workers.stage("recordings", 0)
-    told = results["measured"] = stages.run("measured", lambda: measured.describe(study))
+    told = results["measured"] = stages.run("measured", lambda: beam_motion.describe(study))
     workers.stage("meshes", 0)
     results["mesh"] = stages.run("mesh", lambda: mesh_study.describe(bar, plan, workers))
 
@@ -216,7 +217,7 @@ def _write_extras(
     study: BeamStudy, results: dict[str, Any], models: list[ladder.Rung], out: Path
 ) -> dict[str, str | None]:
     """Figure files and, where rerun is installed, the recording."""
-    from diffsim.demo import picture, recording
+    from examples.demo import picture, recording
 
     figure = write_bytes_atomic(out / "figures" / "beam.png", picture.beam(study, results))
     try:
@@ -234,8 +235,8 @@ def _write_extras(
 def _write_page(
     study: BeamStudy, results: dict[str, Any], models: list[ladder.Rung], plan: Plan, out: Path
 ) -> None:
-    from diffsim.demo import page
     from diffsim.viz import report as rp
+    from examples.demo import page
 
     banner = VIRTUAL_BANNER if study.is_virtual else None
     rp.write(page.report(study, results, models, plan, banner), out / "report.html")
