@@ -1,8 +1,10 @@
-"""Argument types that several commands share."""
+"""Argument types and defaults that several files share."""
 
 from __future__ import annotations
 
 import argparse
+
+DIAGNOSES = "runs/diagnose"  # folder of the results, one folder per study
 
 
 def positive(text: str) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from diffsim.cli.arguments import names, positive
+from diffsim.cli.arguments import DIAGNOSES, names, positive
 
 HELP = "what a simulation gets wrong against recorded runs"
 STEPS = {
@@ -15,7 +15,6 @@ STEPS = {
     "extend": "refit a saved extended model, and measure its gain on held-out runs",
     "next": "which run to record next to settle what is open",
 }
-DEFAULT_OUT = "runs/diagnose"
 
 
 def add_arguments(parser: argparse.ArgumentParser, common: argparse.ArgumentParser) -> None:
@@ -47,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser, common: argparse.ArgumentPars
 
 def _judging(step: argparse.ArgumentParser) -> None:
     step.add_argument(
-        "--out", type=Path, help=f"folder of the results (default: {DEFAULT_OUT}/STUDY)"
+        "--out", type=Path, help=f"folder of the results (default: {DIAGNOSES}/STUDY)"
     )
     step.add_argument("--seed", type=int, default=0, help="of the bootstrap (default: 0)")
     step.add_argument(

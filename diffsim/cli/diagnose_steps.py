@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from diffsim.cli.diagnose import DEFAULT_OUT
+from diffsim.cli.arguments import DIAGNOSES
 from diffsim.cli.diagnose_inputs import changed, inputs_of, read_study
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_json_atomic
@@ -66,7 +66,7 @@ def _inputs(args: argparse.Namespace) -> tuple[Inputs, Path]:
         workers=args.workers,
         accept_numerics=args.accept_numerics,
     )
-    return inputs, args.out or Path(DEFAULT_OUT) / study.name
+    return inputs, args.out or Path(DIAGNOSES) / study.name
 
 
 def _fit(args: argparse.Namespace) -> None:

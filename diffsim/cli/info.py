@@ -8,8 +8,8 @@ import os
 import platform
 from pathlib import Path
 
-from diffsim import __version__
 from diffsim.core import paths
+from diffsim.core.version import __version__
 
 HELP = "versions, processor, data folder"
 

@@ -8,7 +8,6 @@ import shlex
 import sys
 from collections.abc import Sequence
 
-from diffsim import __version__
 from diffsim.cli import (
     demo,
     devices,
@@ -21,6 +20,7 @@ from diffsim.cli import (
     track,
 )
 from diffsim.core.errors import DiffsimError
+from diffsim.core.version import __version__
 
 EXIT_MISTAKE = 2  # what argparse uses too
 EXIT_INTERRUPTED = 130  # 128 + SIGINT
