@@ -11,8 +11,8 @@ from dataclasses import asdict
 from typing import Any
 
 from diffsim.core.files import to_plain
-from diffsim.data.beam import BeamStudy
-from diffsim.data.importers.silicone_beam import import_silicone_beam
+from diffsim.data import BeamStudy
+from diffsim.data.importers import import_silicone_beam
 from diffsim.diagnose import Report, diagnose
 from diffsim.identify import SearchSettings
 from diffsim.systems.published import silicone_beam

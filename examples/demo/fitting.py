@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.data.beam import BeamGeometry, BeamTrial
+from diffsim.data import BeamGeometry, BeamTrial
 from diffsim.systems.soft_body.clamped_beam import Beam, Setup
 from diffsim.systems.soft_body.tip_window import MAX_RELEASE_SHIFT_S, window
 from examples.demo.identify import Unknown, fit

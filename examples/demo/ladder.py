@@ -12,7 +12,7 @@ import torch
 
 from diffsim.core.files import write_bytes_atomic
 from diffsim.core.stages import file_digest
-from diffsim.data.beam import BeamGeometry, BeamStudy, BeamTrial
+from diffsim.data import BeamGeometry, BeamStudy, BeamTrial
 from diffsim.data.beam_motion import COMPARE_S
 from diffsim.systems.soft_body.clamped_beam import Beam, Release, Setup
 from diffsim.systems.soft_body.tip_window import MAX_RELEASE_SHIFT_S, rms, window

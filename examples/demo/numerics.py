@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from diffsim.data import signal
-from diffsim.data.beam import BeamGeometry
+from diffsim.data import BeamGeometry, signal
 from diffsim.data.beam_motion import RING_DOWN_START_S
 from diffsim.systems.soft_body.clamped_beam import Beam
 from examples.demo.plan import Plan

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from diffsim.data.beam import BeamStudy
+from diffsim.data import BeamStudy
 from diffsim.viz import report as rp
 from examples.demo import page_causes, page_diagnosis, page_ladder, page_measured, verdict
 from examples.demo.ladder import Rung

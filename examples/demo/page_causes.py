@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.data.beam import BeamStudy
+from diffsim.data import BeamStudy
 from diffsim.data.beam_motion import COMPARE_S, moving_tip_mass
 from diffsim.viz import figures
 from diffsim.viz.figures import COLOURS, INK, SOFT

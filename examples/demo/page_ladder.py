@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from diffsim.data import signal
-from diffsim.data.beam import BeamStudy, BeamTrial
+from diffsim.data import BeamStudy, BeamTrial, signal
 from diffsim.data.beam_motion import COMPARE_S, RING_DOWN_START_S
 from diffsim.systems.soft_body.tip_window import window
 from diffsim.viz import figures

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.data import signal
-from diffsim.data.beam import BeamStudy, BeamTrial
+from diffsim.data import BeamStudy, BeamTrial, signal
 from diffsim.data.beam_motion import COMPARE_S, moving_tip_mass, ring_down
 from diffsim.viz import figures
 from diffsim.viz.report import Picture, Section, Table

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.data.beam import TIP_MARKERS, BeamStudy
+from diffsim.data import TIP_MARKERS, BeamStudy
 from diffsim.data.beam_motion import COMPARE_S
 from diffsim.viz import figures
-from diffsim.viz._require import optional
 from diffsim.viz.figures import COLOURS, INK, SOFT
 from examples.demo import verdict
 
@@ -24,11 +23,12 @@ SIZE_INCH, DPI = (12.0, 5.4), 100
 
 def beam(study: BeamStudy, results: dict[str, Any]) -> bytes:
     """PNG, 1200 x 540: simulated beam with measured markers, tip height beside it."""
-    figure_module = optional("matplotlib.figure", purpose="a figure")
-    agg = optional("matplotlib.backends.backend_agg", purpose="a figure")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # an extra
+    from matplotlib.figure import Figure
+
     _, case = verdict.cases(study)
     trial = study.repeats()[case][1]
-    figure = figure_module.Figure(figsize=SIZE_INCH, dpi=DPI, facecolor="white")
+    figure = Figure(figsize=SIZE_INCH, dpi=DPI, facecolor="white")
     left = figure.add_axes((0.0, 0.0, 0.46, 0.9), projection="3d")
     right = figure.add_axes((0.535, 0.14, 0.45, 0.70))
     kept = np.load(results["simulated"]["joint"][case]["surface"])
@@ -36,7 +36,7 @@ def beam(study: BeamStudy, results: dict[str, Any]) -> bytes:
     lowest = float(time_s[np.argmin(tip[:, 2])])
     _body(left, study, trial, kept, lowest)
 
-    figures._style(right)
+    figures.style(right)
     right.axhline(0.0, color="#d9dde4", lw=0.8)
     for name, words, colour, width in (
         ("published", "published practice", COLOURS["published"], 1.5),
@@ -61,14 +61,15 @@ def beam(study: BeamStudy, results: dict[str, Any]) -> bytes:
                 "that no fit has seen",
                 fontsize=10.5, color=SOFT)  # fmt: skip
     buffer = io.BytesIO()
-    agg.FigureCanvasAgg(figure).print_png(buffer)
+    FigureCanvasAgg(figure).print_png(buffer)
     return buffer.getvalue()
 
 
 def _body(ax: Any, study: BeamStudy, trial: Any, kept: Any, at_s: float) -> None:
     """The surface at a time, coloured by its vertical displacement, and the tip markers."""
-    art3d = optional("mpl_toolkits.mplot3d.art3d", purpose="a figure")
-    colors = optional("matplotlib.colors", purpose="a figure")
+    from matplotlib.colors import LinearSegmentedColormap
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
     nodes = 1e3 * kept["nodes_m"].astype(np.float64)
     now = nodes[int(np.argmin(np.abs(kept["time_s"] - at_s)))]
     quads = kept["quads"]
@@ -78,18 +79,18 @@ def _body(ax: Any, study: BeamStudy, trial: Any, kept: Any, at_s: float) -> None
     light = np.array([0.35, -0.55, 0.75])
     shade = 0.62 + 0.38 * np.clip(normal @ (light / np.linalg.norm(light)), 0.0, 1.0)
     drop = (nodes[0] - now)[quads][..., 2].mean(axis=1)
-    ramp = colors.LinearSegmentedColormap.from_list("drop", ["#cfe6e4", "#3f9a9c", "#0b5a66"])
+    ramp = LinearSegmentedColormap.from_list("drop", ["#cfe6e4", "#3f9a9c", "#0b5a66"])
     face = ramp(drop / max(drop.max(), 1e-9))
     face[:, :3] *= shade[:, None]
     wall = np.array([[-100.0, -10, -14], [-100, 40, -14], [-100, 40, 44], [-100, -10, 44]])
     wall[:, 0] = -1e3 * study.geometry.length_m
     ax.add_collection3d(  # behind the beam, drawn first: orders below are by hand
-        art3d.Poly3DCollection(
+        Poly3DCollection(
             [wall], facecolors="#e6e8ec", edgecolors="#c3c8d1", linewidths=0.8, zorder=0
         )
     )
     ax.add_collection3d(
-        art3d.Poly3DCollection(
+        Poly3DCollection(
             corners, zorder=2, facecolors=face, edgecolors="#ffffff40", linewidths=0.35
         )
     )

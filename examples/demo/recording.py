@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.data.beam import TIP_MARKERS, BeamStudy
+from diffsim.data import TIP_MARKERS, BeamStudy
 from diffsim.data.beam_motion import COMPARE_S
 from diffsim.viz import scene
 from diffsim.viz.figures import COLOURS
