@@ -29,7 +29,7 @@ def run(
 
     Args:
         device: The device.
-        out: Folder for ``progress.json`` (an interrupted run goes on from it), ``result.json``,
+        out: Folder for ``progress.jsonl`` (an interrupted run goes on from it), ``result.json``,
             ``flow.png``, ``shapes.png``; None writes nothing.
         coarse: The same device on a coarser grid, on which designs are drawn and first improved.
         num_samples: Random designs; the thesis's number if None.
@@ -40,7 +40,9 @@ def run(
         size: Longest side of the exported solid's box [m].
     """
     folder = None if out is None else Path(out)
-    path = None if folder is None else folder / "progress.json"
+    path = None if folder is None else folder / "progress.jsonl"
+    if folder is not None and (folder / "progress.json").exists():
+        print(f"{folder / 'progress.json'} is of an older version of diffsim; it is not used")
     if coarse is None:
         optimum = optimise(device, num_samples, seed, max_evaluations=max_evaluations, path=path)
     else:

@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--export",
         action="store_true",
-        help="the optimised device as .stl, its flow as .vti, .rrd and streamlines (.png)",
+        help="the optimized device as .stl, its flow as .vti, .rrd and streamlines (.png)",
     )
     parser.add_argument(
         "--size", type=float, default=0.1, help="longest side of the exported solid's box [m]"

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy import linalg, optimize
 
+from diffsim import optim
 from diffsim.core.check import require_choice
 from diffsim.core.errors import DiffsimError
 from diffsim.identify.jacobian import Jacobian
@@ -123,16 +124,23 @@ def fit(
     solve = _gauss_newton if method == "gauss_newton" else _lbfgs
     latest = _Latest(problem)
     found = solve(latest, x0, max_evaluations, gradient)
-    return _summarise(latest, found.x, bool(found.success), str(found.message), int(found.nfev))
-
-
-def _summarise(
-    latest: _Latest, x: Array, converged: bool, message: str, num_evaluations: int
-) -> Fit:
-    residual, jacobian = latest.linearise(x)
+    residual, slopes = latest.linearise(found.x)
+    message = found.message
     if latest.num_failed:
         message += f"; {latest.num_failed} trial points could not be simulated"
-    return summary(latest.problem, x, residual, jacobian, converged, message, num_evaluations)
+    return summary(
+        problem, found.x, residual, slopes, found.converged, message, found.num_evaluations
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Minimum:
+    """Where a solver ended; fields as of ``Fit``."""
+
+    x: Array
+    converged: bool
+    message: str
+    num_evaluations: int
 
 
 def summary(
@@ -206,12 +214,12 @@ class _Latest:
         return self.problem.residual(x)
 
 
-def _gauss_newton(latest: _Latest, x0: Array, max_evaluations: int, _: str) -> Any:
+def _gauss_newton(latest: _Latest, x0: Array, max_evaluations: int, _: str) -> _Minimum:
     low, high = latest.problem.bounds
     if not len(x0):
-        return optimize.OptimizeResult(x=x0, success=True, message="nothing to fit", nfev=0)
+        return _Minimum(x0, True, "nothing to fit", 0)
     n = len(x0)
-    return optimize.least_squares(
+    found = optimize.least_squares(
         lambda x: np.concatenate([latest.residual(x), x]),
         np.clip(x0, low, high),
         jac=lambda x: np.vstack([-latest.linearise(x)[1], np.eye(n)]),
@@ -222,11 +230,13 @@ def _gauss_newton(latest: _Latest, x0: Array, max_evaluations: int, _: str) -> A
         gtol=1e-6,
         max_nfev=max_evaluations,
     )
+    return _Minimum(found.x, bool(found.success), str(found.message), int(found.nfev))
 
 
-def _lbfgs(latest: _Latest, x0: Array, max_evaluations: int, gradient: str) -> Any:
+def _lbfgs(latest: _Latest, x0: Array, max_evaluations: int, gradient: str) -> _Minimum:
     problem = latest.problem
-    low, high = problem.bounds
+    if not len(x0):
+        return _Minimum(x0, True, "nothing to fit", 0)
 
     def cost(x: Array) -> tuple[float, Array]:
         if gradient == "autograd":
@@ -236,14 +246,17 @@ def _lbfgs(latest: _Latest, x0: Array, max_evaluations: int, gradient: str) -> A
             value, slope = 0.5 * float(r @ r), -a.T @ r
         return value + 0.5 * float(x @ x), slope + x
 
-    return optimize.minimize(
+    found = optim.minimize(
         cost,
-        np.clip(x0, low, high),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=list(zip(low, high, strict=True)),
-        options={"maxfun": max_evaluations, "ftol": 1e-10, "gtol": 1e-6},
+        x0,
+        problem.bounds,
+        optim.Options(
+            budget=optim.Budget(max_evaluations, finish_line_search=True),
+            tolerances=optim.Tolerances(ftol=1e-10, gtol=1e-6),
+        ),
     )
+    latest.num_failed = found.num_failed
+    return _Minimum(found.final.x, found.converged, found.message, found.num_evaluations)
 
 
 def _values(problem: Problem, x: Array) -> dict[str, float]:

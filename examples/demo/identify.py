@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -11,8 +10,9 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy import optimize
 from torch import Tensor
+
+from diffsim import optim
 
 Array = NDArray[np.float64]
 Residual = Callable[[Mapping[str, Tensor]], Tensor]
@@ -72,10 +72,6 @@ class Fit:
     num_evaluations: int
 
 
-class _Enough(Exception):
-    """The number of evaluations is used up."""
-
-
 def fit(
     residuals: Residual | Sequence[Residual],
     unknowns: Mapping[str, Unknown],
@@ -101,8 +97,6 @@ def fit(
     unit = np.array([unknown.step for unknown in unknowns.values()])
     trials = [residuals] if callable(residuals) else list(residuals)
     names = list(unknowns)
-    history: list[dict[str, float]] = []
-    scale = 0.0
 
     def one(residual: Residual, scaled: Array) -> tuple[float, Array]:
         leaf = torch.tensor(scaled, dtype=torch.float64, requires_grad=True)
@@ -112,32 +106,32 @@ def fit(
         (gradient,) = torch.autograd.grad(cost, leaf)
         return float(cost.detach()), gradient.numpy()
 
-    def evaluate(scaled: Array) -> tuple[float, Array]:
-        nonlocal scale
-        if len(history) >= max_evaluations:
-            raise _Enough  # L-BFGS-B looks at its own limit only between line searches
+    def cost(scaled: Array) -> optim.Sample:
         parts = run([partial(one, residual, scaled.copy()) for residual in trials])
-        cost = sum(part[0] for part in parts)
-        gradient = np.sum([part[1] for part in parts], axis=0)
-        scale = scale or max(cost, 1e-300)  # of order one for L-BFGS
+        value = sum(part[0] for part in parts)
         step = {name: float(np.exp(unit[i] * scaled[i])) for i, name in enumerate(names)}
-        history.append({**step, "rms": float(np.sqrt(2.0 * cost))})
-        if on_step is not None:
-            on_step(history[-1])
-        return cost / scale, gradient / scale
+        step["rms"] = float(np.sqrt(2.0 * value))
+        return optim.Sample(value, np.sum([part[1] for part in parts], axis=0), step)
 
-    start = np.log([u.start for u in unknowns.values()]) / unit
+    def tell(progress: optim.Progress) -> None:
+        if on_step is not None:
+            on_step(dict(progress.evaluation.notes))
+
     bounds = [(np.log(u.low) / u.step, np.log(u.high) / u.step) for u in unknowns.values()]
-    with contextlib.suppress(_Enough):
-        optimize.minimize(
-            evaluate,
-            start,
-            jac=True,
-            method="L-BFGS-B",
-            bounds=bounds,
+    found = optim.minimize(
+        cost,
+        np.log([u.start for u in unknowns.values()]) / unit,
+        (np.array([low for low, _ in bounds]), np.array([high for _, high in bounds])),
+        optim.Options(
+            budget=optim.Budget(max_evaluations),
             # a line search that needs more than a few trials is down in the solver's tolerance
-            options={"maxls": 4, "ftol": rtol, "gtol": 1e-7},
-        )
+            tolerances=optim.Tolerances(ftol=rtol, gtol=1e-7, line_search=4),
+            wall=None,
+            unit=None,
+        ),
+        callback=tell,
+    )
+    history = [dict(e.notes) for e in found.history]
     best = min(history, key=lambda step: step["rms"])
     value = {name: best[name] for name in names}
     std, correlation = _uncertainty(trials, value, run)

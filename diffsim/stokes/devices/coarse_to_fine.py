@@ -10,8 +10,8 @@ from torch import Tensor
 
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import to_plain
+from diffsim.optim import Log
 from diffsim.stokes.devices.device import Device
-from diffsim.stokes.devices.log import Log
 from diffsim.stokes.devices.optimise import (
     Optimum,
     as_optimum,
@@ -79,7 +79,7 @@ def coarse_to_fine(
         max_evaluations: Of loss and gradient, at most.
         max_coarse_evaluations: The same for each L-BFGS on the coarse grid.
         ftol: Relative decrease of the loss below which L-BFGS stops.
-        path: JSON file of the state; none is kept if None.
+        path: File of the state (see ``optim.Log``); none is kept if None.
         progress: Show bars.
 
     Returns:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 from torch import Tensor
 
 from diffsim.core.files import to_plain
+from diffsim.optim import Log
 from diffsim.stokes.devices.device import Device
-from diffsim.stokes.devices.log import Log
 from diffsim.stokes.devices.sampling import Samples, draw
 from diffsim.stokes.devices.search import Descent, descend
 
@@ -77,7 +77,7 @@ def optimise(
         max_evaluations: Of loss and gradient, at most.
         ftol: Relative decrease of the loss below which L-BFGS stops.
         start: Start L-BFGS here instead (the samples still set the unit of the loss).
-        path: JSON file of the state; none is kept if None.
+        path: File of the state (see ``optim.Log``); none is kept if None.
         progress: Show bars.
 
     Returns:

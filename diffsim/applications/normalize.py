@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from diffsim.applications.application import Application
-from diffsim.applications.minimise import Evaluation, Record
+from diffsim.applications.minimize import Evaluation, log_of, losses_of
 
 NUM_RANDOM = 16
 RANDOM_SEED = 1
@@ -23,16 +23,22 @@ def random_losses(
 ) -> list[float]:
     """Losses of random parameters, uniform between the bounds; failed simulations are left out.
 
-    An optimisation that ``tried`` as many random starts has made them already.
+    An optimization that ``tried`` as many random starts has made them already.
+
+    Args:
+        application: Whose parameters are drawn.
+        record: File of the losses (see ``optim.Log``); what it holds is not computed again.
+        count: Of the draws.
+        tried: Random starts of an optimization.
     """
     if len(tried) >= count:
         return [e.loss for e in tried if np.isfinite(e.loss)]
-    rng, kept = np.random.default_rng(RANDOM_SEED), Record(record)
+    rng = np.random.default_rng(RANDOM_SEED)
     points = [application.parameters.random(rng) for _ in range(count)]
-    losses = [kept.at(application, p, gradient=False).loss for p in points]
-    return [loss for loss in losses if np.isfinite(loss)]
+    made = losses_of(application, points, log_of(application, record), "random")
+    return [e.loss for e in made if np.isfinite(e.loss)]
 
 
-def normalised(loss: float, random: float, desired: float) -> float:
+def normalized(loss: float, random: float, desired: float) -> float:
     """(loss - desired) / (random - desired)."""
     return (loss - desired) / (random - desired)

@@ -12,7 +12,7 @@ from diffsim.identify import Problem, WhiteNoise
 from diffsim.sim_to_real.command import Command, Limits
 from diffsim.sim_to_real.identification import FitSettings, correlation_length, identify, loss_of
 from diffsim.sim_to_real.model import Starfish, as_displacements
-from diffsim.sim_to_real.trajectory import TrajectorySettings, optimise, travel_loss
+from diffsim.sim_to_real.trajectory import TrajectorySettings, optimize, travel_loss
 
 PRECISE = Starfish(rtol=1e-10)
 GUESSES = {p.name: p.value for p in PRECISE.parameters}
@@ -66,10 +66,10 @@ def test_identification_lowers_the_loss_towards_the_truth(recorded):
     assert found.correlation[i][j] > 0.5  # and E and w trade off
 
 
-def test_optimised_command_travels_farther_within_the_limits():
+def test_optimized_command_travels_farther_within_the_limits():
     limits = Limits(contraction_m=0.012, rate_m_s=0.15)
     settings = TrajectorySettings(periods=1, num_knots=12, max_evaluations=4)
-    found = optimise(Starfish(), GUESSES, Command(PULL), limits, settings)
+    found = optimize(Starfish(), GUESSES, Command(PULL), limits, settings)
     found.command.check(limits)
     assert found.loss_after < found.loss_before - 2e-4
 
