@@ -12,7 +12,7 @@ import scipy
 import torch
 from numpy.typing import NDArray
 
-from diffsim import __version__
+from diffsim.core.version import __version__
 from diffsim.data.study import Run, Study
 from diffsim.diagnose import decide as rules
 from diffsim.diagnose.decide import Decision

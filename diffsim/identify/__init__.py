@@ -7,6 +7,7 @@ from diffsim.identify.fitting import Fit, fit
 from diffsim.identify.jacobian import Jacobian
 from diffsim.identify.model import Scene, SimModel
 from diffsim.identify.model_file import save_extended
+from diffsim.identify.multi_start import descend, random_starts
 from diffsim.identify.noise_model import Whitener, WhiteNoise
 from diffsim.identify.numerical import NumericalEffect
 from diffsim.identify.numerics import Numerics
@@ -34,8 +35,10 @@ __all__ = [
     "UnknownForce",
     "WhiteNoise",
     "Whitener",
+    "descend",
     "extended_model",
     "fit",
+    "random_starts",
     "save_extended",
     "smooth_covariance",
 ]

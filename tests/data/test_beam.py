@@ -8,8 +8,8 @@ import yaml
 
 from diffsim.data import load_beam_study
 from diffsim.data.beam import detect_release, rigid_rotation_deg
+from diffsim.data.beam_motion import describe, moving_tip_mass
 from diffsim.data.signal import amplitude_spectrum
-from diffsim.demo.measured import describe, moving_tip_mass
 
 pytestmark = pytest.mark.reference
 

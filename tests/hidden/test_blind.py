@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.blind import __main__ as command
 from benchmarks.blind import sessions as blind_module
 from benchmarks.blind.case import CoarseModel, Twin
 from benchmarks.blind.score import score_answer, true_sizes, with_strength
 from benchmarks.blind.sessions import Blind
 from benchmarks.blind.table import confusion, figures, markdown
-from diffsim import cli
 from diffsim.identify.model import Numerics, SimModel
 from tests.diagnose import toy, toy_setup
 from tests.hidden.toy_lab import TOY
@@ -217,19 +217,19 @@ def test_what_the_base_parameters_absorb_is_rightly_not_found():
 
 def test_another_set_in_the_same_folder_is_refused(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(Blind, "run", lambda *_: [])
-    argv = ["diagnose", "blind", "--system", "network", "--out", str(tmp_path / "o")]
-    assert cli.main([*argv, "--seed", "4", "--n", "2"]) == 0
+    argv = ["--system", "network", "--out", str(tmp_path / "o")]
+    assert command.main([*argv, "--seed", "4", "--n", "2"]) == 0
     assert "seed 4;" in capsys.readouterr().out
-    assert cli.main([*argv, "--n", "3"]) == 0  # goes on with the seed it finds
+    assert command.main([*argv, "--n", "3"]) == 0  # goes on with the seed it finds
     assert "seed 4;" in capsys.readouterr().out
-    assert cli.main([*argv, "--seed", "5"]) == 2
+    assert command.main([*argv, "--seed", "5"]) == 2
     assert "holds other cases" in capsys.readouterr().err
 
 
 def test_a_fresh_seed_is_printed(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(Blind, "run", lambda *_: [])
     monkeypatch.setattr(blind_module.secrets, "randbits", lambda _: 123456)
-    assert cli.main(["diagnose", "blind", "--out", str(tmp_path / "o")]) == 0
+    assert command.main(["--out", str(tmp_path / "o")]) == 0
     assert "seed 123456;" in capsys.readouterr().out
 
 

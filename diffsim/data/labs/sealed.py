@@ -2,7 +2,7 @@
 
 A diagnosis gets the data folder only; afterwards :func:`open_label` checks that the label is the
 one that was sealed. The hash is of salt and label, so that the few possible labels cannot be tried
-out against it. ``diffsim diagnose blind`` draws, diagnoses and scores such cases.
+out against it. ``python -m benchmarks.blind`` draws, diagnoses and scores such cases.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
     >>> best = devices.optimise(device)
     >>> flow = device.solve(best.x)
 
-On the command line: ``python -m diffsim.stokes.devices amplifier --out runs/amplifier``.
+On the command line: ``diffsim devices amplifier --out runs/amplifier``.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from diffsim.stokes.devices.coarse_to_fine import CoarseStage, coarse_to_fine
 from diffsim.stokes.devices.device import Device, Parameter, State
 from diffsim.stokes.devices.funnel import funnel
 from diffsim.stokes.devices.gate import gate
+from diffsim.stokes.devices.losses import area, mean_velocity
 from diffsim.stokes.devices.optimise import Optimum, optimise
 from diffsim.stokes.devices.switch import switch
 from diffsim.stokes.devices.twister import twister
@@ -53,11 +54,13 @@ __all__ = [
     "Parameter",
     "State",
     "amplifier",
+    "area",
     "averager",
     "coarse_to_fine",
     "funnel",
     "gate",
     "make",
+    "mean_velocity",
     "optimise",
     "switch",
     "twister",

@@ -1,1 +1,6 @@
-"""Two balls on a table in one camera: closed-form rolling, sliding and impact."""
+"""Two balls on a table in one camera: closed-form rolling, sliding and impact; soft balls."""
+
+from diffsim.systems.balls.effects import BallFriction, RollingResistance, SlidingFriction
+from diffsim.systems.balls.soft import MOTION, SoftBallModel
+
+__all__ = ["MOTION", "BallFriction", "RollingResistance", "SlidingFriction", "SoftBallModel"]

@@ -1,8 +1,9 @@
 """Sealed cases of the beam, chosen: ``python -m tests.systems.laboratories.lab_beam_cases OUT``.
 
-``diffsim diagnose blind --system beam`` draws its cases; here every kind and most causes come up,
-the most telling first. Labels go to ``OUT.vault``, and each diagnosis runs in a process that sees
-its data only. One file per case is kept, the same command goes on; OUT/confusion.md has the tables.
+``python -m benchmarks.blind --system beam`` draws its cases; here every kind and most causes come
+up, the most telling first. Labels go to ``OUT.vault``, and each diagnosis runs in a process that
+sees its data only. One file per case is kept, the same command goes on; OUT/confusion.md has the
+tables.
 """
 
 from __future__ import annotations
