@@ -1,4 +1,4 @@
-#include "kernels/contact/contact_space.h"
+#include "kernels/soft/contact/contact_space.h"
 
 #include <limits>
 

@@ -11,7 +11,7 @@
 #include <Eigen/Dense>
 #include <memory>
 
-#include "kernels/contact/contact_space.h"
+#include "kernels/soft/contact/contact_space.h"
 #include "kernels/soft/step_problem.h"
 
 namespace diffsim {

@@ -1,4 +1,4 @@
-#include "kernels/contact/contact_status.h"
+#include "kernels/soft/contact/contact_status.h"
 
 namespace diffsim {
 namespace {

@@ -1,4 +1,4 @@
-#include "kernels/contact/contact_preconditioner.h"
+#include "kernels/soft/contact/contact_preconditioner.h"
 
 #include <limits>
 

@@ -1,4 +1,4 @@
-#include "kernels/contact/contact_relaxation.h"
+#include "kernels/soft/contact/contact_relaxation.h"
 
 #include <Eigen/Dense>
 

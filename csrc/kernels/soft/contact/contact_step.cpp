@@ -1,10 +1,10 @@
-#include "kernels/contact/contact_step.h"
+#include "kernels/soft/contact/contact_step.h"
 
 #include <limits>
 
-#include "kernels/contact/contact_relaxation.h"
-#include "kernels/contact/contact_solve.h"
-#include "kernels/contact/contact_status.h"
+#include "kernels/soft/contact/contact_relaxation.h"
+#include "kernels/soft/contact/contact_solve.h"
+#include "kernels/soft/contact/contact_status.h"
 
 namespace diffsim {
 namespace {

@@ -1,4 +1,4 @@
-#include "kernels/contact/contact_solve.h"
+#include "kernels/soft/contact/contact_solve.h"
 
 #include <limits>
 

@@ -4,7 +4,7 @@
 
 #include <vector>
 
-#include "kernels/contact/contact_space.h"
+#include "kernels/soft/contact/contact_space.h"
 #include "kernels/soft/step_problem.h"
 
 namespace diffsim {
