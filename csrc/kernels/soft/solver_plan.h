@@ -12,6 +12,11 @@ namespace diffsim {
 
 class ConstantSystem;
 
+// Iterations of a plan are those to 10^-digits.
+constexpr double kProbeDigits = 2.0;
+// On factors of the tangent, over a whole forward step.
+constexpr double kTangentIterations = 12.0;
+
 /// Costs in seconds on a model machine; only their ratios matter.
 struct SolverPlan {
   double iterations = 0.0;         // of conjugate gradients at rest, to 1e-2
