@@ -4,7 +4,7 @@
 // Coarse grids have half the cells per axis; a coarse node is active where it carries a share of an
 // active fine node. Multilinear prolongation, Galerkin matrices, one sweep of Gauss-Seidel by nodes
 // before and after the coarse correction, backwards after, so that a cycle is symmetric. Planes of
-// nodes across axis 0 are swept in three colours (a node couples with nodes up to two planes away),
+// nodes across axis 0 are swept in three colors (a node couples with nodes up to two planes away),
 // so the result does not depend on the number of threads. The coarsest matrix is factorised.
 #pragma once
 
