@@ -11,9 +11,9 @@ namespace {
 // On the constant factor where a tangent was indefinite, before Newton is tried again. Of 10, 20
 // and 40, 40 was fastest on eight steps in which a starfish's arms buckle.
 constexpr int kFarIterations = 40;
-// A line search gives up after so many halvings, and extends a full step by so many doublings while
+// A line search gives up after so many trials, and extends a full step by so many doublings while
 // the slope there is at least this of the first.
-constexpr int kMaxHalvings = 30, kMaxDoublings = 10;
+constexpr int kMaxTrials = 30, kMaxDoublings = 10;
 constexpr double kSteep = 0.5;
 // Pairs that L-BFGS keeps, and the least cosine of the angle between their members.
 constexpr std::size_t kHistory = 10;
@@ -53,7 +53,7 @@ bool line_search(StepProblem& problem, const Vector& d, double slope, Vector& x,
   const double start_value = value;
   const double rounding = kEnergyRounding * problem.magnitude();
   double step = 1.0;
-  for (int trial = 0; trial < kMaxHalvings; ++trial, step *= 0.5) {
+  for (int trial = 0; trial < kMaxTrials; ++trial, step *= 0.5) {
     x = start;
     problem.ops().add(step, d, x);
     value = problem.value_gradient(x, gradient);
@@ -156,7 +156,7 @@ class Newton {
  private:
   enum class Preconditioner { kConstant, kJacobi, kTangent };
 
-  /// Factorises the tangent at x where there is no factor yet or the old one has served its time.
+  /// Factorizes the tangent at x where there is no factor yet or the old one has served its time.
   void update_factor(const Vector& x) {
     if (factor_usable_ && method_ == StepMethod::kAuto && factor_age_ < plan_.refactor_after())
       return;
@@ -207,7 +207,7 @@ class Newton {
   KrylovScratch krylov_;
 };
 
-/// Moves fixed unknowns from the guess to their targets while free ones follow by the linearised
+/// Moves fixed unknowns from the guess to their targets while free ones follow by the linearized
 /// problem, in as many pieces as the energy needs to stay finite. For energies with a barrier:
 /// prescribed motion alone may invert the elements beside it. False where no such path is found.
 bool follow_targets(StepProblem& problem, const ConstantSystem& system, const StepInputs& inputs,

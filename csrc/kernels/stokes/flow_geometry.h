@@ -28,7 +28,7 @@ enum class FaceKind { kInner, kLow, kHigh };
 /// f fluid fraction of a cell, a fluid share of the face. It vanishes where both cells are full,
 /// and with the face's fluid share, so that cells become full, cut and empty continuously. The area
 /// of the wall in a cell is at most that of the cell's faces that are fluid: the penalty holds
-/// every wall term down. It grows where a cell is nearly empty: such a cell takes its neighbour's
+/// every wall term down. It grows where a cell is nearly empty: such a cell takes its neighbor's
 /// velocity, extrapolated, and a wall that passes from one cell to the next changes next to
 /// nothing.
 inline FaceTerm ghost_term(double f_a, double f_b, double aperture, double gamma, double delta) {
@@ -46,7 +46,7 @@ inline FaceTerm ghost_term(double f_a, double f_b, double aperture, double gamma
 
 /// Penalty on the normal derivative itself where fluid is much thinner than a cell, t = f_A + f_B
 /// (one f with nothing behind): a film between two walls, or between a wall and the box, has no
-/// neighbour that could hold it, nor has a sliver whose neighbours' planes leave them empty.
+/// neighbor that could hold it, nor has a sliver whose neighbors' planes leave them empty.
 /// weight theta a / (1 + (t / t_0)^4): nothing where there is fluid behind.
 inline FaceTerm film_term(double t, double aperture, double theta, FaceKind kind) {
   constexpr double kThin = 0.08;  // t_0

@@ -8,7 +8,7 @@ namespace {
 
 std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
 
-constexpr std::int64_t kCoarsest = 1200;  // nodes that are factorised rather than coarsened
+constexpr std::int64_t kCoarsest = 1200;  // nodes that are factorized rather than coarsened
 constexpr int kMaxLevels = 12;
 // Fine nodes for each coarse one, at least: a thin shape gains nothing from fewer.
 constexpr std::size_t kLeastCoarsening = 2;
@@ -60,7 +60,7 @@ FlowMultigrid<D>::FlowMultigrid(const NodeMatrix<D>& matrix, const NodePositions
             held_fixed[u(i * D + a)] = 1;
           }
   }
-  factorise(*A, at, scale, pool);
+  factorize(*A, at, scale, pool);
 }
 
 template <int D>
@@ -230,7 +230,7 @@ NodeMatrix<D> FlowMultigrid<D>::galerkin(const NodeMatrix<D>& A, const NodePosit
 }
 
 template <int D>
-void FlowMultigrid<D>::factorise(const NodeMatrix<D>& A, const NodePositions<D>& positions,
+void FlowMultigrid<D>::factorize(const NodeMatrix<D>& A, const NodePositions<D>& positions,
                                  double scale, ThreadPool& pool) {
   std::vector<std::int64_t> indices(A.columns.begin(), A.columns.end());
   std::vector<double> coords(positions.size() * 3, 0.0), values(A.values);

@@ -46,7 +46,7 @@ class FlowSystem final : public StokesSystem {
     if (report_.iterative)
       prepare_iterative(in, matrix, pool);
     else
-      factorise(in, matrix, plan, pool);
+      factorize(in, matrix, plan, pool);
     space_.regions().count(report_.num_regions, report_.num_loose_regions, report_.num_loose_cells);
   }
 
@@ -169,7 +169,7 @@ class FlowSystem final : public StokesSystem {
             at_case(in.data.traction, in.traction_stride, k)};
   }
 
-  void factorise(const FlowGeometryInputs& in, const FlowMatrix<D>& matrix, StokesPlan& plan,
+  void factorize(const FlowGeometryInputs& in, const FlowMatrix<D>& matrix, StokesPlan& plan,
                  ThreadPool& pool) {
     const double start = seconds();
     factor_ = std::make_unique<CholeskyFactor>(matrix.analyze(in.fixed, plan),
