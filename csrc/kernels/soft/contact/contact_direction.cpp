@@ -10,7 +10,8 @@ constexpr double kLargestResidual = 0.5;
 // Of one linear solve. What needs more gets a factor of the tangent, where the method allows one.
 constexpr std::size_t kMaxKrylovIterations = 2000;
 
-/// q in the range of P with P H q + ... = rhs (contact_space.h).
+/// q of ContactSolve::solve; a tangent that is not positive definite is clamped, one on which
+/// iterations do not converge is factorized where the method allows it.
 /// @return whether H is clamped now
 bool solve_linear(ContactProblem& p, const Vector& x, const Vector& rhs, double tolerance,
                   bool is_clamped, Vector& q) {
