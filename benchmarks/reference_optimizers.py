@@ -60,8 +60,9 @@ def _falling_bar() -> Any:
 
 def application_search() -> Mapping[str, Any]:
     """Applications' L-BFGS: from a guess, from random starts, warmed up, with failures, resumed."""
+    from diffsim.core.errors import ConvergenceError
+
     from diffsim.applications import minimise
-    from diffsim.errors import ConvergenceError
 
     bar = _falling_bar()
 
@@ -167,7 +168,7 @@ class Decay:
 
     def simulate(self) -> Tensor:
         """(30, 1) samples, or a failure."""
-        from diffsim.errors import DiffsimError
+        from diffsim.core.errors import DiffsimError
 
         if float(self.height.detach().min()) < self.lowest:
             raise DiffsimError("too low")

@@ -41,7 +41,7 @@ def recordings() -> Mapping[str, Any]:
 
 def predictions() -> Mapping[str, Any]:
     """What every system's model predicts at its prior, plainly and with each of its causes."""
-    from diffsim.diagnose.setups import setup_of
+    from diffsim.systems.registry import setup_of
 
     found: dict[str, Any] = {}
     for name, study in _studies():
@@ -175,8 +175,9 @@ def _of_report(report: Mapping[str, Any]) -> dict[str, Any]:
 
 def demo() -> Mapping[str, Any]:
     """The demo on the recorded beam, coarse and short, without its diagnosis."""
-    from diffsim import demo as story
     from diffsim.demo.plan import Plan
+
+    from diffsim import demo as story
 
     plan = Plan(
         cells=(6, 2, 2),
