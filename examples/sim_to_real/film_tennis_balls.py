@@ -34,21 +34,20 @@ TRUTH = {
 TABLE = ((0.0, 0.0, 0.0), (1.1, 0.0, 0.0), (1.1, 0.67, 0.0), (0.0, 0.67, 0.0))
 BOX = ((0.0, 0.614), (0.245, 0.614), (0.245, 0.67), (0.0, 0.67))
 CORNERS = (*TABLE, *((x, y, 0.245) for x, y in BOX))
-TILT, EYE = 0.546, (0.57, -0.45, 1.27)  # camera's axis from the vertical [rad], place [m]
+TILT, EYE = 0.546, np.array([0.57, -0.45, 1.27])  # camera's axis from the vertical [rad], place [m]
 
 
 def known_model(num_frames: int, size_px: tuple[int, int]) -> tuple[SoftBallModel, np.ndarray]:
     """The model, and its coordinates at ``TRUTH``."""
     c, s = np.cos(TILT), np.sin(TILT)
     rotation = np.array([[-1.0, 0.0, 0.0], [0.0, -c, -s], [0.0, -s, c]])
-    shift = -rotation @ np.array(EYE)
     focal = TRUTH["focal"] * size_px[0] / 1280.0
     tracks = np.full((num_frames, 6), np.nan)
     tracks[:, :4] = 0.0  # soft_model wants tracks for its first guess, which is not used
     corners = {f"corner_{a}_m": np.zeros(num_frames) for a in "xyz"}
     ball = {"ball_diameter_m": DIAMETER, "ball_mass_kg": MASS}
     run = Run("film", np.arange(num_frames) / RATE, tracks, corners, "film", setup=ball)
-    camera = {"alpha_px": focal, "R": rotation.tolist(), "T_m": shift.tolist()}
+    camera = {"alpha_px": focal, "R": rotation.tolist(), "T_m": (-rotation @ EYE).tolist()}
     study = Study("film", "rigid_body", (), (run,), {"camera": camera, "size_px": list(size_px)})
     model = soft_model(study)
     truth = {**TRUTH, "focal": focal}
@@ -66,7 +65,8 @@ def film(path: Path, num_frames: int = 33, size_px: tuple[int, int] = (1280, 720
     rows = np.column_stack([view.project(np.array(CORNERS)), np.array(CORNERS)])
     head = "u_px,v_px,x_m,y_m,z_m"
     np.savetxt(path.with_name(f"{path.stem}_corners.csv"), rows, "%.8g", ",", "\n", head, "", "")
-    truth = {"values": model.values_at(x), "centres_px": view.project(centres)}
+    values = {n: float(v) for n, v in model.values_at(x).items()}
+    truth = {"values": values, "centres_px": view.project(centres)}
     write_json_atomic(path.with_name(f"{path.stem}_truth.json"), truth)
     return path
 
