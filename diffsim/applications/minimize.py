@@ -95,7 +95,7 @@ def log_of(application: Application, path: Path | None) -> optim.Log:
     """The log of an application's evaluations; it refuses a file of other parameters.
 
     Raises:
-        ValueError: the file is of another application or of an older version.
+        LogError: the file is of another application, other bounds or an older version.
     """
     parameters = application.parameters
     return optim.Log(
@@ -140,7 +140,7 @@ def minimize(
 
     Raises:
         DiffsimError: the simulation of the first guess fails.
-        ValueError: ``record`` is of another application, or of an older version of diffsim.
+        LogError: ``record`` is of another application, other bounds or an older version.
     """
     num_warm_up = 0
     if application.warm_up is not None:

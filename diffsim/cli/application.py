@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from diffsim.applications.application import SOLVERS, Application, solver_option
 from diffsim.applications.minimize import Outcome, minimize
 from diffsim.applications.normalize import normalized, random_losses
 from diffsim.core.files import write_json_atomic
+from diffsim.optim import LogError
 from diffsim.viz.application_pictures import motion_strip, recording
 
 Build = Callable[[soft.SolverOptions, bool], Application]
@@ -57,13 +59,18 @@ def main(
         f" {application.num_dofs} DoF, {steps} steps of {1e3 * application.body.dt:g} ms"
     )
     kept = out / f"{args.solver}_{size}.jsonl"
+    drawn = out / f"random_{size}.jsonl"
     if args.fresh:
-        kept.unlink(missing_ok=True)
-    found = minimize(application, max_evaluations=limit, record=kept, progress=True)
+        for record in (kept, kept.with_name(f"warm_up_{kept.name}"), drawn):
+            record.unlink(missing_ok=True)
+    with _refusals():
+        found = minimize(application, max_evaluations=limit, record=kept, progress=True)
     numbers = summary(application, found)
     if not args.quick:
-        tried, kept = found.evaluations[: found.num_starts], out / f"random_{size}.jsonl"
-        random = float(np.mean(random_losses(application, record=kept, tried=tried)))
+        tried = found.evaluations[: found.num_starts]
+        with _refusals():
+            losses = random_losses(application, record=drawn, tried=tried)
+        random = float(np.mean(losses))
         numbers["random loss"] = random
         if application.oracle is not None:
             numbers["normalized loss"] = normalized(found.best.loss, random, application.oracle)
@@ -112,6 +119,15 @@ def summary(application: Application, found: Outcome) -> dict[str, float]:
         for name, value in application.numbers(truth, application.motion(truth)).items():
             numbers[f"{name}, truth"] = value
     return numbers
+
+
+@contextmanager
+def _refusals() -> Iterator[None]:
+    """A record that cannot be gone on from ends the program with the reason, not a traceback."""
+    try:
+        yield
+    except LogError as err:
+        raise SystemExit(f"{err}; --fresh deletes it") from err
 
 
 def _parser(doc: str, max_evaluations: int) -> argparse.ArgumentParser:

@@ -8,7 +8,7 @@ The room stands directly above ``core``: it knows no simulator.
 """
 
 from diffsim.optim.evaluation import Evaluation, Progress, Sample
-from diffsim.optim.log import Log
+from diffsim.optim.log import Log, LogError
 from diffsim.optim.minimize import minimize
 from diffsim.optim.multi_start import MultiStart, multi_start, screen, uniform_points
 from diffsim.optim.options import Budget, Options, Tolerances, Wall
@@ -19,6 +19,7 @@ __all__ = [
     "Budget",
     "Evaluation",
     "Log",
+    "LogError",
     "MultiStart",
     "Options",
     "Progress",

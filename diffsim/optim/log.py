@@ -17,6 +17,10 @@ FORMAT = "diffsim.optim.log"
 VERSION = 1
 
 
+class LogError(ValueError):
+    """A file that a log cannot go on from; the message says why and what to do."""
+
+
 class Log:
     """Entries in named lists; each is on disk before ``append`` returns, none is ever changed.
 
@@ -28,7 +32,7 @@ class Log:
         settings: What the entries depend on, of plain types.
 
     Raises:
-        ValueError: the file holds entries of other settings, is of an older version of diffsim, is
+        LogError: the file holds entries of other settings, is of an older version of diffsim, is
             no log at all, or a line in its midst is damaged.
     """
 
@@ -89,7 +93,7 @@ class Log:
             try:
                 self._keep(json.loads(line))
             except (ValueError, KeyError) as error:
-                raise ValueError(f"{path}, line {number}, is damaged: {error}") from error
+                raise LogError(f"{path}, line {number}, is damaged: {error}") from error
         if whole != content:
             write_bytes_atomic(path, whole)
         self._has_header = True
@@ -103,11 +107,11 @@ class Log:
                 what = (
                     "was written by an older version of diffsim, which kept evaluations otherwise"
                 )
-            raise ValueError(f"{path} {what}; {again}")
+            raise LogError(f"{path} {what}; {again}")
         if head.get("version") != VERSION:
-            raise ValueError(f"{path} is of version {head.get('version')}, not {VERSION}; {again}")
+            raise LogError(f"{path} is of version {head.get('version')}, not {VERSION}; {again}")
         if head.get("settings") != self.settings:
-            raise ValueError(
+            raise LogError(
                 f"{path} belongs to another run, one of {head.get('settings')}, not of "
                 f"{self.settings}; {again}"
             )

@@ -54,7 +54,7 @@ class Wall:
 
     A failure is one of ``failures``, or a value or gradient that is not finite. The line search
     interpolates between the last good point and the wall, so that it backs off. The wall must be
-    finite: from an infinite value scipy's interpolation makes NaN, and it stops as "converged".
+    finite: after an infinite one scipy (1.17) returns to its last iterate and reports convergence.
 
     Attributes:
         height: Value at least, in the search's unit.
@@ -68,6 +68,10 @@ class Wall:
     over_first: float = 1e3
     over_best: float = 0.0
     failures: tuple[type[Exception], ...] = (DiffsimError,)
+
+    def __post_init__(self) -> None:
+        for name in ("height", "over_first", "over_best"):
+            require_number(name, getattr(self, name), at_least=0.0)
 
     def value(self, first: float, best: float) -> float:
         """Of the wall, given the first and the least value so far, all in the search's unit."""

@@ -75,7 +75,7 @@ def contact_step(
     adjoint_rtol: float,
     adjoint_max_iters: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """One implicit step of a batch in contact; see csrc/kernels/contact/contact_step.h.
+    """One implicit step of a batch in contact; see csrc/kernels/soft/contact/contact_step.h.
 
     Args:
         inputs: Those of ``STEP_INPUTS``, in that order.

@@ -144,6 +144,21 @@ def test_start_must_be_possible_and_other_exceptions_end_the_search():
     assert minimize(Cliff(KeyError("k"), -0.5), start, None, Options(wall=wall)).num_failed > 0
 
 
+@pytest.mark.reference
+def test_after_an_infinite_value_scipy_alone_stops_where_it_began():
+    """Why a wall is finite; should this fail with a newer scipy, the wall may be reconsidered."""
+
+    def cliff(x):
+        if x[0] > 0.5:
+            return np.inf, np.zeros(2)
+        return 100.0 * (x[0] - 0.45) ** 2 + x[1] ** 2, np.array([200.0 * (x[0] - 0.45), 2.0 * x[1]])
+
+    start = np.array([0.0, -0.3])
+    theirs = optimize.minimize(cliff, start, jac=True, method="L-BFGS-B")
+    assert theirs.success and np.array_equal(theirs.x, start)
+    np.testing.assert_allclose(minimize(cliff, start).x, [0.45, 0.0], atol=1e-6)
+
+
 def test_height_of_the_wall():
     assert Wall().value(0.2, 0.1) == 1e3
     assert Wall().value(-5.0, -7.0) == 5e3
@@ -217,6 +232,7 @@ def test_bar_shows_what_is_best(capsys):
         (lambda: minimize(rosenbrock, START, (np.ones(4), np.zeros(4))), "must not lie above"),
         (lambda: minimize(lambda x: (0.0, np.zeros(3)), START), "gradient must have shape"),
         (lambda: minimize(lambda x: Sample(0.0), START), "must return its gradient"),
+        (lambda: Wall(height=np.inf), "height must lie in"),
         (lambda: Budget(0), "evaluations must lie in"),
         (lambda: Options(unit=0.0), "unit must lie in"),
     ],

@@ -103,5 +103,11 @@ def test_command_line_writes_numbers_and_picture(tmp_path, capsys):
     assert result["evaluations"] == 3
     assert (tmp_path / "flow.png").stat().st_size > 10_000
     assert "loss in the thesis" in capsys.readouterr().out
+    more = ["amplifier", "--resolution", "0.25", "--samples", "3", "--out", str(tmp_path)]
+    (tmp_path / "progress.json").write_text("{}")  # as earlier versions kept
+    assert main(more) == 2
+    captured = capsys.readouterr()
+    assert "belongs to another run" in captured.err
+    assert "progress.json is of an older version" in captured.out
     with pytest.raises(SystemExit):
         main(["gate", "--no-slip"])

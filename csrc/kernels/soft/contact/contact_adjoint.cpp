@@ -1,7 +1,7 @@
 #include <limits>
 
-#include "kernels/contact/contact_solve.h"
-#include "kernels/contact/contact_step.h"
+#include "kernels/soft/contact/contact_solve.h"
+#include "kernels/soft/contact/contact_step.h"
 
 namespace diffsim {
 namespace {

@@ -1,4 +1,4 @@
-#include "kernels/contact/contact_preconditioner.h"
+#include "kernels/soft/contact/contact_preconditioner.h"
 
 #include <limits>
 
@@ -11,11 +11,20 @@ std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
 constexpr double kMaxColumnBytes = 1.5e9;
 // Contact sets that a step meets on average before its own is found.
 constexpr double kSetsPerStep = 2.0;
+// Rows that a slipping contact takes on average: its normal, and half the time across the slip.
+constexpr double kRowsOfSlip = 1.5;
+// Friction's resistance to a change of the slip's direction counts from here on, of the node's
+// diagonal entry of A.
+constexpr double kLeastSlipStiffness = 0.1;
+// Normals lie along an axis up to rounding.
+constexpr double kAligned = 1.0 - 1e-14;
+// A solve streams the factor forwards and backwards.
+constexpr double kFactorStreams = 2.0;
 
 /// Axis that a unit vector lies along, or -1.
 int aligned_axis(const double* n) {
   for (int a = 0; a < 3; ++a)
-    if (std::abs(n[a]) > 1.0 - 1e-14) return a;
+    if (std::abs(n[a]) > kAligned) return a;
   return -1;
 }
 
@@ -51,9 +60,8 @@ void ContactPreconditioner::make_rows() {
     }
     const std::size_t group = groups_.size() == 3 ? at(aligned_axis(n)) : 0;
     groups_[group].rows.push_back({i, {n[0], n[1], n[2]}, 0.0});
-    // Friction's resistance to a change of the slip's direction, where it matters beside A.
     const double stiffness = space_.slip_stiffness[k];
-    if (stiffness > 0.1 * system_.diagonal()[active_[i]]) {
+    if (stiffness > kLeastSlipStiffness * system_.diagonal()[active_[i]]) {
       const double* t = space_.direction.data() + 3 * k;
       groups_[group].rows.push_back(
           {i,
@@ -122,8 +130,10 @@ bool ContactPreconditioner::prepare_tangent() {
     }
   const auto edit = [&](double* blocks) {
     using Block = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
-    pool_.run((model.num_nodes + 63) / 64, [&](std::int64_t task) {
-      for (std::int64_t row = 64 * task; row < std::min(model.num_nodes, 64 * (task + 1)); ++row) {
+    constexpr std::int64_t kRows = 64;  // of a task
+    pool_.run((model.num_nodes + kRows - 1) / kRows, [&](std::int64_t task) {
+      const std::int64_t end = std::min(model.num_nodes, kRows * (task + 1));
+      for (std::int64_t row = kRows * task; row < end; ++row) {
         const Eigen::Map<const Block> P(projector.data() + 9 * at(row));
         for (std::int64_t e = model.row_start[at(row)]; e < model.row_start[at(row + 1)]; ++e) {
           const std::int64_t col = model.column[at(e)];
@@ -193,7 +203,7 @@ void ContactPreconditioner::apply(const Vector& r, Vector& z) {
   }
   const double by_columns =
       8.0 * static_cast<double>(system_.model().num_nodes) * static_cast<double>(active_.size());
-  if (by_columns < 2.0 * static_cast<double>(system_.factor_bytes())) {
+  if (by_columns < kFactorStreams * static_cast<double>(system_.factor_bytes())) {
     subtract_columns(z);
   } else {
     second_ = r;
@@ -210,7 +220,7 @@ double ContactPreconditioner::constant_cost(double iterations) const {
   for (std::size_t k = 0; k < space_.size(); ++k) {
     if (space_.status[k] == ContactStatus::kSeparate) continue;
     active += 1.0;
-    rows += space_.status[k] == ContactStatus::kStick ? 3.0 : 1.5;
+    rows += space_.status[k] == ContactStatus::kStick ? 3.0 : kRowsOfSlip;
     coupled = coupled || space_.status[k] == ContactStatus::kSlip;
   }
   const double column_bytes = 8.0 * static_cast<double>(system_.model().num_nodes) * active;
@@ -223,7 +233,8 @@ double ContactPreconditioner::constant_cost(double iterations) const {
 }
 
 double ContactPreconditioner::tangent_cost() const {
-  return kSetsPerStep * system_.plan().factorize_cost + 12.0 * system_.plan().tangent_cost;
+  return kSetsPerStep * system_.plan().factorize_cost +
+         kTangentIterations * system_.plan().tangent_cost;
 }
 
 }  // namespace diffsim

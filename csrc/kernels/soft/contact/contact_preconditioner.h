@@ -4,14 +4,14 @@
 //   z = A^-1 (r - J^T l),   (J A^-1 J^T) l = J A^-1 r,
 // is the exact inverse of A on what is left; J A^-1 J^T needs only entries of (A^-1)_CC (thesis
 // eqs. 4.32-4.39, Alg. 5, at half the rank). On a factor of the tangent: the blocks of H are
-// projected before they are factorised, which costs a factorisation for each new contact set,
+// projected before they are factorized, which costs a factorization for each new contact set,
 // whatever its size.
 #pragma once
 
 #include <Eigen/Dense>
 #include <memory>
 
-#include "kernels/contact/contact_space.h"
+#include "kernels/soft/contact/contact_space.h"
 #include "kernels/soft/step_problem.h"
 
 namespace diffsim {
@@ -37,7 +37,7 @@ class ContactPreconditioner {
 
   bool on_tangent() const { return on_tangent_; }
 
-  /// Modelled seconds of a step on either (see solver_plan.h).
+  /// Modeled seconds of a step on either (see solver_plan.h).
   double constant_cost(double iterations) const;
   double tangent_cost() const;
 

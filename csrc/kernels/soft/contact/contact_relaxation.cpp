@@ -1,6 +1,8 @@
-#include "kernels/contact/contact_relaxation.h"
+#include "kernels/soft/contact/contact_relaxation.h"
 
 #include <Eigen/Dense>
+
+#include "kernels/soft/contact/contact_merit.h"
 
 namespace diffsim {
 namespace {
@@ -8,8 +10,19 @@ namespace {
 using Vec3 = Eigen::Vector3d;
 using Mat3 = Eigen::Matrix3d;
 
+// Sweeps over all contacts, and iterations of one contact within a sweep.
 constexpr int kMaxSweeps = 2000, kMaxLocal = 100;
-constexpr double kTolerance = 1e-12;
+// Change of the forces in a sweep, of the forces; and that of one contact, of a sweep's.
+constexpr double kTolerance = 1e-12, kLocalTolerance = 0.1 * kTolerance;
+// Friction from this share of Coulomb's limit on is that of slip.
+constexpr double kConeEdge = 1.0 - 1e-9;
+// The dense operator has (3 k)^2 entries: 160 MB for so many contacts.
+constexpr std::size_t kMaxRelaxed = 1500;
+// Linearizations are 1, 4, 16, 32, 32, ...: doubled twice each time, five times at most. Status
+// cycles that one does not resolve need more.
+constexpr int kDoublingsEachTime = 2, kMaxDoublings = 5;
+// Shortest step towards a relaxed solution, of the whole: ten trials.
+constexpr double kLeastStep = 1e-3;
 
 /// Nearest force in Coulomb's cone about n.
 Vec3 project_cone(const Vec3& force, const Vec3& n, double friction) {
@@ -39,12 +52,62 @@ Vec3 solve_one(const Mat3& W, const Vec3& w, const Vec3& n, double offset, doubl
         project_cone(force - step * (u + (friction * slip - offset) * n), n, friction);
     const double change = (next - force).norm();
     force = next;
-    if (change <= 0.1 * kTolerance * force.norm()) break;
+    if (change <= kLocalTolerance * force.norm()) break;
   }
   return force;
 }
 
+/// Moves x along `step` as far as lowers the merit.
+/// @param lowers_merit  false: the step only has to reach where g is finite. The first step leads
+///                      to the half spaces, which later ones do not leave: these are convex.
+void move_relaxed(StepProblem& objective, const ContactSpace& space, const Vector& step,
+                  const Vector& limits, bool lowers_merit, ContactIterate& at) {
+  const Vector start = at.x;
+  const double before = merit(space, limits, at.x, at.value);
+  for (double length = 1.0; length > kLeastStep; length *= 0.5) {
+    at.move(objective, start, length, step);
+    if (std::isfinite(at.value) &&
+        (!lowers_merit || merit(space, limits, at.x, at.value) <= before))
+      return;
+  }
+}
+
 }  // namespace
+
+void ContactRelaxation::remember(const ContactSpace& space) {
+  for (std::size_t k = 0; k < space.size(); ++k)
+    if (space.status[k] != ContactStatus::kSeparate) touched_[k] = true;
+}
+
+std::vector<std::size_t> ContactRelaxation::candidates(const ContactSpace& space,
+                                                       const Vector& x) const {
+  std::vector<std::size_t> near;
+  for (std::size_t k = 0; k < space.size(); ++k)
+    if (touched_[k] || space.status[k] != ContactStatus::kSeparate || space.gap(k, x) < 0.0)
+      near.push_back(k);
+  return near;
+}
+
+bool ContactRelaxation::resolve(ContactProblem& problem, ContactIterate& at) {
+  StepProblem& objective = problem.objective;
+  ContactSpace& space = problem.space;
+  const std::vector<std::size_t> near = candidates(space, at.x);
+  // Infinite friction may leave no answer to relax to; see kMaxReleases.
+  const auto sticky = [&](std::size_t k) { return std::isinf(space.inputs().friction[k]); };
+  if (near.size() > kMaxRelaxed || std::any_of(near.begin(), near.end(), sticky)) return false;
+  const int rounds = 1 << std::min(doublings_, kMaxDoublings);
+  doublings_ += kDoublingsEachTime;
+  for (int round = 0; round < rounds; ++round) {
+    const std::vector<ContactStatus> before = space.status;
+    Vector step = at.x, limits;
+    if (!relax_contacts(objective, space, near, at.gradient, step, limits)) return round > 0;
+    objective.ops().add(-1.0, at.x, step);
+    move_relaxed(objective, space, step, limits, round > 0, at);
+    if (round > 0 && space.status == before) break;
+  }
+  problem.solve.statuses_changed();
+  return true;
+}
 
 bool relax_contacts(StepProblem& problem, ContactSpace& space,
                     const std::vector<std::size_t>& contacts, const Vector& gradient, Vector& x,
@@ -100,7 +163,7 @@ bool relax_contacts(StepProblem& problem, ContactSpace& space,
     if (f.isZero(0.0)) continue;
     const double pressing = n.dot(f);
     limits[k] = in.friction[k] * pressing;
-    const bool slips = (f - pressing * n).norm() >= (1.0 - 1e-9) * limits[k];
+    const bool slips = (f - pressing * n).norm() >= kConeEdge * limits[k];
     space.status[k] = slips ? ContactStatus::kSlip : ContactStatus::kStick;
   }
   problem.solve_factorized(load, step);

@@ -1,4 +1,4 @@
-#include "kernels/contact/contact_status.h"
+#include "kernels/soft/contact/contact_status.h"
 
 namespace diffsim {
 namespace {
@@ -6,6 +6,10 @@ namespace {
 // Infinite friction leaves cases without an answer: a node that is pulled off where it sticks, but
 // let go slides into the obstacle. From its second release in a step it is held, pulled or not.
 constexpr int kMaxReleases = 2;
+// Friction of the last step from this share of Coulomb's limit on was that of slip.
+constexpr double kConeEdge = 1.0 - 1e-6;
+// Slip that a division needs [m].
+constexpr double kLeastSlip = 1e-300;
 
 double norm3(const double* v) { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); }
 
@@ -33,7 +37,7 @@ void ContactStatuses::guess(const Vector& x_free) {
       double along[3];
       for (int i = 0; i < 3; ++i) along[i] = before[i] - pressing * n[i];
       const double friction = norm3(along);
-      const bool slipped = friction >= (1.0 - 1e-6) * in.friction[k] * pressing;
+      const bool slipped = friction >= kConeEdge * in.friction[k] * pressing;
       space_.status[k] = slipped ? ContactStatus::kSlip : ContactStatus::kStick;
     } else if (depth > 0.0) {
       space_.status[k] = first_touch(k, depth, slip);
@@ -163,7 +167,7 @@ void ContactStatuses::update_slip(const Vector& x, const Vector& r) {
     }
     if (limit > 0.0)
       space_.slip_stiffness[k] =
-          std::min(limit / std::max(slip, 1e-300), kMaxSlipStiffness * stiffness);
+          std::min(limit / std::max(slip, kLeastSlip), kMaxSlipStiffness * stiffness);
   }
 }
 

@@ -1,7 +1,7 @@
 // Linear solves on the unknowns that contact leaves free.
 #pragma once
 
-#include "kernels/contact/contact_preconditioner.h"
+#include "kernels/soft/contact/contact_preconditioner.h"
 
 namespace diffsim {
 

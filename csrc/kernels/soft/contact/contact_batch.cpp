@@ -1,5 +1,5 @@
-#include "kernels/contact/contact_step.h"
 #include "kernels/soft/batch.h"
+#include "kernels/soft/contact/contact_step.h"
 
 namespace diffsim {
 namespace {

@@ -3,7 +3,7 @@
 
 #include <set>
 
-#include "kernels/contact/contact_space.h"
+#include "kernels/soft/contact/contact_space.h"
 
 namespace diffsim {
 

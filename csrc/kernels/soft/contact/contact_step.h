@@ -7,7 +7,7 @@
 // smoothing.
 #pragma once
 
-#include "kernels/contact/contact_space.h"
+#include "kernels/soft/contact/contact_space.h"
 #include "kernels/soft/implicit_step.h"
 
 namespace diffsim {

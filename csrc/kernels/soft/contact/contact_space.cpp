@@ -1,9 +1,12 @@
-#include "kernels/contact/contact_space.h"
+#include "kernels/soft/contact/contact_space.h"
 
 #include <limits>
 
 namespace diffsim {
 namespace {
+
+// Roundings of its largest coordinate that leave a node's position undetermined.
+constexpr double kRoundings = 4.0;
 
 double dot3(const double* a, const double* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
@@ -37,7 +40,7 @@ double ContactSpace::slip(std::size_t k, const Vector& x, double u[3]) const {
 double ContactSpace::rounding(std::size_t k, const Vector& x) const {
   double largest = 0.0;
   for (std::size_t i = 0; i < 3; ++i) largest = std::max(largest, std::abs(x[3 * node(k) + i]));
-  return 4.0 * std::numeric_limits<double>::epsilon() * largest;
+  return kRoundings * std::numeric_limits<double>::epsilon() * largest;
 }
 
 double ContactSpace::normal_part(std::size_t k, const Vector& r) const {

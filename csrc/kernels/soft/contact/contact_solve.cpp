@@ -1,4 +1,4 @@
-#include "kernels/contact/contact_solve.h"
+#include "kernels/soft/contact/contact_solve.h"
 
 #include <limits>
 
@@ -19,7 +19,7 @@ void ContactSolve::choose() {
   if (method_ == StepMethod::kNewtonCholesky) kind_ = Kind::kTangent;
   if (method_ != StepMethod::kAuto || kind_ == Kind::kTangent) return;
   const SolverPlan& plan = system_.plan();
-  const double digits = 0.5 * decades(rtol_);
+  const double digits = decades(rtol_) / kProbeDigits;  // in units of the plan's iterations
   const double constant = preconditioner_.constant_cost(digits * plan.iterations);
   // Diagonal blocks know nothing of the stiffness that friction adds across the slip.
   const double jacobi = space_.any_sliding_friction()

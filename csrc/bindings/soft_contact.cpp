@@ -1,9 +1,9 @@
-// Contact: the implicit step with non-penetration and Coulomb friction, and its adjoint.
+// The implicit step of a soft body with non-penetration and Coulomb friction, and its adjoint.
 #include <nanobind/stl/shared_ptr.h>
 
 #include "bindings/bindings.h"
 #include "bindings/soft_arrays.h"
-#include "kernels/contact/contact_step.h"
+#include "kernels/soft/contact/contact_step.h"
 
 namespace diffsim {
 namespace {
@@ -24,7 +24,7 @@ struct ContactArrays {
 
 }  // namespace
 
-void bind_contact(nb::module_& m) {
+void bind_soft_contact(nb::module_& m) {
   nb::class_<ContactArrays>(m, "ContactArrays")
       .def(nb::init<>())
       .def_rw("num_contacts", &ContactArrays::num_contacts)
