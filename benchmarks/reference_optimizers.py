@@ -60,9 +60,8 @@ def _falling_bar() -> Any:
 
 def application_search() -> Mapping[str, Any]:
     """Applications' L-BFGS: from a guess, from random starts, warmed up, with failures, resumed."""
-    from diffsim.core.errors import ConvergenceError
-
     from diffsim.applications import minimise
+    from diffsim.core.errors import ConvergenceError
 
     bar = _falling_bar()
 
@@ -232,7 +231,7 @@ def recording_fit() -> Mapping[str, Any]:
 
 def demo_fit() -> Mapping[str, Any]:
     """The demo's bounded L-BFGS over logarithms, on one mode of a beam."""
-    from diffsim.demo.identify import Unknown, fit
+    from examples.demo.identify import Unknown, fit
 
     time = torch.arange(0, 2, 0.01, dtype=F64)
 

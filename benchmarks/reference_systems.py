@@ -175,9 +175,8 @@ def _of_report(report: Mapping[str, Any]) -> dict[str, Any]:
 
 def demo() -> Mapping[str, Any]:
     """The demo on the recorded beam, coarse and short, without its diagnosis."""
-    from diffsim.demo.plan import Plan
-
-    from diffsim import demo as story
+    from examples import demo as story
+    from examples.demo.plan import Plan
 
     plan = Plan(
         cells=(6, 2, 2),
