@@ -28,7 +28,7 @@ class BodyContact(nn.Module):
     taken by a third set of forces on the triangle's corners, the least that have no resultant. So
     linear and angular momentum are kept to rounding.
 
-    Friction is regularised: below ``slip_speed`` it is viscous and bodies creep on each other. The
+    Friction is regularized: below ``slip_speed`` it is viscous and bodies creep on each other. The
     force is explicit: stable only while stiffness * area is small against node mass / dt^2. A node
     deeper than half its thin opponent is pushed out on the wrong side.
 

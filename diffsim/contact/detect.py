@@ -48,12 +48,12 @@ def detect(
     max_depenetration_speed: float = math.inf,
     continuous: bool = True,
 ) -> ContactPlanes:
-    """Linearised contact of points that move from x_start to about x_end in one step.
+    """Linearized contact of points that move from x_start to about x_end in one step.
 
-    For each point the obstacle of least signed distance at x_end and the end pose, linearised at
+    For each point the obstacle of least signed distance at x_end and the end pose, linearized at
     x_end: phi(x_end) + n . (x - x_end) >= 0. Where the straight path, seen from the moving
     obstacle, enters an obstacle and ends on another side of it (normals 90 degrees or more apart,
-    or in by 30 degrees or steeper and out again), the first such obstacle is linearised at the
+    or in by 30 degrees or steeper and out again), the first such obstacle is linearized at the
     entry instead, so that fast points do not tunnel through thin obstacles. (For a turning obstacle
     the path is the chord in its frame.)
 

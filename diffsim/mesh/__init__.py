@@ -1,4 +1,4 @@
-"""Volume meshes: make, load, voxelise, tetrahedralise, save, measure."""
+"""Volume meshes: make, load, voxelize, tetrahedralize, save, measure."""
 
 from diffsim.mesh import sdf
 from diffsim.mesh.box import hex_box, tet_box

@@ -350,8 +350,8 @@ class Balls:
             dt=dt,
             youngs_modulus=MODULUS,
             poissons_ratio=0.3,
-            rayleigh_beta=RAYLEIGH_BETA,
-            node_mass=self.mass,
+            damping=soft.Damping(rayleigh_beta=RAYLEIGH_BETA),
+            masses=soft.Masses(node_mass=self.mass),
             solver=soft.SolverOptions(rtol=1e-8, adjoint_rtol=1e-6),
         )
 
