@@ -16,7 +16,7 @@ from diffsim.mesh.repair import (
     remove_unreferenced_nodes,
     repair,
 )
-from diffsim.mesh.shape import ShapeGradients, nodal_volume, shape_gradients
+from diffsim.mesh.shape import ShapeGradients, nodal_shares, nodal_volume, shape_gradients
 from diffsim.mesh.solids import (
     hex_cylinder,
     hex_sphere,
@@ -58,6 +58,7 @@ __all__ = [
     "load_arrays",
     "load_surface",
     "merge_duplicate_nodes",
+    "nodal_shares",
     "nodal_volume",
     "quality",
     "remove_degenerate",

@@ -32,7 +32,7 @@ class SoftBody(Solid):
         dt: Time step [s].
         youngs_modulus: Scalar or (num_elements,) [Pa], > 0.
         poissons_ratio: Scalar or (num_elements,) [-], in (-1, 0.5); for ``pd`` in [0, 0.5).
-        density: Scalar or (num_vertices,) [kg/m^3], > 0.
+        density: Scalar, (num_elements,) or (num_vertices,) [kg/m^3], > 0.
         material: Energy of the solid: ``pd`` (projective dynamics, corotated and volume energies,
             thesis eq. 4.12), ``corotated``, ``stable_neo_hookean``, ``neo_hookean`` or ``stvk``;
             or a :class:`~diffsim.soft.Material`.

@@ -84,35 +84,67 @@ class PhysicalValues:
 PARAMETERS = tuple(f.name for f in fields(PhysicalValues))
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LumpedVolume:
+    """Volume of a mesh, lumped to its nodes.
+
+    Attributes:
+        elements: Nodes of each element, (num_elements, 8 or 4) int64.
+        shares: Volume of each element lumped to its nodes, (num_elements, 8 or 4) [m^3].
+        nodal: Volume of each node, (num_vertices,) [m^3].
+    """
+
+    elements: Tensor
+    shares: Tensor
+    nodal: Tensor
+
+    def mass(self, density: Tensor) -> Tensor:
+        """Lumped mass, (num_vertices,) [kg].
+
+        Args:
+            density: Scalar, (num_vertices,) or (num_elements,) [kg/m^3].
+        """
+        num_elements, num_vertices = len(self.elements), len(self.nodal)
+        shape = tuple(density.shape) if isinstance(density, Tensor) else ()
+        if shape not in ((), (num_vertices,), (num_elements,)):
+            raise ValueError(
+                f"density must be a scalar or have shape (num_vertices,) = ({num_vertices},) or "
+                f"(num_elements,) = ({num_elements},), got {shape}"
+            )
+        if shape and num_elements == num_vertices:
+            raise ValueError(
+                f"density of shape {shape} may be of elements or of vertices: the mesh has as many "
+                "of both; pass a scalar, or node_mass instead"
+            )
+        if shape == (num_elements,):
+            density = _checked_density(require("density", density, shape))
+            masses = density[:, None] * self.shares
+            none = torch.zeros_like(self.nodal)
+            return none.index_add(0, self.elements.flatten(), masses.flatten())
+        return _checked_density(_per("density", density, num_vertices, "num_vertices")) * self.nodal
+
+
 def make_physics(
-    values: PhysicalValues,
-    nodal_volume: Tensor,
-    material: Material,
-    *,
-    num_elements: int,
-    num_muscles: int,
+    values: PhysicalValues, volume: LumpedVolume, material: Material, num_muscles: int
 ) -> Physics:
     """Check ranges and expand scalars to elements and nodes.
 
     Args:
         values: The parameters as given.
-        nodal_volume: (num_vertices,) [m^3].
+        volume: Of the body's mesh.
         material: Energy of the solid.
-        num_elements: Number of elements.
         num_muscles: Number of muscles.
 
     Returns:
         :class:`Physics`. Gradients: all values.
     """
-    num_vertices = len(nodal_volume)
+    num_elements, num_vertices = len(volume.elements), len(volume.nodal)
     weights = material.weights(
         _per("youngs_modulus", values.youngs_modulus, num_elements, "num_elements"),
         _per("poissons_ratio", values.poissons_ratio, num_elements, "num_elements"),
     )
     if values.node_mass is None:
-        density = _per("density", values.density, num_vertices, "num_vertices")
-        _range("density", density, above=0.0, hint="unit is kg/m^3")
-        mass = density * nodal_volume
+        mass = volume.mass(values.density)
     else:
         mass = require("node_mass", values.node_mass, (num_vertices,))
         _range("node_mass", mass, above=0.0, hint="unit is kg")
@@ -161,6 +193,11 @@ def require_physics(
             f"{physics.material!r}, the body has {material!r}"
         )
     return physics
+
+
+def _checked_density(density: Tensor) -> Tensor:
+    _range("density", density, above=0.0, hint="unit is kg/m^3")
+    return density
 
 
 def _nodal_mass(name: str, value: Tensor, num_vertices: int) -> Tensor:

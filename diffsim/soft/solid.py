@@ -12,6 +12,7 @@ from diffsim.core.check import require, require_choice, require_indices, require
 from diffsim.mesh import (
     HexMesh,
     TetMesh,
+    nodal_shares,
     nodal_volume,
     shape_gradients,
     surface_vertices,
@@ -25,6 +26,7 @@ from diffsim.soft.options import ContactOptions, Damping, Masses, SolverOptions
 from diffsim.soft.parameters import Value, as_tensor, hold
 from diffsim.soft.physics import (
     PARAMETERS,
+    LumpedVolume,
     PhysicalValues,
     Physics,
     make_physics,
@@ -42,6 +44,7 @@ class Solid(nn.Module):
     fixed: Tensor
     contact_nodes: Tensor
     nodal_volume: Tensor
+    nodal_shares: Tensor
 
     def __init__(
         self,
@@ -82,6 +85,7 @@ class Solid(nn.Module):
         self.register_buffer("contact_nodes", nodes, persistent=False)
         self.max_depenetration_speed = contact.max_depenetration_speed
         self.register_buffer("nodal_volume", nodal_volume(mesh), persistent=False)
+        self.register_buffer("nodal_shares", nodal_shares(mesh), persistent=False)
         beta = damping.rayleigh_beta
         given = {
             "youngs_modulus": youngs_modulus,
@@ -145,12 +149,11 @@ class Solid(nn.Module):
         for name, value in overrides.items():
             require_choice("physics override", name, PARAMETERS)
             values[name] = None if value is None else as_tensor(name, value)
+        volume = LumpedVolume(
+            elements=self.mesh.elements, shares=self.nodal_shares, nodal=self.nodal_volume
+        )
         return make_physics(
-            PhysicalValues(**values),
-            self.nodal_volume,
-            self.material,
-            num_elements=self.mesh.num_elements,
-            num_muscles=self.muscles.num_muscles,
+            PhysicalValues(**values), volume, self.material, self.muscles.num_muscles
         )
 
     def rest_state(self, batch: int | None = None) -> State:
