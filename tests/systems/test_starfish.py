@@ -61,10 +61,10 @@ def whole_robot(dt: float) -> tuple[soft.SoftBody, np.ndarray]:
         poissons_ratio=0.4,
         density=1000.0,
         gravity=(0.0, 0.0, 0.0),
-        rayleigh_beta=5e-3,
+        damping=soft.Damping(rayleigh_beta=5e-3),
         fixed=rail,
         muscles=tendons,
-        added_mass=soft.added_mass(m, 1.0, 1000.0),
+        masses=soft.Masses(added_mass=soft.added_mass(m, 1.0, 1000.0)),
         solver=soft.SolverOptions(rtol=1e-9),
     )
     return body, back[: part.num_vertices]
@@ -77,7 +77,7 @@ def test_quarter_moves_as_the_whole_robot_does():
     whole, nodes = whole_robot(dt)
     part = quarter(1, dt, 1e-9, "implicit_euler", 0.4)
     physics = part.body.physics(
-        fibre_stiffness=torch.full((2,), 150.0, dtype=torch.float64),
+        fiber_stiffness=torch.full((2,), 150.0, dtype=torch.float64),
         added_mass=soft.added_mass(part.body.mesh, 1.0, 1000.0),
     )
     pull = 1.0 - 0.08 * np.minimum(np.arange(steps) / 4.0, 1.0)

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from diffsim.copter import FlightEffects, fly
-from diffsim.copter.attitude import rpy_from_rotation
 from diffsim.copter.fleet import Fleet
 from diffsim.copter.vehicle import GRAVITY
 from diffsim.core.errors import ConvergenceError
+from diffsim.core.rotation import rpy_from_matrix
 from diffsim.systems.multicopter.shooting import RIGID, flight_state
 
 if TYPE_CHECKING:
@@ -260,7 +260,7 @@ def _read(scene: CopterScene, record: _Record) -> Tensor:
 
     channels = {
         "position": scaled(scene.position_scale, seen),
-        "attitude": rpy_from_rotation(rotation) + wide(scene.attitude_offset),
+        "attitude": rpy_from_matrix(rotation) + wide(scene.attitude_offset),
         "body_rates": in_unit(record.body_rates[:, :, 1:]) + wide(scene.body_rates_offset),
         "accelerometer": scaled(scene.accelerometer_scale, in_unit(specific))
         + wide(scene.accelerometer_offset),

@@ -14,8 +14,8 @@ from scipy.signal import savgol_filter
 from torch import Tensor
 
 from diffsim.copter import FlightState
-from diffsim.copter.attitude import body_rates_from_rpy_rates, quaternion_from_rpy
 from diffsim.core.errors import ConvergenceError
+from diffsim.core.rotation import body_rates_from_rpy_rates, quaternion_from_rpy
 
 RIGID = 12  # entries of the rigid body's state; thrusts held before the record follow
 # What is known of an initial state beyond its first guess: hardly anything.

@@ -151,7 +151,7 @@ def _model(
         parameters = {n: values[n] for n in ("rayleigh_beta", "density")}
         parameters["youngs_modulus"] = softness * values["youngs_modulus"]
         # half a tendon in a quarter of the body
-        parameters["fibre_stiffness"] = (0.5 * values["axial_stiffness"]).expand(2)
+        parameters["fiber_stiffness"] = (0.5 * values["axial_stiffness"]).expand(2)
         around_it = None
         if wet:
             around_it = around(made, values["drag_scale"], values["thrust_scale"])

@@ -128,7 +128,7 @@ def tendon_model(
         )
         given = {p.name: values[p.name] for p in base if p.name != "axial_stiffness"}
         if "axial_stiffness" in values:
-            given["fibre_stiffness"] = values["axial_stiffness"][None]
+            given["fiber_stiffness"] = values["axial_stiffness"][None]
         if command not in run.command:
             raise ValueError(
                 f"run {run.name}: no command {command!r}, it has {sorted(run.command)}; name the "

@@ -57,7 +57,7 @@ def make_mesh(refine: int = 1) -> mesh.HexMesh:
     """Flat side x = 0, top at x < 0, legs along +y and +z; ``refine`` splits every cell's edge.
 
     The layer under the flat side is one cell, with the tendons in its middle, on every mesh: a
-    fibre acts along the centre of its cells, so that its arm does not depend on ``refine``.
+    fiber acts along the centre of its cells, so that its arm does not depend on ``refine``.
     """
     core = np.linspace(0.0, WIDTH / 2, 1 + refine)
     shoulder = np.linspace(WIDTH / 2, CORE, 1 + refine)[1:]
@@ -112,10 +112,10 @@ def quarter(
         poissons_ratio=poissons_ratio,
         density=1000.0,
         gravity=(0.0, 0.0, 0.0),  # neutrally buoyant, as trimmed
-        rayleigh_beta=5e-3,
+        damping=soft.Damping(rayleigh_beta=5e-3),
         fixed=held,
         muscles=[t.muscle for t in tendons(m)],
-        added_mass=torch.zeros_like(volume),
+        masses=soft.Masses(added_mass=torch.zeros_like(volume)),
         solver=soft.SolverOptions(rtol=rtol),
     )
     rail = torch.where(on_rail, volume, 0.0)
