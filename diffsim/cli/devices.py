@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 
 from diffsim.core.files import write_json_atomic
-from diffsim.stokes.devices import DEVICES, Device, Optimum, coarse_to_fine, make, optimise
+from diffsim.stokes.devices import DEVICES, Device, Optimum, coarse_to_fine, make, optimize
 from diffsim.viz.device_evolution import draw_shapes
 from diffsim.viz.device_files import export
 from diffsim.viz.device_picture import draw
@@ -47,7 +47,7 @@ def run(
     folder = None if out is None else Path(out)
     path = None if folder is None else folder / "progress.json"
     if coarse is None:
-        optimum = optimise(device, num_samples, seed, max_evaluations=max_evaluations, path=path)
+        optimum = optimize(device, num_samples, seed, max_evaluations=max_evaluations, path=path)
     else:
         optimum = coarse_to_fine(
             device,

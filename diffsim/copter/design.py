@@ -13,6 +13,7 @@ import torch
 import trimesh
 from torch import Tensor
 
+from diffsim.copter.assemble import assemble
 from diffsim.copter.evaluate import PartTensors
 from diffsim.copter.feasible import FeasibleSet
 from diffsim.copter.geometry import Array
@@ -21,6 +22,7 @@ from diffsim.copter.mass import rigid_body
 from diffsim.copter.parts import RotorMount
 from diffsim.copter.placement import PlacedPart, distance_weights
 from diffsim.copter.spec import DesignSpec
+from diffsim.copter.spec_file import write_spec
 from diffsim.copter.vehicle import Multicopter
 from diffsim.core.check import require, require_choice
 
@@ -267,8 +269,6 @@ class Design:
     def _rebuilt(self, changes: Mapping[str, Mapping[str, Any]]) -> Design:
         """Composed anew with other fields of some parts' specifications, free parameters kept."""
         parts = tuple(replace(p, **changes.get(p.name, {})) for p in self.spec.parts)
-        from diffsim.copter.assemble import build_design  # it makes designs, and so imports this
-
         return build_design(replace(self.spec, parts=parts, values=self.named_values()))
 
     def named_values(self) -> dict[str, float]:
@@ -294,10 +294,8 @@ class Design:
         return part_entries(self.parts, dict(zip(self.all_names, x.tolist(), strict=True)), masses)
 
     def save(self, path: str | Path) -> Path:
-        """Write the design as YAML, atomically (``diffsim.copter.design_file``)."""
-        from diffsim.copter.design_file import save_design
-
-        return save_design(self, path)
+        """Write the design with its current values as YAML, atomically."""
+        return write_spec(replace(self.spec, values=self.named_values()), path)
 
     def _free(self, s: Tensor | None) -> Tensor:
         return self.values if s is None else require("s", s, (len(self.names),))
@@ -310,3 +308,14 @@ class Design:
         known = [n.partition(".")[2] for n in self.feasible.names if n.startswith(f"{part}.")]
         require_choice(f"parameter of {part}", parameter, known)
         raise AssertionError("unreachable: every part's parameters are listed")
+
+
+def build_design(spec: DesignSpec) -> Design:
+    """Compose a design and start it at the feasible point closest to what its author gave.
+
+    Raises:
+        ValueError: unknown names, parts that face the wrong way or are connected to nothing.
+        MeshError: a part that is not closed.
+        InfeasibleDesignError: constraints that exclude each other, with an irreducible set.
+    """
+    return Design(spec, *assemble(spec))

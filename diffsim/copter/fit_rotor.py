@@ -1,6 +1,6 @@
 """Fit rotor models to bench tables.
 
-python -m diffsim.copter.fit_rotor [--data FOLDER] [--output FOLDER] [--figures FOLDER]
+python -m diffsim.cli.fit_rotors [--data FOLDER] [--output FOLDER] [--figures FOLDER]
 """
 
 from __future__ import annotations

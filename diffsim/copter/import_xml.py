@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from diffsim.copter.assemble import build_design
-from diffsim.copter.design import Design
+from diffsim.copter.design import Design, build_design
 from diffsim.copter.geometry import rotation_rpy
 from diffsim.copter.spec import DesignSpec, PartSpec
 from diffsim.copter.xml_links import Links

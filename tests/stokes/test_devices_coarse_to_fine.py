@@ -12,7 +12,7 @@ from diffsim.stokes import devices
 from diffsim.stokes.devices.coarse_to_fine import unit_on_fine_grid
 from diffsim.stokes.devices.log import Log
 from diffsim.stokes.devices.sampling import Samples, values
-from tests.stokes.test_devices_optimise import Interrupted
+from tests.stokes.test_devices_optimize import Interrupted
 
 F64 = torch.float64
 

@@ -10,12 +10,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim.copter.codesign.alternating import AlternatingOptions, alternating, judge
+from diffsim.copter.codesign.alternating import alternating, judge
 from diffsim.copter.codesign.bound import lower_bound
 from diffsim.copter.codesign.cases import Demands
 from diffsim.copter.codesign.joint import joint, random_point, refine
 from diffsim.copter.codesign.limits import Limits
 from diffsim.copter.codesign.metrics import ALTERNATING, CurrentModel, parse_objective
+from diffsim.copter.codesign.options import AlternatingOptions
 from diffsim.copter.codesign.program import Program
 from diffsim.copter.codesign.report import design_metrics, largest_weight
 from diffsim.copter.codesign.result import CoDesignResult, StartRecord, attitude_of

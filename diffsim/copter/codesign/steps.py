@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +11,10 @@ from scipy.optimize import minimize
 from diffsim.copter.codesign.errors import CoDesignError
 from diffsim.copter.codesign.hover import LEVEL
 from diffsim.copter.codesign.metrics import require_cvxpy
+from diffsim.copter.codesign.options import AlternatingOptions
 from diffsim.copter.codesign.task import Point, Task
 from diffsim.copter.codesign.wrench import skew
 from diffsim.copter.vehicle import GRAVITY
-
-if TYPE_CHECKING:
-    from diffsim.copter.codesign.alternating import AlternatingOptions
 
 Array = NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 
     >>> from diffsim.stokes import devices
     >>> device = devices.make("amplifier", resolution=0.5)
-    >>> best = devices.optimise(device)
+    >>> best = devices.optimize(device)
     >>> flow = device.solve(best.x)
 
 On the command line: ``python -m diffsim.stokes.devices amplifier --out runs/amplifier``.
@@ -15,11 +15,12 @@ from collections.abc import Callable
 from diffsim.core.check import require_choice
 from diffsim.stokes.devices.amplifier import amplifier
 from diffsim.stokes.devices.averager import averager
-from diffsim.stokes.devices.coarse_to_fine import CoarseStage, coarse_to_fine
+from diffsim.stokes.devices.coarse_to_fine import coarse_to_fine
 from diffsim.stokes.devices.device import Device, Parameter, State
 from diffsim.stokes.devices.funnel import funnel
 from diffsim.stokes.devices.gate import gate
-from diffsim.stokes.devices.optimise import Optimum, optimise
+from diffsim.stokes.devices.optimize import optimize
+from diffsim.stokes.devices.optimum import CoarseStage, Optimum
 from diffsim.stokes.devices.switch import switch
 from diffsim.stokes.devices.twister import twister
 
@@ -58,7 +59,7 @@ __all__ = [
     "funnel",
     "gate",
     "make",
-    "optimise",
+    "optimize",
     "switch",
     "twister",
 ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 from torch import Tensor
@@ -12,35 +11,10 @@ from diffsim.core.errors import DiffsimError
 from diffsim.core.files import to_plain
 from diffsim.stokes.devices.device import Device
 from diffsim.stokes.devices.log import Log
-from diffsim.stokes.devices.optimise import (
-    Optimum,
-    as_optimum,
-    check_counts,
-    search_settings,
-)
+from diffsim.stokes.devices.optimize import check_counts, search_settings
+from diffsim.stokes.devices.optimum import CoarseStage, Optimum, as_optimum
 from diffsim.stokes.devices.sampling import Samples, draw, values
 from diffsim.stokes.devices.search import Descent, descend
-
-
-@dataclass(frozen=True)
-class CoarseStage:
-    """What the coarse grid contributed, and how its losses compare; none is normalised.
-
-    Attributes:
-        descents: L-BFGS on the coarse grid, from the best sample first.
-        fine_losses: Of their results on the fine grid, (num_starts,).
-        unit_loss: Mean of all samples on the coarse grid.
-        unit_error: Standard error of the fine grid's unit, for which only some samples were used.
-        checked_coarse: Losses of those samples on the coarse grid, (num_checked,).
-        checked_fine: The same designs on the fine grid, (num_checked,); infinite without flow.
-    """
-
-    descents: tuple[Descent, ...]
-    fine_losses: Tensor
-    unit_loss: float
-    unit_error: float
-    checked_coarse: Tensor
-    checked_fine: Tensor
 
 
 def coarse_to_fine(
@@ -59,14 +33,14 @@ def coarse_to_fine(
 ) -> Optimum:
     """Design a device; random designs are drawn and first improved on a coarser grid.
 
-    1. Random designs on the coarse grid, as ``optimise`` draws them.
+    1. Random designs on the coarse grid, as ``optimize`` draws them.
     2. L-BFGS there from each of the best ``num_starts``.
     3. Of these results, the best on the device's own grid starts L-BFGS on that.
     4. The unit of the loss on that grid, its mean over the random designs, from the first
        ``num_checked`` of them: mean_coarse(all) * mean_fine(checked) / mean_coarse(checked).
 
     Losses and gradients of the result are those of the device's own grid throughout; the coarse one
-    only chooses the start. Resumes as ``optimise`` does.
+    only chooses the start. Resumes as ``optimize`` does.
 
     Args:
         device: The device.
