@@ -16,7 +16,7 @@ predicted +15.8 % and flew +11.1 % with 10.6 degrees. Why they differ:
   here, reaches 25.0 %, too (benchmarks/copter.py); a margin for control, or limits of size that it
   does not state, would explain a smaller one.
 - Angles: many tilts balance five equal thrusts; ours stays near upright. Torque kept for control at
-  the largest weight (0.5 N m in roll and pitch, 0.05 in yaw) asks for 13 degrees and gains 25.5 %
+  the largest weight (0.5 N m in roll and pitch, 0.05 in yaw) asks for 11 degrees and gains 26.2 %
   over the flat design with the same torque kept.
 - Size: the thesis does not say what bounded it. Ours keeps propellers 10 mm apart, and where torque
   is kept, lengths change by at most 0.3 mean arms: longer arms would always be better.
