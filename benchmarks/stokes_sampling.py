@@ -52,7 +52,7 @@ def measure(
     """L-BFGS from the best random design, which ``optimize`` takes, and from the first others.
 
     Returns:
-        "histories": loss of every evaluation, normalised, one list per start, that of the best
+        "histories": loss of every evaluation, normalized, one list per start, that of the best
         sample first; None where there was no flow. "finals": the least of each.
     """
     log = Log(path, search_settings(device, num_samples, seed))
@@ -107,7 +107,7 @@ def report(results: Rows) -> str:
     lines = [
         "# L-BFGS from the best of several random designs, and from each of the others",
         "",
-        "Normalised losses: 1 is the mean of the random designs. Stuck: ends above "
+        "Normalized losses: 1 is the mean of the random designs. Stuck: ends above "
         f"{STUCK:g} times the best end of all starts, and above {PERFECT:g}.",
         "",
         "| device | starts | best sample: first, final | others: best, median, worst final | "
@@ -150,7 +150,7 @@ def draw_figure(results: Rows, path: Path) -> None:
         low, high = ax.get_ylim()
         if high < 100.0 * low:  # hardly a power of ten to label
             number_in_steps_of_1_2_5(ax.yaxis)
-    panels[0].set_ylabel("normalised loss, least so far", fontsize=9)
+    panels[0].set_ylabel("normalized loss, least so far", fontsize=9)
     legend_below(figure, panels, 3)
     save(figure, path)
 

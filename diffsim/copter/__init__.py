@@ -24,7 +24,7 @@ from diffsim.copter.flight_state import FlightState
 from diffsim.copter.hover import Hover, hover, hover_thrusts
 from diffsim.copter.hover_result import HoverError, HoverResult, HoverWarning
 from diffsim.copter.import_xml import import_xml
-from diffsim.copter.linearise import LinearModel, linearise, state_rate
+from diffsim.copter.linearize import LinearModel, linearize, state_rate
 from diffsim.copter.listing import PartEntry
 from diffsim.copter.lqr import LQR, LqrGain, lqr, lqr_stats, lyapunov
 from diffsim.copter.rotor import RotorModel, rotor_model, rotor_names
@@ -67,7 +67,7 @@ __all__ = [
     "hover_map_singular_value",
     "hover_thrusts",
     "import_xml",
-    "linearise",
+    "linearize",
     "load_design",
     "lqr",
     "lqr_stats",

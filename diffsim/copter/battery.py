@@ -29,7 +29,7 @@ USUAL_SAG_EXPONENT = 1.77
 class Battery:
     """A battery pack: voltage = open_circuit(charge) - resistance current.
 
-    Not modelled: temperature, recovery after a load, ageing, a capacity that depends on current.
+    Not modeled: temperature, recovery after a load, aging, a capacity that depends on current.
 
     Attributes:
         capacity: () [A s].

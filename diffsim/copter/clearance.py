@@ -22,7 +22,7 @@ def disc_clearances(copter: Multicopter) -> Tensor:
 
     Returns:
         (n_pairs,) [m], pairs in the order of ``torch.triu_indices(n, n, 1)``. Where two discs cut
-        each other it is the distance of their centres less both radii, negative; for discs in one
+        each other it is the distance of their centers less both radii, negative; for discs in one
         plane that goes on smoothly from a touch, for others it jumps down.
 
     Raises:
@@ -56,15 +56,15 @@ def min_clearance(copter: Multicopter) -> Tensor:
     return clearances.min()
 
 
-def _material(p: np.ndarray, centre: Tensor, normal: Tensor, radius: Tensor) -> Tensor:
-    """The point of a disc that is at p now, carried along by centre, turn and radius."""
-    arm = torch.from_numpy(p) - centre.detach()
+def _material(p: np.ndarray, center: Tensor, normal: Tensor, radius: Tensor) -> Tensor:
+    """The point of a disc that is at p now, carried along by center, turn and radius."""
+    arm = torch.from_numpy(p) - center.detach()
     axis = normal.detach()
     # To first order the turn of the disc maps arm to arm - axis (dn . arm).
     turned = arm - axis * ((normal - axis) * arm).sum(-1, keepdim=True)
     held = radius.detach()
     share = torch.where(held > 0.0, radius / held.clamp_min(1e-300), 1.0)
-    return centre + share[:, None] * turned
+    return center + share[:, None] * turned
 
 
 def _closest_points(

@@ -26,7 +26,7 @@ class ContactEnd:
     Attributes:
         placed: The part.
         patch_name: Of its patch.
-        at: Place along the patch's sliding directions [m]; None for its centre.
+        at: Place along the patch's sliding directions [m]; None for its center.
         slide: Whether that place is free; None leaves it to the patch.
     """
 
@@ -46,7 +46,7 @@ class ContactEnd:
         return self.placed.patch(self.patch_name)
 
     def coordinate(self, direction: Array) -> LinearForm:
-        """Of the patch's centre along a direction [m]."""
+        """Of the patch's center along a direction [m]."""
         return self.placed.coordinate(self.patch.center, direction)
 
 

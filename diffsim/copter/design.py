@@ -142,7 +142,7 @@ class Design:
         Args:
             s: Free parameters, (n_free,) [m]; the current ones if None.
             directions: Unit thrust directions, (n_rotors, 3); as built if None. They turn the
-                thrust about the propeller's centre, nothing else: motors' mass stays where it is,
+                thrust about the propeller's center, nothing else: motors' mass stays where it is,
                 as in the thesis, where d enters M_f and M_t only. ``with_directions`` rebuilds.
             spins: b_i, (n_rotors,), +1 or -1; as built if None.
 
@@ -191,7 +191,7 @@ class Design:
         return self._tensors.rod_length(self.all_values(s))
 
     def extent(self, s: Tensor | None = None) -> Tensor:
-        """Size of the box around the propellers' centres, (3,) [m]."""
+        """Size of the box around the propellers' centers, (3,) [m]."""
         centers = self._tensors.rotor_positions(self.all_values(s))
         return centers.amax(0) - centers.amin(0)
 

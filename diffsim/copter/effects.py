@@ -94,7 +94,7 @@ class RotorDrag:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BodyDrag:
-    """Drag at the centre of mass along the body's axes: -(linear + quadratic |a|) a.
+    """Drag at the center of mass along the body's axes: -(linear + quadratic |a|) a.
 
     Attributes:
         linear: (3,) [N s/m], >= 0.

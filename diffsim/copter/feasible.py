@@ -27,7 +27,7 @@ from diffsim.copter.quadratic_program import solve_qp
 from diffsim.core.errors import ConvergenceError
 
 _RANK_TOL = 1e-9  # coefficients are lengths' multiples, of order one
-_FEASIBLE = 1e-7  # [m], a tenth of a micrometre
+_FEASIBLE = 1e-7  # [m], a tenth of a micrometer
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +186,7 @@ def _independent_columns(a: Array, order: IntArray) -> IntArray:
 
 
 def staged_least_squares(stages: Sequence[tuple[Array, Array]], num_unknowns: int) -> Array:
-    """s that minimises |M s - r|^2 of the first stage, among those of the second, and so on.
+    """s that minimizes |M s - r|^2 of the first stage, among those of the second, and so on.
 
     Args:
         stages: (M, r) each, (k, num_unknowns) and (k,).

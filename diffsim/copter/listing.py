@@ -55,7 +55,7 @@ def placed_meshes(
         parts: Of the design.
         values: All parameters by name [m].
         directions: Thrust directions, (n_rotors, 3), by which motors and their propellers are
-            turned about the propeller's centre; None leaves them as built.
+            turned about the propeller's center; None leaves them as built.
     """
     tilts = _tilts(parts, directions)
     meshes = {}

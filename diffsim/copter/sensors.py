@@ -58,7 +58,7 @@ def read_sensors(
 
     Args:
         state: Leading axes (batch, time), as a flight has them.
-        acceleration: Of the centre of mass, world frame, (batch, time, 3) [m/s^2]; of a flight:
+        acceleration: Of the center of mass, world frame, (batch, time, 3) [m/s^2]; of a flight:
             ``finite_acceleration``.
         seed: Of the noise.
         noise: ``SensorNoise()`` by default.

@@ -40,7 +40,7 @@ def unreachable_mode(
 ) -> tuple[complex, np.ndarray] | None:
     """The eigenvalue and left vector of a mode that does not decay and that B cannot move.
 
-    Popov-Belevitch-Hautus: (A, B) is stabilisable if and only if [A - s, B] has full rank for every
+    Popov-Belevitch-Hautus: (A, B) is stabilizable if and only if [A - s, B] has full rank for every
     eigenvalue s of A with a real part that is not negative.
 
     Args:

@@ -155,3 +155,15 @@ class Boundary:
                 )
             values[name] = shaped
         return values
+
+
+MAX_NET_INFLOW = 0.05  # of the gross flux; cut faces close only to second order in the cell size
+
+
+def refuse_net_inflow(share: float) -> None:
+    """Raise if more flows into a closed part of the fluid than out; share of the gross flux."""
+    if share > MAX_NET_INFLOW:
+        raise ValueError(
+            f"a part of the fluid has no open face, but {100 * share:.0f} % more flows in than "
+            "out (or out than in) through its boundary; open a face, or balance the inlets"
+        )

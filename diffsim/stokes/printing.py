@@ -14,7 +14,7 @@ from diffsim.core.errors import MeshError
 from diffsim.core.files import write_bytes_atomic
 
 UNITS = {"m": 1.0, "mm": 1e3, "um": 1e6}
-"""Units of an STL file per metre; the format itself has none, slicers take millimetres."""
+"""Units of an STL file per meter; the format itself has none, slicers take millimeters."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -55,6 +55,6 @@ def rotor_fit(fit: RotorFit) -> Figure:
 
 
 def _rows(ax: Any, curve: CurveFit, y: Any, down: Any) -> None:
-    colour = COLOURS["measured"]
-    ax.plot(curve.x[~down], y[~down], "o", color=colour, markersize=4)
-    ax.plot(curve.x[down], y[down], "v", color=colour, markersize=4, markerfacecolor="none")
+    color = COLOURS["measured"]
+    ax.plot(curve.x[~down], y[~down], "o", color=color, markersize=4)
+    ax.plot(curve.x[down], y[down], "v", color=color, markersize=4, markerfacecolor="none")

@@ -33,7 +33,7 @@ def test_amplifier_by_way_of_a_coarser_grid():
     assert best.loss < 1e-3  # 1e-4 of a random design's mean is the aim of the full search
     stage = best.coarse
     assert stage is not None
-    # all normalised losses are this grid's, in its unit
+    # all normalized losses are this grid's, in its unit
     assert device.value(best.x) == pytest.approx(best.loss * best.unit_loss, rel=1e-9)
     assert float(best.evaluation_losses[0]) == pytest.approx(
         device.value(best.start) / best.unit_loss, rel=1e-9

@@ -125,7 +125,7 @@ def alternating(
 def judge(task: Task, found: Alternation) -> tuple[float, float, LocalSolution, Program]:
     """Hard-hover objective (infinite: none) of an end with its shape and directions fixed.
 
-    Thrusts and attitude are optimised; where a tilted attitude cannot be had, level flight.
+    Thrusts and attitude are optimized; where a tilted attitude cannot be had, level flight.
 
     Returns:
         Objective, violation of the constraints, solution and program.

@@ -6,8 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diffsim.core.check import require_choice, require_number
 
-@dataclass(frozen=True)
+FREE = ("shape", "directions", "attitude")
+"""What a co-design may change."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Limits:
     """What bounds directions, attitude and distances, besides A s <= b.
 
@@ -24,9 +29,20 @@ class Limits:
     max_tilt: float = np.pi / 6
     max_attitude: float = np.pi / 12
     clearance: float | None = None
-    free: tuple[str, ...] = ("shape", "directions", "attitude")
+    free: tuple[str, ...] = FREE
     extent: float = 2.0
     nearness: float = 1e-4
+
+    def __post_init__(self) -> None:
+        for name in self.free:
+            require_choice("free", name, FREE)
+        object.__setattr__(self, "free", tuple(self.free))
+        require_number("max_tilt", float(self.max_tilt), above=0.0, below=np.pi / 2)
+        require_number("max_attitude", float(self.max_attitude), above=0.0, below=np.pi / 2)
+        require_number("extent", float(self.extent), above=0.0, below=1e6)
+        require_number("nearness", float(self.nearness), at_least=0.0)
+        if self.clearance is not None:
+            require_number("clearance", float(self.clearance), at_least=0.0)
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,32 @@ from diffsim.copter.codesign.wrench import Rotors
 from diffsim.core.check import require_choice, require_number
 
 
+@dataclass(frozen=True, kw_only=True)
+class SearchOptions:
+    """From where, how often and by which solver a co-design is searched.
+
+    Attributes:
+        num_starts: Local solves, or starts of the alternation.
+        num_spins: Best spin assignments that share the starts of the joint method.
+        seed: Of the random starts; the first ones are the design itself.
+        max_iters: Largest number of iterations of each local solve.
+        solver: ``uno``, ``uno-ipm``, ``slsqp`` or ``trust-constr``; None: uno if installed.
+    """
+
+    num_starts: int = 8
+    num_spins: int = 4
+    seed: int = 0
+    max_iters: int = 300
+    solver: str | None = None
+
+    def __post_init__(self) -> None:
+        require_number("num_starts", self.num_starts, at_least=1)
+        require_number("num_spins", self.num_spins, at_least=1)
+
+
 @dataclass(frozen=True)
 class AlternatingOptions:
-    """Of Alg. 1.
+    """Weights and stopping rule of the alternation (thesis Alg. 1).
 
     Attributes:
         eta: Weight of the squared imbalance of force.

@@ -37,7 +37,7 @@ def pareto_front(
         metrics: Two or more names of ``METRICS``.
         num_points: Weights along each edge of the simplex, >= 2.
         progress: Show a bar.
-        **settings: Of ``codesign``.
+        **settings: Further arguments of ``codesign``.
 
     Returns:
         The designs that no other one dominates, sorted by the first metric.

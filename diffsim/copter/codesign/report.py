@@ -42,7 +42,7 @@ def design_metrics(task: Task, program: Program, x: Array) -> dict[str, float]:
 def largest_weight(task: Task, point: Point) -> float:
     """Overall weight that shape, directions and spins of a point lift [N]; nan if they cannot.
 
-    Thrusts and attitude are optimised; a demanded authority is kept.
+    Thrusts and attitude are optimized; a demanded authority is kept.
     """
     lifting = replace(task.lifting(), scales=task.scales)
     best = np.nan

@@ -88,7 +88,7 @@ class CoDesignResult:
 
     @property
     def max_payload(self) -> float:
-        """Largest payload at the centre of mass [kg]."""
+        """Largest payload at the center of mass [kg]."""
         return self.max_weight / GRAVITY - float(self.vehicle.mass)
 
     @property

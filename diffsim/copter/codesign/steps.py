@@ -18,7 +18,7 @@ from diffsim.copter.vehicle import GRAVITY
 
 Array = NDArray[np.float64]
 
-_HALVINGS = 8  # of a shape step that the linearised positions overrate
+_HALVINGS = 8  # of a shape step that the linearized positions overrate
 
 
 def weight_of(task: Task, mass: float) -> float:
@@ -86,7 +86,7 @@ def thrust_step(task: Task, point: Point, options: AlternatingOptions) -> Array:
 def shape_step(task: Task, point: Point, u: Array, options: AlternatingOptions) -> Point:
     """The best shape for thrusts and directions: convex once positions are linear in s.
 
-    They are not quite (rods have mass, which moves the centre of mass), so they are linearised and
+    They are not quite (rods have mass, which moves the center of mass), so they are linearized and
     the step is halved until the energy does not rise.
     """
     cp = require_cvxpy()

@@ -94,7 +94,7 @@ def steps(
         "check each motor's sense; swap any two of its three wires if it turns the wrong way."
     )
     done.append(
-        f"Before the first flight lift the copter at its centre of mass, "
+        f"Before the first flight lift the copter at its center of mass, "
         f"{_balance(design, values)}. It must hang level; move the battery if not."
     )
     done.append("Mount the propellers last, the printed side facing the thrust.")
@@ -102,7 +102,7 @@ def steps(
 
 
 def _balance(design: Design, values: Mapping[str, float]) -> str:
-    """Where the centre of mass is, from the middle of the first part."""
+    """Where the center of mass is, from the middle of the first part."""
     com = design.center_of_mass().tolist()
     first = design.parts[0]
     words = (("behind", "in front of"), ("left of", "right of"), ("above", "below"))

@@ -102,7 +102,7 @@ def _screw_mass(length: int) -> float:
 
 
 def _item(entry: PartEntry, placed: PlacedPart) -> str:
-    """What to buy, cut or print, with sizes in millimetres."""
+    """What to buy, cut or print, with sizes in millimeters."""
     options = placed.part.options
     words = entry.kind.replace("_", " ")
     if "rotor" in options:

@@ -20,7 +20,7 @@ class MotorPlan:
         number: 1, 2, ...: the flight controller's output, in the design's order.
         name: Of the part.
         rotor: Name of the rotor's model.
-        position: Of the propeller's centre relative to the centre of mass, front-right-down [m].
+        position: Of the propeller's center relative to the center of mass, front-right-down [m].
         radius: Of the propeller [m].
         direction: Of the thrust, unit, front-right-down.
         clockwise: Seen from above.

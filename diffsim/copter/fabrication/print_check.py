@@ -53,7 +53,7 @@ class PrintCheck:
 
 
 def check_print(mesh: trimesh.Trimesh, printer: Printer) -> PrintCheck:
-    """Check a mesh in millimetres, standing on the bed as it is to be printed."""
+    """Check a mesh in millimeters, standing on the bed as it is to be printed."""
     watertight = bool(mesh.is_watertight and mesh.is_winding_consistent)
     volume = float(mesh.volume)
     x, y, z = (float(v) for v in mesh.extents)

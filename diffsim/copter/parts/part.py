@@ -63,7 +63,7 @@ class Part:
         density: [kg/m^3], of the solid.
         patches: Connecting patches by name.
         price: Constant share [EUR].
-        price_per_parameter: Linear share per metre of a parameter, (num_parameters,) [EUR/m].
+        price_per_parameter: Linear share per meter of a parameter, (num_parameters,) [EUR/m].
         price_per_mass: Of printed parts [EUR/kg].
         source: How one comes by it: ``bought``, ``cut`` to length, ``printed``.
         rod_parameter: Index of the parameter that counts as length of rod, None if not a rod.
@@ -168,7 +168,7 @@ def density_of(mesh: LinearMesh, values: Array, mass: float) -> float:
 
 
 def linear_center(constant: Array, basis: Array) -> LinearPoints:
-    """A patch's centre, (3,) and (3, num_parameters) [m]."""
+    """A patch's center, (3,) and (3, num_parameters) [m]."""
     return LinearPoints(np.asarray(constant, dtype=np.float64), np.asarray(basis, np.float64))
 
 

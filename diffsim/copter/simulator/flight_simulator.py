@@ -46,7 +46,7 @@ class FlightSimulator:
     Args:
         design: A composed design, or a vehicle.
         controller: "lqr", "pid", or one that may believe in another vehicle.
-        payload: Carried below the centre of mass, known to the controllers named above [kg].
+        payload: Carried below the center of mass, known to the controllers named above [kg].
         rotors: One model per rotor; by default those that the vehicle names.
         battery: By default three cells of 2200 mA h, full.
         effects: Drags, wind, ground effect, interference; not the battery. A motor lag here wins

@@ -83,7 +83,7 @@ class FlightLog:
 
     @property
     def position_error(self) -> Array:
-        """Distance of the centre of mass from its target, (T,) [m]."""
+        """Distance of the center of mass from its target, (T,) [m]."""
         error: Array = np.linalg.norm(self.series("position") - self.series("target"), axis=1)
         return error
 

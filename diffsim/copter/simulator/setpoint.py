@@ -13,7 +13,7 @@ class Setpoint:
     """Targets of a controller, NED.
 
     Attributes:
-        position: Of the centre of mass, (3,) [m]; with ``hold_attitude`` only its z counts.
+        position: Of the center of mass, (3,) [m]; with ``hold_attitude`` only its z counts.
         velocity: World frame, (3,) [m/s]; with ``hold_attitude`` only its z counts.
         acceleration: World frame, (3,) [m/s^2]; 0 where it is not known ahead, or holding attitude.
         yaw: [rad].

@@ -5,7 +5,7 @@
     >>> best = devices.optimize(device)
     >>> flow = device.solve(best.x)
 
-On the command line: ``python -m diffsim.stokes.devices amplifier --out runs/amplifier``.
+On the command line: ``python -m diffsim.cli.devices amplifier --out runs/amplifier``.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ class State:
         name: As in pictures.
         shape: Parameters (num_parameters,) to the level set of the fluid.
         inlet: Velocity of every inlet by name, (cases, 1, dim) [m/s]: one case per basis input.
-        loss: Flow to loss, scalar, not normalised.
+        loss: Flow to loss, scalar, not normalized.
     """
 
     name: str
@@ -127,12 +127,12 @@ class Device:
         return self.flow(self.level_set(x, state), inlet=self.states[state].inlet)
 
     def loss(self, x: Tensor) -> Tensor:
-        """Loss, scalar, not normalised. Gradient: x."""
+        """Loss, scalar, not normalized. Gradient: x."""
         losses = [s.loss(self.solve(x, k)) for k, s in enumerate(self.states)]
         return torch.stack(losses).sum()
 
     def value_and_gradient(self, x: Tensor) -> tuple[float, Tensor]:
-        """Loss and its gradient (num_parameters,); one factorisation in memory at a time."""
+        """Loss and its gradient (num_parameters,); one factorization in memory at a time."""
         x = x.detach().clone().requires_grad_(True)
         value = 0.0
         for k, state in enumerate(self.states):

@@ -12,7 +12,7 @@ from diffsim.stokes.devices.search import Descent
 
 @dataclass(frozen=True)
 class CoarseStage:
-    """What the coarse grid contributed, and how its losses compare; none is normalised.
+    """What the coarse grid contributed, and how its losses compare; none is normalized.
 
     Attributes:
         descents: L-BFGS on the coarse grid, from the best sample first.
@@ -35,7 +35,7 @@ class CoarseStage:
 class Optimum:
     """What ``optimize`` or ``coarse_to_fine`` found.
 
-    Losses are normalised: 1 is the average of the random samples, 0 a perfect device.
+    Losses are normalized: 1 is the average of the random samples, 0 a perfect device.
 
     Attributes:
         x: Best design, (num_parameters,).
@@ -73,7 +73,7 @@ def as_optimum(
     unit: float,
     coarse: CoarseStage | None = None,
 ) -> Optimum:
-    """Normalise."""
+    """Normalize."""
     return Optimum(
         x=descent.x,
         loss=descent.loss / unit,

@@ -24,7 +24,7 @@ class Descent:
 
     Attributes:
         designs: In order of evaluation, (num_evaluations, num_parameters).
-        losses: Not normalised, (num_evaluations,); infinite where a design had no flow.
+        losses: Not normalized, (num_evaluations,); infinite where a design had no flow.
         seconds: Mean CPU time of loss and gradient [s].
         message: Why it stopped.
     """
@@ -41,7 +41,7 @@ class Descent:
 
     @property
     def loss(self) -> float:
-        """Its loss, not normalised."""
+        """Its loss, not normalized."""
         return float(self.losses.min())
 
 

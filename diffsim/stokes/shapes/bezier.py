@@ -33,7 +33,7 @@ class BezierCurve2d(Shape):
         fluid: "left" or "right", seen in the direction of travel; for closed ones also "inside" or
             "outside".
         weights: (k,) > 0 for rational curves.
-        degree: Degree of the curves of a chain, neighbours sharing one control point: k = degree x
+        degree: Degree of the curves of a chain, neighbors sharing one control point: k = degree x
             num_curves + 1 (open) or degree x num_curves (closed: the last curve ends at the first
             point). None: a single curve.
         closed: Whether the chain returns to its first control point (which is not repeated).

@@ -7,11 +7,11 @@ from torch import Tensor
 
 
 def crossing(polyline: Tensor) -> tuple[float, float] | None:
-    """A point where two chords that are not neighbours cross, or None.
+    """A point where two chords that are not neighbors cross, or None.
 
     Args:
         polyline: (N + 1, 2) [m]; first and last point may coincide (then their chords are
-            neighbours).
+            neighbors).
     """
     a, b = polyline[:-1], polyline[1:]
     d = b - a
