@@ -36,7 +36,7 @@ class FlightInputs(NamedTuple):
         gain: Width 12 num_rotors; empty without feedback.
         reference: Width 12; empty without feedback.
         wind: Width 3 [m/s].
-        parameters: As ``fields`` says.
+        parameters: Parameters of the vehicles in the order of ``fields``.
     """
 
     start: Tensor
@@ -64,7 +64,7 @@ class FlightSettings(NamedTuple):
         dt: Integration step [s].
         gravity: [m/s^2].
         substeps: Integration steps per control step.
-        effects: Those of ``EFFECTS`` that are there, separated by commas.
+        effects: Names of the effects that are modeled, out of ``EFFECTS``, separated by commas.
         num_threads: Threads of the kernel.
     """
 

@@ -34,7 +34,7 @@ class HoverSolution(NamedTuple):
 
     Attributes:
         thrusts: In shares of the weight per rotor, (batch, n_rotors) [-].
-        multipliers: Of lift and the three torques, (batch, 4); no gradient.
+        multipliers: Multipliers of lift and the three torques, (batch, 4); no gradient.
         state: -1 at the lower, 1 at the upper bound, else 0, (batch, n_rotors) int64.
         info: ``INFO``, (batch, 4) int64.
     """

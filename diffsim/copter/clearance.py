@@ -26,7 +26,7 @@ def disc_clearances(copter: Multicopter) -> Tensor:
         plane that goes on smoothly from a touch, for others it jumps down.
 
     Raises:
-        ConvergenceError: a distance was not found to 1e-9 radii.
+        ConvergenceError: a distance did not converge to 1e-9 radii.
 
     Gradients: positions, directions, radii.
     """
@@ -91,13 +91,13 @@ def _closest_points(
         if float((step / scale).max()) < 1e-13:
             return p, q
     gap = p - q
-    # Optimality: no point of a disc lies further along the gap than the one found.
+    # Optimality: no point of a disc lies further along the gap than the closest one.
     slack = _beyond(-gap, p, c1, n1, r1) + _beyond(gap, q, c2, n2, r2)
     size = np.linalg.norm(gap, axis=-1)
     error = float((slack / np.maximum(size, _TOUCH * scale) / scale).max())
     if error > 1e-9:
         raise ConvergenceError(
-            f"closest points of two propeller discs found to {error:.1e} radii only",
+            f"closest points of two propeller discs converged to {error:.1e} radii only",
             residual_norm=error,
             tolerance=1e-9,
             num_iters=_MAX_ITERS,

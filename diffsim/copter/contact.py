@@ -25,7 +25,7 @@ class ContactEnd:
 
     Attributes:
         placed: The part.
-        patch_name: Of its patch.
+        patch_name: Name of the patch.
         at: Place along the patch's sliding directions [m]; None for its center.
         slide: Whether that place is free; None leaves it to the patch.
     """
@@ -56,7 +56,7 @@ class Contact:
 
     Attributes:
         constraints: Coincidence and bounds of sliding.
-        explicit, defaults: Where sliding starts, told by the author or not.
+        explicit, defaults: Starting values of sliding, given by the author or assumed.
     """
 
     constraints: list[Constraint] = field(default_factory=list)

@@ -25,7 +25,7 @@ class Controllability(NamedTuple):
     """Of a linear system; the singular values carry gradients.
 
     Attributes:
-        rank: Of the controllability matrix.
+        rank: Rank of the controllability matrix.
         singular_values: Descending, (n,).
         condition: Largest over smallest, (); inf where the rank is not full.
     """

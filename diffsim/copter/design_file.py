@@ -14,7 +14,7 @@ def load_design(name: str | Path) -> Design:
     """Read and compose a design.
 
     Args:
-        name: Of a shipped design, such as ``pentacopter``, or the path of a YAML file.
+        name: Name of a shipped design, such as ``pentacopter``, or the path of a YAML file.
 
     Raises:
         FileNotFoundError: a path without a file.
@@ -30,7 +30,7 @@ def design_from_text(text: str, source: str = "design", folder: Path | None = No
     Args:
         text: YAML in the schema of ``diffsim.copter.spec_file``.
         source: What error messages call it.
-        folder: Where files that it names lie.
+        folder: Folder of the files that the text names.
     """
     spec = spec_from_text(text, source, folder)
     try:

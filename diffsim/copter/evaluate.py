@@ -18,7 +18,7 @@ class PartTensors:
 
     Args:
         placed: All parts.
-        names: Of all parameters.
+        names: Names of all parameters.
     """
 
     def __init__(self, placed: Sequence[PlacedPart], names: Sequence[str]):

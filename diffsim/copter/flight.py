@@ -27,7 +27,7 @@ class FlightError(DiffsimError):
 
     Attributes:
         vehicle: Index in the batch.
-        step: Control step after which it was noticed.
+        step: Control step after which it was detected.
     """
 
     def __init__(self, message: str, *, vehicle: int, step: int):
@@ -59,7 +59,8 @@ class Flight:
     """What a rollout returns.
 
     Attributes:
-        state: Of every vehicle at every control step and at the end, axes (batch, steps + 1, ...).
+        state: State of every vehicle at every control step and at the end, axes (batch, steps + 1,
+            ...).
         time: (steps + 1,) [s].
     """
 

@@ -59,7 +59,7 @@ def spec_from_text(text: str, source: str = "design", folder: Path | None = None
     Args:
         text: See the schema above.
         source: What error messages call it.
-        folder: Where files that it names lie.
+        folder: Folder of the files that the text names.
     """
     return _spec(read_yaml(text, source), folder)
 

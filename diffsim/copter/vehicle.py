@@ -29,7 +29,7 @@ class Multicopter:
             turns clockwise seen from above an upright rotor), else -1.
         torque_ratios: lambda_i, torque per thrust, (n_rotors,) [m].
         max_thrusts: u_max, (n_rotors,) [N].
-        radii: Of the propellers, (n_rotors,) [m].
+        radii: Radii of the propellers, (n_rotors,) [m].
         rotor_models: Names of the rotors' models, one each; empty if unknown.
 
     Raises:

@@ -19,7 +19,7 @@ _ASIDE = 1e-3  # and their centers are on one line up to this [m]
 
 
 class Links:
-    """Which parts touch, found from their boxes.
+    """Which parts touch, inferred from their boxes.
 
     Attributes:
         anchored: Names of parts that stay: the fixed ones, and connectors on plates.

@@ -32,7 +32,8 @@ class FlowInputs(NamedTuple):
         phi: Level set, (num_nodes,), > 0 in the fluid.
         viscosity: (1,) [Pa s].
         prescribed: Velocities, (cases, num_nodes, dim), read at prescribed components [m/s].
-        wall_velocity: Of the embedded wall, (1 or cases, num_nodes, dim) [m/s]; empty at rest.
+        wall_velocity: Velocity of the embedded wall, (1 or cases, num_nodes, dim) [m/s]; empty
+            at rest.
         body_force: Per volume, the same shapes [N/m^dim]; empty without.
         traction: On open faces, the same shapes [N/m^(dim-1)]; empty without.
     """

@@ -35,7 +35,7 @@ class StokesContext:
         open_faces: Faces of the box without condition, axis by axis, low side first.
         options: Fields of ``FlowOptions`` (csrc/kernels/stokes/flow_operator.h).
         num_kept: Factorized systems to keep.
-        inspect: Called with the report and phi of every new system; may warn or raise.
+        inspect: Function called with the report and phi of every new system; may warn or raise.
     """
 
     def __init__(

@@ -50,8 +50,9 @@ class Inlet:
     Args:
         face: "x-", "x+", "y-", ...
         name: Key of its velocities in ``StokesFlow.forward``; default the face's name.
-        where: Which nodes of the face: a function of positions (n, dim) [m] that returns (n,) bool;
-            default all. The rest of the face is a no-slip wall unless another condition says so.
+        where: Nodes of the face that belong to it: a function of positions (n, dim) [m] that
+            returns (n,) bool; default all. The rest of the face is a no-slip wall unless another
+            condition says so.
     """
 
     face: str

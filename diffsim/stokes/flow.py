@@ -125,7 +125,7 @@ class StokesFlow(nn.Module):
                 (cases, 1 or num_inlet_nodes, dim); one tensor where there is one inlet. Node order:
                 ``inlet_positions``.
             viscosity: Scalar tensor or number instead of the module's [Pa s].
-            wall_velocity: Of the embedded wall [m/s]: (dim,), (*node_shape, dim) or
+            wall_velocity: Velocity of the embedded wall [m/s]: (dim,), (*node_shape, dim) or
                 (cases, *node_shape, dim).
             body_force: Force per volume [N/m^dim], same shapes.
             traction: Force per area on open faces [N/m^(dim-1)], same shapes.

@@ -20,10 +20,10 @@ class SolverOptions:
             dimensions beyond ``MAX_DIRECT_NODES`` nodes with fluid, about where both take the same
             time for one case, and direct where incompressible. ``StokesFlow.report`` says which
             was taken.
-        rtol: Of the iterative solver: norm of the residual over that of the right-hand side, both
-            with momentum and continuity scaled by powers of the cell size; the adjoint too.
-            Pressures that alternate from cell to cell are held weakly: errors there are 1e2 to 1e4
-            times larger [-].
+        rtol: Tolerance of the iterative solver: norm of the residual over that of the right-hand
+            side, both with momentum and continuity scaled by powers of the cell size; the adjoint
+            too. Pressures that alternate from cell to cell are held weakly: errors there are 1e2 to
+            1e4 times larger [-].
         tolerance: Largest relative divergence (see ``FlowField.stats``), where incompressible [-].
         max_iters: Largest number of incompressible iterations, and of the iterative solver's [-].
         num_kept: Factorized systems to keep; one is enough where every forward pass is followed by

@@ -29,7 +29,7 @@ def flow_inputs(
         phi: Level set, (*node_shape,) float64.
         inlet: Velocities of the inlets, as ``StokesFlow.forward`` takes them [m/s].
         viscosity: Scalar [Pa s].
-        wall_velocity: Of the embedded wall, as ``StokesFlow.forward`` takes it [m/s].
+        wall_velocity: Velocity of the embedded wall, as ``StokesFlow.forward`` takes it [m/s].
         body_force: Per volume, likewise [N/m^dim].
         traction: Per area of open faces, likewise [N/m^(dim-1)].
 

@@ -55,7 +55,7 @@ def draw_shapes(device: Device, optimum: Optimum, path: str | Path, count: int =
 
     Args:
         device: The device.
-        optimum: Its optimum.
+        optimum: Result of the search for the device.
         path: PNG to write.
         count: Designs, at most.
     """

@@ -30,8 +30,8 @@ def export(device: Device, x: Tensor, folder: str | Path, *, size: float = 0.1) 
 
     Args:
         device: The device.
-        x: Its parameters, (num_parameters,) float64.
-        folder: Made if it is missing.
+        x: Parameters of the device, (num_parameters,) float64.
+        folder: Output folder, created if it is missing.
         size: Longest side of the box in the STL file [m], without walls around it.
 
     Returns:

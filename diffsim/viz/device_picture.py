@@ -33,7 +33,7 @@ def draw(device: Device, optimum: Optimum, path: str | Path) -> Path:
 
     Args:
         device: The device.
-        optimum: Its optimum.
+        optimum: Result of the search for the device.
         path: PNG to write.
     """
     plt: Any = optional("matplotlib.pyplot", purpose="the picture of a device")

@@ -58,7 +58,7 @@ def wiring(
     """Motors from above: numbers, senses of rotation, front.
 
     Args:
-        motors: Of the plan.
+        motors: Motors of the plan.
         shapes: Kind and triangles of structural parts, front-right-down relative to the center of
             mass, (num_triangles, 3, 3) [m].
     """

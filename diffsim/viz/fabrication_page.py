@@ -20,7 +20,7 @@ def write_fabrication(plan: FabricationPlan, folder: str | Path) -> Path:
 
     Args:
         plan: What to cut, print, buy and wire.
-        folder: Made where it is missing; files of the same names are replaced.
+        folder: Output folder, created where it is missing; files of the same names are replaced.
 
     Returns:
         The page.

@@ -28,7 +28,7 @@ def motor_outputs(flights: Sequence[tuple[str, FlightLog]], *, columns: int = 2)
 
     Args:
         flights: Titles and logs.
-        columns: Of panels.
+        columns: Number of columns of panels.
     """
     columns = min(columns, len(flights))
     rows = -(-len(flights) // columns)

@@ -36,7 +36,7 @@ class FlightScene:
         stream: ``rerun.RecordingStream``.
         design: What flies.
         payload: Carried below the center of mass [kg].
-        drop: How far below [m].
+        drop: Distance below the vehicle [m].
     """
 
     def __init__(self, stream: Any, design: Design, *, payload: float = 0.0, drop: float = 0.05):

@@ -45,10 +45,10 @@ def speed_map(
 
     Args:
         field: A flow in two dimensions.
-        case: Which of its cases.
+        case: Index of the inlet case.
         title: Above the picture.
         lines: Streamlines, or how many to start where fluid enters; 0 draws none.
-        max_speed: Of the color scale [m/s]; default the greatest in the fluid.
+        max_speed: Upper end of the color scale [m/s]; default the greatest in the fluid.
     """
     return compare([(title, field)], case=case, lines=lines, max_speed=max_speed)
 
@@ -65,10 +65,12 @@ def compare(
 
     Args:
         panels: (title, field) each.
-        case: Which of the fields' cases.
-        plane: Of 3D flows, such as ("z", 0.5): axis and position in the box [share of its side].
-        lines: As in ``speed_map``; the same count in every panel. 2D flows only.
-        max_speed: Of the color scale [m/s]; default the greatest that is drawn.
+        case: Index of the inlet case.
+        plane: Plane of 3D flows, such as ("z", 0.5): axis and position in the box [share of its
+            side].
+        lines: Number of streamlines, as in ``speed_map``; the same count in every panel. 2D flows
+            only.
+        max_speed: Upper end of the color scale [m/s]; default the greatest that is drawn.
     """
     _check_fields([field for _, field in panels])
     cuts = [cut_through(field, case, plane) for _, field in panels]
@@ -113,9 +115,9 @@ def slices(
     Args:
         field: A flow in three dimensions.
         planes: (axis, position in the box [share of its side]) each.
-        case: Which of its cases.
+        case: Index of the inlet case.
         title: Above the picture.
-        max_speed: Of the color scale [m/s]; default the greatest that is drawn.
+        max_speed: Upper end of the color scale [m/s]; default the greatest that is drawn.
     """
     _check_fields([field], dim=3)
     cuts = [cut_through(field, case, plane) for plane in planes]
@@ -153,10 +155,10 @@ def view(
 
     Args:
         panels: A flow in three dimensions, or (title, flow) for several side by side.
-        case: Which of the cases.
+        case: Index of the inlet case.
         lines: Streamlines, or how many to start where fluid enters.
-        max_speed: Of the color scale [m/s]; default the greatest on the lines.
-        elevation, azimuth: Of the viewer [degrees].
+        max_speed: Upper end of the color scale [m/s]; default the greatest on the lines.
+        elevation, azimuth: Elevation and azimuth of the viewer [degrees].
     """
     if isinstance(panels, FlowField):
         panels = [("", panels)]

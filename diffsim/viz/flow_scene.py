@@ -36,11 +36,11 @@ def write_rerun(
     Args:
         path: File name with the extension .rrd; folders are made.
         field: The flow; one in 2D lies in z = 0 with its wall extruded.
-        title: Of the recording.
-        case: Which of the field's cases.
+        title: Title of the recording.
+        case: Index of the inlet case.
         lines: Streamlines, or how many to start where fluid enters.
         num_arrows: About how many.
-        height: Of the wall of a 2D flow [m]; default a tenth of the longest side.
+        height: Height of the wall of a 2D flow [m]; default a tenth of the longest side.
 
     Raises:
         ImportError: rerun-sdk is not installed.

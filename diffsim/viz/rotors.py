@@ -25,7 +25,7 @@ def rotor_fit(fit: RotorFit) -> Figure:
     """Measured rows, fitted curves and residuals of thrust, torque, current and speed.
 
     Args:
-        fit: Of ``fit_rotor``.
+        fit: Fit as ``fit_rotor`` returns it.
     """
     kept = "thrust_offset" if fit.model.thrust_offset else "thrust"
     curves = {name: fit.curves[name] for name in _PANELS if name in fit.curves}

@@ -6,7 +6,7 @@ carries 1392 g with all five balanced. Here both fly the mission "carry" in clos
 noise, motor lag, sagging battery), twice: with the motors of the bench, and with motors that give
 77 % of the bench's thrust for the same current. That one number is fitted, to the flat one: at 79 %
 only motor 2 is at the clamp for more than a moment, at 75 % for half of the flight, at 72 % the
-vehicle strays by meters. Where the thesis's copters lost that lift is not known; it names
+vehicle departs by meters. Where the thesis's copters lost that lift is not known; it names
 interference between the propellers, and its battery and voltage are not given.
 
 Expected: with the bench's motors nobody saturates at these loads (the limits on a full battery are

@@ -103,11 +103,11 @@ def test_kept_losses_of_other_designs_are_dropped(tmp_path):
     device = devices.make("amplifier", 0.25)
     log = Log(tmp_path / "log.json", {})
     designs = [device.sample(torch.Generator().manual_seed(k)) for k in range(3)]
-    first = values(device, log, "found", designs[:2], progress=False)
-    again = values(Interrupted(device, 1), log, "found", designs[::2], progress=False)
+    first = values(device, log, "improved", designs[:2], progress=False)
+    again = values(Interrupted(device, 1), log, "improved", designs[::2], progress=False)
     assert float(again[0]) == float(first[0])
     assert float(again[1]) == device.value(designs[2])
-    assert len(json.loads((tmp_path / "log.json").read_text())["found"]) == 2
+    assert len(json.loads((tmp_path / "log.json").read_text())["improved"]) == 2
 
 
 def test_refuses_what_is_not_a_coarser_grid_of_the_same_device():

@@ -98,20 +98,20 @@ def alternating(
     records: list[StartRecord] = []
     best: tuple[float, Alternation] | None = None
     for start in starts:
-        found = alternate(task, replace(start, spins=chosen, gamma=LEVEL), options)
-        value, violation, *_ = judge(task, found)
+        end = alternate(task, replace(start, spins=chosen, gamma=LEVEL), options)
+        value, violation, *_ = judge(task, end)
         records.append(
             StartRecord(
                 spins=tuple(chosen.tolist()),
                 value=value,
                 violation=violation,
-                status=found.status,
-                num_iters=len(found.energies) - 1,
-                seconds=found.seconds[-1],
+                status=end.status,
+                num_iters=len(end.energies) - 1,
+                seconds=end.seconds[-1],
             )
         )
         if best is None or value < best[0]:
-            best = value, found
+            best = value, end
     assert best is not None
     if not np.isfinite(best[0]):
         raise CoDesignError(
@@ -122,7 +122,7 @@ def alternating(
     return best[1].point, best[1], records
 
 
-def judge(task: Task, found: Alternation) -> tuple[float, float, LocalSolution, Program]:
+def judge(task: Task, alternation: Alternation) -> tuple[float, float, LocalSolution, Program]:
     """Hard-hover objective (infinite: none) of an end with its shape and directions fixed.
 
     Thrusts and attitude are optimized; where a tilted attitude cannot be had, level flight.
@@ -130,6 +130,6 @@ def judge(task: Task, found: Alternation) -> tuple[float, float, LocalSolution, 
     Returns:
         Objective, violation of the constraints, solution and program.
     """
-    tried = [task.solve(found.point, free=free) for free in (("attitude",), ())]
+    tried = [task.solve(alternation.point, free=free) for free in (("attitude",), ())]
     ends = [(s.value if s.violation < 1e-7 else np.inf, s.violation, s, p) for s, p in tried]
     return min(ends, key=lambda end: (end[0], end[1]))

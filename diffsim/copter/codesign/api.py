@@ -91,10 +91,10 @@ class _Solved(NamedTuple):
     """A solved program and how it came about.
 
     Attributes:
-        task: As solved.
+        task: The task that was solved.
         point: The candidate.
         program: The program with hard hover.
-        x: Its unknowns at the optimum.
+        x: Unknowns of the program at the optimum.
         history: Objective or energy over the iterations.
         seconds_history: Wall time of each [s].
         status: Why the search stopped.

@@ -32,9 +32,9 @@ class Joint(NamedTuple):
     """The best of several local solves.
 
     Attributes:
-        task: As solved; its start is moved where the given one cannot be controlled.
+        task: The task that was solved; its start is moved where the given one cannot be controlled.
         point: The best candidate.
-        solution: Its local solution.
+        solution: Local solution at the best candidate.
         program: The program that was solved.
         records: One per start.
         warnings: What its user must know.

@@ -17,10 +17,10 @@ class Limits:
     """What bounds directions, attitude and distances, besides A s <= b.
 
     Attributes:
-        max_tilt: Of a rotor's axis from the body's up direction [rad].
-        max_attitude: Of the hovering body from level [rad].
+        max_tilt: Largest angle of a rotor's axis from the body's up direction [rad].
+        max_attitude: Largest roll or pitch of the hovering body [rad].
         clearance: Least distance between propeller discs seen from above [m]; None: not asked.
-        free: Which of shape, directions, attitude may change.
+        free: What may change: any of shape, directions, attitude.
         extent: Largest change of a shape parameter, in mean arm lengths.
         nearness: Weight of half the squared distance from the start (relative shape, upright
             rotors, level body): picks one design where many are equally good.
@@ -51,8 +51,9 @@ class Scales:
 
     Attributes:
         current, max_current: [A], of the start's weight shared out by the thrust limits.
-        size, cost, mass: Of the start.
-        inertia: Its largest [kg m^2], the unit of the response metric's target.
+        size, cost, mass: Size [m], cost [EUR] and mass [kg] of the start.
+        inertia: Largest moment of inertia of the start [kg m^2], the unit of the response metric's
+            target.
         response: 4 angle inertia / (m g L) [s^2]: turning by an angle and stopping at angular
             acceleration q m g L / inertia takes sqrt(response / q).
     """

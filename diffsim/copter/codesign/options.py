@@ -15,7 +15,7 @@ class SearchOptions:
     Attributes:
         num_starts: Local solves, or starts of the alternation.
         num_spins: Best spin assignments that share the starts of the joint method.
-        seed: Of the random starts; the first ones are the design itself.
+        seed: Seed of the random starts; the first ones are the design itself.
         max_iters: Largest number of iterations of each local solve.
         solver: ``uno``, ``uno-ipm``, ``slsqp`` or ``trust-constr``; None: uno if installed.
     """
@@ -38,8 +38,8 @@ class AlternatingOptions:
     Attributes:
         eta: Weight of the squared imbalance of force.
         mu: Weight of the squared imbalance of torque.
-        units: Of the imbalances: ``SI`` (N and N m, as published) or ``relative`` (over m g and
-            over m g L, L the mean arm).
+        units: Units of the imbalances: ``SI`` (N and N m, as published) or ``relative`` (over m g
+            and over m g L, L the mean arm).
         tolerance: Stop where a round improves the energy by less.
         max_rounds: Stop anyway.
     """

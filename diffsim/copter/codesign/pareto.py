@@ -36,7 +36,7 @@ def pareto_front(
         design: The parametric design.
         metrics: Two or more names of ``METRICS``.
         num_points: Weights along each edge of the simplex, >= 2.
-        progress: Show a bar.
+        progress: Show a progress bar.
         **settings: Further arguments of ``codesign``.
 
     Returns:

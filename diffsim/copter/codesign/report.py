@@ -47,7 +47,7 @@ def largest_weight(task: Task, point: Point) -> float:
     lifting = replace(task.lifting(), scales=task.scales)
     best = np.nan
     for free in ((), ("attitude",)):
-        found, program = lifting.solve(point, free=free)
-        if found.violation < 1e-7 and found.value > 0.0:
-            best = float(np.nanmax([best, program.rotors.weight / found.value]))
+        solution, program = lifting.solve(point, free=free)
+        if solution.violation < 1e-7 and solution.value > 0.0:
+            best = float(np.nanmax([best, program.rotors.weight / solution.value]))
     return best

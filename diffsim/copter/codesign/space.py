@@ -23,7 +23,7 @@ class DesignSpace(Protocol):
     """What co-design needs of a parametric multicopter.
 
     Attributes:
-        names: Of the shape parameters, num_params of them.
+        names: Names of the shape parameters, num_params of them.
         values: Their present values s, (num_params,).
         inequalities: A and b of the feasible set A s <= b, (num_rows, num_params) and (num_rows,)
             (thesis eq. 3.10).
@@ -57,7 +57,7 @@ class Shape:
 
     Attributes:
         mass, cost, size: [kg], [money], [m], with gradients (p,) in d_mass, d_cost, d_size.
-        positions: Of the rotors relative to the center of mass, (n_rotors, 3) [m].
+        positions: Positions of the rotors relative to the center of mass, (n_rotors, 3) [m].
         d_positions: (n_rotors, 3, p).
     """
 

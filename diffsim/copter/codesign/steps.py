@@ -160,7 +160,7 @@ def direction_step(task: Task, point: Point, u: Array, options: AlternatingOptio
     bounds = [(-1.0, 1.0), (-1.0, 1.0), (-1.0, upright)] * n
     best = point
     for first in (guess, point.d):
-        found = minimize(
+        solution = minimize(
             energy,
             first.ravel(),
             jac=True,
@@ -169,7 +169,7 @@ def direction_step(task: Task, point: Point, u: Array, options: AlternatingOptio
             constraints={"type": "eq", "fun": unit, "jac": unit_slope},
             options={"ftol": 1e-14, "maxiter": 200},
         )
-        d_new = found.x.reshape(n, 3)
+        d_new = solution.x.reshape(n, 3)
         d_new = d_new / np.linalg.norm(d_new, axis=1, keepdims=True)
         trial = replace(point, d=d_new)
         if soft_energy(task, trial, u, options) < soft_energy(task, best, u, options):

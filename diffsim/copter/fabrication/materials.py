@@ -21,12 +21,12 @@ class MaterialLine:
     """One line of the bill.
 
     Attributes:
-        item: What it is, with its sizes.
+        item: Description with sizes.
         source: ``bought``, ``cut``, ``printed`` or ``consumable``.
         quantity: Pieces.
-        mass: Of all pieces [kg].
-        price: Of all pieces [EUR].
-        names: Of the parts, empty for consumables.
+        mass: Mass of all pieces [kg].
+        price: Price of all pieces [EUR].
+        names: Names of the parts, empty for consumables.
     """
 
     item: str

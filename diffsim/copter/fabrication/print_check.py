@@ -35,7 +35,7 @@ class Printer:
 
 @dataclass(frozen=True)
 class PrintCheck:
-    """What was found.
+    """The outcome of a check.
 
     Attributes:
         watertight: Closed, every side shared by two triangles.

@@ -22,7 +22,7 @@ class RodCut:
         label: Letter on the piece.
         section: Cross-section in words.
         length: [m].
-        names: Of the parts, one per piece.
+        names: Names of the parts, one per piece.
     """
 
     label: str

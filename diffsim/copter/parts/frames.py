@@ -33,7 +33,8 @@ def x_frame(
     """A printed X of four arms; motor pads keep their size while the arms stretch.
 
     Args:
-        half_length, half_width: Of the rectangle of the motors, along x and y [m]; parameters.
+        half_length, half_width: Half sides of the rectangle of the motors, along x and y [m];
+            parameters.
         thickness, arm_width: [m].
         hub: Half the width of the middle [m].
     """

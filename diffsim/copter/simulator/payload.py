@@ -57,9 +57,9 @@ def payload_limit(
 
     Args:
         vehicle: Without the load.
-        outputs: Its motors.
+        outputs: Outputs of the vehicle's motors.
         battery: What feeds them.
-        charge: Of the battery, 0 to 1.
+        charge: State of charge of the battery, 0 to 1.
     """
     start, rated = _tensor(charge), outputs.max_thrusts
 

@@ -39,9 +39,9 @@ def make(name: str, resolution: float = 1.0, **options: object) -> Device:
     """A device by name: "amplifier", "averager", "funnel", "gate", "twister" or "switch".
 
     Args:
-        name: Which one.
+        name: Name of the device.
         resolution: Factor on the number of cells per axis; 1 is the thesis's grid.
-        **options: Those of the device, such as ``wall`` of the twister.
+        **options: Options of the device, such as ``wall`` of the twister.
     """
     return DEVICES[require_choice("name", name, DEVICES)](resolution, **options)
 

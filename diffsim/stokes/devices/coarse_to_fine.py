@@ -44,24 +44,24 @@ def coarse_to_fine(
 
     Args:
         device: The device.
-        coarse: The same on a coarser grid.
+        coarse: The same device on a coarser grid.
         num_samples: Random designs; ``device.num_samples`` if None.
-        seed: Of the samples.
-        num_starts: Of them, to improve on the coarse grid.
-        num_checked: Of them, to evaluate on both grids; 8, or all if there are fewer, if None. More
-            may be asked for in a later call.
-        max_evaluations: Of loss and gradient, at most.
-        max_coarse_evaluations: The same for each L-BFGS on the coarse grid.
+        seed: Seed of the samples.
+        num_starts: Number of samples that L-BFGS improves on the coarse grid, best first.
+        num_checked: Number of samples that are evaluated on both grids; 8, or all if there are
+            fewer, if None. More may be asked for in a later call.
+        max_evaluations: Largest number of evaluations of loss and gradient.
+        max_coarse_evaluations: Largest number of evaluations of each L-BFGS on the coarse grid.
         ftol: Relative decrease of the loss below which L-BFGS stops.
         path: JSON file of the state; none is kept if None.
-        progress: Show bars.
+        progress: Show progress bars.
 
     Returns:
         ``Optimum``; its ``coarse`` says how the grids compare.
 
     Raises:
         ValueError: ``coarse`` is another device or no coarser; the file belongs to another search.
-        DiffsimError: too few random designs, or none of those found, let fluid through.
+        DiffsimError: too few random designs, or none of the improved designs, let fluid through.
     """
     num_samples = device.num_samples if num_samples is None else num_samples
     check_counts(
@@ -95,9 +95,9 @@ def coarse_to_fine(
     descents = tuple(
         improved(coarse, x, f"coarse {k + 1}", max_coarse_evaluations) for k, x in enumerate(starts)
     )
-    found = [d.x for d in descents]
-    fine = values(device, log, "found", found, progress=progress)
-    start = found[int(fine.argmin())]
+    improved_designs = [d.x for d in descents]
+    fine = values(device, log, "improved", improved_designs, progress=progress)
+    start = improved_designs[int(fine.argmin())]
     descent = improved(device, start, "evaluations", max_evaluations)
     checked = values(device, log, "checked", list(samples.x[:num_checked]), progress=progress)
     fine_unit, error = unit_on_fine_grid(samples, checked)

@@ -35,12 +35,12 @@ def optimize(
     Args:
         device: The device.
         num_samples: Random designs; ``device.num_samples`` if None.
-        seed: Of the samples.
-        max_evaluations: Of loss and gradient, at most.
+        seed: Seed of the samples.
+        max_evaluations: Largest number of evaluations of loss and gradient.
         ftol: Relative decrease of the loss below which L-BFGS stops.
         start: Start L-BFGS here instead (the samples still set the unit of the loss).
         path: JSON file of the state; none is kept if None.
-        progress: Show bars.
+        progress: Show progress bars.
 
     Returns:
         ``Optimum``.

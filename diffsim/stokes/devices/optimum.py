@@ -16,11 +16,12 @@ class CoarseStage:
 
     Attributes:
         descents: L-BFGS on the coarse grid, from the best sample first.
-        fine_losses: Of their results on the fine grid, (num_starts,).
+        fine_losses: Losses of the coarse results on the fine grid, (num_starts,).
         unit_loss: Mean of all samples on the coarse grid.
         unit_error: Standard error of the fine grid's unit, for which only some samples were used.
         checked_coarse: Losses of those samples on the coarse grid, (num_checked,).
-        checked_fine: The same designs on the fine grid, (num_checked,); infinite without flow.
+        checked_fine: Losses of the same designs on the fine grid, (num_checked,); infinite without
+            flow.
     """
 
     descents: tuple[Descent, ...]
@@ -33,13 +34,13 @@ class CoarseStage:
 
 @dataclass(frozen=True)
 class Optimum:
-    """What ``optimize`` or ``coarse_to_fine`` found.
+    """The result of ``optimize`` or ``coarse_to_fine``.
 
     Losses are normalized: 1 is the average of the random samples, 0 a perfect device.
 
     Attributes:
         x: Best design, (num_parameters,).
-        loss: Its loss.
+        loss: Normalized loss of the best design.
         start: Design that L-BFGS started from, (num_parameters,).
         samples: All sampled designs, (num_samples, num_parameters).
         sample_losses: (num_samples,), mean 1; on the coarse grid where there was one.

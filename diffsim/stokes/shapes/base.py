@@ -43,8 +43,8 @@ __all__ = [
 class Shape(nn.Module):
     """A level set: phi > 0 in the fluid, < 0 in the solid; subclasses give ``level``.
 
-    Parameters may be numbers, tensors (part of the caller's graph) or ``nn.Parameter`` (then found
-    by ``shape.parameters()``). Gradients: points and all parameters, first order, reverse and
+    Parameters may be numbers, tensors (part of the caller's graph) or ``nn.Parameter`` (then among
+    ``shape.parameters()``). Gradients: points and all parameters, first order, reverse and
     forward mode.
 
     Attributes:

@@ -30,7 +30,7 @@ class Patch:
 
     Attributes:
         homogeneous: (nu, nv, 4), w x, w y, w z, w.
-        bases: Of u and v.
+        bases: Spline bases of u and v.
         low, high: Range of (u, v), (2,); infinite where periodic.
         size: Length scale [m].
     """

@@ -34,7 +34,7 @@ class Plane(Shape):
 
 
 class Sphere(Shape):
-    """Ball (3D) or disc (2D), solid with the fluid outside unless told otherwise.
+    """Ball (3D) or disc (2D), solid with the fluid outside by default.
 
     thesis 4.2.5: phi = r - |c - x| for fluid inside. At the center the gradient to the points and
     to the center is zero.
