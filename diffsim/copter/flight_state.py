@@ -22,12 +22,12 @@ class FlightState:
     """State of a batch of vehicles, NED; leading axes are (batch,) or, for a flight, (batch, time).
 
     Attributes:
-        position: Of the centre of mass, (..., 3) [m].
-        quaternion: World from body, (w, x, y, z), (..., 4); normalised when a flight starts.
+        position: Position of the center of mass, (..., 3) [m].
+        quaternion: World from body, (w, x, y, z), (..., 4); normalized when a flight starts.
         velocity: World frame, (..., 3) [m/s].
         body_rates: Angular velocity in the body frame, (..., 3) [rad/s].
         thrusts: State of the motors, (..., n_rotors) [N]; None: settled at the first command.
-        charge: Of the battery, 0 to 1, (...); None: full.
+        charge: State of charge of the battery, 0 to 1, (...); None: full.
     """
 
     position: Tensor

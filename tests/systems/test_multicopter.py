@@ -57,7 +57,7 @@ def quadcopter():
 def flown():
     """A closed-loop flight about with turns, its thrusts and noise-free channels."""
     vehicle, eye = quadcopter(), torch.eye
-    linear = copter.linearise(vehicle, tensor([HOVER] * 4), torch.zeros(2, dtype=torch.float64))
+    linear = copter.linearize(vehicle, tensor([HOVER] * 4), torch.zeros(2, dtype=torch.float64))
     weight = eye(12, dtype=torch.float64)
     gain = copter.lqr(linear.A, linear.B, weight, eye(4, dtype=torch.float64)).K
     t = DT * torch.arange(SAMPLES, dtype=torch.float64)

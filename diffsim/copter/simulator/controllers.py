@@ -12,7 +12,7 @@ from torch import Tensor
 from diffsim.copter.flight_state import FlightState
 from diffsim.copter.hover import hover
 from diffsim.copter.hover_result import HoverError, HoverResult, HoverWarning
-from diffsim.copter.linearise import linearise
+from diffsim.copter.linearize import linearize
 from diffsim.copter.lqr import lqr
 from diffsim.copter.pid import PidController, PidGains
 from diffsim.copter.simulator.setpoint import Setpoint
@@ -73,7 +73,7 @@ class LqrController:
         self.max_error = require_number("max_error", max_error, above=0.0)
         vehicle = vehicle.detach()
         trim = flyable_hover(vehicle)
-        A, B = linearise(vehicle, trim.thrusts, trim.attitude)
+        A, B = linearize(vehicle, trim.thrusts, trim.attitude)
         q = state_weight * torch.eye(12, dtype=torch.float64)
         r = input_weight * torch.eye(vehicle.num_rotors, dtype=torch.float64)
         self.gain = lqr(A, B, q, r).K

@@ -1,4 +1,4 @@
-"""Equations of motion in twelve states and their linearisation about a hover (thesis 3.3.3)."""
+"""Equations of motion in twelve states and their linearization about a hover (thesis 3.3.3)."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def state_rate(copter: Multicopter, state: Tensor, thrusts: Tensor) -> Tensor:
     )
 
 
-def linearise(
+def linearize(
     copter: Multicopter, thrusts: Tensor, attitude: Tensor, *, form: str = "euler"
 ) -> LinearModel:
     """A and B of the motion about a hover (thesis eq. 3.7), at rest and yaw zero.
