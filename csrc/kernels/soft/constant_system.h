@@ -37,7 +37,7 @@ struct ConstantSystemInputs {
   const std::uint8_t* fixed = nullptr;  // (num_nodes, 3), 1 where Dirichlet
   const double* inertia = nullptr;      // (num_nodes,) [N/m]
   const double* kappa = nullptr;        // (num_elements,) [Pa]
-  const double* fibre_kappa = nullptr;  // (num_fibres,) [Pa]
+  const double* fiber_kappa = nullptr;  // (num_fibers,) [Pa]
   SoftParameters parameters;            // of the energy; activation unused
 };
 
