@@ -16,7 +16,8 @@ from diffsim.identify import NumericalEffect, Numerics, Parameter
 from diffsim.systems import actuator, library
 from diffsim.systems.multicopter import effects as causes
 from diffsim.systems.multicopter import flight_model, unknown_wrench
-from diffsim.systems.multicopter.flying import Flyer, Motion
+from diffsim.systems.multicopter.flying import Flyer
+from diffsim.systems.multicopter.motion import Motion
 from diffsim.systems.multicopter.shooting import Windows
 from tests.diagnose.gate import score_error, typical
 

@@ -13,7 +13,7 @@ from diffsim.copter.fleet import Fleet
 from diffsim.copter.vehicle import GRAVITY
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
-from diffsim.systems.multicopter.flying import Motion, by_rotor
+from diffsim.systems.multicopter.motion import Motion, by_rotor
 from diffsim.systems.multicopter.scene import CopterScene, amount, vector
 from diffsim.systems.multicopter.sensors import (
     AccelerometerScale,
