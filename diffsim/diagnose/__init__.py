@@ -3,9 +3,10 @@
 from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.force_map import ForceMap, force_map
 from diffsim.diagnose.gain import Gain, gain
-from diffsim.diagnose.gate_result import GateResult
+from diffsim.diagnose.gates import GateResult
 from diffsim.diagnose.next_run import NextRun, next_run
-from diffsim.diagnose.report import EffectRow, HypothesisRow, Report
+from diffsim.diagnose.report import Report
+from diffsim.diagnose.tables import EffectRow, HypothesisRow
 
 __all__ = [
     "EffectRow",

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from diffsim.identify.effect import Effect
-from diffsim.identify.local import local_at
+from diffsim.identify.linearization import linearization_at
 from diffsim.identify.model import has_tangents
 from diffsim.identify.problem import Problem
 
@@ -82,9 +82,10 @@ class UnknownForce(Unknown):
         effect = self.effect if has_tangents(problem.model) else self._secant
         wide = replace(problem, runs=tuple(first.values()), effects=(*problem.effects, effect))
         own = wide.columns_of(effect)
-        found = local_at(wide, np.concatenate([x, np.zeros(len(own))]), own, screen=True).columns
+        at = np.concatenate([x, np.zeros(len(own))])
+        columns = linearization_at(wide, at, own, screen=True).columns
         edges = np.cumsum([run.measured.size for run in wide.runs])[:-1]
-        of_run = dict(zip((run.name for run in wide.runs), np.split(found, edges), strict=True))
+        of_run = dict(zip((run.name for run in wide.runs), np.split(columns, edges), strict=True))
         return np.concatenate([of_run[run.name] for run in twins])
 
 

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy import stats
 from scipy.sparse.csgraph import connected_components
 
+from diffsim.data.study import Channel, Run, Study
+from diffsim.diagnose.gain import held_out_point
+from diffsim.identify import Fit
 from diffsim.viz.figures import COLOURS, INK, LINE, SOFT, new_figure
 
 if TYPE_CHECKING:
@@ -25,36 +29,54 @@ NULL, EXTENDED = COLOURS["published"], COLOURS["fitted"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RunComparison:
-    """A run with what was measured and predicted.
+class PredictedRun(Run):
+    """A recorded run with what the models predict for it.
 
     Attributes:
-        name: Of the run.
-        use: "fit" or "holdout".
-        time_s: (num_samples,) [s].
-        command: By name, (num_samples,) each.
-        measured: (num_samples, num_channels); NaN where nothing was recorded.
-        null: Prediction of the fitted model without effects, same shape.
-        extended: Prediction with the named effects; None where nothing was named.
+        null: Prediction of the fitted model without effects, (num_samples, num_channels).
+        extended: Prediction with the named effects, same shape; None where nothing was named.
     """
 
-    name: str
-    use: str
-    time_s: Array
-    command: Mapping[str, Array]
-    measured: Array
     null: Array
     extended: Array | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class MeasuredChannel:
-    """A channel of the study: its name, unit, the sd of its noise in that unit, its kind."""
+def predicted_runs(study: Study, null: Fit, extended: Fit | None = None) -> list[PredictedRun]:
+    """Measured and predicted, runs for fitting first.
 
-    name: str
-    unit: str
-    sd: float
-    kind: str = ""
+    Args:
+        study: Recorded runs.
+        null: Fit without effects.
+        extended: Fit with effects; None where nothing was named.
+    """
+    return [
+        PredictedRun(
+            **vars(run),
+            null=predicted(null, run),
+            extended=None if extended is None else predicted(extended, run),
+        )
+        for run in (*study.fit_runs, *study.holdout_runs)
+    ]
+
+
+def predicted(fit: Fit, run: Run) -> Array:
+    """Prediction of a fit at its parameters, (num_samples, num_channels) [unit of the channel].
+
+    Nuisances of a held-out run are fitted to it, as the gain does.
+    """
+    x = held_out_point(fit, run) if run.use == "holdout" else fit.x
+    with torch.no_grad():
+        return fit.problem.predict(run, torch.as_tensor(x)).numpy()
+
+
+def with_noise(channels: Sequence[Channel], sd: Mapping[str, float]) -> list[Channel]:
+    """Channels with the noise that was estimated.
+
+    Args:
+        channels: Of a study.
+        sd: Standard deviation by name of the channel [unit of the channel].
+    """
+    return [replace(c, sd=float(sd[c.name])) for c in channels]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +85,7 @@ class _Residuals:
 
     label: str
     colour: str
-    runs: Sequence[tuple[RunComparison, Array]] = field(default_factory=tuple)
+    runs: Sequence[tuple[PredictedRun, Array]] = field(default_factory=tuple)
 
     @property
     def stacked(self) -> Array:
@@ -71,7 +93,7 @@ class _Residuals:
 
 
 def before_after(
-    runs: Sequence[RunComparison], channels: Sequence[MeasuredChannel], most: int = 3
+    runs: Sequence[PredictedRun], channels: Sequence[Channel], most: int = 3
 ) -> Figure:
     """Measured and predicted channels over time, a row per run, worst channels first.
 
@@ -99,7 +121,7 @@ def before_after(
 
 
 def residual_views(
-    runs: Sequence[RunComparison], channels: Sequence[MeasuredChannel], command: str | None = None
+    runs: Sequence[PredictedRun], channels: Sequence[Channel], command: str | None = None
 ) -> Figure:
     """Residuals in noise standard deviations over time, command, frequency and channel; the grey
     band is what noise alone does (95 %).
@@ -124,7 +146,7 @@ def residual_views(
 
 
 def over_position(
-    runs: Sequence[RunComparison], channels: Sequence[MeasuredChannel], most: int = 3
+    runs: Sequence[PredictedRun], channels: Sequence[Channel], most: int = 3
 ) -> Figure | None:
     """Residuals of all channels over where the system is: a panel per position channel, those of
     the largest range first.
@@ -170,7 +192,7 @@ def _binned_rms(x: Array, left: Array, bins: int = 10) -> tuple[Array, Array]:
     return middle, np.array([np.sqrt(np.nanmean(left[p] ** 2)) for p in parts])
 
 
-def worst_channels(runs: Sequence[RunComparison], channels: Sequence[MeasuredChannel]) -> list[int]:
+def worst_channels(runs: Sequence[PredictedRun], channels: Sequence[Channel]) -> list[int]:
     """Channels by the misfit of the model before, in noise standard deviations, worst first."""
     left = _residuals("", "", runs, channels, extended=False).stacked
     return [int(i) for i in np.argsort(-_rms(left))]
@@ -273,17 +295,17 @@ def next_run_bars(chi2_gain: Mapping[str, float], best: str) -> Figure:
 def _residuals(
     label: str,
     colour: str,
-    runs: Sequence[RunComparison],
-    channels: Sequence[MeasuredChannel],
+    runs: Sequence[PredictedRun],
+    channels: Sequence[Channel],
     *,
     extended: bool,
 ) -> _Residuals:
     sd = np.array([c.sd for c in channels])
     pairs = []
     for run in runs:
-        predicted = run.extended if extended else run.null
-        assert predicted is not None  # the caller looked
-        pairs.append((run, (run.measured - predicted) / sd))
+        shown = run.extended if extended else run.null
+        assert shown is not None  # the caller looked
+        pairs.append((run, (run.measured - shown) / sd))
     return _Residuals(label, colour, pairs)
 
 
@@ -378,9 +400,7 @@ def mean_periodogram(runs: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]
     return frequency, np.nanmean(np.stack(curves), 0)
 
 
-def _over_channels(
-    ax: Axes, kinds: Sequence[_Residuals], channels: Sequence[MeasuredChannel]
-) -> None:
+def _over_channels(ax: Axes, kinds: Sequence[_Residuals], channels: Sequence[Channel]) -> None:
     at = np.arange(len(channels))
     width = 0.8 / len(kinds)
     for k, kind in enumerate(kinds):

@@ -11,7 +11,7 @@ import yaml
 from diffsim.data.study import Study
 from diffsim.diagnose import diagnose, next_run
 from diffsim.diagnose.crosscheck import swap_probability
-from diffsim.diagnose.evidence import Linearisation
+from diffsim.diagnose.evidence import LaplaceEvidence
 from diffsim.diagnose.gates import (
     data_gate,
     gradient_gate,
@@ -175,7 +175,7 @@ def test_gradient_gate_passes_and_sees_a_wrong_gradient(method):
     effects = (linear.Line("push"), *(linear.Line(f"more {i}") for i in range(8)), Wrong("pull"))
     problem, x = linear.problem(effects), np.zeros(12)
     problem = replace(problem, jacobian=Jacobian(method=method))
-    at = Linearisation(problem, x, *problem.linearise(x), [], 1)
+    at = LaplaceEvidence(problem, x, *problem.linearise(x), [], 1)
     gates = {g.name: g for g in gradient_gate(at)}
     assert not gates.pop("gradient:pull").passed
     assert all(g.passed for g in gates.values()) and len(gates) == 9
@@ -185,7 +185,7 @@ def test_gradient_gate_passes_and_sees_a_wrong_gradient(method):
 def test_sound_gradients_are_checked_by_three_simulations_of_a_run():
     effects = tuple(linear.Line(f"push {i}") for i in range(8))
     problem = replace(linear.problem(effects), jacobian=Jacobian(method="forward_mode"))
-    at = Linearisation(problem, np.zeros(10), *problem.linearise(np.zeros(10)), [], 1)
+    at = LaplaceEvidence(problem, np.zeros(10), *problem.linearise(np.zeros(10)), [], 1)
     before = problem.model.simulations.count
     assert all(g.passed for g in gradient_gate(at))
     # one to see whether there is a gradient, one for the adjoint, three for the direction

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.descend import descend
+from diffsim.diagnose.fit import gauss_newton
 from diffsim.identify import Jacobian, Problem, SearchSettings, WhiteNoise
 from diffsim.identify.effort import DiagnosisSettings
-from diffsim.identify.local import local_at
+from diffsim.identify.linearization import linearization_at
 from diffsim.systems.soft_body import forces, material
 from diffsim.systems.soft_body.support import SupportMotion
 from diffsim.systems.soft_body.swinging import swinging_beam
@@ -26,7 +26,7 @@ def model_of(study, cells=(4, 2, 2)):
 def fitted(study, *effects):
     noise = WhiteNoise(study.channels)
     problem = Problem(model_of(study), study.fit_runs, noise, effects, Jacobian())
-    return descend(problem, local_at(problem, np.zeros(len(problem.names)))).fit
+    return gauss_newton(problem, linearization_at(problem, np.zeros(len(problem.names))))[0]
 
 
 def test_a_beam_of_the_laboratory_is_a_cantilever():

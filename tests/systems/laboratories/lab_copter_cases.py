@@ -108,8 +108,8 @@ def solve(case: Case) -> Case:
         "top": [(h.effects, h.unknown, round(float(h.nats), 1)) for h in report.hypotheses[:5]],
         "gates": {g.name: g.value for g in report.gates if not g.name.startswith("gradient")},
         "failed_gates": [g.name for g in report.gates if not g.passed],
-        "next_run": None if report.next_run is None else report.next_run["best"],
-        "next_over_median": None if report.next_run is None else report.next_run["over_median"],
+        "next_run": None if report.next_run is None else report.next_run.best,
+        "next_over_median": None if report.next_run is None else report.next_run.over_median,
         "scatter": float(np.nanmax(report.noise["scatter_ratio"])),
         "cpu_s": time.process_time() - begin,
     }
