@@ -19,7 +19,7 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.fitting import posterior_covariance
 from diffsim.identify.linearization import Linearization, record_at, whitened
 from diffsim.identify.model import has_tangents
-from diffsim.identify.numerical import NumericalEffect
+from diffsim.identify.numerical import NumericalEffect, coarse
 from diffsim.identify.numerics import REFINEMENTS
 
 Array = NDArray[np.float64]
@@ -202,7 +202,7 @@ def numerics_gate(fit: Fit, changes: Mapping[str, Array]) -> list[GateResult]:
 def numerical_effects(fit: Fit, changes: Mapping[str, Array]) -> tuple[NumericalEffect, ...]:
     """One candidate per setting that the model knows; rounding is none."""
     return tuple(
-        NumericalEffect(name, REFINEMENTS[name])
+        coarse(name, REFINEMENTS[name])
         for name, change in changes.items()
         if np.linalg.norm(whitened(fit.problem, change)) > ROUNDING
     )

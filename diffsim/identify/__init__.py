@@ -8,7 +8,7 @@ from diffsim.identify.jacobian import Jacobian
 from diffsim.identify.model import Scene, SimModel
 from diffsim.identify.model_file import save_extended
 from diffsim.identify.noise_model import Whitener, WhiteNoise
-from diffsim.identify.numerical import NumericalEffect
+from diffsim.identify.numerical import NumericalEffect, coarse
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.parameter import Parameter
 from diffsim.identify.problem import Problem
@@ -34,6 +34,7 @@ __all__ = [
     "UnknownForce",
     "WhiteNoise",
     "Whitener",
+    "coarse",
     "extended_model",
     "fit",
     "save_extended",

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -67,8 +66,7 @@ class UnknownForce(Unknown):
         self.effect, self.name = effect, name
         self._root = _root(covariance)
         # by a secant, one simulation each, where simulations must tell: only the shape matters
-        self._secant = copy(effect)
-        vars(self._secant)["smooth"] = False
+        self._secant = replace(effect, smooth=False)
 
     def mix(self, slopes: Array) -> Array:
         """Components drawn from their covariance."""

@@ -47,10 +47,9 @@ def setup(study: Study, *, max_effects: int = 3) -> DiagnosisSetup:
         "tail of one bending mode, pressure at once",
         batched=True,
     )
-    effects = tuple(make() for make in BENDING_EFFECTS)
     settings = DiagnosisSettings(search=SearchSettings(max_effects=max_effects))
     unknown = unknown_moment(study.runs, KNOTS_PER_S)
-    return DiagnosisSetup(model, effects, (unknown,), settings=settings)
+    return DiagnosisSetup(model, BENDING_EFFECTS, (unknown,), settings=settings)
 
 
 __all__ = ["setup"]

@@ -51,10 +51,9 @@ def setup(study: Study, *, max_effects: int = 4) -> DiagnosisSetup:
         "arm of one bending mode, moment in proportion to the pressure",
         batched=True,
     )
-    effects = tuple(make() for make in BENDING_EFFECTS)
     settings = DiagnosisSettings(search=SearchSettings(max_effects=max_effects, num_refits=3))
     unknown = unknown_moment(study.runs, KNOTS_PER_S)
-    return DiagnosisSetup(model, effects, (unknown,), settings=settings)
+    return DiagnosisSetup(model, BENDING_EFFECTS, (unknown,), settings=settings)
 
 
 __all__ = ["setup"]

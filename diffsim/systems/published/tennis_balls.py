@@ -55,9 +55,8 @@ def setup(study: Study, *, max_effects: int = 6) -> DiagnosisSetup:
         "two balls without friction, pinhole camera",
         batched=True,
     )
-    effects = tuple(make() for make in BALL_EFFECTS)
     settings = DiagnosisSettings(search=SearchSettings(max_effects=max_effects))
-    return DiagnosisSetup(model, effects, settings=settings)
+    return DiagnosisSetup(model, BALL_EFFECTS, settings=settings)
 
 
 def soft_model(
