@@ -74,7 +74,7 @@ def solve(case: Case) -> Case:
     started = time.process_time()
     study = toy.generate(case["seed"], case["hidden"], **case["options"])
     step = 0.02 if case["kind"] == "numerical" else None
-    library = toy.LIBRARY + ((toy.ClockOffset(),) if case["kind"] == "twins" else ())
+    library = toy.LIBRARY + ((toy.CLOCK_OFFSET,) if case["kind"] == "twins" else ())
     model = toy.model(study.runs, step)
     report = diagnose(study, model, library, seed=0, unknowns=[toy.unknown_force()])
     out = {

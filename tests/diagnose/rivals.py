@@ -171,7 +171,7 @@ def main() -> None:
         for case in done:
             study = toy.generate(case["seed"], case["hidden"], **case["options"])
             step = 0.02 if case["kind"] == "numerical" else None
-            extra = (toy.ClockOffset(),) if case["kind"] == "twins" else ()
+            extra = (toy.CLOCK_OFFSET,) if case["kind"] == "twins" else ()
             model = toy.model(study.runs, step)
             case["others"] = rival_names(study, model, toy.LIBRARY + extra)
             file.write(json.dumps(case) + "\n")

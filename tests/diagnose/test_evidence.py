@@ -28,7 +28,7 @@ def linearized(problem, x, unknowns, num_families):
 
 @pytest.mark.reference
 def test_signed_effects_against_the_marginal_normal():
-    effects = (linear.Line("push"), linear.Line("wind", components=("x", "y")))
+    effects = (linear.line("push"), linear.line("wind", components=("x", "y")))
     lin = linearized(linear.problem(effects), np.zeros(5), (), 1)
     y, a = linear.matrices(effects)
     for members, columns in [
@@ -47,7 +47,7 @@ def test_signed_effects_against_the_marginal_normal():
 @pytest.mark.parametrize("push", [-0.8, -0.1, 0.0, 0.3, 1.5])
 def test_half_normal_against_a_brute_force_integral(push):
     """Over both base parameters analytically, over the size by quadrature."""
-    effect = linear.Line("push", signed=False)
+    effect = linear.line("push", signed=False)
     y, a = linear.matrices((effect,))
     runs = []
     from dataclasses import replace
@@ -102,7 +102,7 @@ def moved(mass=0.0, gain=0.0):
 def test_a_bound_against_a_brute_force_integral(beyond, side):
     """Over mass by quadrature, over the others analytically; the optimum lies ``beyond`` posterior
     standard deviations beyond the bound."""
-    effect = linear.Line("push")
+    effect = linear.line("push")
     runs = moved(mass=4.0 * side)
     y, a = linear.matrices((effect,), runs)
     inverse = np.linalg.inv(a.T @ a + np.eye(3))
@@ -175,7 +175,7 @@ class Given(Unknown):
 
 @pytest.mark.reference
 def test_unknown_against_the_marginal_normal_averaged_over_amplitudes():
-    effects = (linear.Line("push"),)
+    effects = (linear.line("push"),)
     y, a = linear.matrices(effects)
     h = np.random.default_rng(0).normal(size=(len(y), 7))
     unit = h / np.sqrt(np.sum(h**2) / len(y))
@@ -194,7 +194,7 @@ def test_unknown_against_the_marginal_normal_averaged_over_amplitudes():
 
 
 def test_every_effect_and_unknown_pays_for_being_chosen():
-    effects = (linear.Line("push"), linear.Line("pull"))
+    effects = (linear.line("push"), linear.line("pull"))
     h = np.random.default_rng(0).normal(size=(60, 3))
     cheap, dear = (linearized(linear.problem(effects), np.zeros(4), (Given(h),), n) for n in (1, 5))
     key = Hypothesis(frozenset({0, 1}), 0)
@@ -259,7 +259,7 @@ def null_at(fit, at):
     """A plain model that is fitted, one candidate, no unknown cause."""
     runs = fit.problem.runs
     study = Study("linear", "soft_body", linear.CHANNELS, runs)
-    case = Case(study, fit.problem.model, (linear.Line("push"),), (), DiagnosisSettings())
+    case = Case(study, fit.problem.model, (linear.line("push"),), (), DiagnosisSettings())
     noise = noise_floor(runs, study.channels, {run.name: run.measured for run in runs})
     return Null(case, noise, fit, at, 0)
 

@@ -32,7 +32,7 @@ def problem_of(study, effects=()):
 
 
 @pytest.mark.reference
-@pytest.mark.parametrize("effects", [(), (toy.Drag(),), (toy.Drag(), toy.Delay())])
+@pytest.mark.parametrize("effects", [(), (toy.DRAG,), (toy.DRAG, toy.DELAY)])
 def test_same_minimum_as_scipy_for_fewer_simulations(study, effects):
     problem = problem_of(study, effects)
     truth = fit(problem.model, problem.runs, study.channels, effects=effects)
@@ -101,7 +101,7 @@ def test_nothing_is_simulated_at_the_minimum_and_an_outranked_set_is_left_early(
 
 
 def test_unsigned_sizes_stay_at_their_bound():
-    effect = linear.Line("push", signed=False)
+    effect = linear.line("push", signed=False)
     shape = linear.shapes("push", linear.run("r1", 1)).numpy()[..., 0]
     run = linear.run("r1", 1)
     problem = linear.problem((effect,), [replace(run, measured=run.measured - 3.0 * shape)])
@@ -122,7 +122,7 @@ def test_records_do_not_depend_on_the_noise(study):
 
 
 def test_only_effects_that_stand_out_are_differentiated_again(study):
-    wide = problem_of(study, (toy.Drag(), toy.Scale(), toy.Warming(), toy.Bias()))
+    wide = problem_of(study, (toy.DRAG, toy.SCALE, toy.WARMING, toy.BIAS))
     made = Simulations(wide)
     plain = made.narrow(NONE)
     _, at = gauss_newton(plain, linearization_at(plain, np.zeros(7)))
@@ -145,17 +145,16 @@ def test_joined_keeps_its_own_slopes():
 
 
 def test_a_slope_that_is_not_finite_names_its_coordinate(study):
-    class Brittle(toy.Bias):
-        def apply(self, scene, size, run):
-            return super().apply(scene, size / (size == 0.0), run)
+    def brittle(scene, size, run):
+        return toy.BIAS.apply(scene, size / (size == 0.0), run)
 
-    problem = problem_of(study, (toy.Drag(), Brittle()))
+    problem = problem_of(study, (toy.DRAG, replace(toy.BIAS, apply=brittle)))
     with pytest.raises(PredictionError, match="small step along bias;"):
         linearization_at(problem, np.zeros(len(problem.names)))
 
 
 def test_a_linear_answer_beyond_a_bound_starts_at_the_bound():
-    effects = (linear.Line("push"), linear.Line("pull"))
+    effects = (linear.line("push"), linear.line("pull"))
     wide = linear.problem(effects)
     heavy = replace(wide.model.base[0], upper=0.4)  # prior 0.3 +- 0.7: one seventh of an sd
     wide = replace(wide, model=SimModel(wide.model.build, [heavy, wide.model.base[1]]))

@@ -157,71 +157,55 @@ def lagged(u, h, tau):
     return out
 
 
-class _Term(Effect):
-    kind = "force"
-    unit = "-"
-    term = ""
+def term(name: str, family: str, typical: float, term: str = "", **more: Any) -> Effect:
+    """An effect that adds its size to a term of the scene, by default the one of its name."""
 
-    def apply(self, scene, size, run):
-        before = scene.terms.get(self.term or self.name, 0.0)
-        return replace(scene, terms={**scene.terms, self.term or self.name: before + size[..., 0]})
+    def apply(scene, size, run):
+        before = scene.terms.get(term or name, 0.0)
+        return replace(scene, terms={**scene.terms, term or name: before + size[..., 0]})
 
-
-class Drag(_Term):
-    name, family, typical, signed = "drag", "damping", 0.3, False
-    also_looks_like = ("turbulent drag of the surroundings",)
+    settings = {"kind": "force", "unit": "-", **more}
+    return Effect(name=name, family=family, typical=typical, apply=apply, **settings)
 
 
-class Friction(_Term):
-    name, family, typical, signed, smooth = "friction", "friction", 1.0, False, False
+DRAG = term(
+    "drag",
+    "damping",
+    0.3,
+    signed=False,
+    also_looks_like=("turbulent drag of the surroundings",),
+)
+FRICTION = term("friction", "friction", 1.0, signed=False, smooth=False)
+STIFFENING = term("stiffening", "stiffness", 0.1)
+DELAY = term("delay", "timing", 0.03, signed=False, kind="actuator")
+LAG = term("lag", "timing", 0.03, signed=False, kind="actuator")
+BIAS = term("bias", "load", 0.1)
+SCALE = term("scale", "sensor", 0.1, kind="sensor")
+WARMING = term("warming", "temperature", 0.01, kind="environment")
+CLOCK_OFFSET = term("clock_offset", "timing", 0.03, "delay", signed=False, kind="actuator")
+"""Exactly the delay under another name."""
 
 
-class Stiffening(_Term):
-    name, family, typical = "stiffening", "stiffness", 0.1
+def _with_knots(scene, size, run):
+    return replace(scene, terms={**scene.terms, "knots": size})
 
 
-class Delay(_Term):
-    name, family, typical, signed, kind = "delay", "timing", 0.03, False, "actuator"
-
-
-class Lag(_Term):
-    name, family, typical, signed, kind = "lag", "timing", 0.03, False, "actuator"
-
-
-class Bias(_Term):
-    name, family, typical = "bias", "load", 0.1
-
-
-class Scale(_Term):
-    name, family, typical, kind = "scale", "sensor", 0.1, "sensor"
-
-
-class Warming(_Term):
-    name, family, typical, kind = "warming", "temperature", 0.01, "environment"
-
-
-class ClockOffset(Delay):
-    """Exactly the delay under another name."""
-
-    name, term = "clock_offset", "delay"
-
-
-class Knots(Effect):
-    """The unknown force's coefficients, in units of the command."""
-
-    name, family, kind, unit, typical = "knots", "unknown", "force", "-", 0.1
-    components = tuple(f"t{i}" for i in range(21))
-
-    def apply(self, scene, size, run):
-        return replace(scene, terms={**scene.terms, "knots": size})
-
-
-LIBRARY = (Drag(), Friction(), Stiffening(), Delay(), Lag(), Bias(), Scale(), Warming())
+KNOTS = Effect(
+    name="knots",
+    form="The unknown force's coefficients, in units of the command.",
+    family="unknown",
+    kind="force",
+    unit="-",
+    typical=0.1,
+    components=tuple(f"t{i}" for i in range(21)),
+    apply=_with_knots,
+)
+LIBRARY = (DRAG, FRICTION, STIFFENING, DELAY, LAG, BIAS, SCALE, WARMING)
 
 
 def unknown_force() -> UnknownForce:
     knots = np.linspace(0.0, TIME[-1], 21)
-    return UnknownForce(Knots(), smooth_covariance(knots, 0.3))
+    return UnknownForce(KNOTS, smooth_covariance(knots, 0.3))
 
 
 def model(runs, implicit_step: float | None = None) -> SimModel:

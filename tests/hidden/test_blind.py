@@ -76,7 +76,7 @@ def test_a_class_counts_as_given_only_whole():
 
 
 def test_places_of_a_laboratory_are_effects_of_a_library():
-    known = {name: toy.Drag() for name in ("weak_rotor_1", "weak_rotor_2", "drag")}
+    known = {name: toy.DRAG for name in ("weak_rotor_1", "weak_rotor_2", "drag")}
     hidden = label("single", {"weak_rotor": [0.0, 0.1]})
     assert true_sizes(hidden, known) == {"weak_rotor_2": (0.1,)}
     assert true_sizes(label("single", {"drag": [0.2]}), known) == {"drag": (0.2,)}
@@ -115,7 +115,7 @@ def test_twins_predict_the_same_and_coarse_models_are_coarser():
     run = toy.generate(0).runs[0]
     model = toy.model([run], implicit_step=0.01)
     q = model.at_prior()
-    delay = toy.Delay()
+    delay = toy.DELAY
     twin = Twin(delay)
     assert twin.name == "delay_again" and twin.family == delay.family
     size = q.new_tensor([0.02])

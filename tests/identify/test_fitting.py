@@ -43,7 +43,7 @@ def decay_runs(rate=0.8, omega=6.5, offsets=(0.05, -0.08), seed=0, noise=0.02):
 
 @pytest.mark.reference
 def test_linear_posterior_is_the_closed_form():
-    effects = (linear.Line("push"),)
+    effects = (linear.line("push"),)
     found = fit(
         linear.model(), [linear.run("r1", 1), linear.run("r2", 2)], linear.CHANNELS, effects=effects
     )
@@ -141,7 +141,7 @@ def test_bound_is_kept_and_stated():
 
 
 def test_unsigned_size_stays_at_zero_where_the_data_ask_for_less():
-    push = linear.Line("push", signed=False)
+    push = linear.line("push", signed=False)
     runs = [linear.run("r1", 1)]
 
     shape = linear.shapes("push", runs[0]).numpy()[..., 0]

@@ -105,7 +105,7 @@ ACTING = (
 def test_tendon_from_equilibrium():
     """A command on its way through a lag, a start that depends on the material, no forces."""
     effects = tuple(e for e in SMOOTH if e.name in ("lag", "weight", "sensor_scale", "delay"))
-    late = actuator.CommandDelay()
+    late = actuator.COMMAND_DELAY
     for delay in (effects, (*(e for e in effects if e.name != "delay"), late)):
         problem = problem_of(tendon(), PULLED, *delay)
         x = np.zeros(len(problem.names))
@@ -114,7 +114,7 @@ def test_tendon_from_equilibrium():
 
 def test_tendon_in_water():
     """Drag, in a start that is sought with the forces and in the motion."""
-    problem = problem_of(tendon(water=True), PULLED, soft_forces.LinearDrag())
+    problem = problem_of(tendon(water=True), PULLED, soft_forces.LINEAR_DRAG)
     x = np.zeros(len(problem.names))
     x[-1] = 0.2
     assert_alike(problem, x)
@@ -122,14 +122,14 @@ def test_tendon_in_water():
 
 def test_unknown_force():
     effect = unknown_force(3, 0.2)
-    problem = problem_of(beam(), FREE, soft_forces.LinearDrag(), effect)
+    problem = problem_of(beam(), FREE, soft_forces.LINEAR_DRAG, effect)
     x = np.zeros(len(problem.names))
     x[3] = 0.3
     assert_alike(problem, x)
 
 
 def test_non_smooth_effects_are_simulated(monkeypatch):
-    band = actuator.DeadBand()
+    band = actuator.DEAD_BAND
     problem = problem_of(tendon(), PULLED, band)
     x = np.zeros(len(problem.names))
     count = simulations(monkeypatch)
@@ -153,11 +153,8 @@ class OldHook(Force):
         return force
 
 
-class Remembering(soft_forces.LinearDrag):
-    typical = 2e-3
-
-    def apply(self, scene, size, run):
-        return scene.with_force(lambda: OldHook(size[0]))
+def remembering(scene, size, run):
+    return scene.with_force(lambda: OldHook(size[0]))
 
 
 def test_hooks_and_observers_without_leading_axes():
@@ -169,7 +166,8 @@ def test_hooks_and_observers_without_leading_axes():
         return scene.changed(observe=lambda x: x[nodes].mean(0) + values["place"])
 
     model = SoftModel(build, (*plain.base, Parameter("place", 0.0, 1e-3, "m")))
-    problem = problem_of(model, FREE, Remembering(), soft_forces.LinearDrag())
+    old = replace(soft_forces.LINEAR_DRAG, typical=2e-3, apply=remembering)
+    problem = problem_of(model, FREE, old, soft_forces.LINEAR_DRAG)
     x = np.zeros(len(problem.names))
     x[-2:] = 0.3
     assert_alike(problem, x)

@@ -50,7 +50,7 @@ FLOW_LIMIT = Effect(
 )
 SLOW_FILL = Effect(
     name="slow_fill",
-    form="This share of the pressure arrives with ``slow_time``; venting is at once. Negative: leak.",
+    form="A share size of the pressure arrives with ``slow_time``; venting is at once.",
     family="slow",
     kind="actuator",
     unit="-",
@@ -92,7 +92,7 @@ MOMENT_GROWTH = Effect(
 )
 BALLOONING = Effect(
     name="ballooning",
-    form="Moment p / (1 - k p): the chamber's wall gives way as its pressure grows, the body does not.",
+    form="Moment p / (1 - k p): the chamber's wall gives way under pressure, the body does not.",
     family="moment",
     kind="material",
     unit="1/100 kPa",

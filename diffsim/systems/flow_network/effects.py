@@ -164,7 +164,7 @@ COMPLIANCE = Effect(
 )
 THINNING = Effect(
     name="thinning",
-    form="Viscosity times (1 + (rate / nominal rate)^2)^(-size / 2): at high rates a power law of exponent 1 - size.",
+    form="Viscosity times (1 + (rate / nominal rate)^2)^(-size / 2).",
     family="drive_dependent",
     kind="material",
     unit="-",

@@ -241,7 +241,7 @@ WAKE = Effect(
 )
 GYROSCOPIC = Effect(
     name="gyroscopic",
-    form="Torque -w x h of spinning rotors, h = sum_i size W_i s_i: size their inertia about the shaft.",
+    form="Torque -w x h of spinning rotors, h = sum_i size W_i s_i.",
     family="torque",
     kind="force",
     unit="kg m^2",

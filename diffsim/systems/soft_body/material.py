@@ -173,7 +173,7 @@ LOSS_FACTOR = Effect(
 )
 CREEP = Effect(
     name="creep",
-    form="Compliance that grows by the share size per decade of time, from half a second to minutes.",
+    form="Compliance grows by the share size per decade of time, half a second to minutes.",
     family="creep",
     kind="material",
     unit="1/decade",
@@ -194,7 +194,7 @@ STIFFENING = Effect(
 )
 STIFFNESS_LOSS = Effect(
     name="stiffness_loss",
-    form="E (1 - sum_i size_i hat_i) with straight-sided hats at the ends and the middle of the body.",
+    form="E (1 - sum_i size_i hat_i), straight-sided hats at the ends and the middle.",
     family="stiffness_field",
     kind="material",
     unit="-",

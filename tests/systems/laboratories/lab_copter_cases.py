@@ -18,11 +18,11 @@ from diffsim.diagnose import diagnose
 from diffsim.systems.registry import setup_of
 
 Case = dict[str, Any]
-HALF = {"linear_drag": 0.12, "lag": 0.015}
+HALF = {"body_drag": 0.12, "lag": 0.015}
 SINGLES: dict[str, Any] = {
-    "linear_drag": None,
+    "body_drag": None,
     "wind": [0.2, -0.2],
-    "centre_of_mass": [0.003, -0.004],
+    "center_of_mass": [0.003, -0.004],
     "lag": None,
     "body_tilt": [0.015, -0.01],
     "gyroscopic": None,
