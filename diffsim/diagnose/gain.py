@@ -134,7 +134,7 @@ def held_out_point(fit: Fit, run: Run) -> Array:
         return x
 
     # nuisances act almost linearly: slopes of their start serve for all steps
-    slopes = -problem.linearise(full(np.zeros(len(own))), only=own)[1][:, own]
+    slopes = -problem.linearize(full(np.zeros(len(own))), only=own)[1][:, own]
     found = optimize.least_squares(
         lambda part: np.concatenate([problem.residual(full(part)), part]),
         np.zeros(len(own)),

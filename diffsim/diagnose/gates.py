@@ -84,7 +84,7 @@ def data_gate(study: Study) -> tuple[GateResult, ...]:
 def gradient_gate(linear: LaplaceEvidence) -> list[GateResult]:
     """Adjoint score of every effect against differences; skipped where the scene has no gradient.
 
-    The slopes of the linearisation cost nothing here. Central differences are good to the second
+    The slopes of the linearization cost nothing here. Central differences are good to the second
     order; slopes of another method are first held against differences along one direction that
     moves all effects alike. Only where something disagrees, effects are differenced again one by
     one, at the usual step and half of it, extrapolated (Richardson): good to the fourth (third,
@@ -156,7 +156,7 @@ def _extrapolated(problem: Problem, x: Array, only: list[int]) -> Array:
     for h in (step, step / 2):
         residual, jacobian = replace(
             problem, jacobian=Jacobian(method="differences", step=h)
-        ).linearise(x, only=only)
+        ).linearize(x, only=only)
         scores.append(-jacobian[:, only].T @ residual)
     return np.asarray((4.0 * scores[1] - scores[0]) / 3.0)
 
@@ -229,7 +229,7 @@ def repeatability_gate(fit: Fit) -> list[GateResult]:
     A gain that jitters from run to run by more than was stated leaves no scatter in the channels:
     the gain of each run, a base parameter, takes it up, and the scatter is in these parameters.
 
-    The deviation of its standardised values from their mean over a group of repeats is N(0, 1)
+    The deviation of its standardized values from their mean over a group of repeats is N(0, 1)
     after scaling, or less, as fits shrink it. Failed: the rms over all groups is above the limit of
     the channels' scatter, and so large that chance does not make it.
 

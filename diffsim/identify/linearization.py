@@ -73,7 +73,7 @@ def linearization_at(
         PredictionError: a simulation left the range of numbers.
     """
     idx = tuple(range(len(x))) if only is None else tuple(only)
-    left, slopes = _raw(problem).linearise(x, screen=screen, only=idx)
+    left, slopes = _raw(problem).linearize(x, screen=screen, only=idx)
     slopes = slopes[:, list(idx)]
     if not np.isfinite(slopes).all():
         bad = [problem.names[i] for i, c in zip(idx, slopes.T, strict=True) if not _is_finite(c)]

@@ -6,7 +6,7 @@
     study: lab_flights
     setup: lab_copter            # which model and effects the names below belong to
     verdict: named
-    prepared_at: null            # where the model prepared what it prepares once (standardised)
+    prepared_at: null            # where the model prepared what it prepares once (standardized)
     parameters:                  # of the plain model, nuisances too
       mass: {value: 1.41, sd: 0.004, unit: kg}
     effects:                     # sizes; components of vector effects as "wind.north"

@@ -73,7 +73,7 @@ class UnknownForce(Unknown):
         return slopes @ self._root
 
     def slopes(self, problem: Problem, x: Array) -> Array:
-        """Per standardised component of the effect; simulated for one run of each command, as
+        """Per standardized component of the effect; simulated for one run of each command, as
         repeats differ by their nuisances only."""
         first: dict[object, Run] = {}
         twins = [first.setdefault(_sampling(run), run) for run in problem.runs]

@@ -84,7 +84,7 @@ class _Residuals:
     """Residuals of several runs in noise standard deviations, and how to draw them."""
 
     label: str
-    colour: str
+    color: str
     runs: Sequence[tuple[PredictedRun, Array]] = field(default_factory=tuple)
 
     @property
@@ -177,9 +177,9 @@ def over_position(
             x = np.concatenate([run.null[:, i] for run, _ in kind.runs])
             left = kind.stacked
             wide = np.repeat(x[:, None], left.shape[1], 1)
-            ax.plot(wide.ravel(), left.ravel(), ".", ms=2, alpha=0.25, color=kind.colour)
+            ax.plot(wide.ravel(), left.ravel(), ".", ms=2, alpha=0.25, color=kind.color)
             middle, rms = _binned_rms(x, left)
-            ax.plot(middle, rms, "o-", ms=3.5, lw=1.4, color=kind.colour, label=kind.label)
+            ax.plot(middle, rms, "o-", ms=3.5, lw=1.4, color=kind.color, label=kind.label)
         ax.set_xlabel(f"{channels[i].name} as predicted", color=SOFT)
     _shared_legend(figure, axes[0, 0])
     return figure
@@ -221,7 +221,7 @@ def confounding_matrix(
     Args:
         names: Components.
         confounding: (n, n), in their order.
-        bar: What the colours mean.
+        bar: What the colors mean.
     """
     blocks = blocks_of(confounding)
     grouped = [i for block in blocks for i in block]
@@ -283,8 +283,8 @@ def next_run_bars(chi2_gain: Mapping[str, float], best: str) -> Figure:
     """
     names = sorted(chi2_gain, key=lambda name: chi2_gain[name])
     figure, ax = new_figure(height=0.6 + 0.3 * len(names))
-    colours = [EXTENDED if name == best else COLOURS["measured_2"] for name in names]
-    drawn = ax.barh(names, [chi2_gain[name] for name in names], 0.7, color=colours)
+    colors = [EXTENDED if name == best else COLOURS["measured_2"] for name in names]
+    drawn = ax.barh(names, [chi2_gain[name] for name in names], 0.7, color=colors)
     ax.bar_label(drawn, [f"{chi2_gain[n]:.3g}" for n in names], padding=4, fontsize=8, color=SOFT)
     ax.set_xlabel("expected chi2 between the nearest rivals [-]", color=SOFT)
     ax.margins(x=0.1)
@@ -294,7 +294,7 @@ def next_run_bars(chi2_gain: Mapping[str, float], best: str) -> Figure:
 
 def _residuals(
     label: str,
-    colour: str,
+    color: str,
     runs: Sequence[PredictedRun],
     channels: Sequence[Channel],
     *,
@@ -306,7 +306,7 @@ def _residuals(
         shown = run.extended if extended else run.null
         assert shown is not None  # the caller looked
         pairs.append((run, (run.measured - shown) / sd))
-    return _Residuals(label, colour, pairs)
+    return _Residuals(label, color, pairs)
 
 
 def _rms(left: Array) -> Array:
@@ -327,9 +327,7 @@ def _over_time(ax: Axes, kinds: Sequence[_Residuals]) -> None:
         for k, (run, left) in enumerate(kind.runs):
             label = kind.label if k == 0 else "_"
             time = np.repeat(run.time_s[:, None], left.shape[1], 1)
-            ax.plot(
-                time.ravel(), left.ravel(), ".", ms=3, alpha=0.5, color=kind.colour, label=label
-            )
+            ax.plot(time.ravel(), left.ravel(), ".", ms=3, alpha=0.5, color=kind.color, label=label)
     ax.set_title("over time", loc="left", fontsize=10, color=INK)
     ax.set_xlabel("time [s]", color=SOFT)
 
@@ -351,7 +349,7 @@ def _over_phase(ax: Axes, kinds: Sequence[_Residuals], command: str | None) -> N
         for (run, left), phase in zip(kind.runs, phases, strict=True):
             x = phase if turning and phase is not None else run.command[command]
             x = np.repeat(x[:, None], left.shape[1], 1)
-            ax.plot(x.ravel(), left.ravel(), ".", ms=3, alpha=0.5, color=kind.colour)
+            ax.plot(x.ravel(), left.ravel(), ".", ms=3, alpha=0.5, color=kind.color)
 
 
 def command_phase(time_s: Array, command: Array) -> Array | None:
@@ -375,7 +373,7 @@ def _over_frequency(ax: Axes, kinds: Sequence[_Residuals]) -> None:
     ax.axhspan(low, high, color=LINE, lw=0, alpha=0.7)
     for kind in kinds:
         frequency, power = mean_periodogram([(r.time_s, left) for r, left in kind.runs])
-        ax.plot(frequency, power, lw=1.2, color=kind.colour)
+        ax.plot(frequency, power, lw=1.2, color=kind.color)
     ax.axhline(1.0, color=SOFT, lw=0.8, ls=":")
     ax.set_yscale("log")
     ax.set_title("spectrum (1: white noise)", loc="left", fontsize=10, color=INK)
@@ -405,7 +403,7 @@ def _over_channels(ax: Axes, kinds: Sequence[_Residuals], channels: Sequence[Cha
     width = 0.8 / len(kinds)
     for k, kind in enumerate(kinds):
         x = at + (k - (len(kinds) - 1) / 2) * width
-        ax.bar(x, _rms(kind.stacked), 0.92 * width, color=kind.colour)
+        ax.bar(x, _rms(kind.stacked), 0.92 * width, color=kind.color)
     ax.axhline(1.0, color=SOFT, lw=0.8, ls=":")
     ax.set_xticks(at, [c.name for c in channels], rotation=60, ha="right", fontsize=7.5)
     ax.set_title("over the channels (1: noise)", loc="left", fontsize=10, color=INK)

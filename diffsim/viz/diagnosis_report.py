@@ -173,7 +173,7 @@ def _whiteness(channels: Sequence[Channel], probabilities: Sequence[Sequence[flo
         columns=["channel", "before", "extended"][: 1 + len(probabilities)],
         rows=rows,
         caption="Ljung–Box probability that whitened residuals of the runs fitted are white. "
-        "Shown, not used: at 5 % it rejects many clean cases, since no noise is as modelled.",
+        "Shown, not used: at 5 % it rejects many clean cases, since no noise is as modeled.",
     )
 
 

@@ -45,7 +45,7 @@ def cases(seed: int, scale: int = 1) -> Iterator[Case]:
         for option in (
             {"tails": True},
             {"spikes": True},
-            {"colour": 0.7},
+            {"color": 0.7},
             {"far_base": 1.5},
             {"lost_repeat": True},
         ):

@@ -70,7 +70,7 @@ def problem(effects=(), runs=None) -> Problem:
 
 
 def matrices(effects=(), runs=None) -> tuple[np.ndarray, np.ndarray]:
-    """Whitened data y - S(0), (N,), and columns per standardised coordinate, (N, n)."""
+    """Whitened data y - S(0), (N,), and columns per standardized coordinate, (N, n)."""
     runs = runs or (run("r1", 1), run("r2", 2))
     sd = np.array([c.sd for c in CHANNELS])
     rights, columns = [], []

@@ -71,7 +71,7 @@ class Fits:
         x[: p.num_base] = at.x[: p.num_base]
         for effect in p.effects:
             x[wide.columns_of(effect)] = at.x[p.columns_of(effect)]
-        _, jacobian = wide.linearise(x, screen=True)
+        _, jacobian = wide.linearize(x, screen=True)
         q, _ = np.linalg.qr(at.jacobian)
         slopes = jacobian[:, p.num_base :]
         return at.residual - q @ (q.T @ at.residual), slopes - q @ (q.T @ slopes)

@@ -113,7 +113,7 @@ def test_exact_twins_are_ambiguous():
         ({}, {"scatter": 0.2}, "unrepeatable"),
         ({}, {"tails": True}, "none"),
         ({}, {"spikes": True}, "none"),
-        ({}, {"colour": 0.7}, "none"),
+        ({}, {"color": 0.7}, "none"),
         ({}, {"lost_repeat": True}, "none"),
     ],
 )
@@ -174,7 +174,7 @@ def test_gradient_gate_passes_and_sees_a_wrong_gradient(method):
     effects = (*right, replace(pull, apply=wrong))
     problem, x = linear.problem(effects), np.zeros(12)
     problem = replace(problem, jacobian=Jacobian(method=method))
-    at = LaplaceEvidence(problem, x, *problem.linearise(x), [], 1)
+    at = LaplaceEvidence(problem, x, *problem.linearize(x), [], 1)
     gates = {g.name: g for g in gradient_gate(at)}
     assert not gates.pop("gradient:pull").passed
     assert all(g.passed for g in gates.values()) and len(gates) == 9
@@ -184,7 +184,7 @@ def test_gradient_gate_passes_and_sees_a_wrong_gradient(method):
 def test_sound_gradients_are_checked_by_three_simulations_of_a_run():
     effects = tuple(linear.line(f"push {i}") for i in range(8))
     problem = replace(linear.problem(effects), jacobian=Jacobian(method="forward_mode"))
-    at = LaplaceEvidence(problem, np.zeros(10), *problem.linearise(np.zeros(10)), [], 1)
+    at = LaplaceEvidence(problem, np.zeros(10), *problem.linearize(np.zeros(10)), [], 1)
     before = problem.model.simulations.count
     assert all(g.passed for g in gradient_gate(at))
     # one to see whether there is a gradient, one for the adjoint, three for the direction
@@ -234,7 +234,7 @@ def test_threads_change_nothing():
     runs = (linear.run("r1", 1), linear.run("r2", 2))
     one = Problem(linear.model(), runs, WhiteNoise(linear.CHANNELS))
     two = replace(one, workers=2)
-    for a, b in zip(one.linearise(np.ones(2)), two.linearise(np.ones(2)), strict=True):
+    for a, b in zip(one.linearize(np.ones(2)), two.linearize(np.ones(2)), strict=True):
         np.testing.assert_array_equal(a, b)
 
 

@@ -23,7 +23,7 @@ def constant(y):
 def linearized(problem, x, unknowns, num_families):
     """At x, with the responses of unknown causes."""
     responses = [u.responses(problem, x) for u in unknowns]
-    return LaplaceEvidence(problem, x, *problem.linearise(x), responses, num_families)
+    return LaplaceEvidence(problem, x, *problem.linearize(x), responses, num_families)
 
 
 @pytest.mark.reference
@@ -68,14 +68,14 @@ def test_half_normal_against_a_brute_force_integral(push):
         limit=400,
         points=[0.01, 0.1, 0.5, 1.0, 2.0],
     )
-    # linearised away from the answer: in a linear problem it must not matter
+    # linearized away from the answer: in a linear problem it must not matter
     lin = linearized(linear.problem((effect,), runs), np.array([0.3, -0.2, 0.7]), (), 1)
     found = lin.weigh(Hypothesis(frozenset({0}))).nats + constant(y)
     np.testing.assert_allclose(found, peak + np.log(area), rtol=1e-6)
 
 
 def bounded(problem, low, high):
-    """With bounds of the base parameters, in coordinates; they must hold the prior's centre."""
+    """With bounds of the base parameters, in coordinates; they must hold the prior's center."""
     base = [
         replace(p, lower=p.value + p.sd * a, upper=p.value + p.sd * b)
         for p, a, b in zip(problem.model.base, low, high, strict=True)
@@ -84,7 +84,7 @@ def bounded(problem, low, high):
 
 
 def moved(mass=0.0, gain=0.0):
-    """Runs whose base parameters lie off the prior's centre, coordinates."""
+    """Runs whose base parameters lie off the prior's center, coordinates."""
     return [
         replace(
             r,
@@ -218,7 +218,7 @@ def test_drift_moves_its_channel_only_and_alike_in_repeats():
 
 
 def stopped_at(best, x):
-    """A fit that ended at x, and what its linearisation says."""
+    """A fit that ended at x, and what its linearization says."""
     residual = best.problem.residual(x)
     fit = replace(best, x=x, residual=residual, chi2=residual @ residual, prior=x @ x)
     own = LaplaceEvidence(best.problem, x, residual, best.jacobian, [], 1)

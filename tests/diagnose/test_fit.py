@@ -46,7 +46,7 @@ def test_same_minimum_as_scipy_for_fewer_simulations(study, effects):
         found.x, truth.x, atol=0.3 * np.sqrt(np.diag(truth.covariance)).max()
     )
     np.testing.assert_allclose(np.diag(found.covariance), np.diag(truth.covariance), rtol=0.15)
-    # from the prior both must linearise several times; from a neighbour it is a step or two
+    # from the prior both must linearize several times; from a neighbor it is a step or two
     assert spent < 0.7 * paid
 
 
@@ -116,7 +116,7 @@ def test_records_do_not_depend_on_the_noise(study):
     at = linearization_at(problem, np.zeros(len(problem.names)))
     double = [replace(c, sd=2.0 * c.sd) for c in study.channels]
     other = replace(problem, whitener=WhiteNoise(double))
-    residual, jacobian = other.linearise(np.zeros(len(problem.names)))
+    residual, jacobian = other.linearize(np.zeros(len(problem.names)))
     np.testing.assert_allclose(whitened(other, measured_of(other) - at.record), residual)
     np.testing.assert_allclose(whitened(other, at.columns), jacobian)
 

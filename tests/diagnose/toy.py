@@ -1,7 +1,7 @@
 """A toy bed: a driven oscillator with two sensors, and a generator that shares no code with it.
 
 Model: x'' = w^2 (g u(t) - x) - 2 zeta w x' + terms, RK4 at the sample times, many points at once,
-smoothed friction. Generator: scipy's DOP853 at rtol 1e-7, sharp nonlinearities, coloured noise,
+smoothed friction. Generator: scipy's DOP853 at rtol 1e-7, sharp nonlinearities, colored noise,
 0.5 % gain jitter, placement errors.
 """
 
@@ -228,7 +228,7 @@ def generate(
     seed: int,
     hidden: dict[str, float] | None = None,
     *,
-    colour: float = 0.4,
+    color: float = 0.4,
     tails: bool = False,
     spikes: bool = False,
     scatter: float = 0.0,
@@ -237,7 +237,7 @@ def generate(
     noise: float = 1.0,
 ) -> Study:
     """Recordings of a hidden truth: 3 commands x 2 repeats to fit, one command held out."""
-    options = (colour, tails, spikes, scatter, lost_repeat, far_base)
+    options = (color, tails, spikes, scatter, lost_repeat, far_base)
     runs = [
         Run(
             f"{command}_{repeat}",
@@ -256,7 +256,7 @@ def generate(
 
 
 @lru_cache(maxsize=1)  # with and without noise, one after the other
-def _recordings(seed, hidden, colour, tails, spikes, scatter, lost_repeat, far_base):
+def _recordings(seed, hidden, color, tails, spikes, scatter, lost_repeat, far_base):
     """Command, repeat, order, clean record, noise, placement and spikes of every run."""
     rng, hidden = np.random.default_rng(seed), dict(hidden)
     truth = {
@@ -270,7 +270,7 @@ def _recordings(seed, hidden, colour, tails, spikes, scatter, lost_repeat, far_b
         if lost_repeat and (command, repeat) == ("steps", "b"):
             continue
         clean = _integrate(truth, COMMANDS[command], hidden, order, rng, scatter)
-        disturbed = _noise(rng, colour, tails) * [c.sd for c in CHANNELS]
+        disturbed = _noise(rng, color, tails) * [c.sd for c in CHANNELS]
         nuisance = np.array([rng.normal(0.0, 0.01), 0.0])
         if spikes:
             hit = rng.random(clean.shape) < 0.005
@@ -283,13 +283,13 @@ def _prior(rng) -> float:
     return float(np.clip(rng.normal(), -2, 2))
 
 
-def _noise(rng, colour, tails):
+def _noise(rng, color, tails):
     white = (
         rng.standard_t(3, (len(TIME) + 50, 2)) / np.sqrt(3)
         if tails
         else rng.normal(size=(len(TIME) + 50, 2))
     )
-    return lfilter([np.sqrt(1 - colour**2)], [1, -colour], white, axis=0)[50:]
+    return lfilter([np.sqrt(1 - color**2)], [1, -color], white, axis=0)[50:]
 
 
 def _integrate(truth, command, hidden, order, rng, scatter):

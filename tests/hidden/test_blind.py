@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.blind import sessions as blind_module
-from benchmarks.blind.case import CoarseModel, Twin
+from benchmarks.blind.case import CoarseModel, twin
 from benchmarks.blind.score import score_answer, true_sizes, with_strength
 from benchmarks.blind.sessions import Blind
 from benchmarks.blind.table import confusion, figures, markdown
@@ -116,11 +116,11 @@ def test_twins_predict_the_same_and_coarse_models_are_coarser():
     model = toy.model([run], implicit_step=0.01)
     q = model.at_prior()
     delay = toy.DELAY
-    twin = Twin(delay)
-    assert twin.name == "delay_again" and twin.family == delay.family
+    again = twin(delay)
+    assert again.name == "delay_again" and again.family == delay.family
     size = q.new_tensor([0.02])
     np.testing.assert_array_equal(
-        model.predict(run, q, {delay: size}), model.predict(run, q, {twin: size})
+        model.predict(run, q, {delay: size}), model.predict(run, q, {again: size})
     )
     rough = CoarseModel(model, {"time_step": 2.0})
     expected = SimModel.predict(model, run, q, None, Numerics(time_step=2.0))

@@ -96,8 +96,8 @@ def test_differences_forward_mode_and_reverse_mode_agree():
     exact = Problem(
         problem.model, problem.runs, problem.whitener, jacobian=Jacobian(method="forward_mode")
     )
-    r, a = problem.linearise(x)
-    r2, a2 = exact.linearise(x)
+    r, a = problem.linearize(x)
+    r2, a2 = exact.linearize(x)
     np.testing.assert_allclose(r, r2, atol=1e-12)
     np.testing.assert_allclose(a, a2, rtol=0, atol=1e-4 * np.abs(a2).max())  # step^2 / 6 ~ 2e-5
     cost, slope = problem.gradient(x)
@@ -107,7 +107,7 @@ def test_differences_forward_mode_and_reverse_mode_agree():
 
 def test_nuisance_of_a_run_acts_in_that_run_only():
     problem = Problem(decay_model(), tuple(decay_runs()), WhiteNoise(CHANNEL))
-    _, a = problem.linearise(np.zeros(4))
+    _, a = problem.linearize(np.zeros(4))
     half = len(a) // 2
     assert not a[half:, 2].any() and not a[:half, 3].any()
     assert a[:half, 2].all() and a[half:, 3].all()
@@ -126,7 +126,7 @@ def test_slopes_at_a_bound_are_those_within(method, side):
         model = SimModel(plain.build, base, batched=True)
         jacobian = Jacobian(method=method, step=1e-3)
         problem = Problem(model, decay_runs(), WhiteNoise(CHANNEL), (), jacobian)
-        return problem.linearise(x)[1][:, 0]
+        return problem.linearize(x)[1][:, 0]
 
     free, edge = slope(), 0.5 * np.exp(0.5 * at)
     near = edge + (1e-5 if side == "upper" else -1e-5)  # less than a step away

@@ -136,7 +136,7 @@ def test_many_points_are_as_one_by_one(model, flown):
     ]
     torch.testing.assert_close(many[0], alone[0], atol=1e-6, rtol=0)
     for k in (1, 2):
-        # a stencil: initial states follow by the tangents of its centre, which change with the
+        # a stencil: initial states follow by the tangents of its center, which change with the
         # point; that change times the misfit is left out, as ever in Gauss-Newton
         moved, wrong = (
             ((a - b) / SD).norm() for a, b in ((alone[k], alone[0]), (many[k], alone[k]))
@@ -161,7 +161,7 @@ def test_scores(effect, model, flown):
     def at(amount):
         if amount.requires_grad:
             return model.predict(run, model.at_prior(), {effect: amount})
-        # about size zero, as in a linearisation
+        # about size zero, as in a linearization
         q = model.at_prior().expand(2, -1)
         return model.predict_many(run, q, {effect: torch.stack([0 * amount, amount])})[1]
 
@@ -265,7 +265,7 @@ def test_inflow_ends_at_a_climb_speed():
     np.testing.assert_allclose(channels[:, 2], want, atol=(rate * DT) ** 2 / 12 * abs(want[-1]))
 
 
-def test_weak_rotor_centre_of_mass_and_curvature_push_as_levers_do():
+def test_weak_rotor_center_of_mass_and_curvature_push_as_levers_do():
     arm, thrust = 0.2, HOVER
     weak, _ = straight_up(causes.weak_rotor(0), size(0.05), thrust=thrust, steps=5)
     # the front right rotor lacks 5 %: roll to the right, nose down, and yaw

@@ -96,7 +96,7 @@ def in_air():
 def test_nothing_at_size_zero_and_something_at_typical(effect, plain):
     model, base = plain
     none = predict(model, PULLED, effect, 0 * typical(effect))
-    # roundings of a step's solution, rtol 1e-11, on centimetres
+    # roundings of a step's solution, rtol 1e-11, on centimeters
     torch.testing.assert_close(none, base, atol=1e-10, rtol=0)
     assert float((predict(model, PULLED, effect, typical(effect)) - base).abs().max()) > 1e-5
 

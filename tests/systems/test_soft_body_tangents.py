@@ -51,9 +51,9 @@ def problem_of(model, run, *effects):
 
 
 def assert_alike(problem, x, rtol=1e-4):
-    residual, found = problem.linearise(x)
+    residual, found = problem.linearize(x)
     simulated = replace(problem, jacobian=Jacobian(method="differences", step=2e-3))
-    expected_residual, expected = simulated.linearise(x)
+    expected_residual, expected = simulated.linearize(x)
     np.testing.assert_allclose(residual, expected_residual, atol=1e-6)
     for k, name in enumerate(problem.names):
         error = np.linalg.norm(found[:, k] - expected[:, k])
@@ -79,7 +79,7 @@ def test_every_effect_at_zero(integrator, monkeypatch):
     effects = AIR if integrator == "bdf2" else AIR[:3]
     problem = problem_of(beam(integrator=integrator), FREE, *effects)
     x = np.zeros(len(problem.names))
-    problem.linearise(x)
+    problem.linearize(x)
     assert not count  # no column is simulated
     assert_alike(problem, x)
 
@@ -133,10 +133,10 @@ def test_non_smooth_effects_are_simulated(monkeypatch):
     problem = problem_of(tendon(), PULLED, band)
     x = np.zeros(len(problem.names))
     count = simulations(monkeypatch)
-    _, found = problem.linearise(x, screen=True)
+    _, found = problem.linearize(x, screen=True)
     assert len(count) == 2  # here, and where the secant ends
     by_differences = replace(problem, jacobian=Jacobian(method="differences"))
-    _, expected = by_differences.linearise(x, screen=True)
+    _, expected = by_differences.linearize(x, screen=True)
     np.testing.assert_allclose(found[:, -1], expected[:, -1], atol=1e-9)
 
 
@@ -177,5 +177,5 @@ def test_explicit_steps_fall_back_to_differences(monkeypatch):
     model = beam(integrator="semi_implicit_euler", dt_s=5e-5, cells=(2, 1, 1))
     problem = problem_of(model, record(0.02))
     count = simulations(monkeypatch)
-    problem.linearise(np.zeros(len(problem.names)))
+    problem.linearize(np.zeros(len(problem.names)))
     assert len(count) == 1 + 2 * len(problem.names)

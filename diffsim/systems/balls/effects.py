@@ -101,7 +101,7 @@ PRINCIPAL_POINT = Effect(
     unit="px",
     typical=10.0,
     components=("u", "v"),
-    apply=adding("centre_u", "centre_v"),
+    apply=adding("center_u", "center_v"),
 )
 FRAME_RATE = Effect(
     name="frame_rate",
@@ -125,7 +125,7 @@ ROLLING_SHUTTER = Effect(
 )
 MERGED_REGIONS = Effect(
     name="merged_regions",
-    form="Touching regions: each centre is pulled towards the other ball while the gap is small.",
+    form="Touching regions: each center is pulled towards the other ball while the gap is small.",
     family="tracker",
     kind="sensor",
     unit="px",
@@ -134,7 +134,7 @@ MERGED_REGIONS = Effect(
 )
 LIT_CENTER = Effect(
     name="lit_center",
-    form="The centre of the lit part lies off the ball's centre by this share of its radius.",
+    form="The center of the lit part lies off the ball's center by this share of its radius.",
     family="tracker",
     kind="sensor",
     unit="-",

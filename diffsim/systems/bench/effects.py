@@ -116,7 +116,7 @@ def _current_limit(scene: BenchScene, size: Tensor, run: Run) -> BenchScene:
     return limited.with_change("speed", slowed)
 
 
-def _voltage_exponent(k: Tensor, stand: str) -> Change:
+def _speed_voltage_exponent(k: Tensor, stand: str) -> Change:
     return lambda s, x: x * (s.run.setup["supply_nominal_V"] / 11.1) ** k
 
 
@@ -293,7 +293,7 @@ CURRENT_LIMIT = Effect(
     needs=_measures("current"),
     apply=_current_limit,
 )
-VOLTAGE_EXPONENT = Effect(
+SPEED_VOLTAGE_EXPONENT = Effect(
     name="speed_voltage_exponent",
     form="Speed times the nominal voltage to the power size, beside the motor's law.",
     family="speed_law",
@@ -302,7 +302,7 @@ VOLTAGE_EXPONENT = Effect(
     typical=0.2,
     components=("small",),
     needs=_measures("speed"),
-    apply=_per_stand("speed", _voltage_exponent, ("small",)),
+    apply=_per_stand("speed", _speed_voltage_exponent, ("small",)),
 )
 ESC_CURVE = Effect(
     name="esc_curve",
@@ -363,7 +363,7 @@ BENCH: tuple[Effect, ...] = (
     SUPPLY_RESISTANCE,
     BATTERY_DRAIN,
     CURRENT_LIMIT,
-    VOLTAGE_EXPONENT,
+    SPEED_VOLTAGE_EXPONENT,
     ESC_CURVE,
     ESC_KNEE,
     CURRENT_EXPONENT,

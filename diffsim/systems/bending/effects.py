@@ -16,7 +16,7 @@ def _two_levels(study: Study) -> str | None:
     return None
 
 
-LAG = Effect(
+PRESSURE_LAG = Effect(
     name="pressure_lag",
     form="First-order lag of the chamber's pressure, filling and venting alike.",
     family="supply",
@@ -58,7 +58,7 @@ SLOW_FILL = Effect(
     also_looks_like=("regulator that creeps to its set point", "leak, if negative"),
     apply=adding("slow_fill"),
 )
-CREEP = Effect(
+SLOW_COMPLIANCE = Effect(
     name="slow_compliance",
     form="Compliance that comes with ``slow_time``, and goes as slowly (standard linear solid).",
     family="slow",
@@ -69,7 +69,7 @@ CREEP = Effect(
     also_looks_like=("stress softening of the rubber (Mullins)",),
     apply=adding("creep"),
 )
-DEAD_BAND = Effect(
+PRESSURE_DEAD_BAND = Effect(
     name="pressure_dead_band",
     form="Nothing happens below this pressure.",
     family="moment",
@@ -100,7 +100,7 @@ BALLOONING = Effect(
     also_looks_like=("softening of the stretched rubber, of the wall only",),
     apply=adding("ballooning"),
 )
-STIFFNESS_LOSS = Effect(
+PRESSURE_SOFTENING = Effect(
     name="pressure_softening",
     form="Bending stiffness 1 - k p: more bend per pressure, and a lower frequency while it is on.",
     family="stiffness",
@@ -110,7 +110,7 @@ STIFFNESS_LOSS = Effect(
     also_looks_like=("softening of the stretched wall", "follower pressure on the bent chamber"),
     apply=adding("stiffness_loss"),
 )
-STIFFENING = Effect(
+BENDING_STIFFENING = Effect(
     name="bending_stiffening",
     form="Stiffness 1 + k q^2 at the bending angle q.",
     family="stiffness",
@@ -137,7 +137,7 @@ DAMPING_GROWTH = Effect(
     typical=2.0,
     apply=adding("damping_growth"),
 )
-QUADRATIC_DRAG = Effect(
+BENDING_DRAG = Effect(
     name="bending_drag",
     form="Damping that grows with the speed of bending.",
     family="damping",
@@ -216,19 +216,19 @@ FRAME_TILT = Effect(
 )
 
 BENDING_EFFECTS: tuple[Effect, ...] = (
-    LAG,
+    PRESSURE_LAG,
     FILL_LAG,
     FLOW_LIMIT,
     SLOW_FILL,
-    CREEP,
-    DEAD_BAND,
+    SLOW_COMPLIANCE,
+    PRESSURE_DEAD_BAND,
     MOMENT_GROWTH,
     BALLOONING,
-    STIFFNESS_LOSS,
-    STIFFENING,
+    PRESSURE_SOFTENING,
+    BENDING_STIFFENING,
     SECOND_MODE,
     DAMPING_GROWTH,
-    QUADRATIC_DRAG,
+    BENDING_DRAG,
     HANGING,
     SIDEWAYS,
     ORDER_DRIFT,

@@ -172,7 +172,7 @@ def causes(largest_N: float) -> tuple[Effect, ...]:
 
     Left out: what is a base parameter (stiffness-proportional damping, placement), what the
     laboratory has no channels for (tilt and lens of cameras), a current without known drag, and
-    steps of the tension (quantisation), for which there is no term.
+    steps of the tension (quantization), for which there is no term.
 
     Args:
         largest_N: What the drive can pull.

@@ -69,7 +69,7 @@ def _wake(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     """Rotors at the rear of the motion lose the share size of their thrust in fast flight.
 
     The loss grows as v^2 / (v^2 + v_h^2), v the horizontal speed, v_h = 3 m/s, and as the place of
-    the hub against the motion, from 0 at the centre to 1 at the largest arm.
+    the hub against the motion, from 0 at the center to 1 at the largest arm.
     """
 
     def loss(motion: Motion, thrusts: Tensor) -> Tensor:
@@ -236,7 +236,7 @@ WAKE = Effect(
     unit="-",
     typical=0.05,
     signed=False,
-    also_looks_like=("pitching moment of the rotors in forward flight", "centre of mass"),
+    also_looks_like=("pitching moment of the rotors in forward flight", "center of mass"),
     apply=_wake,
 )
 GYROSCOPIC = Effect(
@@ -275,7 +275,7 @@ BODY_TILT = Effect(
 )
 CENTER_OF_MASS = Effect(
     name="center_of_mass",
-    form="The centre of mass lies at size in the body frame instead of its origin.",
+    form="The center of mass lies at size in the body frame instead of its origin.",
     family="balance",
     kind="material",
     unit="m",
@@ -327,7 +327,7 @@ def weak_rotor(index: int) -> Effect:
         kind="actuator",
         unit="-",
         typical=0.05,
-        also_looks_like=("centre of mass without yaw data", "damaged or swapped propeller"),
+        also_looks_like=("center of mass without yaw data", "damaged or swapped propeller"),
         apply=partial(_weak_rotor, index=index),
     )
 

@@ -32,7 +32,7 @@ def _gyro_offset(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
 
 MARKER_PLACEMENT = Effect(
     name="placement",
-    form="The captured point lies at size in the body frame instead of the centre of mass.",
+    form="The captured point lies at size in the body frame instead of the center of mass.",
     family="sensor",
     kind="sensor",
     unit="m",

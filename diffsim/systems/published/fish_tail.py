@@ -38,7 +38,7 @@ def setup(study: Study, *, max_effects: int = 3) -> DiagnosisSetup:
         *(Parameter(f"onset@{run.name}", 0.0, 0.015, "s") for run in study.runs),
     ]
     # a single marker has no face to sit off
-    known = {"centre_toward": 0.0, "release": 0.0}
+    known = {"center_toward": 0.0, "release": 0.0}
     model = SimModel(
         lambda values, run, numerics: bending_scene(
             values, run, LAYOUT, known, STEP * numerics.time_step

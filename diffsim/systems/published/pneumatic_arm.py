@@ -29,7 +29,7 @@ def setup(study: Study, *, max_effects: int = 4) -> DiagnosisSetup:
         study: One of the two campaigns.
         max_effects: In one set.
     """
-    arc = calibrated_arc(study.fit_runs, LAYOUT.axes, length=LENGTH, centre_toward=CENTRE_TOWARD)
+    arc = calibrated_arc(study.fit_runs, LAYOUT.axes, length=LENGTH, center_toward=CENTRE_TOWARD)
     base = [
         # seen after the release, without any model: 8.3 Hz, each period 0.62 of the last
         Parameter("frequency", 8.3, 0.03, "Hz", log=True, lower=7.9, upper=8.7),

@@ -69,7 +69,7 @@ def setup(
         dt_s: Time step [s].
         from_s, until_s: What is judged, after release [s]. Before, hand and string act: no two
             releases by hand are alike (docs/measured/silicone_beam.md).
-        with_weight: Whether the runs with the weight are judged, too. How it hangs is not modelled.
+        with_weight: Whether the runs with the weight are judged, too. How it hangs is not modeled.
         search: Effort.
         accept_numerics: Go on although time step or mesh move the record by more than the noise.
     """

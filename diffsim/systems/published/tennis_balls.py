@@ -62,7 +62,7 @@ def setup(study: Study, *, max_effects: int = 6) -> DiagnosisSetup:
 def soft_model(
     study: Study, *, steps: int = 3, subdivisions: int = 2, radial: bool = False
 ) -> SoftBallModel:
-    """The thesis's balls: soft, on an exact table, pushing each other through their centres.
+    """The thesis's balls: soft, on an exact table, pushing each other through their centers.
 
     Args:
         study: As imported, or read from a video.

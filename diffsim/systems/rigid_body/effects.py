@@ -79,7 +79,7 @@ TILT = Effect(
     also_looks_like=("cameras that do not know where down is",),
     apply=_tilted,
 )
-LINEAR_DRAG = Effect(
+SPECIFIC_LINEAR_DRAG = Effect(
     name="specific_linear_drag",
     form="Deceleration size times the velocity.",
     family="drag",
@@ -89,7 +89,7 @@ LINEAR_DRAG = Effect(
     signed=False,
     apply=_growing("drag"),
 )
-QUADRATIC_DRAG = Effect(
+SPECIFIC_QUADRATIC_DRAG = Effect(
     name="specific_quadratic_drag",
     form="Deceleration size |v| v, |v| that of mid flight; a cube of C_d = 1: about 0.02 1/m.",
     family="drag",
@@ -121,7 +121,7 @@ GROUND_HEIGHT = Effect(
 )
 GROUND_SLOPE = Effect(
     name="ground_slope",
-    form="The board rises by size per metre along x and y.",
+    form="The board rises by size per meter along x and y.",
     family="ground",
     kind="environment",
     unit="-",
@@ -141,14 +141,14 @@ HALF_WIDTH = Effect(
 )
 CENTER_OFFSET = Effect(
     name="center_offset",
-    form="The tracked point lies off the centre of mass, in the body.",
+    form="The tracked point lies off the center of mass, in the body.",
     family="center",
     kind="sensor",
     unit="m",
     typical=0.0005,
     components=("x", "y", "z"),
     also_looks_like=("tags that are not where they are believed to be",),
-    apply=_growing("centre"),
+    apply=_growing("center"),
 )
 CONTACT_TIME = Effect(
     name="contact_time",
@@ -206,7 +206,7 @@ FRICTION_SLOPE = Effect(
     needs=_impact,
     apply=_growing("friction_slope"),
 )
-INERTIA = Effect(
+MOMENT_OF_INERTIA = Effect(
     name="moment_of_inertia",
     form="Moment of inertia larger by the share size: a hollow cube would be 0.67 times larger.",
     family="inertia",
@@ -223,8 +223,8 @@ TOSS: tuple[Effect, ...] = (
     CLOCK_SCALE,
     GRAVITY,
     TILT,
-    LINEAR_DRAG,
-    QUADRATIC_DRAG,
+    SPECIFIC_LINEAR_DRAG,
+    SPECIFIC_QUADRATIC_DRAG,
     SPIN_DRAG,
     GROUND_HEIGHT,
     GROUND_SLOPE,
@@ -235,5 +235,5 @@ TOSS: tuple[Effect, ...] = (
     RESTITUTION_SLOPE,
     REBOUND,
     FRICTION_SLOPE,
-    INERTIA,
+    MOMENT_OF_INERTIA,
 )

@@ -121,8 +121,8 @@ def _stiffness_loss(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     mesh = scene.body.mesh
     spread = mesh.x_rest.amax(0) - mesh.x_rest.amin(0)
     axis = int(spread.argmax())
-    centre = mesh.x_rest[mesh.elements][:, :, axis].mean(1)
-    share = (centre - mesh.x_rest[:, axis].min()) / spread[axis]
+    center = mesh.x_rest[mesh.elements][:, :, axis].mean(1)
+    share = (center - mesh.x_rest[:, axis].min()) / spread[axis]
     places = torch.tensor([0.0, 0.5, 1.0], dtype=share.dtype)
     hats = (1.0 - 2.0 * (share[:, None] - places).abs()).clamp(min=0.0)
     return _stiffness_times(scene, 1.0 - hats @ size)
@@ -210,7 +210,7 @@ TEMPERATURE_DRIFT = Effect(
     kind="environment",
     unit="1/run",
     typical=0.01,
-    also_looks_like=("ageing", "softening by repeated strain (Mullins)", "drying"),
+    also_looks_like=("aging", "softening by repeated strain (Mullins)", "drying"),
     needs=_needs_order,
     apply=_temperature_drift,
 )

@@ -70,7 +70,7 @@ def _rail_tilt(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
 
 
 class _Push(Force):
-    """Along x, knots in time (n, 1 or 2): evenly by volume, and growing from the centre [N].
+    """Along x, knots in time (n, 1 or 2): evenly by volume, and growing from the center [N].
 
     None before the record begins.
     """
@@ -144,7 +144,7 @@ RAIL_FRICTION = replace(
 )
 RAIL_DRAG = Effect(
     name="rail_drag",
-    form="Force -size v of the rail on the centre.",
+    form="Force -size v of the rail on the center.",
     family="damping",
     kind="force",
     unit="N s/m",

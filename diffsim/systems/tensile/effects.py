@@ -85,7 +85,7 @@ def _slack(scene: PullScene, k: Tensor) -> PullScene:
     return replace(scene, strain=scene.strain - k)
 
 
-def _load_cell_zero(scene: PullScene, k: Tensor) -> PullScene:
+def _stress_zero(scene: PullScene, k: Tensor) -> PullScene:
     return replace(scene, offset=scene.offset + k)
 
 
@@ -204,7 +204,7 @@ SLACK = Effect(
     also_looks_like=("zero of the crosshead", "specimen that seats itself in the grips"),
     apply=_per_material(_slack),
 )
-LOAD_CELL_ZERO = Effect(
+STRESS_ZERO = Effect(
     name="stress_zero",
     form="Stress reads size too much.",
     family="zero",
@@ -212,7 +212,7 @@ LOAD_CELL_ZERO = Effect(
     unit="Pa",
     typical=1000.0,
     components=MATERIALS,
-    apply=_per_material(_load_cell_zero),
+    apply=_per_material(_stress_zero),
 )
 STRAIN_SCALE = Effect(
     name="strain_scale",
@@ -246,7 +246,7 @@ TENSILE: tuple[Effect, ...] = (
     DAMAGE,
     VISCOUS,
     SLACK,
-    LOAD_CELL_ZERO,
+    STRESS_ZERO,
     STRAIN_SCALE,
     LOAD_CELL_SCALE,
 )

@@ -27,7 +27,7 @@ def study():
 
 
 def test_the_arm_bends_as_an_arc(study):
-    arc = calibrated_arc(study.fit_runs, (0, 1, 2), length=0.104, centre_toward=0.0158)
+    arc = calibrated_arc(study.fit_runs, (0, 1, 2), length=0.104, center_toward=0.0158)
     assert arc["misfit"] < 0.4e-3
     assert arc["shape"] == pytest.approx(0.5, abs=0.05)  # of a constant curvature
 

@@ -115,7 +115,7 @@ def test_plain_model_in_water_leaves_little_and_pays_with_damping(plain_fit):
     assert left @ left < 1.2 * len(left)
     names = [p.name for p in problem.model.base]
     beta = problem.model.base[names.index("rayleigh_beta")]
-    assert float(beta.value_at(torch.tensor(5.73))) > 0.2  # s; the prior's centre is 0.005 s
+    assert float(beta.value_at(torch.tensor(5.73))) > 0.2  # s; the prior's center is 0.005 s
 
 
 @pytest.mark.slow
