@@ -138,7 +138,7 @@ class Windows:
 class Shooting:
     """How the best initial states of one run follow from all other parameters.
 
-    Departures d from the guess minimise |W (measured - predicted(d))|^2 + |d / spread|^2, here by
+    Departures d from the guess minimize |W (measured - predicted(d))|^2 + |d / spread|^2, here by
     Gauss-Newton with the tangents of one model: the prediction is the profile over d. Misfit that
     an initial state can explain is no evidence for anything.
 
