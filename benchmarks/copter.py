@@ -25,7 +25,7 @@ from torch import Tensor
 from benchmarks import copter_control, copter_flight
 from benchmarks.harness import Benchmark, Part, cores, repeat_for, spread
 from diffsim.copter import Feedback, Multicopter, fly, load_design, shipped_designs
-from diffsim.copter.codesign import CoDesignError, codesign
+from diffsim.copter.codesign import CoDesignError, Limits, SearchOptions, codesign
 from diffsim.copter.flight_state import FlightState
 
 Say = Callable[[str], None]
@@ -65,9 +65,15 @@ def codesign_part(case: str, method: str, plan: Plan) -> Part:
     def compute(_: dict[str, Any], say: Say) -> dict[str, Any]:
         say(f"{count} starts")
         design = load_design(name)
-        flat = codesign(design, objective, free=("attitude",), num_starts=1, spins="given")
+        flat = codesign(
+            design,
+            objective,
+            spins="given",
+            limits=Limits(free=("attitude",)),
+            search=SearchOptions(num_starts=1),
+        )
         try:
-            found = codesign(design, objective, method, num_starts=count)
+            found = codesign(design, objective, method, search=SearchOptions(num_starts=count))
         except CoDesignError as error:
             return {"failed": str(error)}
         values = [s.value for s in found.starts]

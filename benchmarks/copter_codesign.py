@@ -25,11 +25,17 @@ from benchmarks.copter_codesign_plots import draw, tables
 from benchmarks.copter_soft_program import SoftProgram, solve_active_set, solve_scipy
 from benchmarks.harness import Benchmark, Part
 from diffsim.copter import load_design
-from diffsim.copter.codesign import AlternatingOptions, CoDesignError, CurrentModel, codesign
+from diffsim.copter.codesign import (
+    AlternatingOptions,
+    CoDesignError,
+    CurrentModel,
+    Demands,
+    Limits,
+    SearchOptions,
+    codesign,
+)
 from diffsim.copter.codesign.alternating import Alternation, alternate, judge
-from diffsim.copter.codesign.cases import Demands
 from diffsim.copter.codesign.joint import FEASIBLE, random_point
-from diffsim.copter.codesign.limits import Limits
 from diffsim.copter.codesign.spin_condition import most_controllable
 from diffsim.copter.codesign.steps import thrust_step
 from diffsim.copter.codesign.task import Point, Task
@@ -177,18 +183,20 @@ def case_part(case: str, method: str, plan: Plan) -> Part:
 
 
 def table_3_1(_: dict[str, Any], say: Any) -> dict[str, Any]:
-    """The flat pentacopter and its payload-optimised twin; the shipped design is the flat one."""
+    """The flat pentacopter and its payload-optimized twin; the shipped design is the flat one."""
     design = load_design("pentacopter")
+    fixed = Limits(free=("attitude",))
+    kept = Demands(authority=(0.5, 0.5, 0.05))
     rows = {}
     for name, settings in {
-        "flat": {"free": ("attitude",), "num_starts": 4},
-        "tilt only": {"free": ("directions", "attitude"), "num_starts": 8},
-        "optimised": {"num_starts": 8},
-        "optimised, torque kept": {"num_starts": 8, "authority": (0.5, 0.5, 0.05)},
+        "flat": {"limits": fixed, "search": SearchOptions(num_starts=4)},
+        "tilt only": {"limits": Limits(free=("directions", "attitude"))},
+        "optimized": {},
+        "optimized, torque kept": {"demands": kept},
         "flat, torque kept": {
-            "free": ("attitude",),
-            "num_starts": 4,
-            "authority": (0.5, 0.5, 0.05),
+            "limits": fixed,
+            "search": SearchOptions(num_starts=4),
+            "demands": kept,
         },
     }.items():
         say(name)

@@ -13,7 +13,7 @@ COLORS = ("#111111", "#c2410c", "#1d4ed8", "#60a5fa", "#15803d", "#86efac", "#93
 # Thesis Table 3.1: size [mm], weight, payload, overall [g], angle [deg]
 PUBLISHED = {
     "flat": ([750, 420], 2322, 1047, 3369, 0.0),
-    "optimised": ([650, 670], 2353, 1392, 3745, 10.6),
+    "optimized": ([650, 670], 2353, 1392, 3745, 10.6),
 }
 
 Cases = dict[str, dict[str, Any]]
@@ -72,7 +72,7 @@ def tables(cases: Cases, twins: dict[str, Any] | None) -> str:
     lines = ["# Co-design of multicopters", ""]
     if twins:
         lines += [
-            "## Flat pentacopter and its payload-optimised twin (thesis Table 3.1)",
+            "## Flat pentacopter and its payload-optimized twin (thesis Table 3.1)",
             "",
             "| | size x, y [mm] | weight [g] | max payload [g] | max overall [g] | gain "
             "| angle [deg] | gap to bound |",

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.harness import repeat_for, spread
-from diffsim.copter import Multicopter, hover, hover_thrusts, linearise, lqr, lqr_stats, lyapunov
+from diffsim.copter import Multicopter, hover, hover_thrusts, linearize, lqr, lqr_stats, lyapunov
 from diffsim.core.compiled import INSTRUCTION_SET
 from diffsim.core.files import write_json_atomic
 
@@ -59,7 +59,7 @@ def lqr_arguments(copter: Multicopter) -> list[Tensor]:
     result = hover(copter, on_infeasible="raise")
     weights = [10.0 * torch.eye(12, dtype=torch.float64)]
     weights.append(torch.eye(copter.num_rotors, dtype=torch.float64))
-    return [*linearise(copter, result.thrusts, result.attitude), *weights]
+    return [*linearize(copter, result.thrusts, result.attitude), *weights]
 
 
 def gradient_error(layer: Layer, args: list[Tensor], step: float) -> float:

@@ -39,7 +39,7 @@ def hover_lqr() -> Mapping[str, Any]:
         }
     held = copter.hover(vehicle)
     for form in ("euler", "rotation_vector"):
-        model = copter.linearise(vehicle, held.thrusts, held.attitude, form=form)
+        model = copter.linearize(vehicle, held.thrusts, held.attitude, form=form)
         weights = leaf([1.0] * 6 + [0.1] * 6), leaf([0.5] * vehicle.num_rotors)
         gain = copter.lqr(model.A, model.B, torch.diag(weights[0]), torch.diag(weights[1]))
         found[form] = {
@@ -65,7 +65,7 @@ def flight() -> Mapping[str, Any]:
 
     vehicle, leaves = _tilted()
     held = copter.hover(vehicle.detach())
-    model = copter.linearise(vehicle.detach(), held.thrusts, held.attitude)
+    model = copter.linearize(vehicle.detach(), held.thrusts, held.attitude)
     state_cost = torch.diag(torch.tensor([1.0] * 6 + [0.1] * 6, dtype=F64))
     gain = leaf(copter.lqr(model.A, model.B, state_cost, torch.eye(5, dtype=F64)).K)
     rng, steps = np.random.default_rng(0), 40

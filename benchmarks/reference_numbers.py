@@ -104,7 +104,7 @@ def run(chosen: Mapping[str, Item], out: Path | None) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; the exit status."""
-    os.environ.update(dict.fromkeys(THREADS, "1"))
+    os.environ.update(dict.fromkeys(THREADS, "1"), TQDM_DISABLE="1")
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.reference_numbers",
         description=__doc__,

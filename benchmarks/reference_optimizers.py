@@ -123,11 +123,11 @@ def device_search() -> Mapping[str, Any]:
         return walls(x)
 
     fussy = replace(coarse, states=(replace(coarse.states[0], shape=no_narrow_ones),))
-    whole = devices.optimise(coarse, 6, seed=0, max_evaluations=50, progress=False)
+    whole = devices.optimize(coarse, 6, seed=0, max_evaluations=50, progress=False)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "log.json"
-        devices.optimise(coarse, 6, seed=0, max_evaluations=5, path=path, progress=False)
-        again = devices.optimise(coarse, 6, seed=0, max_evaluations=9, path=path, progress=False)
+        devices.optimize(coarse, 6, seed=0, max_evaluations=5, path=path, progress=False)
+        again = devices.optimize(coarse, 6, seed=0, max_evaluations=9, path=path, progress=False)
     stages = devices.coarse_to_fine(
         finer,
         coarse,
@@ -144,7 +144,7 @@ def device_search() -> Mapping[str, Any]:
         "whole": _of_optimum(whole),
         "resumed": _of_optimum(again),
         "fussy": _of_optimum(
-            devices.optimise(fussy, 6, seed=1, max_evaluations=12, progress=False)
+            devices.optimize(fussy, 6, seed=1, max_evaluations=12, progress=False)
         ),
         "coarse_to_fine": {
             **_of_optimum(stages),
@@ -276,13 +276,13 @@ def trajectory_search() -> Mapping[str, Any]:
         Starfish,
         TrajectorySettings,
         identify,
-        optimise,
+        optimize,
     )
 
     model = Starfish()
     guesses = {p.name: p.value for p in model.parameters}
     pull = 0.005 * (1.0 - np.cos(2.0 * np.pi * np.arange(24) / 24))
-    best = optimise(
+    best = optimize(
         model,
         guesses,
         Command(pull),

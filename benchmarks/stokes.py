@@ -9,7 +9,7 @@ python -m benchmarks.stokes --stages devices --devices amplifier twister --threa
 
 Stages: ``devices`` (loss, and loss with gradient, on the thesis's grids; 1 and 2 threads),
 ``scaling`` (a bent pipe, direct solver, time and memory over unknowns), ``iterative`` (the same
-with solver="iterative", where ``StokesFlow`` has it). Every call has a geometry of its own, as in a
+with the iterative solver). Every call has a geometry of its own, as in a
 search for designs: nothing is kept between calls but symbolic analyses of equal patterns. Each row
 is measured in a process of its own. Accuracy: benchmarks.stokes_accuracy. Written to ``--out``:
 report.md with tables and figure, results.json with every number, parts/ with the finished pieces.
@@ -108,9 +108,7 @@ def scaling_parts(plan: ScalingPlan, stage: str, solver: str) -> list[Part]:
     for cells in sorted(plan.cells):
         settings = {**asdict(plan), "cells": cells, "solver": solver}
         work = in_child(stokes_worker.scaling, settings)
-        if solver != "direct" and not stokes_worker.has_solver():
-            work = skip(settings, "this StokesFlow has no argument solver")
-        elif solver == "direct" and 0.5 * cells**3 * BYTES_PER_NODE > available_memory():
+        if solver == "direct" and 0.5 * cells**3 * BYTES_PER_NODE > available_memory():
             work = skip(settings, "not enough memory")
         found.append(Part(f"{stage}/{cells} cells", settings, work))
     return found

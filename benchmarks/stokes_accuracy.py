@@ -32,6 +32,7 @@ from benchmarks.plot_style import (
     style,
 )
 from benchmarks.stokes_exact import Exact, all_flows
+from benchmarks.thesis_stokes import ThesisFlow
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.stokes import Grid, StokesFlow
 from diffsim.viz.figures import INK
@@ -39,7 +40,7 @@ from diffsim.viz.figures import INK
 CELLS = (16, 32, 64, 128)
 RATIOS = (0.45, 0.49, 0.499, 0.4999)
 DEFAULT, PUBLISHED = "default", "published"
-COLOURS = {DEFAULT: "#0b6e75", PUBLISHED: "#c2571a"}
+COLORS = {DEFAULT: "#0b6e75", PUBLISHED: "#c2571a"}
 PROTOTYPE = {
     "pipe, no slip": (4.4e-3, 1.4e-3, 3.7e-4, 9.1e-5),
     "pipe, slip": (4.3e-3, 1.4e-3, 4.3e-4, 1.4e-4),
@@ -79,13 +80,16 @@ def measure(
     }
 
 
-def make(exact: Exact, grid: Grid, formulation: str, poissons_ratio: float | None) -> StokesFlow:
-    options: dict[str, Any] = {}
+def make(
+    exact: Exact, grid: Grid, formulation: str, poissons_ratio: float | None
+) -> StokesFlow | ThesisFlow:
+    conditions, wall = exact.conditions(), exact.wall
+    if poissons_ratio is None:
+        return StokesFlow(grid, conditions, wall=wall)
     if formulation == PUBLISHED:
-        options = {"formulation": "thesis", "poissons_ratio": poissons_ratio}
-    elif poissons_ratio is not None:
-        options = {"bulk_ratio": 2.0 * poissons_ratio / (1.0 - 2.0 * poissons_ratio)}
-    return StokesFlow(grid, exact.conditions(), wall=exact.wall, **options)
+        return ThesisFlow(grid, conditions, wall=wall, poissons_ratio=poissons_ratio)
+    bulk_ratio = 2.0 * poissons_ratio / (1.0 - 2.0 * poissons_ratio)
+    return StokesFlow(grid, conditions, wall=wall, bulk_ratio=bulk_ratio)
 
 
 def order(rows: Rows) -> float:
@@ -125,7 +129,7 @@ def draw(rows: Rows) -> Figure:
         ax = grid[0][column]
         style(ax, flow, "cells per side", "relative L2 error" if column == 0 else "")
         lines = [(PUBLISHED, r, s) for r, s in zip(ratios, SHADES, strict=False)]
-        for formulation, ratio, shade in [*lines, (DEFAULT, None, COLOURS[DEFAULT])]:
+        for formulation, ratio, shade in [*lines, (DEFAULT, None, COLORS[DEFAULT])]:
             found = select(rows, flow=flow, formulation=formulation, poissons_ratio=ratio)
             if found:
                 ax.loglog(
@@ -144,7 +148,7 @@ def draw(rows: Rows) -> Figure:
         ax = grid[1][column]
         style(ax, "", "1 - 2 nu (incompressible to the right)", "relative L2 error" * (not column))
         for formulation, n, line in [
-            (f, *pair) for f in COLOURS for pair in zip(cells, ("--", "-.", ":", "-"), strict=False)
+            (f, *pair) for f in COLORS for pair in zip(cells, ("--", "-.", ":", "-"), strict=False)
         ]:
             found = select(rows, flow=flow, cells=n, formulation=formulation)
             found = [r for r in found if r["poissons_ratio"] is not None]
@@ -152,7 +156,7 @@ def draw(rows: Rows) -> Figure:
                 [1.0 - 2.0 * r["poissons_ratio"] for r in found],
                 [r["error"] for r in found],
                 line,
-                color=COLOURS[formulation],
+                color=COLORS[formulation],
                 label=f"{formulation}, {n} cells",
             )
         ax.invert_xaxis()
@@ -168,8 +172,8 @@ def report(rows: Rows) -> str:
         [
             "# Stokes flow: accuracy on exact solutions",
             "Relative L2 error of the velocity at the nodes in the fluid; order from the coarsest "
-            'to the finest grid. "published" is `formulation="thesis"`, "default" is '
-            '`formulation="nitsche"`, also with the bulk ratio 2 nu / (1 - 2 nu) that a Poisson\'s '
+            'to the finest grid. "published" is `benchmarks.thesis_stokes.ThesisFlow`, "default" '
+            "is `StokesFlow`, also with the bulk ratio 2 nu / (1 - 2 nu) that a Poisson's "
             "ratio stands for: the same compressible flow without locking. The pipe is a quarter "
             "bend between radii 0.12 and 0.9 in the unit square with exact velocities at both "
             "ends. The prototype is the design page's, whose radii are not known.",

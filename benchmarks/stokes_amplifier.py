@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.machine import machine
+from benchmarks.thesis_stokes import ThesisFlow
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.stokes import FlowField, Grid, Inlet, Open, StokesFlow
 from diffsim.stokes.shapes import BezierCurve2d, Intersection
@@ -44,9 +45,7 @@ def solve(scale: int, poissons_ratio: float | None) -> FlowField:
     inlet = torch.tensor([1.0, 0.0], dtype=torch.float64)
     if poissons_ratio is None:
         return StokesFlow(grid, conditions, wall="no_separation")(phi, inlet)
-    flow = StokesFlow(
-        grid, conditions, wall="no_separation", formulation="thesis", poissons_ratio=poissons_ratio
-    )
+    flow = ThesisFlow(grid, conditions, wall="no_separation", poissons_ratio=poissons_ratio)
     return flow(phi, inlet)
 
 

@@ -65,7 +65,7 @@ class Exact:
 
 
 def _around(points: Tensor, center: Tensor) -> tuple[Tensor, Tensor]:
-    """Distance to a centre (at least 0.05), and the unit vector counter-clockwise around it."""
+    """Distance to a center (at least 0.05), and the unit vector counter-clockwise around it."""
     arm = points - center
     radius = arm.norm(dim=-1).clamp(min=0.05)
     return radius, torch.stack([-arm[..., 1], arm[..., 0]], -1) / radius[..., None]

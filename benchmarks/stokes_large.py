@@ -25,10 +25,10 @@ from torch.nn.functional import interpolate
 from benchmarks.harness import timed
 from benchmarks.machine import machine
 from diffsim.core.files import write_json_atomic
-from diffsim.stokes import Grid, Inlet, Open, StokesFlow
+from diffsim.stokes import Grid, Inlet, Open, SolverOptions, StokesFlow
 from diffsim.stokes.devices import funnel, twister
 from diffsim.stokes.devices.device import Device, quiet
-from diffsim.stokes.flow import SOLVERS
+from diffsim.stokes.options import METHODS
 
 SCENES = ("box", "twister", "twister_no_slip", "funnel")
 FINEST = 64  # cells of the finest level set that is evaluated; beyond, interpolated (it takes long)
@@ -67,9 +67,8 @@ def measure(name: str, cells: int, solver: str, rtol: float, threads: int) -> di
     with quiet():
         (made, phi, inlet), level_set = timed(lambda: scene(name, cells))
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        flow = StokesFlow(
-            made.grid, made.boundary, wall=made.wall, solver=solver, rtol=rtol, num_threads=threads
-        )
+        options = SolverOptions(method=solver, rtol=rtol, num_threads=threads)
+        flow = StokesFlow(made.grid, made.boundary, wall=made.wall, solver=options)
         phi = phi.clone().requires_grad_()
         report, prepare = timed(lambda: flow.report(phi))
         field, forward = timed(lambda: flow(phi, inlet))
@@ -120,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> list[dict[str, Any]]:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--scene", nargs="+", choices=SCENES, default=["twister"])
     parser.add_argument("--cells", nargs="+", type=int, default=[128], help="along x")
-    parser.add_argument("--solver", nargs="+", choices=SOLVERS, default=["iterative"])
+    parser.add_argument("--solver", nargs="+", choices=METHODS, default=["iterative"])
     parser.add_argument("--rtol", type=float, default=1e-8)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--out", type=Path, help="JSON file")

@@ -3,8 +3,8 @@
 python -m benchmarks.stokes_sampling --starts 4 --evaluations 30    # three devices, 5 CPU minutes
 python -m benchmarks.stokes_sampling amplifier --resolution 0.5     # quick
 
-Random designs are drawn as ``devices.optimise`` does, and L-BFGS runs from every one of them: the
-best one is where ``optimise`` starts, the others are starts that somebody might have chosen. Every
+Random designs are drawn as ``devices.optimize`` does, and L-BFGS runs from every one of them: the
+best one is where ``optimize`` starts, the others are starts that somebody might have chosen. Every
 flow is kept in ``--out``, so that the same command goes on after an interruption. Written there:
 report.md with the table, results.json with every loss, sampling.png and .svg.
 """
@@ -31,7 +31,7 @@ from benchmarks.plot_style import (
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.optim import Log
 from diffsim.stokes import devices
-from diffsim.stokes.devices.optimise import search_settings
+from diffsim.stokes.devices.optimize import search_settings
 from diffsim.stokes.devices.sampling import draw
 from diffsim.stokes.devices.search import descend
 from diffsim.viz.figures import COLOURS, INK
@@ -49,10 +49,10 @@ def measure(
     seed: int,
     max_evaluations: int,
 ) -> dict[str, Any]:
-    """L-BFGS from the best random design, which ``optimise`` takes, and from the first others.
+    """L-BFGS from the best random design, which ``optimize`` takes, and from the first others.
 
     Returns:
-        "histories": loss of every evaluation, normalised, one list per start, that of the best
+        "histories": loss of every evaluation, normalized, one list per start, that of the best
         sample first; None where there was no flow. "finals": the least of each.
     """
     log = Log(path, search_settings(device, num_samples, seed))
@@ -107,7 +107,7 @@ def report(results: Rows) -> str:
     lines = [
         "# L-BFGS from the best of several random designs, and from each of the others",
         "",
-        "Normalised losses: 1 is the mean of the random designs. Stuck: ends above "
+        "Normalized losses: 1 is the mean of the random designs. Stuck: ends above "
         f"{STUCK:g} times the best end of all starts, and above {PERFECT:g}.",
         "",
         "| device | starts | best sample: first, final | others: best, median, worst final | "
@@ -150,7 +150,7 @@ def draw_figure(results: Rows, path: Path) -> None:
         low, high = ax.get_ylim()
         if high < 100.0 * low:  # hardly a power of ten to label
             number_in_steps_of_1_2_5(ax.yaxis)
-    panels[0].set_ylabel("normalised loss, least so far", fontsize=9)
+    panels[0].set_ylabel("normalized loss, least so far", fontsize=9)
     legend_below(figure, panels, 3)
     save(figure, path)
 

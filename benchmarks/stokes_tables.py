@@ -18,7 +18,7 @@ runs; the switch has two geometries)."""
 LARGE = 5000
 LEAST_MEMORY = 2**20
 """What less than this is shown as [byte]: small systems fit into memory that was there before."""
-COLOURS = {"scaling": "#0b6e75", "iterative": "#c2571a"}
+COLORS = {"scaling": "#0b6e75", "iterative": "#c2571a"}
 
 
 def done(rows: Rows) -> Rows:
@@ -125,7 +125,7 @@ def times(row: dict[str, Any], what: str) -> str:
 
 def draw_figures(results: dict[str, Any], out: Path) -> list[str]:
     """Time and memory over unknowns, where at least two grids were measured."""
-    stages = [stage for stage in COLOURS if len(done(results.get(stage, []))) > 1]
+    stages = [stage for stage in COLORS if len(done(results.get(stage, []))) > 1]
     if not stages:
         return []
     figure = new_figure(8.0, 3.4)
@@ -143,7 +143,7 @@ def draw_figures(results: dict[str, Any], out: Path) -> list[str]:
         ):
             solver = "direct" if stage == "scaling" else "iterative"
             label = f"{solver}, exponent {slopes[name]:.2f}"
-            ax.loglog(unknowns, values, "o-", color=COLOURS[stage], markersize=4, label=label)
+            ax.loglog(unknowns, values, "o-", color=COLORS[stage], markersize=4, label=label)
     for ax in (left, right):
         ax.legend(frameon=False, fontsize=8)
     save(figure, out / "scaling")

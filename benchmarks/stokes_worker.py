@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import warnings
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -12,16 +11,11 @@ from torch import Tensor
 
 from benchmarks.harness import Seconds, cores, spread, timed
 from benchmarks.processes import memory, reset_peak_memory
-from diffsim.stokes import Grid, Inlet, Open, StokesFlow, devices
+from diffsim.stokes import Grid, Inlet, Open, SolverOptions, StokesFlow, devices
 from diffsim.stokes.devices.device import FAILURES, Device, quiet
 
 STEP = 1e-3
 """Between the designs of two calls, as a share of the bounds: every call makes its own system."""
-
-
-def has_solver() -> bool:
-    """Whether ``StokesFlow`` can be told which solver to take."""
-    return "solver" in inspect.signature(StokesFlow).parameters
 
 
 def device(settings: dict[str, Any]) -> dict[str, Any]:
@@ -84,8 +78,8 @@ def scaling(settings: dict[str, Any]) -> dict[str, Any]:
 
 def _scaling(settings: dict[str, Any]) -> dict[str, Any]:
     grid, level = bent_pipe(settings["cells"])
-    options = {"solver": settings["solver"]} if has_solver() else {}
-    flow = StokesFlow(grid, [Inlet("x-"), Open("x+")], num_threads=settings["threads"], **options)
+    solver = SolverOptions(method=settings["solver"], num_threads=settings["threads"])
+    flow = StokesFlow(grid, [Inlet("x-"), Open("x+")], solver=solver)
     speed = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
 
     def loss(radius: Tensor) -> Tensor:
@@ -130,7 +124,7 @@ def measure(
 
 
 def sizes(report: dict[str, float]) -> dict[str, float]:
-    """Sizes of a prepared system, and the speed of its factorisation."""
+    """Sizes of a prepared system, and the speed of its factorization."""
     found = {"num_cells": report["num_cells"], "num_nodes": report["num_nodes"]}
     if flops := report.get("factor_flops"):
         found["factor_s"] = report["factor_s"]

@@ -9,6 +9,8 @@
 namespace diffsim {
 namespace {
 
+using namespace nb::literals;
+
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 Eigen::MatrixXd matrix(Address a, std::int64_t index, std::int64_t rows) {
@@ -33,57 +35,74 @@ HoverProblem hover_problem(Address force, Address torque, Address weights, Addre
 }  // namespace
 
 void bind_copter_control(nb::module_& m) {
-  m.def("hover", [](Address force, Address torque, Address weights, Address upper, double barrier,
-                    std::int64_t batch, int n, Address u, Address multipliers, Address state,
-                    Address info, int num_threads) {
-    nb::gil_scoped_release release;
-    ThreadPool pool(num_threads);
-    pool.run(batch, [&](std::int64_t b) {
-      solve_hover(hover_problem(force, torque, weights, upper, barrier, n, b), out(u) + b * n,
-                  out(multipliers) + b * 4, out_index(state) + b * n,
-                  out_index(info) + b * kHoverInfo);
-    });
-  });
-  m.def("hover_vjp",
-        [](Address force, Address torque, Address weights, Address upper, double barrier,
-           std::int64_t batch, int n, Address u, Address multipliers, Address state, Address info,
-           Address grad_u, Address grad_force, Address grad_torque, Address grad_weights,
-           Address grad_upper, int num_threads) {
-          nb::gil_scoped_release release;
-          ThreadPool pool(num_threads);
-          pool.run(batch, [&](std::int64_t b) {
-            solve_hover_vjp(hover_problem(force, torque, weights, upper, barrier, n, b),
-                            in(u) + b * n, in(multipliers) + b * 4, in_index(state) + b * n,
-                            in_index(info) + b * kHoverInfo, in(grad_u) + b * n,
-                            out(grad_force) + b * 3 * n, out(grad_torque) + b * 3 * n,
-                            out(grad_weights) + b * n, out(grad_upper) + b * n);
-          });
+  m.def(
+      "hover",
+      [](Address force, Address torque, Address weights, Address upper, double barrier,
+         std::int64_t batch, int num_rotors, Address thrusts, Address multipliers, Address state,
+         Address info, int num_threads) {
+        nb::gil_scoped_release release;
+        ThreadPool pool(num_threads);
+        const int n = num_rotors;
+        pool.run(batch, [&](std::int64_t b) {
+          solve_hover(hover_problem(force, torque, weights, upper, barrier, n, b),
+                      out(thrusts) + b * n, out(multipliers) + b * 4, out_index(state) + b * n,
+                      out_index(info) + b * kHoverInfo);
         });
-  m.def("lyapunov", [](Address A, Address Q, std::int64_t batch, std::int64_t n, Address X,
-                       Address solved, int num_threads) {
-    nb::gil_scoped_release release;
-    ThreadPool pool(num_threads);
-    pool.run(batch, [&](std::int64_t b) {
-      Eigen::MatrixXd solution = Eigen::MatrixXd::Zero(n, n);
-      out_index(solved)[b] = solve_lyapunov(matrix(A, b, n), matrix(Q, b, n), solution);
-      store(solution, X, b, n);
-    });
-  });
-  m.def("care", [](Address A, Address G, Address Q, std::int64_t batch, std::int64_t n, Address P,
-                   Address report, int num_threads) {
-    nb::gil_scoped_release release;
-    ThreadPool pool(num_threads);
-    pool.run(batch, [&](std::int64_t b) {
-      Eigen::MatrixXd solution;
-      const CareReport r = solve_care(matrix(A, b, n), matrix(G, b, n), matrix(Q, b, n), solution);
-      store(solution, P, b, n);
-      double* row = out(report) + b * 4;
-      row[0] = r.solved;
-      row[1] = r.num_iters;
-      row[2] = r.residual;
-      row[3] = r.abscissa;
-    });
-  });
+      },
+      nb::kw_only(), "force"_a, "torque"_a, "weights"_a, "upper"_a, "barrier"_a, "batch"_a,
+      "num_rotors"_a, "thrusts"_a, "multipliers"_a, "state"_a, "info"_a, "num_threads"_a);
+  m.def(
+      "hover_vjp",
+      [](Address force, Address torque, Address weights, Address upper, double barrier,
+         std::int64_t batch, int num_rotors, Address thrusts, Address multipliers, Address state,
+         Address info, Address grad_thrusts, Address grad_force, Address grad_torque,
+         Address grad_weights, Address grad_upper, int num_threads) {
+        nb::gil_scoped_release release;
+        ThreadPool pool(num_threads);
+        const int n = num_rotors;
+        pool.run(batch, [&](std::int64_t b) {
+          solve_hover_vjp(hover_problem(force, torque, weights, upper, barrier, n, b),
+                          in(thrusts) + b * n, in(multipliers) + b * 4, in_index(state) + b * n,
+                          in_index(info) + b * kHoverInfo, in(grad_thrusts) + b * n,
+                          out(grad_force) + b * 3 * n, out(grad_torque) + b * 3 * n,
+                          out(grad_weights) + b * n, out(grad_upper) + b * n);
+        });
+      },
+      nb::kw_only(), "force"_a, "torque"_a, "weights"_a, "upper"_a, "barrier"_a, "batch"_a,
+      "num_rotors"_a, "thrusts"_a, "multipliers"_a, "state"_a, "info"_a, "grad_thrusts"_a,
+      "grad_force"_a, "grad_torque"_a, "grad_weights"_a, "grad_upper"_a, "num_threads"_a);
+  m.def(
+      "lyapunov",
+      [](Address A, Address Q, std::int64_t batch, std::int64_t size, Address X, Address solved,
+         int num_threads) {
+        nb::gil_scoped_release release;
+        ThreadPool pool(num_threads);
+        pool.run(batch, [&](std::int64_t b) {
+          Eigen::MatrixXd solution = Eigen::MatrixXd::Zero(size, size);
+          out_index(solved)[b] = solve_lyapunov(matrix(A, b, size), matrix(Q, b, size), solution);
+          store(solution, X, b, size);
+        });
+      },
+      nb::kw_only(), "A"_a, "Q"_a, "batch"_a, "size"_a, "X"_a, "solved"_a, "num_threads"_a);
+  m.def(
+      "care",
+      [](Address A, Address G, Address Q, std::int64_t batch, std::int64_t size, Address P,
+         Address report, int num_threads) {
+        nb::gil_scoped_release release;
+        ThreadPool pool(num_threads);
+        pool.run(batch, [&](std::int64_t b) {
+          Eigen::MatrixXd solution;
+          const CareReport r =
+              solve_care(matrix(A, b, size), matrix(G, b, size), matrix(Q, b, size), solution);
+          store(solution, P, b, size);
+          double* row = out(report) + b * 4;
+          row[0] = r.solved;
+          row[1] = r.num_iters;
+          row[2] = r.residual;
+          row[3] = r.abscissa;
+        });
+      },
+      nb::kw_only(), "A"_a, "G"_a, "Q"_a, "batch"_a, "size"_a, "P"_a, "report"_a, "num_threads"_a);
 }
 
 }  // namespace diffsim

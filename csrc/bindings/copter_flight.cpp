@@ -8,6 +8,8 @@ namespace diffsim {
 
 namespace {
 
+using namespace nb::literals;
+
 /// Addresses and strides that Python fills by name.
 struct FlightArray {
   Address address = 0;
@@ -72,20 +74,27 @@ void bind_copter_flight(nb::module_& m) {
     }
     return fields;
   });
-  m.def("flight_rollout", [](int num_rotors, std::int64_t batch, std::int64_t steps,
-                             const FlightOptions& options, const FlightArrays& arrays,
-                             Address records, int num_threads) {
-    nb::gil_scoped_release release;
-    flight_rollout(num_rotors, batch, steps, options, arrays.inputs(), out(records), num_threads);
-  });
-  m.def("flight_rollout_vjp",
-        [](int num_rotors, std::int64_t batch, std::int64_t steps, const FlightOptions& options,
-           const FlightArrays& arrays, Address records, Address grad_records,
-           const FlightArrays& grads, int num_threads) {
-          nb::gil_scoped_release release;
-          flight_rollout_vjp(num_rotors, batch, steps, options, arrays.inputs(), in(records),
-                             in(grad_records), grads.grads(arrays), num_threads);
-        });
+  m.def(
+      "flight_rollout",
+      [](int num_rotors, std::int64_t batch, std::int64_t steps, const FlightOptions& options,
+         const FlightArrays& inputs, Address records, int num_threads) {
+        nb::gil_scoped_release release;
+        flight_rollout(num_rotors, batch, steps, options, inputs.inputs(), out(records),
+                       num_threads);
+      },
+      nb::kw_only(), "num_rotors"_a, "batch"_a, "steps"_a, "options"_a, "inputs"_a, "records"_a,
+      "num_threads"_a);
+  m.def(
+      "flight_rollout_vjp",
+      [](int num_rotors, std::int64_t batch, std::int64_t steps, const FlightOptions& options,
+         const FlightArrays& inputs, Address records, Address grad_records,
+         const FlightArrays& grads, int num_threads) {
+        nb::gil_scoped_release release;
+        flight_rollout_vjp(num_rotors, batch, steps, options, inputs.inputs(), in(records),
+                           in(grad_records), grads.grads(inputs), num_threads);
+      },
+      nb::kw_only(), "num_rotors"_a, "batch"_a, "steps"_a, "options"_a, "inputs"_a, "records"_a,
+      "grad_records"_a, "grads"_a, "num_threads"_a);
 }
 
 }  // namespace diffsim

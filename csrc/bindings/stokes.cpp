@@ -8,17 +8,22 @@
 namespace diffsim {
 namespace {
 
+using namespace nb::literals;
+
 /// Filled by name; zero addresses mean absent.
 struct StokesArrays {
   std::int64_t num_cases = 1;
   double viscosity = 1.0;
   Address prescribed = 0, wall_velocity = 0, body_force = 0, traction = 0;
-  std::int64_t wall_stride = 0, force_stride = 0, traction_stride = 0;
+  std::int64_t wall_velocity_stride = 0, body_force_stride = 0, traction_stride = 0;
 
   FlowInputs inputs() const {
-    return {num_cases,      viscosity,
-            in(prescribed), {in(wall_velocity), in(body_force), in(traction)},
-            wall_stride,    force_stride,
+    return {num_cases,
+            viscosity,
+            in(prescribed),
+            {in(wall_velocity), in(body_force), in(traction)},
+            wall_velocity_stride,
+            body_force_stride,
             traction_stride};
   }
 };
@@ -68,8 +73,8 @@ void bind_stokes(nb::module_& m) {
       .def_rw("wall_velocity", &StokesArrays::wall_velocity)
       .def_rw("body_force", &StokesArrays::body_force)
       .def_rw("traction", &StokesArrays::traction)
-      .def_rw("wall_stride", &StokesArrays::wall_stride)
-      .def_rw("force_stride", &StokesArrays::force_stride)
+      .def_rw("wall_velocity_stride", &StokesArrays::wall_velocity_stride)
+      .def_rw("body_force_stride", &StokesArrays::body_force_stride)
       .def_rw("traction_stride", &StokesArrays::traction_stride);
   nb::class_<FlowReport>(m, "FlowReport")
       .def_ro("num_cells", &FlowReport::num_cells)
@@ -94,78 +99,103 @@ void bind_stokes(nb::module_& m) {
            [](const StokesSystem& s, Address to, std::int64_t num_cells) {
              std::copy(s.fractions(), s.fractions() + num_cells, out(to));
            })
-      .def("solve",
-           [](StokesSystem& s, const StokesArrays& arrays, Address v, Address p, Address stats,
-              int num_threads) {
-             nb::gil_scoped_release release;
-             ThreadPool pool(num_threads);
-             s.solve(arrays.inputs(), out(v), out(p), reinterpret_cast<FlowStats*>(stats), pool);
-           })
-      .def("adjoint",
-           [](StokesSystem& s, const StokesArrays& arrays, Address v, Address p, Address grad_v,
-              Address grad_p, Address grad_fraction, const StokesArrays& grads, Address grad_phi,
-              Address grad_viscosity, Address stats, int num_threads) {
-             nb::gil_scoped_release release;
-             ThreadPool pool(num_threads);
-             const FlowGradients to{
-                 out(grad_phi),
-                 out(grad_viscosity),
-                 out(grads.prescribed),
-                 {out(grads.wall_velocity), out(grads.body_force), out(grads.traction)}};
-             s.adjoint(arrays.inputs(), in(v), in(p), in(grad_v), in(grad_p), in(grad_fraction), to,
-                       reinterpret_cast<FlowStats*>(stats), pool);
-           });
-
-  // Returns (system, -1, 0), or (None, node * dim + axis, pivot) where K is not positive definite.
-  m.def("make_stokes_system",
-        [](const GridShape& shape, Address phi, Address fixed, nb::sequence open,
-           const FlowOptions& options, StokesPlan& plan, int num_threads) {
-          FlowGeometryInputs inputs;
-          inputs.shape = shape;
-          inputs.phi = in(phi);
-          inputs.fixed = reinterpret_cast<const std::uint8_t*>(fixed);
-          for (int i = 0; i < 2 * shape.dim; ++i) inputs.open[i] = nb::cast<bool>(open[i]);
-          std::shared_ptr<StokesSystem> system;
-          std::int64_t unknown = -1;
-          double pivot = 0.0;
-          {
+      .def(
+          "solve",
+          [](StokesSystem& s, const StokesArrays& inputs, Address velocity, Address pressure,
+             Address stats, int num_threads) {
             nb::gil_scoped_release release;
             ThreadPool pool(num_threads);
-            try {
-              system = make_stokes_system(inputs, options, plan, pool);
-            } catch (const NotPositiveDefinite& e) {
-              unknown = e.unknown;
-              pivot = e.pivot;
-            }
-          }
-          return nb::make_tuple(system, unknown, pivot);
-        });
-  m.def("cut_cells", [](const GridShape& shape, Address phi, Address volume, Address area,
-                        Address normal, int num_threads) {
-    nb::gil_scoped_release release;
-    ThreadPool pool(num_threads);
-    cut_cells(shape, in(phi), out(volume), out(area), out(normal), pool);
-  });
-  m.def("cut_cells_vjp",
-        [](const GridShape& shape, Address phi, Address grad_volume, Address grad_area,
-           Address grad_normal, Address grad_phi, int num_threads) {
+            s.solve(inputs.inputs(), out(velocity), out(pressure),
+                    reinterpret_cast<FlowStats*>(stats), pool);
+          },
+          nb::kw_only(), "inputs"_a, "velocity"_a, "pressure"_a, "stats"_a, "num_threads"_a)
+      .def(
+          "adjoint",
+          [](StokesSystem& s, const StokesArrays& inputs, Address velocity, Address pressure,
+             Address grad_velocity, Address grad_pressure, Address grad_fraction,
+             const StokesArrays& grads, Address grad_phi, Address grad_viscosity, Address stats,
+             int num_threads) {
+            nb::gil_scoped_release release;
+            ThreadPool pool(num_threads);
+            const FlowGradients to{
+                out(grad_phi),
+                out(grad_viscosity),
+                out(grads.prescribed),
+                {out(grads.wall_velocity), out(grads.body_force), out(grads.traction)}};
+            s.adjoint(inputs.inputs(), in(velocity), in(pressure), in(grad_velocity),
+                      in(grad_pressure), in(grad_fraction), to, reinterpret_cast<FlowStats*>(stats),
+                      pool);
+          },
+          nb::kw_only(), "inputs"_a, "velocity"_a, "pressure"_a, "grad_velocity"_a,
+          "grad_pressure"_a, "grad_fraction"_a, "grads"_a, "grad_phi"_a, "grad_viscosity"_a,
+          "stats"_a, "num_threads"_a);
+
+  // Returns (system, -1, 0), or (None, node * dim + axis, pivot) where K is not positive definite.
+  m.def(
+      "make_stokes_system",
+      [](const GridShape& shape, Address phi, Address fixed, nb::sequence open,
+         const FlowOptions& options, StokesPlan& plan, int num_threads) {
+        FlowGeometryInputs inputs;
+        inputs.shape = shape;
+        inputs.phi = in(phi);
+        inputs.fixed = reinterpret_cast<const std::uint8_t*>(fixed);
+        for (int i = 0; i < 2 * shape.dim; ++i) inputs.open[i] = nb::cast<bool>(open[i]);
+        std::shared_ptr<StokesSystem> system;
+        std::int64_t unknown = -1;
+        double pivot = 0.0;
+        {
           nb::gil_scoped_release release;
           ThreadPool pool(num_threads);
-          cut_cells_vjp(shape, in(phi), in(grad_volume), in(grad_area), in(grad_normal),
-                        out(grad_phi), pool);
-        });
-  m.def("plane_flux", [](const GridShape& shape, Address phi, Address v, std::int64_t cases,
-                         int axis, std::int64_t index, Address flux) {
-    nb::gil_scoped_release release;
-    plane_flux(shape, in(phi), in(v), cases, axis, index, out(flux));
-  });
-  m.def("plane_flux_vjp",
-        [](const GridShape& shape, Address phi, Address v, std::int64_t cases, int axis,
-           std::int64_t index, Address grad_flux, Address grad_phi, Address grad_v) {
-          nb::gil_scoped_release release;
-          plane_flux_vjp(shape, in(phi), in(v), cases, axis, index, in(grad_flux), out(grad_phi),
-                         out(grad_v));
-        });
+          try {
+            system = make_stokes_system(inputs, options, plan, pool);
+          } catch (const NotPositiveDefinite& e) {
+            unknown = e.unknown;
+            pivot = e.pivot;
+          }
+        }
+        return nb::make_tuple(system, unknown, pivot);
+      },
+      nb::kw_only(), "shape"_a, "phi"_a, "fixed"_a, "open"_a, "options"_a, "plan"_a,
+      "num_threads"_a);
+  m.def(
+      "cut_cells",
+      [](const GridShape& shape, Address phi, Address volume, Address area, Address normal,
+         int num_threads) {
+        nb::gil_scoped_release release;
+        ThreadPool pool(num_threads);
+        cut_cells(shape, in(phi), out(volume), out(area), out(normal), pool);
+      },
+      nb::kw_only(), "shape"_a, "phi"_a, "volume"_a, "area"_a, "normal"_a, "num_threads"_a);
+  m.def(
+      "cut_cells_vjp",
+      [](const GridShape& shape, Address phi, Address grad_volume, Address grad_area,
+         Address grad_normal, Address grad_phi, int num_threads) {
+        nb::gil_scoped_release release;
+        ThreadPool pool(num_threads);
+        cut_cells_vjp(shape, in(phi), in(grad_volume), in(grad_area), in(grad_normal),
+                      out(grad_phi), pool);
+      },
+      nb::kw_only(), "shape"_a, "phi"_a, "grad_volume"_a, "grad_area"_a, "grad_normal"_a,
+      "grad_phi"_a, "num_threads"_a);
+  m.def(
+      "plane_flux",
+      [](const GridShape& shape, Address phi, Address velocity, std::int64_t num_cases, int axis,
+         std::int64_t index, Address flux) {
+        nb::gil_scoped_release release;
+        plane_flux(shape, in(phi), in(velocity), num_cases, axis, index, out(flux));
+      },
+      nb::kw_only(), "shape"_a, "phi"_a, "velocity"_a, "num_cases"_a, "axis"_a, "index"_a,
+      "flux"_a);
+  m.def(
+      "plane_flux_vjp",
+      [](const GridShape& shape, Address phi, Address velocity, std::int64_t num_cases, int axis,
+         std::int64_t index, Address grad_flux, Address grad_phi, Address grad_velocity) {
+        nb::gil_scoped_release release;
+        plane_flux_vjp(shape, in(phi), in(velocity), num_cases, axis, index, in(grad_flux),
+                       out(grad_phi), out(grad_velocity));
+      },
+      nb::kw_only(), "shape"_a, "phi"_a, "velocity"_a, "num_cases"_a, "axis"_a, "index"_a,
+      "grad_flux"_a, "grad_phi"_a, "grad_velocity"_a);
 }
 
 }  // namespace diffsim

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from diffsim.core.files import write_json_atomic
-from diffsim.stokes.devices import Device, Optimum, coarse_to_fine, optimise
+from diffsim.stokes.devices import Device, Optimum, coarse_to_fine, optimize
 from diffsim.viz.device_evolution import draw_shapes
 from diffsim.viz.device_files import export
 from diffsim.viz.device_picture import draw
@@ -25,7 +25,7 @@ def run(
     with_export: bool = False,
     size: float = 0.1,
 ) -> Optimum:
-    """Optimise a device; print the numbers, write them and a picture.
+    """Optimize a device; print the numbers, write them and a picture.
 
     Args:
         device: The device.
@@ -44,7 +44,7 @@ def run(
     if folder is not None and (folder / "progress.json").exists():
         print(f"{folder / 'progress.json'} is of an older version of diffsim; it is not used")
     if coarse is None:
-        optimum = optimise(device, num_samples, seed, max_evaluations=max_evaluations, path=path)
+        optimum = optimize(device, num_samples, seed, max_evaluations=max_evaluations, path=path)
     else:
         optimum = coarse_to_fine(
             device,

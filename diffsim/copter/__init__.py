@@ -1,10 +1,9 @@
 """Multicopters: parts, composition, dynamics, hover and LQR layers, co-design, flight, fabrication.
 
 World and body frames are north-east-down (NED): x forward, y right, z down; up is -z. The body
-frame sits at the centre of mass.
+frame sits at the center of mass.
 """
 
-from diffsim.copter.assemble import build_design
 from diffsim.copter.battery import Battery
 from diffsim.copter.clearance import disc_clearances, min_clearance
 from diffsim.copter.constraints import InfeasibleDesignError
@@ -16,8 +15,8 @@ from diffsim.copter.control_metrics import (
     response_time,
     rotor_out_margins,
 )
-from diffsim.copter.design import Design
-from diffsim.copter.design_file import load_design, save_design, shipped_designs
+from diffsim.copter.design import Design, build_design
+from diffsim.copter.design_file import load_design, save_design
 from diffsim.copter.effects import BodyDrag, FlightEffects, MotorLag
 from diffsim.copter.fleet import Fleet
 from diffsim.copter.flight import Feedback, Flight, FlightError, fly
@@ -25,11 +24,12 @@ from diffsim.copter.flight_state import FlightState
 from diffsim.copter.hover import Hover, hover, hover_thrusts
 from diffsim.copter.hover_result import HoverError, HoverResult, HoverWarning
 from diffsim.copter.import_xml import import_xml
-from diffsim.copter.linearise import LinearModel, linearise, state_rate
+from diffsim.copter.linearize import LinearModel, linearize, state_rate
 from diffsim.copter.listing import PartEntry
 from diffsim.copter.lqr import LQR, LqrGain, lqr, lqr_stats, lyapunov
 from diffsim.copter.rotor import RotorModel, motor_lag, rotor_model, rotor_names
 from diffsim.copter.spec import Connection, DesignSpec, PartSpec
+from diffsim.copter.spec_file import shipped_designs
 from diffsim.copter.stabilizability import RiccatiError
 from diffsim.copter.vehicle import GRAVITY, Multicopter
 
@@ -69,7 +69,7 @@ __all__ = [
     "hover_map_singular_value",
     "hover_thrusts",
     "import_xml",
-    "linearise",
+    "linearize",
     "load_design",
     "lqr",
     "lqr_stats",

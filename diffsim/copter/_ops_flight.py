@@ -1,10 +1,13 @@
 """Flight of multicopters and its adjoint as torch custom ops.
 
 Every input is (batch or 1, steps or 1, width) float64: a leading one shares a row between vehicles,
-a second one between control steps. See csrc/kernels/copter/flight.h.
+a second one between control steps. See csrc/kernels/copter/flight.h. Ops take flat arguments;
+:class:`FlightInputs` and :class:`FlightSettings` name them, in the order of the ops.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -24,21 +27,76 @@ EFFECTS = (
 )
 
 
+class FlightInputs(NamedTuple):
+    """What a flight depends on, (batch or 1, steps or 1, width) each; also the gradients of these.
+
+    Attributes:
+        start: Width BODY + num_rotors.
+        feed_forward: Width num_rotors [N].
+        gain: Width 12 num_rotors; empty without feedback.
+        reference: Width 12; empty without feedback.
+        wind: Width 3 [m/s].
+        parameters: Parameters of the vehicles in the order of ``fields``.
+    """
+
+    start: Tensor
+    feed_forward: Tensor
+    gain: Tensor
+    reference: Tensor
+    wind: Tensor
+    parameters: Tensor
+
+    @property
+    def num_rotors(self) -> int:
+        """Rotors of every vehicle."""
+        return self.feed_forward.shape[-1]
+
+    @property
+    def feedback(self) -> bool:
+        """Whether thrusts depend on the state."""
+        return self.gain.numel() > 0
+
+
+class FlightSettings(NamedTuple):
+    """How a flight is integrated.
+
+    Attributes:
+        dt: Integration step [s].
+        gravity: [m/s^2].
+        substeps: Integration steps per control step.
+        effects: Names of the effects that are modeled, out of ``EFFECTS``, separated by commas.
+        num_threads: Threads of the kernel.
+    """
+
+    dt: float
+    gravity: float
+    substeps: int
+    effects: str
+    num_threads: int
+
+
+def rollout(inputs: FlightInputs, settings: FlightSettings, *, batch: int, steps: int) -> Tensor:
+    """Records (batch, steps + 1, BODY + num_rotors) of a flight; record 0 is the start."""
+    contiguous = {name: value.contiguous() for name, value in inputs._asdict().items()}
+    return flight(**contiguous, batch=batch, steps=steps, **settings._asdict())
+
+
 @torch.compiler.assume_constant_result
 def fields(num_rotors: int) -> list[tuple[str, int]]:
     """Names and sizes of the parameters of one vehicle, in the order of their row."""
     return core.flight_fields(num_rotors)
 
 
-def _widths(num_rotors: int, feedback: bool) -> dict[str, int]:
+def _widths(inputs: FlightInputs) -> dict[str, int]:
     """Width of every input; those of the feedback are absent without it."""
+    num_rotors = inputs.num_rotors
     widths = {
         "start": BODY + num_rotors,
         "feed_forward": num_rotors,
         "wind": 3,
         "parameters": sum(size for _, size in fields(num_rotors)),
     }
-    return widths | ({"gain": 12 * num_rotors, "reference": 12} if feedback else {})
+    return widths | ({"gain": 12 * num_rotors, "reference": 12} if inputs.feedback else {})
 
 
 def _once(name: str) -> bool:
@@ -46,11 +104,10 @@ def _once(name: str) -> bool:
     return name in ("start", "gain", "parameters")
 
 
-def _arrays(inputs: dict[str, Tensor], batch: int, steps: int, num_rotors: int) -> object:
-    feedback = inputs["gain"].numel() > 0
+def _arrays(inputs: FlightInputs, batch: int, steps: int) -> object:
     arrays = core.FlightArrays()
-    for name, width in _widths(num_rotors, feedback).items():
-        value = inputs[name]
+    for name, width in _widths(inputs).items():
+        value: Tensor = getattr(inputs, name)
         want = f"({batch} or 1, {1 if _once(name) else f'{steps} or 1'}, {width})"
         fits = (
             value.dim() == 3
@@ -67,6 +124,16 @@ def _arrays(inputs: dict[str, Tensor], batch: int, steps: int, num_rotors: int) 
         row.address = value.data_ptr()
         row.step_stride = width if value.shape[1] > 1 else 0
         row.vehicle_stride = value.shape[1] * width if value.shape[0] > 1 else 0
+    return arrays
+
+
+def _gradient_arrays(grads: FlightInputs) -> object:
+    arrays = core.FlightArrays()
+    for name, value in grads._asdict().items():
+        row = getattr(arrays, name)
+        row.address = value.data_ptr()
+        row.step_stride = value.shape[2] if value.shape[1] > 1 else 0
+        row.vehicle_stride = value.shape[1] * value.shape[2]
     return arrays
 
 
@@ -95,34 +162,17 @@ def flight(
     effects: str,
     num_threads: int,
 ) -> Tensor:
-    """Records (batch, steps + 1, BODY + num_rotors) of a flight; record 0 is the start.
-
-    Args:
-        start: Width BODY + num_rotors.
-        feed_forward: Width num_rotors [N].
-        gain: Width 12 num_rotors; empty without feedback.
-        reference: Width 12; empty without feedback.
-        wind: Width 3 [m/s].
-        parameters: As ``fields`` says.
-        batch: Number of vehicles.
-        steps: Number of control steps.
-        dt: Integration step [s].
-        gravity: [m/s^2].
-        substeps: Integration steps per control step.
-        effects: Those of ``EFFECTS`` that are there, separated by commas.
-        num_threads: Threads of the kernel.
-    """
-    num_rotors = feed_forward.shape[-1]
-    inputs = _named(start, feed_forward, gain, reference, wind, parameters)
-    records = start.new_empty(batch, steps + 1, BODY + num_rotors)
+    """Records of ``FlightInputs`` under ``FlightSettings``; see :func:`rollout`."""
+    inputs = FlightInputs(start, feed_forward, gain, reference, wind, parameters)
+    records = start.new_empty(batch, steps + 1, BODY + inputs.num_rotors)
     core.flight_rollout(
-        num_rotors,
-        batch,
-        steps,
-        _options(dt, gravity, substeps, effects, gain.numel() > 0),
-        _arrays(inputs, batch, steps, num_rotors),
-        records.data_ptr(),
-        num_threads,
+        num_rotors=inputs.num_rotors,
+        batch=batch,
+        steps=steps,
+        options=_options(dt, gravity, substeps, effects, inputs.feedback),
+        inputs=_arrays(inputs, batch, steps),
+        records=records.data_ptr(),
+        num_threads=num_threads,
     )
     return records
 
@@ -147,80 +197,64 @@ def flight_vjp(
     substeps: int,
     effects: str,
     num_threads: int,
-) -> list[Tensor]:
-    """Adjoint of :func:`flight`: gradients of its six tensors."""
-    num_rotors = feed_forward.shape[-1]
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Adjoint of :func:`flight`: gradients of ``FlightInputs``."""
+    inputs = FlightInputs(start, feed_forward, gain, reference, wind, parameters)
     batch, steps = records.shape[0], records.shape[1] - 1
-    if grad_records.shape != records.shape or records.shape[2] != BODY + num_rotors:
+    width = BODY + inputs.num_rotors
+    if grad_records.shape != records.shape or records.shape[2] != width:
         raise ValueError(
-            f"records and grad_records must have shape ({batch}, {steps + 1}, "
-            f"{BODY + num_rotors}), got {tuple(records.shape)} and {tuple(grad_records.shape)}"
+            f"records and grad_records must have shape ({batch}, {steps + 1}, {width}), got "
+            f"{tuple(records.shape)} and {tuple(grad_records.shape)}"
         )
     grad_records, records = grad_records.contiguous(), records.contiguous()
-    inputs = _named(start, feed_forward, gain, reference, wind, parameters)
-    arrays = _arrays(inputs, batch, steps, num_rotors)
     groups = -(-batch // core.FLIGHT_GROUP)  # vehicles that share a row have one gradient per group
-    rows = {
-        name: value.new_zeros(groups, *value.shape[1:])
-        if value.shape[0] == 1
-        else torch.zeros_like(value)
-        for name, value in inputs.items()
-    }
-    grads = core.FlightArrays()
-    for name, value in rows.items():
-        row = getattr(grads, name)
-        row.address = value.data_ptr()
-        row.step_stride = value.shape[2] if value.shape[1] > 1 else 0
-        row.vehicle_stride = value.shape[1] * value.shape[2]
-    core.flight_rollout_vjp(
-        num_rotors,
-        batch,
-        steps,
-        _options(dt, gravity, substeps, effects, gain.numel() > 0),
-        arrays,
-        records.data_ptr(),
-        grad_records.data_ptr(),
-        grads,
-        num_threads,
+    grads = FlightInputs(
+        *(
+            value.new_zeros(groups, *value.shape[1:])
+            if value.shape[0] == 1
+            else torch.zeros_like(value)
+            for value in inputs
+        )
     )
-    return [
-        rows[name].sum(0, keepdim=True) if value.shape[0] == 1 else rows[name]
-        for name, value in inputs.items()
-    ]
+    core.flight_rollout_vjp(
+        num_rotors=inputs.num_rotors,
+        batch=batch,
+        steps=steps,
+        options=_options(dt, gravity, substeps, effects, inputs.feedback),
+        inputs=_arrays(inputs, batch, steps),
+        records=records.data_ptr(),
+        grad_records=grad_records.data_ptr(),
+        grads=_gradient_arrays(grads),
+        num_threads=num_threads,
+    )
+    return FlightInputs(
+        *(
+            grad.sum(0, keepdim=True) if value.shape[0] == 1 else grad
+            for grad, value in zip(grads, inputs, strict=True)
+        )
+    )
 
 
 @flight_vjp.register_fake
-def _(grad_records, records, start, feed_forward, gain, reference, wind, parameters, *args):
-    inputs = (start, feed_forward, gain, reference, wind, parameters)
-    return [torch.empty_like(value) for value in inputs]
-
-
-def _named(
-    start: Tensor,
-    feed_forward: Tensor,
-    gain: Tensor,
-    reference: Tensor,
-    wind: Tensor,
-    parameters: Tensor,
-) -> dict[str, Tensor]:
-    return {
-        "start": start,
-        "feed_forward": feed_forward,
-        "gain": gain,
-        "reference": reference,
-        "wind": wind,
-        "parameters": parameters,
-    }
+def _(grad_records, records, *args):
+    inputs = args[: len(FlightInputs._fields)]
+    return tuple(torch.empty_like(value) for value in inputs)
 
 
 def _setup_context(ctx, inputs, output):
-    *tensors, _, _, dt, gravity, substeps, effects, num_threads = inputs
-    ctx.save_for_backward(output, *tensors)
-    ctx.settings = (dt, gravity, substeps, effects, num_threads)
+    count = len(FlightInputs._fields)
+    _batch, _steps, *settings = inputs[count:]
+    ctx.settings = FlightSettings(*settings)
+    ctx.save_for_backward(output, *inputs[:count])
 
 
 def _backward(ctx, grad_records):
-    grads = flight_vjp(grad_records, *ctx.saved_tensors, *ctx.settings)
+    records, *saved = ctx.saved_tensors
+    inputs = FlightInputs(*saved)
+    grads = flight_vjp(
+        grad_records=grad_records, records=records, **inputs._asdict(), **ctx.settings._asdict()
+    )
     return (*grads, *(None,) * 7)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -13,8 +13,45 @@ INFO = ("status", "rank", "free_rank", "num_iters")
 STATUSES = ("optimal", "infeasible", "rank_deficient", "not_converged")
 
 
-def _addresses(*tensors: Tensor) -> list[int]:
-    return [t.data_ptr() for t in tensors]
+class HoverProblem(NamedTuple):
+    """A batch of dimensionless hover problems; also the gradients of these.
+
+    Attributes:
+        force: M_f over the number of rotors, (batch, 3, n_rotors) [-].
+        torque: M_t over the same and a mean lever, (batch, 3, n_rotors) [-].
+        weights: h of the effort, mean 1, (batch, n_rotors) [-].
+        upper: Largest thrusts in shares of the weight per rotor, (batch, n_rotors) [-].
+    """
+
+    force: Tensor
+    torque: Tensor
+    weights: Tensor
+    upper: Tensor
+
+
+class HoverSolution(NamedTuple):
+    """What the solver returns.
+
+    Attributes:
+        thrusts: In shares of the weight per rotor, (batch, n_rotors) [-].
+        multipliers: Multipliers of lift and the three torques, (batch, 4); no gradient.
+        state: -1 at the lower, 1 at the upper bound, else 0, (batch, n_rotors) int64.
+        info: ``INFO``, (batch, 4) int64.
+    """
+
+    thrusts: Tensor
+    multipliers: Tensor
+    state: Tensor
+    info: Tensor
+
+
+def solve(problem: HoverProblem, *, barrier: float, num_threads: int) -> HoverSolution:
+    """Thrusts of least effort; ``barrier`` weighs the logarithms of the distances to the bounds."""
+    return HoverSolution(*hover(**problem._asdict(), barrier=barrier, num_threads=num_threads))
+
+
+def _addresses(tensors: HoverProblem | HoverSolution, prefix: str = "") -> dict[str, int]:
+    return {prefix + name: tensor.data_ptr() for name, tensor in tensors._asdict().items()}
 
 
 def _check(name: str, value: Tensor, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
@@ -27,32 +64,38 @@ def _check(name: str, value: Tensor, shape: tuple[int, ...], dtype: torch.dtype)
     return value.contiguous()
 
 
-def _problem(force: Tensor, torque: Tensor, weights: Tensor, upper: Tensor) -> list[Tensor]:
-    batch, _, n = force.shape
-    return [
-        _check("force", force, (batch, 3, n), torch.float64),
-        _check("torque", torque, (batch, 3, n), torch.float64),
-        _check("weights", weights, (batch, n), torch.float64),
-        _check("upper", upper, (batch, n), torch.float64),
-    ]
+def _checked(problem: HoverProblem) -> HoverProblem:
+    batch, _, n = problem.force.shape
+    return HoverProblem(
+        force=_check("force", problem.force, (batch, 3, n), torch.float64),
+        torque=_check("torque", problem.torque, (batch, 3, n), torch.float64),
+        weights=_check("weights", problem.weights, (batch, n), torch.float64),
+        upper=_check("upper", problem.upper, (batch, n), torch.float64),
+    )
 
 
 @torch.library.custom_op("diffsim::hover", mutates_args=())
 def hover(
     force: Tensor, torque: Tensor, weights: Tensor, upper: Tensor, barrier: float, num_threads: int
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Thrusts (B, n), multipliers (B, 4), bound states (B, n) int64, info (B, 4) int64.
-
-    force and torque (B, 3, n), weights and upper (B, n).
-    """
-    problem = _problem(force, torque, weights, upper)
+    """``HoverSolution`` of a ``HoverProblem``."""
+    problem = _checked(HoverProblem(force, torque, weights, upper))
     batch, _, n = force.shape
-    thrusts, multipliers = force.new_empty(batch, n), force.new_empty(batch, 4)
-    state = torch.empty(batch, n, dtype=torch.int64)
-    info = torch.empty(batch, len(INFO), dtype=torch.int64)
-    results = _addresses(thrusts, multipliers, state, info)
-    core.hover(*_addresses(*problem), barrier, batch, n, *results, num_threads)
-    return thrusts, multipliers, state, info
+    solution = HoverSolution(
+        thrusts=force.new_empty(batch, n),
+        multipliers=force.new_empty(batch, 4),
+        state=torch.empty(batch, n, dtype=torch.int64),
+        info=torch.empty(batch, len(INFO), dtype=torch.int64),
+    )
+    core.hover(
+        **_addresses(problem),
+        **_addresses(solution),
+        barrier=barrier,
+        batch=batch,
+        num_rotors=n,
+        num_threads=num_threads,
+    )
+    return solution
 
 
 @hover.register_fake
@@ -79,21 +122,29 @@ def hover_vjp(
     barrier: float,
     num_threads: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """dL/d(force, torque, weights, upper) from the outputs of ``hover`` and dL/dthrusts."""
-    problem = _problem(force, torque, weights, upper)
+    """Gradients of a ``HoverProblem`` from its ``HoverSolution`` and dL/dthrusts."""
+    problem = _checked(HoverProblem(force, torque, weights, upper))
     batch, _, n = force.shape
-    found = [
-        _check("thrusts", thrusts, (batch, n), torch.float64),
-        _check("multipliers", multipliers, (batch, 4), torch.float64),
-        _check("state", state, (batch, n), torch.int64),
-        _check("info", info, (batch, len(INFO)), torch.int64),
-        _check("grad_thrusts", grad_thrusts, (batch, n), torch.float64),
-    ]
+    solution = HoverSolution(
+        thrusts=_check("thrusts", thrusts, (batch, n), torch.float64),
+        multipliers=_check("multipliers", multipliers, (batch, 4), torch.float64),
+        state=_check("state", state, (batch, n), torch.int64),
+        info=_check("info", info, (batch, len(INFO)), torch.int64),
+    )
+    grad_thrusts = _check("grad_thrusts", grad_thrusts, (batch, n), torch.float64)
     # not empty_like: the problem may be an expanded view, the kernel writes densely
-    grads = [torch.empty(t.shape, dtype=torch.float64) for t in problem]
-    addresses = _addresses(*problem), _addresses(*found), _addresses(*grads)
-    core.hover_vjp(*addresses[0], barrier, batch, n, *addresses[1], *addresses[2], num_threads)
-    return grads[0], grads[1], grads[2], grads[3]
+    grads = HoverProblem(*(torch.empty(t.shape, dtype=torch.float64) for t in problem))
+    core.hover_vjp(
+        **_addresses(problem),
+        **_addresses(solution),
+        grad_thrusts=grad_thrusts.data_ptr(),
+        **_addresses(grads, "grad_"),
+        barrier=barrier,
+        batch=batch,
+        num_rotors=n,
+        num_threads=num_threads,
+    )
+    return grads
 
 
 @hover_vjp.register_fake
@@ -112,12 +163,20 @@ def _setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> Non
     *problem, barrier, num_threads = inputs
     ctx.save_for_backward(*problem, *output)
     ctx.mark_non_differentiable(*output[1:])
-    ctx.options = barrier, num_threads
+    ctx.options = {"barrier": barrier, "num_threads": num_threads}
 
 
 # The KKT system of the free rotors, derived in csrc/kernels/copter/hover_adjoint.cpp.
 def _backward(ctx: Any, grad_thrusts: Tensor, *_: Any) -> tuple[Tensor | None, ...]:
-    grads = hover_vjp(*ctx.saved_tensors, grad_thrusts.contiguous(), *ctx.options)
+    count = len(HoverProblem._fields)
+    problem = HoverProblem(*ctx.saved_tensors[:count])
+    solution = HoverSolution(*ctx.saved_tensors[count:])
+    grads = hover_vjp(
+        **problem._asdict(),
+        **solution._asdict(),
+        grad_thrusts=grad_thrusts.contiguous(),
+        **ctx.options,
+    )
     return (*grads, None, None)
 
 

@@ -35,7 +35,13 @@ def lyapunov(A: Tensor, Q: Tensor, num_threads: int) -> Tensor:
     X = torch.empty(A.shape, dtype=torch.float64)
     solved = torch.empty(batch, dtype=torch.int64)
     core.lyapunov(
-        A.data_ptr(), Q.data_ptr(), batch, n, X.data_ptr(), solved.data_ptr(), num_threads
+        A=A.data_ptr(),
+        Q=Q.data_ptr(),
+        batch=batch,
+        size=n,
+        X=X.data_ptr(),
+        solved=solved.data_ptr(),
+        num_threads=num_threads,
     )
     for index in torch.nonzero(solved == 0).flatten().tolist():
         raise_lyapunov_failure(A[index].numpy(), index if batch > 1 else None)
@@ -56,7 +62,7 @@ def _setup_lyapunov(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
 #   dL/dQ = S,  dL/dA = S X' + S' X.
 def _backward_lyapunov(ctx: Any, grad_X: Tensor) -> tuple[Tensor, Tensor, None]:
     A, X = ctx.saved_tensors
-    S = lyapunov(A.mT.contiguous(), grad_X.contiguous(), ctx.num_threads)
+    S = lyapunov(A=A.mT.contiguous(), Q=grad_X.contiguous(), num_threads=ctx.num_threads)
     return S @ X.mT + S.mT @ X, S, None
 
 
@@ -65,13 +71,21 @@ lyapunov.register_autograd(_backward_lyapunov, setup_context=_setup_lyapunov)
 
 @torch.library.custom_op("diffsim::care", mutates_args=())
 def care(A: Tensor, G: Tensor, Q: Tensor, num_threads: int) -> tuple[Tensor, Tensor]:
-    """The stabilising P (B, n, n) of A'P + P A - P G P + Q = 0, and REPORT (B, 4)."""
+    """The stabilizing P (B, n, n) of A'P + P A - P G P + Q = 0, and REPORT (B, 4)."""
     batch, n, _ = A.shape
-    A, G, Q = (_check(k, v, (batch, n, n)) for k, v in (("A", A), ("G", G), ("Q", Q)))
+    shape = (batch, n, n)
+    A, G, Q = _check("A", A, shape), _check("G", G, shape), _check("Q", Q, shape)
     P = torch.empty(A.shape, dtype=torch.float64)
     report = torch.empty(batch, len(REPORT), dtype=torch.float64)
     core.care(
-        *(t.data_ptr() for t in (A, G, Q)), batch, n, P.data_ptr(), report.data_ptr(), num_threads
+        A=A.data_ptr(),
+        G=G.data_ptr(),
+        Q=Q.data_ptr(),
+        batch=batch,
+        size=n,
+        P=P.data_ptr(),
+        report=report.data_ptr(),
+        num_threads=num_threads,
     )
     for index in torch.nonzero(report[:, 0] == 0).flatten().tolist():
         raise_riccati_failure(
@@ -99,7 +113,7 @@ def _setup_care(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]
 # A_c S + S A_c' + sym(dL/dP) = 0:  dL/dA = 2 P S,  dL/dG = -P S P,  dL/dQ = S.
 def _backward_care(ctx: Any, grad_P: Tensor, _: Any) -> tuple[Tensor, Tensor, Tensor, None]:
     A, G, P = ctx.saved_tensors
-    S = lyapunov(A - G @ P, 0.5 * (grad_P + grad_P.mT), ctx.num_threads)
+    S = lyapunov(A=A - G @ P, Q=0.5 * (grad_P + grad_P.mT), num_threads=ctx.num_threads)
     return 2.0 * P @ S, -P @ S @ P, S, None
 
 

@@ -71,20 +71,20 @@ def _linear_program(
     cost[-1] = -1.0
     bounds = [(0.0, float(m)) for m in np.tile(limit, num_cases)] + [(0.0, None)]
     tight = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
-    found = scipy.optimize.linprog(
+    solution = scipy.optimize.linprog(
         cost, A_eq=rows, b_eq=b.ravel(), bounds=bounds, method="highs", options=tight
     )
-    if found.status == 2:
+    if solution.status == 2:
         raise ThrustLimitError(
             f"no thrusts within the limits {what}; lighten the load, raise max_thrusts or move "
             "rotors (hover(copter).residual has the gradient)"
         )
-    if found.status != 0:
-        raise ThrustLimitError(f"the linear program to {what} failed: {found.message}")
-    thrusts = found.x[:-1].reshape(num_cases, n)
-    equality = -found.eqlin.marginals.reshape(num_cases, -1)
-    upper = -found.upper.marginals[:-1].reshape(num_cases, n).sum(0)
-    return _Optimum(float(found.x[-1]), float(found.x[-1]), thrusts, equality, upper)
+    if solution.status != 0:
+        raise ThrustLimitError(f"the linear program to {what} failed: {solution.message}")
+    thrusts = solution.x[:-1].reshape(num_cases, n)
+    equality = -solution.eqlin.marginals.reshape(num_cases, -1)
+    upper = -solution.upper.marginals[:-1].reshape(num_cases, n).sum(0)
+    return _Optimum(float(solution.x[-1]), float(solution.x[-1]), thrusts, equality, upper)
 
 
 def _barrier(

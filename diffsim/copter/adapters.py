@@ -82,7 +82,7 @@ def ports(names: Sequence[str], host_shape: str, next_shape: str) -> tuple[str, 
     """Patches of an adapter that face its host and what follows.
 
     Args:
-        names: Of the adapter's patches.
+        names: Names of the adapter's patches.
         host_shape, next_shape: "circular" or "flat".
     """
     if "bore" not in names:

@@ -1,24 +1,39 @@
-"""From a specification to a design: compose, eliminate, start at the closest feasible point."""
+"""From a specification to an assembly: compose, eliminate, start at the closest feasible point."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from diffsim.copter.compose import Composer
 from diffsim.copter.constraints import matrix
 from diffsim.copter.contact import Target
-from diffsim.copter.design import Design
 from diffsim.copter.feasible import FeasibleSet, eliminate, staged_least_squares
 from diffsim.copter.geometry import Array
 from diffsim.copter.placement import PlacedPart, distance_weights
 from diffsim.copter.spec import DesignSpec
 
 
-def build_design(spec: DesignSpec) -> Design:
-    """Compose a design and start it at the feasible point closest to what its author gave.
+class Assembly(NamedTuple):
+    """Composed parts, their feasible set and a point in it.
+
+    Attributes:
+        parts: All of them, adapters included.
+        feasible: Constraints and their elimination.
+        values: Free parameters s, (n_free,) [m].
+    """
+
+    parts: tuple[PlacedPart, ...]
+    feasible: FeasibleSet
+    values: Tensor
+
+
+def assemble(spec: DesignSpec) -> Assembly:
+    """Compose a specification; start at the feasible point closest to what its author gave.
 
     Raises:
         ValueError: unknown names, parts that face the wrong way or are connected to nothing.
@@ -39,7 +54,7 @@ def build_design(spec: DesignSpec) -> Design:
     s = staged_least_squares(stages, len(feasible.free_idx))
     if feasible.violation(s) > 1e-9:
         s = feasible.closest(feasible.offset + feasible.basis @ s, distance_weights(parts))
-    return Design(spec, parts, feasible, torch.from_numpy(s))
+    return Assembly(parts, feasible, torch.from_numpy(s))
 
 
 def _stage(

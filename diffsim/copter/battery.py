@@ -29,12 +29,12 @@ USUAL_SAG_EXPONENT = 1.77
 class Battery:
     """A battery pack: voltage = open_circuit(charge) - resistance current.
 
-    Not modelled: temperature, recovery after a load, ageing, a capacity that depends on current.
+    Not modeled: temperature, recovery after a load, aging, a capacity that depends on current.
 
     Attributes:
         capacity: () [A s].
-        resistance: Of the pack, () [ohm].
-        open_circuit_coefficients: Of V = sum_j c_j charge^j, charge 0 to 1, (4,) [V].
+        resistance: Resistance of the pack, () [ohm].
+        open_circuit_coefficients: Coefficients of V = sum_j c_j charge^j, charge 0 to 1, (4,) [V].
         nominal_voltage: () [V].
     """
 
@@ -62,8 +62,9 @@ class Battery:
 
         Args:
             cells: In series.
-            capacity_mah: Of each [mA h].
-            resistance: Of each [ohm]; 0.012 is usual for 2 A h at 20 C, more when old or cold.
+            capacity_mah: Capacity of each cell [mA h].
+            resistance: Resistance of each cell [ohm]; 0.012 is usual for 2 A h at 20 C, more when
+                old or cold.
         """
         if cells != int(cells) or cells < 1:
             raise ValueError(f"cells must be a whole number >= 1, got {cells}")
@@ -131,9 +132,9 @@ class Battery:
 
         Args:
             rotors: One model per rotor; their nominal voltages say where thrust is as commanded.
-            exponent: Of thrust against voltage at one signal; 0 for a controller that makes up for
-                the voltage. By default thrust exponent times speed exponent of each rotor, 1.77
-                where its table has no voltages, and their mean.
+            exponent: Exponent of thrust against voltage at one signal; 0 for a controller that
+                makes up for the voltage. By default thrust exponent times speed exponent of each
+                rotor, 1.77 where its table has no voltages, and their mean.
             idle: Current of everything else on board [A].
         """
         if not rotors:

@@ -22,11 +22,11 @@ def disc_clearances(copter: Multicopter) -> Tensor:
 
     Returns:
         (n_pairs,) [m], pairs in the order of ``torch.triu_indices(n, n, 1)``. Where two discs cut
-        each other it is the distance of their centres less both radii, negative; for discs in one
+        each other it is the distance of their centers less both radii, negative; for discs in one
         plane that goes on smoothly from a touch, for others it jumps down.
 
     Raises:
-        ConvergenceError: a distance was not found to 1e-9 radii.
+        ConvergenceError: a distance did not converge to 1e-9 radii.
 
     Gradients: positions, directions, radii.
     """
@@ -56,15 +56,15 @@ def min_clearance(copter: Multicopter) -> Tensor:
     return clearances.min()
 
 
-def _material(p: np.ndarray, centre: Tensor, normal: Tensor, radius: Tensor) -> Tensor:
-    """The point of a disc that is at p now, carried along by centre, turn and radius."""
-    arm = torch.from_numpy(p) - centre.detach()
+def _material(p: np.ndarray, center: Tensor, normal: Tensor, radius: Tensor) -> Tensor:
+    """The point of a disc that is at p now, carried along by center, turn and radius."""
+    arm = torch.from_numpy(p) - center.detach()
     axis = normal.detach()
     # To first order the turn of the disc maps arm to arm - axis (dn . arm).
     turned = arm - axis * ((normal - axis) * arm).sum(-1, keepdim=True)
     held = radius.detach()
     share = torch.where(held > 0.0, radius / held.clamp_min(1e-300), 1.0)
-    return centre + share[:, None] * turned
+    return center + share[:, None] * turned
 
 
 def _closest_points(
@@ -91,13 +91,13 @@ def _closest_points(
         if float((step / scale).max()) < 1e-13:
             return p, q
     gap = p - q
-    # Optimality: no point of a disc lies further along the gap than the one found.
+    # Optimality: no point of a disc lies further along the gap than the closest one.
     slack = _beyond(-gap, p, c1, n1, r1) + _beyond(gap, q, c2, n2, r2)
     size = np.linalg.norm(gap, axis=-1)
     error = float((slack / np.maximum(size, _TOUCH * scale) / scale).max())
     if error > 1e-9:
         raise ConvergenceError(
-            f"closest points of two propeller discs found to {error:.1e} radii only",
+            f"closest points of two propeller discs converged to {error:.1e} radii only",
             residual_norm=error,
             tolerance=1e-9,
             num_iters=_MAX_ITERS,

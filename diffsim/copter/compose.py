@@ -187,7 +187,7 @@ class Composer:
 
         Args:
             adapter: The part.
-            host: Where it goes.
+            host: Patch of the part onto which the adapter is put.
             guest: Name of the part that the whole connection is for.
             following: Shape of the patch that comes next.
             turns: Degrees by shape of patch; used up by the first contact of its shape.

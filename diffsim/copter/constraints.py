@@ -33,7 +33,7 @@ class Constraint:
     """sum of coefficient * parameter (== or <=) bound.
 
     Attributes:
-        label: What it is, for messages; rows with one label stand and fall together.
+        label: Description for messages; rows with one label stand and fall together.
         coefficients: By name of the parameter.
         bound: Right-hand side.
         relation: "==" or "<=".
@@ -75,5 +75,5 @@ def satisfiable(names: Sequence[str], constraints: Sequence[Constraint]) -> bool
     """Whether any parameters satisfy all constraints (an LP by HiGHS)."""
     a_eq, b_eq = matrix(names, [c for c in constraints if c.relation == "=="])
     a_in, b_in = matrix(names, [c for c in constraints if c.relation == "<="])
-    found = linprog(np.zeros(len(names)), a_in, b_in, a_eq, b_eq, bounds=(None, None))
-    return found.status == 0
+    solution = linprog(np.zeros(len(names)), a_in, b_in, a_eq, b_eq, bounds=(None, None))
+    return solution.status == 0

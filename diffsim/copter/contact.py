@@ -25,8 +25,8 @@ class ContactEnd:
 
     Attributes:
         placed: The part.
-        patch_name: Of its patch.
-        at: Place along the patch's sliding directions [m]; None for its centre.
+        patch_name: Name of the patch.
+        at: Place along the patch's sliding directions [m]; None for its center.
         slide: Whether that place is free; None leaves it to the patch.
     """
 
@@ -46,7 +46,7 @@ class ContactEnd:
         return self.placed.patch(self.patch_name)
 
     def coordinate(self, direction: Array) -> LinearForm:
-        """Of the patch's centre along a direction [m]."""
+        """Of the patch's center along a direction [m]."""
         return self.placed.coordinate(self.patch.center, direction)
 
 
@@ -56,7 +56,7 @@ class Contact:
 
     Attributes:
         constraints: Coincidence and bounds of sliding.
-        explicit, defaults: Where sliding starts, told by the author or not.
+        explicit, defaults: Starting values of sliding, given by the author or assumed.
     """
 
     constraints: list[Constraint] = field(default_factory=list)

@@ -25,7 +25,7 @@ class Controllability(NamedTuple):
     """Of a linear system; the singular values carry gradients.
 
     Attributes:
-        rank: Of the controllability matrix.
+        rank: Rank of the controllability matrix.
         singular_values: Descending, (n,).
         condition: Largest over smallest, (); inf where the rank is not full.
     """
@@ -116,7 +116,7 @@ def control_authority(
     Args:
         copter: The vehicle.
         torque: Half extents of the box in x, y and z, (3,) [N m].
-        load: Weight carried at the centre of mass [N].
+        load: Weight carried at the center of mass [N].
         smoothing: Barrier weight [-]; above 0 the result lies below and is smooth in the design.
 
     Returns:
@@ -148,7 +148,7 @@ def rotor_out_margins(copter: Multicopter, *, load: float | Tensor = 0.0) -> Ten
 
     Args:
         copter: The vehicle.
-        load: Weight carried at the centre of mass [N].
+        load: Weight carried at the center of mass [N].
 
     Returns:
         (n_rotors,) [-].

@@ -13,6 +13,7 @@ import torch
 import trimesh
 from torch import Tensor
 
+from diffsim.copter.assemble import assemble
 from diffsim.copter.evaluate import PartTensors
 from diffsim.copter.feasible import FeasibleSet
 from diffsim.copter.geometry import Array
@@ -21,6 +22,7 @@ from diffsim.copter.mass import rigid_body
 from diffsim.copter.parts import RotorMount
 from diffsim.copter.placement import PlacedPart, distance_weights
 from diffsim.copter.spec import DesignSpec
+from diffsim.copter.spec_file import write_spec
 from diffsim.copter.vehicle import Multicopter
 from diffsim.core.check import require, require_choice
 
@@ -140,7 +142,7 @@ class Design:
         Args:
             s: Free parameters, (n_free,) [m]; the current ones if None.
             directions: Unit thrust directions, (n_rotors, 3); as built if None. They turn the
-                thrust about the propeller's centre, nothing else: motors' mass stays where it is,
+                thrust about the propeller's center, nothing else: motors' mass stays where it is,
                 as in the thesis, where d enters M_f and M_t only. ``with_directions`` rebuilds.
             spins: b_i, (n_rotors,), +1 or -1; as built if None.
 
@@ -189,7 +191,7 @@ class Design:
         return self._tensors.rod_length(self.all_values(s))
 
     def extent(self, s: Tensor | None = None) -> Tensor:
-        """Size of the box around the propellers' centres, (3,) [m]."""
+        """Size of the box around the propellers' centers, (3,) [m]."""
         centers = self._tensors.rotor_positions(self.all_values(s))
         return centers.amax(0) - centers.amin(0)
 
@@ -267,8 +269,6 @@ class Design:
     def _rebuilt(self, changes: Mapping[str, Mapping[str, Any]]) -> Design:
         """Composed anew with other fields of some parts' specifications, free parameters kept."""
         parts = tuple(replace(p, **changes.get(p.name, {})) for p in self.spec.parts)
-        from diffsim.copter.assemble import build_design  # it makes designs, and so imports this
-
         return build_design(replace(self.spec, parts=parts, values=self.named_values()))
 
     def named_values(self) -> dict[str, float]:
@@ -294,10 +294,8 @@ class Design:
         return part_entries(self.parts, dict(zip(self.all_names, x.tolist(), strict=True)), masses)
 
     def save(self, path: str | Path) -> Path:
-        """Write the design as YAML, atomically (``diffsim.copter.design_file``)."""
-        from diffsim.copter.design_file import save_design
-
-        return save_design(self, path)
+        """Write the design with its current values as YAML, atomically."""
+        return write_spec(replace(self.spec, values=self.named_values()), path)
 
     def _free(self, s: Tensor | None) -> Tensor:
         return self.values if s is None else require("s", s, (len(self.names),))
@@ -310,3 +308,14 @@ class Design:
         known = [n.partition(".")[2] for n in self.feasible.names if n.startswith(f"{part}.")]
         require_choice(f"parameter of {part}", parameter, known)
         raise AssertionError("unreachable: every part's parameters are listed")
+
+
+def build_design(spec: DesignSpec) -> Design:
+    """Compose a design and start it at the feasible point closest to what its author gave.
+
+    Raises:
+        ValueError: unknown names, parts that face the wrong way or are connected to nothing.
+        MeshError: a part that is not closed.
+        InfeasibleDesignError: constraints that exclude each other, with an irreducible set.
+    """
+    return Design(spec, *assemble(spec))

@@ -59,7 +59,7 @@ class ThrustCurve:
 
     Attributes:
         exponents: p / 2, (n_rotors,), > 0.
-        reference_thrusts: Where command and thrust agree, (n_rotors,) [N], > 0.
+        reference_thrusts: Thrusts at which command and thrust agree, (n_rotors,) [N], > 0.
     """
 
     exponents: Tensor
@@ -94,7 +94,7 @@ class RotorDrag:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BodyDrag:
-    """Drag at the centre of mass along the body's axes: -(linear + quadratic |a|) a.
+    """Drag at the center of mass along the body's axes: -(linear + quadratic |a|) a.
 
     Attributes:
         linear: (3,) [N s/m], >= 0.
@@ -122,7 +122,7 @@ class GroundEffect:
 
     Attributes:
         coefficient: k, (), 0 to 3.
-        terrain_height: Of the ground above the origin, () [m], up positive.
+        terrain_height: Height of the ground above the origin, () [m], up positive.
     """
 
     coefficient: Tensor
@@ -175,7 +175,8 @@ class BatterySag:
         open_circuit: Coefficients of V = sum_j c_j charge^j, (4,) [V].
         current_coefficients: a_i, (n_rotors,), A per N^alpha, >= 0.
         current_exponents: alpha_i, (n_rotors,), > 0.
-        idle_current: Of rotors at no thrust and everything else on board, () [A], >= 0.
+        idle_current: Current of rotors at no thrust and everything else on board, () [A], >=
+            0.
     """
 
     resistance: Tensor

@@ -18,7 +18,7 @@ class PartTensors:
 
     Args:
         placed: All parts.
-        names: Of all parameters.
+        names: Names of all parameters.
     """
 
     def __init__(self, placed: Sequence[PlacedPart], names: Sequence[str]):
@@ -51,7 +51,7 @@ class PartTensors:
         return placed_moments(local, self._rotations, x[self._position_idx])
 
     def rotor_positions(self, x: Tensor) -> Tensor:
-        """Centres of the propellers in the design's frame, (n_rotors, 3) [m]."""
+        """Centers of the propellers in the design's frame, (n_rotors, 3) [m]."""
         return x[self._position_idx[self._rotor_parts]]
 
     def cost(self, x: Tensor, mass: Tensor) -> Tensor:

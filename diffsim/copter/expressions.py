@@ -15,7 +15,7 @@ def parse_constraint(text: str, require_name: Callable[[str], str]) -> Constrain
     """A linear equality or inequality of parameters.
 
     Args:
-        text: The relation; lengths in metres.
+        text: The relation; lengths in meters.
         require_name: Returns a parameter's name or raises for an unknown one.
 
     Raises:

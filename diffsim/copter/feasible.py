@@ -27,7 +27,7 @@ from diffsim.copter.quadratic_program import solve_qp
 from diffsim.core.errors import ConvergenceError
 
 _RANK_TOL = 1e-9  # coefficients are lengths' multiples, of order one
-_FEASIBLE = 1e-7  # [m], a tenth of a micrometre
+_FEASIBLE = 1e-7  # [m], a tenth of a micrometer
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +35,9 @@ class FeasibleSet:
     """Parameters x with equalities and inequalities, and free parameters s of the same.
 
     Attributes:
-        names: Of all parameters x, (n,).
+        names: Names of all parameters x, (n,).
         equalities, inequalities: The constraints.
-        free_idx: Which entries of x are free, (n_free,).
+        free_idx: Indices of the free entries of x, (n_free,).
         offset: (n,); basis: (n, n_free): x = offset + basis @ s.
     """
 
@@ -78,9 +78,9 @@ class FeasibleSet:
         result = np.full((2, n), np.inf)
         for i in range(n):
             for k, sign in enumerate((1.0, -1.0)):
-                found = linprog(sign * np.eye(n)[i], *self._reduced[:2], bounds=(None, None))
-                if found.status == 0:
-                    result[k, i] = found.fun
+                solution = linprog(sign * np.eye(n)[i], *self._reduced[:2], bounds=(None, None))
+                if solution.status == 0:
+                    result[k, i] = solution.fun
         return result[0], -result[1]
 
     def violation(self, s: Array) -> float:
@@ -141,7 +141,7 @@ def eliminate(
     """Free parameters and basis of the equalities' solutions.
 
     Args:
-        names: Of all parameters.
+        names: Names of all parameters.
         constraints: Equalities and inequalities.
         preference: Per parameter; among choices the ones with the highest preference become free.
 
@@ -186,11 +186,11 @@ def _independent_columns(a: Array, order: IntArray) -> IntArray:
 
 
 def staged_least_squares(stages: Sequence[tuple[Array, Array]], num_unknowns: int) -> Array:
-    """s that minimises |M s - r|^2 of the first stage, among those of the second, and so on.
+    """s that minimizes |M s - r|^2 of the first stage, among those of the second, and so on.
 
     Args:
         stages: (M, r) each, (k, num_unknowns) and (k,).
-        num_unknowns: Of s; directions that no stage sees stay 0.
+        num_unknowns: Length of s; directions that no stage determines stay 0.
     """
     s = np.zeros(num_unknowns)
     free = np.eye(num_unknowns)

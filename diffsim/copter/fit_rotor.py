@@ -31,7 +31,7 @@ class CurveFit:
 
     Attributes:
         values: Parameters by name.
-        standard_errors: Theirs, from the residuals; same names.
+        standard_errors: Standard errors of the values, from the residuals; same names.
         x: Abscissa of the rows, (num_rows,).
         y: Measured, (num_rows,).
         residuals: Measured less fitted, (num_rows,).
@@ -151,18 +151,18 @@ def _least_squares(
         return curve(dict(zip(names, scaled * scale, strict=True))) - y
 
     first = np.array(list(start.values())) / scale
-    found = least_squares(residuals, first, xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    if not found.success:
-        raise ValueError(f"the fit of {names} did not converge: {found.message}")
-    variance = np.sum(found.fun**2) / (len(y) - len(names))
-    covariance = variance * np.linalg.inv(found.jac.T @ found.jac)
+    solution = least_squares(residuals, first, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    if not solution.success:
+        raise ValueError(f"the fit of {names} did not converge: {solution.message}")
+    variance = np.sum(solution.fun**2) / (len(y) - len(names))
+    covariance = variance * np.linalg.inv(solution.jac.T @ solution.jac)
     errors = np.sqrt(np.diag(covariance)) * scale
     return CurveFit(
-        dict(zip(names, (float(v) for v in found.x * scale), strict=True)),
+        dict(zip(names, (float(v) for v in solution.x * scale), strict=True)),
         dict(zip(names, map(float, errors), strict=True)),
         x,
         y,
-        -found.fun,
+        -solution.fun,
     )
 
 

@@ -66,7 +66,7 @@ class Fleet:
 
     @property
     def torque_matrix(self) -> Tensor:
-        """M_t: thrusts to torque about the centre of mass, (batch, 3, n_rotors) [m]."""
+        """M_t: thrusts to torque about the center of mass, (batch, 3, n_rotors) [m]."""
         levers = torch.linalg.cross(*torch.broadcast_tensors(self.positions, self.directions))
         return (self.reactions + levers).mT
 

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from diffsim.copter import _ops_flight
+from diffsim.copter._ops_flight import FlightInputs, FlightSettings
 from diffsim.copter.effects import FlightEffects
 from diffsim.copter.fleet import Fleet
 from diffsim.copter.flight_state import FlightState
@@ -17,6 +18,7 @@ from diffsim.copter.vehicle import GRAVITY, Multicopter
 from diffsim.core.check import require, require_number
 from diffsim.core.errors import DiffsimError
 
+_NAMES = {"feed_forward": "commands"}  # what callers know an input as
 _NEUTRAL = {"curve_reference": 1.0, "nominal_voltage": 1.0}  # the others are zero where absent
 
 
@@ -25,7 +27,7 @@ class FlightError(DiffsimError):
 
     Attributes:
         vehicle: Index in the batch.
-        step: Control step after which it was noticed.
+        step: Control step after which it was detected.
     """
 
     def __init__(self, message: str, *, vehicle: int, step: int):
@@ -57,7 +59,8 @@ class Flight:
     """What a rollout returns.
 
     Attributes:
-        state: Of every vehicle at every control step and at the end, axes (batch, steps + 1, ...).
+        state: State of every vehicle at every control step and at the end, axes (batch, steps + 1,
+            ...).
         time: (steps + 1,) [s].
     """
 
@@ -79,7 +82,7 @@ def fly(
     """Fly a batch of multicopters.
 
     m p'' = m g + R M_f u, J w' + w x J w = M_t u (thesis eqs. 3.2-3.5) with the classical
-    Runge-Kutta method of order four; the quaternion is normalised after every step. Thrusts u are
+    Runge-Kutta method of order four; the quaternion is normalized after every step. Thrusts u are
     the commands (less the feedback), clamped to 0..max_thrusts and held for ``dt``. An active clamp
     has no gradient to the command; at a bound the gradient is that of the inside.
 
@@ -112,30 +115,33 @@ def fly(
     n = fleet.num_rotors
     require("commands", commands, ("batch", "steps", n))
     steps = commands.shape[1]
-    inputs = {
-        "start": _start_rows(start, commands),
-        "commands": commands,
-        "gain": commands.new_empty(0, 0, 0),
-        "reference": commands.new_empty(0, 0, 0),
-        "wind": commands.new_zeros(1, 1, 3) if effects.wind is None else _rows(effects.wind),
-        "parameters": _parameters(fleet, effects, dt / substeps),
-    }
+    gain = reference = commands.new_empty(0, 0, 0)
     if feedback is not None:
-        gain = require("gain", feedback.gain, ("...", n, 12))
-        inputs["gain"] = gain.reshape(-1, 1, 12 * n)
-        inputs["reference"] = _rows(feedback.reference)
-    batch = _common("batch", {name: value.shape[0] for name, value in inputs.items()})
-    _common("steps", {k: inputs[k].shape[1] for k in ("wind", "reference")} | {"commands": steps})
-    records = _ops_flight.flight(
-        *(value.contiguous() for value in inputs.values()),
-        batch,
-        steps,
-        dt / substeps,
-        GRAVITY,
-        substeps,
-        ",".join(name for name, _ in effects.present()),
-        num_threads,
+        gain = require("gain", feedback.gain, ("...", n, 12)).reshape(-1, 1, 12 * n)
+        reference = _rows(feedback.reference)
+    inputs = FlightInputs(
+        start=_start_rows(start, commands),
+        feed_forward=commands,
+        gain=gain,
+        reference=reference,
+        wind=commands.new_zeros(1, 1, 3) if effects.wind is None else _rows(effects.wind),
+        parameters=_parameters(fleet, effects, dt / substeps),
     )
+    lengths = {
+        "wind": inputs.wind.shape[1],
+        "reference": reference.shape[1],
+        "commands": steps,
+    }
+    batch = _common("batch", {_NAMES.get(k, k): v.shape[0] for k, v in inputs._asdict().items()})
+    _common("steps", lengths)
+    settings = FlightSettings(
+        dt=dt / substeps,
+        gravity=GRAVITY,
+        substeps=substeps,
+        effects=",".join(name for name, _ in effects.present()),
+        num_threads=num_threads,
+    )
+    records = _ops_flight.rollout(inputs, settings, batch=batch, steps=steps)
     _require_airborne(records.detach(), effects)
     position, quaternion, velocity, rates, charge, thrusts = records.split([3, 4, 3, 3, 1, n], -1)
     state = FlightState(position, quaternion, velocity, rates, thrusts, charge[..., 0])

@@ -55,7 +55,7 @@ def scaled_points(points: Array, axes: Sequence[int | None]) -> LinearPoints:
     """Points of a unit shape: coordinate i of parameter j = axes.index(i) is scaled by it.
 
     Args:
-        points: (..., 3); coordinates along scaled axes are per metre of the parameter.
+        points: (..., 3); coordinates along scaled axes are per meter of the parameter.
         axes: Per parameter the axis that it scales, or None for a parameter without effect.
     """
     points = np.asarray(points, dtype=np.float64)
@@ -103,7 +103,7 @@ def ring_prism(outer: Array, inner: Array) -> tuple[Array, IntArray]:
 
 
 def fan_prism(outline: Array, height: float) -> tuple[Array, IntArray]:
-    """A plate of any outline that its centre sees whole (star-shaped), z from -h/2 to h/2.
+    """A plate of any outline that its center sees whole (star-shaped), z from -h/2 to h/2.
 
     Args:
         outline: Counterclockwise seen against z, around (0, 0), (n, 2).
@@ -122,13 +122,13 @@ def fan_prism(outline: Array, height: float) -> tuple[Array, IntArray]:
         )
     n = len(outline)
     levels = [np.column_stack([outline, np.full(n, z)]) for z in (-0.5 * height, 0.5 * height)]
-    centres = np.array([[0.0, 0.0, -0.5 * height], [0.0, 0.0, 0.5 * height]])
+    centers = np.array([[0.0, 0.0, -0.5 * height], [0.0, 0.0, 0.5 * height]])
     here = np.arange(n)
     there = np.roll(here, -1)
     bottom = np.column_stack([np.full(n, 2 * n), there, here])
     top = np.column_stack([np.full(n, 2 * n + 1), n + here, n + there])
     sides = _band(0, n, n)
-    return np.concatenate([*levels, centres]), np.concatenate([bottom, top, sides])
+    return np.concatenate([*levels, centers]), np.concatenate([bottom, top, sides])
 
 
 def _band(first: int, second: int, n: int) -> IntArray:

@@ -6,10 +6,11 @@ import torch
 from torch import Tensor, nn
 
 from diffsim.copter import _ops_hover
+from diffsim.copter._ops_hover import HoverProblem, HoverSolution
 from diffsim.copter.hover_result import HoverResult, report
-from diffsim.copter.rotation import attitude_of_thrust
 from diffsim.copter.vehicle import Multicopter
 from diffsim.core.check import require, require_choice, require_number, require_range
+from diffsim.core.rotation import roll_pitch_of_thrust
 
 _WEAK = 1e-6  # multiplier or distance to a bound, in shares of the weight per rotor
 
@@ -84,22 +85,21 @@ def hover_thrusts(
     h = h / h.mean(-1, keepdim=True)
     lever = torch.linalg.vector_norm(T, dim=(-2, -1)) / n**0.5
     lever = torch.where(lever > 0.0, lever, 1.0)[:, None, None]
-    F_scaled, T_scaled = F / n, T / (n * lever)
-    u, multipliers, state, info = _ops_hover.hover(
-        F_scaled, T_scaled, h, upper, smoothing, num_threads
-    )
-    net = (F_scaled @ u[..., None]).squeeze(-1)
+    problem = HoverProblem(force=F / n, torque=T / (n * lever), weights=h, upper=upper)
+    solution = _ops_hover.solve(problem, barrier=smoothing, num_threads=num_threads)
+    u, state = solution.thrusts, solution.state
+    net = (problem.force @ u[..., None]).squeeze(-1)
     lift = torch.linalg.vector_norm(net, dim=-1, keepdim=True)
-    residual = torch.cat([lift - 1.0, (T_scaled @ u[..., None]).squeeze(-1)], -1)
-    weak = _weakly_active(net, F_scaled, T_scaled, h, upper, u, multipliers, state)
+    residual = torch.cat([lift - 1.0, (problem.torque @ u[..., None]).squeeze(-1)], -1)
+    weak = _weakly_active(problem, solution, net)
     if smoothing:
         weak = torch.zeros_like(weak)
-    code, rank, free_rank, num_iters = (info[:, k].reshape(batch) for k in range(4))
+    code, rank, free_rank, num_iters = (solution.info[:, k].reshape(batch) for k in range(4))
     return HoverResult(
         thrusts=(u * share).reshape(*batch, n),
-        attitude=attitude_of_thrust(net).reshape(*batch, 2),
+        attitude=roll_pitch_of_thrust(net).reshape(*batch, 2),
         residual=residual.reshape(*batch, 4),
-        multipliers=multipliers.reshape(*batch, 4),
+        multipliers=solution.multipliers.reshape(*batch, 4),
         status_code=code,
         rank=rank,
         free_rank=free_rank,
@@ -126,7 +126,7 @@ def hover(
         copter: The design; its tensors may carry gradients.
         weights: h, (n_rotors,) float64, > 0.
         smoothing: Log-barrier weight [-]; 0: hard limits.
-        load: Weight carried at the centre of mass, number or () tensor [N].
+        load: Weight carried at the center of mass, number or () tensor [N].
         on_infeasible: "return" the least violation, or "raise".
 
     Returns:
@@ -186,21 +186,13 @@ class Hover(nn.Module):
 
 
 @torch.no_grad()
-def _weakly_active(
-    net: Tensor,
-    F: Tensor,
-    T: Tensor,
-    h: Tensor,
-    upper: Tensor,
-    u: Tensor,
-    multipliers: Tensor,
-    state: Tensor,
-) -> Tensor:
+def _weakly_active(problem: HoverProblem, solution: HoverSolution, net: Tensor) -> Tensor:
     """A bound that holds without force, or a free thrust next to its bound."""
+    u, multipliers, state = solution.thrusts, solution.multipliers, solution.state
     up = net / torch.linalg.vector_norm(net, dim=-1, keepdim=True).clamp_min(1e-300)
-    C = torch.cat([up[:, None, :] @ F, T], dim=-2)
-    push = h * u + (multipliers[:, None, :] @ C).squeeze(-2)
+    C = torch.cat([up[:, None, :] @ problem.force, problem.torque], dim=-2)
+    push = problem.weights * u + (multipliers[:, None, :] @ C).squeeze(-2)
     scale = 1.0 + torch.linalg.vector_norm(multipliers, dim=-1, keepdim=True)
-    room = torch.minimum(u, upper - u)
-    held = (state != 0) & (upper > 0.0)
+    room = torch.minimum(u, problem.upper - u)
+    held = (state != 0) & (problem.upper > 0.0)
     return torch.where(held, push.abs() < _WEAK * scale, (state == 0) & (room < _WEAK))

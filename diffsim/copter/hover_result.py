@@ -1,4 +1,4 @@
-"""What a hover solve found, and how it is said when that cannot be trusted."""
+"""The result of a hover solve, and its warnings and errors."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import torch
 from torch import Tensor
 
 from diffsim.copter import _ops_hover
-from diffsim.copter.rotation import rotation_from_euler
 from diffsim.core.errors import DiffsimError
+from diffsim.core.rotation import matrix_from_rpy
 
 
 class HoverError(DiffsimError):
     """A design does not hover within its thrust limits, or the solve failed.
 
     Attributes:
-        result: What was found.
+        result: The thrusts of least violation and their status.
     """
 
     def __init__(self, message: str, result: HoverResult):
@@ -26,12 +26,12 @@ class HoverError(DiffsimError):
 
 
 class HoverWarning(UserWarning):
-    """A hover whose derivatives, or which itself, must not be trusted without a look."""
+    """A hover that is rank deficient or did not converge."""
 
 
 @dataclass(frozen=True, eq=False)
 class HoverResult:
-    """Thrusts that hold a multicopter in place, and how far they can be trusted.
+    """Thrusts that hold a multicopter in place, and the status of the solve.
 
     Attributes:
         thrusts: (..., n_rotors) [N].
@@ -39,11 +39,11 @@ class HoverResult:
         residual: Excess of lift over weight and the three torques, (..., 4), in shares of the
             weight and of weight times mean lever; zero at a hover. Where there is none its gradient
             leads back to one.
-        multipliers: Of those four conditions, (..., 4); no gradients.
+        multipliers: Multipliers of those four conditions, (..., 4); no gradients.
         status_code: Index into ``HoverResult.STATUSES``, (...) int64.
-        rank: Of the four conditions in the thrusts of all rotors, (...) int64; below 4 the hover
-            is not controllable.
-        free_rank: The same with the rotors strictly between their limits.
+        rank: Rank of the four conditions in the thrusts of all rotors, (...) int64; below 4 the
+            hover is not controllable.
+        free_rank: Rank of the four conditions in the rotors strictly between their limits.
         active_lower, active_upper: Rotors that stand at zero or at their limit, (..., n_rotors).
         weakly_active: Rotors about to reach or to leave a limit: there the derivative of the
             thrusts is one-sided, and the one given is that of the present active set.
@@ -84,11 +84,11 @@ class HoverResult:
     def rot_world_from_body(self) -> Tensor:
         """(..., 3, 3) [-]."""
         roll, pitch = self.attitude.unbind(-1)
-        return rotation_from_euler(torch.stack([roll, pitch, torch.zeros_like(roll)], -1))
+        return matrix_from_rpy(torch.stack([roll, pitch, torch.zeros_like(roll)], -1))
 
 
 def report(result: HoverResult, on_infeasible: str) -> None:
-    """Raise or warn if the hover of one design cannot be trusted."""
+    """Raise or warn if the hover of one design failed or is rank deficient."""
     status = result.STATUSES[int(result.status_code)]
     residual = result.residual.tolist()
     shown = (

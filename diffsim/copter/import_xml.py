@@ -1,6 +1,6 @@
 """Designs of the public tool (mit-gfx/multicopter_design): XML beside OBJ meshes and bench tables.
 
-The XML places every part and says nothing about which touch which; the links are found from the
+The XML places every part and says nothing about which touch which; the links are inferred from the
 geometry: a connector whose bore holds a tube slides on it; connectors face to face keep their
 distance, and so do a motor and the connector under it; a connector on a plate stays. Plates,
 battery and electronics stay where they are. Propellers carry no mass there.
@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from diffsim.copter.assemble import build_design
-from diffsim.copter.design import Design
+from diffsim.copter.design import Design, build_design
 from diffsim.copter.geometry import rotation_rpy
 from diffsim.copter.spec import DesignSpec, PartSpec
 from diffsim.copter.xml_links import Links

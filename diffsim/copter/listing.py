@@ -18,7 +18,7 @@ class PartEntry:
     """A line of the bill of materials.
 
     Attributes:
-        name, kind: Of the part.
+        name, kind: Name and kind of the part.
         source: ``bought``, ``cut`` or ``printed``.
         mass: [kg].
         price: [EUR].
@@ -52,10 +52,10 @@ def placed_meshes(
     """Closed surfaces in the design's frame.
 
     Args:
-        parts: Of the design.
+        parts: Parts of the design.
         values: All parameters by name [m].
         directions: Thrust directions, (n_rotors, 3), by which motors and their propellers are
-            turned about the propeller's centre; None leaves them as built.
+            turned about the propeller's center; None leaves them as built.
     """
     tilts = _tilts(parts, directions)
     meshes = {}

@@ -62,14 +62,14 @@ def lyapunov(A: Tensor, Q: Tensor, *, num_threads: int = 1) -> Tensor:
     _require_square("A", A)
     Q = require("Q", Q, ("...", n, n))
     batch = torch.broadcast_shapes(A.shape[:-2], Q.shape[:-2])
-    X = _ops_riccati.lyapunov(_flat(A, batch), _flat(Q, batch), num_threads)
+    X = _ops_riccati.lyapunov(A=_flat(A, batch), Q=_flat(Q, batch), num_threads=num_threads)
     return X.reshape(*batch, n, n)
 
 
 def lqr(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, *, num_threads: int = 1) -> LqrGain:
-    """The gain that minimises the integral of x' Q x + u' R u along x' = A x + B u.
+    """The gain that minimizes the integral of x' Q x + u' R u along x' = A x + B u.
 
-    u = -K x, K = R^-1 B' P, with the stabilising solution of
+    u = -K x, K = R^-1 B' P, with the stabilizing solution of
     A'P + P A - P B R^-1 B' P + Q = 0 (thesis 3.3.3).
 
     Args:
@@ -130,7 +130,9 @@ def _solve(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, num_threads: int) -> tupl
     G = B @ torch.linalg.solve(R, B.mT)
     G = 0.5 * (G + G.mT)
     batch = torch.broadcast_shapes(A.shape[:-2], G.shape[:-2], Q.shape[:-2])
-    P, report = _ops_riccati.care(*(_flat(t, batch) for t in (A, G, Q)), num_threads)
+    P, report = _ops_riccati.care(
+        A=_flat(A, batch), G=_flat(G, batch), Q=_flat(Q, batch), num_threads=num_threads
+    )
     return P.reshape(*batch, *A.shape[-2:]), report.reshape(*batch, -1)
 
 

@@ -1,4 +1,4 @@
-"""Mass, centre of mass and inertia from closed meshes: polynomials in the vertices."""
+"""Mass, center of mass and inertia from closed meshes: polynomials in the vertices."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def placed_moments(moments: Moments, rotations: Tensor, translations: Tensor) ->
 
 
 def rigid_body(moments: Moments) -> tuple[Tensor, Tensor, Tensor]:
-    """Mass () [kg], centre of mass (3,) [m], inertia about it (3, 3) [kg m^2] of all parts."""
+    """Mass () [kg], center of mass (3,) [m], inertia about it (3, 3) [kg m^2] of all parts."""
     mass = moments.mass.sum()
     com = moments.first.sum(0) / mass
     second = moments.second.sum(0) - mass * com[:, None] * com[None, :]

@@ -39,7 +39,7 @@ class Patch:
         center: Linear in the part's parameters, (3,) [m], in the part's frame.
         axis: Unit main axis or outward normal, (3,).
         reference: Unit vector perpendicular to ``axis`` from which angles count, (3,).
-        radius: Of a circular patch [m].
+        radius: Radius of a circular patch [m].
         slides: Directions in which a connection may wander.
         slides_by_default: Whether it does when the design does not say.
     """

@@ -26,9 +26,9 @@ class PidGains:
         attitude: Wanted rate per angle [1/s].
         rate: Wanted angular acceleration per rate error [1/s].
         max_speed: Wanted speeds are no larger [m/s].
-        max_tilt: Of the wanted thrust from the vertical [rad].
+        max_tilt: Largest angle of the commanded thrust from the vertical [rad].
         max_slip: Velocity errors count in the integral up to this, lest it winds up [m/s].
-        max_integral: Of the integral's acceleration, per axis [m/s^2].
+        max_integral: Largest acceleration of the integral, per axis [m/s^2].
     """
 
     position: float = 1.5
@@ -127,7 +127,7 @@ def fly_pid(
         vehicle: What flies; the controller may believe in another one.
         start: Leading axis (batch,).
         targets: Positions, (batch or 1, steps, 3) [m].
-        controller: Of ``vehicle``, or what one takes it for.
+        controller: Controller made for ``vehicle``, or for another model of it.
         dt: Control period [s].
         yaw: (batch or 1, steps) [rad]; zero by default.
         effects: See ``fly``; wind must be steady.

@@ -28,8 +28,8 @@ class RotorModel:
     of the voltage; b would be 1 without load and 1/2 where the load takes all of it.
 
     Attributes:
-        name: Its name.
-        radius: Of the propeller [m].
+        name: Name of the rotor.
+        radius: Radius of the propeller [m].
         thrust_coefficient: c [N / (rad/s)^p].
         thrust_exponent: p.
         thrust_offset: [N].
@@ -42,8 +42,8 @@ class RotorModel:
         duty_offset: duty_0; negative where the rotor turns at 1000 us already.
         speed_coefficient: g [rad/s / V^b].
         speed_exponent: b.
-        time_constant: Of a first-order lag of the thrust [s]; None: unknown.
-        mass: Of motor and propeller [kg]; None: unknown.
+        time_constant: Time constant of a first-order lag of the thrust [s]; None: unknown.
+        mass: Mass of motor and propeller [kg]; None: unknown.
         assumed: Names of the attributes above that were not measured but assumed. Where that of
             the nominal voltage is, b tells of the signal only: at another voltage the map is a
             guess.
@@ -179,7 +179,7 @@ def thrust_curve(rotors: Sequence[RotorModel], reference_thrusts: Tensor) -> Thr
 
     Args:
         rotors: One model per rotor.
-        reference_thrusts: Where the controller's coefficient fits, (n_rotors,) [N].
+        reference_thrusts: Thrusts at which the controller's coefficient fits, (n_rotors,) [N].
     """
     exponents = torch.stack([0.5 * _tensor(r.thrust_exponent) for r in rotors])
     return ThrustCurve(exponents=exponents, reference_thrusts=reference_thrusts)

@@ -33,7 +33,7 @@ class RotorTable:
     Attributes:
         name: Short name.
         title: Motor and propeller in words.
-        radius: Of the propeller [m].
+        radius: Radius of the propeller [m].
         nominal_voltage: [V].
         signal: Pulse width, (num_rows,) [us].
         speed: (num_rows,) [rad/s].
@@ -42,7 +42,7 @@ class RotorTable:
         torque: (num_rows,) [N m], or None.
         voltage: (num_rows,) [V], or None where it was not recorded.
         down: Rows of the sweep down, (num_rows,) bool.
-        source: Where the rows come from.
+        source: Reference of the rows.
     """
 
     name: str

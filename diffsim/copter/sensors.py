@@ -58,9 +58,9 @@ def read_sensors(
 
     Args:
         state: Leading axes (batch, time), as a flight has them.
-        acceleration: Of the centre of mass, world frame, (batch, time, 3) [m/s^2]; of a flight:
-            ``finite_acceleration``.
-        seed: Of the noise.
+        acceleration: Acceleration of the center of mass, world frame, (batch, time, 3) [m/s^2]; of
+            a flight: ``finite_acceleration``.
+        seed: Seed of the noise.
         noise: ``SensorNoise()`` by default.
     """
     noise = SensorNoise() if noise is None else noise

@@ -15,13 +15,13 @@ class PartSpec:
     Attributes:
         name: Unique in the design, a Python identifier without double underscores.
         kind: In the database.
-        options: Of the kind: starting values of its parameters [m], constant sizes.
+        options: Options of the kind: starting values of its parameters [m], constant sizes.
         bounds: Parameter to (lower, upper) [m], where they differ from the database's.
         rotation: Roll, pitch, yaw [deg]; None leaves it to the connections.
         place: Position of the origin [m]; None leaves it to the connections.
         anchored: The part stays at ``place``. Without any anchored part the first one is.
-        direction: Of a motor's thrust, (3,); None stands straight on what carries it. What
-            deviates gets a compound-angle clip.
+        direction: Direction of a motor's thrust, (3,); None stands straight on what carries it.
+            What deviates gets a compound-angle clip.
         propeller: Whether a motor from the database carries a propeller.
     """
 
@@ -55,7 +55,7 @@ class Connection:
             is turned to face the host.
         at: Place on the host's patch along its sliding directions [m]: along a rod, or along x and
             y of a plate. Fixed, or where a sliding connection starts.
-        guest_at: The same on the guest's patch.
+        guest_at: Position on the guest's patch, likewise.
         angle: Turn of what follows about the outward normal of the first flat host patch [deg],
             counterclockwise seen from outside.
         roll: Turn of what follows about the axis of the first circular host patch [deg].
@@ -78,14 +78,14 @@ class DesignSpec:
     """A whole design.
 
     Attributes:
-        name: Of the design.
-        notes: Where its numbers come from.
+        name: Name of the design.
+        notes: Source of the numbers.
         parts: In the order in which parts join.
         connections: In the order in which they are made.
         rigid: Pairs of placed parts that keep their distance vector.
         constraints: Linear relations, see ``diffsim.copter.expressions``.
         values: Parameters to start from [m], before those of the parts.
-        folder: Where the files that parts name are looked for.
+        folder: Folder of the files that parts name.
     """
 
     name: str

@@ -17,8 +17,9 @@ class RiccatiError(DiffsimError):
 
     Attributes:
         reason: "not_stabilizable", "undetectable", "singular" or "not_converged".
-        eigenvalue: Of the mode that makes it fail [1/s], None if no single one does.
-        mode: Its direction in the state, (n,) complex of unit length; None as above.
+        eigenvalue: Eigenvalue of the mode that prevents a solution [1/s], None if no single one
+            does.
+        mode: Direction of that mode in the state, (n,) complex of unit length; None as above.
     """
 
     def __init__(
@@ -40,7 +41,7 @@ def unreachable_mode(
 ) -> tuple[complex, np.ndarray] | None:
     """The eigenvalue and left vector of a mode that does not decay and that B cannot move.
 
-    Popov-Belevitch-Hautus: (A, B) is stabilisable if and only if [A - s, B] has full rank for every
+    Popov-Belevitch-Hautus: (A, B) is stabilizable if and only if [A - s, B] has full rank for every
     eigenvalue s of A with a real part that is not negative.
 
     Args:
@@ -80,23 +81,25 @@ def raise_riccati_failure(
     A: np.ndarray, G: np.ndarray, Q: np.ndarray, residual: float, index: int | None
 ) -> NoReturn:
     """Raise the RiccatiError that says why A'P + PA - PGP + Q = 0 was not solved."""
-    if (found := unreachable_mode(A, G)) is not None:
+    if (worst := unreachable_mode(A, G)) is not None:
+        eigenvalue, mode = worst
         raise RiccatiError(
             f"(A, B) is not stabilizable{_where(index)}: no input moves the mode of eigenvalue "
-            f"{found[0]:.3g} 1/s, which does not decay, along states {_largest_states(found[1])}; "
+            f"{eigenvalue:.3g} 1/s, which does not decay, along states {_largest_states(mode)}; "
             "change the design (rotor positions, axes, spins) or leave that state out",
             reason="not_stabilizable",
-            eigenvalue=found[0],
-            mode=found[1],
+            eigenvalue=eigenvalue,
+            mode=mode,
         )
-    if (found := unreachable_mode(A.T, Q, axis_only=True)) is not None:
+    if (worst := unreachable_mode(A.T, Q, axis_only=True)) is not None:
+        eigenvalue, mode = worst
         raise RiccatiError(
             f"(A, Q) is undetectable{_where(index)}: Q does not see the mode of eigenvalue "
-            f"{found[0]:.3g} 1/s, which does not decay, along states {_largest_states(found[1])}; "
+            f"{eigenvalue:.3g} 1/s, which does not decay, along states {_largest_states(mode)}; "
             "give these states a weight in Q above zero",
             reason="undetectable",
-            eigenvalue=found[0],
-            mode=found[1],
+            eigenvalue=eigenvalue,
+            mode=mode,
         )
     raise RiccatiError(
         f"the Riccati equation was not solved{_where(index)}: relative residual {residual:.1e}, "

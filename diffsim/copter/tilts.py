@@ -19,7 +19,7 @@ def clip_for(spec: PartSpec, motor: Part, host: ContactEnd, degrees: float) -> P
     """The clip between a flat patch and a motor; None if the motor stands square on it.
 
     Args:
-        spec: Of the motor, with a direction.
+        spec: Specification of the motor, with a direction.
         motor: The part.
         host: What carries the motor, placed.
         degrees: Turn of the clip about the host's normal.

@@ -15,21 +15,21 @@ GRAVITY = 9.81  # [m/s^2]
 
 @dataclass(frozen=True, eq=False)
 class Multicopter:
-    """Mass properties and rotors of a multicopter, body frame at the centre of mass, NED.
+    """Mass properties and rotors of a multicopter, body frame at the center of mass, NED.
 
     m p'' = m g + R M_f u and J w' + w x J w = M_t u (thesis eqs. 3.2-3.5): any number of rotors,
     any tilt, coaxial pairs, different propellers. Every tensor may carry gradients.
 
     Attributes:
         mass: () [kg].
-        inertia: (3, 3) about the centre of mass [kg m^2].
-        positions: Centres of the rotors relative to the centre of mass, (n_rotors, 3) [m].
+        inertia: (3, 3) about the center of mass [kg m^2].
+        positions: Centers of the rotors relative to the center of mass, (n_rotors, 3) [m].
         directions: Unit directions of thrust d_i, (n_rotors, 3); up is (0, 0, -1).
         spins: b_i, (n_rotors,): +1 where the reaction torque points along the thrust (the propeller
             turns clockwise seen from above an upright rotor), else -1.
         torque_ratios: lambda_i, torque per thrust, (n_rotors,) [m].
         max_thrusts: u_max, (n_rotors,) [N].
-        radii: Of the propellers, (n_rotors,) [m].
+        radii: Radii of the propellers, (n_rotors,) [m].
         rotor_models: Names of the rotors' models, one each; empty if unknown.
 
     Raises:
@@ -103,7 +103,7 @@ class Multicopter:
 
     @property
     def torque_matrix(self) -> Tensor:
-        """M_t: thrusts to torque about the centre of mass, (3, n_rotors) [m] (thesis eq. 3.5)."""
+        """M_t: thrusts to torque about the center of mass, (3, n_rotors) [m] (thesis eq. 3.5)."""
         reaction = (self.spins * self.torque_ratios)[:, None] * self.directions
         return (reaction + torch.linalg.cross(self.positions, self.directions)).T
 

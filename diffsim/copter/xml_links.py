@@ -15,11 +15,11 @@ from diffsim.core.errors import MeshError
 from diffsim.mesh.files import load_surface
 
 _GAP = 0.003  # parts closer than this touch; the tool's designs leave up to 2.4 mm [m]
-_ASIDE = 1e-3  # and their centres are on one line up to this [m]
+_ASIDE = 1e-3  # and their centers are on one line up to this [m]
 
 
 class Links:
-    """Which parts touch, found from their boxes.
+    """Which parts touch, inferred from their boxes.
 
     Attributes:
         anchored: Names of parts that stay: the fixed ones, and connectors on plates.

@@ -15,7 +15,7 @@ class Node:
     """An element.
 
     Attributes:
-        tag, attributes, children: As in the file.
+        tag, attributes, children: Tag, attributes and children of the element in the file.
         where: File and line, for messages.
     """
 

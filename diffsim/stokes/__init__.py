@@ -5,6 +5,7 @@ from diffsim.stokes.cells import CutCells, cut_cells
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.flow import StokesFlow
 from diffsim.stokes.grid import Grid
+from diffsim.stokes.options import SolverOptions
 
 __all__ = [
     "Boundary",
@@ -13,6 +14,7 @@ __all__ = [
     "Grid",
     "Inlet",
     "Open",
+    "SolverOptions",
     "StokesFlow",
     "Wall",
     "cut_cells",

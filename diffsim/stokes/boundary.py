@@ -50,8 +50,9 @@ class Inlet:
     Args:
         face: "x-", "x+", "y-", ...
         name: Key of its velocities in ``StokesFlow.forward``; default the face's name.
-        where: Which nodes of the face: a function of positions (n, dim) [m] that returns (n,) bool;
-            default all. The rest of the face is a no-slip wall unless another condition says so.
+        where: Nodes of the face that belong to it: a function of positions (n, dim) [m] that
+            returns (n,) bool; default all. The rest of the face is a no-slip wall unless another
+            condition says so.
     """
 
     face: str
@@ -155,3 +156,15 @@ class Boundary:
                 )
             values[name] = shaped
         return values
+
+
+MAX_NET_INFLOW = 0.05  # of the gross flux; cut faces close only to second order in the cell size
+
+
+def refuse_net_inflow(share: float) -> None:
+    """Raise if more flows into a closed part of the fluid than out; share of the gross flux."""
+    if share > MAX_NET_INFLOW:
+        raise ValueError(
+            f"a part of the fluid has no open face, but {100 * share:.0f} % more flows in than "
+            "out (or out than in) through its boundary; open a face, or balance the inlets"
+        )

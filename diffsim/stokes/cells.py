@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require
-from diffsim.stokes import _ops as ops
+from diffsim.stokes import _ops_cut
 from diffsim.stokes.grid import Grid
 
 
@@ -40,8 +40,11 @@ def cut_cells(grid: Grid, phi: Tensor, *, num_threads: int = 1) -> CutCells:
     Reference: thesis eqs. 4.72, 4.74 (the same numbers where those are defined).
     """
     phi = require("phi", phi, grid.node_shape, torch.float64)
-    volume, area, normal = ops.cut_cells(
-        phi.reshape(-1), list(grid.shape), list(grid.spacing), num_threads
+    volume, area, normal = _ops_cut.cut_cells(
+        phi=phi.reshape(-1),
+        cells=list(grid.shape),
+        spacing=list(grid.spacing),
+        num_threads=num_threads,
     )
     return CutCells(
         volume.reshape(grid.shape), area.reshape(grid.shape), normal.reshape(*grid.shape, grid.dim)

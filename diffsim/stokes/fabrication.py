@@ -56,9 +56,9 @@ def fabrication_mesh(
             face is closed: mirror a symmetric design before.
         margin: Least material outside of a closed face [m]; default four cells. A shell has its
             thickness there.
-        height: Of the channel of a 2D design [m]; required there.
+        height: Height of the channel of a 2D design [m]; required there.
         floor: Thickness of a plate below a 2D design [m]; 0 leaves the channel open below.
-        lid: The same above.
+        lid: Thickness of the lid above the channel [m]; 0: open.
 
     Returns:
         Closed surface [m], outward normals. Fluid volumes of surface and cut cells agree to
@@ -130,7 +130,7 @@ def channel_mesh(grid: Grid, phi: Tensor, *, height: float | None = None) -> tri
     Args:
         grid: The grid.
         phi: Level set at the nodes, (*node_shape,) float64, > 0 in the fluid.
-        height: Of the extrusion of a 2D design [m]; required there.
+        height: Height of the extrusion of a 2D design [m]; required there.
 
     Raises:
         TypeError, ValueError: wrong shapes, no fluid at all.

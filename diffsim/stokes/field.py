@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require
-from diffsim.stokes import _ops as ops
+from diffsim.stokes import _ops_cut
 from diffsim.stokes.grid import Grid
 
 
@@ -54,13 +54,13 @@ class FlowField:
         if not -count <= index < count:
             raise ValueError(f"index must lie in [-{count}, {count}), got {index}")
         cases = self.velocity.shape[0]
-        return ops.plane_flux(
-            self.phi.reshape(-1),
-            self.velocity.reshape(cases, -1, self.grid.dim),
-            list(self.grid.shape),
-            list(self.grid.spacing),
-            axis,
-            index % count,
+        return _ops_cut.plane_flux(
+            phi=self.phi.reshape(-1),
+            velocity=self.velocity.reshape(cases, -1, self.grid.dim),
+            cells=list(self.grid.shape),
+            spacing=list(self.grid.spacing),
+            axis=axis,
+            index=index % count,
         )
 
     def mass_report(self) -> dict[str, Tensor]:

@@ -9,26 +9,17 @@ import torch
 from torch import Tensor, nn
 
 from diffsim.core.check import require, require_choice, require_number
-from diffsim.stokes import _ops as ops
+from diffsim.stokes import _ops_flow
+from diffsim.stokes._systems import StokesContext
 from diffsim.stokes.boundary import Boundary, Inlet, Open, Wall
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.grid import Grid
-from diffsim.stokes.thesis_flow import ThesisFormulation
+from diffsim.stokes.options import SolverOptions
+from diffsim.stokes.problem import flow_inputs
 
-FORMULATIONS = ("nitsche", "thesis")
-SOLVERS = ("auto", "direct", "iterative")
-MAX_DIRECT_NODES: int = ops.MAX_DIRECT_NODES
-"""What ``solver="auto"`` solves directly in three dimensions: at most so many nodes with fluid."""
+MAX_DIRECT_NODES: int = _ops_flow.MAX_DIRECT_NODES
+"""What the method "auto" solves directly in three dimensions: at most so many nodes with fluid."""
 WALL_KINDS = ("no_slip", "no_separation")
-NITSCHE_ONLY = {
-    "incompressible": False,
-    "bulk_ratio": 1e5,
-    "penalty": 20.0,
-    "ghost_penalty": 0.04,
-    "solver": "auto",
-    "rtol": 1e-9,
-}
-"""Options that the published formulation does not have, with their defaults."""
 
 
 class StokesFlow(nn.Module):
@@ -41,7 +32,7 @@ class StokesFlow(nn.Module):
     set at its corners. Walls by symmetric Nitsche terms, slivers held by a ghost penalty: second
     order in the cell size, symmetric positive definite, no locking. Velocity and pressure depend
     continuously on phi while cells become cut, full or empty, up to terms of the size of the
-    discretisation error where a wall parallel to the grid passes a layer of nodes. Unless
+    discretization error where a wall parallel to the grid passes a layer of nodes. Unless
     ``incompressible``, div v = -p / (bulk_ratio * viscosity), a relative error of about
     1 / bulk_ratio.
 
@@ -52,31 +43,14 @@ class StokesFlow(nn.Module):
         boundary: Conditions on the box's faces; faces that are not mentioned are no-slip walls.
         viscosity: Default viscosity eta [Pa s].
         wall: "no_slip" or "no_separation" on the embedded wall.
-        formulation: "nitsche", or "thesis": the published one, kept for comparison, which is
-            compressible and locks (``ThesisFormulation``).
-        poissons_ratio: nu [-] of "thesis", in [0, 0.5); default 0.45.
         incompressible: Iterate to div v = 0 in every cell (mean over its fluid).
-        tolerance: Of the relative divergence (see ``FlowField.stats``), where incompressible.
-        solver: "direct" (sparse Cholesky of the velocities' matrix), "iterative" (flexible GMRES on
-            velocities and pressures of the same equations, geometric multigrid inside: memory and
-            time grow in proportion to the grid) or "auto": iterative in three dimensions beyond
-            MAX_DIRECT_NODES nodes with fluid, about where both take the same time for one case, and
-            direct where incompressible. ``report`` tells which was taken.
-        rtol: Of the iterative solver: norm of the residual over that of the right-hand side, both
-            with momentum and continuity scaled by powers of the cell size; the adjoint too.
-            Pressures that alternate from cell to cell are held weakly: errors there are 1e2 to 1e4
-            times larger.
-        max_iters: Of the incompressible iteration, and of the iterative solver.
         bulk_ratio: Second viscosity over viscosity, lambda / eta [-].
         penalty: Nitsche penalty beta [-].
         ghost_penalty: gamma [-].
-        num_kept: Factorised systems to keep; one is enough where every forward is followed by its
-            backward.
-        on_failure: "raise" or "warn" when the iteration does not converge.
-        num_threads: Worker threads; results do not depend on them.
+        solver: Solver, tolerances and threads; ``SolverOptions()`` by default.
 
     Gradients: phi, inlet velocities, viscosity, wall velocity, body force, traction; first order.
-    Not modelled: inertia, time, free surfaces, surface tension, shapes thinner than a cell (warns;
+    Not modeled: inertia, time, free surfaces, surface tension, shapes thinner than a cell (warns;
     with "no_separation" a part of one cut cell that touches nothing raises FactorizationError).
     Slip along curved walls converges with an order of about 1.5, since walls are flat facets. Read
     velocities where phi > 0: those beyond the wall appear and vanish with the cells that need them.
@@ -93,19 +67,11 @@ class StokesFlow(nn.Module):
         *,
         viscosity: float = 1.0,
         wall: str = "no_slip",
-        formulation: str = "nitsche",
-        poissons_ratio: float | None = None,
         incompressible: bool = False,
-        tolerance: float = 1e-8,
-        solver: str = "auto",
-        rtol: float = 1e-9,
-        max_iters: int = 100,
         bulk_ratio: float = 1e5,
         penalty: float = 20.0,
         ghost_penalty: float = 0.04,
-        num_kept: int = 1,
-        on_failure: str = "raise",
-        num_threads: int = 1,
+        solver: SolverOptions | None = None,
     ):
         super().__init__()
         self.grid = grid
@@ -114,34 +80,12 @@ class StokesFlow(nn.Module):
             raise ValueError("boundary was made for another grid")
         self.viscosity = require_number("viscosity", viscosity, above=0.0)
         self.wall = require_choice("wall", wall, WALL_KINDS)
-        self.formulation = require_choice("formulation", formulation, FORMULATIONS)
         self.incompressible = incompressible
-        self.on_failure = require_choice("on_failure", on_failure, ["raise", "warn"])
-        for name, count in (
-            ("max_iters", max_iters),
-            ("num_kept", num_kept),
-            ("num_threads", num_threads),
-        ):
-            if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-                raise ValueError(f"{name} must be an integer >= 1, got {count!r}")
-        self.num_threads = num_threads
-        self._published: ThesisFormulation | None = None
-        if formulation == "thesis":
-            given = (incompressible, bulk_ratio, penalty, ghost_penalty, solver, rtol)
-            for (name, default), value in zip(NITSCHE_ONLY.items(), given, strict=True):
-                if value != default:
-                    raise ValueError(f'{name} is an option of formulation "nitsche", not "thesis"')
-            self._published = ThesisFormulation(
-                self.boundary,
-                poissons_ratio=0.45 if poissons_ratio is None else poissons_ratio,
-                wall=wall,
-            )
-        elif poissons_ratio is not None:
-            raise ValueError(
-                'poissons_ratio is an option of formulation "thesis"; "nitsche" takes bulk_ratio, '
-                "2 nu / (1 - 2 nu), or incompressible"
-            )
-        self._context = ops.StokesContext(
+        solver = SolverOptions() if solver is None else solver
+        if not isinstance(solver, SolverOptions):
+            raise TypeError(f"solver must be SolverOptions(method=...), got {solver!r}")
+        self.on_failure, self.num_threads = solver.on_failure, solver.num_threads
+        self._context = StokesContext(
             grid.shape,
             grid.spacing,
             fixed=self.boundary.fixed,
@@ -152,12 +96,12 @@ class StokesFlow(nn.Module):
                 "gamma": require_number("ghost_penalty", ghost_penalty, above=0.0),
                 "bulk": require_number("bulk_ratio", bulk_ratio, above=0.0, at_most=1e8),
                 "incompressible": incompressible,
-                "tolerance": require_number("tolerance", tolerance, above=0.0),
-                "max_iters": max_iters,
-                "solver": getattr(ops.FlowSolver, require_choice("solver", solver, SOLVERS)),
-                "rtol": require_number("rtol", rtol, at_least=1e-13, at_most=0.1),
+                "tolerance": solver.tolerance,
+                "max_iters": solver.max_iters,
+                "solver": getattr(_ops_flow.FlowSolver, solver.method),
+                "rtol": solver.rtol,
             },
-            num_kept=num_kept,
+            num_kept=solver.num_kept,
             inspect=self._inspect,
         )
         self.handle = self._context.handle
@@ -181,7 +125,7 @@ class StokesFlow(nn.Module):
                 (cases, 1 or num_inlet_nodes, dim); one tensor where there is one inlet. Node order:
                 ``inlet_positions``.
             viscosity: Scalar tensor or number instead of the module's [Pa s].
-            wall_velocity: Of the embedded wall [m/s]: (dim,), (*node_shape, dim) or
+            wall_velocity: Velocity of the embedded wall [m/s]: (dim,), (*node_shape, dim) or
                 (cases, *node_shape, dim).
             body_force: Force per volume [N/m^dim], same shapes.
             traction: Force per area on open faces [N/m^(dim-1)], same shapes.
@@ -200,44 +144,26 @@ class StokesFlow(nn.Module):
             UserWarning: parts of the fluid without boundary data, parts thinner than a cell.
         """
         grid = self.grid
-        phi = require("phi", phi, grid.node_shape, torch.float64)
-        eta = torch.as_tensor(self.viscosity if viscosity is None else viscosity)
-        eta = require("viscosity", eta.to(torch.float64).reshape(-1), (1,), torch.float64)
-        if not torch.compiler.is_compiling() and float(eta.detach()) <= 0.0:
-            raise ValueError(f"viscosity must be above 0, got {float(eta.detach()):g}")
-        if isinstance(inlet, Mapping):
-            inlet = {name: _as_tensor(value) for name, value in inlet.items()}
-        velocities = self.boundary.inlet_velocities(inlet)
-        loads = [
-            self._load(name, load)
-            for name, load in zip(ops.LOADS, (wall_velocity, body_force, traction), strict=True)
-        ]
-        if not velocities and not any(load.numel() for load in loads):
-            raise ValueError(
-                "nothing drives the flow: add an Inlet, a wall_velocity, a body_force or a traction"
-            )
-        if traction is not None and not self.boundary.open_faces:
-            raise ValueError("traction acts on open faces, and there is none; add Open(face)")
-        counts = {v.shape[0] for v in (*velocities.values(), *loads) if v.ndim == 3} - {1}
-        if len(counts) > 1:
-            raise ValueError(f"inlets and loads disagree in the number of cases: {sorted(counts)}")
-        cases = counts.pop() if counts else 1
-        prescribed = phi.new_zeros(cases, grid.num_nodes, grid.dim)
-        for name, value in velocities.items():
-            nodes = self.boundary.inlets[name]
-            prescribed = prescribed.index_copy(1, nodes, value.expand(cases, len(nodes), grid.dim))
-        if self._published is not None:
-            return self._published.solve(phi, eta, prescribed, loads).with_imbalance()
-        velocity, pressure, fraction, stats = ops.stokes_flow(
-            phi.reshape(-1), eta, prescribed, loads, self.handle, self.num_threads, self.on_failure
+        inputs = flow_inputs(
+            self.boundary,
+            phi,
+            inlet,
+            viscosity=self.viscosity if viscosity is None else viscosity,
+            wall_velocity=wall_velocity,
+            body_force=body_force,
+            traction=traction,
         )
+        outputs = _ops_flow.solve(
+            inputs, handle=self.handle, num_threads=self.num_threads, on_failure=self.on_failure
+        )
+        cases = inputs.prescribed.shape[0]
         return FlowField(
             grid=grid,
-            phi=phi,
-            velocity=velocity.reshape(cases, *grid.node_shape, grid.dim),
-            pressure=pressure.reshape(cases, *grid.shape),
-            volume_fraction=fraction.reshape(grid.shape),
-            stats=dict(zip(ops.STATS, stats.unbind(-1), strict=True)),
+            phi=inputs.phi.reshape(grid.node_shape),
+            velocity=outputs.velocity.reshape(cases, *grid.node_shape, grid.dim),
+            pressure=outputs.pressure.reshape(cases, *grid.shape),
+            volume_fraction=outputs.fraction.reshape(grid.shape),
+            stats=dict(zip(_ops_flow.STATS, outputs.stats.unbind(-1), strict=True)),
         ).with_imbalance()
 
     def inlet_positions(self, name: str | None = None) -> Tensor:
@@ -252,8 +178,6 @@ class StokesFlow(nn.Module):
     def report(self, phi: Tensor) -> dict[str, float | str]:
         """Solver, sizes and wall times [s] of the prepared system of a level set (made if it is not
         kept)."""
-        if self._published is not None:
-            raise ValueError('report is of formulation "nitsche" only')
         phi = require("phi", phi.detach(), self.grid.node_shape, torch.float64).reshape(-1)
         with self._context.lock:
             report = self._context.system(phi, self.num_threads).report
@@ -261,11 +185,6 @@ class StokesFlow(nn.Module):
         return {name: getattr(report, name) for name in names} | {
             "solver": "iterative" if report.iterative else "direct"
         }
-
-    def _load(self, name: str, value: Tensor | None) -> Tensor:
-        if value is None:
-            return torch.zeros(0, dtype=torch.float64)
-        return self.grid.nodal_vectors(name, _as_tensor(value)).contiguous()
 
     def _inspect(self, report, phi: Tensor) -> None:
         """Warn about what a new geometry will not resolve."""
@@ -310,7 +229,3 @@ def count_thin_cells(grid: Grid, phi: Tensor) -> int:
     usual = norm[norm > 0].median() if bool((norm > 0).any()) else norm.new_ones(())
     near = center.abs() < 0.5 * min(grid.spacing) * usual
     return int((near & (norm < 0.5 * usual)).sum())
-
-
-def _as_tensor(value: object) -> Tensor:
-    return value if isinstance(value, Tensor) else torch.as_tensor(value, dtype=torch.float64)

@@ -93,7 +93,7 @@ class Grid:
 
     @property
     def centers(self) -> Tensor:
-        """Positions of the cells' centres, (*shape, dim) [m]."""
+        """Positions of the cells' centers, (*shape, dim) [m]."""
         return self._positions(self.shape, 0.5)
 
     def _positions(self, counts: tuple[int, ...], shift: float) -> Tensor:

@@ -14,7 +14,7 @@ from diffsim.core.errors import MeshError
 from diffsim.core.files import write_bytes_atomic
 
 UNITS = {"m": 1.0, "mm": 1e3, "um": 1e6}
-"""Units of an STL file per metre; the format itself has none, slicers take millimetres."""
+"""Units of an STL file per meter; the format itself has none, slicers take millimeters."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,10 +23,12 @@ class FabricationReport:
 
     Attributes:
         is_watertight: Every edge has two triangles, all facing outwards.
-        volume: Of the solid [m^3].
-        part_volumes: Of its separate parts, largest first [m^3]; all but the first are loose.
-        cavity_volumes: Of voids without a way out, largest first [m^3]: resin or powder stays in.
-        size: Of the bounding box [m].
+        volume: Volume of the solid [m^3].
+        part_volumes: Volumes of the separate parts, largest first [m^3]; all but the first are
+            loose.
+        cavity_volumes: Volumes of voids without a way out, largest first [m^3]: resin or powder
+            stays in.
+        size: Size of the bounding box [m].
     """
 
     is_watertight: bool
@@ -72,7 +74,7 @@ def write_stl(path: str | Path, mesh: trimesh.Trimesh, *, unit: str = "mm") -> P
     Args:
         path: File name with the extension .stl; folders are made.
         mesh: Surface [m], such as that of ``fabrication_mesh``.
-        unit: Of the file's numbers: "mm" (what slicers take), "m" or "um".
+        unit: Unit of the file's numbers: "mm" (what slicers take), "m" or "um".
 
     Raises:
         MeshError: the surface has holes.

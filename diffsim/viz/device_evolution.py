@@ -12,7 +12,7 @@ from torch import Tensor
 
 from diffsim.core.files import write_bytes_atomic
 from diffsim.stokes.devices.device import Device, quiet
-from diffsim.stokes.devices.optimise import Optimum
+from diffsim.stokes.devices.optimum import Optimum
 from diffsim.viz._require import optional
 from diffsim.viz.figures import INK, new_figure
 from diffsim.viz.flow import SPEED
@@ -28,7 +28,7 @@ def milestones(optimum: Optimum, count: int = 6) -> list[tuple[int, float, Tenso
         count: At most, at least 2; the first and the last are always among them.
 
     Returns:
-        Evaluation (from 1), normalised loss, design (num_parameters,).
+        Evaluation (from 1), normalized loss, design (num_parameters,).
     """
     if count < 2:
         raise ValueError(f"count must be at least 2, got {count}")
@@ -55,11 +55,11 @@ def draw_shapes(device: Device, optimum: Optimum, path: str | Path, count: int =
 
     Args:
         device: The device.
-        optimum: Its optimum.
+        optimum: Result of the search for the device.
         path: PNG to write.
         count: Designs, at most.
     """
-    plt_colours = optional("matplotlib.colors", purpose="the picture of a device")
+    plt_colors = optional("matplotlib.colors", purpose="the picture of a device")
     shown = milestones(optimum, count)
     heights = device.slices if device.grid.dim == 3 else (None,)
     panels = [(k, height) for k in range(len(device.states)) for height in heights]
@@ -69,23 +69,23 @@ def draw_shapes(device: Device, optimum: Optimum, path: str | Path, count: int =
         1, len(panels), width=width + 1.8, height=3.2 * size[1] / size[0] + 0.4, squeeze=False
     )
     figure.set_facecolor("white")
-    ramp = plt_colours.LinearSegmentedColormap.from_list("evaluations", SPEED[1:])
+    ramp = plt_colors.LinearSegmentedColormap.from_list("evaluations", SPEED[1:])
     x = np.linspace(0.0, size[0], device.grid.node_shape[0])
     y = np.linspace(0.0, size[1], device.grid.node_shape[1])
     handles: list[Any] = []
     lines = optional("matplotlib.lines", purpose="the picture of a device")
     for i, (number, loss, design) in enumerate(shown):
         share = i / max(len(shown) - 1, 1)
-        colour, weight = ramp(share), 0.9 + 1.1 * (i == len(shown) - 1)
+        color, weight = ramp(share), 0.9 + 1.1 * (i == len(shown) - 1)
         label = f"{number}: {loss:.2g}"
-        handles.append(lines.Line2D([], [], color=colour, lw=weight, label=label))
+        handles.append(lines.Line2D([], [], color=color, lw=weight, label=label))
         with torch.no_grad(), quiet():
             levels = [device.level_set(design, k).numpy() for k in range(len(device.states))]
         for ax, (k, height) in zip(axes[0], panels, strict=True):
             phi = levels[k]
             if height is not None:
                 phi = phi[:, :, round(height * device.grid.shape[2])]
-            ax.contour(x, y, phi.T, levels=[0.0], colors=[colour], linewidths=weight)
+            ax.contour(x, y, phi.T, levels=[0.0], colors=[color], linewidths=weight)
     for ax, (k, height) in zip(axes[0], panels, strict=True):
         parts = [device.states[k].name] if len(device.states) > 1 else []
         parts += [f"height {height:g}"] if len(heights) > 1 else []

@@ -21,7 +21,7 @@ _FLOOR = 0.05  # thickness of the plate below it, likewise
 def export(device: Device, x: Tensor, folder: str | Path, *, size: float = 0.1) -> list[Path]:
     """Write a design, for each of its states.
 
-    * ``NAME.stl``: the solid, closed, in millimetres; a 2D device has a channel a quarter as deep
+    * ``NAME.stl``: the solid, closed, in millimeters; a 2D device has a channel a quarter as deep
       as its box is long, and a floor.
     * ``NAME.vti``: velocity and pressure of all inlet cases, for ParaView; lengths and speeds are
       those of the simulation.
@@ -30,8 +30,8 @@ def export(device: Device, x: Tensor, folder: str | Path, *, size: float = 0.1) 
 
     Args:
         device: The device.
-        x: Its parameters, (num_parameters,) float64.
-        folder: Made if it is missing.
+        x: Parameters of the device, (num_parameters,) float64.
+        folder: Output folder, created if it is missing.
         size: Longest side of the box in the STL file [m], without walls around it.
 
     Returns:

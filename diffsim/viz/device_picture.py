@@ -1,4 +1,4 @@
-"""Random and optimised design side by side (thesis figs. 4-22 to 4-25), and how the loss fell."""
+"""Random and optimized design side by side (thesis figs. 4-22 to 4-25), and how the loss fell."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torch import Tensor
 
 from diffsim.core.files import write_bytes_atomic
 from diffsim.stokes.devices.device import Device, quiet
-from diffsim.stokes.devices.optimise import Optimum
+from diffsim.stokes.devices.optimum import Optimum
 from diffsim.stokes.field import FlowField
 from diffsim.viz._require import optional
 
@@ -21,24 +21,24 @@ if TYPE_CHECKING:
 
 _SOLID, _INK, _ACCENT = "#c9ced6", "#22303c", "#c8452f"
 _BOTH = "both, half each"
-_MAX_ANGLE = 90.0  # of the colour scale [degrees]
+_MAX_ANGLE = 90.0  # of the color scale [degrees]
 _REST = 1e-3  # of the greatest speed: slower fluid counts as resting
 
 
 def draw(device: Device, optimum: Optimum, path: str | Path) -> Path:
-    """Best random and optimised design, each inlet case, position and height; and the loss.
+    """Best random and optimized design, each inlet case, position and height; and the loss.
 
     Two inlets have a third panel, both at half speed: by linearity the mean of the other two. Where
-    the device is about directions, colours are angles to those wanted, else speeds.
+    the device is about directions, colors are angles to those wanted, else speeds.
 
     Args:
         device: The device.
-        optimum: Its optimum.
+        optimum: Result of the search for the device.
         path: PNG to write.
     """
     plt: Any = optional("matplotlib.pyplot", purpose="the picture of a device")
     random = optimum.samples[int(optimum.sample_losses.argmin())]
-    designs = {f"best of {len(optimum.samples)} random": random, "optimised": optimum.x}
+    designs = {f"best of {len(optimum.samples)} random": random, "optimized": optimum.x}
     rows = {name: _flows(device, x) for name, x in designs.items()}
     panels = {name: _panels(device, fields) for name, fields in rows.items()}
     columns = len(next(iter(panels.values())))
@@ -57,7 +57,7 @@ def draw(device: Device, optimum: Optimum, path: str | Path) -> Path:
             ax.set_title(title, fontsize=9, color=_INK)
         loss = _loss(device, rows[name]) / optimum.unit_loss
         axes[row, 0].set_ylabel(f"{name}\nloss {loss:.2g}", fontsize=10, color=_INK)
-    _colour_bar(left, image, axes, device)
+    _color_bar(left, image, axes, device)
     _history(right.subplots(), device, optimum)
     content = BytesIO()
     figure.savefig(content, dpi=110, format="png")
@@ -110,17 +110,17 @@ def _slice(
     v = velocity[..., :2].numpy().copy()
     speed = np.linalg.norm(v, axis=-1)
     inside = speed[phi.numpy() > 0]
-    colour = speed
+    color = speed
     if wanted is not None:
         off = np.arctan2(v[..., 1], v[..., 0]) - np.arctan2(wanted[1], wanted[0])
         moving = speed > _REST * speed.max(initial=0.0)  # resting fluid has no direction
-        colour = np.where(moving, np.degrees(np.abs(np.angle(np.exp(1j * off)))), np.nan)
+        color = np.where(moving, np.degrees(np.abs(np.angle(np.exp(1j * off)))), np.nan)
     return {
         "x": np.linspace(0.0, field.grid.size[0], v.shape[0]),
         "y": np.linspace(0.0, field.grid.size[1], v.shape[1]),
         "velocity": v,
         "speed": speed,
-        "colour": colour,
+        "color": color,
         "phi": phi.numpy(),
         "is_angle": wanted is not None,
         "top": np.quantile(inside, 0.995) if inside.size else 0.0,
@@ -131,7 +131,7 @@ def _panel(axes: Axes, panel: dict[str, Any], top: float) -> Any:
     x, y, v, phi = (panel[k] for k in ("x", "y", "velocity", "phi"))
     angle = panel["is_angle"]
     image = axes.imshow(
-        panel["colour"].T,
+        panel["color"].T,
         origin="lower",
         extent=(x[0] - 0.5 * x[1], x[-1] + 0.5 * x[1], y[0] - 0.5 * y[1], y[-1] + 0.5 * y[1]),
         cmap="coolwarm" if angle else "viridis",
@@ -152,7 +152,7 @@ def _panel(axes: Axes, panel: dict[str, Any], top: float) -> Any:
     return image
 
 
-def _colour_bar(figure: Any, image: Any, axes: Any, device: Device) -> None:
+def _color_bar(figure: Any, image: Any, axes: Any, device: Device) -> None:
     bar = figure.colorbar(
         image, ax=axes, shrink=0.7, pad=0.02, extend="max" if device.directions else "neither"
     )
@@ -166,7 +166,7 @@ def _colour_bar(figure: Any, image: Any, axes: Any, device: Device) -> None:
 
 
 def _history(axes: Axes, device: Device, optimum: Optimum) -> None:
-    """Random designs as dots, L-BFGS as lines: of the coarse grid grey, then of the device's."""
+    """Random designs as dots, L-BFGS as lines: of the coarse grid gray, then of the device's."""
     coarse = optimum.coarse
     mean = "random designs, mean 1"
     axes.plot(
@@ -197,7 +197,7 @@ def _history(axes: Axes, device: Device, optimum: Optimum) -> None:
     if high > 3.0 * max(low, 0.0):  # else a logarithmic axis has hardly a label
         axes.set_yscale("log")
     axes.set_xlabel("evaluation of loss and gradient", fontsize=9)
-    axes.set_ylabel("normalised loss", fontsize=9)
+    axes.set_ylabel("normalized loss", fontsize=9)
     axes.tick_params(which="both", labelsize=8)
     axes.spines[["top", "right"]].set_visible(False)
     axes.figure.legend(loc="outside upper center", frameon=False, fontsize=8)

@@ -46,8 +46,8 @@ def view(meshes: Mapping[str, trimesh.Trimesh], kinds: Mapping[str, str]) -> Fig
     square = width / height  # 3-D axes are drawn in the middle square of theirs
     ax = figure.add_axes((0.0, 0.5 - 0.5 * square, 1.0, square), projection="3d")
     triangles = [_small(m) * [1.0, -1.0, -1.0] for m in meshes.values()]
-    colours = [_shaded(t, _colour(kinds[n])) for n, t in zip(meshes, triangles, strict=True)]
-    _draw_triangles(ax, np.concatenate(triangles), np.concatenate(colours), 32.0, 52.0, 0.9)
+    colors = [_shaded(t, _color(kinds[n])) for n, t in zip(meshes, triangles, strict=True)]
+    _draw_triangles(ax, np.concatenate(triangles), np.concatenate(colors), 32.0, 52.0, 0.9)
     return figure
 
 
@@ -58,8 +58,8 @@ def wiring(
     """Motors from above: numbers, senses of rotation, front.
 
     Args:
-        motors: Of the plan.
-        shapes: Kind and triangles of structural parts, front-right-down relative to the centre of
+        motors: Motors of the plan.
+        shapes: Kind and triangles of structural parts, front-right-down relative to the center of
             mass, (num_triangles, 3, 3) [m].
     """
     figure, ax = new_figure(width=9.6, height=7.6)
@@ -69,7 +69,7 @@ def wiring(
         flat = 1e3 * triangles[..., [1, 0]]  # right, front
         ax.add_collection(
             collections.PolyCollection(
-                flat, facecolor=_pale(_colour(kind)), linewidth=0.3, edgecolor="face", zorder=1
+                flat, facecolor=_pale(_color(kind)), linewidth=0.3, edgecolor="face", zorder=1
             )
         )
     hangs = {m.number: _upper_twin(m, motors) for m in motors}
@@ -77,7 +77,7 @@ def wiring(
         _draw_motor(ax, patches, m, hangs[m.number])
     ax.plot(0.0, 0.0, "+", color=INK, markersize=11, zorder=5)
     ax.annotate(
-        "centre of mass",
+        "center of mass",
         (0.0, 0.0),
         (6.0, 6.0),
         textcoords="offset points",
@@ -117,12 +117,12 @@ def bars(stock: Sequence[StockBar]) -> Figure:
     """How each stock bar is cut."""
     figure, ax = new_figure(width=9.6, height=0.8 + 0.42 * len(stock))
     labels = sorted({label for bar in stock for label, _ in bar.pieces})
-    colours = {label: CYCLE[k % 4] for k, label in enumerate(labels)}
+    colors = {label: CYCLE[k % 4] for k, label in enumerate(labels)}
     for row, bar in enumerate(stock):
         ax.barh(row, 1e3 * bar.length, color=LINE, height=0.6)
         start = 0.0
         for label, length in bar.pieces:
-            ax.barh(row, 1e3 * length, left=1e3 * start, color=colours[label], height=0.6)
+            ax.barh(row, 1e3 * length, left=1e3 * start, color=colors[label], height=0.6)
             ax.text(
                 1e3 * (start + 0.5 * length),
                 row,
@@ -136,7 +136,7 @@ def bars(stock: Sequence[StockBar]) -> Figure:
     ax.set_yticks(range(len(stock)), [f"bar {k + 1}" for k in range(len(stock))])
     ax.invert_yaxis()
     ax.grid(visible=False)
-    ax.set_xlabel("along the bar [mm]; grey: waste", color=SOFT)
+    ax.set_xlabel("along the bar [mm]; gray: waste", color=SOFT)
     return figure
 
 
@@ -149,8 +149,8 @@ def printed(parts: Sequence[PrintedPart], columns: int = 4) -> Figure:
     for k, part in enumerate(parts):
         ax = figure.add_subplot(rows, columns, k + 1, projection="3d")
         triangles = part.mesh.triangles
-        colour = _colour("clip") if "clip" in part.file else _PRINTED
-        _draw_triangles(ax, triangles, _shaded(triangles, colour), 28.0, -60.0, 1.0)
+        color = _color("clip") if "clip" in part.file else _PRINTED
+        _draw_triangles(ax, triangles, _shaded(triangles, color), 28.0, -60.0, 1.0)
         size = " x ".join(f"{v:.0f}" for v in part.check.size)
         name = part.file.removesuffix(".stl").replace("_", " ")
         ax.set_title(f"{name}\n{len(part.names)} pcs, {size} mm", fontsize=8.5, color=INK, y=1.0)
@@ -167,16 +167,16 @@ def _small(mesh: trimesh.Trimesh) -> Array:
 
 def _draw_motor(ax: Any, patches: Any, m: MotorPlan, hangs: bool) -> None:
     x, y = 1e3 * m.position[1], 1e3 * m.position[0]
-    colour = _CLOCKWISE if m.clockwise else _COUNTER
+    color = _CLOCKWISE if m.clockwise else _COUNTER
     radius = 1e3 * m.radius * (0.8 if hangs else 1.0)  # else it would hide under its twin
     line = "--" if hangs else "-"
     fill = 0.0 if hangs else 0.12
     ax.add_patch(
-        patches.Circle((x, y), radius, facecolor=colour, alpha=fill, edgecolor="none", zorder=2)
+        patches.Circle((x, y), radius, facecolor=color, alpha=fill, edgecolor="none", zorder=2)
     )
     ax.add_patch(
         patches.Circle(
-            (x, y), radius, fill=False, edgecolor=colour, linestyle=line, linewidth=1.2, zorder=3
+            (x, y), radius, fill=False, edgecolor=color, linestyle=line, linewidth=1.2, zorder=3
         )
     )
     ends = np.deg2rad([30.0, 100.0])  # counterclockwise on paper
@@ -193,7 +193,7 @@ def _draw_motor(ax: Any, patches: Any, m: MotorPlan, hangs: bool) -> None:
                 connectionstyle=f"arc3,rad={-0.32 if m.clockwise else 0.32}",
                 arrowstyle="-|>",
                 mutation_scale=15,
-                color=colour,
+                color=color,
                 linewidth=2.0,
                 zorder=4,
             )
@@ -201,8 +201,8 @@ def _draw_motor(ax: Any, patches: Any, m: MotorPlan, hangs: bool) -> None:
     drop = -0.42 * radius if hangs else 0.0
     ax.text(
         x, y + drop, str(m.number), ha="center", va="center", fontsize=15 if not hangs else 12,
-        fontweight="bold", color=colour, zorder=6,
-        bbox={"boxstyle": "circle,pad=0.25", "facecolor": "white", "edgecolor": colour},
+        fontweight="bold", color=color, zorder=6,
+        bbox={"boxstyle": "circle,pad=0.25", "facecolor": "white", "edgecolor": color},
     )  # fmt: skip
     if m.clip is not None:
         text = f"{m.tilt:.1f}° to {m.azimuth:.0f}°"
@@ -220,29 +220,29 @@ def _upper_twin(m: MotorPlan, motors: Sequence[MotorPlan]) -> bool:
     )
 
 
-def _pale(colour: str) -> Any:
-    """A third of a colour on white."""
-    colours = optional("matplotlib.colors", purpose="a figure")
-    return tuple(1.0 - 0.33 * (1.0 - c) for c in colours.to_rgb(colour))
+def _pale(color: str) -> Any:
+    """A third of a color on white."""
+    colors = optional("matplotlib.colors", purpose="a figure")
+    return tuple(1.0 - 0.33 * (1.0 - c) for c in colors.to_rgb(color))
 
 
-def _colour(kind: str) -> str:
-    return next((colour for key, colour in _MATERIALS.items() if key in kind), _PRINTED)
+def _color(kind: str) -> str:
+    return next((color for key, color in _MATERIALS.items() if key in kind), _PRINTED)
 
 
-def _shaded(triangles: Array, colour: str) -> Array:
-    """Colour by the angle to the light, (num_triangles, 4)."""
-    colours = optional("matplotlib.colors", purpose="a figure")
+def _shaded(triangles: Array, color: str) -> Array:
+    """Color by the angle to the light, (num_triangles, 4)."""
+    colors = optional("matplotlib.colors", purpose="a figure")
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     facing = (normals / np.where(lengths > 0.0, lengths, 1.0)) @ _LIGHT
     bright = 0.85 + 0.3 * np.clip(facing, -1.0, 1.0)[:, None]
-    rgb = np.clip(np.array(colours.to_rgb(colour)) * bright, 0.0, 1.0)
+    rgb = np.clip(np.array(colors.to_rgb(color)) * bright, 0.0, 1.0)
     return np.column_stack([rgb, np.ones(len(rgb))])
 
 
 def _draw_triangles(
-    ax: Any, triangles: Array, colours: Array, elev: float, azim: float, zoom: float
+    ax: Any, triangles: Array, colors: Array, elev: float, azim: float, zoom: float
 ) -> None:
     """Triangles that face the viewer, who looks from these angles [deg]; others would hide them."""
     art = optional("mpl_toolkits.mplot3d.art3d", purpose="a figure")
@@ -251,7 +251,7 @@ def _draw_triangles(
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     seen = normals @ viewer > 0.0
     surface = art.Poly3DCollection(
-        triangles[seen], facecolors=colours[seen], edgecolors="none", antialiaseds=False
+        triangles[seen], facecolors=colors[seen], edgecolors="none", antialiaseds=False
     )
     ax.add_collection3d(surface)
     lower, upper = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))

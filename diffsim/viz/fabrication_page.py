@@ -20,7 +20,7 @@ def write_fabrication(plan: FabricationPlan, folder: str | Path) -> Path:
 
     Args:
         plan: What to cut, print, buy and wire.
-        folder: Made where it is missing; files of the same names are replaced.
+        folder: Output folder, created where it is missing; files of the same names are replaced.
 
     Returns:
         The page.
@@ -40,7 +40,7 @@ def page(plan: FabricationPlan) -> Report:
     tilt = max(m.tilt for m in plan.motors)
     return Report(
         title=f"Fabrication plan: {design.name.replace('_', ' ')}",
-        subtitle="Lengths in millimetres, angles in degrees; front, right and down are the "
+        subtitle="Lengths in millimeters, angles in degrees; front, right and down are the "
         "copter's own axes.",
         verdict=[
             f"{len(plan.motors)} motors, {sum(c.quantity for c in plan.cuts)} rods, "
@@ -166,7 +166,7 @@ def _motors(plan: FabricationPlan) -> Section:
                 columns=["motor", "front [mm]", "right [mm]", "down [mm]", "angle from up [deg]",
                          "leans towards [deg]", "turns, seen from above", "rotor"],
                 rows=rows,
-                caption="Places of the propellers' centres relative to the centre of mass. 'Leans "
+                caption="Places of the propellers' centers relative to the center of mass. 'Leans "
                 "towards' counts clockwise from the front.",
             )
         ],
@@ -191,7 +191,7 @@ def _prints(plan: FabricationPlan) -> Section | None:
     return Section(
         title="Printed parts and sheets",
         text=[
-            "All meshes are closed, in millimetres, standing as they are printed. They weigh a "
+            "All meshes are closed, in millimeters, standing as they are printed. They weigh a "
             "little less than in the bill: bores are wider than rods by 0.15 mm all around, and "
             "screws need holes."
         ],

@@ -28,7 +28,7 @@ def motor_outputs(flights: Sequence[tuple[str, FlightLog]], *, columns: int = 2)
 
     Args:
         flights: Titles and logs.
-        columns: Of panels.
+        columns: Number of columns of panels.
     """
     columns = min(columns, len(flights))
     rows = -(-len(flights) // columns)
@@ -51,10 +51,10 @@ def _motor_panel(ax: Axes, title: str, log: FlightLog) -> None:
     time, pwm, saturated = (log.series(name) for name in ("time", "pwm", "saturated"))
     clamp = log.metadata["pwm_max_us"]
     for k, values in enumerate(pwm.T):
-        colour = CYCLE[k % len(CYCLE)]
-        ax.plot(time, values, color=colour, lw=0.9, label=f"motor {k + 1}")
+        color = CYCLE[k % len(CYCLE)]
+        ax.plot(time, values, color=color, lw=0.9, label=f"motor {k + 1}")
         at = saturated[:, k]
-        ax.plot(time[at], np.full(at.sum(), clamp + 10.0 + 9.0 * k), "|", color=colour, ms=4)
+        ax.plot(time[at], np.full(at.sum(), clamp + 10.0 + 9.0 * k), "|", color=color, ms=4)
     ax.axhline(clamp, color=COLOURS["bad"], lw=0.8, ls="--")
     ax.set_ylim(1250.0, clamp + 70.0)
     ax.set_title(title, loc="left", fontsize=10, color=INK)
@@ -68,8 +68,8 @@ def battery_curves(curves: Sequence[tuple[str, Array, Array, Array]]) -> Figure:
     """
     figure, (left, right) = new_figure(1, 2, width=10.0, height=3.4)
     for ax, index, ylabel in ((left, 2, "voltage [V]"), (right, 3, "current [A]")):
-        for curve, colour in zip(curves, CYCLE, strict=False):
-            ax.plot(curve[1], curve[index], color=colour, lw=1.2, label=curve[0])
+        for curve, color in zip(curves, CYCLE, strict=False):
+            ax.plot(curve[1], curve[index], color=color, lw=1.2, label=curve[0])
         ax.set_xlabel("time [s]", color=SOFT)
         ax.set_ylabel(ylabel, color=SOFT)
     left.legend(frameon=False, fontsize=8.5, labelcolor=INK)

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 FRAME_RATE = 30.0  # [Hz]
 _UP = np.diag([1.0, -1.0, -1.0])  # north-west-up from north-east-down
-_METRES_PER_NEWTON = 0.03  # length of a thrust arrow
+_METERS_PER_NEWTON = 0.03  # length of a thrust arrow
 _SLOWER = 20.0  # propellers turn that much slower than they do: no eye and no screen follows them
 _CLOCK = "time"
 _PLOTS = {"voltage": "V", "current": "A", "charge": ""}
@@ -35,8 +35,8 @@ class FlightScene:
     Args:
         stream: ``rerun.RecordingStream``.
         design: What flies.
-        payload: Carried below the centre of mass [kg].
-        drop: How far below [m].
+        payload: Carried below the center of mass [kg].
+        drop: Distance below the vehicle [m].
     """
 
     def __init__(self, stream: Any, design: Design, *, payload: float = 0.0, drop: float = 0.05):
@@ -75,10 +75,10 @@ class FlightScene:
             "world/target",
             rr.Points3D([_UP @ sample.target], radii=[0.03], colors=[rgb(COLOURS["published"])]),
         )
-        arrows = self._axes * (_METRES_PER_NEWTON * sample.thrusts)[:, None]
-        colours = [rgb(COLOURS["bad" if s else "fitted"]) for s in sample.saturated]
+        arrows = self._axes * (_METERS_PER_NEWTON * sample.thrusts)[:, None]
+        colors = [rgb(COLOURS["bad" if s else "fitted"]) for s in sample.saturated]
         stream.log(
-            "world/copter/thrust", rr.Arrows3D(origins=self._hubs, vectors=arrows, colors=colours)
+            "world/copter/thrust", rr.Arrows3D(origins=self._hubs, vectors=arrows, colors=colors)
         )
         self._turn(sample.thrusts, elapsed)
         self._log_numbers(sample)
@@ -91,13 +91,13 @@ class FlightScene:
             origin = self._center
             if propeller:  # about its own hub, so that it can turn
                 origin = self._center + self._hubs[self._names.index(motor)]
-            colour = COLOURS["third" if propeller else "measured_2"]
+            color = COLOURS["third" if propeller else "measured_2"]
             self._stream.log(
                 f"world/copter/{name}",
                 rr.Mesh3D(
                     vertex_positions=mesh.vertices - origin,
                     triangle_indices=mesh.faces,
-                    albedo_factor=[*rgb(colour), 255],
+                    albedo_factor=[*rgb(color), 255],
                 ),
                 static=True,
             )

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 SPEED = ("#f3f8f8", "#b9dcd9", "#62b3b2", "#0b7f86", "#0d5163", "#152a3f")
-"""Colours from rest to the greatest speed, in equal steps; light to dark also in grey."""
+"""Colors from rest to the greatest speed, in equal steps; light to dark also in gray."""
 SOLID = "#c9ced6"
 
 
@@ -41,14 +41,14 @@ def speed_map(
     lines: int | Sequence[Streamline] = 20,
     max_speed: float | None = None,
 ) -> Figure:
-    """A 2D flow: speed in colour, streamlines of equal flow between them, solid grey.
+    """A 2D flow: speed in color, streamlines of equal flow between them, solid gray.
 
     Args:
         field: A flow in two dimensions.
-        case: Which of its cases.
+        case: Index of the inlet case.
         title: Above the picture.
         lines: Streamlines, or how many to start where fluid enters; 0 draws none.
-        max_speed: Of the colour scale [m/s]; default the greatest in the fluid.
+        max_speed: Upper end of the color scale [m/s]; default the greatest in the fluid.
     """
     return compare([(title, field)], case=case, lines=lines, max_speed=max_speed)
 
@@ -61,14 +61,16 @@ def compare(
     lines: int | Sequence[Streamline] = 20,
     max_speed: float | None = None,
 ) -> Figure:
-    """Flows side by side on one colour scale, such as the initial and the optimised design.
+    """Flows side by side on one color scale, such as the initial and the optimized design.
 
     Args:
         panels: (title, field) each.
-        case: Which of the fields' cases.
-        plane: Of 3D flows, such as ("z", 0.5): axis and position in the box [share of its side].
-        lines: As in ``speed_map``; the same count in every panel. 2D flows only.
-        max_speed: Of the colour scale [m/s]; default the greatest that is drawn.
+        case: Index of the inlet case.
+        plane: Plane of 3D flows, such as ("z", 0.5): axis and position in the box [share of its
+            side].
+        lines: Number of streamlines, as in ``speed_map``; the same count in every panel. 2D flows
+            only.
+        max_speed: Upper end of the color scale [m/s]; default the greatest that is drawn.
     """
     _check_fields([field for _, field in panels])
     cuts = [cut_through(field, case, plane) for _, field in panels]
@@ -106,16 +108,16 @@ def slices(
     title: str = "",
     max_speed: float | None = None,
 ) -> Figure:
-    """Planes through a 3D flow: speed in colour, arrows of the velocity within, solid grey.
+    """Planes through a 3D flow: speed in color, arrows of the velocity within, solid gray.
 
     Every plane has its own longest arrow, so that weak flow across the main one is seen.
 
     Args:
         field: A flow in three dimensions.
         planes: (axis, position in the box [share of its side]) each.
-        case: Which of its cases.
+        case: Index of the inlet case.
         title: Above the picture.
-        max_speed: Of the colour scale [m/s]; default the greatest that is drawn.
+        max_speed: Upper end of the color scale [m/s]; default the greatest that is drawn.
     """
     _check_fields([field], dim=3)
     cuts = [cut_through(field, case, plane) for plane in planes]
@@ -149,14 +151,14 @@ def view(
     elevation: float = 24.0,
     azimuth: float = -58.0,
 ) -> Figure:
-    """3D flows: streamlines coloured by speed within the translucent wall.
+    """3D flows: streamlines colored by speed within the translucent wall.
 
     Args:
         panels: A flow in three dimensions, or (title, flow) for several side by side.
-        case: Which of the cases.
+        case: Index of the inlet case.
         lines: Streamlines, or how many to start where fluid enters.
-        max_speed: Of the colour scale [m/s]; default the greatest on the lines.
-        elevation, azimuth: Of the viewer [degrees].
+        max_speed: Upper end of the color scale [m/s]; default the greatest on the lines.
+        elevation, azimuth: Elevation and azimuth of the viewer [degrees].
     """
     if isinstance(panels, FlowField):
         panels = [("", panels)]
@@ -184,7 +186,7 @@ def view(
         pieces = [np.stack([p.points[:-1], p.points[1:]], 1) * scale for p in some]
         speed = np.concatenate([0.5 * (p.speed[1:] + p.speed[:-1]) for p in some])
         image = art3d.Line3DCollection(
-            np.concatenate(pieces), cmap=_line_colours(), linewidths=1.1, zorder=2
+            np.concatenate(pieces), cmap=_line_colors(), linewidths=1.1, zorder=2
         )
         image.set_array(speed)
         image.set_clim(0.0, top)
@@ -231,22 +233,22 @@ def _lines(field: FlowField, count: int, case: int) -> list[Streamline]:
     return streamlines(field, count, case=case) if count else []
 
 
-def _colours() -> Any:
-    colours = optional("matplotlib.colors", purpose="a picture of a flow")
-    return colours.LinearSegmentedColormap.from_list("speed", SPEED)
+def _colors() -> Any:
+    colors = optional("matplotlib.colors", purpose="a picture of a flow")
+    return colors.LinearSegmentedColormap.from_list("speed", SPEED)
 
 
-def _line_colours() -> Any:
+def _line_colors() -> Any:
     """The same without its lightest part, which would not be seen on white."""
-    colours = optional("matplotlib.colors", purpose="a picture of a flow")
-    return colours.LinearSegmentedColormap.from_list("lines", ["#8fd0cb", *SPEED[2:]])
+    colors = optional("matplotlib.colors", purpose="a picture of a flow")
+    return colors.LinearSegmentedColormap.from_list("lines", ["#8fd0cb", *SPEED[2:]])
 
 
 def _draw_cut(ax: Axes, cut: Cut, top: float) -> Any:
     ax.grid(False)
     image = ax.imshow(
         np.where(cut.phi > 0, cut.speed, 0.0).T,
-        origin="lower", extent=cut.extent, cmap=_colours(), vmin=0.0, vmax=top,
+        origin="lower", extent=cut.extent, cmap=_colors(), vmin=0.0, vmax=top,
         interpolation="bilinear",
     )  # fmt: skip
     x, y = cut.scale * cut.x, cut.scale * cut.y
@@ -267,7 +269,7 @@ def _draw_cut(ax: Axes, cut: Cut, top: float) -> Any:
 def _draw_lines(ax: Axes, lines: Sequence[Streamline], scale: float) -> None:
     """Lines, each with an arrow head in the middle of its length."""
     effects = optional("matplotlib.patheffects", purpose="a picture of a flow")
-    # seen on dark colours, too
+    # seen on dark colors, too
     halo = [effects.withStroke(linewidth=1.6, foreground="#ffffff90")]
     for line in lines:
         points = scale * line.points
@@ -327,7 +329,7 @@ def _speed_bar(figure: Figure, image: Any, axes: Any, top: float, pad: float = 0
 
 
 def _shaded(normals: Array) -> Array:
-    """Grey of a wall in light from above left, translucent."""
+    """Gray of a wall in light from above left, translucent."""
     light = np.array([-0.4, -0.5, 0.77])
     shade = 0.62 + 0.3 * np.abs(normals @ light)
     return np.stack([0.93 * shade, 0.96 * shade, shade, np.full_like(shade, 0.17)], axis=-1)

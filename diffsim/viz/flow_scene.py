@@ -1,4 +1,4 @@
-"""Rerun recordings (``.rrd``) of Stokes flows: wall, streamlines and arrows coloured by speed."""
+"""Rerun recordings (``.rrd``) of Stokes flows: wall, streamlines and arrows colored by speed."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ def write_rerun(
 ) -> Path:
     """Write one flow as a scene, in place of an older file only when it is whole.
 
-    Entities: "wall" (translucent), "box", "streamlines", "arrows" (velocity at cell centres in the
+    Entities: "wall" (translucent), "box", "streamlines", "arrows" (velocity at cell centers in the
     fluid, the longest two cells long) and, moving along the lines in flow time, "tracers".
 
     Args:
         path: File name with the extension .rrd; folders are made.
         field: The flow; one in 2D lies in z = 0 with its wall extruded.
-        title: Of the recording.
-        case: Which of the field's cases.
+        title: Title of the recording.
+        case: Index of the inlet case.
         lines: Streamlines, or how many to start where fluid enters.
         num_arrows: About how many.
-        height: Of the wall of a 2D flow [m]; default a tenth of the longest side.
+        height: Height of the wall of a 2D flow [m]; default a tenth of the longest side.
 
     Raises:
         ImportError: rerun-sdk is not installed.
@@ -92,14 +92,14 @@ def _log(
     fluid = field.phi.detach().numpy() > 0.0
     speeds = field.velocity[case].detach().norm(dim=-1).numpy()
     top = float(speeds[fluid].max(initial=0.0))
-    pieces, colours = [], []
+    pieces, colors = [], []
     for line in lines:
         points = _lifted(line.points, lift)
-        for k in range(0, len(points) - 1, 2):  # a strip has one colour: short strips
+        for k in range(0, len(points) - 1, 2):  # a strip has one color: short strips
             pieces.append(points[k : k + 3])
-            colours.append(_coloured(line.speed[k : k + 3].mean(keepdims=True), top)[0])
+            colors.append(_colored(line.speed[k : k + 3].mean(keepdims=True), top)[0])
     if pieces:
-        strips = rr.LineStrips3D(pieces, colors=np.array(colours), radii=[0.06 * cell])
+        strips = rr.LineStrips3D(pieces, colors=np.array(colors), radii=[0.06 * cell])
         stream.log("streamlines", strips, static=True)
         _tracers(rr, stream, [line for line in lines if len(line.points) > 1], lift, cell)
     at, v = _arrows(field, case, num_arrows)
@@ -107,7 +107,7 @@ def _log(
         arrows = rr.Arrows3D(
             origins=_lifted(at, lift),
             vectors=_lifted(v, 0.0) * (2.0 * cell / top),
-            colors=_coloured(np.linalg.norm(v, axis=-1), top),
+            colors=_colored(np.linalg.norm(v, axis=-1), top),
             radii=[0.04 * cell],
         )
         stream.log("arrows", arrows, static=True)
@@ -130,7 +130,7 @@ def _tracers(rr, stream, lines: Sequence[Streamline], lift: float, cell: float) 
 
 
 def _arrows(field: FlowField, case: int, count: int) -> tuple[Array, Array]:
-    """Centres of cells in the fluid, every so many, and the velocity there."""
+    """Centers of cells in the fluid, every so many, and the velocity there."""
     grid = field.grid
     full = field.volume_fraction.detach() > 0.999
     step = max(1, round((int(full.sum()) / max(count, 1)) ** (1.0 / grid.dim)))
@@ -147,8 +147,8 @@ def _lifted(points: Array, lift: float) -> Array:
     return np.concatenate([points, np.full((len(points), 1), lift)], axis=-1)
 
 
-def _coloured(speed: Array, top: float) -> NDArray[np.uint8]:
-    """Colours of speeds, (n, 3)."""
+def _colored(speed: Array, top: float) -> NDArray[np.uint8]:
+    """Colors of speeds, (n, 3)."""
     table = np.array([[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in SPEED])
     share = np.clip(speed / top if top > 0.0 else 0.0 * speed, 0.0, 1.0) * (len(table) - 1)
     columns = [np.interp(share, np.arange(len(table)), table[:, k]) for k in range(3)]

@@ -25,7 +25,7 @@ def rotor_fit(fit: RotorFit) -> Figure:
     """Measured rows, fitted curves and residuals of thrust, torque, current and speed.
 
     Args:
-        fit: Of ``fit_rotor``.
+        fit: Fit as ``fit_rotor`` returns it.
     """
     kept = "thrust_offset" if fit.model.thrust_offset else "thrust"
     curves = {name: fit.curves[name] for name in _PANELS if name in fit.curves}
@@ -55,6 +55,6 @@ def rotor_fit(fit: RotorFit) -> Figure:
 
 
 def _rows(ax: Any, curve: CurveFit, y: Any, down: Any) -> None:
-    colour = COLOURS["measured"]
-    ax.plot(curve.x[~down], y[~down], "o", color=colour, markersize=4)
-    ax.plot(curve.x[down], y[down], "v", color=colour, markersize=4, markerfacecolor="none")
+    color = COLOURS["measured"]
+    ax.plot(curve.x[~down], y[~down], "o", color=color, markersize=4)
+    ax.plot(curve.x[down], y[down], "v", color=color, markersize=4, markerfacecolor="none")

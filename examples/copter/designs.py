@@ -1,7 +1,7 @@
 """Do the six multicopters of the thesis hover, and fly to a target?
 
 X quadcopter with a printed frame, Y6 hexacopter of coaxial pairs, bunny with four different
-propellers at different heights, flat pentacopter and its payload-optimised twin, quadcopter and its
+propellers at different heights, flat pentacopter and its payload-optimized twin, quadcopter and its
 twin with larger propellers on a longer arm (thesis 3.7, Figs. 3-5 to 3-8). For each: mass and size,
 hover thrusts, largest weight that hovers, battery life, LQR (Q = diag, R = I), and a flight under
 that regulator from rest to a point 2 m ahead, 1 m to the right and 1.5 m up, with motors that lag
@@ -40,7 +40,7 @@ from diffsim.copter import (
     Multicopter,
     fly,
     hover,
-    linearise,
+    linearize,
     load_design,
     lqr,
     max_hover_weight,
@@ -54,7 +54,7 @@ DT = 0.005  # [s]
 TARGET = (2.0, 1.0, -1.5)  # north, east, down [m]
 ARRIVED = 0.1  # [m]
 LAG = 0.05  # of the motors [s]
-# position, attitude, velocity, rates of attitude: a metre off weighs as much as 0.3 rad
+# position, attitude, velocity, rates of attitude: a meter off weighs as much as 0.3 rad
 Q = (1.0,) * 3 + (10.0,) * 3 + (2.0,) * 3 + (1.0,) * 3
 
 
@@ -81,7 +81,7 @@ def battery_life(copter: Multicopter, thrusts: Tensor) -> float:
 
 def regulator(copter: Multicopter, trim: HoverResult) -> tuple[Tensor, float]:
     """LQR gain, (n_rotors, 12), and the slowest time constant of the closed loop [s]."""
-    A, B = linearise(copter, trim.thrusts, trim.attitude)
+    A, B = linearize(copter, trim.thrusts, trim.attitude)
     gain = lqr(A, B, torch.diag(torch.tensor(Q)).double(), torch.eye(copter.num_rotors).double()).K
     return gain, float(response_time(A, B, gain))
 

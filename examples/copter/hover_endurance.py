@@ -1,7 +1,7 @@
 """How much longer does the rectangular quadcopter hover?
 
-Thesis Fig. 3-10: a standard quadcopter and its flight-time-optimised, rectangular twin (two larger
-propellers) hover for five minutes; the optimised one ends with the larger voltage and needs less
+Thesis Fig. 3-10: a standard quadcopter and its flight-time-optimized, rectangular twin (two larger
+propellers) hover for five minutes; the optimized one ends with the larger voltage and needs less
 current in steady state. Here both hold a place under LQR in gusty wind with motor lag, drag and a
 battery of three cells of 2200 mA h, 30000 control steps in the batched kernel, which also counts
 the charge at the bench's currents (held at the nominal voltage). Voltage and current of the figure
@@ -9,7 +9,7 @@ come from the electrical power of the thrusts flown, which stays the same as the
 thesis prints no numbers.
 
 Expected: after five minutes 11.12 V and 12.83 A for the standard quadcopter (142 W), 11.23 V and
-11.52 A for the optimised one (129 W), as the thesis has it; 10.5 % more endurance (9.9 and 10.9
+11.52 A for the optimized one (129 W), as the thesis has it; 10.5 % more endurance (9.9 and 10.9
 minutes to 5 % of charge). Both hold their place to 0.05 m rms. Charge left 0.536 and 0.583; counted
 at constant current, as the kernel does, 0.516 and 0.561. Running time: 0.09 CPU seconds per flight,
 5 with imports and loading.
@@ -42,7 +42,7 @@ from diffsim.copter import (
 )
 from diffsim.copter.simulator import LqrController, MotorOutputs, flight_rotors
 
-STANDARD, OPTIMISED = "quadcopter", "quadcopter_flight_time"
+STANDARD, OPTIMIZED = "quadcopter", "quadcopter_flight_time"
 RATE = 100.0  # of control [Hz]
 AVIONICS = 3.0  # everything on board but the motors [W]
 BATTERY = Battery.lipo(cells=3, capacity_mah=2200.0)
@@ -141,7 +141,7 @@ def main(seconds: int = 300, seed: int = 0, out: str | None = None) -> dict[str,
     """Hover both; returns power, voltage, current, charge and endurance."""
     torch.set_num_threads(1)
     wind = gusts(seconds, seed)
-    both = {name: hold(name, seconds, wind) for name in (STANDARD, OPTIMISED)}
+    both = {name: hold(name, seconds, wind) for name in (STANDARD, OPTIMIZED)}
     numbers: dict[str, float] = {}
     for name, hovering in both.items():
         mean = torch.tensor(hovering.power.mean(), dtype=torch.float64)
@@ -157,7 +157,7 @@ def main(seconds: int = 300, seed: int = 0, out: str | None = None) -> dict[str,
             f"{name}: cpu time [s]": hovering.cpu_time,
         }
     numbers["endurance gain"] = (
-        numbers[f"{OPTIMISED}: endurance [min]"] / numbers[f"{STANDARD}: endurance [min]"] - 1.0
+        numbers[f"{OPTIMIZED}: endurance [min]"] / numbers[f"{STANDARD}: endurance [min]"] - 1.0
     )
     if out is not None:
         _draw(list(both.items()), out)

@@ -1,19 +1,19 @@
 """Which motors give out first when a pentacopter carries its greatest load?
 
 Thesis Fig. 3-9 and Table 3.1: with 1047 g the flat pentacopter flies from one place to another with
-two motors reaching the clamp of 1800 us and motor 5 not fully exploited; the payload-optimised one
+two motors reaching the clamp of 1800 us and motor 5 not fully exploited; the payload-optimized one
 carries 1392 g with all five balanced. Here both fly the mission "carry" in closed loop (LQR, sensor
 noise, motor lag, sagging battery), twice: with the motors of the bench, and with motors that give
 77 % of the bench's thrust for the same current. That one number is fitted, to the flat one: at 79 %
 only motor 2 is at the clamp for more than a moment, at 75 % for half of the flight, at 72 % the
-vehicle strays by metres. Where the thesis's copters lost that lift is not known; it names
+vehicle departs by meters. Where the thesis's copters lost that lift is not known; it names
 interference between the propellers, and its battery and voltage are not given.
 
 Expected: with the bench's motors nobody saturates at these loads (the limits on a full battery are
 2437 and 3246 g: 1.4 and 1.5 times the overall weight of the thesis). Derated, the flat one's motors
 2 and 3 - the two that turn against the other three - are at the clamp for 20 and 4 % of the flight,
 most of it while it turns by 90 degrees at the new place, and motor 5 stays lowest: the thesis's
-picture up to the numbering of its motors. The optimised one's five pulses lie within 1 us of each
+picture up to the numbering of its motors. The optimized one's five pulses lie within 1 us of each
 other in hover (flat: 217 us); while it turns four of them reach the clamp, for up to 7 %. Its limit
 is 1952 g where the flat one's is 1413 g: 16 % more overall weight; the thesis predicted 15.8 and
 measured 11.1 %. Running time: 40 CPU seconds.
@@ -40,8 +40,8 @@ from diffsim.copter.simulator import (
     payload_limit,
 )
 
-FLAT, OPTIMISED = "pentacopter", "pentacopter_payload"
-LOADS = {FLAT: 1.047, OPTIMISED: 1.392}  # thesis Table 3.1 [kg]
+FLAT, OPTIMIZED = "pentacopter", "pentacopter_payload"
+LOADS = {FLAT: 1.047, OPTIMIZED: 1.392}  # thesis Table 3.1 [kg]
 SHARE = 0.77  # of the bench's thrust, fitted: see above
 BATTERY = Battery.lipo(cells=3, capacity_mah=2200.0)
 
@@ -83,7 +83,7 @@ def main(
 ) -> dict[str, float | list[float]]:
     """Fly both with both motors; returns limits, shares of time at the clamp and spreads."""
     torch.set_num_threads(1)
-    designs = [load_design(FLAT), load_design(OPTIMISED)]
+    designs = [load_design(FLAT), load_design(OPTIMIZED)]
     numbers: dict[str, float | list[float]] = {}
     flights = []
     for label, factor in (("bench", 1.0), ("derated", share)):

@@ -27,7 +27,7 @@ def make_arm() -> soft.SoftBody:
         youngs_modulus=3e5,
         poissons_ratio=0.45,
         density=1070.0,
-        rayleigh_beta=5e-3,
+        damping=soft.Damping(rayleigh_beta=5e-3),
         fixed=bar.nodes_near_plane("x", 0.0),
         muscles=[soft.Muscle(elements=e, direction=(1.0, 0.0, 0.0), stiffness=6e5) for e in layers],
         solver=soft.SolverOptions(rtol=1e-4),

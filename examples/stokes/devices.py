@@ -1,6 +1,6 @@
 """How good do the other fluidic devices of thesis table 4.5 get, and what does a flow cost?
 
-Random designs are drawn, the best one is improved by L-BFGS. Losses are normalised: 1 for an
+Random designs are drawn, the best one is improved by L-BFGS. Losses are normalized: 1 for an
 average random design, 0 for a perfect device. The thesis gives neither coordinates nor bumps nor
 target profiles, so that its losses compare problems of the same kind, not the same ones.
 

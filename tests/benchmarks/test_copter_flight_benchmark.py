@@ -14,7 +14,7 @@ def test_the_quadcopter_stays_in_the_air(kind):
     torch.manual_seed(0)
     forward = passes(3, 1000, kind, 1)["forward"]
     height = -forward()[:, -1, 2]
-    assert bool((height.abs() < 1.0).all())  # a second, from within some decimetres
+    assert bool((height.abs() < 1.0).all())  # a second, from within some decimeters
 
 
 def test_gradients_are_there():

@@ -11,7 +11,7 @@ from diffsim.stokes import devices
 def test_writes_table_and_figure(tmp_path):
     arguments = ["amplifier", "--resolution", "0.25", "--samples", "3", "--evaluations", "4"]
     (result,) = stokes_sampling.main([*arguments, "--out", str(tmp_path)])
-    whole = devices.optimise(devices.make("amplifier", 0.25), 3, max_evaluations=4, progress=False)
+    whole = devices.optimize(devices.make("amplifier", 0.25), 3, max_evaluations=4, progress=False)
     assert result["histories"][0] == pytest.approx(whole.evaluation_losses.tolist(), rel=1e-12)
     # every history begins with a random design; their mean is 1
     assert sum(h[0] for h in result["histories"]) / 3 == pytest.approx(1.0)

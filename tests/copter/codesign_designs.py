@@ -18,9 +18,9 @@ DOUBLE = torch.float64
 
 @dataclass
 class LinearDesign:
-    """Parts of mass base_mass + mass_rate @ s at centre base + map @ s; rotors likewise.
+    """Parts of mass base_mass + mass_rate @ s at center base + map @ s; rotors likewise.
 
-    masses: (n_parts,), mass_rates (n_parts, p); centres (n_parts, 3), centre_maps (n_parts, 3, p);
+    masses: (n_parts,), mass_rates (n_parts, p); centers (n_parts, 3), center_maps (n_parts, 3, p);
     rotors (n, 3), rotor_maps (n, 3, p).
     """
 
@@ -30,8 +30,8 @@ class LinearDesign:
     b: torch.Tensor
     masses: torch.Tensor
     mass_rates: torch.Tensor
-    centres: torch.Tensor
-    centre_maps: torch.Tensor
+    centers: torch.Tensor
+    center_maps: torch.Tensor
     rotors: torch.Tensor
     rotor_maps: torch.Tensor
     length_rate: torch.Tensor
@@ -46,7 +46,7 @@ class LinearDesign:
     def multicopter(self, s, directions=None, spins=None):
         self.calls += 1
         m = self.masses + self.mass_rates @ s
-        x = self.centres + self.centre_maps @ s
+        x = self.centers + self.center_maps @ s
         com = (m[:, None] * x).sum(0) / m.sum()
         r = x - com
         outer = (r * r).sum(-1)[:, None, None] * torch.eye(3, dtype=DOUBLE) - r[:, :, None] * r[
@@ -92,7 +92,7 @@ def rotor_facts(rotors, radius):
 
 
 def reference_design(name):
-    """The public tool's design as it parametrises it: A x = b and C x <= d on full parameters."""
+    """The public tool's design as it parametrizes it: A x = b and C x <= d on full parameters."""
     folder = data_folder("copter_reference")
     space = json.loads((folder / "reference_design_constraints.json").read_text())["copters"][name]
     copter = json.loads((folder / "reference_copters.json").read_text())["copters"][name]
@@ -110,25 +110,25 @@ def reference_design(name):
     assert basis.shape[1] == space["nullity"]
     unequal, limit = dense(space["C"], len(space["d"])), np.array(space["d"])
     # short names of one rotor's, connector's or tube's position
-    masses, rates, centres, maps = [], [], [], []
+    masses, rates, centers, maps = [], [], [], []
     seen = {"tube": 0, "connector": 0, "motor": 0}
     lengths = np.zeros(count)
     for part in copter["components"]:
         kind = part["type"]
-        centre, rate, mass = np.zeros((3, count)), np.zeros(count), part["mass"]
+        center, rate, mass = np.zeros((3, count)), np.zeros(count), part["mass"]
         if kind in seen:
             key = f"{'rotor' if kind == 'motor' else kind}_{seen[kind]}"
             seen[kind] += 1
             for axis in range(3):
-                centre[axis, columns[f"{key}:{axis}"]] = 1.0
+                center[axis, columns[f"{key}:{axis}"]] = 1.0
             if kind == "tube":
                 length = columns[f"{key}:3"]
                 rate[length] = mass / x0[length]
                 lengths[length] = 1.0
         masses.append(mass - rate @ x0)
         rates.append(rate @ basis)
-        centres.append(part["com_world"])
-        maps.append(centre @ basis)
+        centers.append(part["com_world"])
+        maps.append(center @ basis)
         masses[-1] = mass
     n = len(copter["rotors"])
     rotor_maps = np.zeros((n, 3, count))
@@ -143,8 +143,8 @@ def reference_design(name):
         b=tensor(limit - unequal @ x0),
         masses=tensor(masses),
         mass_rates=tensor(rates),
-        centres=tensor(centres),
-        centre_maps=tensor(maps),
+        centers=tensor(centers),
+        center_maps=tensor(maps),
         rotors=tensor([np.array(r["pos_body"]) + com for r in copter["rotors"]]),
         rotor_maps=tensor(rotor_maps @ basis),
         length_rate=tensor(lengths @ basis),
@@ -181,8 +181,8 @@ def arm_copter(angles, arm=0.25, *, free_positions=False, body=(0.05, 0.0, 0.0),
         b=tensor([high] * p + [-low] * p),
         masses=tensor([0.6] + [0.1] * n + [0.0] * n),
         mass_rates=tensor(np.vstack([np.zeros((n + 1, p)), ROD * rods])),
-        centres=tensor(np.vstack([[body], np.zeros((2 * n, 3))])),
-        centre_maps=tensor(np.concatenate([np.zeros((1, 3, p)), maps, 0.5 * maps])),
+        centers=tensor(np.vstack([[body], np.zeros((2 * n, 3))])),
+        center_maps=tensor(np.concatenate([np.zeros((1, 3, p)), maps, 0.5 * maps])),
         rotors=tensor(np.tile([0.0, 0.0, -0.03], (n, 1))),
         rotor_maps=tensor(maps),
         length_rate=tensor(rods.sum(0)),

@@ -1,4 +1,4 @@
-"""Random multicopters for the tests of hover, linearisation and control."""
+"""Random multicopters for the tests of hover, linearization and control."""
 
 from __future__ import annotations
 

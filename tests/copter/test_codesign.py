@@ -8,12 +8,18 @@ import pytest
 import torch
 
 from diffsim.copter import GRAVITY
-from diffsim.copter.codesign import AlternatingOptions, CoDesignError, CurrentModel, codesign
+from diffsim.copter.codesign import (
+    AlternatingOptions,
+    CoDesignError,
+    CurrentModel,
+    Demands,
+    Limits,
+    SearchOptions,
+    codesign,
+)
 from diffsim.copter.codesign.alternating import alternate, judge
-from diffsim.copter.codesign.cases import Demands
 from diffsim.copter.codesign.hover import rank_spins
 from diffsim.copter.codesign.joint import random_point
-from diffsim.copter.codesign.limits import Limits
 from diffsim.copter.codesign.spin_condition import spin_conditions
 from diffsim.copter.codesign.task import Task
 from tests.copter.codesign_designs import arm_copter, reference_design
@@ -33,11 +39,11 @@ def pentacopter():
 
 @pytest.fixture(scope="module")
 def payload(pentacopter):
-    return codesign(pentacopter, "payload", num_starts=8, seed=1)
+    return codesign(pentacopter, "payload", search=SearchOptions(num_starts=8, seed=1))
 
 
 def imbalance(result):
-    """Of force over m g and torque over m g times a metre, from the vehicle."""
+    """Of force over m g and torque over m g times a meter, from the vehicle."""
     vehicle = result.vehicle
     roll, pitch = result.attitude.tolist()
     down = [-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)]
@@ -81,19 +87,33 @@ def test_shape_stays_in_the_feasible_set(pentacopter, payload):
 @pytest.mark.reference
 def test_tilt_only_of_a_level_pentacopter(pentacopter):
     """+18 % with its shape and attitude kept; letting it lean gives more."""
-    level = codesign(pentacopter, "payload", free=("directions",), num_starts=4)
+    level = codesign(
+        pentacopter,
+        "payload",
+        limits=Limits(free=("directions",)),
+        search=SearchOptions(num_starts=4),
+    )
     assert level.max_weight / FLAT - 1.0 == pytest.approx(0.181, abs=2e-3)
     assert level.attitude.tolist() == [0.0, 0.0]
-    leaning = codesign(pentacopter, "payload", free=("directions", "attitude"), num_starts=4)
+    leaning = codesign(
+        pentacopter,
+        "payload",
+        limits=Limits(free=("directions", "attitude")),
+        search=SearchOptions(num_starts=4),
+    )
     assert leaning.max_weight > level.max_weight + 1.0
 
 
 @pytest.mark.reference
 def test_authority_kept_at_full_load(pentacopter):
     box = (0.5, 0.5, 0.05)
-    flat = codesign(pentacopter, "payload", free=("attitude",), authority=box)
+    flat = codesign(
+        pentacopter, "payload", limits=Limits(free=("attitude",)), demands=Demands(authority=box)
+    )
     assert flat.max_weight == pytest.approx(43.72, abs=0.01)
-    best = codesign(pentacopter, "payload", authority=box, num_starts=2)
+    best = codesign(
+        pentacopter, "payload", demands=Demands(authority=box), search=SearchOptions(num_starts=2)
+    )
     assert best.max_weight > 56.0
     assert best.max_weight < ALL_ROTORS
 
@@ -134,7 +154,9 @@ def test_alternation_is_trapped_where_the_joint_solve_is_not(pentacopter, payloa
 
 @pytest.mark.slow
 def test_alternation_with_published_weights(pentacopter):
-    result = codesign(pentacopter, "payload", "alternating", spins="given", num_starts=1)
+    result = codesign(
+        pentacopter, "payload", "alternating", spins="given", search=SearchOptions(num_starts=1)
+    )
     assert result.max_weight / FLAT - 1.0 == pytest.approx(0.249, abs=2e-3)
     assert imbalance(result) < 1e-8
     assert result.history == sorted(result.history, reverse=True)
@@ -142,8 +164,8 @@ def test_alternation_with_published_weights(pentacopter):
 
 def test_alternation_on_a_small_design():
     design = arm_copter(FOUR)
-    joint = codesign(design, "payload", num_starts=4)
-    result = codesign(design, "payload", "alternating", num_starts=1)
+    joint = codesign(design, "payload", search=SearchOptions(num_starts=4))
+    result = codesign(design, "payload", "alternating", search=SearchOptions(num_starts=1))
     assert result.feasible
     assert result.method == "alternating"
     assert joint.objective <= result.objective + 1e-6
@@ -153,7 +175,9 @@ def test_alternation_on_a_small_design():
 @pytest.mark.reference
 def test_size_of_the_quadcopter_shrinks_to_a_point():
     """The thesis's sanity check: the global minimum is no rods at all."""
-    result = codesign(arm_copter(FOUR, body=(0.0, 0.0, 0.0)), "size", num_starts=2)
+    result = codesign(
+        arm_copter(FOUR, body=(0.0, 0.0, 0.0)), "size", search=SearchOptions(num_starts=2)
+    )
     assert result.objective == pytest.approx(0.0, abs=1e-6)
     assert result.bound == pytest.approx(0.0, abs=1e-6)
     assert result.s.tolist() == pytest.approx([0.0] * 4, abs=1e-6)
@@ -164,9 +188,9 @@ def test_rotors_in_a_line_are_moved():
     design = arm_copter(FOUR, free_positions=True, body=(0.0, 0.0, 0.0))
     design.values = torch.tensor(positions, dtype=torch.float64).reshape(-1)
     with pytest.raises(CoDesignError, match="none of 16 spin assignments"):
-        codesign(design, "payload", "alternating", num_starts=1)
+        codesign(design, "payload", "alternating", search=SearchOptions(num_starts=1))
     # no torque about the line at all, so level hover alone would not tell
-    result = codesign(design, "payload", num_starts=4)
+    result = codesign(design, "payload", search=SearchOptions(num_starts=4))
     assert any("moved to a controllable shape" in w for w in result.warnings)
     singular = torch.linalg.svdvals(result.vehicle.torque_matrix)
     assert float(singular[-1]) > 1e-3
@@ -175,14 +199,17 @@ def test_rotors_in_a_line_are_moved():
 
 def test_mix_with_mass_weighs_less():
     design = arm_copter(FOUR)
-    plain = codesign(design, "payload", num_starts=2)
-    mixed = codesign(design, {"payload": 1.0, "mass": 5.0}, num_starts=2)
+    plain = codesign(design, "payload", search=SearchOptions(num_starts=2))
+    mixed = codesign(design, {"payload": 1.0, "mass": 5.0}, search=SearchOptions(num_starts=2))
     assert float(mixed.vehicle.mass) < float(plain.vehicle.mass) - 0.01
     assert mixed.bound <= mixed.objective
 
 
 def test_same_seed_same_design():
-    first, second = (codesign(arm_copter(FOUR), "payload", num_starts=5, seed=3) for _ in range(2))
+    first, second = (
+        codesign(arm_copter(FOUR), "payload", search=SearchOptions(num_starts=5, seed=3))
+        for _ in range(2)
+    )
     assert torch.equal(first.s, second.s)
     assert torch.equal(first.directions, second.directions)
 
@@ -194,7 +221,12 @@ def test_other_solvers_agree(solver):
     currents = CurrentModel([0.3] * 4, [1.4] * 4)
     weights = {"payload": 1.0, "current": 0.5}
     best, other = (
-        codesign(arm_copter(FOUR), weights, currents=currents, num_starts=1, solver=s)
+        codesign(
+            arm_copter(FOUR),
+            weights,
+            currents=currents,
+            search=SearchOptions(num_starts=1, solver=s),
+        )
         for s in (None, solver)
     )
     assert other.objective == pytest.approx(best.objective, rel=1e-4)
@@ -204,7 +236,7 @@ def test_too_heavy_to_hover():
     design = arm_copter(FOUR)
     design.masses = design.masses * 5.0
     with pytest.raises(CoDesignError, match="no hover within the thrust bounds") as caught:
-        codesign(design, "size", num_starts=2)
+        codesign(design, "size", search=SearchOptions(num_starts=2))
     assert caught.value.residual > 0.05
 
 
@@ -218,25 +250,25 @@ def test_empty_design_space():
 
 def test_a_start_outside_the_space_is_moved_inside():
     design = arm_copter(FOUR, arm=0.7)
-    result = codesign(design, "payload", num_starts=1)
+    result = codesign(design, "payload", search=SearchOptions(num_starts=1))
     assert float(result.s.max()) <= 0.5 + 1e-9
 
 
 def test_without_cvxpy_there_is_no_bound(monkeypatch):
     monkeypatch.setitem(sys.modules, "cvxpy", None)
-    result = codesign(arm_copter(FOUR), "payload", num_starts=1)
+    result = codesign(arm_copter(FOUR), "payload", search=SearchOptions(num_starts=1))
     assert result.bound == -np.inf
     assert any("diffsim-robot[opt]" in w for w in result.warnings)
     with pytest.raises(ImportError, match="cvxpy"):
-        codesign(arm_copter(FOUR), "payload", "alternating", num_starts=1)
+        codesign(arm_copter(FOUR), "payload", "alternating", search=SearchOptions(num_starts=1))
 
 
 def test_without_uno_slsqp_stands_in(monkeypatch):
-    with_uno = codesign(arm_copter(FOUR), "payload", num_starts=1)
+    with_uno = codesign(arm_copter(FOUR), "payload", search=SearchOptions(num_starts=1))
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    without = codesign(arm_copter(FOUR), "payload", num_starts=1)
+    without = codesign(arm_copter(FOUR), "payload", search=SearchOptions(num_starts=1))
     assert "slsqp" in without.status
     assert without.objective == pytest.approx(with_uno.objective, rel=1e-4)
     with pytest.raises(ModuleNotFoundError, match="unopy"):
         monkeypatch.setitem(sys.modules, "unopy", None)
-        codesign(arm_copter(FOUR), "payload", num_starts=1, solver="uno")
+        codesign(arm_copter(FOUR), "payload", search=SearchOptions(num_starts=1, solver="uno"))

@@ -5,13 +5,25 @@ import pytest
 import torch
 from scipy.optimize import linprog
 
-from diffsim.copter.codesign import METRICS, CurrentModel, codesign, pareto_front
+from diffsim.copter.codesign import (
+    METRICS,
+    CurrentModel,
+    Demands,
+    Limits,
+    SearchOptions,
+    codesign,
+    pareto_front,
+)
 from diffsim.copter.codesign.pareto import undominated
 from diffsim.copter.control_metrics import control_authority, max_hover_weight, rotor_out_margins
 from tests.copter.codesign_designs import arm_copter, reference_design
 
 SIX = np.arange(6) * np.pi / 3.0
-FIXED = {"free": ("attitude",), "spins": "given", "num_starts": 1}
+FIXED = {
+    "limits": Limits(free=("attitude",)),
+    "spins": "given",
+    "search": SearchOptions(num_starts=1),
+}
 
 
 def test_payload_and_its_authority():
@@ -21,14 +33,14 @@ def test_payload_and_its_authority():
     assert plain.max_weight == pytest.approx(float(max_hover_weight(vehicle)), rel=1e-8)
     assert plain.objective == pytest.approx(float(vehicle.weight) / plain.max_weight, rel=1e-8)
     box = (0.5, 0.3, 0.05)
-    held = codesign(arm_copter(SIX), "payload", authority=box, **FIXED)
+    held = codesign(arm_copter(SIX), "payload", **FIXED, demands=Demands(authority=box))
     assert held.max_weight == pytest.approx(float(max_hover_weight(vehicle, torque=box)), rel=1e-7)
     assert held.max_weight < plain.max_weight
 
 
 def test_authority():
     design = arm_copter(SIX)
-    result = codesign(design, "authority", load=0.4, **FIXED)
+    result = codesign(design, "authority", **FIXED, demands=Demands(load=0.4))
     expected = control_authority(design.multicopter(design.values), load=0.4 * 9.81)
     assert -result.objective == pytest.approx(float(expected), rel=1e-7)
 
@@ -42,7 +54,7 @@ def test_one_rotor_out():
 
 def test_response():
     design, angle = arm_copter(SIX), 0.3
-    result = codesign(design, "response", response_angle=angle, **FIXED)
+    result = codesign(design, "response", **FIXED, demands=Demands(response_angle=angle))
     vehicle = design.multicopter(design.values)
     lift, torque = -vehicle.force_matrix.numpy()[2], vehicle.torque_matrix.numpy()
     slowest = 0.0
@@ -69,8 +81,10 @@ def test_currents():
 
 def test_clearance_is_kept():
     design = arm_copter(np.arange(4) * np.pi / 2.0, arm=0.3)
-    close = codesign(design, "size", num_starts=2)
-    apart = codesign(design, "size", num_starts=2, clearance=0.03)
+    close = codesign(design, "size", search=SearchOptions(num_starts=2))
+    apart = codesign(
+        design, "size", limits=Limits(clearance=0.03), search=SearchOptions(num_starts=2)
+    )
     positions = apart.vehicle.positions
     distance = torch.cdist(positions[:, :2], positions[:, :2]) + torch.eye(4)
     assert float(distance.min()) == pytest.approx(2 * 0.127 + 0.03, abs=1e-6)
@@ -78,7 +92,12 @@ def test_clearance_is_kept():
 
 
 def test_flight_time_is_minus_size():
-    result = codesign(arm_copter(SIX), "flight_time", num_starts=1, extent=1.0)
+    result = codesign(
+        arm_copter(SIX),
+        "flight_time",
+        limits=Limits(extent=1.0),
+        search=SearchOptions(num_starts=1),
+    )
     # every arm reaches the end of its range
     assert result.s.tolist() == pytest.approx([0.5] * 6, abs=1e-6)
     assert result.metrics["size"] == pytest.approx(2.0, abs=1e-5)
@@ -86,7 +105,11 @@ def test_flight_time_is_minus_size():
 
 def test_pareto_front():
     front = pareto_front(
-        arm_copter(SIX), ["payload", "size"], num_points=3, progress=False, num_starts=1
+        arm_copter(SIX),
+        ["payload", "size"],
+        num_points=3,
+        progress=False,
+        search=SearchOptions(num_starts=1),
     )
     payload = [r.metrics["payload"] for r in front]
     size = [r.metrics["size"] for r in front]
@@ -108,11 +131,8 @@ def test_undominated():
         ({"objective": {"payload": 0.0}}, "must name a metric"),
         ({"objective": "current"}, "needs currents"),
         ({"method": "joined"}, "method must be one of"),
-        ({"free": ("shapes",)}, "did you mean 'shape'"),
-        ({"authority": (1.0, 2.0)}, "torques about x, y, z"),
         ({"spins": (1.0, 0.5)}, "spins must be 6 values"),
-        ({"max_tilt": float("nan")}, "max_tilt must lie in"),
-        ({"solver": "sqp"}, "solver must be one of"),
+        ({"search": SearchOptions(solver="sqp")}, "solver must be one of"),
         ({"currents": CurrentModel([1.0] * 3, [1.5] * 3), "objective": "current"}, "3 rotors"),
         ({"method": "alternating", "objective": "authority"}, "metric must be one of"),
     ],
@@ -120,6 +140,22 @@ def test_undominated():
 def test_bad_input(arguments, message):
     with pytest.raises(ValueError, match=message):
         codesign(arm_copter(SIX), **arguments)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Limits(free=("shapes",)), "did you mean 'shape'"),
+        (lambda: Limits(max_tilt=float("nan")), "max_tilt must lie in"),
+        (lambda: Limits(clearance=-0.1), "clearance must be"),
+        (lambda: Demands(authority=(1.0, 2.0)), "torques about x, y, z"),
+        (lambda: Demands(load=-1.0), "load must be"),
+        (lambda: SearchOptions(num_starts=0), "num_starts must be"),
+    ],
+)
+def test_bad_options(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
 
 
 def test_nan_in_the_design():

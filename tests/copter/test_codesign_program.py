@@ -32,7 +32,9 @@ def program(weights, demands=None, **limits):
     currents = CurrentModel(np.linspace(0.2, 0.4, 5), np.linspace(1.2, 1.6, 5))
     spins = np.array([1.0, -1.0, 1.0, -1.0, 1.0])
     bare = Program(model, spins, weights, [], Limits(), scales, currents)
-    cases = flight_cases(weights, demands or Demands((0.3, 0.2, 0.05)), bare.rotors, bare.radii)
+    cases = flight_cases(
+        weights, demands or Demands(authority=(0.3, 0.2, 0.05)), bare.rotors, bare.radii
+    )
     return Program(model, spins, weights, cases, Limits(**limits), scales, currents)
 
 

@@ -6,7 +6,7 @@ import torch
 from scipy.optimize import linprog
 
 from diffsim.copter import GRAVITY, load_design, max_hover_weight
-from diffsim.copter.codesign import codesign
+from diffsim.copter.codesign import Limits, SearchOptions, codesign
 from diffsim.copter.codesign.space import ShapeModel
 
 pytest.importorskip("cvxpy")
@@ -16,8 +16,10 @@ pytest.importorskip("cvxpy")
 def test_table_3_1():
     """The thesis's flat pentacopter weighs 2322 g; four of its five rotors carry the load."""
     design = load_design("pentacopter")
-    flat = codesign(design, "payload", free=("attitude",), num_starts=1)
-    best = codesign(design, "payload", num_starts=2)
+    flat = codesign(
+        design, "payload", limits=Limits(free=("attitude",)), search=SearchOptions(num_starts=1)
+    )
+    best = codesign(design, "payload", search=SearchOptions(num_starts=2))
     assert float(flat.vehicle.mass) == pytest.approx(2.322, abs=1e-3)
     assert flat.max_weight == pytest.approx(float(max_hover_weight(flat.vehicle)), rel=1e-7)
     assert flat.max_weight == pytest.approx(4 * 11.672, rel=1e-6)
@@ -42,7 +44,7 @@ def test_free_form_frame_is_a_polynomial():
 def test_smallest_quadcopter():
     """Size and feasible set are linear and hover does not hinder: a linear program knows best."""
     design = load_design("quadcopter")
-    result = codesign(design, "size", num_starts=1, extent=5.0)
+    result = codesign(design, "size", limits=Limits(extent=5.0), search=SearchOptions(num_starts=1))
     A, b = (t.numpy() for t in design.inequalities)
     slope = torch.autograd.functional.jacobian(design.size, design.values).numpy()
     least = linprog(slope, A_ub=A, b_ub=b, bounds=(None, None))

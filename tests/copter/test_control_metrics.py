@@ -13,7 +13,7 @@ from diffsim.copter import (
     disc_clearances,
     hover,
     hover_map_singular_value,
-    linearise,
+    linearize,
     lqr,
     max_hover_weight,
     min_clearance,
@@ -28,7 +28,7 @@ from tests.copter.test_vehicle import NAMES, from_reference, plus_quadcopter, re
 
 def model_of(copter):
     result = hover(copter)
-    return linearise(copter, result.thrusts, result.attitude)
+    return linearize(copter, result.thrusts, result.attitude)
 
 
 def in_a_line():
@@ -160,12 +160,12 @@ def test_rotors_in_a_line_are_not_controllable():
     assert float(hover_map_singular_value(plus_quadcopter())) > 0.05
     level = torch.zeros(2, dtype=torch.float64)
     thrusts = torch.full((4,), float(copter.weight) / 4, dtype=torch.float64)
-    found = controllability(*linearise(copter, thrusts, level))
+    found = controllability(*linearize(copter, thrusts, level))
     assert found.rank == 8  # sideways motion, its velocity, roll and roll rate are missing
     assert math.isinf(float(found.condition))
     assert float(hover_map_singular_value(random_copter(0, n=3))) == 0.0
     three = random_copter(0, n=3, tilt=0.0)
-    assert controllability(*linearise(three, thrusts[:3], level)).rank < 12
+    assert controllability(*linearize(three, thrusts[:3], level)).rank < 12
 
 
 @pytest.mark.grad
@@ -212,7 +212,7 @@ def test_response_time_of_a_first_order_lag():
 
 
 def brute_force_distance(copter, i, j):
-    """Between fine rims and filled discs, by an independent optimiser."""
+    """Between fine rims and filled discs, by an independent optimizer."""
     frames = []
     for k in (i, j):
         basis = np.linalg.svd(copter.directions[k].numpy()[None])[2][1:]

@@ -362,7 +362,7 @@ def test_imported_designs_are_planned_as_far_as_they_say(tmp_path):
 
 def test_propellers_that_touch_are_a_problem():
     design = load_design("x_quadcopter")
-    # neighbours 0.2 m apart, radii 0.127 m
+    # neighbors 0.2 m apart, radii 0.127 m
     small = design.closest({"frame.half_length": 0.1, "frame.half_width": 0.1})
     found = plan(small, printer=LARGE).problems
     assert len(found) == 4

@@ -12,7 +12,7 @@ from diffsim.copter import (
     RiccatiError,
     _ops_riccati,
     hover,
-    linearise,
+    linearize,
     lqr,
     lqr_stats,
     lyapunov,
@@ -40,7 +40,7 @@ def scipy_lqr(A, B, Q, R):
 
 def of_copter(copter):
     result = hover(copter)
-    model = linearise(copter, result.thrusts, result.attitude)
+    model = linearize(copter, result.thrusts, result.attitude)
     return *model, 10.0 * eye(12), eye(copter.num_rotors)
 
 
@@ -246,7 +246,7 @@ def test_rotors_in_a_line_are_not_stabilizable():
     )
     level = torch.zeros(2, dtype=torch.float64)
     thrusts = torch.full((4,), float(copter.weight) / 4, dtype=torch.float64)
-    A, B = linearise(copter, thrusts, level)
+    A, B = linearize(copter, thrusts, level)
     with pytest.raises(RiccatiError, match=r"not stabilizable") as err:
         lqr(A, B, 10.0 * eye(12), eye(4))
     # sideways motion, roll and roll rate

@@ -80,7 +80,7 @@ def test_mass_given_is_mass_had(kind, mass):
 @pytest.mark.property
 @pytest.mark.parametrize("kind", [k for k in BUILT_IN if make_part(k, OPTIONS.get(k)).parameters])
 def test_patches_stay_on_the_surface_as_parameters_change(kind):
-    """A flat patch's centre lies on the mesh, its normal points away from it."""
+    """A flat patch's center lies on the mesh, its normal points away from it."""
     part = make_part(kind, OPTIONS.get(kind))
     for values in (part.values, 1.3 * part.values):
         mesh = part_mesh(part, values)

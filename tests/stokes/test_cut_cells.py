@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from diffsim import stokes
-from diffsim.stokes import _ops as ops
+from diffsim.stokes import _ops_cut as ops
 from tests.helpers import check_layer
 
 
@@ -130,7 +130,7 @@ def test_contract(dim):
         (phi.clone().requires_grad_(),),
         ops=[
             (ops.cut_cells, (flat.clone().requires_grad_(), *args)),
-            (ops.cut_cells_vjp, (ones, flat, *args)),
+            (ops.cut_cells_vjp, (*ones, flat, *args)),
         ],
     )
 

@@ -10,7 +10,7 @@ from diffsim.optim import Log
 from diffsim.stokes import devices
 from diffsim.stokes.devices.coarse_to_fine import unit_on_fine_grid
 from diffsim.stokes.devices.sampling import Samples, values
-from tests.stokes.test_devices_optimise import Interrupted
+from tests.stokes.test_devices_optimize import Interrupted
 
 F64 = torch.float64
 
@@ -31,7 +31,7 @@ def test_amplifier_by_way_of_a_coarser_grid():
     assert best.loss < 1e-3  # 1e-4 of a random design's mean is the aim of the full search
     stage = best.coarse
     assert stage is not None
-    # all normalised losses are this grid's, in its unit
+    # all normalized losses are this grid's, in its unit
     assert device.value(best.x) == pytest.approx(best.loss * best.unit_loss, rel=1e-9)
     assert float(best.evaluation_losses[0]) == pytest.approx(
         device.value(best.start) / best.unit_loss, rel=1e-9
@@ -101,11 +101,11 @@ def test_kept_losses_of_other_designs_are_not_mixed_up(tmp_path):
     device = devices.make("amplifier", 0.25)
     log = Log(tmp_path / "log.jsonl")
     designs = [device.sample(torch.Generator().manual_seed(k)) for k in range(3)]
-    first = values(device, log, "found", designs[:2], progress=False)
-    again = values(Interrupted(device, 1), log, "found", designs[::2], progress=False)
+    first = values(device, log, "improved", designs[:2], progress=False)
+    again = values(Interrupted(device, 1), log, "improved", designs[::2], progress=False)
     assert float(again[0]) == float(first[0])
     assert float(again[1]) == device.value(designs[2])
-    assert len(Log(tmp_path / "log.jsonl")["found"]) == 3
+    assert len(Log(tmp_path / "log.jsonl")["improved"]) == 3
 
 
 def test_refuses_what_is_not_a_coarser_grid_of_the_same_device():

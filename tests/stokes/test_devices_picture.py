@@ -31,7 +31,7 @@ def optimum_of(device, x):
     )  # fmt: skip
 
 
-def test_colours_are_angles_to_the_wanted_direction():
+def test_colors_are_angles_to_the_wanted_direction():
     device = devices.make("gate", 0.1)
     grid = device.grid
     velocity = torch.zeros(1, *grid.node_shape, 3, dtype=F64)
@@ -39,10 +39,10 @@ def test_colours_are_angles_to_the_wanted_direction():
     velocity[0, -1, :, :, :] = torch.tensor([-1.0, 1.0, 0.0], dtype=F64)
     field = made_up(grid, torch.ones(grid.node_shape, dtype=F64), velocity)
     panel = picture()._slice(field, velocity[0], 0.5, (1.0, 1.0))
-    np.testing.assert_allclose(panel["colour"][1:-1], 45.0)
-    np.testing.assert_allclose(panel["colour"][-1], 90.0)
-    assert np.isnan(panel["colour"][0]).all()
-    speeds = picture()._slice(field, velocity[0], 0.5, None)["colour"]
+    np.testing.assert_allclose(panel["color"][1:-1], 45.0)
+    np.testing.assert_allclose(panel["color"][-1], 90.0)
+    assert np.isnan(panel["color"][0]).all()
+    speeds = picture()._slice(field, velocity[0], 0.5, None)["color"]
     np.testing.assert_allclose(speeds[1:-1], 2.0)
 
 

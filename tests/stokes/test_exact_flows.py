@@ -49,7 +49,7 @@ def test_slip_in_a_disk_converges():
 )
 def test_second_order_in_an_inclined_pipe(wall, limits):
     sizes = (16, 32)
-    found = errors(lambda n: pipe(n, wall), sizes, num_threads=2)
+    found = errors(lambda n: pipe(n, wall), sizes, solver=stokes.SolverOptions(num_threads=2))
     assert all(e < limit for e, limit in zip(found, limits, strict=True)), found
     assert order(sizes, found) > 1.7
 
@@ -116,9 +116,13 @@ def test_pressure_falls_along_a_channel():
 @pytest.mark.order
 def test_second_order_on_fine_grids():
     for make, limit in ((channel, 1e-4), (couette, 3.5e-4)):
-        found = errors(make, (64, 128), incompressible=True, num_threads=2)
+        found = errors(
+            make, (64, 128), incompressible=True, solver=stokes.SolverOptions(num_threads=2)
+        )
         assert found[1] < limit
         assert order((64, 128), found) > 1.8
-    found = errors(lambda n: pipe(n, "no_slip"), (16, 32, 64), num_threads=2)
+    found = errors(
+        lambda n: pipe(n, "no_slip"), (16, 32, 64), solver=stokes.SolverOptions(num_threads=2)
+    )
     assert found[-1] < 4e-4
     assert order((16, 32, 64), found) > 1.8

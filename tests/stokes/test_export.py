@@ -194,7 +194,7 @@ def test_flat_channel_with_floor_is_one_part(tmp_path):
     path = write_stl(tmp_path / "sub" / "channel.stl", mesh)
     again = trimesh.load_mesh(path)
     assert again.is_watertight
-    np.testing.assert_allclose(again.extents, [2.0, 1.0, 0.3], rtol=1e-6)  # millimetres
+    np.testing.assert_allclose(again.extents, [2.0, 1.0, 0.3], rtol=1e-6)  # millimeters
     assert again.volume == pytest.approx(mesh.volume * 1e9, rel=1e-5)  # single precision
 
 

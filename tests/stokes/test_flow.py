@@ -35,7 +35,7 @@ def test_mass_is_conserved(wall):
     field = flow(phi, tensor(1.0, 0.0))
     report = field.mass_report()
     assert float(report["divergence"]) < 1e-7
-    assert abs(float(report["imbalance"])) < 5e-3  # faces of neighbours differ to second order
+    assert abs(float(report["imbalance"])) < 5e-3  # faces of neighbors differ to second order
     through = torch.stack([field.flux(0, i)[0] for i in range(2, 48, 6)])
     torch.testing.assert_close(through, through[:1].expand_as(through), rtol=5e-3, atol=0)
 
@@ -55,7 +55,7 @@ def test_factor_in_the_memory_of_another_geometry(threads):
     faces = [stokes.Inlet("x-"), stokes.Open("x+")]
     radius = (grid.nodes[..., 1:] - 0.5).norm(dim=-1)
     shapes = [0.47 - radius, 0.23 - radius, 0.6 - radius]
-    kept = stokes.StokesFlow(grid, faces, num_threads=threads)
+    kept = stokes.StokesFlow(grid, faces, solver=stokes.SolverOptions(num_threads=threads))
     for phi in shapes:
         fresh = stokes.StokesFlow(grid, faces)
         inlet = tensor(1.0, 0.0, 0.0)
@@ -66,7 +66,9 @@ def test_factor_in_the_memory_of_another_geometry(threads):
 def test_results_do_not_depend_on_threads():
     found = []
     for threads in (1, 3):
-        flow, phi = ring_channel(num_threads=threads, incompressible=True)
+        flow, phi = ring_channel(
+            solver=stokes.SolverOptions(num_threads=threads), incompressible=True
+        )
         phi.requires_grad_()
         field = flow(phi, tensor(1.0, 0.0))
         loss = field.velocity.square().sum() + field.pressure.square().mean()
@@ -98,7 +100,7 @@ def test_random_shapes_stay_positive_definite():
 @pytest.mark.property
 @pytest.mark.parametrize("gap", [0.0, 1e-6, 1e-3, 0.02])
 def test_a_ball_that_touches_the_box_leaves_a_film(gap):
-    # a film between wall and box has no neighbour for the ghost penalty
+    # a film between wall and box has no neighbor for the ghost penalty
     grid = stokes.Grid((10, 10, 4), 0.1)
     phi = (grid.nodes - tensor(0.5, 0.3 + gap, 0.2)).norm(dim=-1) - 0.3
     flow = stokes.StokesFlow(grid, [stokes.Inlet("x-"), stokes.Open("x+")])
@@ -109,7 +111,7 @@ def test_a_ball_that_touches_the_box_leaves_a_film(gap):
 @pytest.mark.property
 @pytest.mark.parametrize("wall", ["no_slip", "no_separation"])
 def test_waves_as_short_as_a_few_cells_stay_positive_definite(wall):
-    """Seed 36 has a triangle of fluid in one cell whose neighbours' planes leave them empty:
+    """Seed 36 has a triangle of fluid in one cell whose neighbors' planes leave them empty:
     without a penalty of its own the matrix was indefinite (pivots -3e-3 and -9e-3)."""
     grid = stokes.Grid((12, 11), 0.1)
     x, y = grid.nodes.unbind(-1)
@@ -157,7 +159,7 @@ def closed_blob(n: int, incompressible: bool, force: torch.Tensor) -> stokes.Flo
 @pytest.mark.reference
 @pytest.mark.parametrize("incompressible", [False, True])
 def test_a_loose_region_under_a_force_has_a_flow(incompressible):
-    """A constant force makes pressure alone; f = r around the centre the flow r (R^2 - r^2) / 8."""
+    """A constant force makes pressure alone; f = r around the center the flow r (R^2 - r^2) / 8."""
     found = []
     for n in (16, 32, 64):
         field = closed_blob(n, incompressible, tensor(1.0, 2.0))
@@ -325,8 +327,10 @@ class TestRefusals:
     def test_options(self):
         with pytest.raises(ValueError, match="wall must be one of"):
             self.flow(wall="free")
-        with pytest.raises(ValueError, match=r"formulation must be one of.*did you mean"):
-            self.flow(formulation="nitche")
+        with pytest.raises(ValueError, match=r"method must be one of.*did you mean"):
+            stokes.SolverOptions(method="iterativ")
+        with pytest.raises(ValueError, match="num_threads must be an integer >= 1"):
+            stokes.SolverOptions(num_threads=0)
         with pytest.raises(ValueError, match="viscosity must lie in"):
             self.flow(viscosity=0.0)
         with pytest.raises(ValueError, match="either spacing or size"):

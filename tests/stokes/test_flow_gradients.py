@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from diffsim import stokes
-from diffsim.stokes import _ops as ops
+from diffsim.stokes import _ops_cut, _ops_flow
 from tests.helpers import check_layer
 from tests.stokes.cases import small_flow, small_inputs, tensor
 
@@ -31,7 +31,9 @@ def outputs(flow, inputs):
 @pytest.mark.parametrize("incompressible", [False, True])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_directional_derivatives(dim, wall, incompressible):
-    flow = small_flow(dim, wall=wall, incompressible=incompressible, tolerance=1e-11)
+    flow = small_flow(
+        dim, wall=wall, incompressible=incompressible, solver=stokes.SolverOptions(tolerance=1e-11)
+    )
     inputs = small_inputs(flow)
     generator = torch.Generator().manual_seed(1)
     out = outputs(flow, inputs)
@@ -66,22 +68,23 @@ def test_contract(dim):
 
     prescribed = torch.zeros(2, flow.grid.num_nodes, dim, dtype=torch.float64)
     prescribed[:, flow.boundary.inlets["x-"]] = inlet.detach()
-    empty = [torch.zeros(0, dtype=torch.float64) for _ in range(3)]
     flat = phi.detach().reshape(-1)
-    eta = tensor(1.0)
+    empty = dict.fromkeys(_ops_flow.LOADS, torch.zeros(0, dtype=torch.float64))
+    given = _ops_flow.FlowInputs(flat, tensor(1.0), prescribed, **empty)
     args = (flow.handle, 1, "raise")
-    velocity, pressure, fraction, _ = ops.stokes_flow(flat, eta, prescribed, empty, *args)
+    velocity, pressure, fraction, _ = _ops_flow.stokes_flow(*given, *args)
     vjp_args = (torch.ones_like(velocity), torch.ones_like(pressure), torch.ones_like(fraction),
-                velocity, pressure, flat, eta, prescribed, empty, *args)  # fmt: skip
+                velocity, pressure, *given, *args)  # fmt: skip
+    moving = given._replace(phi=flat.clone().requires_grad_())
     flux_args = (list(flow.grid.shape), list(flow.grid.spacing), 0, 2)
     check_layer(
         layer,
         (phi, inlet),
         ops=[
-            (ops.stokes_flow, (flat.clone().requires_grad_(), eta, prescribed, empty, *args)),
-            (ops.stokes_flow_vjp, vjp_args),
-            (ops.plane_flux, (flat.clone().requires_grad_(), velocity, *flux_args)),
-            (ops.plane_flux_vjp, (torch.ones(2, dtype=torch.float64), flat, velocity, *flux_args)),
+            (_ops_flow.stokes_flow, (*moving, *args)),
+            (_ops_flow.stokes_flow_vjp, vjp_args),
+            (_ops_cut.plane_flux, (flat.clone().requires_grad_(), velocity, *flux_args)),
+            (_ops_cut.plane_flux_vjp, (tensor(1.0, 1.0), flat, velocity, *flux_args)),
         ],
         rtol=1e-5,
         atol=1e-4,  # pressures of about 1e3, of which differences are taken
@@ -144,9 +147,9 @@ def test_path_through_corners(dim, wall):
 
 @pytest.mark.grad
 @pytest.mark.parametrize("dim", [2, 3])
-def test_a_wall_parallel_to_the_grid_jumps_by_less_than_the_discretisation_error(dim):
+def test_a_wall_parallel_to_the_grid_jumps_by_less_than_the_discretization_error(dim):
     # Between layers of nodes the gradient is exact; where the wall passes a layer the flow changes
-    # by 0.1 %, the difference of two discretisations of the same wall (8 cells: error about 1 %).
+    # by 0.1 %, the difference of two discretizations of the same wall (8 cells: error about 1 %).
     loss = plane_loss(dim, "no_slip", tensor(0.0, 1.0, 0.0)[:dim])
     below, gradient_below = slope(loss, 0.25 - 1e-9)
     there, gradient_there = slope(loss, 0.25)

@@ -37,11 +37,11 @@ def test_speed_map_shows_speed_lines_and_wall(tmp_path):
         flow.save(figure, tmp_path / "a.jpg")
 
 
-def test_panels_share_a_colour_scale():
-    figure = flow.compare([("initial", channel(2)), ("optimised", channel(2))], case=1)
+def test_panels_share_a_color_scale():
+    figure = flow.compare([("initial", channel(2)), ("optimized", channel(2))], case=1)
     first, second, _ = figure.axes
     assert first.images[0].get_clim() == second.images[0].get_clim()
-    assert [ax.get_title(loc="left") for ax in (first, second)] == ["initial", "optimised"]
+    assert [ax.get_title(loc="left") for ax in (first, second)] == ["initial", "optimized"]
 
 
 def test_slices_and_view_of_three_dimensions(tmp_path):
@@ -51,7 +51,7 @@ def test_slices_and_view_of_three_dimensions(tmp_path):
     assert titles == ["z = 0.5 m", "y = 0.5 m", "x = 1 m"]
     assert [len(ax.collections) for ax in figure.axes[:3]].count(2) == 1  # no flow within x = 1
     flow.save(figure, tmp_path / "slices.png", dpi=50)
-    figure = flow.view([("initial", field), ("optimised", field)], lines=6)
+    figure = flow.view([("initial", field), ("optimized", field)], lines=6)
     flow.save(figure, tmp_path / "view.png", dpi=50)
     flow.save(flow.compare([("tube", field)], plane=("x", 1.0)), tmp_path / "plane.svg")
 

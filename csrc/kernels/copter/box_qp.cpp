@@ -13,7 +13,7 @@ std::vector<int> free_indices(const std::vector<BoundState>& state) {
   return index;
 }
 
-/// Minimiser over the free unknowns, the others as they are.
+/// Minimizer over the free unknowns, the others as they are.
 Eigen::VectorXd free_minimizer(const Eigen::MatrixXd& G, const Eigen::VectorXd& q,
                                const Eigen::VectorXd& u, const std::vector<int>& free) {
   Eigen::VectorXd fixed = u;

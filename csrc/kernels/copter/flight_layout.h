@@ -37,7 +37,7 @@ inline constexpr std::array<FlightField, 25> kFlightFields{{
     {"inverse_mass", &FlightLayout::inverse_mass, 1, 0, 0},        // [1/kg]
     {"inertia", &FlightLayout::inertia, 9, 0, 0},                  // [kg m^2], by rows
     {"inertia_inverse", &FlightLayout::inertia_inverse, 9, 0, 0},  // [1/(kg m^2)], by rows
-    {"arms", &FlightLayout::arms, 0, 3, 0},                        // hubs from the centre [m]
+    {"arms", &FlightLayout::arms, 0, 3, 0},                        // hubs from the center [m]
     {"axes", &FlightLayout::axes, 0, 3, 0},                        // d_i
     {"reactions", &FlightLayout::reactions, 0, 3, 0},              // b_i lambda_i d_i [m]
     {"max_thrusts", &FlightLayout::max_thrusts, 0, 1, 0},          // [N]

@@ -145,7 +145,7 @@ class Flight {
     }
     for (int i = 0; i < n_; ++i) grad_s[2][i] = grad_x[kBody + i];
     stages(start, s0, s1, s2);
-    normalise_vjp(start, grad_x + kQuaternion);
+    normalize_vjp(start, grad_x + kQuaternion);
 
     const double weight[4] = {on_.dt / 6.0, on_.dt / 3.0, on_.dt / 3.0, on_.dt / 6.0};
     const V* stage_thrust[4] = {s0, s1, s1, s2};
@@ -193,7 +193,7 @@ class Flight {
   }
 
   /// Through q / |q| at the end of a step, q from the stages.
-  void normalise_vjp(const V* start, V* grad_q) const {
+  void normalize_vjp(const V* start, V* grad_q) const {
     V q[4];
     for (int k = 0; k < 4; ++k) {
       const int j = kQuaternion + k;

@@ -17,7 +17,7 @@ struct CareReport {
   double abscissa = 0.0;  ///< largest real part of an eigenvalue of A - G P [1/s]
 };
 
-/// The stabilising P of A'P + P A - P G P + Q = 0, G = B R^-1 B': structured doubling (Chu, Fan,
+/// The stabilizing P of A'P + P A - P G P + Q = 0, G = B R^-1 B': structured doubling (Chu, Fan,
 /// Lin 2005), which needs no eigenvectors and so bears the integrator chains of a hover, and
 /// Newton-Kleinman steps while they lessen the residual.
 /// @param[in]  A (n, n) [1/s];  G, Q (n, n) symmetric positive semidefinite

@@ -2,7 +2,7 @@
 //
 // phi > 0 in the fluid. The plane is phi(xi) = c + sum_a g_a (xi_a - 1/2), xi in [0, 1]^D, the
 // least squares fit to the 2^D corner values: c is their mean, g_a the mean difference along axis
-// a. On a face the mean of phi is that of its corners, whatever the cell, so that neighbouring
+// a. On a face the mean of phi is that of its corners, whatever the cell, so that neighboring
 // planes agree at the middle of their common face.
 #pragma once
 

@@ -13,7 +13,7 @@
 
 namespace diffsim {
 
-/// Which of a node's neighbours, at offsets -2..2 per axis, it couples with.
+/// Which of a node's neighbors, at offsets -2..2 per axis, it couples with.
 struct NodeStencil {
   std::uint64_t bits[2] = {0, 0};
 

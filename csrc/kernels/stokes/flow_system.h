@@ -1,4 +1,4 @@
-// Stokes flow in one geometry: a factorised matrix, the solve and its adjoint.
+// Stokes flow in one geometry: a factorized matrix, the solve and its adjoint.
 //
 //   e(v, z) - p C(z, 0) = traction(z)  for all z,   C(v, g) = -p M / (bulk eta)
 // with one pressure p per cell (cell_form.h). Eliminating p gives the symmetric positive definite

@@ -161,7 +161,7 @@ void cube(const T& offset, const T& slope_s, const T& slope_t, T* volume, T* del
 
 }  // namespace half_space
 
-/// @param c      phi at the cube's centre
+/// @param c      phi at the cube's center
 /// @param g      (D,) slopes of phi, not all zero
 /// @param volume (3^D,) overwritten; the last axis runs fastest
 /// @param delta  (3^D,) overwritten

@@ -1,9 +1,11 @@
-"""Co-optimisation of multicopters: shape, rotor directions, spins and hover (thesis 3.4)."""
+"""Co-optimization of multicopters: shape, rotor directions, spins and hover (thesis 3.4)."""
 
-from diffsim.copter.codesign.alternating import AlternatingOptions
 from diffsim.copter.codesign.api import codesign
+from diffsim.copter.codesign.cases import Demands
 from diffsim.copter.codesign.errors import CoDesignError
+from diffsim.copter.codesign.limits import Limits
 from diffsim.copter.codesign.metrics import METRICS, CurrentModel
+from diffsim.copter.codesign.options import AlternatingOptions, SearchOptions
 from diffsim.copter.codesign.pareto import pareto_front
 from diffsim.copter.codesign.result import CoDesignResult, StartRecord
 from diffsim.copter.codesign.space import DesignSpace
@@ -14,7 +16,10 @@ __all__ = [
     "CoDesignError",
     "CoDesignResult",
     "CurrentModel",
+    "Demands",
     "DesignSpace",
+    "Limits",
+    "SearchOptions",
     "StartRecord",
     "codesign",
     "pareto_front",

@@ -15,50 +15,15 @@ from numpy.typing import NDArray
 
 from diffsim.copter.codesign.errors import CoDesignError
 from diffsim.copter.codesign.hover import LEVEL
+from diffsim.copter.codesign.options import AlternatingOptions
 from diffsim.copter.codesign.program import Program
 from diffsim.copter.codesign.result import StartRecord
 from diffsim.copter.codesign.solve import LocalSolution
 from diffsim.copter.codesign.spin_condition import condition_number, most_controllable
 from diffsim.copter.codesign.steps import direction_step, shape_step, soft_energy, thrust_step
 from diffsim.copter.codesign.task import Point, Task
-from diffsim.copter.codesign.wrench import Rotors
-from diffsim.core.check import require_choice, require_number
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class AlternatingOptions:
-    """Of Alg. 1.
-
-    Attributes:
-        eta: Weight of the squared imbalance of force.
-        mu: Weight of the squared imbalance of torque.
-        units: Of the imbalances: ``SI`` (N and N m, as published) or ``relative`` (over m g and
-            over m g L, L the mean arm).
-        tolerance: Stop where a round improves the energy by less.
-        max_rounds: Stop anyway.
-    """
-
-    eta: float = 0.3
-    mu: float = 0.7
-    units: str = "SI"
-    tolerance: float = 1e-6
-    max_rounds: int = 200
-
-    def __post_init__(self) -> None:
-        for name in ("eta", "mu", "tolerance"):
-            require_number(name, float(getattr(self, name)), above=0.0)
-        require_choice("units", self.units, ("SI", "relative"))
-        require_number("max_rounds", self.max_rounds, at_least=1)
-
-    def relative(self, rotors: Rotors) -> AlternatingOptions:
-        """The same weights in relative units."""
-        if self.units == "relative":
-            return self
-        unit = rotors.weight * rotors.length
-        eta, mu = self.eta * rotors.weight**2, self.mu * unit**2
-        return replace(self, eta=eta, mu=mu, units="relative")
 
 
 @dataclass(frozen=True)
@@ -133,20 +98,20 @@ def alternating(
     records: list[StartRecord] = []
     best: tuple[float, Alternation] | None = None
     for start in starts:
-        found = alternate(task, replace(start, spins=chosen, gamma=LEVEL), options)
-        value, violation, *_ = judge(task, found)
+        end = alternate(task, replace(start, spins=chosen, gamma=LEVEL), options)
+        value, violation, *_ = judge(task, end)
         records.append(
             StartRecord(
                 spins=tuple(chosen.tolist()),
                 value=value,
                 violation=violation,
-                status=found.status,
-                num_iters=len(found.energies) - 1,
-                seconds=found.seconds[-1],
+                status=end.status,
+                num_iters=len(end.energies) - 1,
+                seconds=end.seconds[-1],
             )
         )
         if best is None or value < best[0]:
-            best = value, found
+            best = value, end
     assert best is not None
     if not np.isfinite(best[0]):
         raise CoDesignError(
@@ -157,14 +122,14 @@ def alternating(
     return best[1].point, best[1], records
 
 
-def judge(task: Task, found: Alternation) -> tuple[float, float, LocalSolution, Program]:
+def judge(task: Task, alternation: Alternation) -> tuple[float, float, LocalSolution, Program]:
     """Hard-hover objective (infinite: none) of an end with its shape and directions fixed.
 
-    Thrusts and attitude are optimised; where a tilted attitude cannot be had, level flight.
+    Thrusts and attitude are optimized; where a tilted attitude cannot be had, level flight.
 
     Returns:
         Objective, violation of the constraints, solution and program.
     """
-    tried = [task.solve(found.point, free=free) for free in (("attitude",), ())]
+    tried = [task.solve(alternation.point, free=free) for free in (("attitude",), ())]
     ends = [(s.value if s.violation < 1e-7 else np.inf, s.violation, s, p) for s, p in tried]
     return min(ends, key=lambda end: (end[0], end[1]))

@@ -1,29 +1,30 @@
-"""Co-optimisation of a multicopter's shape, rotor directions, spins and hover thrusts."""
+"""Co-optimization of a multicopter's shape, rotor directions, spins and hover thrusts."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim.copter.codesign.alternating import AlternatingOptions, alternating, judge
+from diffsim.copter.codesign.alternating import alternating, judge
 from diffsim.copter.codesign.bound import lower_bound
 from diffsim.copter.codesign.cases import Demands
 from diffsim.copter.codesign.joint import joint, random_point, refine
 from diffsim.copter.codesign.limits import Limits
 from diffsim.copter.codesign.metrics import ALTERNATING, CurrentModel, parse_objective
+from diffsim.copter.codesign.options import AlternatingOptions, SearchOptions
 from diffsim.copter.codesign.program import Program
 from diffsim.copter.codesign.report import design_metrics, largest_weight
 from diffsim.copter.codesign.result import CoDesignResult, StartRecord, attitude_of
 from diffsim.copter.codesign.space import DesignSpace
 from diffsim.copter.codesign.task import Point, Task, hover_residual
-from diffsim.core.check import require_choice, require_number
+from diffsim.core.check import require_choice
 
-_FREE = ("shape", "directions", "attitude")
 _HOVERS = 1e-8
 
 
@@ -34,22 +35,12 @@ def codesign(
     *,
     currents: CurrentModel | None = None,
     spins: str | Sequence[float] | Tensor = "search",
-    free: Sequence[str] = _FREE,
-    authority: Sequence[float] | None = None,
-    load: float = 0.0,
-    clearance: float | None = None,
-    max_tilt: float = np.pi / 6,
-    max_attitude: float = np.pi / 12,
-    extent: float = 2.0,
-    response_angle: float = 0.5,
-    num_starts: int = 8,
-    num_spins: int = 4,
-    seed: int = 0,
-    max_iters: int = 300,
-    solver: str | None = None,
+    demands: Demands | None = None,
+    limits: Limits | None = None,
+    search: SearchOptions | None = None,
     options: AlternatingOptions | None = None,
 ) -> CoDesignResult:
-    """Optimise a design for a metric, or a non-negative mix, subject to hover (thesis 3.4).
+    """Optimize a design for a metric, or a non-negative mix, subject to hover (thesis 3.4).
 
     ``joint`` solves one smooth program over all unknowns with hard hover, from many starts.
     ``alternating`` is the thesis's Alg. 1: soft hover (eq. 3.9), spins by the condition of the
@@ -61,97 +52,117 @@ def codesign(
         method: ``joint`` or ``alternating``.
         currents: Current against thrust of every rotor, for metrics of current.
         spins: ``search`` (all assignments), ``given`` (the design's), or (n_rotors,) of +1 and -1.
-        free: Which of shape, directions, attitude may change.
-        authority: Torques about x, y, z that must be left, in any combination of signs, at the
-            largest weight; only with joint (3,) [N m].
-        load: Extra mass that the metrics authority and response are to carry [kg].
-        clearance: Least distance of propeller discs seen from above [m]; None: not asked.
-        max_tilt: Largest angle of a rotor from up [rad].
-        max_attitude: Largest roll or pitch in hover [rad].
-        extent: Largest change of a shape parameter, in mean arm lengths.
-        response_angle: Turned by in the response metric [rad].
-        num_starts: Local solves, or starts of the alternation.
-        num_spins: Best spin assignments that share the starts (joint).
-        seed: Of the random starts; the first ones are the design itself.
-        max_iters: Of each local solve.
-        solver: ``uno``, ``uno-ipm``, ``slsqp`` or ``trust-constr``; None: uno if installed.
-        options: Of the alternation.
+        demands: Torques, loads and turns that the design must manage; none by default.
+        limits: Bounds of shape, tilt, attitude and clearance, and what may change; ``Limits()`` by
+            default.
+        search: Number of starts, seed and solver; ``SearchOptions()`` by default.
+        options: Weights and stopping rule of the alternation; ``AlternatingOptions()`` by default.
 
     Returns:
-        The best design found, with a bound on how much better any could be.
+        The best design, with a bound on how much better any could be.
 
     Raises:
         ValueError, TypeError: bad arguments; unknown names with the closest ones.
         CoDesignError: the design space is empty, or nothing in it hovers.
+
+    Example:
+        >>> best = codesign(load_design("pentacopter"), "payload", limits=Limits(clearance=0.01))
     """
     began = time.perf_counter()
     require_choice("method", method, ("joint", "alternating"))
-    for name in free:
-        require_choice("free", name, _FREE)
-    require_number("max_tilt", float(max_tilt), above=0.0, below=np.pi / 2)
-    require_number("max_attitude", float(max_attitude), above=0.0, below=np.pi / 2)
-    require_number("extent", float(extent), above=0.0, below=1e6)
-    require_number("load", float(load), at_least=0.0)
-    require_number("response_angle", float(response_angle), above=0.0, below=np.pi)
-    require_number("num_starts", num_starts, at_least=1)
-    require_number("num_spins", num_spins, at_least=1)
-    if clearance is not None:
-        require_number("clearance", float(clearance), at_least=0.0)
-    limits = Limits(max_tilt, max_attitude, clearance, tuple(free), extent)
-    demands = Demands(_torques(authority), load, response_angle=response_angle)
+    demands = Demands() if demands is None else demands
+    limits = Limits() if limits is None else limits
+    search = SearchOptions() if search is None else search
     task = Task.of(design, objective, demands, limits, currents)
     chosen = _spins(spins, task)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(search.seed)
     if method == "alternating":
         parse_objective(task.weights, known=ALTERNATING)
-        if authority is not None or clearance is not None:
+        if demands.authority is not None or limits.clearance is not None:
             raise ValueError("method 'alternating' knows no authority or clearance; use 'joint'")
-        return _alternating(task, chosen, options or AlternatingOptions(), num_starts, rng, began)
-    task, point, found, program, records, warnings = joint(
-        task,
-        chosen,
-        num_starts=num_starts,
-        num_spins=num_spins,
-        rng=rng,
-        solver=solver,
-        max_iters=max_iters,
-    )
-    task, point, found, program = refine(task, point, found, program, solver=solver)
-    best = next(r for r in sorted(records, key=lambda r: r.value))
-    return assemble(
-        task,
-        point,
-        program,
-        found.x,
-        method="joint",
-        history=found.history,
-        seconds_history=found.seconds,
-        status=f"best of {len(records)} starts, {best.status}",
-        began=began,
-        records=records,
-        warnings=warnings,
+        options = AlternatingOptions() if options is None else options
+        solved = _by_alternation(task, chosen, options, search.num_starts, rng)
+    else:
+        solved = _by_joint_program(task, chosen, search, rng)
+    return _result(solved, method, began)
+
+
+class _Solved(NamedTuple):
+    """A solved program and how it came about.
+
+    Attributes:
+        task: The task that was solved.
+        point: The candidate.
+        program: The program with hard hover.
+        x: Unknowns of the program at the optimum.
+        history: Objective or energy over the iterations.
+        seconds_history: Wall time of each [s].
+        status: Why the search stopped.
+        records: One per start.
+        warnings: What its user must know.
+    """
+
+    task: Task
+    point: Point
+    program: Program
+    x: NDArray[np.float64]
+    history: list[float]
+    seconds_history: list[float]
+    status: str
+    records: list[StartRecord]
+    warnings: list[str]
+
+
+def _by_joint_program(
+    task: Task, spins: NDArray[np.float64] | None, search: SearchOptions, rng: np.random.Generator
+) -> _Solved:
+    best = refine(joint(task, spins, search, rng), search.solver)
+    first = min(best.records, key=lambda r: r.value)
+    return _Solved(
+        best.task,
+        best.point,
+        best.program,
+        best.solution.x,
+        history=best.solution.history,
+        seconds_history=best.solution.seconds,
+        status=f"best of {len(best.records)} starts, {first.status}",
+        records=best.records,
+        warnings=best.warnings,
     )
 
 
-def assemble(
+def _by_alternation(
     task: Task,
-    point: Point,
-    program: Program,
-    x: NDArray[np.float64],
-    *,
-    method: str,
-    history: list[float],
-    seconds_history: list[float],
-    status: str,
-    began: float,
-    records: list[StartRecord],
-    warnings: list[str],
-) -> CoDesignResult:
+    spins: NDArray[np.float64] | None,
+    options: AlternatingOptions,
+    num_starts: int,
+    rng: np.random.Generator,
+) -> _Solved:
+    starts = [task.start] + [random_point(task, task.start, rng) for _ in range(num_starts - 1)]
+    point, best, records = alternating(task, spins, options, starts)
+    _, _, solution, program = judge(task, best)
+    s, d, gamma, _, _ = program.split(solution.x)
+    return _Solved(
+        task,
+        Point(s, d, point.spins, gamma),
+        program,
+        solution.x,
+        history=best.energies,
+        seconds_history=best.seconds,
+        status=f"best of {len(records)} starts, {best.status}, {len(best.energies) - 1} rounds",
+        records=records,
+        warnings=[],
+    )
+
+
+def _result(solved: _Solved, method: str, began: float) -> CoDesignResult:
     """The result of a solved program, with what is measured on the whole model."""
+    task, point, program, x = solved.task, solved.point, solved.program, solved.x
     thrusts = torch.tensor(program.hover_thrusts(x))
     vehicle = task.vehicle(point)
     residual = hover_residual(vehicle, thrusts, point.gamma)
     value = program.metric(x)[0]
+    warnings = list(solved.warnings)
     return CoDesignResult(
         s=torch.tensor(point.s),
         directions=torch.tensor(point.d),
@@ -163,42 +174,15 @@ def assemble(
         metrics=design_metrics(task, program, x),
         max_weight=largest_weight(task, point),
         bound=_bound(task, warnings),
-        history=history,
-        seconds_history=seconds_history,
+        history=solved.history,
+        seconds_history=solved.seconds_history,
         hover_residual=residual,
         feasible=residual <= _HOVERS,
-        status=status,
+        status=solved.status,
         method=method,
         seconds=time.perf_counter() - began,
-        starts=records,
+        starts=solved.records,
         warnings=warnings,
-    )
-
-
-def _alternating(
-    task: Task,
-    spins,
-    options: AlternatingOptions,
-    num_starts: int,
-    rng: np.random.Generator,
-    began: float,
-) -> CoDesignResult:
-    starts = [task.start] + [random_point(task, task.start, rng) for _ in range(num_starts - 1)]
-    point, found, records = alternating(task, spins, options, starts)
-    _, _, solution, program = judge(task, found)
-    s, d, gamma, _, _ = program.split(solution.x)
-    return assemble(
-        task,
-        Point(s, d, point.spins, gamma),
-        program,
-        solution.x,
-        method="alternating",
-        history=found.energies,
-        seconds_history=found.seconds,
-        status=f"best of {len(records)} starts, {found.status}, {len(found.energies) - 1} rounds",
-        began=began,
-        records=records,
-        warnings=[],
     )
 
 
@@ -211,18 +195,7 @@ def _bound(task: Task, warnings: list[str]) -> float:
         return -np.inf
 
 
-def _torques(authority: Sequence[float] | None) -> tuple[float, float, float] | None:
-    if authority is None:
-        return None
-    values = tuple(float(t) for t in authority)
-    if len(values) != 3:
-        raise ValueError(f"authority must be torques about x, y, z [N m], got {len(values)} values")
-    for t in values:
-        require_number("authority", t, at_least=0.0)
-    return values[0], values[1], values[2]
-
-
-def _spins(spins: str | Sequence[float] | Tensor, task: Task):
+def _spins(spins: str | Sequence[float] | Tensor, task: Task) -> NDArray[np.float64] | None:
     if isinstance(spins, str):
         require_choice("spins", spins, ("search", "given"))
         return None if spins == "search" else task.model.vehicle.spins.numpy()

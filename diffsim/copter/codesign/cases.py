@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from diffsim.copter.codesign.wrench import Case, Rotors
 from diffsim.copter.vehicle import GRAVITY
+from diffsim.core.check import require_number
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Demands:
     """What is asked of a design besides its metrics.
 
@@ -31,6 +32,19 @@ class Demands:
     load: float = 0.0
     authority_box: tuple[float, float, float] = (1.0, 1.0, 0.1)
     response_angle: float = 0.5
+
+    def __post_init__(self) -> None:
+        if self.authority is not None:
+            if len(self.authority) != 3:
+                raise ValueError(
+                    "authority must be torques about x, y, z [N m], got "
+                    f"{len(self.authority)} values"
+                )
+            for torque in self.authority:
+                require_number("authority", float(torque), at_least=0.0)
+            object.__setattr__(self, "authority", tuple(float(t) for t in self.authority))
+        require_number("load", float(self.load), at_least=0.0)
+        require_number("response_angle", float(self.response_angle), above=0.0, below=np.pi)
 
 
 def flight_cases(

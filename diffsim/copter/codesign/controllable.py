@@ -67,7 +67,7 @@ def move_to_controllable(task: Task, point: Point, rng: np.random.Generator) -> 
     model, spins = task.model, np.array([(-1.0) ** i for i in range(task.model.num_rotors)])
     s = random_feasible(model.A, model.b, point.s, 0.3 * model.length, rng)
     origin = (s - model.start) / model.length
-    found = minimize(
+    solution = minimize(
         lambda step: barrier(task, point, spins, step, origin),
         origin,
         jac=True,
@@ -77,5 +77,5 @@ def move_to_controllable(task: Task, point: Point, rng: np.random.Generator) -> 
         else [],
         options={"maxiter": 200},
     )
-    moved = replace(point, s=model.start + model.length * found.x)
+    moved = replace(point, s=model.start + model.length * solution.x)
     return moved, control_margin(task, moved, spins)

@@ -9,7 +9,8 @@ class CoDesignError(DiffsimError):
     """No design, or none that hovers, lies in the space searched.
 
     Attributes:
-        residual: How far the best one is away, in the unit that the message names.
+        residual: Distance of the best candidate from feasibility, in the unit that the message
+            names.
     """
 
     def __init__(self, message: str, *, residual: float):

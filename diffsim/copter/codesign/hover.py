@@ -29,8 +29,8 @@ def effect(
 
 def reach(lift: Array, torque: Array) -> float:
     """Largest weight that a level body lifts without torque, over m0 g; 0 if none (an LP)."""
-    found = linprog(-lift, A_eq=torque, b_eq=np.zeros(3), bounds=(0.0, 1.0))
-    return float(-found.fun) if found.status == 0 else 0.0
+    solution = linprog(-lift, A_eq=torque, b_eq=np.zeros(3), bounds=(0.0, 1.0))
+    return float(-solution.fun) if solution.status == 0 else 0.0
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from diffsim.copter.codesign.controllable import CONTROLLABLE, control_margin, move_to_controllable
 from diffsim.copter.codesign.errors import CoDesignError
 from diffsim.copter.codesign.hover import LEVEL, rank_spins
+from diffsim.copter.codesign.options import SearchOptions
 from diffsim.copter.codesign.polytope import random_feasible
 from diffsim.copter.codesign.program import Program
 from diffsim.copter.codesign.result import StartRecord
@@ -26,85 +28,97 @@ _START_TILT = 0.2  # [rad], of random starts
 _START_STEP = 0.3  # of the mean arm, change of shape parameters of random starts
 
 
-def joint(
-    task: Task,
-    spins: Array | None,
-    *,
-    num_starts: int,
-    num_spins: int,
-    rng: np.random.Generator,
-    solver: str | None,
-    max_iters: int,
-) -> tuple[Task, Point, LocalSolution, Program, list[StartRecord], list[str]]:
-    """The best of ``num_starts`` local solves.
+class Joint(NamedTuple):
+    """The best of several local solves.
 
-    Returns:
-        The task as solved, best point, its solution and program, a record of every start, warnings.
+    Attributes:
+        task: The task that was solved; its start is moved where the given one cannot be controlled.
+        point: The best candidate.
+        solution: Local solution at the best candidate.
+        program: The program that was solved.
+        records: One per start.
+        warnings: What its user must know.
+    """
+
+    task: Task
+    point: Point
+    solution: LocalSolution
+    program: Program
+    records: list[StartRecord]
+    warnings: list[str]
+
+
+def joint(
+    task: Task, spins: Array | None, options: SearchOptions, rng: np.random.Generator
+) -> Joint:
+    """The best of ``options.num_starts`` local solves.
 
     Raises:
         CoDesignError: no start came to hover; the message has the best residual.
     """
     warnings: list[str] = []
-    task, candidates = spin_candidates(task, spins, num_spins, rng, warnings)
+    task, candidates = spin_candidates(task, spins, options.num_spins, rng, warnings)
     origin = task.start
     records: list[StartRecord] = []
     best: tuple[LocalSolution, Program, Array] | None = None
     least = np.inf
-    for k in range(num_starts):
+    for k in range(options.num_starts):
         chosen = candidates[k % len(candidates)]
         point = origin if k < len(candidates) else random_point(task, origin, rng)
         began = time.perf_counter()
         point = replace(point, spins=chosen)
-        found, program = task.solve(point, solver=solver, max_iters=max_iters)
-        if found.violation > FEASIBLE and solver is None:  # SQP may stop at a stationary violation
-            found, program = task.solve(point, solver=second_solver(), max_iters=max_iters)
-        feasible = found.violation <= FEASIBLE and np.isfinite(found.value)
-        least = min(least, found.violation)
+        solution, program = task.solve(point, solver=options.solver, max_iters=options.max_iters)
+        # SQP may stop at a stationary point of the violation.
+        if solution.violation > FEASIBLE and options.solver is None:
+            solution, program = task.solve(
+                point, solver=second_solver(), max_iters=options.max_iters
+            )
+        feasible = solution.violation <= FEASIBLE and np.isfinite(solution.value)
+        least = min(least, solution.violation)
         records.append(
             StartRecord(
                 spins=tuple(chosen.tolist()),
-                value=found.value if feasible else np.inf,
-                violation=found.violation,
-                status=found.message,
-                num_iters=found.num_iters,
+                value=solution.value if feasible else np.inf,
+                violation=solution.violation,
+                status=solution.message,
+                num_iters=solution.num_iters,
                 seconds=time.perf_counter() - began,
             )
         )
-        if feasible and (best is None or found.value < best[0].value - 1e-12):
-            best = found, program, chosen
+        if feasible and (best is None or solution.value < best[0].value - 1e-12):
+            best = solution, program, chosen
     if best is None:
         raise CoDesignError(
             f"no hover within the thrust bounds was found for {len(candidates)} spin assignments "
-            f"from {num_starts} starts: the best leaves {least:.3g} of m g (or m g L) unbalanced; "
-            f"take stronger rotors, a lighter design, wider limits, or raise num_starts and "
-            f"num_spins",
+            f"from {options.num_starts} starts: the best leaves {least:.3g} of m g (or m g L) "
+            f"unbalanced; take stronger rotors, a lighter design, wider limits, or raise "
+            f"num_starts and num_spins",
             residual=float(least),
         )
-    found, program, chosen = best
-    s, d, gamma, _, _ = program.split(found.x)
+    solution, program, chosen = best
+    s, d, gamma, _, _ = program.split(solution.x)
     point = Point(s, d, chosen, gamma)
     if control_margin(task, point, chosen) < CONTROLLABLE:
-        warnings.append("the design found cannot be controlled: its thrusts miss a torque or lift")
-    return task, point, found, program, records, warnings
+        warnings.append("the best design cannot be controlled: its thrusts miss a torque or lift")
+    return Joint(task, point, solution, program, records, warnings)
 
 
-def refine(
-    task: Task, point: Point, found: LocalSolution, program: Program, **options
-) -> tuple[Task, Point, LocalSolution, Program]:
+def refine(best: Joint, solver: str | None) -> Joint:
     """Solve again with the fast copy made at the new directions until the whole model hovers.
 
     Only designs whose mass properties depend on the directions need it.
     """
+    task, point, solution, program = best.task, best.point, best.solution, best.program
     for _ in range(5):
-        thrusts = as_tensor(program.hover_thrusts(found.x))
+        thrusts = as_tensor(program.hover_thrusts(solution.x))
         if hover_residual(task.vehicle(point), thrusts, point.gamma) <= _HOVER:
             break
         model = ShapeModel(task.design, as_tensor(point.d), point.s)
         task = replace(task, model=model)
-        found, program = task.solve(point, **options)
-        s, d, gamma, _, _ = program.split(found.x)
+        solution, program = task.solve(point, solver=solver)
+        s, d, gamma, _, _ = program.split(solution.x)
         point = Point(s, d, point.spins, gamma)
-    return task, point, found, program
+    return best._replace(task=task, point=point, solution=solution, program=program)
 
 
 def spin_candidates(

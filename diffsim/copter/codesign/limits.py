@@ -6,16 +6,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diffsim.core.check import require_choice, require_number
 
-@dataclass(frozen=True)
+FREE = ("shape", "directions", "attitude")
+"""What a co-design may change."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Limits:
     """What bounds directions, attitude and distances, besides A s <= b.
 
     Attributes:
-        max_tilt: Of a rotor's axis from the body's up direction [rad].
-        max_attitude: Of the hovering body from level [rad].
+        max_tilt: Largest angle of a rotor's axis from the body's up direction [rad].
+        max_attitude: Largest roll or pitch of the hovering body [rad].
         clearance: Least distance between propeller discs seen from above [m]; None: not asked.
-        free: Which of shape, directions, attitude may change.
+        free: What may change: any of shape, directions, attitude.
         extent: Largest change of a shape parameter, in mean arm lengths.
         nearness: Weight of half the squared distance from the start (relative shape, upright
             rotors, level body): picks one design where many are equally good.
@@ -24,9 +29,20 @@ class Limits:
     max_tilt: float = np.pi / 6
     max_attitude: float = np.pi / 12
     clearance: float | None = None
-    free: tuple[str, ...] = ("shape", "directions", "attitude")
+    free: tuple[str, ...] = FREE
     extent: float = 2.0
     nearness: float = 1e-4
+
+    def __post_init__(self) -> None:
+        for name in self.free:
+            require_choice("free", name, FREE)
+        object.__setattr__(self, "free", tuple(self.free))
+        require_number("max_tilt", float(self.max_tilt), above=0.0, below=np.pi / 2)
+        require_number("max_attitude", float(self.max_attitude), above=0.0, below=np.pi / 2)
+        require_number("extent", float(self.extent), above=0.0, below=1e6)
+        require_number("nearness", float(self.nearness), at_least=0.0)
+        if self.clearance is not None:
+            require_number("clearance", float(self.clearance), at_least=0.0)
 
 
 @dataclass(frozen=True)
@@ -35,8 +51,9 @@ class Scales:
 
     Attributes:
         current, max_current: [A], of the start's weight shared out by the thrust limits.
-        size, cost, mass: Of the start.
-        inertia: Its largest [kg m^2], the unit of the response metric's target.
+        size, cost, mass: Size [m], cost [EUR] and mass [kg] of the start.
+        inertia: Largest moment of inertia of the start [kg m^2], the unit of the response metric's
+            target.
         response: 4 angle inertia / (m g L) [s^2]: turning by an angle and stopping at angular
             acceleration q m g L / inertia takes sqrt(response / q).
     """

@@ -13,7 +13,7 @@ from diffsim.core.check import require_choice, require_number
 
 Array = NDArray[np.float64]
 
-# All are minimised; {name: what it is, in relative units}.
+# All are minimized; {name: what it is, in relative units}.
 METRICS = {
     "payload": "largest thrust over its limit at the start's weight, eq. 3.13",
     "current": "sum of currents in hover over that of the start, eq. 3.14",

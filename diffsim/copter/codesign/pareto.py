@@ -36,8 +36,8 @@ def pareto_front(
         design: The parametric design.
         metrics: Two or more names of ``METRICS``.
         num_points: Weights along each edge of the simplex, >= 2.
-        progress: Show a bar.
-        **settings: Of ``codesign``.
+        progress: Show a progress bar.
+        **settings: Further arguments of ``codesign``.
 
     Returns:
         The designs that no other one dominates, sorted by the first metric.

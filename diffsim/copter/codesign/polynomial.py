@@ -68,8 +68,8 @@ def fit(
 
     Args:
         function: (p,) to (num_values,).
-        points: As many as are asked for, spread over where the polynomial is to hold.
-        origin, scale: Of the variables.
+        points: Endless sample points, spread over the domain of the polynomial.
+        origin, scale: Origin and scale of the variables.
     """
     p = len(origin)
     inputs: list[Array] = [origin]
@@ -81,9 +81,9 @@ def fit(
         while len(inputs) < _OVERSAMPLED * num_terms + 3:
             inputs.append(next(points))
             outputs.append(function(inputs[-1]))
-        found = _least_squares(np.array(inputs), np.array(outputs), origin, scale, degree)
-        if found is not None:
-            return found
+        fit = _least_squares(np.array(inputs), np.array(outputs), origin, scale, degree)
+        if fit is not None:
+            return fit
     return None
 
 
@@ -96,9 +96,9 @@ def _least_squares(
     z = (inputs - origin) / scale
     rows = np.prod(z[:, None, :] ** exponents, axis=2)
     size = np.abs(outputs).max(0) + 1e-300
-    found, _, rank, _ = np.linalg.lstsq(rows, outputs / size, rcond=None)
+    coefficients, _, rank, _ = np.linalg.lstsq(rows, outputs / size, rcond=None)
     # samples on a flat (no room across) leave the rest undetermined, and the fit worthless there
-    if rank < len(exponents) or np.abs(rows @ found - outputs / size).max() > RTOL:
+    if rank < len(exponents) or np.abs(rows @ coefficients - outputs / size).max() > RTOL:
         return None
-    keep = np.abs(found).max(1) > 1e-13
-    return Polynomial(origin, scale, exponents[keep], (found[keep] * size).T)
+    keep = np.abs(coefficients).max(1) > 1e-13
+    return Polynomial(origin, scale, exponents[keep], (coefficients[keep] * size).T)

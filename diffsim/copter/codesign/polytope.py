@@ -28,9 +28,9 @@ def closest_feasible(A: Array, b: Array, s: Array) -> Array:
     )
     limits = np.concatenate([b, s, -s])
     cost = np.append(np.zeros(p), 1.0)
-    found = linprog(cost, A_ub=rows, b_ub=limits, bounds=[(None, None)] * p + [(0.0, None)])
-    if found.status == 0:
-        return found.x[:p]
+    solution = linprog(cost, A_ub=rows, b_ub=limits, bounds=[(None, None)] * p + [(0.0, None)])
+    if solution.status == 0:
+        return solution.x[:p]
     row, violation = least_violation(A, b)
     raise CoDesignError(
         f"the design space is empty: whatever the shape, constraint {row} of A s <= b is violated "
@@ -44,17 +44,17 @@ def least_violation(A: Array, b: Array) -> tuple[int, float]:
     p = A.shape[1]
     rows = np.hstack([A, -np.ones((len(b), 1))])
     cost = np.append(np.zeros(p), 1.0)
-    found = linprog(cost, A_ub=rows, b_ub=b, bounds=[(None, None)] * p + [(0.0, None)])
-    violations = A @ found.x[:p] - b
-    return int(violations.argmax()), float(found.x[-1])
+    solution = linprog(cost, A_ub=rows, b_ub=b, bounds=[(None, None)] * p + [(0.0, None)])
+    violations = A @ solution.x[:p] - b
+    return int(violations.argmax()), float(solution.x[-1])
 
 
 def extreme(A: Array, b: Array, cost: Array) -> float:
     """min cost's over A s <= b; -inf where it has none."""
     if not len(b):
         return 0.0 if not cost.any() else -np.inf
-    found = linprog(cost, A_ub=A, b_ub=b, bounds=[(None, None)] * len(cost))
-    return float(found.fun) if found.status == 0 else -np.inf
+    solution = linprog(cost, A_ub=A, b_ub=b, bounds=[(None, None)] * len(cost))
+    return float(solution.fun) if solution.status == 0 else -np.inf
 
 
 def random_feasible(

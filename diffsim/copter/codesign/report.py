@@ -42,12 +42,12 @@ def design_metrics(task: Task, program: Program, x: Array) -> dict[str, float]:
 def largest_weight(task: Task, point: Point) -> float:
     """Overall weight that shape, directions and spins of a point lift [N]; nan if they cannot.
 
-    Thrusts and attitude are optimised; a demanded authority is kept.
+    Thrusts and attitude are optimized; a demanded authority is kept.
     """
     lifting = replace(task.lifting(), scales=task.scales)
     best = np.nan
     for free in ((), ("attitude",)):
-        found, program = lifting.solve(point, free=free)
-        if found.violation < 1e-7 and found.value > 0.0:
-            best = float(np.nanmax([best, program.rotors.weight / found.value]))
+        solution, program = lifting.solve(point, free=free)
+        if solution.violation < 1e-7 and solution.value > 0.0:
+            best = float(np.nanmax([best, program.rotors.weight / solution.value]))
     return best

@@ -21,9 +21,9 @@ class StartRecord:
     Attributes:
         spins: (n_rotors,).
         value: Objective, relative; infinite if infeasible.
-        violation: Of the constraints, relative.
-        status: Of the solver.
-        num_iters: Its iterations.
+        violation: Relative violation of the constraints [-].
+        status: Status of the solver.
+        num_iters: Number of iterations of the solver.
         seconds: Wall time [s].
     """
 
@@ -37,7 +37,7 @@ class StartRecord:
 
 @dataclass(frozen=True)
 class CoDesignResult:
-    """A design and how it was found.
+    """An optimized design and the record of its search.
 
     Attributes:
         s: Shape parameters, (num_params,).
@@ -88,7 +88,7 @@ class CoDesignResult:
 
     @property
     def max_payload(self) -> float:
-        """Largest payload at the centre of mass [kg]."""
+        """Largest payload at the center of mass [kg]."""
         return self.max_weight / GRAVITY - float(self.vehicle.mass)
 
     @property

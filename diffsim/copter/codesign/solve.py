@@ -31,7 +31,7 @@ class LocalSolution:
         value: Objective.
         violation: Largest of |equalities| and violated inequalities, relative.
         converged: The solver says so.
-        message: Of the solver.
+        message: Message of the solver.
         history: Objective after each iteration.
         violations: Violation after each iteration.
         seconds: Wall time since the start after each iteration.

@@ -30,10 +30,10 @@ def by_scipy(
         ]
         bounds = list(zip(p.lower, p.upper, strict=True))
         options: dict = {"ftol": tolerance, "maxiter": max_iters}
-        found = minimize(
+        solution = minimize(
             **shared, method="SLSQP", bounds=bounds, constraints=constraints, options=options
         )
-        return found.x, bool(found.success), str(found.message), int(found.nit)
+        return solution.x, bool(solution.success), str(solution.message), int(solution.nit)
     constraints = [
         NonlinearConstraint(
             lambda y, name=name: free.values(name, y),
@@ -44,7 +44,7 @@ def by_scipy(
         )
         for kind, name in kinds
     ]
-    found = minimize(
+    solution = minimize(
         **shared,
         method="trust-constr",
         hess=lambda y: free.hessian(y, 1.0),
@@ -52,4 +52,4 @@ def by_scipy(
         constraints=constraints,
         options={"gtol": tolerance, "xtol": tolerance, "maxiter": max_iters},
     )
-    return found.x, found.status in (1, 2), str(found.message), int(found.nit)
+    return solution.x, solution.status in (1, 2), str(solution.message), int(solution.nit)

@@ -79,8 +79,8 @@ def by_uno(
         uno.set_option(name, value)
     # restoration and slacks append unknowns of their own
     uno.set_notify_acceptable_iterate_callback(lambda y, *_: notes(np.array(y)[:n]))
-    found = uno.optimize(model)
-    status = found.solution_status
+    solution = uno.optimize(model)
+    status = solution.solution_status
     converged = status == unopy.SolutionStatus.FEASIBLE_KKT_POINT
-    message = f"{status.name} ({found.optimization_status.name})"
-    return np.array(found.primal_solution), converged, message, int(found.number_iterations)
+    message = f"{status.name} ({solution.optimization_status.name})"
+    return np.array(solution.primal_solution), converged, message, int(solution.number_iterations)

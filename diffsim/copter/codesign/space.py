@@ -23,7 +23,7 @@ class DesignSpace(Protocol):
     """What co-design needs of a parametric multicopter.
 
     Attributes:
-        names: Of the shape parameters, num_params of them.
+        names: Names of the shape parameters, num_params of them.
         values: Their present values s, (num_params,).
         inequalities: A and b of the feasible set A s <= b, (num_rows, num_params) and (num_rows,)
             (thesis eq. 3.10).
@@ -57,7 +57,7 @@ class Shape:
 
     Attributes:
         mass, cost, size: [kg], [money], [m], with gradients (p,) in d_mass, d_cost, d_size.
-        positions: Of the rotors relative to the centre of mass, (n_rotors, 3) [m].
+        positions: Positions of the rotors relative to the center of mass, (n_rotors, 3) [m].
         d_positions: (n_rotors, 3, p).
     """
 
@@ -83,7 +83,7 @@ class ShapeModel:
         start: Parameters at which the model was made, (num_params,).
         A, b: The feasible set A s <= b.
         vehicle: The multicopter at the start, without gradients.
-        length: Mean distance of the rotors from the centre of mass at the start [m].
+        length: Mean distance of the rotors from the center of mass at the start [m].
     """
 
     def __init__(
@@ -162,7 +162,7 @@ class ShapeModel:
         return self._raw_hessian(s, weights) - cross - cross.T
 
     def inertia(self, s: Array) -> tuple[Array, Array]:
-        """About the centre of mass, (3, 3) [kg m^2], and its derivative (3, 3, p)."""
+        """About the center of mass, (3, 3) [kg m^2], and its derivative (3, 3, p)."""
 
         def of(x: Tensor) -> Tensor:
             return self._design.multicopter(x, self._directions).inertia

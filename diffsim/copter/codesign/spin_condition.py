@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from diffsim.copter.codesign.errors import CoDesignError
 from diffsim.copter.codesign.task import Point, Task
 from diffsim.copter.control_metrics import controllability
-from diffsim.copter.linearise import linearise
+from diffsim.copter.linearize import linearize
 
 Array = NDArray[np.float64]
 
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 def condition_number(task: Task, point: Point, u: Array) -> float:
     """Of [B, A B, ..., A^11 B] about level hover with thrusts u; inf if not controllable."""
     attitude = torch.zeros(2, dtype=torch.float64)
-    A, B = linearise(task.vehicle(point), torch.tensor(u), attitude)
+    A, B = linearize(task.vehicle(point), torch.tensor(u), attitude)
     return float(controllability(A, B).condition)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,16 +11,14 @@ from scipy.optimize import minimize
 from diffsim.copter.codesign.errors import CoDesignError
 from diffsim.copter.codesign.hover import LEVEL
 from diffsim.copter.codesign.metrics import require_cvxpy
+from diffsim.copter.codesign.options import AlternatingOptions
 from diffsim.copter.codesign.task import Point, Task
 from diffsim.copter.codesign.wrench import skew
 from diffsim.copter.vehicle import GRAVITY
 
-if TYPE_CHECKING:
-    from diffsim.copter.codesign.alternating import AlternatingOptions
-
 Array = NDArray[np.float64]
 
-_HALVINGS = 8  # of a shape step that the linearised positions overrate
+_HALVINGS = 8  # of a shape step that the linearized positions overrate
 
 
 def weight_of(task: Task, mass: float) -> float:
@@ -89,7 +86,7 @@ def thrust_step(task: Task, point: Point, options: AlternatingOptions) -> Array:
 def shape_step(task: Task, point: Point, u: Array, options: AlternatingOptions) -> Point:
     """The best shape for thrusts and directions: convex once positions are linear in s.
 
-    They are not quite (rods have mass, which moves the centre of mass), so they are linearised and
+    They are not quite (rods have mass, which moves the center of mass), so they are linearized and
     the step is halved until the energy does not rise.
     """
     cp = require_cvxpy()
@@ -163,7 +160,7 @@ def direction_step(task: Task, point: Point, u: Array, options: AlternatingOptio
     bounds = [(-1.0, 1.0), (-1.0, 1.0), (-1.0, upright)] * n
     best = point
     for first in (guess, point.d):
-        found = minimize(
+        solution = minimize(
             energy,
             first.ravel(),
             jac=True,
@@ -172,7 +169,7 @@ def direction_step(task: Task, point: Point, u: Array, options: AlternatingOptio
             constraints={"type": "eq", "fun": unit, "jac": unit_slope},
             options={"ftol": 1e-14, "maxiter": 200},
         )
-        d_new = found.x.reshape(n, 3)
+        d_new = solution.x.reshape(n, 3)
         d_new = d_new / np.linalg.norm(d_new, axis=1, keepdims=True)
         trial = replace(point, d=d_new)
         if soft_energy(task, trial, u, options) < soft_energy(task, best, u, options):

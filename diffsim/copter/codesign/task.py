@@ -42,7 +42,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Task:
-    """What is optimised, and within which limits."""
+    """What is optimized, and within which limits."""
 
     design: DesignSpace
     model: ShapeModel

@@ -1,6 +1,6 @@
 """Balance of force and torque in one flight case, with first and second derivatives.
 
-With u thrusts, d unit directions, r positions relative to the centre of mass, gamma the direction
+With u thrusts, d unit directions, r positions relative to the center of mass, gamma the direction
 of gravity in the body frame, W = m(s) g + load:
 
     force   sum_i u_i d_i + W gamma                      = 0   (thesis eq. 3.2 at rest)

@@ -22,8 +22,8 @@ class ConnectorPlace:
 
     Attributes:
         connector, rod: Names of the parts.
-        label: Of the rod's cut.
-        start: Which end of the rod distances count from, its -x end: ``rear``, ``left``, ...
+        label: Label of the rod's cut.
+        start: End of the rod from which distances count, its -x end: ``rear``, ``left``, ...
         from_start: Distance of the connector's middle from there [m].
         roll: Turn of the connector's top about the rod's axis, 0 facing up [deg].
     """
@@ -45,7 +45,7 @@ def connector_places(
     for rod in (p for p in design.parts if p.name in labels):
         origin = np.array([values[n] for n in rod.position_names])
         axis = rod.rotation[:, 0]
-        found = []
+        contacts = []
         for connector in (p for p in design.parts if p.part.kind == "round_connector"):
             offset = np.array([values[n] for n in connector.position_names]) - origin
             along = float(offset @ axis)
@@ -55,10 +55,10 @@ def connector_places(
             if beside < _SAME_AXIS and parallel < 1e-9 and abs(along) <= half + _SAME_AXIS:
                 roll = _roll(connector.rotation @ UP, axis)
                 label, start = labels[rod.name], _end_name(-axis)
-                found.append(
+                contacts.append(
                     ConnectorPlace(connector.name, rod.name, label, start, half + along, roll)
                 )
-        places += sorted(found, key=lambda c: c.from_start)
+        places += sorted(contacts, key=lambda c: c.from_start)
     return tuple(places)
 
 
@@ -94,7 +94,7 @@ def steps(
         "check each motor's sense; swap any two of its three wires if it turns the wrong way."
     )
     done.append(
-        f"Before the first flight lift the copter at its centre of mass, "
+        f"Before the first flight lift the copter at its center of mass, "
         f"{_balance(design, values)}. It must hang level; move the battery if not."
     )
     done.append("Mount the propellers last, the printed side facing the thrust.")
@@ -102,7 +102,7 @@ def steps(
 
 
 def _balance(design: Design, values: Mapping[str, float]) -> str:
-    """Where the centre of mass is, from the middle of the first part."""
+    """Where the center of mass is, from the middle of the first part."""
     com = design.center_of_mass().tolist()
     first = design.parts[0]
     words = (("behind", "in front of"), ("left of", "right of"), ("above", "below"))

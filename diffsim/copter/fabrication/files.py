@@ -22,8 +22,8 @@ def write_plan(plan: FabricationPlan, folder: str | Path) -> Path:
     ``stock.csv``, ``connectors.csv``, ``motors.csv``, ``materials.csv``, ``prints.csv``.
 
     Args:
-        plan: Of ``plan``.
-        folder: Made where it is missing; files of the same names are replaced.
+        plan: The plan, as ``plan`` returns it.
+        folder: Output folder, created where it is missing; files of the same names are replaced.
 
     Returns:
         The folder.

@@ -21,12 +21,12 @@ class MaterialLine:
     """One line of the bill.
 
     Attributes:
-        item: What it is, with its sizes.
+        item: Description with sizes.
         source: ``bought``, ``cut``, ``printed`` or ``consumable``.
         quantity: Pieces.
-        mass: Of all pieces [kg].
-        price: Of all pieces [EUR].
-        names: Of the parts, empty for consumables.
+        mass: Mass of all pieces [kg].
+        price: Price of all pieces [EUR].
+        names: Names of the parts, empty for consumables.
     """
 
     item: str
@@ -102,7 +102,7 @@ def _screw_mass(length: int) -> float:
 
 
 def _item(entry: PartEntry, placed: PlacedPart) -> str:
-    """What to buy, cut or print, with sizes in millimetres."""
+    """What to buy, cut or print, with sizes in millimeters."""
     options = placed.part.options
     words = entry.kind.replace("_", " ")
     if "rotor" in options:

@@ -18,11 +18,12 @@ class MotorPlan:
 
     Attributes:
         number: 1, 2, ...: the flight controller's output, in the design's order.
-        name: Of the part.
+        name: Name of the part.
         rotor: Name of the rotor's model.
-        position: Of the propeller's centre relative to the centre of mass, front-right-down [m].
-        radius: Of the propeller [m].
-        direction: Of the thrust, unit, front-right-down.
+        position: Position of the propeller's center relative to the center of mass,
+            front-right-down [m].
+        radius: Radius of the propeller [m].
+        direction: Direction of the thrust, unit, front-right-down.
         clockwise: Seen from above.
         pusher: Hangs upside down below what carries it.
         clip: Name of the compound-angle clip under it, None if it stands square.
@@ -92,12 +93,12 @@ def tilt_and_azimuth(direction: Array) -> tuple[float, float]:
 
 def _clips(design: Design) -> dict[str, str]:
     """Names of clips by motor: composition inserts a clip just before the motor that it is for."""
-    found, clip = {}, None
+    clips, clip = {}, None
     for p in design.parts:
         if p.part.kind == "compound_angle_clip":
             clip = p.name
         elif p.part.rotor_mount is not None:
             if clip is not None:
-                found[p.name] = clip
+                clips[p.name] = clip
             clip = None
-    return found
+    return clips

@@ -37,11 +37,11 @@ class PrintedPart:
 
     Attributes:
         file: Name of the STL file.
-        mesh: As it stands on the bed [mm].
-        names: Of the parts, one per piece.
+        mesh: Mesh as it stands on the printer's bed [mm].
+        names: Names of the parts, one per piece.
         process: ``print`` or ``sheet``.
         density: That gives the design's mass [kg/m^3]; below the plastic's it is the infill.
-        check: What was found about it.
+        check: Outcome of the check whether it can be printed.
     """
 
     file: str
@@ -60,12 +60,12 @@ class FabricationPlan:
         design: With the shape and the directions that are to be built.
         cuts: Rods by length.
         bars: Stock bars and how they are cut.
-        motors: Where they go, how they lean and turn.
+        motors: Place, tilt and spin of every motor.
         places: Connectors on rods.
         printed: Meshes for printer and sheet cutter.
         materials: Bill of materials; adds up to the design's mass and price.
         consumables: Screws, glue and strap, estimated, beside the design's mass.
-        steps: Of assembly.
+        steps: Steps of assembly.
         printer: That the meshes were checked for.
     """
 
@@ -182,11 +182,11 @@ def _printed(
         if p.part.source == "printed" or p.part.kind in _SHEETS:
             shape = np.array([values[n] for n in p.shape_names])
             groups[_file(p, shape, numbers)].append((p, shape))
-    found = []
+    entries = []
     for file, alike in groups.items():
         first, shape = alike[0]
         mesh = print_mesh(first, shape, design)
-        found.append(
+        entries.append(
             PrintedPart(
                 file=file,
                 mesh=mesh,
@@ -196,7 +196,7 @@ def _printed(
                 check=check_print(mesh, printer),
             )
         )
-    return tuple(found)
+    return tuple(entries)
 
 
 def _file(p: PlacedPart, shape: Array, numbers: dict[str | None, int]) -> str:

@@ -35,7 +35,7 @@ class Printer:
 
 @dataclass(frozen=True)
 class PrintCheck:
-    """What was found.
+    """The outcome of a check.
 
     Attributes:
         watertight: Closed, every side shared by two triangles.
@@ -53,7 +53,7 @@ class PrintCheck:
 
 
 def check_print(mesh: trimesh.Trimesh, printer: Printer) -> PrintCheck:
-    """Check a mesh in millimetres, standing on the bed as it is to be printed."""
+    """Check a mesh in millimeters, standing on the bed as it is to be printed."""
     watertight = bool(mesh.is_watertight and mesh.is_winding_consistent)
     volume = float(mesh.volume)
     x, y, z = (float(v) for v in mesh.extents)

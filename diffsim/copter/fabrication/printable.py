@@ -1,4 +1,4 @@
-"""What is printed, part by part: meshes in millimetres as they stand on the bed, z up.
+"""What is printed, part by part: meshes in millimeters as they stand on the bed, z up.
 
 Meshes differ from the design's in what printing and screws need: bores are wider by a clearance,
 posts, clips and frames have screw holes. The print's volume is therefore a little smaller.
@@ -28,12 +28,12 @@ _BED_FROM_PART = np.diag([1.0, -1.0, -1.0])  # parts are NED, up is -z
 
 
 def print_mesh(placed: PlacedPart, values: Array, design: Design) -> trimesh.Trimesh:
-    """The mesh of a printed part, centred on the bed, z from 0 up [mm].
+    """The mesh of a printed part, centered on the bed, z from 0 up [mm].
 
     Args:
         placed: The part.
-        values: Its shape parameters.
-        design: Where it belongs: what is screwed onto a frame.
+        values: Shape parameters of the part [m].
+        design: The design, which says what is screwed onto a frame.
     """
     maker = _MAKERS.get(placed.part.kind)
     if maker is not None:

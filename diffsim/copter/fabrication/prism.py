@@ -45,9 +45,9 @@ def perforated_prism(
     Args:
         outline: Closed loop without crossings, either sense, (n, 2).
         holes: Loops inside it that keep clear of each other, each (m, 2).
-        height: Of the top at the origin, in the unit of the outline.
+        height: Height of the top at the origin, in the unit of the outline.
         slope: Rise of the top per length along x and y.
-        holes_below: The same loops where they leave at z = 0, for holes that are not upright.
+        holes_below: The same loops at z = 0, for holes that are not upright.
 
     Returns:
         A closed surface, oriented outwards.

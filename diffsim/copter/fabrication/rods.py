@@ -11,7 +11,7 @@ from diffsim.copter.listing import PartEntry
 from diffsim.copter.placement import PlacedPart
 from diffsim.core.check import require_number
 
-_SAME = 1e-4  # lengths that agree to a tenth of a millimetre are cut alike [m]
+_SAME = 1e-4  # lengths that agree to a tenth of a millimeter are cut alike [m]
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class RodCut:
         label: Letter on the piece.
         section: Cross-section in words.
         length: [m].
-        names: Of the parts, one per piece.
+        names: Names of the parts, one per piece.
     """
 
     label: str

@@ -22,7 +22,7 @@ from diffsim.core.check import require_choice, require_number
 
 
 def battery(size: Sequence[float] = (0.1008, 0.0336, 0.0224), mass: float = 0.2127) -> Part:
-    """A three-cell pack of 2200 mAh unless told otherwise; size (3,) [m], mass [kg]."""
+    """A three-cell pack of 2200 mAh by default; size (3,) [m], mass [kg]."""
     return box_part("battery", size, mass, 25.0)
 
 

@@ -94,7 +94,7 @@ def compound_angle_clip(normal: Sequence[float], height: float = 0.006) -> Part:
         )
     radius = MOTOR_RADIUS
     vertices, faces = fan_prism(circle_loop(radius), 1.0)
-    slope = n[:2] / -n[2]  # rise of the top per metre along x and y, downhill along the normal
+    slope = n[:2] / -n[2]  # rise of the top per meter along x and y, downhill along the normal
     reach = float(np.linalg.norm(vertices[0, :2]))
     middle = height + reach * float(np.linalg.norm(slope))
     top = vertices[:, 2] < 0.0
@@ -118,7 +118,7 @@ def compound_angle_clip(normal: Sequence[float], height: float = 0.006) -> Part:
 
 
 def motor(rotor: str = "kde2814_10in", spin: str = "cw", pusher: bool = False) -> Part:
-    """A motor; its origin is the centre of the propeller, where the thrust acts.
+    """A motor; its origin is the center of the propeller, where the thrust acts.
 
     Args:
         rotor: Name of the rotor's model.

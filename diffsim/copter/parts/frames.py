@@ -33,7 +33,8 @@ def x_frame(
     """A printed X of four arms; motor pads keep their size while the arms stretch.
 
     Args:
-        half_length, half_width: Of the rectangle of the motors, along x and y [m]; parameters.
+        half_length, half_width: Half sides of the rectangle of the motors, along x and y [m];
+            parameters.
         thickness, arm_width: [m].
         hub: Half the width of the middle [m].
     """
@@ -94,7 +95,7 @@ def outline_frame(
     """A printed plate of any star-shaped outline, stretched along x and y.
 
     Args:
-        outline: Corners around (0, 0) per metre of length and width, counterclockwise seen from
+        outline: Corners around (0, 0) per meter of length and width, counterclockwise seen from
             below (x forward, y right), (n, 2) [-].
         mounts: Places on top where other parts fit, name to (x, y), as the outline [-].
         length, width: What outline and mounts are scaled by along x and y [m]; parameters.
@@ -144,7 +145,7 @@ def mesh_frame(
     """A free-form frame from a closed surface file, stretched along its axes.
 
     Args:
-        file: .stl, .obj, .ply, .off or .glb in metres, frame NED.
+        file: .stl, .obj, .ply, .off or .glb in meters, frame NED.
         mounts: Flat patches, name to ``center`` [m] at scale 1 and outward ``normal``, which must
             be along an axis: any other turns as the frame is stretched, which is not linear.
         scale_x, scale_y, scale_z: Parameters [-].

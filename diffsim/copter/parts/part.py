@@ -25,8 +25,8 @@ class Parameter:
 
     Attributes:
         name: Such as ``length``.
-        value: Where a design starts [m].
-        lower, upper: Of the feasible set [m].
+        value: Starting value [m].
+        lower, upper: Bounds of the feasible set [m].
         meaning: For listings.
     """
 
@@ -43,7 +43,7 @@ class RotorMount:
 
     Attributes:
         rotor: The propeller and motor.
-        direction: Of the thrust in the part's frame, (3,).
+        direction: Direction of the thrust in the part's frame, (3,).
         spin: +1 for a propeller that turns clockwise seen against its thrust, else -1.
     """
 
@@ -63,12 +63,12 @@ class Part:
         density: [kg/m^3], of the solid.
         patches: Connecting patches by name.
         price: Constant share [EUR].
-        price_per_parameter: Linear share per metre of a parameter, (num_parameters,) [EUR/m].
-        price_per_mass: Of printed parts [EUR/kg].
-        source: How one comes by it: ``bought``, ``cut`` to length, ``printed``.
+        price_per_parameter: Linear share per meter of a parameter, (num_parameters,) [EUR/m].
+        price_per_mass: Price per mass of printed parts [EUR/kg].
+        source: Procurement: ``bought``, ``cut`` to length, ``printed``.
         rod_parameter: Index of the parameter that counts as length of rod, None if not a rod.
         rows: Further rows A s <= b of the feasible set, (k, num_parameters) and (k,).
-        rotor_mount: Of motors.
+        rotor_mount: Mount of the rotor; None for parts that are no motors.
         options: Constant sizes and choices it was made with, for plans and listings.
     """
 
@@ -168,7 +168,7 @@ def density_of(mesh: LinearMesh, values: Array, mass: float) -> float:
 
 
 def linear_center(constant: Array, basis: Array) -> LinearPoints:
-    """A patch's centre, (3,) and (3, num_parameters) [m]."""
+    """A patch's center, (3,) and (3, num_parameters) [m]."""
     return LinearPoints(np.asarray(constant, dtype=np.float64), np.asarray(basis, np.float64))
 
 

@@ -21,8 +21,8 @@ class RotorData:
     """A propeller with its motor.
 
     Attributes:
-        name: Of the rotor's model.
-        radius: Of the propeller [m].
+        name: Name of the rotor's model.
+        radius: Radius of the propeller [m].
         torque_ratio: lambda, torque per thrust [m].
         max_thrust: u_max [N].
         motor_mass: Motor with its mounting ring [kg].

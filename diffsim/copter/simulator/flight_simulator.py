@@ -46,20 +46,20 @@ class FlightSimulator:
     Args:
         design: A composed design, or a vehicle.
         controller: "lqr", "pid", or one that may believe in another vehicle.
-        payload: Carried below the centre of mass, known to the controllers named above [kg].
+        payload: Carried below the center of mass, known to the controllers named above [kg].
         rotors: One model per rotor; by default those that the vehicle names.
         battery: By default three cells of 2200 mA h, full.
         effects: Drags, wind, ground effect, interference; not the battery. A motor lag here wins
             over that of the rotors.
         sensors: None: the controller sees the true state.
         pwm_max: No pulse is longer [us]; 1800 is the thesis's, 2000 the motors'.
-        rate: Of control [Hz].
+        rate: Control rate [Hz].
         substeps: Integration steps per control period.
-        idle_power: Of everything on board but the motors [W].
-        seed: Of the noise: equal seeds, equal flights.
+        idle_power: Electric power of everything on board but the motors [W].
+        seed: Seed of the noise: equal seeds, equal flights.
 
     Attributes:
-        log: Of the flight so far.
+        log: Log of the flight so far.
 
     Raises:
         PayloadError: the vehicle does not hold the load up; names the limit.
@@ -153,10 +153,10 @@ class FlightSimulator:
 
         Args:
             pilot: Mission or sticks.
-            seconds: Wins over the pilot's duration; needed where that is None and nobody presses
-                Ctrl-C, which ends the flight and keeps its log.
+            seconds: Duration [s], instead of the pilot's; needed where that is None and nobody
+                presses Ctrl-C, which ends the flight and keeps its log.
             pacer: Keeps to the wall clock; by default as fast as possible.
-            observers: Called with every sample, such as a viewer.
+            observers: Functions called with every sample, such as a viewer.
 
         Returns:
             ``log``.

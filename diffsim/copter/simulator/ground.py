@@ -18,7 +18,7 @@ class Ground:
     No bouncing, sliding or tipping; a harder touch than the limits is a crash.
 
     Args:
-        max_speed: Of touching down [m/s].
+        max_speed: Largest speed of touching down [m/s].
         max_tilt: At touch-down [rad].
     """
 

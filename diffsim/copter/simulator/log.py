@@ -33,10 +33,10 @@ class FlightSample:
         target_yaw: [rad].
         estimate: Position that the controller believes in, (3,) [m].
         pwm: Pulse widths for the period, (n_rotors,) [us].
-        thrusts: Of the rotors, lag included, (n_rotors,) [N].
-        saturated: Which motors were asked for more than they may give, (n_rotors,).
+        thrusts: Thrusts of the rotors, lag included, (n_rotors,) [N].
+        saturated: Whether a motor's command exceeds its limit, (n_rotors,).
         motors_on: Whether they turn.
-        voltage: Of the battery under load [V].
+        voltage: Voltage of the battery under load [V].
         current: [A].
         charge: 0 to 1.
         lag: Behind the wall clock [s].
@@ -83,7 +83,7 @@ class FlightLog:
 
     @property
     def position_error(self) -> Array:
-        """Distance of the centre of mass from its target, (T,) [m]."""
+        """Distance of the center of mass from its target, (T,) [m]."""
         error: Array = np.linalg.norm(self.series("position") - self.series("target"), axis=1)
         return error
 

@@ -48,7 +48,7 @@ class Leg:
     """A way from rest to rest.
 
     Attributes:
-        name: Of the step.
+        name: Name of the step.
         start: Time [s].
         duration: [s].
         pose: North, east, down, yaw at its start, (4,) [m, rad].
@@ -84,7 +84,7 @@ class Mission:
     """Legs one after the other; a ``Pilot``. After a last ``land`` the motors stand.
 
     Attributes:
-        name: Of the mission.
+        name: Name of the mission.
         legs: At least one, the first from the ground at the origin, heading north.
     """
 
@@ -114,7 +114,7 @@ def load_mission(name: str | Path) -> Mission:
     """Read a mission.
 
     Args:
-        name: Of a shipped mission, such as ``hover``, or the path of a YAML file.
+        name: Name of a shipped mission, such as ``hover``, or the path of a YAML file.
 
     Raises:
         FileNotFoundError: a path without a file.

@@ -1,4 +1,4 @@
-"""From wanted thrusts to pulse widths and on to what the motors are told (thesis 3.3.1)."""
+"""From commanded thrusts to pulse widths and to the signals of the motors (thesis 3.3.1)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Outputs(NamedTuple):
     Attributes:
         pwm: [us].
         thrusts: That the motors settle at [N].
-        saturated: Where more was wanted than the clamp, or the motor, gives.
+        saturated: Whether the command exceeds the clamp or the motor's limit.
     """
 
     pwm: Tensor

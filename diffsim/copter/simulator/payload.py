@@ -27,20 +27,20 @@ class PayloadError(ValueError):
 
 
 def with_payload(vehicle: Multicopter, payload: float, *, drop: float = 0.05) -> Multicopter:
-    """The vehicle with a point mass fixed below its centre of mass.
+    """The vehicle with a point mass fixed below its center of mass.
 
     Args:
         vehicle: Without it.
         payload: [kg].
-        drop: From the centre of mass down to the load [m].
+        drop: From the center of mass down to the load [m].
 
     Returns:
-        The vehicle with mass, centre of mass and inertia of both. Gradients: its tensors.
+        The vehicle with mass, center of mass and inertia of both. Gradients: its tensors.
     """
     require_number("payload", payload, at_least=0.0)
     mass = vehicle.mass + payload
     load = vehicle.positions.new_tensor([0.0, 0.0, drop])
-    shift = load * payload / mass  # of the centre of mass
+    shift = load * payload / mass  # of the center of mass
     reduced = vehicle.mass * payload / mass
     eye = torch.eye(3, dtype=torch.float64)
     inertia = vehicle.inertia + reduced * (load.dot(load) * eye - torch.outer(load, load))
@@ -50,16 +50,16 @@ def with_payload(vehicle: Multicopter, payload: float, *, drop: float = 0.05) ->
 def payload_limit(
     vehicle: Multicopter, outputs: MotorOutputs, battery: Battery, *, charge: float = 1.0
 ) -> float:
-    """Largest load at the centre of mass that hovers within the pulse clamp [kg].
+    """Largest load at the center of mass that hovers within the pulse clamp [kg].
 
     The voltage is that under the current of the hover itself. At the limit nothing is left for
     control. Below 0: the vehicle alone is too heavy by that much.
 
     Args:
         vehicle: Without the load.
-        outputs: Its motors.
+        outputs: Outputs of the vehicle's motors.
         battery: What feeds them.
-        charge: Of the battery, 0 to 1.
+        charge: State of charge of the battery, 0 to 1.
     """
     start, rated = _tensor(charge), outputs.max_thrusts
 

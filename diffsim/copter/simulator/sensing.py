@@ -29,7 +29,7 @@ class FlightSensors:
     """Gyro, accelerometer and motion capture (thesis 3.6 flies with one).
 
     Attributes:
-        noise: Of gyro, accelerometer and position.
+        noise: Noise of gyro, accelerometer and position.
         attitude: Standard deviation of the captured attitude, per axis [rad].
     """
 
@@ -55,7 +55,7 @@ class SensorStream:
 
     Args:
         sensors: Their noise; biases are drawn once, here.
-        seed: Of the noise.
+        seed: Seed of the noise.
     """
 
     def __init__(self, sensors: FlightSensors, seed: int):

@@ -13,7 +13,8 @@ class Setpoint:
     """Targets of a controller, NED.
 
     Attributes:
-        position: Of the centre of mass, (3,) [m]; with ``hold_attitude`` only its z counts.
+        position: Position of the center of mass, (3,) [m]; with ``hold_attitude`` only its z
+            counts.
         velocity: World frame, (3,) [m/s]; with ``hold_attitude`` only its z counts.
         acceleration: World frame, (3,) [m/s^2]; 0 where it is not known ahead, or holding attitude.
         yaw: [rad].
@@ -39,7 +40,7 @@ class Pilot(Protocol):
 
     @property
     def duration(self) -> float | None:
-        """How long it takes [s]; None: until told to stop."""
+        """Duration of the flight [s]; None: endless."""
 
     def setpoint(self, time: float) -> Setpoint:
         """Targets at a time since the start [s]; times do not go back."""

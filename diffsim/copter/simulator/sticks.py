@@ -41,11 +41,11 @@ class Sticks:
 
 
 class Transmitter(Protocol):
-    """Where sticks come from."""
+    """A source of stick positions."""
 
     @property
     def duration(self) -> float | None:
-        """How long it has something to say [s]; None: until told to stop."""
+        """Duration of the recording [s]; None: endless."""
 
     def sticks(self, time: float) -> Sticks:
         """Deflections at a time since the start [s]."""
@@ -105,7 +105,7 @@ class StickPilot:
     heading. With the target on the ground and throttle down the motors stop.
 
     Args:
-        transmitter: Where the sticks come from.
+        transmitter: Source of the stick positions.
         mode: "position" or "attitude".
         scale: ``StickScale()`` by default.
     """

@@ -2,7 +2,7 @@
 
     >>> from diffsim.stokes import devices
     >>> device = devices.make("amplifier", resolution=0.5)
-    >>> best = devices.optimise(device)
+    >>> best = devices.optimize(device)
     >>> flow = device.solve(best.x)
 
 On the command line: ``diffsim devices amplifier --out runs/amplifier``.
@@ -15,12 +15,13 @@ from collections.abc import Callable
 from diffsim.core.check import require_choice
 from diffsim.stokes.devices.amplifier import amplifier
 from diffsim.stokes.devices.averager import averager
-from diffsim.stokes.devices.coarse_to_fine import CoarseStage, coarse_to_fine
+from diffsim.stokes.devices.coarse_to_fine import coarse_to_fine
 from diffsim.stokes.devices.device import Device, Parameter, State
 from diffsim.stokes.devices.funnel import funnel
 from diffsim.stokes.devices.gate import gate
 from diffsim.stokes.devices.losses import area, mean_velocity
-from diffsim.stokes.devices.optimise import Optimum, optimise
+from diffsim.stokes.devices.optimize import optimize
+from diffsim.stokes.devices.optimum import CoarseStage, Optimum
 from diffsim.stokes.devices.switch import switch
 from diffsim.stokes.devices.twister import twister
 
@@ -39,9 +40,9 @@ def make(name: str, resolution: float = 1.0, **options: object) -> Device:
     """A device by name: "amplifier", "averager", "funnel", "gate", "twister" or "switch".
 
     Args:
-        name: Which one.
+        name: Name of the device.
         resolution: Factor on the number of cells per axis; 1 is the thesis's grid.
-        **options: Those of the device, such as ``wall`` of the twister.
+        **options: Options of the device, such as ``wall`` of the twister.
     """
     return DEVICES[require_choice("name", name, DEVICES)](resolution, **options)
 
@@ -61,7 +62,7 @@ __all__ = [
     "gate",
     "make",
     "mean_velocity",
-    "optimise",
+    "optimize",
     "switch",
     "twister",
 ]

@@ -29,7 +29,7 @@ def amplifier(resolution: float = 1.0, *, objective: str = "pointwise") -> Devic
     Args:
         resolution: Factor on the number of cells per axis.
         objective: "pointwise": average of |v - (3, 0)|^2 over the outlet, what the published code
-            minimises; or "average": |average of v - (3, 0)|^2, what the thesis's text says.
+            minimizes; or "average": |average of v - (3, 0)|^2, what the thesis's text says.
     """
     require_choice("objective", objective, ("pointwise", "average"))
     grid = Grid(scaled((64, 48), resolution), size=(_WIDTH, 1.0))

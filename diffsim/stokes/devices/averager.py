@@ -35,7 +35,7 @@ def averager(resolution: float = 1.0, *, objective: str = "pointwise") -> Device
 
     Args:
         resolution: Factor on the number of cells per axis.
-        objective: Of both outlets and inputs (1, 0) and (0, 1): "pointwise", average of
+        objective: Loss over both outlets and inputs (1, 0) and (0, 1): "pointwise", average of
             |v - (1/2, 0, 0)|^2; or "average", that of each outlet's average velocity.
     """
     require_choice("objective", objective, ("pointwise", "average"))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 from torch import Tensor
@@ -12,35 +11,10 @@ from diffsim.core.errors import DiffsimError
 from diffsim.core.files import to_plain
 from diffsim.optim import Log
 from diffsim.stokes.devices.device import Device
-from diffsim.stokes.devices.optimise import (
-    Optimum,
-    as_optimum,
-    check_counts,
-    search_settings,
-)
+from diffsim.stokes.devices.optimize import check_counts, search_settings
+from diffsim.stokes.devices.optimum import CoarseStage, Optimum, as_optimum
 from diffsim.stokes.devices.sampling import Samples, draw, values
 from diffsim.stokes.devices.search import Descent, descend
-
-
-@dataclass(frozen=True)
-class CoarseStage:
-    """What the coarse grid contributed, and how its losses compare; none is normalised.
-
-    Attributes:
-        descents: L-BFGS on the coarse grid, from the best sample first.
-        fine_losses: Of their results on the fine grid, (num_starts,).
-        unit_loss: Mean of all samples on the coarse grid.
-        unit_error: Standard error of the fine grid's unit, for which only some samples were used.
-        checked_coarse: Losses of those samples on the coarse grid, (num_checked,).
-        checked_fine: The same designs on the fine grid, (num_checked,); infinite without flow.
-    """
-
-    descents: tuple[Descent, ...]
-    fine_losses: Tensor
-    unit_loss: float
-    unit_error: float
-    checked_coarse: Tensor
-    checked_fine: Tensor
 
 
 def coarse_to_fine(
@@ -59,25 +33,25 @@ def coarse_to_fine(
 ) -> Optimum:
     """Design a device; random designs are drawn and first improved on a coarser grid.
 
-    1. Random designs on the coarse grid, as ``optimise`` draws them.
+    1. Random designs on the coarse grid, as ``optimize`` draws them.
     2. L-BFGS there from each of the best ``num_starts``.
     3. Of these results, the best on the device's own grid starts L-BFGS on that.
     4. The unit of the loss on that grid, its mean over the random designs, from the first
        ``num_checked`` of them: mean_coarse(all) * mean_fine(checked) / mean_coarse(checked).
 
     Losses and gradients of the result are those of the device's own grid throughout; the coarse one
-    only chooses the start. Resumes as ``optimise`` does.
+    only chooses the start. Resumes as ``optimize`` does.
 
     Args:
         device: The device.
-        coarse: The same on a coarser grid.
+        coarse: The same device on a coarser grid.
         num_samples: Random designs; ``device.num_samples`` if None.
-        seed: Of the samples.
-        num_starts: Of them, to improve on the coarse grid.
-        num_checked: Of them, to evaluate on both grids; 8, or all if there are fewer, if None. More
-            may be asked for in a later call.
-        max_evaluations: Of loss and gradient, at most.
-        max_coarse_evaluations: The same for each L-BFGS on the coarse grid.
+        seed: Seed of the samples.
+        num_starts: Number of samples that L-BFGS improves on the coarse grid, best first.
+        num_checked: Number of samples that are evaluated on both grids; 8, or all if there are
+            fewer, if None. More may be asked for in a later call.
+        max_evaluations: Largest number of evaluations of loss and gradient.
+        max_coarse_evaluations: Largest number of evaluations of each L-BFGS on the coarse grid.
         ftol: Relative decrease of the loss below which L-BFGS stops.
         path: File of the state (see ``optim.Log``); none is kept if None.
         progress: Show bars.
@@ -87,7 +61,7 @@ def coarse_to_fine(
 
     Raises:
         ValueError: ``coarse`` is another device or no coarser; the file belongs to another search.
-        DiffsimError: too few random designs, or none of those found, let fluid through.
+        DiffsimError: too few random designs, or none of the improved designs, let fluid through.
     """
     num_samples = device.num_samples if num_samples is None else num_samples
     check_counts(
@@ -121,9 +95,9 @@ def coarse_to_fine(
     descents = tuple(
         improved(coarse, x, f"coarse {k + 1}", max_coarse_evaluations) for k, x in enumerate(starts)
     )
-    found = [d.x for d in descents]
-    fine = values(device, log, "found", found, progress=progress)
-    start = found[int(fine.argmin())]
+    improved_designs = [d.x for d in descents]
+    fine = values(device, log, "improved", improved_designs, progress=progress)
+    start = improved_designs[int(fine.argmin())]
     descent = improved(device, start, "evaluations", max_evaluations)
     checked = values(device, log, "checked", list(samples.x[:num_checked]), progress=progress)
     fine_unit, error = unit_on_fine_grid(samples, checked)

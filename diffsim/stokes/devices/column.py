@@ -27,7 +27,7 @@ def column(
 
     Args:
         radii: At angles k x 45 degrees, of rings of control points.
-        heights: Of the rings [m], rising.
+        heights: Heights of the rings [m], rising.
         center: x, y of the axis [m].
         fluid: "inside" or "outside".
         degree: Along the axis; cubic around it.

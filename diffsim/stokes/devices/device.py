@@ -23,7 +23,7 @@ class Parameter:
     """A number to design, uniform within its bounds where designs are sampled.
 
     Attributes:
-        name: What it is.
+        name: Description of the parameter.
         lower: Least value, lengths [m] and angles [rad].
         upper: Largest value.
     """
@@ -42,10 +42,10 @@ class State:
     """One geometry of a device; most have one, a switch has one per position.
 
     Attributes:
-        name: As in pictures.
+        name: Title in pictures.
         shape: Parameters (num_parameters,) to the level set of the fluid.
         inlet: Velocity of every inlet by name, (cases, 1, dim) [m/s]: one case per basis input.
-        loss: Flow to loss, scalar, not normalised.
+        loss: Flow to loss, scalar, not normalized.
     """
 
     name: str
@@ -62,7 +62,7 @@ class Device:
     has no scale of its own, so both may be multiplied at will.
 
     Attributes:
-        name: As in ``make``.
+        name: Name for ``make``.
         flow: Grid, conditions on the box, kind of wall.
         parameters: What is designed.
         states: Geometries; the loss is the sum over them.
@@ -127,12 +127,12 @@ class Device:
         return self.flow(self.level_set(x, state), inlet=self.states[state].inlet)
 
     def loss(self, x: Tensor) -> Tensor:
-        """Loss, scalar, not normalised. Gradient: x."""
+        """Loss, scalar, not normalized. Gradient: x."""
         losses = [s.loss(self.solve(x, k)) for k, s in enumerate(self.states)]
         return torch.stack(losses).sum()
 
     def value_and_gradient(self, x: Tensor) -> tuple[float, Tensor]:
-        """Loss and its gradient (num_parameters,); one factorisation in memory at a time."""
+        """Loss and its gradient (num_parameters,); one factorization in memory at a time."""
         x = x.detach().clone().requires_grad_(True)
         value = 0.0
         for k, state in enumerate(self.states):

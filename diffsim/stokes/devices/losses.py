@@ -102,7 +102,7 @@ def angle_difference(field: FlowField, faces: Sequence[str], angle: float) -> Te
 
 
 def vertical_curl(field: FlowField, face: str) -> Tensor:
-    """d v/dx - d u/dy at the centres of the cells of a horizontal face, (cases, nx, ny) [1/s]."""
+    """d v/dx - d u/dy at the centers of the cells of a horizontal face, (cases, nx, ny) [1/s]."""
     grid = field.grid
     velocity = on_face(grid, field.velocity, face)
     u, v = velocity[..., 0], velocity[..., 1]

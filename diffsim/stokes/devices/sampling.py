@@ -23,7 +23,7 @@ class Samples:
 
     Attributes:
         x: (num_samples, num_parameters).
-        losses: Not normalised, (num_samples,).
+        losses: Not normalized, (num_samples,).
         num_rejected: Designs without flow that were drawn again.
     """
 

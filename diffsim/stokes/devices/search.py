@@ -57,13 +57,13 @@ def descend(
 
     Args:
         device: The device.
-        start: Where to start, (num_parameters,).
-        log: Of the search.
-        name: Of the list of evaluations.
+        start: Design to start from, (num_parameters,).
+        log: Log of the search, in which every evaluation is kept.
+        name: Name of the list of evaluations in the log.
         unit: Loss that counts as 1 in ``ftol``.
-        max_evaluations: Of loss and gradient, at most.
+        max_evaluations: Largest number of evaluations of loss and gradient.
         ftol: Relative decrease of the loss below which to stop.
-        progress: Show a bar.
+        progress: Show a progress bar.
 
     Raises:
         ValueError, DiffsimError: the start has no flow.

@@ -5,18 +5,19 @@ the other way round). Signed distances of ``diffsim.mesh.sdf``, negative inside 
 are.
 """
 
-from diffsim.stokes.shapes.base import Custom, LevelSet, Shape
-from diffsim.stokes.shapes.bezier import BezierCurve2d
-from diffsim.stokes.shapes.combine import (
+from diffsim.stokes.shapes.base import (
     Complement,
+    Custom,
     Intersection,
-    SmoothIntersection,
-    SmoothUnion,
+    LevelSet,
+    Shape,
     Union,
 )
+from diffsim.stokes.shapes.bezier import BezierCurve2d
 from diffsim.stokes.shapes.nurbs import BSplineSurface, NurbsSurface
 from diffsim.stokes.shapes.primitives import Box, Plane, Sphere
 from diffsim.stokes.shapes.sampling import grid_nodes, interface, sample
+from diffsim.stokes.shapes.smooth import SmoothIntersection, SmoothUnion
 from diffsim.stokes.shapes.spline_basis import SplineBasis
 from diffsim.stokes.shapes.transform import Extrude, Rotate, Translate
 

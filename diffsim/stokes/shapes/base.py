@@ -2,11 +2,17 @@
 
 Sign: phi > 0 in the FLUID, phi < 0 in the solid (the thesis, 4.2.5, has it the other way round).
 A solid given as a signed distance of ``diffsim.mesh.sdf`` (negative inside the solid) fits as is.
+
+Shapes made of shapes are always in terms of the FLUID regions. Walls add up by ``Intersection``:
+fluid is where no wall is. The interface is exact; away from it phi is a bound of the distance with
+the right sign. Where two shapes are equal (a tie) the gradient goes to the first of them, in the
+order given, never to both.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -17,14 +23,28 @@ from diffsim.core.check import require, require_choice, require_number
 LevelSet = Callable[[Tensor], Tensor]
 Vector = Sequence[float] | Tensor
 
-__all__ = ["Custom", "LevelSet", "Number", "Shape", "Vector", "outwards", "scalar", "vector"]
+__all__ = [
+    "Combination",
+    "Complement",
+    "Custom",
+    "Intersection",
+    "LevelSet",
+    "Number",
+    "Shape",
+    "Union",
+    "Vector",
+    "as_shape",
+    "outwards",
+    "scalar",
+    "vector",
+]
 
 
 class Shape(nn.Module):
     """A level set: phi > 0 in the fluid, < 0 in the solid; subclasses give ``level``.
 
-    Parameters may be numbers, tensors (part of the caller's graph) or ``nn.Parameter`` (then found
-    by ``shape.parameters()``). Gradients: points and all parameters, first order, reverse and
+    Parameters may be numbers, tensors (part of the caller's graph) or ``nn.Parameter`` (then among
+    ``shape.parameters()``). Gradients: points and all parameters, first order, reverse and
     forward mode.
 
     Attributes:
@@ -61,20 +81,14 @@ class Shape(nn.Module):
 
     def __or__(self, other: LevelSet) -> Shape:
         """Fluid where either has fluid."""
-        from diffsim.stokes.shapes.combine import Union
-
         return Union(self, other)
 
     def __and__(self, other: LevelSet) -> Shape:
         """Fluid where both have fluid."""
-        from diffsim.stokes.shapes.combine import Intersection
-
         return Intersection(self, other)
 
     def __invert__(self) -> Shape:
         """Fluid and solid swapped."""
-        from diffsim.stokes.shapes.combine import Complement
-
         return Complement(self)
 
 
@@ -113,6 +127,57 @@ def as_shape(name: str, shape: LevelSet) -> Shape:
     if not callable(shape):
         raise TypeError(f"{name} must be a shape or a callable, got {type(shape).__name__}")
     return Custom(shape)
+
+
+class Combination(Shape):
+    """A level set joined from those of several shapes, one after the other."""
+
+    def __init__(self, *shapes: LevelSet):
+        super().__init__()
+        if not shapes:
+            raise ValueError("at least one shape is needed, got none")
+        parts = [as_shape("shape", s) for s in shapes]
+        self.shapes = nn.ModuleList(parts)
+        dims = {s.dim for s in parts if s.dim is not None}
+        if len(dims) > 1:
+            raise ValueError("shapes in 2D and 3D cannot be combined; use Extrude for the 2D ones")
+        self.dim = dims.pop() if dims else None
+
+    def level(self, points: Tensor) -> Tensor:
+        first, *others = cast(list[Shape], list(self.shapes))
+        phi = first.level(points)
+        for shape in others:
+            phi = self._join(phi, shape.level(points))
+        return phi
+
+    def _join(self, a: Tensor, b: Tensor) -> Tensor:
+        raise NotImplementedError
+
+
+class Union(Combination):
+    """Fluid where any of the shapes has fluid: phi = max (solid is what all share)."""
+
+    def _join(self, a: Tensor, b: Tensor) -> Tensor:
+        return torch.where(b.detach() > a.detach(), b, a)
+
+
+class Intersection(Combination):
+    """Fluid where all of the shapes have fluid: phi = min (the solids are united)."""
+
+    def _join(self, a: Tensor, b: Tensor) -> Tensor:
+        return torch.where(b.detach() < a.detach(), b, a)
+
+
+class Complement(Shape):
+    """Fluid and solid swapped: phi = -phi of the shape."""
+
+    def __init__(self, shape: LevelSet):
+        super().__init__()
+        self.shape = as_shape("shape", shape)
+        self.dim = self.shape.dim
+
+    def level(self, points: Tensor) -> Tensor:
+        return -self.shape.level(points)
 
 
 def vector(name: str, value: Vector, dims: tuple[int, ...]) -> Tensor:

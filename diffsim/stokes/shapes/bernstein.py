@@ -73,7 +73,7 @@ def rising_roots(a: Tensor) -> tuple[Tensor, Tensor]:
     """All roots inside (0, 1) where the polynomials a (N, n + 1) go from minus to plus.
 
     Intervals are bisected until the coefficients change sign once (Descartes: exactly one root)
-    or not at all. Roots that cannot be told apart at a width of 1e-8 are returned as one.
+    or not at all. Roots closer than a width of 1e-8 are returned as one.
 
     Returns:
         Rows (M,) and roots (M,), in no particular order.

@@ -23,7 +23,7 @@ class BezierCurve2d(Shape):
 
     phi > 0 on the fluid's side. An open curve goes on along its end tangents without end, so that
     it parts the whole plane; only where these rays meet the curve again is the side not defined.
-    The distance is global: all local minima are found. At corners and cusps the side is the one
+    The distance is global: all local minima are compared. At corners and cusps the side is the one
     that the curve's two directions agree on. Where several points are equally near (medial axis),
     gradients are those of the one with the smallest parameter. On the curve, gradients are those
     of its normal. thesis 4.2.5, "Signed-distance functions for parametric shapes".
@@ -33,7 +33,7 @@ class BezierCurve2d(Shape):
         fluid: "left" or "right", seen in the direction of travel; for closed ones also "inside" or
             "outside".
         weights: (k,) > 0 for rational curves.
-        degree: Degree of the curves of a chain, neighbours sharing one control point: k = degree x
+        degree: Degree of the curves of a chain, neighbors sharing one control point: k = degree x
             num_curves + 1 (open) or degree x num_curves (closed: the last curve ends at the first
             point). None: a single curve.
         closed: Whether the chain returns to its first control point (which is not repeated).

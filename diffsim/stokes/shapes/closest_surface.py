@@ -15,10 +15,10 @@ from torch import Tensor
 from diffsim.stokes.shapes.spline_basis import SplineBasis
 
 _MAX_ITERS = 60
-_NEIGHBOURS = (8, 24)  # samples looked at for other sheets that are as near: close by, farther away
+_NEIGHBORS = (8, 24)  # samples looked at for other sheets that are as near: close by, farther away
 _CLOSE_BY = 4.0  # sample spacings
 _MAX_SHEETS = 3
-_LEAST = 1e-5  # eigenvalue taken for the Hessian where it is singular (centres of curvature)
+_LEAST = 1e-5  # eigenvalue taken for the Hessian where it is singular (centers of curvature)
 _BESIDE = 1e-12  # parameter distance at which feet on a kink are held, on either side of it
 _MAX_PIECES = 6  # entered one after the other, over their kinks
 _CHUNK = 16384  # points at a time, so that temporaries stay in the cache
@@ -30,7 +30,7 @@ class Patch:
 
     Attributes:
         homogeneous: (nu, nv, 4), w x, w y, w z, w.
-        bases: Of u and v.
+        bases: Spline bases of u and v.
         low, high: Range of (u, v), (2,); infinite where periodic.
         size: Length scale [m].
     """
@@ -138,7 +138,7 @@ def closest(patch: Patch, samples: Samples, p: Tensor, band: float | None) -> tu
     d = distance[:, 0]
     close_by = d <= _CLOSE_BY * samples.gap
     wanted = torch.ones_like(close_by) if band is None else d <= band + samples.gap
-    for group, num in zip((wanted & close_by, wanted & ~close_by), _NEIGHBOURS, strict=True):
+    for group, num in zip((wanted & close_by, wanted & ~close_by), _NEIGHBORS, strict=True):
         for some in torch.nonzero(group)[:, 0].split(_CHUNK):
             uv[some], slope[some] = _refined(patch, samples, p[some], num)
     return uv, slope

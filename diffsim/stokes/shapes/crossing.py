@@ -7,11 +7,11 @@ from torch import Tensor
 
 
 def crossing(polyline: Tensor) -> tuple[float, float] | None:
-    """A point where two chords that are not neighbours cross, or None.
+    """A point where two chords that are not neighbors cross, or None.
 
     Args:
         polyline: (N + 1, 2) [m]; first and last point may coincide (then their chords are
-            neighbours).
+            neighbors).
     """
     a, b = polyline[:-1], polyline[1:]
     d = b - a
@@ -25,10 +25,10 @@ def crossing(polyline: Tensor) -> tuple[float, float] | None:
     hit &= apart > 1
     if bool((polyline[0] == polyline[-1]).all()):
         hit &= apart < num - 1
-    found = torch.nonzero(hit)
-    if len(found) == 0:
+    crossings = torch.nonzero(hit)
+    if len(crossings) == 0:
         return None
-    first, second = found[0].tolist()
+    first, second = crossings[0].tolist()
     s = start[first, second] / (start[first, second] - end[first, second])
     x, y = (a[second] + s * d[second]).tolist()
     return x, y

@@ -43,7 +43,7 @@ class SignedDistance(torch.autograd.Function):
 
 
 class _FirstOrder(torch.autograd.Function):
-    """The identity; whoever differentiates the gradient again is told that it cannot be."""
+    """The identity; differentiating its gradient raises an error."""
 
     @staticmethod
     def forward(along: Tensor, p: Tensor, q: Tensor) -> Tensor:

@@ -44,9 +44,9 @@ class NurbsSurface(Shape):
         control_points: (nu, nv, 3) float64 [m]; periodic directions do not repeat the first.
         fluid: "inside" or "outside" (u periodic), or "front": the side of S_u x S_v, or "back".
         weights: (nu, nv), > 0.
-        degree: Of u and v, 1 to 5.
+        degree: Degree in u and v, 1 to 5.
         periodic: Whether u and v wrap.
-        knots: Of u and v, as in ``SplineBasis``; uniform where None.
+        knots: Knots of u and v, as in ``SplineBasis``; uniform where None.
         ends: "tangent" or "stop".
         band: Distance [m] within which phi is exact; farther away it is the distance to the nearest
             sample: right sign, at most a sample's spacing too large, gradients to match. A few

@@ -10,7 +10,7 @@ from diffsim.stokes.shapes.base import Number, Shape, Vector, outwards, scalar, 
 
 
 class Plane(Shape):
-    """Half space of fluid n.x > offset, n the normalised ``normal``, in 2D or 3D.
+    """Half space of fluid n.x > offset, n the normalized ``normal``, in 2D or 3D.
 
     Args:
         normal: Points into the fluid, any length > 0, (d,).
@@ -34,10 +34,10 @@ class Plane(Shape):
 
 
 class Sphere(Shape):
-    """Ball (3D) or disc (2D), solid with the fluid outside unless told otherwise.
+    """Ball (3D) or disc (2D), solid with the fluid outside by default.
 
-    thesis 4.2.5: phi = r - |c - x| for fluid inside. At the centre the gradient to the points and
-    to the centre is zero.
+    thesis 4.2.5: phi = r - |c - x| for fluid inside. At the center the gradient to the points and
+    to the center is zero.
 
     Args:
         radius: [m], > 0.

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim.copter import GRAVITY, Feedback, FlightState, Multicopter, fly, linearise, lqr
+from diffsim.copter import GRAVITY, Feedback, FlightState, Multicopter, fly, linearize, lqr
 from diffsim.data.study import Run, Study
 from diffsim.identify import Parameter
 from diffsim.identify.effort import DiagnosisSettings
@@ -153,7 +153,7 @@ def _flown(
     aim = path(t)
     hover = torch.full((vehicle.num_rotors,), float(vehicle.mass) * GRAVITY / vehicle.num_rotors)
     hover = hover.to(torch.float64)
-    linear = linearise(vehicle, hover, torch.zeros(2, dtype=torch.float64))
+    linear = linearize(vehicle, hover, torch.zeros(2, dtype=torch.float64))
     eye = torch.eye(12, dtype=torch.float64)
     gain = lqr(linear.A, linear.B, eye, torch.eye(vehicle.num_rotors, dtype=torch.float64)).K
     state = fly(

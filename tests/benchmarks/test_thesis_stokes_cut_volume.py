@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from diffsim.stokes.cut_volume import Plane, cut_area, cut_volume, fit_plane
+from benchmarks.thesis_stokes.cut_volume import Plane, cut_area, cut_volume, fit_plane
 
 F64 = torch.float64
 # Which components of the slope vanish.

@@ -19,7 +19,7 @@ from diffsim.stokes.grid import Grid
 MIN_SHARE = 1e-9
 
 # Rows of C can repeat each other (a channel with both ends prescribed has one too many). The zero
-# block of the KKT matrix gets this diagonal, far below the discretisation error.
+# block of the KKT matrix gets this diagonal, far below the discretization error.
 SOFTNESS = 1e-10
 
 
@@ -30,7 +30,7 @@ class CellTables:
         grid: The grid.
         nodes: Corners of every cell, (num_cells, 2^dim) int64, the last axis fastest.
         bits: Position of the corners in a cell, (2^dim, dim), 0 or 1.
-        divergence: Dilatation at the sub-cells' centres, (2^dim points, 2^dim * dim) [1/m].
+        divergence: Dilatation at the sub-cells' centers, (2^dim points, 2^dim * dim) [1/m].
         stiffness: Energy matrix at each point for eta = 1 and the whole cell's volume, scaled by
             the cell size: (2^dim points, n, n), n = 2^dim * dim [-].
         unit: Forces [N] of this energy are those of the flow over eta times this [m^(2-dim)].
@@ -119,7 +119,7 @@ class KktFunction(torch.autograd.Function):
 
 
 class KktSystem:
-    """The factorised KKT matrix of one geometry (thesis eq. 4.75), viscosity 1."""
+    """The factorized KKT matrix of one geometry (thesis eq. 4.75), viscosity 1."""
 
     def __init__(
         self,

@@ -2,58 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from torch import Tensor
 
 from diffsim.core.files import to_plain
 from diffsim.optim import Log
 from diffsim.stokes.devices.device import Device
-from diffsim.stokes.devices.sampling import Samples, draw
-from diffsim.stokes.devices.search import Descent, descend
-
-if TYPE_CHECKING:
-    from diffsim.stokes.devices.coarse_to_fine import CoarseStage
+from diffsim.stokes.devices.optimum import Optimum, as_optimum
+from diffsim.stokes.devices.sampling import draw
+from diffsim.stokes.devices.search import descend
 
 
-@dataclass(frozen=True)
-class Optimum:
-    """What ``optimise`` or ``coarse_to_fine`` found.
-
-    Losses are normalised: 1 is the average of the random samples, 0 a perfect device.
-
-    Attributes:
-        x: Best design, (num_parameters,).
-        loss: Its loss.
-        start: Design that L-BFGS started from, (num_parameters,).
-        samples: All sampled designs, (num_samples, num_parameters).
-        sample_losses: (num_samples,), mean 1; on the coarse grid where there was one.
-        unit_loss: Loss that counts as 1.
-        evaluations: Designs in order of evaluation, (num_evaluations, num_parameters).
-        evaluation_losses: (num_evaluations,); infinite where a design had no flow.
-        num_rejected: Random designs that let no fluid through and were drawn again.
-        seconds: Mean CPU time of loss and gradient [s].
-        message: Why L-BFGS stopped.
-        coarse: What was done on a coarser grid before.
-    """
-
-    x: Tensor
-    loss: float
-    start: Tensor
-    samples: Tensor
-    sample_losses: Tensor
-    unit_loss: float
-    evaluations: Tensor
-    evaluation_losses: Tensor
-    num_rejected: int
-    seconds: float
-    message: str
-    coarse: CoarseStage | None = None
-
-
-def optimise(
+def optimize(
     device: Device,
     num_samples: int | None = None,
     seed: int = 0,
@@ -73,8 +35,8 @@ def optimise(
     Args:
         device: The device.
         num_samples: Random designs; ``device.num_samples`` if None.
-        seed: Of the samples.
-        max_evaluations: Of loss and gradient, at most.
+        seed: Seed of the samples.
+        max_evaluations: Largest number of evaluations of loss and gradient.
         ftol: Relative decrease of the loss below which L-BFGS stops.
         start: Start L-BFGS here instead (the samples still set the unit of the loss).
         path: File of the state (see ``optim.Log``); none is kept if None.
@@ -122,27 +84,3 @@ def search_settings(device: Device, num_samples: int, seed: int) -> dict[str, An
         "num_samples": num_samples,
         "seed": seed,
     }
-
-
-def as_optimum(
-    samples: Samples,
-    start: Tensor,
-    descent: Descent,
-    unit: float,
-    coarse: CoarseStage | None = None,
-) -> Optimum:
-    """Normalise."""
-    return Optimum(
-        x=descent.x,
-        loss=descent.loss / unit,
-        start=start,
-        samples=samples.x,
-        sample_losses=samples.losses / samples.losses.mean(),
-        unit_loss=unit,
-        evaluations=descent.designs,
-        evaluation_losses=descent.losses / unit,
-        num_rejected=samples.num_rejected,
-        seconds=descent.seconds,
-        message=descent.message,
-        coarse=coarse,
-    )

@@ -1,4 +1,4 @@
-"""Tendons: fibres that pull and never push."""
+"""Tendons: fibers that pull and never push."""
 
 import numpy as np
 import pytest
@@ -12,8 +12,8 @@ TOLERANCE = {"eps": 1e-6, "atol": 2e-5, "rtol": 2e-5}
 DIRECTION = [1.0, 0.2, -0.1]
 
 
-def fibres_of(m, kind="tendon", count=1, stiffness=20.0):
-    """Fibres through all elements, ``count`` muscles over which they are dealt out."""
+def fibers_of(m, kind="tendon", count=1, stiffness=20.0):
+    """Fibers through all elements, ``count`` muscles over which they are dealt out."""
     every = torch.arange(m.num_elements)
     return [
         soft.Muscle(elements=every[k::count], direction=DIRECTION, stiffness=stiffness, kind=kind)
@@ -44,14 +44,14 @@ def at_rest(x):
 @pytest.mark.parametrize("kind", ["hex", "tet"])
 def test_taut_it_is_a_length_muscle(kind):
     m = irregular_mesh(kind)
-    tendon = soft_body(m, muscles=fibres_of(m))
-    muscle = soft_body(m, muscles=fibres_of(m, "length"))
+    tendon = soft_body(m, muscles=fibers_of(m))
+    muscle = soft_body(m, muscles=fibers_of(m, "length"))
     x = affine(m)
     below = row(stretches(m, x) - 0.2)
     results = []
     for body in (tendon, muscle):
         y, activation, stiffness = leaf(x), leaf(below), leaf([20.0])
-        physics = body.physics(fibre_stiffness=stiffness)
+        physics = body.physics(fiber_stiffness=stiffness)
         force = body.elastic_force(y, activation=activation, physics=physics)
         weights = noise(*x.shape)
         grads = torch.autograd.grad((force * weights).sum(), (y, activation, stiffness))
@@ -65,11 +65,11 @@ def test_taut_it_is_a_length_muscle(kind):
 @pytest.mark.parametrize("kind", ["hex", "tet"])
 def test_slack_it_is_not_there(kind):
     m = irregular_mesh(kind)
-    tendon, bare = soft_body(m, muscles=fibres_of(m)), soft_body(m)
+    tendon, bare = soft_body(m, muscles=fibers_of(m)), soft_body(m)
     x = affine(m)
     above = row(stretches(m, x) + 1e-9)
     y, activation, stiffness = leaf(x), leaf(above), leaf([20.0])
-    physics = tendon.physics(fibre_stiffness=stiffness)
+    physics = tendon.physics(fiber_stiffness=stiffness)
     force = tendon.elastic_force(y, activation=activation, physics=physics)
     weights = noise(*x.shape)
     grads = torch.autograd.grad((force * weights).sum(), (y, activation, stiffness))
@@ -88,7 +88,7 @@ def test_at_the_kink(kind):
     and the gradients are those of the taut side, also within rounding of the kink, so that a
     tendon at rest with activation 1 feels a command to shorten."""
     m = irregular_mesh(kind)
-    body = soft_body(m, muscles=fibres_of(m), gravity=(0.0, 0.0, 0.0))
+    body = soft_body(m, muscles=fibers_of(m), gravity=(0.0, 0.0, 0.0))
     x = m.x_rest
     assert body.muscles.rest_activation.tolist() == [1.0]
     rest = body.elastic_force(x)
@@ -128,25 +128,25 @@ def test_at_the_kink(kind):
 @pytest.mark.grad
 @pytest.mark.parametrize("kind", ["hex", "tet"])
 @pytest.mark.parametrize("integrator", ["implicit_euler", "implicit_midpoint"])
-def test_gradients_of_slack_and_taut_fibres_side_by_side(integrator, kind):
-    """Each of three tendons has fibres on both sides, and so has each group of eight samples."""
+def test_gradients_of_slack_and_taut_fibers_side_by_side(integrator, kind):
+    """Each of three tendons has fibers on both sides, and so has each group of eight samples."""
     m = irregular_mesh(kind, (3, 2, 1), (3.0, 2.0, 1.0))
     fixed = rail_mask(m)
-    body = soft_body(m, muscles=fibres_of(m, count=3), fixed=fixed, integrator=integrator)
+    body = soft_body(m, muscles=fibers_of(m, count=3), fixed=fixed, integrator=integrator)
     x = torch.where(fixed, m.x_rest, deformed(m, 0.4))
     activation, stiffness = leaf([1.05, 1.15, 1.25]), leaf([20.0, 25.0, 15.0])
     forces = [
-        soft_body(m, muscles=fibres_of(m, kind)).elastic_force(x, activation=activation[1:2])
+        soft_body(m, muscles=fibers_of(m, kind)).elastic_force(x, activation=activation[1:2])
         for kind in ("tendon", "length")
     ] + [soft_body(m).elastic_force(x)]
     assert (forces[0] - forces[1]).norm() > 0.1 and (forces[0] - forces[2]).norm() > 0.1
 
     def force(x, activation, stiffness):
-        physics = body.physics(fibre_stiffness=stiffness)
+        physics = body.physics(fiber_stiffness=stiffness)
         return body.elastic_force(x, activation=activation, physics=physics)
 
     def step(x, activation, stiffness):
-        physics = body.physics(fibre_stiffness=stiffness)
+        physics = body.physics(fiber_stiffness=stiffness)
         return body(at_rest(x), activation=activation, physics=physics).x
 
     for layer in (force, step):
@@ -190,13 +190,13 @@ def test_it_pulls_and_never_pushes():
 @pytest.mark.parametrize("kind", ["hex", "tet"])
 @pytest.mark.parametrize("method", METHODS)
 def test_methods_agree_across_the_kink(method, kind):
-    """Fibres that go slack and taut during the iteration: curvature jumps, the answer is one."""
+    """Fibers that go slack and taut during the iteration: curvature jumps, the answer is one."""
     m = irregular_mesh(kind, (4, 2, 2), (4.0, 2.0, 2.0))
 
     def run(method):
         solver = soft.SolverOptions(method=method, rtol=1e-10, adjoint_rtol=1e-10)
         body = soft_body(
-            m, muscles=fibres_of(m, count=2, stiffness=80.0), fixed=rail_mask(m), solver=solver
+            m, muscles=fibers_of(m, count=2, stiffness=80.0), fixed=rail_mask(m), solver=solver
         )
         x, activation = leaf(m.x_rest), leaf([1.0, 0.8])
         state = soft.State(x, 2.0 * noise(*x.shape, seed=4))

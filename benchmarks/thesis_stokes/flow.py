@@ -1,28 +1,27 @@
 """The published quasi-incompressible formulation of Stokes flow, kept for comparison.
 
-It loses accuracy as Poisson's ratio nears 0.5 (locking) and has a compressibility error below; the
-default formulation has neither. Thesis 4.2.4-4.2.6, Fig. 4-27.
+It loses accuracy as Poisson's ratio nears 0.5 (locking) and has a compressibility error below;
+``diffsim.stokes.StokesFlow`` has neither. Thesis 4.2.4-4.2.6, Fig. 4-27.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from diffsim.core.check import require_number
-from diffsim.stokes import _ops as ops
-from diffsim.stokes.boundary import Boundary
-from diffsim.stokes.cut_volume import Plane, cut_area, cut_volume, fit_plane
-from diffsim.stokes.field import FlowField
-from diffsim.stokes.thesis_kkt import MIN_SHARE, CellTables, KktFunction
+from benchmarks.thesis_stokes.cut_volume import Plane, cut_area, cut_volume, fit_plane
+from benchmarks.thesis_stokes.kkt import MIN_SHARE, CellTables, KktFunction
+from diffsim.core.check import require_choice, require_number
+from diffsim.stokes import Boundary, FlowField, Grid, Inlet, Open, Wall
+from diffsim.stokes.boundary import refuse_net_inflow
+from diffsim.stokes.flow import WALL_KINDS
+from diffsim.stokes.problem import flow_inputs
 
 # Walls smaller than this share of a face hold nothing (the flow jumps by little as a wall shrinks
-# past it). The authors' code ignores cells with a fluid share below 1e-3 together with their walls,
-# and takes those above 1 - 1e-3 for full: the same as 0.06 where a wall cuts off a corner in 2D,
-# but it loses walls close to a layer of nodes.
+# past it); the published code's cutoff is another, see ``ThesisFlow``.
 MIN_AREA = 0.06
 
 
@@ -41,16 +40,16 @@ class _Rows(NamedTuple):
     values: Tensor
 
 
-class ThesisFormulation:
+class ThesisFlow(nn.Module):
     """Quasi-incompressible Stokes flow on a grid, as published: for comparison, not for design.
 
-    minimise  sum over sub-cells of volume * (eta |D|^2 + eta nu / (1 - 2 nu) (tr D)^2 - f.v)
+    minimize  sum over sub-cells of volume * (eta |D|^2 + eta nu / (1 - 2 nu) (tr D)^2 - f.v)
               - sum over open sub-faces of area * t.v
     where     the mean of v over the wall in every cut cell equals the wall's velocity
               ("no_slip"), or only its normal component does ("no_separation")
 
     Multilinear velocities; each cell is cut by the plane that fits the level set at its corners;
-    2^dim quadrature points at the centres of a cell's sub-cells, weighted by exact fluid volumes,
+    2^dim quadrature points at the centers of a cell's sub-cells, weighted by exact fluid volumes,
     in full cells too (thesis eqs. 4.67-4.74). Body force f and traction t are not in the thesis;
     they are integrated likewise. The KKT system (4.75) is solved by a sparse LU; its factor serves
     all cases and the adjoint.
@@ -60,67 +59,100 @@ class ThesisFormulation:
     that belong to slivers of fluid only can take large velocities, and since rows hold means,
     velocities that alternate along a wall pass them.
 
+    Cutoffs: the published code has one, ``vol_tol`` = 1e-3. It drops cells with a fluid share below
+    ``vol_tol`` together with their walls, and takes those above 1 - ``vol_tol`` for full. Walls
+    close to a layer of nodes are lost that way. Here cells carry energy from a fluid share of
+    ``MIN_SHARE`` = 1e-9 on, and walls hold from an area of ``MIN_AREA`` = 0.06 of a cell's face on.
+    Both cutoffs agree where a wall cuts off a corner in 2D.
+
     Args:
-        boundary: Conditions on the box's faces.
-        poissons_ratio: nu [-], in [0, 0.5).
+        grid: The grid.
+        boundary: Conditions on the box's faces; faces that are not mentioned are no-slip walls.
+        viscosity: Default viscosity eta [Pa s].
         wall: "no_slip" or "no_separation" on the embedded wall.
+        poissons_ratio: nu [-], in [0, 0.5).
 
     Reference: Du et al. 2020, "Functional Optimization of Fluidic Devices with Differentiable
     Stokes Flow"; thesis 4.2.4-4.2.6.
     """
 
-    def __init__(self, boundary: Boundary, *, poissons_ratio: float, wall: str):
-        self.boundary = boundary
+    def __init__(
+        self,
+        grid: Grid,
+        boundary: Boundary | Iterable[Inlet | Open | Wall] = (),
+        *,
+        viscosity: float = 1.0,
+        wall: str = "no_slip",
+        poissons_ratio: float = 0.45,
+    ):
+        super().__init__()
+        self.grid = grid
+        self.boundary = boundary if isinstance(boundary, Boundary) else Boundary(grid, boundary)
+        if self.boundary.grid is not grid:
+            raise ValueError("boundary was made for another grid")
+        self.viscosity = require_number("viscosity", viscosity, above=0.0)
+        self.wall = require_choice("wall", wall, WALL_KINDS)
         nu = require_number(
             "poissons_ratio",
             poissons_ratio,
             at_least=0.0,
             below=0.5,
-            hint='for incompressible flow use formulation="nitsche"',
+            hint="for incompressible flow use diffsim.stokes.StokesFlow",
         )
-        self.wall = wall
         self.bulk_ratio = 2.0 * nu / (1.0 - 2.0 * nu)
         """lambda / eta [-]."""
-        self.tables = CellTables(boundary.grid, self.bulk_ratio)
+        self.tables = CellTables(grid, self.bulk_ratio)
 
-    def solve(
-        self, phi: Tensor, viscosity: Tensor, prescribed: Tensor, loads: Sequence[Tensor]
+    def forward(
+        self,
+        phi: Tensor,
+        inlet: Tensor | Mapping[str, Tensor] | None = None,
+        *,
+        viscosity: Tensor | float | None = None,
+        wall_velocity: Tensor | None = None,
+        body_force: Tensor | None = None,
+        traction: Tensor | None = None,
     ) -> FlowField:
-        """The flow; arguments as ``StokesFlow.forward`` has checked them.
-
-        Args:
-            phi: (*node_shape,).
-            viscosity: (1,) [Pa s].
-            prescribed: (cases, num_nodes, dim) [m/s].
-            loads: Wall velocity, body force, traction: empty, or (1 or cases, num_nodes, dim).
+        """Solve for the flow; arguments are those of ``StokesFlow.forward``.
 
         Returns:
             ``FlowField``; ``pressure`` is -lambda times the mean dilatation of a cell's fluid.
 
         Raises:
-            ValueError: no fluid, or net inflow into a box without an open face.
+            TypeError, ValueError: wrong shapes, NaN, nothing that drives the flow, no fluid, or net
+                inflow into a box without an open face.
             FactorizationError: the KKT matrix is singular.
         """
-        wall, body_force, traction = loads
-        subs, shares, rows = self._geometry(phi.reshape(-1), wall, prescribed.shape[0])
+        inputs = flow_inputs(
+            self.boundary,
+            phi,
+            inlet,
+            viscosity=self.viscosity if viscosity is None else viscosity,
+            wall_velocity=wall_velocity,
+            body_force=body_force,
+            traction=traction,
+        )
+        prescribed = inputs.prescribed
+        subs, shares, rows = self._geometry(inputs.phi, inputs.wall_velocity, prescribed.shape[0])
         force = torch.zeros_like(prescribed)
-        if body_force.numel():
-            force = force + self._volume_force(shares, body_force)
-        if traction.numel():
-            force = force + self._face_force(subs, traction)
+        if inputs.body_force.numel():
+            force = force + self._volume_force(shares, inputs.body_force)
+        if inputs.traction.numel():
+            force = force + self._face_force(subs, inputs.traction)
         velocity = KktFunction.apply(
             shares,
             rows.weights,
             rows.values,
             prescribed,
-            force * (self.tables.unit / viscosity),
+            force * (self.tables.unit / inputs.viscosity),
             rows.cells,
             self.tables,
             self.boundary,
         )
-        field = self._field(phi, viscosity, shares, velocity)
-        ops.refuse_net_inflow(float(field.stats["net_inflow"].max()))
-        return field
+        node_phi = inputs.phi.reshape(self.grid.node_shape)
+        field = self._field(node_phi, inputs.viscosity, shares, velocity)
+        refuse_net_inflow(float(field.stats["net_inflow"].max()))
+        return field.with_imbalance()
 
     def _volume_force(self, shares: Tensor, body_force: Tensor) -> Tensor:
         """Nodal forces of a force per volume, (cases, num_nodes, dim) [N]."""
@@ -172,7 +204,7 @@ class ThesisFormulation:
         face = grid.cell_volume / max(grid.spacing)
         cells = (area.detach().sum(-1) > MIN_AREA * face).nonzero()[:, 0]
         slope, offset, area = slope[cells], offset[cells], area[cells]
-        # Centres of the sub-cells, projected to the plane along its normal in space (eq. 4.73).
+        # Centers of the sub-cells, projected to the plane along its normal in space (eq. 4.73).
         gradient = slope / spacing
         steepest = gradient.square().sum(-1)
         centers = origins + 0.25

@@ -15,7 +15,7 @@ from diffsim.stokes.devices.losses import area, mean_velocity
 
 def test_amplifier_amplifies_three_times(tmp_path):
     device = devices.make("amplifier", 0.5)
-    best = devices.optimise(device, 6, seed=0, progress=False)
+    best = devices.optimize(device, 6, seed=0, progress=False)
     assert best.loss < 1e-4  # the thesis reaches 1.7e-5 with 10 samples on 64 x 48 cells
     assert best.loss < 1e-2 * float(best.sample_losses.min())
     assert float(best.sample_losses.mean()) == pytest.approx(1.0)
@@ -53,27 +53,27 @@ def test_progress_of_an_older_version_is_refused(tmp_path):
     path = tmp_path / "progress.json"
     path.write_text(json.dumps({"settings": {"device": "amplifier"}, "samples": []}, indent=2))
     with pytest.raises(ValueError, match="older version"):
-        devices.optimise(devices.make("amplifier", 0.25), 2, path=path, progress=False)
+        devices.optimize(devices.make("amplifier", 0.25), 2, path=path, progress=False)
 
 
 @pytest.mark.parametrize("calls", [2, 7])  # while sampling, while improving
 def test_interrupted_runs_go_on(tmp_path, calls):
     device = devices.make("amplifier", 0.25)
     options = {"seed": 3, "max_evaluations": 8, "progress": False}
-    whole = devices.optimise(device, 4, **options)
+    whole = devices.optimize(device, 4, **options)
     path = tmp_path / "progress.jsonl"
     stopped = Interrupted(device, calls)
     with pytest.raises(KeyboardInterrupt):
-        devices.optimise(stopped, 4, path=path, **options)
+        devices.optimize(stopped, 4, path=path, **options)
     assert len(path.read_text().splitlines()) == 1 + calls  # a header, and a line per flow
     rest = Interrupted(device, 4 + len(whole.evaluations) - calls)  # not one more
-    resumed = devices.optimise(rest, 4, path=path, **options)
+    resumed = devices.optimize(rest, 4, path=path, **options)
     assert rest.left == 0
     assert torch.equal(resumed.evaluations, whole.evaluations)
     assert torch.equal(resumed.x, whole.x)
     assert resumed.loss == whole.loss
     with pytest.raises(ValueError, match="belongs to another run"):
-        devices.optimise(device, 5, path=path, **options)
+        devices.optimize(device, 5, path=path, **options)
 
 
 def test_designs_without_flow_are_drawn_again_and_avoided():
@@ -87,7 +87,7 @@ def test_designs_without_flow_are_drawn_again_and_avoided():
 
     state = dataclasses.replace(device.states[0], shape=no_narrow_ones)
     fussy = dataclasses.replace(device, states=(state,))
-    best = devices.optimise(fussy, 6, seed=1, max_evaluations=15, progress=False)
+    best = devices.optimize(fussy, 6, seed=1, max_evaluations=15, progress=False)
     assert best.num_rejected > 0
     assert bool((best.samples[:, 4] <= 0.36).all())
     assert float(best.x[4]) <= 0.36

@@ -1,0 +1,186 @@
+"""Cut cells and fluxes through grid planes as torch custom ops.
+
+Everything is float64 with nodes and cells flattened, the last axis fastest.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from diffsim.core.compiled import core
+
+
+def _grid(cells: list[int], spacing: list[float], phi: Tensor) -> object:
+    nodes = math.prod(n + 1 for n in cells)
+    if tuple(phi.shape) != (nodes,) or phi.dtype != torch.float64 or not phi.is_contiguous():
+        raise ValueError(f"phi must be contiguous float64 of shape ({nodes},)")
+    return core.make_grid_shape(tuple(cells), tuple(spacing))
+
+
+@torch.library.custom_op("diffsim::stokes_cut_cells", mutates_args=())
+def cut_cells(
+    phi: Tensor, cells: list[int], spacing: list[float], num_threads: int
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Fluid volume, interface area and normal of all cells; csrc/kernels/stokes/cut_cells.h."""
+    shape = _grid(cells, spacing, phi)
+    volume = phi.new_empty(math.prod(cells))
+    area, normal = torch.empty_like(volume), volume.new_empty(volume.numel(), len(cells))
+    core.cut_cells(
+        shape=shape,
+        phi=phi.data_ptr(),
+        volume=volume.data_ptr(),
+        area=area.data_ptr(),
+        normal=normal.data_ptr(),
+        num_threads=num_threads,
+    )
+    return volume, area, normal
+
+
+@cut_cells.register_fake
+def _(phi, cells, spacing, num_threads):
+    count = math.prod(cells)
+    return phi.new_empty(count), phi.new_empty(count), phi.new_empty(count, len(cells))
+
+
+@torch.library.custom_op("diffsim::stokes_cut_cells_vjp", mutates_args=())
+def cut_cells_vjp(
+    grad_volume: Tensor,
+    grad_area: Tensor,
+    grad_normal: Tensor,
+    phi: Tensor,
+    cells: list[int],
+    spacing: list[float],
+    num_threads: int,
+) -> Tensor:
+    """Adjoint of :func:`cut_cells`: gradient of phi."""
+    shape = _grid(cells, spacing, phi)
+    count = math.prod(cells)
+    grad_volume, grad_area = grad_volume.contiguous(), grad_area.contiguous()
+    grad_normal = grad_normal.contiguous()
+    shapes = grad_volume.shape, grad_area.shape, grad_normal.shape
+    if shapes != ((count,), (count,), (count, len(cells))):
+        raise ValueError("gradients of cut cells have wrong shapes")
+    grad_phi = torch.empty_like(phi)
+    core.cut_cells_vjp(
+        shape=shape,
+        phi=phi.data_ptr(),
+        grad_volume=grad_volume.data_ptr(),
+        grad_area=grad_area.data_ptr(),
+        grad_normal=grad_normal.data_ptr(),
+        grad_phi=grad_phi.data_ptr(),
+        num_threads=num_threads,
+    )
+    return grad_phi
+
+
+@cut_cells_vjp.register_fake
+def _(grad_volume, grad_area, grad_normal, phi, *args):
+    return torch.empty_like(phi)
+
+
+def _cut_setup(ctx, inputs, output):
+    phi, ctx.cells, ctx.spacing, ctx.num_threads = inputs
+    ctx.save_for_backward(phi)
+
+
+def _cut_backward(ctx, grad_volume, grad_area, grad_normal):
+    (phi,) = ctx.saved_tensors
+    grad_phi = cut_cells_vjp(
+        grad_volume=grad_volume,
+        grad_area=grad_area,
+        grad_normal=grad_normal,
+        phi=phi,
+        cells=ctx.cells,
+        spacing=ctx.spacing,
+        num_threads=ctx.num_threads,
+    )
+    return grad_phi, None, None, None
+
+
+cut_cells.register_autograd(_cut_backward, setup_context=_cut_setup)
+
+
+@torch.library.custom_op("diffsim::stokes_plane_flux", mutates_args=())
+def plane_flux(
+    phi: Tensor, velocity: Tensor, cells: list[int], spacing: list[float], axis: int, index: int
+) -> Tensor:
+    """Volume flow through the fluid part of a grid plane, (cases,); cut_cells.h."""
+    shape = _grid(cells, spacing, phi)
+    if velocity.shape[1:] != (phi.numel(), len(cells)) or not velocity.is_contiguous():
+        raise ValueError("velocity must be contiguous (cases, num_nodes, dim)")
+    if not (0 <= axis < len(cells) and 0 <= index <= cells[axis]):
+        raise ValueError(f"no grid plane {index} on axis {axis}")
+    flux = phi.new_empty(velocity.shape[0])
+    core.plane_flux(
+        shape=shape,
+        phi=phi.data_ptr(),
+        velocity=velocity.data_ptr(),
+        num_cases=len(flux),
+        axis=axis,
+        index=index,
+        flux=flux.data_ptr(),
+    )
+    return flux
+
+
+@plane_flux.register_fake
+def _(phi, velocity, *args):
+    return phi.new_empty(velocity.shape[0])
+
+
+@torch.library.custom_op("diffsim::stokes_plane_flux_vjp", mutates_args=())
+def plane_flux_vjp(
+    grad_flux: Tensor,
+    phi: Tensor,
+    velocity: Tensor,
+    cells: list[int],
+    spacing: list[float],
+    axis: int,
+    index: int,
+) -> tuple[Tensor, Tensor]:
+    """Adjoint of :func:`plane_flux`."""
+    shape = _grid(cells, spacing, phi)
+    grad_flux = grad_flux.contiguous()
+    grad_phi, grad_velocity = torch.empty_like(phi), torch.empty_like(velocity)
+    core.plane_flux_vjp(
+        shape=shape,
+        phi=phi.data_ptr(),
+        velocity=velocity.data_ptr(),
+        num_cases=velocity.shape[0],
+        axis=axis,
+        index=index,
+        grad_flux=grad_flux.data_ptr(),
+        grad_phi=grad_phi.data_ptr(),
+        grad_velocity=grad_velocity.data_ptr(),
+    )
+    return grad_phi, grad_velocity
+
+
+@plane_flux_vjp.register_fake
+def _(grad_flux, phi, velocity, *args):
+    return torch.empty_like(phi), torch.empty_like(velocity)
+
+
+def _flux_setup(ctx, inputs, output):
+    phi, velocity, ctx.cells, ctx.spacing, ctx.axis, ctx.index = inputs
+    ctx.save_for_backward(phi, velocity)
+
+
+def _flux_backward(ctx, grad_flux):
+    phi, velocity = ctx.saved_tensors
+    grad_phi, grad_velocity = plane_flux_vjp(
+        grad_flux=grad_flux,
+        phi=phi,
+        velocity=velocity,
+        cells=ctx.cells,
+        spacing=ctx.spacing,
+        axis=ctx.axis,
+        index=ctx.index,
+    )
+    return grad_phi, grad_velocity, None, None, None, None
+
+
+plane_flux.register_autograd(_flux_backward, setup_context=_flux_setup)

@@ -1,0 +1,266 @@
+"""Stokes flow and its adjoint as torch custom ops.
+
+Everything is float64 with nodes and cells flattened, the last axis fastest. Ops take flat tensors;
+:class:`FlowInputs` and :class:`FlowOutputs` name them, and their fields are in the order in which
+the ops take and return them.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from diffsim.core.compiled import core
+from diffsim.core.errors import ConvergenceError, ConvergenceWarning
+from diffsim.stokes._systems import StokesContext, context
+from diffsim.stokes.boundary import refuse_net_inflow
+
+FlowSolver = core.FlowSolver
+MAX_DIRECT_NODES: int = core.STOKES_MAX_DIRECT_NODES
+STATS = ("num_iters", "divergence", "converged", "net_inflow", "residual")
+LOADS = ("wall_velocity", "body_force", "traction")
+
+
+class FlowInputs(NamedTuple):
+    """What drives a flow, and through which shape; also the gradients of these.
+
+    Attributes:
+        phi: Level set, (num_nodes,), > 0 in the fluid.
+        viscosity: (1,) [Pa s].
+        prescribed: Velocities, (cases, num_nodes, dim), read at prescribed components [m/s].
+        wall_velocity: Velocity of the embedded wall, (1 or cases, num_nodes, dim) [m/s]; empty
+            at rest.
+        body_force: Per volume, the same shapes [N/m^dim]; empty without.
+        traction: On open faces, the same shapes [N/m^(dim-1)]; empty without.
+    """
+
+    phi: Tensor
+    viscosity: Tensor
+    prescribed: Tensor
+    wall_velocity: Tensor
+    body_force: Tensor
+    traction: Tensor
+
+    @property
+    def loads(self) -> dict[str, Tensor]:
+        """Wall velocity, body force and traction by name."""
+        return {name: getattr(self, name) for name in LOADS}
+
+
+class FlowOutputs(NamedTuple):
+    """A solved flow.
+
+    Attributes:
+        velocity: (cases, num_nodes, dim) [m/s].
+        pressure: (cases, num_cells) [Pa].
+        fraction: Fluid share of every cell, (num_cells,) [-].
+        stats: ``STATS`` of every case, (cases, 5); no gradient.
+    """
+
+    velocity: Tensor
+    pressure: Tensor
+    fraction: Tensor
+    stats: Tensor
+
+
+def solve(inputs: FlowInputs, *, handle: int, num_threads: int, on_failure: str) -> FlowOutputs:
+    """The flow of a level set by the prepared systems behind a handle."""
+    return FlowOutputs(
+        *stokes_flow(
+            **inputs._asdict(), handle=handle, num_threads=num_threads, on_failure=on_failure
+        )
+    )
+
+
+@torch.library.custom_op("diffsim::stokes_flow", mutates_args=())
+def stokes_flow(
+    phi: Tensor,
+    viscosity: Tensor,
+    prescribed: Tensor,
+    wall_velocity: Tensor,
+    body_force: Tensor,
+    traction: Tensor,
+    handle: int,
+    num_threads: int,
+    on_failure: str,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """``FlowOutputs`` of ``FlowInputs``; see csrc/kernels/stokes/flow_system.h."""
+    inputs = FlowInputs(phi, viscosity, prescribed, wall_velocity, body_force, traction)
+    ctx = context(handle)
+    cases, nodes, dim = prescribed.shape[0], ctx.num_nodes, ctx.dim
+    _require_size("phi", phi, (nodes,))
+    _require_size("viscosity", viscosity, (1,))
+    _require_size("prescribed", prescribed, (cases, nodes, dim))
+    outputs = FlowOutputs(
+        velocity=phi.new_empty(cases, nodes, dim),
+        pressure=phi.new_empty(cases, ctx.num_cells),
+        fraction=phi.new_empty(ctx.num_cells),
+        stats=phi.new_zeros(cases, len(STATS)),
+    )
+    arrays = _arrays(ctx, inputs, float(viscosity))
+    with ctx.lock:
+        system = ctx.system(phi, num_threads)
+        system.fractions(outputs.fraction.data_ptr(), ctx.num_cells)
+        system.solve(
+            inputs=arrays,
+            velocity=outputs.velocity.data_ptr(),
+            pressure=outputs.pressure.data_ptr(),
+            stats=outputs.stats.data_ptr(),
+            num_threads=num_threads,
+        )
+    net_inflow = outputs.stats[:, STATS.index("net_inflow")]
+    refuse_net_inflow(float(net_inflow.max()) if cases else 0.0)
+    _report_failure(outputs.stats, "Stokes solve", ctx, system, on_failure)
+    return outputs
+
+
+@stokes_flow.register_fake
+def _(phi, viscosity, prescribed, wall_velocity, body_force, traction, handle, *args):
+    ctx = context(handle)
+    cases = prescribed.shape[0]
+    return (
+        torch.empty_like(prescribed),
+        phi.new_empty(cases, ctx.num_cells),
+        phi.new_empty(ctx.num_cells),
+        phi.new_empty(cases, len(STATS)),
+    )
+
+
+@torch.library.custom_op("diffsim::stokes_flow_vjp", mutates_args=())
+def stokes_flow_vjp(
+    grad_velocity: Tensor,
+    grad_pressure: Tensor,
+    grad_fraction: Tensor,
+    velocity: Tensor,
+    pressure: Tensor,
+    phi: Tensor,
+    viscosity: Tensor,
+    prescribed: Tensor,
+    wall_velocity: Tensor,
+    body_force: Tensor,
+    traction: Tensor,
+    handle: int,
+    num_threads: int,
+    on_failure: str,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Adjoint of :func:`stokes_flow`: gradients of ``FlowInputs``."""
+    inputs = FlowInputs(phi, viscosity, prescribed, wall_velocity, body_force, traction)
+    ctx = context(handle)
+    grad_velocity, grad_pressure = grad_velocity.contiguous(), grad_pressure.contiguous()
+    grad_fraction = grad_fraction.contiguous()
+    _require_size("grad_velocity", grad_velocity, tuple(velocity.shape))
+    _require_size("grad_pressure", grad_pressure, tuple(pressure.shape))
+    _require_size("grad_fraction", grad_fraction, (ctx.num_cells,))
+    _require_size("phi", phi, (ctx.num_nodes,))
+    grads = FlowInputs(
+        phi=torch.zeros_like(phi),
+        viscosity=torch.zeros_like(viscosity),
+        prescribed=torch.empty_like(prescribed),
+        **{name: torch.zeros_like(load) for name, load in inputs.loads.items()},
+    )
+    stats = phi.new_zeros(prescribed.shape[0], len(STATS))
+    arrays = _arrays(ctx, inputs, float(viscosity))
+    with ctx.lock:
+        system = ctx.system(phi, num_threads)
+        system.adjoint(
+            inputs=arrays,
+            velocity=velocity.data_ptr(),
+            pressure=pressure.data_ptr(),
+            grad_velocity=grad_velocity.data_ptr(),
+            grad_pressure=grad_pressure.data_ptr(),
+            grad_fraction=grad_fraction.data_ptr(),
+            grads=_arrays(ctx, grads, 0.0),
+            grad_phi=grads.phi.data_ptr(),
+            grad_viscosity=grads.viscosity.data_ptr(),
+            stats=stats.data_ptr(),
+            num_threads=num_threads,
+        )
+    _report_failure(stats, "adjoint of the Stokes solve", ctx, system, on_failure)
+    return grads
+
+
+@stokes_flow_vjp.register_fake
+def _(grad_velocity, grad_pressure, grad_fraction, velocity, pressure, *args):
+    inputs = args[: len(FlowInputs._fields)]
+    return tuple(torch.empty_like(value) for value in inputs)
+
+
+def _setup(ctx, inputs, output):
+    count = len(FlowInputs._fields)
+    ctx.handle, ctx.num_threads, ctx.on_failure = inputs[count:]
+    outputs = FlowOutputs(*output)
+    ctx.save_for_backward(outputs.velocity, outputs.pressure, *inputs[:count])
+    ctx.owner = context(ctx.handle)  # the graph keeps the prepared systems
+    ctx.mark_non_differentiable(outputs.stats)
+
+
+def _backward(ctx, grad_velocity, grad_pressure, grad_fraction, _grad_stats):
+    # One solve with the forward's factor serves all inputs; csrc/kernels/stokes/flow_system.cpp.
+    velocity, pressure, *saved = ctx.saved_tensors
+    grads = stokes_flow_vjp(
+        grad_velocity=grad_velocity,
+        grad_pressure=grad_pressure,
+        grad_fraction=grad_fraction,
+        velocity=velocity,
+        pressure=pressure,
+        **FlowInputs(*saved)._asdict(),
+        handle=ctx.handle,
+        num_threads=ctx.num_threads,
+        on_failure=ctx.on_failure,
+    )
+    return *grads, None, None, None
+
+
+stokes_flow.register_autograd(_backward, setup_context=_setup)
+
+
+def _require_size(name: str, tensor: Tensor, shape: tuple[int, ...]) -> None:
+    """Kernels read whole arrays: refuse any other size before they do."""
+    if tuple(tensor.shape) != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {tuple(tensor.shape)}")
+    if tensor.dtype != torch.float64 or not tensor.is_contiguous():
+        raise TypeError(f"{name} must be contiguous float64")
+
+
+def _arrays(ctx: StokesContext, inputs: FlowInputs, viscosity: float) -> object:
+    """Addresses of the prescribed velocities and the loads, or of their gradients."""
+    cases, block = inputs.prescribed.shape[0], (ctx.num_nodes, ctx.dim)
+    arrays = core.StokesArrays()
+    arrays.num_cases, arrays.viscosity = cases, viscosity
+    arrays.prescribed = inputs.prescribed.data_ptr()
+    for name, load in inputs.loads.items():
+        if load.numel():
+            many = cases if load.shape[0] == cases else 1
+            _require_size(name, load, (many, *block))
+            setattr(arrays, name, load.data_ptr())
+            setattr(arrays, f"{name}_stride", ctx.num_nodes * ctx.dim if many > 1 else 0)
+    return arrays
+
+
+def _report_failure(stats: Tensor, what: str, ctx: StokesContext, system, on_failure: str) -> None:
+    """Warn or raise where a case did not converge, with what its solver measures."""
+    failed = stats[:, STATS.index("converged")] == 0
+    if not bool(failed.any()):
+        return
+    first = dict(zip(STATS, stats[failed][0].tolist(), strict=True))
+    if system.report.iterative and not first["residual"] <= ctx.options.rtol:
+        measure, reached, tolerance = "relative residual", first["residual"], ctx.options.rtol
+        remedy = 'raise max_iters, loosen rtol, or choose method="direct"'
+    else:
+        measure = "relative divergence"
+        reached, tolerance = first["divergence"], ctx.options.tolerance
+        remedy = "raise max_iters or bulk_ratio, or loosen tolerance"
+    message = (
+        f"{what} stopped after {first['num_iters']:.0f} iterations at {measure} {reached:.3e}, "
+        f"needed {tolerance:.3e}; {remedy}"
+    )
+    if on_failure == "warn" and math.isfinite(reached):
+        warnings.warn(message, ConvergenceWarning, stacklevel=2)
+        return
+    raise ConvergenceError(
+        message, residual_norm=reached, tolerance=tolerance, num_iters=int(first["num_iters"])
+    )
