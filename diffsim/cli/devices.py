@@ -97,6 +97,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         again = ", the same command goes on" if args.out else ""
         print(f"interrupted{again}", file=sys.stderr)
         return 130
+    except ValueError as error:  # such as a record of another run in --out
+        print(error, file=sys.stderr)
+        return 2
     return 0
 
 
