@@ -135,14 +135,14 @@ def held_out_point(fit: Fit, run: Run) -> Array:
 
     # nuisances act almost linearly: slopes of their start serve for all steps
     slopes = -problem.linearize(full(np.zeros(len(own))), only=own)[1][:, own]
-    found = optimize.least_squares(
+    solution = optimize.least_squares(
         lambda part: np.concatenate([problem.residual(full(part)), part]),
         np.zeros(len(own)),
         jac=lambda part: np.vstack([slopes, np.eye(len(own))]),
         method="trf",
         max_nfev=20,
     )
-    return full(found.x)
+    return full(solution.x)
 
 
 def _blocks(run: Run, block_s: float, null: Array, extended: Array, fit: Fit) -> Array:

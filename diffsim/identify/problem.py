@@ -210,15 +210,15 @@ class Problem:
     ) -> tuple[Array, Array] | None:
         """Prediction and columns by the model's own tangents; None where it has none."""
         with torch.no_grad():
-            found = self.model.tangents(
+            given = self.model.tangents(
                 run,
                 self._point(at),
                 [self._line(at, i, stencil) for i, stencil in stencils.items()],
                 self.numerics,
             )
-        if found is None:
+        if given is None:
             return None
-        here, columns = found
+        here, columns = given
         shape = run.measured.shape
         columns = self._of_shape(run, columns, (len(stencils), *shape))
         here = self._of_shape(run, here, shape)
