@@ -31,10 +31,10 @@ def swap_probability(
     taken large: b' (H'H + 1)^-1 b with b = H'r.
 
     Args:
-        problem: Of the fit that left the residual.
-        residual: (num_valid,) whitened.
-        responses: (num_valid, m) whitened, of the cause in question.
-        seed: Of the draws.
+        problem: Fitted problem that left the residual.
+        residual: Whitened residual of the fit, (num_valid,).
+        responses: Whitened responses of the cause in question, (num_valid, m).
+        seed: Seed of the draws.
 
     Returns:
         (hits + 1) / (draws + 1), or None where repeats are missing or too short for a test.

@@ -51,7 +51,7 @@ class SavedModel:
         verdict: Of the diagnosis behind it.
         setup: What the study named.
         units: By name.
-        prepared_at: Standardised parameters at which the model prepared what it prepares once.
+        prepared_at: Standardized parameters at which the model prepared what it prepares once.
     """
 
     path: Path
