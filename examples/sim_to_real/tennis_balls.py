@@ -41,7 +41,7 @@ from diffsim.data import Channel, Run, Study, import_study
 from diffsim.data.ball_video import ball_video_study
 from diffsim.identify import Jacobian, Problem, WhiteNoise, fit
 from diffsim.identify.multi_start import descend, random_starts
-from diffsim.systems.balls.effects import BallFriction, RollingResistance, SlidingFriction
+from diffsim.systems.balls.effects import BALL_FRICTION, ROLLING_RESISTANCE, SLIDING_FRICTION
 from diffsim.systems.balls.soft import MOTION, SoftBallModel
 from diffsim.systems.published.tennis_balls import setup, soft_model
 from diffsim.viz.ball_figures import Shown, misfits, overlay, recording, simulated, strip
@@ -167,7 +167,7 @@ def rms(values: Array) -> float:
 def rigid(study: Study) -> dict[str, dict[str, float]]:
     """The diagnosis's rigid balls on the same pixels: as published there, plain and extended."""
     model = setup(study).model
-    causes = [SlidingFriction(), BallFriction(), RollingResistance()]
+    causes = [SLIDING_FRICTION, BALL_FRICTION, ROLLING_RESISTANCE]
     out = {}
     for name, effects in (("rigid, frictionless", []), ("rigid, three causes", causes)):
         found = fit(model, study.fit_runs, equal(study), effects=effects)
