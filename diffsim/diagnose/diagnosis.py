@@ -153,7 +153,7 @@ def _case(
     """Candidates that these data allow to be judged, and a drift of each channel."""
     names = [e.name for e in effects]
     if repeated := sorted({n for n in names if names.count(n) > 1}):
-        raise ValueError(f"effects share names: {repeated}; a report could not tell them apart")
+        raise ValueError(f"effects share names: {repeated}; a report could not distinguish them")
     unmet = {e.name: why for e in effects if (why := e.needs(study)) is not None}
     return Case(
         study=study,

@@ -48,11 +48,12 @@ class Weighed:
     """Evidence of a hypothesis and where its posterior lies.
 
     Attributes:
-        nats: Evidence.
-        x: (n,) coordinates of the optimum within the bounds, zero for effects not in the set.
-        sd: (n,) of the coordinates, zero for effects not in the set.
+        nats: Laplace evidence [nats].
+        x: Standardized coordinates of the optimum within the bounds, (n,); zero for effects not in
+            the set.
+        sd: Posterior standard deviation of the coordinates, (n,); zero for effects not in the set.
         chi2: |r - B x|^2, after the unknown cause's part.
-        amplitude: Of the unknown cause that is most probable; 0 without.
+        amplitude: Most probable amplitude of the unknown cause [noise sd]; 0 without.
         fit: Of a set that was refitted; None where linear evidence stands, as it does for sets
             with an unknown cause.
     """

@@ -54,7 +54,7 @@ def gain(
         runs: Held-out runs.
         null: Fit without effects.
         extended: Fit of the same model with effects.
-        seed: Of the bootstrap.
+        seed: Seed of the bootstrap.
         block_s: Length of a resampled block [s].
     """
     if not runs:
@@ -80,9 +80,9 @@ def compared(
         null: A fit whose noise floor whitened the residuals.
         before: Residuals without the effects, (num_valid,) by run.
         after: Residuals with the effects, (num_valid,) by run.
-        seed: Of the bootstrap.
+        seed: Seed of the bootstrap.
         block_s: Length of a resampled block [s].
-        draws: Of the bootstrap.
+        draws: Resamples of the bootstrap.
     """
     pairs = [
         _blocks(run, block_s, a, b, null) for run, a, b in zip(runs, before, after, strict=True)
@@ -99,8 +99,8 @@ def share_removed(blocks: Array, *, seed: int, draws: int = 1000) -> Gain:
     """The share and its interval from blocks.
 
     Args:
-        blocks: (num_blocks, 3): samples, sum of squares of the null model, of the extended one,
-            in noise variances.
+        blocks: Samples, sum of squares of the null model, and of the extended one, (num_blocks, 3)
+            [noise variances].
     """
     rng = np.random.default_rng(seed)
     picks = rng.integers(len(blocks), size=(draws, len(blocks)))
@@ -135,14 +135,14 @@ def held_out_point(fit: Fit, run: Run) -> Array:
 
     # nuisances act almost linearly: slopes of their start serve for all steps
     slopes = -problem.linearize(full(np.zeros(len(own))), only=own)[1][:, own]
-    found = optimize.least_squares(
+    solution = optimize.least_squares(
         lambda part: np.concatenate([problem.residual(full(part)), part]),
         np.zeros(len(own)),
         jac=lambda part: np.vstack([slopes, np.eye(len(own))]),
         method="trf",
         max_nfev=20,
     )
-    return full(found.x)
+    return full(solution.x)
 
 
 def _blocks(run: Run, block_s: float, null: Array, extended: Array, fit: Fit) -> Array:

@@ -144,10 +144,12 @@ def _agrees_along(linear: LaplaceEvidence, effects: Sequence[Effect]) -> bool:
     direction[idx] = np.minimum(np.median(lengths) / lengths, 1.0) if len(idx) else 0.0
     h = 0.5 * problem.jacobian.step
     records = [problem.residual(x + k * h * direction) for k in (1, 2, 3)]
-    found = -(-11 * linear.residual + 18 * records[0] - 9 * records[1] + 2 * records[2]) / (6 * h)
-    said = linear.jacobian @ direction
-    off = float(np.linalg.norm(found - said))
-    return off <= GRADIENT_RTOL / np.sqrt(max(len(idx), 1)) * float(np.linalg.norm(said))
+    differences = -(-11 * linear.residual + 18 * records[0] - 9 * records[1] + 2 * records[2]) / (
+        6 * h
+    )
+    predicted = linear.jacobian @ direction
+    off = float(np.linalg.norm(differences - predicted))
+    return off <= GRADIENT_RTOL / np.sqrt(max(len(idx), 1)) * float(np.linalg.norm(predicted))
 
 
 def _extrapolated(problem: Problem, x: Array, only: list[int]) -> Array:

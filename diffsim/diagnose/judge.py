@@ -21,8 +21,8 @@ from diffsim.identify import Fit
 Array = NDArray[np.float64]
 EXPLAINED = 0.8  # share of the misfit that a named set explains
 SWAP_LIMIT = 0.02  # of noise alone: about three of 200 swapped draws may reach the statistic
-# between: repeats may be too few to tell (what two causes outside the library looked like, 0.03 and
-# 0.05 in six blocks); above, their scatter explains what the best set leaves
+# between: repeats may be too few to decide (what two causes outside the library looked like,
+# 0.03 and 0.05 in six blocks); above, their scatter explains what the best set leaves
 SWAP_OPEN = 0.1
 NAMES = ("named", "ambiguous")
 

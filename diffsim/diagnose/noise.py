@@ -28,8 +28,8 @@ class ArWhitener:
     stationary covariance stands for the missing past, so that |W x|^2 is the exact Gaussian form.
 
     Args:
-        sd: (num_channels,) of the noise itself [unit of the channel].
-        coefficients: a_1, a_2, ... by channel.
+        sd: Standard deviation of the noise itself, (num_channels,) [unit of the channel].
+        coefficients: Autoregressive coefficients a_1, a_2, ... by channel.
     """
 
     def __init__(self, sd: Array, coefficients: Sequence[Array]):
@@ -64,10 +64,10 @@ class NoiseFloor:
     """What the sensor cannot know.
 
     Attributes:
-        whitener: Of the noise.
-        sd: (num_channels,) [unit of the channel].
+        whitener: Makes residuals white with standard deviation one.
+        sd: Standard deviation of the noise, (num_channels,) [unit of the channel].
         source: "repeats", "stated sd" or "second differences", by channel.
-        scatter_ratio: (num_channels,) scatter of repeats over the stated sensor noise; NaN where
+        scatter_ratio: Scatter of repeats over the stated sensor noise, (num_channels,); NaN where
             either is missing: repeatability cannot be judged then.
     """
 
@@ -88,10 +88,10 @@ def noise_floor(
     """Noise from repeats, else from the stated sd, else from second differences.
 
     Args:
-        runs: To be fitted.
-        channels: Of the runs.
-        left: (num_samples, num_channels) measured minus predicted, by run; set-up nuisances of
-            each run must have been fitted, or they would pass as scatter.
+        runs: Runs to be fitted.
+        channels: Columns of their ``measured``.
+        left: Measured minus predicted by run, (num_samples, num_channels) [unit of the channel];
+            set-up nuisances of each run must have been fitted, or they would pass as scatter.
 
     Raises:
         ValueError: a channel without noise at all.

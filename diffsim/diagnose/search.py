@@ -195,9 +195,9 @@ def _with_linear(
     search: Search, center: Center, sets: Sequence[Members]
 ) -> tuple[dict[Members, float], Search]:
     """Linear evidence of sets at a center [nats], noted for the table."""
-    found = {s: center.evidence.weigh(Hypothesis(s)) for s in sets}
-    new = {Hypothesis(s): w for s, w in found.items() if Hypothesis(s) not in search.weighed}
-    nats = {s: w.nats for s, w in found.items()}
+    entries = {s: center.evidence.weigh(Hypothesis(s)) for s in sets}
+    new = {Hypothesis(s): w for s, w in entries.items() if Hypothesis(s) not in search.weighed}
+    nats = {s: w.nats for s, w in entries.items()}
     return nats, replace(search, linear={**search.linear, **new})
 
 

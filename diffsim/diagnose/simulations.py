@@ -214,8 +214,8 @@ class Simulations:
         return slopes
 
     def _significant(self, at: Linearization) -> list[int]:
-        """Coordinates of effects that stand out of the noise with borrowed slopes, or that are hard
-        to tell from a member."""
+        """Coordinates of effects that stand out of the noise with borrowed slopes, or that are
+        nearly collinear with a member."""
         wide = self.wide
         own = [i for i in range(len(at.x)) if i < wide.num_base or at.x[i] != 0.0]
         residual = whitened(wide, measured_of(wide) - at.record)

@@ -39,7 +39,7 @@ class EffectRow:
         smallest_visible: By component, [unit]: 6 / sqrt(information).
         gain: On held-out runs, of having this effect in the best set; None if not computed.
         share: Of chi2_null - N that this effect alone explains; None if it was not refitted alone.
-        aliases: What these data may not tell from it.
+        aliases: What these data may not distinguish from it.
         note: Why it was not judged, or that its gain is not confirmed.
     """
 
@@ -234,7 +234,7 @@ def _status(i: int, decision: Decision, in_rivals: set[int], withdrawn: Set[int]
 
 
 def _twins(effects: Sequence[Effect], screened: Screen, i: int) -> tuple[str, ...]:
-    """Other effects of the library that these data cannot tell from this one."""
+    """Other effects of the library that these data cannot distinguish from this one."""
     owner = [k for k, e in enumerate(effects) for _ in e.components]
     own = [c for c, k in enumerate(owner) if k == i]
     close = np.abs(screened.confounding[own]).max(axis=0) > TWINS

@@ -40,7 +40,7 @@ class Effect:
         components: Names of the amplitudes, one or more (a vector enters as one block).
         smooth: False where the response has a kink at zero: then a secant at a tenth of the typical
             size stands for the derivative.
-        also_looks_like: Physical causes and other forms that these data may not tell from it.
+        also_looks_like: Physical causes and other forms that data may not distinguish from it.
         needs: Function of a study: what it lacks for the effect to be judged; None if nothing.
     """
 

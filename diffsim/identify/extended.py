@@ -63,7 +63,7 @@ class ExtendedModel(SimModel):
         return self.inner.predict_many(run, self._inner_q(q), self._sizes(q, sizes), numerics)
 
     def _inner_q(self, q: Tensor) -> Tensor:
-        """Standardised coordinates of the plain model, (..., num_base): the same values."""
+        """Standardized coordinates of the plain model, (..., num_base): the same values."""
         columns = []
         for i, (own, plain) in enumerate(zip(self.base, self.inner.base, strict=False)):
             offset = plain.coordinate_of(own.value)

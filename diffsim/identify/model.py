@@ -62,7 +62,7 @@ class Parameter:
         return raw.clamp(self.lower, self.upper)
 
     def coordinate_of(self, value: float) -> float:
-        """Standardised coordinate of a value [unit]."""
+        """Standardized coordinate of a value [unit]."""
         if self.log:
             return math.log(value / self.value) / self.sd
         return (value - self.value) / self.sd
@@ -132,7 +132,7 @@ class SimModel:
 
         Args:
             run: The run.
-            q: Standardised base parameters, (num_base,) float64.
+            q: Standardized base parameters, (num_base,) float64.
             sizes: Effects with their sizes [unit], (num_components,) each, applied in this order.
             numerics: Settings; the model's own if None.
         """
@@ -241,7 +241,7 @@ class SimModel:
         return self
 
     def at_prior(self) -> Tensor:
-        """Standardised coordinates of the best guess, (num_base,)."""
+        """Standardized coordinates of the best guess, (num_base,)."""
         return torch.zeros(len(self.base), dtype=torch.float64)
 
 

@@ -51,7 +51,7 @@ class SavedModel:
         verdict: Of the diagnosis behind it.
         setup: What the study named.
         units: By name.
-        prepared_at: Standardised parameters at which the model prepared what it prepares once.
+        prepared_at: Standardized parameters at which the model prepared what it prepares once.
     """
 
     path: Path
@@ -174,7 +174,7 @@ def effects_of(saved: SavedModel, candidates: Sequence[Effect]) -> tuple[Effect,
     names = dict.fromkeys(
         c if c in by_name else c.rsplit(".", 1)[0] for c in saved.components
     )  # a component is "wind.north", an effect with one component its own name
-    found = []
+    chosen = []
     for name in names:
         require_choice(f"{saved.path}: effect", name, by_name)
         wanted = effect_coordinates([by_name[name]])
@@ -183,8 +183,8 @@ def effects_of(saved: SavedModel, candidates: Sequence[Effect]) -> tuple[Effect,
             raise ValueError(
                 f"{saved.path}: effect {name} must have {', '.join(wanted)}, got {', '.join(given)}"
             )
-        found.append(by_name[name])
-    return tuple(found)
+        chosen.append(by_name[name])
+    return tuple(chosen)
 
 
 def _prepared(model: SimModel, saved: SavedModel) -> SimModel:

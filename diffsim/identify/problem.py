@@ -70,12 +70,12 @@ class Problem:
     """Residuals r = W (y - S(x)) of several runs and their derivatives.
 
     Attributes:
-        model: The simulator.
+        model: Simulator with base parameters.
         runs: Recorded runs.
-        whitener: Of the noise.
-        effects: Whose components are coordinates after the base parameters.
-        jacobian: How to differentiate.
-        numerics: Settings; the model's own if None.
+        whitener: Makes the noise of a run white with standard deviation one.
+        effects: Effects whose components are coordinates after the base parameters.
+        jacobian: Method and step of the derivatives.
+        numerics: Factors on the numerical settings; the model's own settings if None.
         workers: Threads over runs; the compiled kernels release the interpreter.
     """
 
@@ -167,7 +167,7 @@ class Problem:
         """Residual and A = d(W S)/dx at x.
 
         Args:
-            x: (n,).
+            x: Standardized coordinates, (n,).
             screen: Non-smooth effects by their secant from here to a tenth of the typical size.
             only: Coordinates to differentiate; the other columns are zero.
 
@@ -210,15 +210,15 @@ class Problem:
     ) -> tuple[Array, Array] | None:
         """Prediction and columns by the model's own tangents; None where it has none."""
         with torch.no_grad():
-            found = self.model.tangents(
+            given = self.model.tangents(
                 run,
                 self._point(at),
                 [self._line(at, i, stencil) for i, stencil in stencils.items()],
                 self.numerics,
             )
-        if found is None:
+        if given is None:
             return None
-        here, columns = found
+        here, columns = given
         shape = run.measured.shape
         columns = self._of_shape(run, columns, (len(stencils), *shape))
         here = self._of_shape(run, here, shape)

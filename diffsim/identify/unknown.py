@@ -65,7 +65,7 @@ class UnknownForce(Unknown):
             raise ValueError(f"covariance must have shape ({m}, {m}), got {covariance.shape}")
         self.effect, self.name = effect, name
         self._root = _root(covariance)
-        # by a secant, one simulation each, where simulations must tell: only the shape matters
+        # by a secant, one simulation each, where slopes need simulations: only the shape matters
         self._secant = replace(effect, smooth=False)
 
     def mix(self, slopes: Array) -> Array:

@@ -207,11 +207,11 @@ class SoftBallModel(SimModel):
 
     def values_at(self, x: np.ndarray) -> dict[str, Tensor]:
         """All numbers of a scene at standardized coordinates (n,)."""
-        found = {
+        fitted_values = {
             p.name: p.value_at(torch.tensor(float(q), dtype=torch.float64))
             for p, q in zip(self.base, x, strict=True)
         }
-        return {**self.plain, **found}
+        return {**self.plain, **fitted_values}
 
     def _scene(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> SoftBallScene:
         if numerics != Numerics():

@@ -50,15 +50,15 @@ def calibrated_arc(
         dy = 2.0 * length * shape * (1.0 - np.cos(q)) / q + center_toward * (np.cos(q) - 1.0)
         return np.concatenate([dx - x, dy - y])
 
-    found = optimize.least_squares(residual, [0.5, 0.01])
+    solution = optimize.least_squares(residual, [0.5, 0.01])
     way = np.sum(ways, axis=0)
     return {
         "length": length,
         "center_toward": center_toward,
-        "shape": float(found.x[0]),
-        "neutral_axis": float(found.x[1]),
+        "shape": float(solution.x[0]),
+        "neutral_axis": float(solution.x[1]),
         "direction": float(np.arctan2(way[1], way[0])),
-        "misfit": float(np.sqrt(np.mean(found.fun**2))),
+        "misfit": float(np.sqrt(np.mean(solution.fun**2))),
     }
 
 

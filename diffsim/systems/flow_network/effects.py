@@ -1,4 +1,4 @@
-"""Causes of error of a flow device (design table C): forms, aliases, and what tells them apart."""
+"""Causes of error of a flow device (design table C): forms, aliases, and what separates them."""
 
 from __future__ import annotations
 
@@ -83,13 +83,13 @@ def _pressure_offset(scene: StokesScene, size: Tensor, run: Run, *, outlet: int)
 
 
 def _needs_pressure(study: Study) -> str | None:
-    """Only a pressure tells it where pumps prescribe the flow."""
+    """Only a pressure identifies it where pumps prescribe the flow."""
     known = _measures(study, "pressure") or _commands_pressure(study)
     return None if known else "a pressure channel"
 
 
 def _needs_levels(study: Study) -> str | None:
-    """Only several drive levels tell it from a constant."""
+    """Only several drive levels separate it from a constant."""
     levels = {round(float(v), 15) for r in study.runs for c in r.command.values() for v in c}
     return None if len(levels) > 1 else "two drive levels or more"
 
@@ -289,7 +289,7 @@ def pressure_offset(outlet: int) -> Effect:
     """The effect of one outlet, counted from 0; named pressure_offset_1 for the first."""
     return Effect(
         name=f"pressure_offset_{outlet + 1}",
-        form="A constant pressure beyond one outlet, felt most at low drive.",
+        form="A constant pressure beyond one outlet, largest effect at low drive.",
         family="blockage",
         kind="environment",
         unit="Pa",
@@ -365,7 +365,7 @@ def _measures(study: Study, kind: str) -> bool:
 
 
 def _commands_pressure(study: Study) -> bool:
-    """A known pressure drives flows that tell the viscosity."""
+    """A known pressure drives flows that identify the viscosity."""
     commands = [c for run in study.fit_runs for n, c in run.command.items() if n.endswith("_Pa")]
     return any(bool((c != 0.0).any()) for c in commands)
 

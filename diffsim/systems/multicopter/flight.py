@@ -111,7 +111,7 @@ class CopterFlight:
         """A copy with one entry of ``flight_effects`` replaced."""
         return self.changed(flight_effects=replace(self.flight_effects, **{name: value}))
 
-    def heard(self, past: Tensor) -> Tensor:
+    def delivered(self, past: Tensor) -> Tensor:
         """Thrusts over the steps that end at the samples, (points, num_samples, n_rotors) [N].
 
         Args:

@@ -24,14 +24,14 @@ _MORE_FOR_GRADIENTS = 2  # passes: derivatives settle after the values
 
 
 class Flyer:
-    """Flies all windows of a scene at all its points; keeps the forces that it found last.
+    """Flies all windows of a scene at all its points; keeps the last forces.
 
     Forces follow from the motion, and it from them: repeated until they stay. Without gradients the
     last forces are the first guess of the next flight. (With them they must not be: values would
     settle at once, but derivatives would not.)
 
     A force in the world is exact without a term of its own in the dynamics: seen from a frame that
-    accelerates with a = F / m it is absent, and the drags feel a wind, less the frame's velocity.
+    accelerates with a = F / m it is absent, and the drags act on a wind, less the frame's velocity.
 
     Args:
         scene: One run.
@@ -57,8 +57,8 @@ class Flyer:
         """
         windows, length = self.scene.windows.measured.shape[:2]
         start = start.expand(self.points, -1, -1)
-        heard = self.scene.heard(start[:, 0, RIGID:])
-        return self.fly_thrusts(start[..., :RIGID], windowed(heard, windows, length))
+        thrusts = self.scene.delivered(start[:, 0, RIGID:])
+        return self.fly_thrusts(start[..., :RIGID], windowed(thrusts, windows, length))
 
     def fly_thrusts(self, start: Tensor, thrusts: Tensor) -> Tensor:
         """Channels as above.

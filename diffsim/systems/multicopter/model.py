@@ -76,7 +76,7 @@ class CopterModel(SimModel):
     ) -> Tensor:
         """Points with the same effects in one batch: what is absent costs nothing.
 
-        Best initial states are found with the tangents of the first point, the center of a stencil.
+        Best initial states follow by the tangents of the first point, the center of a stencil.
         """
         present = torch.stack(
             [torch.zeros(len(q), dtype=torch.bool), *((s != 0.0).any(1) for s in sizes.values())], 1

@@ -75,7 +75,7 @@ class Windows:
         guess: Of the initial states from the record, (num_windows, 12 + n_rotors).
         measured: (num_windows, length, num_channels), NaN where nothing was recorded.
         sd: Noise of the channels, (num_channels,).
-        latest: The best states that were found last (or none): where the next search starts.
+        latest: The best states of the last search (or none): where the next search starts.
     """
 
     guess: Tensor

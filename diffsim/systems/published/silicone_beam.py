@@ -35,8 +35,9 @@ REPEAT = "_b"  # ends the name of a case's second recording
 
 def causes() -> tuple[Effect, ...]:
     """Candidates. Left out is what base parameters are already: stiffness-proportional damping
-    (rayleigh_beta), tilt (inclination), where the held tip is; and what a height alone cannot tell
-    from them: scale of the sensor (with the swings), rate of its clock (with Young's modulus).
+    (rayleigh_beta), tilt (inclination), where the held tip is; and what a height alone cannot
+    separate from them: scale of the sensor (with the swings), rate of its clock (with Young's
+    modulus).
     """
     return (
         material.LOSS_FACTOR,

@@ -124,8 +124,8 @@ def calibrated(study: Study, camera: list[Parameter], rotation: Array) -> list[P
         seen = projected({**plain, **values_at(q)}, turned, places).numpy()
         return np.concatenate([(seen - clicks[clicked]).ravel(), q])
 
-    found = least_squares(misfit, np.zeros(len(camera))).x
-    return [replace(p, value=float(values_at(found)[p.name])) for p in camera]
+    solution = least_squares(misfit, np.zeros(len(camera))).x
+    return [replace(p, value=float(values_at(solution)[p.name])) for p in camera]
 
 
 def motion_prior(study: Study, camera: list[Parameter], rotation: Array) -> list[Parameter]:

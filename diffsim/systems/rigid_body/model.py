@@ -281,9 +281,9 @@ def _prepared(
 
     start = tosses.start
     for _ in range(2):  # once more from better start states
-        found = Shooting.prepare(flown, start, tosses.measured, sd)
+        prepared = Shooting.prepare(flown, start, tosses.measured, sd)
         left = (tosses.measured - flown(start)).nan_to_num(0.0)
-        start = start + (found.gain @ left.reshape(count, -1, 1))[..., 0]
+        start = start + (prepared.gain @ left.reshape(count, -1, 1))[..., 0]
     shooting = Shooting.prepare(flown, start, tosses.measured, sd)
     return Table(tosses, shooting, {r.name: i for i, r in enumerate(runs)})
 

@@ -63,7 +63,7 @@ class SlackScene(SoftScene):
     """A scene whose ``attached_mass`` joins the body only after ``slack_s`` [s].
 
     Two motions, one after the other: the body alone, then with the weight from the state at the
-    catch, which lies between steps and is found by cubics in the places. Hooks with memory start
+    catch, which lies between steps and is computed by cubics in the places. Hooks with memory start
     anew at the catch.
     """
 

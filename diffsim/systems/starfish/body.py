@@ -163,12 +163,12 @@ def water(m: mesh.HexMesh | mesh.TetMesh, drag: Tensor, thrust: Tensor) -> soft.
 
     Faces on the planes of symmetry meet no water; there the flow along them would be edge-on.
     """
-    found = soft.Hydrodynamics(
+    hydrodynamics = soft.Hydrodynamics(
         m,
         drag_coefficients=drag * torch.tensor(DRAG_COEFFICIENTS).double(),
         thrust_coefficients=thrust * torch.tensor(THRUST_COEFFICIENTS).double(),
         fade_angle=FADE_ANGLE,
     )
-    inside = (m.x_rest[found.faces][..., 1:] < 1e-9).all(1).any(1)
-    found.faces = found.faces[~inside]
-    return found
+    inside = (m.x_rest[hydrodynamics.faces][..., 1:] < 1e-9).all(1).any(1)
+    hydrodynamics.faces = hydrodynamics.faces[~inside]
+    return hydrodynamics

@@ -69,7 +69,7 @@ def labels() -> Iterator[Label]:
     add("decoy", decoys=["far_prior"])
     add("pair", "lag", "tilt")
     add("single", "stiffness_damping")
-    add("single", "quantization")
+    add("single", "quantisation")
     add("outside", "current")
     add("single", "lag", options=FINER_MESH)
     yield from plan
