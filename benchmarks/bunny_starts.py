@@ -1,6 +1,6 @@
 """How near to its target does the bunny come from many first guesses, and what holds it back?
 
-The bunny of ``examples/applications/bunny.py`` is optimised from the script's first guess and from
+The bunny of ``examples/applications/bunny.py`` is optimized from the script's first guess and from
 random throws, a few evaluations each, then from the best of them again.
 
     python -m benchmarks.bunny_starts            # coarse mesh, 40 CPU seconds; --full: an hour
@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from diffsim.applications import Application, Evaluation, minimise, solver_options
+from diffsim.applications import Application, Evaluation, minimize, solver_options
 from diffsim.applications.table import OURS, load
 from diffsim.core.files import write_json_atomic
 
@@ -23,7 +23,7 @@ from diffsim.core.files import write_json_atomic
 def throw(application: Application, first: np.ndarray, evaluations: int) -> Evaluation:
     """The best found from one first guess."""
     begun = replace(application, parameters=replace(application.parameters, first=first))
-    return minimise(begun, max_evaluations=evaluations, progress=True).best
+    return minimize(begun, max_evaluations=evaluations, progress=True).best
 
 
 def main() -> None:

@@ -43,7 +43,7 @@ def _rolling(ball: mesh.HexMesh) -> soft.SoftBody:
         youngs_modulus=2e6,
         poissons_ratio=0.4,
         density=1e3,
-        volume_weight="thesis",
+        material=soft.Material(volume_weight="thesis"),
     )
 
 
@@ -95,8 +95,8 @@ def napkin(cells: int, reach: float, solver: soft.SolverOptions | None = None) -
         youngs_modulus=4e5,
         poissons_ratio=0.45,
         density=1e3,
-        volume_weight="thesis",
-        contact_nodes=torch.nonzero(touching).flatten(),
+        material=soft.Material(volume_weight="thesis"),
+        contact=soft.ContactOptions(contact_nodes=torch.nonzero(touching).flatten()),
         solver=solver,
     )
 

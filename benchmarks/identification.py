@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from diffsim.applications import evaluate, minimise, solver_options
+from diffsim.applications import evaluate, minimize, solver_options
 from diffsim.applications.identification import visibility
 from diffsim.applications.table import OURS, load
 from diffsim.core.files import write_json_atomic
@@ -49,7 +49,7 @@ def other_integrator(name: str, out: Path, *, quick: bool, evaluations: int) -> 
     module = load(name)
     application = module.build(solver_options(OURS, rtol=module.RTOL), quick, "bdf2")
     size = "quick" if quick else "full"
-    found = minimise(
+    found = minimize(
         application,
         max_evaluations=evaluations,
         record=out / f"{name}_bdf2_{size}.jsonl",

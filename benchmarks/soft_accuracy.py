@@ -1,6 +1,6 @@
-"""How the weights of the constant matrix were chosen: iterations over VOLUME_SHARE and FIBRE_SHARE.
+"""How the weights of the constant matrix were chosen: iterations over VOLUME_SHARE and FIBER_SHARE.
 
-The constant matrix takes the volume and fibre terms with a share of their weight
+The constant matrix takes the volume and fiber terms with a share of their weight
 (diffsim/_context.py, ``preconditioner_stiffness``); 1 is thesis eq. 4.15.
 """
 
@@ -32,7 +32,7 @@ class Plan:
         kinds: Element kinds.
         poissons_ratios: Of the body.
         volume_weights: Conventions of the volume energy.
-        shares: Values of VOLUME_SHARE and of FIBRE_SHARE.
+        shares: Values of VOLUME_SHARE and of FIBER_SHARE.
         rtol: Tolerance of step and adjoint.
         methods: Solvers that use the constant matrix.
     """
@@ -48,7 +48,7 @@ class Plan:
 
 
 def parts(plan: Plan) -> list[Part]:
-    """One part per material and element kind, and one per kind for a muscle's fibres."""
+    """One part per material and element kind, and one per kind for a muscle's fibers."""
     found = []
     for kind in plan.kinds:
         for ratio in plan.poissons_ratios:
@@ -66,9 +66,9 @@ def parts(plan: Plan) -> list[Part]:
                 )
         found.append(
             Part(
-                f"accuracy/FIBRE_SHARE, {kind}",
+                f"accuracy/FIBER_SHARE, {kind}",
                 {**asdict(plan), "kind": kind, "muscle": MUSCLE_STIFFNESS},
-                lambda results, say, kind=kind: sweep(plan, "FIBRE_SHARE", kind, {}, say),
+                lambda results, say, kind=kind: sweep(plan, "FIBER_SHARE", kind, {}, say),
             )
         )
     return found
@@ -78,7 +78,7 @@ def sweep(
     plan: Plan, name: str, kind: str, case: dict[str, Any], say: Callable[[str], None]
 ) -> list[dict[str, Any]]:
     """Iterations per step and adjoint for every share; one row per share and method."""
-    make = muscular if name == "FIBRE_SHARE" else cantilever
+    make = muscular if name == "FIBER_SHARE" else cantilever
     rows = []
     for share in plan.shares:
         body = make(kind, plan.cells, **case)  # anew: a body keeps its constant matrix

@@ -60,13 +60,13 @@ def explicit(stage: dict[str, Any], *, curves: int = 5) -> Figure:
 
 
 def accuracy(stage: dict[str, Any]) -> Figure:
-    """Solves per step and adjoint over the shares: volume per method, then fibres."""
+    """Solves per step and adjoint over the shares: volume per method, then fibers."""
     rows = [r for r in stage["rows"] if r["converged"]]
     kinds = sorted({r["kind"] for r in rows})
     studies = [
         ("VOLUME_SHARE", "newton_pcg", "Newton, CG on constant factor"),
         ("VOLUME_SHARE", "quasi_newton", "L-BFGS on constant factor"),
-        ("FIBRE_SHARE", None, "Muscle"),
+        ("FIBER_SHARE", None, "Muscle"),
     ]
     studies = [
         (name, method, title)

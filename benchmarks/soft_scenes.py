@@ -20,7 +20,6 @@ MATERIAL: dict[str, Any] = {
     "youngs_modulus": 1e6,
     "poissons_ratio": 0.45,
     "density": 1e3,
-    "volume_weight": "thesis",
 }
 
 
@@ -29,6 +28,8 @@ def cantilever(
     cells: Sequence[int] = (32, 8, 8),
     *,
     dt: float = 1e-2,
+    material: str = "pd",
+    volume_weight: str = "thesis",
     solver: soft.SolverOptions | None = None,
     **options: Any,
 ) -> soft.SoftBody:
@@ -38,13 +39,21 @@ def cantilever(
         kind: ``hex``, or ``tet`` for six tetrahedra in every cell.
         cells: Cells along x, y, z.
         dt: Time step [s].
+        material, volume_weight: See :class:`diffsim.soft.Material`.
         solver: Solver options.
         **options: More arguments of :class:`diffsim.soft.SoftBody`, before those of MATERIAL.
     """
     make = {"hex": mesh.hex_box, "tet": mesh.tet_box}[kind]
     box = make(cells, (LENGTH, WIDTH, WIDTH))
     held = box.x_rest[:, 0] == 0
-    return soft.SoftBody(box, dt=dt, fixed=held, solver=solver, **{**MATERIAL, **options})
+    return soft.SoftBody(
+        box,
+        dt=dt,
+        fixed=held,
+        material=soft.Material(material, volume_weight=volume_weight),
+        solver=solver,
+        **{**MATERIAL, **options},
+    )
 
 
 def twisted(body: soft.SoftBody, degrees: float = 90.0) -> Tensor:

@@ -276,10 +276,10 @@ def accuracy(stage: dict[str, Any]) -> list[str]:
     """Solves per step and adjoint over the shares; the chosen share is bold."""
     lines = [
         "Solves with the constant factor, step + adjoint (newton_pcg), and iterations "
-        "(quasi_newton), over the share of the volume or fibre term; the best of a row and those "
+        "(quasi_newton), over the share of the volume or fiber term; the best of a row and those "
         "within 10 % of it are marked *, the share in use is bold. –: not converged.",
     ]
-    for name in ("VOLUME_SHARE", "FIBRE_SHARE"):
+    for name in ("VOLUME_SHARE", "FIBER_SHARE"):
         rows = [r for r in stage["rows"] if r["name"] == name]
         if not rows:
             continue

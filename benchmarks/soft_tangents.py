@@ -25,7 +25,7 @@ def bar(cells: tuple[int, int, int]) -> soft.SoftBody:
         poissons_ratio=0.45,
         density=1070.0,
         integrator="bdf2",
-        rayleigh_beta=2e-3,
+        damping=soft.Damping(rayleigh_beta=2e-3),
         fixed=box.nodes_near_plane("x", 0.0),
         solver=soft.SolverOptions(rtol=1e-8),
     )

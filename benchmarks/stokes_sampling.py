@@ -29,8 +29,8 @@ from benchmarks.plot_style import (
     style,
 )
 from diffsim.core.files import write_json_atomic, write_text_atomic
+from diffsim.optim import Log
 from diffsim.stokes import devices
-from diffsim.stokes.devices.log import Log
 from diffsim.stokes.devices.optimize import search_settings
 from diffsim.stokes.devices.sampling import draw
 from diffsim.stokes.devices.search import descend

@@ -1,3 +1,103 @@
-"""diffsim: design robots through differentiable simulation."""
+"""diffsim: design robots through differentiable simulation.
 
-__version__ = "0.1.0"
+``import diffsim`` is light: a room is imported when it is first asked for.
+
+    >>> import diffsim
+    >>> bar = diffsim.mesh.hex_box((8, 2, 2), (0.1, 0.03, 0.03))
+    >>> body = diffsim.soft.SoftBody(bar, dt=0.01)
+
+What a room offers stands in its ``__all__``, and in docs/api.md; the order in which to read the
+rooms stands in docs/architecture.md.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from diffsim.core.errors import (
+    ConvergenceError,
+    ConvergenceWarning,
+    DiffsimError,
+    FactorizationError,
+    InvertedElementError,
+    MeshError,
+)
+from diffsim.core.lazy import offered
+from diffsim.core.version import __version__
+
+if TYPE_CHECKING:
+    from diffsim import (
+        applications,
+        contact,
+        control,
+        copter,
+        core,
+        data,
+        diagnose,
+        envs,
+        identify,
+        learn,
+        linalg,
+        mesh,
+        optim,
+        sim_to_real,
+        soft,
+        stokes,
+        systems,
+        viz,
+    )
+
+ROOMS = (
+    "applications",
+    "contact",
+    "control",
+    "copter",
+    "core",
+    "data",
+    "diagnose",
+    "envs",
+    "identify",
+    "learn",
+    "linalg",
+    "mesh",
+    "optim",
+    "sim_to_real",
+    "soft",
+    "stokes",
+    "systems",
+    "viz",
+)
+__getattr__, _rooms = offered(__name__, {room: f"{__name__}.{room}" for room in ROOMS})
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_rooms()})
+
+
+__all__ = [
+    "ConvergenceError",
+    "ConvergenceWarning",
+    "DiffsimError",
+    "FactorizationError",
+    "InvertedElementError",
+    "MeshError",
+    "__version__",
+    "applications",
+    "contact",
+    "control",
+    "copter",
+    "core",
+    "data",
+    "diagnose",
+    "envs",
+    "identify",
+    "learn",
+    "linalg",
+    "mesh",
+    "optim",
+    "sim_to_real",
+    "soft",
+    "stokes",
+    "systems",
+    "viz",
+]

@@ -22,9 +22,7 @@ from pathlib import Path
 import torch
 
 from diffsim.core.files import write_json_atomic, write_text_atomic
-from diffsim.learn import comparison
-from diffsim.learn.methods import METHODS, Plan
-from diffsim.learn.presets import PRESETS, preset
+from diffsim.learn import METHODS, PRESETS, Plan, comparison, preset
 from diffsim.viz.learning_figures import comparison_figure
 
 

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from diffsim.learn.cma_es import CmaLearner, CmaOptions
-from diffsim.learn.options import main_training
-from diffsim.learn.run import Run
+from diffsim.learn import CmaLearner, CmaOptions, Run, main_training
 
 QUICK = {"population": 4}
 

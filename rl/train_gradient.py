@@ -12,9 +12,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from diffsim.learn import open_loop
-from diffsim.learn.gradient import GradientLearner, GradientOptions
-from diffsim.learn.options import main_training
+from diffsim.learn import GradientLearner, GradientOptions, main_training, open_loop
 
 QUICK = {"batch": 8, "horizon": 0}
 

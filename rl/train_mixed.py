@@ -8,9 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from diffsim.learn.mixed import MixedLearner, MixedOptions
-from diffsim.learn.options import main_training
-from diffsim.learn.run import Run
+from diffsim.learn import MixedLearner, MixedOptions, Run, main_training
 
 QUICK = {"batch": 8, "horizon": 0}
 

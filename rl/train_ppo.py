@@ -8,9 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from diffsim.learn.options import main_training
-from diffsim.learn.ppo import PpoLearner, PpoOptions
-from diffsim.learn.run import Run
+from diffsim.learn import PpoLearner, PpoOptions, Run, main_training
 
 QUICK = {"envs": 8, "rollout": 10, "minibatch": 40, "epochs": 2}
 

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from diffsim.learn.options import main_training
-from diffsim.learn.run import Run
-from diffsim.learn.sac import SacLearner, SacOptions
+from diffsim.learn import Run, SacLearner, SacOptions, main_training
 
 QUICK = {"envs": 8, "rollout": 10, "passes": 2, "minibatch": 40, "first": 80, "keep": 1_000}
 

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from diffsim.learn.options import main_training
-from diffsim.learn.run import Run
-from diffsim.learn.sapo import SapoLearner, SapoOptions
+from diffsim.learn import Run, SapoLearner, SapoOptions, main_training
 
 QUICK = {"batch": 8, "window": 4, "critic_passes": 1}
 

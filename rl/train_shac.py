@@ -8,9 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from diffsim.learn.options import main_training
-from diffsim.learn.run import Run
-from diffsim.learn.shac import ShacLearner, ShacOptions
+from diffsim.learn import Run, ShacLearner, ShacOptions, main_training
 
 QUICK = {"batch": 8, "window": 4, "critic_passes": 1}
 

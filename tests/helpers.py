@@ -13,7 +13,7 @@ def check_layer(
     layer: Callable[..., Tensor],
     args: Sequence[Any],
     *,
-    ops: Sequence[tuple[Any, tuple[Any, ...]]],
+    ops: Sequence[tuple[Any, ...]],
     **gradcheck_options: Any,
 ) -> None:
     """Check a layer's ops, that its gradient is not zero and is right, and that it compiles.
@@ -21,11 +21,12 @@ def check_layer(
     Args:
         layer: Function of ``args`` that returns one tensor.
         args: Its arguments; those to be checked require gradients.
-        ops: The custom ops behind it with arguments for each, ``(op, op_args)``.
+        ops: The custom ops behind it with arguments for each, ``(op, op_args)`` or
+            ``(op, op_args, op_kwargs)``.
         **gradcheck_options: Passed to ``torch.autograd.gradcheck`` (``eps``, ``atol``, ...).
     """
-    for op, op_args in ops:  # schema, fake kernel, aliasing
-        torch.library.opcheck(op, op_args)
+    for op, *given in ops:  # schema, fake kernel, aliasing
+        torch.library.opcheck(op, *given)
     out = layer(*args)
     # not all ones: internal forces sum to zero, and so would their gradient
     cotangent = torch.linspace(1, 2, out.numel(), dtype=out.dtype).view_as(out)

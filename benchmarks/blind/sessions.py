@@ -1,4 +1,4 @@
-"""``diffsim diagnose blind``: sealed cases, each diagnosed in a process that sees its data only."""
+"""Sealed cases, each diagnosed in a process of its own that sees its data only."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Blind:
         timeout_s: Per case.
         setup_file: Own model of the laboratory.
         with_lambda: Score with the simulations that lambda takes.
-        command: That made the cases, for the tables; empty: ``diffsim diagnose blind``.
+        command: That made the cases, for the tables; empty: ``python -m benchmarks.blind``.
     """
 
     bench: Bench
@@ -113,7 +113,9 @@ class Blind:
         command += ["--quick"] if self.quick else []
         command += ["--setup", str(self.setup_file.resolve())] if self.setup_file else []
         kept = {name: os.environ[name] for name in _KEPT_ENVIRONMENT if name in os.environ}
-        paths = [str(Path(diffsim.__file__).parent.parent), os.environ.get("PYTHONPATH", "")]
+        # the case's folder is where it runs: both diffsim and benchmarks are found by path
+        roots = [str(Path(diffsim.__file__).parents[1]), str(Path(__file__).parents[2])]
+        paths = [*dict.fromkeys(roots), os.environ.get("PYTHONPATH", "")]
         environment = kept | {"PYTHONPATH": os.pathsep.join(p for p in paths if p)}
         try:
             status, said = self._processes.run(command, folder, environment, self.timeout_s)
@@ -167,7 +169,7 @@ class Blind:
         """confusion.json and confusion.md, the path of the latter."""
         content = {"confusion": confusion(scores), "figures": figures(scores)}
         write_json_atomic(self.out / "confusion.json", {**content, "seed": self.seed})
-        command = f"diffsim diagnose blind --system {self.name} --n {len(scores)}"
+        command = f"python -m benchmarks.blind --system {self.name} --n {len(scores)}"
         command += f" --seed {self.seed}" + (" --quick" if self.quick else "")
         command += f" --kinds {','.join(self.kinds)}" if self.kinds else ""
         cpu = [s["cpu_s"] for s in scores if s["cpu_s"] is not None]
@@ -225,17 +227,7 @@ class _Processes:
             process.terminate()
 
 
-def blind_command(args: argparse.Namespace) -> None:
-    """Seal, diagnose and score as the arguments of ``diffsim diagnose blind`` say."""
-    blind = _planned(args)
-    print(f"seed {blind.seed}; data and answers in {blind.out}, labels in {blind.vault}")
-    scores = blind.run(args.n, args.workers)
-    page = blind.write(scores)
-    print(page.read_text(encoding="utf-8"))
-    print(f"wrote {page} and {page.with_suffix('.json')}")
-
-
-def _planned(args: argparse.Namespace) -> Blind:
+def planned(args: argparse.Namespace) -> Blind:
     """The set of cases; an earlier one in --out is gone on with.
 
     Raises:

@@ -1,7 +1,7 @@
 // What every binding file shares: the list of them, and views of memory that Python owns.
 //
-// Arguments are raw addresses and sizes that diffsim/core/kernels.py has checked (dtype, contiguity, size),
-// so nothing is converted or copied behind the caller's back.
+// Arguments are raw addresses and sizes that the layer's _ops*.py has checked (dtype, contiguity,
+// size), so nothing is converted or copied behind the caller's back.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -14,11 +14,11 @@ namespace nb = nanobind;
 using Address = std::uintptr_t;
 
 void bind_cholesky(nb::module_& m);
-void bind_contact(nb::module_& m);
 void bind_copter_flight(nb::module_& m);
 void bind_copter_control(nb::module_& m);
 void bind_cpu(nb::module_& m);
 void bind_soft(nb::module_& m);
+void bind_soft_contact(nb::module_& m);
 void bind_stokes(nb::module_& m);
 void bind_svd(nb::module_& m);
 

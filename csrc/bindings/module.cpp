@@ -10,11 +10,11 @@ DIFFSIM_EXPAND(DIFFSIM_MODULE, m) {
   // prepared objects that outlive their body.
   nanobind::set_leak_warnings(false);
   diffsim::bind_cholesky(m);
-  diffsim::bind_contact(m);
   diffsim::bind_copter_flight(m);
   diffsim::bind_copter_control(m);
   diffsim::bind_cpu(m);
   diffsim::bind_soft(m);
+  diffsim::bind_soft_contact(m);
   diffsim::bind_stokes(m);
   diffsim::bind_svd(m);
 }

@@ -13,7 +13,7 @@ void bind_arrays(nb::module_& m) {
       .def(nb::init<>())
       .def_rw("w_mu", &SoftArrays::w_mu)
       .def_rw("w_vol", &SoftArrays::w_vol)
-      .def_rw("fibre_stiffness", &SoftArrays::fibre_stiffness)
+      .def_rw("fiber_stiffness", &SoftArrays::fiber_stiffness)
       .def_rw("activation", &SoftArrays::activation)
       .def_rw("damp_mu", &SoftArrays::damp_mu)
       .def_rw("damp_lambda", &SoftArrays::damp_lambda)
@@ -57,9 +57,9 @@ void bind_prepared(nb::module_& m) {
   m.def(
       "make_soft_pattern",
       [](bool is_hex, Material material, std::int64_t num_nodes, std::int64_t num_elements,
-         std::int64_t num_classes, std::int64_t num_fibres, std::int64_t num_chambers,
+         std::int64_t num_classes, std::int64_t num_fibers, std::int64_t num_chambers,
          std::int64_t num_lids, Address elements, Address grad, Address weight, Address class_idx,
-         Address coords, Address fibre_elements, Address fibre_directions, Address fibre_pull_only,
+         Address coords, Address fiber_elements, Address fiber_directions, Address fiber_pull_only,
          Address chamber_start, Address chamber_faces, Address lid_chamber, Address lid_start,
          Address lid_nodes) {
         nb::gil_scoped_release release;
@@ -69,15 +69,15 @@ void bind_prepared(nb::module_& m) {
         t.num_nodes = num_nodes;
         t.num_elements = num_elements;
         t.num_classes = num_classes;
-        t.num_fibres = num_fibres;
+        t.num_fibres = num_fibers;
         t.elements = in_index(elements);
         t.grad = in(grad);
         t.weight = in(weight);
         t.class_idx = in_index(class_idx);
         t.coords = in(coords);
-        t.fibre_elements = in_index(fibre_elements);
-        t.fibre_directions = in(fibre_directions);
-        t.fibre_pull_only = in(fibre_pull_only);
+        t.fibre_elements = in_index(fiber_elements);
+        t.fibre_directions = in(fiber_directions);
+        t.fibre_pull_only = in(fiber_pull_only);
         t.chambers = {num_chambers,
                       num_lids,
                       in_index(chamber_start),
@@ -88,17 +88,17 @@ void bind_prepared(nb::module_& m) {
         return std::make_shared<SoftPattern>(make_soft_model(t), t.coords);
       },
       nb::kw_only(), nb::arg("is_hex"), nb::arg("material"), nb::arg("num_nodes"),
-      nb::arg("num_elements"), nb::arg("num_classes"), nb::arg("num_fibres"),
+      nb::arg("num_elements"), nb::arg("num_classes"), nb::arg("num_fibers"),
       nb::arg("num_chambers"), nb::arg("num_lids"), nb::arg("elements"), nb::arg("grad"),
-      nb::arg("weight"), nb::arg("class_idx"), nb::arg("coords"), nb::arg("fibre_elements"),
-      nb::arg("fibre_directions"), nb::arg("fibre_pull_only"), nb::arg("chamber_start"),
+      nb::arg("weight"), nb::arg("class_idx"), nb::arg("coords"), nb::arg("fiber_elements"),
+      nb::arg("fiber_directions"), nb::arg("fiber_pull_only"), nb::arg("chamber_start"),
       nb::arg("chamber_faces"), nb::arg("lid_chamber"), nb::arg("lid_start"), nb::arg("lid_nodes"));
 
   m.def(
       "make_constant_system",
       // Returns (system, -1, 0), or (None, unknown, pivot) where A is not positive definite.
       [](std::shared_ptr<SoftPattern> pattern, Address fixed, Address inertia, Address kappa,
-         Address fibre_kappa, const SoftArrays& parameters, int num_threads) {
+         Address fiber_kappa, const SoftArrays& parameters, int num_threads) {
         std::shared_ptr<ConstantSystem> system;
         std::int64_t unknown = -1;
         double pivot = 0.0;
@@ -106,7 +106,7 @@ void bind_prepared(nb::module_& m) {
           nb::gil_scoped_release release;
           ThreadPool pool(num_threads);
           const ConstantSystemInputs inputs{reinterpret_cast<const std::uint8_t*>(fixed),
-                                            in(inertia), in(kappa), in(fibre_kappa),
+                                            in(inertia), in(kappa), in(fiber_kappa),
                                             parameters.inputs().parameters};
           try {
             system = std::make_shared<ConstantSystem>(std::move(pattern), inputs, pool);
@@ -118,7 +118,7 @@ void bind_prepared(nb::module_& m) {
         return nb::make_tuple(system, unknown, pivot);
       },
       nb::arg("pattern"), nb::kw_only(), nb::arg("fixed"), nb::arg("inertia"), nb::arg("kappa"),
-      nb::arg("fibre_kappa"), nb::arg("parameters"), nb::arg("num_threads"));
+      nb::arg("fiber_kappa"), nb::arg("parameters"), nb::arg("num_threads"));
 }
 
 }  // namespace
@@ -129,48 +129,64 @@ void bind_soft(nb::module_& m) {
 
   static_assert(sizeof(StepStats) == 12 * sizeof(double),
                 "Python reads stats as (batch, 12) doubles");
-  m.def("implicit_step",
-        [](const ConstantSystem& system, const SoftArrays& arrays, const StepOptions& options,
-           std::int64_t batch, Address x, Address stats, int num_threads) {
-          nb::gil_scoped_release release;
-          implicit_step_batch(system, arrays.inputs(), options, batch, out(x),
-                              reinterpret_cast<StepStats*>(stats), num_threads);
-        });
-  m.def("implicit_step_adjoint", [](const ConstantSystem& system, const SoftArrays& arrays,
-                                    const StepOptions& options, std::int64_t batch, Address x,
-                                    Address grad_x, const SoftArrays& grads, Address stats,
-                                    int num_threads) {
-    nb::gil_scoped_release release;
-    implicit_step_adjoint_batch(system, arrays.inputs(), options, batch, in(x), in(grad_x),
-                                grads.adjoint(), reinterpret_cast<StepStats*>(stats), num_threads);
-  });
-  m.def("implicit_step_tangent",
-        [](const ConstantSystem& system, const SoftArrays& arrays, const StepOptions& options,
-           std::int64_t count, Address x, const SoftArrays& directions, Address dx, Address stats,
-           int num_threads) {
-          nb::gil_scoped_release release;
-          ThreadPool pool(num_threads);
-          *reinterpret_cast<StepStats*>(stats) = implicit_step_tangent(
-              system, arrays.inputs(), options, in(x), directions.directions(count), out(dx), pool);
-        });
-  m.def("elastic_gradient",
-        [](const SoftPattern& pattern, const SoftArrays& arrays, std::int64_t batch, Address x,
-           Address gradient, Address energy, int num_threads) {
-          nb::gil_scoped_release release;
-          elastic_gradient(pattern.model(), arrays.inputs(), batch, in(x), out(gradient),
-                           out(energy), num_threads);
-        });
+  m.def(
+      "implicit_step",
+      [](const ConstantSystem& system, const SoftArrays& inputs, const StepOptions& options,
+         std::int64_t batch, Address x, Address stats, int num_threads) {
+        nb::gil_scoped_release release;
+        implicit_step_batch(system, inputs.inputs(), options, batch, out(x),
+                            reinterpret_cast<StepStats*>(stats), num_threads);
+      },
+      nb::kw_only(), nb::arg("system"), nb::arg("inputs"), nb::arg("options"), nb::arg("batch"),
+      nb::arg("x"), nb::arg("stats"), nb::arg("num_threads"));
+  m.def(
+      "implicit_step_adjoint",
+      [](const ConstantSystem& system, const SoftArrays& inputs, const StepOptions& options,
+         std::int64_t batch, Address x, Address grad_x, const SoftArrays& grads, Address stats,
+         int num_threads) {
+        nb::gil_scoped_release release;
+        implicit_step_adjoint_batch(system, inputs.inputs(), options, batch, in(x), in(grad_x),
+                                    grads.adjoint(), reinterpret_cast<StepStats*>(stats),
+                                    num_threads);
+      },
+      nb::kw_only(), nb::arg("system"), nb::arg("inputs"), nb::arg("options"), nb::arg("batch"),
+      nb::arg("x"), nb::arg("grad_x"), nb::arg("grads"), nb::arg("stats"), nb::arg("num_threads"));
+  m.def(
+      "implicit_step_tangent",
+      [](const ConstantSystem& system, const SoftArrays& inputs, const StepOptions& options,
+         std::int64_t count, Address x, const SoftArrays& directions, Address dx, Address stats,
+         int num_threads) {
+        nb::gil_scoped_release release;
+        ThreadPool pool(num_threads);
+        *reinterpret_cast<StepStats*>(stats) = implicit_step_tangent(
+            system, inputs.inputs(), options, in(x), directions.directions(count), out(dx), pool);
+      },
+      nb::kw_only(), nb::arg("system"), nb::arg("inputs"), nb::arg("options"), nb::arg("count"),
+      nb::arg("x"), nb::arg("directions"), nb::arg("dx"), nb::arg("stats"), nb::arg("num_threads"));
+  m.def(
+      "elastic_gradient",
+      [](const SoftPattern& pattern, const SoftArrays& inputs, std::int64_t batch, Address x,
+         Address gradient, Address energy, int num_threads) {
+        nb::gil_scoped_release release;
+        elastic_gradient(pattern.model(), inputs.inputs(), batch, in(x), out(gradient), out(energy),
+                         num_threads);
+      },
+      nb::kw_only(), nb::arg("pattern"), nb::arg("inputs"), nb::arg("batch"), nb::arg("x"),
+      nb::arg("gradient"), nb::arg("energy"), nb::arg("num_threads"));
+  m.def(
+      "elastic_gradient_adjoint",
+      [](const SoftPattern& pattern, const SoftArrays& inputs, Address x, Address z, Address grad_x,
+         const SoftArrays& grads, int num_threads) {
+        nb::gil_scoped_release release;
+        elastic_gradient_adjoint(pattern.model(), inputs.inputs(), in(x), in(z), out(grad_x),
+                                 grads.adjoint().parameters, num_threads);
+      },
+      nb::kw_only(), nb::arg("pattern"), nb::arg("inputs"), nb::arg("x"), nb::arg("z"),
+      nb::arg("grad_x"), nb::arg("grads"), nb::arg("num_threads"));
   m.def("count_inverted", [](const SoftPattern& pattern, Address x) {
     nb::gil_scoped_release release;
     return count_inverted(pattern.model(), in(x));
   });
-  m.def("elastic_gradient_adjoint",
-        [](const SoftPattern& pattern, const SoftArrays& arrays, Address x, Address z,
-           Address grad_x, const SoftArrays& grads, int num_threads) {
-          nb::gil_scoped_release release;
-          elastic_gradient_adjoint(pattern.model(), arrays.inputs(), in(x), in(z), out(grad_x),
-                                   grads.adjoint().parameters, num_threads);
-        });
 }
 
 }  // namespace diffsim

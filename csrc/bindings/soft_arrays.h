@@ -6,46 +6,66 @@
 
 namespace diffsim {
 
-/// Addresses that Python fills by name; zero means absent.
+/// Addresses that Python fills by name; zero means absent. The names and sizes are those of
+/// diffsim/soft/_arrays.py; here and there every array is passed on by its name.
 struct SoftArrays {
-  Address w_mu = 0, w_vol = 0, fibre_stiffness = 0, activation = 0, damp_mu = 0, damp_lambda = 0;
+  Address w_mu = 0, w_vol = 0, fiber_stiffness = 0, activation = 0, damp_mu = 0, damp_lambda = 0;
   Address pressure = 0;
   Address y = 0, force = 0, target = 0, guess = 0, inertia = 0, x_frame = 0, x_velocity = 0;
 
   StepInputs inputs() const {
-    StepInputs in;
-    in.parameters = {diffsim::in(w_mu),       diffsim::in(w_vol),   diffsim::in(fibre_stiffness),
-                     diffsim::in(activation), diffsim::in(damp_mu), diffsim::in(damp_lambda),
-                     diffsim::in(pressure)};
-    in.y = diffsim::in(y);
-    in.force = diffsim::in(force);
-    in.target = diffsim::in(target);
-    in.guess = diffsim::in(guess);
-    in.x_frame = diffsim::in(x_frame);
-    in.x_velocity = diffsim::in(x_velocity);
-    return in;
+    StepInputs step;
+    step.parameters.w_mu = in(w_mu);
+    step.parameters.w_vol = in(w_vol);
+    step.parameters.fibre_stiffness = in(fiber_stiffness);
+    step.parameters.activation = in(activation);
+    step.parameters.damp_mu = in(damp_mu);
+    step.parameters.damp_lambda = in(damp_lambda);
+    step.parameters.pressure = in(pressure);
+    step.y = in(y);
+    step.force = in(force);
+    step.target = in(target);
+    step.guess = in(guess);
+    step.x_frame = in(x_frame);
+    step.x_velocity = in(x_velocity);
+    return step;
   }
+
   StepAdjoint adjoint() const {
     StepAdjoint grads;
     grads.y = out(y);
     grads.force = out(force);
     grads.target = out(target);
     grads.inertia = out(inertia);
-    grads.parameters = {out(w_mu),       out(w_vol),      out(fibre_stiffness),
-                        out(activation), out(damp_mu),    out(damp_lambda),
-                        out(x_frame),    out(x_velocity), out(pressure)};
+    grads.parameters.w_mu = out(w_mu);
+    grads.parameters.w_vol = out(w_vol);
+    grads.parameters.fibre_stiffness = out(fiber_stiffness);
+    grads.parameters.activation = out(activation);
+    grads.parameters.damp_mu = out(damp_mu);
+    grads.parameters.damp_lambda = out(damp_lambda);
+    grads.parameters.x_frame = out(x_frame);
+    grads.parameters.x_velocity = out(x_velocity);
+    grads.parameters.pressure = out(pressure);
     return grads;
   }
+
   StepDirections directions(std::int64_t count) const {
-    const StepInputs in = inputs();
-    const SoftParameters& p = in.parameters;
-    return {count,
-            in.y,
-            in.force,
-            in.target,
-            diffsim::in(inertia),
-            {p.w_mu, p.w_vol, p.fibre_stiffness, p.activation, p.damp_mu, p.damp_lambda, in.x_frame,
-             in.x_velocity, p.pressure}};
+    StepDirections rates;
+    rates.count = count;
+    rates.y = in(y);
+    rates.force = in(force);
+    rates.target = in(target);
+    rates.inertia = in(inertia);
+    rates.parameters.w_mu = in(w_mu);
+    rates.parameters.w_vol = in(w_vol);
+    rates.parameters.fibre_stiffness = in(fiber_stiffness);
+    rates.parameters.activation = in(activation);
+    rates.parameters.damp_mu = in(damp_mu);
+    rates.parameters.damp_lambda = in(damp_lambda);
+    rates.parameters.x_frame = in(x_frame);
+    rates.parameters.x_velocity = in(x_velocity);
+    rates.parameters.pressure = in(pressure);
+    return rates;
   }
 };
 

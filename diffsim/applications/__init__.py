@@ -1,13 +1,13 @@
 """The thesis's applications (4.1.6, Tables 4.2 to 4.4): what they share, and their table.
 
 An application is a soft body, a vector of parameters within bounds, a simulation of them and a
-loss. The scripts under ``examples/applications`` each build one; this package optimises it with a
+loss. The scripts under ``examples/applications`` each build one; this package optimizes it with a
 chosen solver, draws it, records it, and compares the solvers.
 """
 
 from diffsim.applications.application import SOLVERS, Application, Parameters, solver_options
-from diffsim.applications.minimise import Evaluation, Outcome, evaluate, minimise
-from diffsim.applications.normalise import random_losses
+from diffsim.applications.minimize import Evaluation, Outcome, evaluate, minimize
+from diffsim.applications.normalize import random_losses
 
 __all__ = [
     "SOLVERS",
@@ -16,7 +16,7 @@ __all__ = [
     "Outcome",
     "Parameters",
     "evaluate",
-    "minimise",
+    "minimize",
     "random_losses",
     "solver_options",
 ]

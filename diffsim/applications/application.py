@@ -33,9 +33,9 @@ def solver_options(name: str, **options: Any) -> soft.SolverOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class Parameters:
-    """What is optimised: names, bounds and a first guess, all (num_parameters,).
+    """What is optimized: names, bounds and a first guess, all (num_parameters,).
 
-    The optimiser sees them scaled to [0, 1] between the bounds. What should be optimised on a
+    The optimizer sees them scaled to [0, 1] between the bounds. What should be optimized on a
     logarithmic scale is given as its logarithm.
     """
 
@@ -60,7 +60,7 @@ class Parameters:
             raise ValueError("first must lie between lower and upper")
 
     def scaled(self, values: Array) -> Array:
-        """Values as the optimiser sees them, 0 at the lower bound, 1 at the upper."""
+        """Values as the optimizer sees them, 0 at the lower bound, 1 at the upper."""
         return (values - self.lower) / (self.upper - self.lower)
 
     def values(self, scaled: Array) -> Array:
@@ -81,12 +81,12 @@ class Application:
         title: What is asked, one line.
         source: Where it is from, such as "thesis Fig. 4-9".
         body: The soft body; its solver's options are those compared.
-        parameters: What is optimised.
+        parameters: What is optimized.
         simulate: Positions of all steps, (num_steps + 1, num_vertices, 3) [m], of parameters
             (num_parameters,); with gradient.
         loss: Of parameters and those positions; a scalar, with gradient.
         numbers: What the parameters and the motion mean to a person, by name with unit.
-        oracle: Smallest loss that there can be, 0 of the normalised loss; None: nobody knows, and
+        oracle: Smallest loss that there can be, 0 of the normalized loss; None: nobody knows, and
             the best of our solver's is taken (thesis: walking and swimming).
         oracle_parameters: Those the target was made with, if it was, for comparison.
         warm_up: The same parameters with an easier loss, of a shorter motion say, whose answer is
@@ -95,7 +95,7 @@ class Application:
         follow: Of positions (..., num_vertices, 3), the point (..., 3) whose path pictures show.
         targets: Points to draw, by name, (3,) [m].
         num_starts: Random first guesses of which the best is taken; 1: only ``parameters.first``.
-        scale: The optimiser sees the loss over this; None: over the first loss. All parameters are
+        scale: The optimizer sees the loss over this; None: over the first loss. All parameters are
             bounded, so the first step of L-BFGS-B is the slope of what it sees (of parameters from
             0 to 1): a scale of some five times the loss's slope keeps it inside.
     """

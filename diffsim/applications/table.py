@@ -13,8 +13,8 @@ import numpy as np
 
 from diffsim.applications.application import SOLVERS, Application, solver_options
 from diffsim.applications.catalogue import FOLDER
-from diffsim.applications.minimise import minimise
-from diffsim.applications.normalise import normalised, random_losses
+from diffsim.applications.minimize import minimize
+from diffsim.applications.normalize import normalized, random_losses
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_json_atomic, write_text_atomic
 
@@ -43,7 +43,7 @@ def row(
     evaluations: int | None,
     first: Sequence[float] | None = None,
 ) -> dict:
-    """Optimise one application by one solver; what is on record is not computed again.
+    """Optimize one application by one solver; what is on record is not computed again.
 
     ``first`` is where to begin instead of the application's own first guess or random starts.
     """
@@ -56,7 +56,7 @@ def row(
     limit = evaluations or (8 if quick else module.MAX_EVALUATIONS)
     base = {"name": name, "solver": solver, "dofs": application.num_dofs}
     try:
-        found = minimise(
+        found = minimize(
             application,
             max_evaluations=limit,
             record=folder / f"{solver}.jsonl",
@@ -117,7 +117,7 @@ def make(
 def markdown(rows: Sequence[dict]) -> str:
     """The table: a line per application and solver."""
     lines = [
-        "| application | DoF | solver | forward CPU s | backward CPU s | evaluations | normalised "
+        "| application | DoF | solver | forward CPU s | backward CPU s | evaluations | normalized "
         "loss | against ours |",
         "|---|---|---|---|---|---|---|---|",
     ]
@@ -132,7 +132,7 @@ def markdown(rows: Sequence[dict]) -> str:
         if reference is not None:
             desired = reference["oracle"]
             desired = reference["best"]["loss"] if desired is None else desired
-            loss = f"{normalised(r['best']['loss'], reference['random_loss'], desired):.2g}"
+            loss = f"{normalized(r['best']['loss'], reference['random_loss'], desired):.2g}"
             ratio = f"{_cost(r) / _cost(reference):.1f}x"
         note = f" ({r['failed']} failed)" if r["failed"] else ""
         note += "" if r["converged"] else " (limit)"

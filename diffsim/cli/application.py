@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
@@ -12,9 +13,10 @@ import torch
 
 from diffsim import soft
 from diffsim.applications.application import SOLVERS, Application, solver_options
-from diffsim.applications.minimise import Outcome, minimise
-from diffsim.applications.normalise import normalised, random_losses
+from diffsim.applications.minimize import Outcome, minimize
+from diffsim.applications.normalize import normalized, random_losses
 from diffsim.core.files import write_json_atomic
+from diffsim.optim import LogError
 from diffsim.viz.application_pictures import motion_strip, recording
 
 Build = Callable[[soft.SolverOptions, bool], Application]
@@ -30,7 +32,7 @@ def main(
     view: tuple[float, float] = (14.0, -65.0),
     argv: Sequence[str] | None = None,
 ) -> dict[str, float]:
-    """Optimise an application, print and keep its numbers, draw it, record it.
+    """Optimize an application, print and keep its numbers, draw it, record it.
 
     Args:
         build: Makes the application.
@@ -57,16 +59,21 @@ def main(
         f" {application.num_dofs} DoF, {steps} steps of {1e3 * application.body.dt:g} ms"
     )
     kept = out / f"{args.solver}_{size}.jsonl"
+    drawn = out / f"random_{size}.jsonl"
     if args.fresh:
-        kept.unlink(missing_ok=True)
-    found = minimise(application, max_evaluations=limit, record=kept, progress=True)
+        for record in (kept, kept.with_name(f"warm_up_{kept.name}"), drawn):
+            record.unlink(missing_ok=True)
+    with _refusals():
+        found = minimize(application, max_evaluations=limit, record=kept, progress=True)
     numbers = summary(application, found)
     if not args.quick:
-        tried, kept = found.evaluations[: found.num_starts], out / f"random_{size}.jsonl"
-        random = float(np.mean(random_losses(application, record=kept, tried=tried)))
+        tried = found.evaluations[: found.num_starts]
+        with _refusals():
+            losses = random_losses(application, record=drawn, tried=tried)
+        random = float(np.mean(losses))
         numbers["random loss"] = random
         if application.oracle is not None:
-            numbers["normalised loss"] = normalised(found.best.loss, random, application.oracle)
+            numbers["normalized loss"] = normalized(found.best.loss, random, application.oracle)
     for name, value in numbers.items():
         print(f"{name:36s} {value:.6g}")
     print(f"ended: {found.message}")
@@ -77,7 +84,7 @@ def main(
     if not args.no_pictures:
         shown = {
             "before": application.motion(application.parameters.first),
-            "optimised": application.motion(np.array(found.best.values)),
+            "optimized": application.motion(np.array(found.best.values)),
         }
         if application.oracle_parameters is not None:
             shown["target"] = application.motion(application.oracle_parameters)
@@ -87,7 +94,7 @@ def main(
 
 
 def summary(application: Application, found: Outcome) -> dict[str, float]:
-    """Losses, evaluations and times of an optimisation, and what the solution means."""
+    """Losses, evaluations and times of an optimization, and what the solution means."""
     made = [e for e in found.evaluations[found.num_starts :] if not e.failure]
     best = np.array(found.best.values)
     numbers = {
@@ -106,12 +113,21 @@ def summary(application: Application, found: Outcome) -> dict[str, float]:
     after = application.numbers(best, application.motion(best))
     for name in after:
         numbers[f"{name}, before"] = before[name]
-        numbers[f"{name}, optimised"] = after[name]
+        numbers[f"{name}, optimized"] = after[name]
     if application.oracle_parameters is not None:
         truth = application.oracle_parameters
         for name, value in application.numbers(truth, application.motion(truth)).items():
             numbers[f"{name}, truth"] = value
     return numbers
+
+
+@contextmanager
+def _refusals() -> Iterator[None]:
+    """A record that cannot be gone on from ends the program with the reason, not a traceback."""
+    try:
+        yield
+    except LogError as err:
+        raise SystemExit(f"{err}; --fresh deletes it") from err
 
 
 def _parser(doc: str, max_evaluations: int) -> argparse.ArgumentParser:

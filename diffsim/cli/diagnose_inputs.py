@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from diffsim import __version__
 from diffsim.core.check import require_choice
 from diffsim.core.files import to_plain
+from diffsim.core.version import __version__
 from diffsim.data.importers import IMPORTERS, import_study
 from diffsim.data.study import Study
 from diffsim.data.study_file import load_study

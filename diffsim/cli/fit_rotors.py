@@ -1,28 +1,39 @@
-"""``python -m diffsim.cli.fit_rotors``: write the rotor models that come with the package."""
+"""``diffsim fit-rotors``: write the rotor models that come with the package."""
 
 from __future__ import annotations
 
 import argparse
+import importlib.resources
+from collections.abc import Sequence
 from pathlib import Path
 
-from diffsim.copter import rotors
-from diffsim.copter.fit_rotor import fit_rotor, write_rotor
-from diffsim.copter.rotor_table import read_rotor_bench
-from diffsim.core.paths import data_folder
+HELP = "fit rotor models to the bench tables, and write those that come with the package"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``diffsim fit-rotors``."""
     parser.add_argument("--data", type=Path, help="folder that holds rotor_bench")
-    parser.add_argument("--output", type=Path, default=Path(rotors.__file__).parent)
+    parser.add_argument("--output", type=Path, help="default: the package's own folder")
     parser.add_argument("--figures", type=Path, help="also draw every fit here")
-    args = parser.parse_args()
+
+
+def command(args: argparse.Namespace) -> None:
+    """Fit every table, write its model, and print how well it fits.
+
+    Raises:
+        FileNotFoundError: no folder of data.
+    """
+    from diffsim.copter.fit_rotor import fit_rotor, write_rotor
+    from diffsim.copter.rotor_table import read_rotor_bench
+    from diffsim.core.paths import data_folder
+
     data = args.data or data_folder()
     if data is None:
-        parser.error("no data folder found; give --data or set DIFFSIM_DATA")
+        raise FileNotFoundError("no data folder found; give --data or set DIFFSIM_DATA")
+    output = args.output or Path(str(importlib.resources.files("diffsim.copter.rotors")))
     for table in read_rotor_bench(data / "rotor_bench").values():
         fit = fit_rotor(table)
-        path = write_rotor(fit, args.output)
+        path = write_rotor(fit, output)
         thrust = fit.curves["thrust"]
         error = thrust.standard_errors["exponent"]
         print(
@@ -34,6 +45,13 @@ def main() -> None:
 
             args.figures.mkdir(parents=True, exist_ok=True)
             rotor_fit(fit).savefig(args.figures / f"{table.name}.png", dpi=110)
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """``python -m diffsim.cli.fit_rotors``: the same as ``diffsim fit-rotors``."""
+    parser = argparse.ArgumentParser(description=HELP)
+    add_arguments(parser)
+    command(parser.parse_args(argv))
 
 
 if __name__ == "__main__":

@@ -1,23 +1,56 @@
-"""``diffsim fly``: a simulated flight from the command line."""
+"""``diffsim fly``: a simulated flight."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from diffsim.copter.design import Design
-from diffsim.copter.design_file import load_design
-from diffsim.copter.simulator.flight_simulator import FlightSimulator, Observer
-from diffsim.copter.simulator.live_input import HELP, LiveSticks
-from diffsim.copter.simulator.mission import load_mission
-from diffsim.copter.simulator.pacing import Pacer
-from diffsim.copter.simulator.setpoint import Pilot
-from diffsim.copter.simulator.sticks import StickPilot, load_sticks
+if TYPE_CHECKING:
+    from diffsim.copter.design import Design
+    from diffsim.copter.simulator.flight_simulator import FlightSimulator, Observer
+    from diffsim.copter.simulator.pacing import Pacer
+    from diffsim.copter.simulator.setpoint import Pilot
+
+HELP = "fly a multicopter in simulation"
 
 
-def fly_command(args: argparse.Namespace) -> None:
-    """Fly as the arguments of ``diffsim fly`` say; errors are raised, what was flown is kept."""
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``diffsim fly``."""
+    parser.add_argument("design", metavar="DESIGN", help="a shipped design or a YAML file")
+    pilot = parser.add_mutually_exclusive_group()
+    pilot.add_argument(
+        "--mission", default="hover", help="a shipped one or a YAML file (default: %(default)s)"
+    )
+    pilot.add_argument("--sticks", type=Path, metavar="FILE", help="recorded sticks (CSV)")
+    pilot.add_argument("--input", metavar="DEVICE", help="keyboard or gamepad (needs pygame)")
+    parser.add_argument(
+        "--stick-mode", default="position", help="position or attitude (default: %(default)s)"
+    )
+    parser.add_argument("--controller", default="lqr", help="lqr or pid (default: %(default)s)")
+    parser.add_argument("--payload", type=float, default=0.0, metavar="KG", help="load carried")
+    parser.add_argument(
+        "--pwm-max", type=float, default=1800.0, metavar="US", help="clamp (default: %(default)g)"
+    )
+    parser.add_argument("--seconds", type=float, help="end after that long")
+    parser.add_argument(
+        "--speed",
+        type=float,
+        help="of the simulation per wall clock, 0: as fast as possible (default: 1 with --view or "
+        "--input, else 0)",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the sensors' noise")
+    parser.add_argument("--out", type=Path, default=Path("runs/fly"), help="default: %(default)s")
+    parser.add_argument("--view", action="store_true", help="watch it in the rerun viewer")
+
+
+def command(args: argparse.Namespace) -> None:
+    """Fly as the arguments say; errors are raised, what was flown is kept."""
+    from diffsim.copter.design_file import load_design
+    from diffsim.copter.simulator.flight_simulator import FlightSimulator
+    from diffsim.copter.simulator.pacing import Pacer
+
     design = load_design(args.design)
     simulator = FlightSimulator(
         design,
@@ -41,9 +74,14 @@ def fly_command(args: argparse.Namespace) -> None:
 
 
 def _pilot(args: argparse.Namespace) -> Pilot:
+    from diffsim.copter.simulator.live_input import HELP as KEYS
+    from diffsim.copter.simulator.live_input import LiveSticks
+    from diffsim.copter.simulator.mission import load_mission
+    from diffsim.copter.simulator.sticks import StickPilot, load_sticks
+
     if args.input is not None:
         sticks = LiveSticks(args.input)
-        print(HELP if args.input == "keyboard" else "Escape ends the flight")
+        print(KEYS if args.input == "keyboard" else "Escape ends the flight")
         return StickPilot(sticks, mode=args.stick_mode)
     if args.sticks is not None:
         return StickPilot(load_sticks(args.sticks), mode=args.stick_mode)
@@ -51,7 +89,6 @@ def _pilot(args: argparse.Namespace) -> Pilot:
 
 
 def _viewer(design: Design, payload: float) -> Observer:
-    # viz is imported by entry points only, and only where asked for
     from diffsim.viz.flight_scene import live_scene
 
     return live_scene(design, payload=payload).frame

@@ -3,22 +3,52 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
-import numpy as np
-
-from diffsim.data.study_file import save_study
-from diffsim.data.track import noise_px, tracks_study, without_merged
-from diffsim.data.video import TENNIS_BALL, ColourBounds, track_video
+HELP = "from a video of balls to their tracks in pixels"
 
 
-def track_command(args: argparse.Namespace) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``diffsim track``."""
+    parser.add_argument("video", type=Path, metavar="VIDEO", help="a file that OpenCV can read")
+    parser.add_argument(
+        "-o",
+        "--out",
+        type=Path,
+        required=True,
+        metavar="PATH",
+        help="tracks.csv: one table; a name without .csv: a folder with study.yaml and the table",
+    )
+    parser.add_argument("--balls", type=int, default=2, metavar="N", help="default: %(default)s")
+    parser.add_argument("--first", type=int, default=0, metavar="FRAME", help="to read, default 0")
+    parser.add_argument("--last", type=int, metavar="FRAME", help="to read, default: the end")
+    for name in ("low", "high"):
+        parser.add_argument(
+            f"--{name}",
+            type=int,
+            nargs=3,
+            metavar=("HUE", "SATURATION", "VALUE"),
+            help=f"{name} bound of the balls' color, OpenCV's HSV; default: tennis balls",
+        )
+    parser.add_argument("--min-area", type=int, default=20, metavar="PX", help="default: 20")
+    parser.add_argument(
+        "--drop-merged", action="store_true", help="leave out frames in which balls touch"
+    )
+
+
+def command(args: argparse.Namespace) -> None:
     """Track, write, and say how much was seen."""
+    import numpy as np
+
+    from diffsim.data.study_file import save_study
+    from diffsim.data.track import noise_px, tracks_study, without_merged
+    from diffsim.data.video import TENNIS_BALL, ColourBounds, track_video
+
     low, high = args.low or TENNIS_BALL.low, args.high or TENNIS_BALL.high
-    colour = ColourBounds(tuple(low), tuple(high))
     tracks = track_video(
         args.video,
         args.balls,
-        colour,
+        ColourBounds(tuple(low), tuple(high)),
         first=args.first,
         last=args.last,
         min_area=args.min_area,

@@ -1,4 +1,4 @@
-"""Ball against ball through their centres alone (thesis 4.1.6, the two tennis balls)."""
+"""Ball against ball through their centers alone (thesis 4.1.6, the two tennis balls)."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ def ball_force(
     stiffness: Number,
     friction: Number = 0.0,
 ) -> Tensor:
-    """Springs between the centres of balls that roll on a table, with friction across.
+    """Springs between the centers of balls that roll on a table, with friction across.
 
     c_i, v_i are means over a ball's nodes, l = |c_j - c_i|, n = (c_j - c_i) / l and
     pen = max(2 radius - l, 0). Then F_i = k_i pen (-n + mu_i s), F_j = k_j pen (n - mu_j s), with
-    s = +-(-n_y, n_x, 0) against the slip of the centres: + where (v_i - v_j) x n points along z.
+    s = +-(-n_y, n_x, 0) against the slip of the centers: + where (v_i - v_j) x n points along z.
 
     The thesis's simple model: friction neither shrinks with slip nor sees spin (it jumps where the
     slip changes sign), and forces are reciprocal only where the balls' coefficients agree.
@@ -50,15 +50,15 @@ def ball_force(
     k, mu = _each("stiffness", stiffness, count), _each("friction", friction, count)
     radius = scalar("radius", radius, above=0.0)
     i, j = torch.triu_indices(count, count, 1)
-    centre, velocity = x[balls].mean(1), v[balls].mean(1)
-    length, n = direction(centre[j] - centre[i], torch.tensor([1.0, 0.0, 0.0], dtype=x.dtype))
+    center, velocity = x[balls].mean(1), v[balls].mean(1)
+    length, n = direction(center[j] - center[i], torch.tensor([1.0, 0.0, 0.0], dtype=x.dtype))
     pen = (2.0 * radius - length).clamp(min=0.0)[:, None]
     across = torch.stack([-n[:, 1], n[:, 0], torch.zeros_like(length)], dim=1)
     slip = dot(velocity[i] - velocity[j], across).detach()[:, None]
     s = torch.where(slip < 0, across, -across)  # (v_i - v_j) x n along z is -slip
     on_i = k[i, None] * pen * (-n + mu[i, None] * s)
     on_j = k[j, None] * pen * (n - mu[j, None] * s)
-    force = torch.zeros_like(centre).index_add(0, i, on_i).index_add(0, j, on_j)
+    force = torch.zeros_like(center).index_add(0, i, on_i).index_add(0, j, on_j)
     share = (force / balls.shape[1])[:, None].expand(-1, balls.shape[1], -1)
     return torch.zeros_like(x).index_add(0, balls.reshape(-1), share.reshape(-1, 3))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor, nn
 
@@ -28,7 +30,7 @@ class BodyContact(nn.Module):
     taken by a third set of forces on the triangle's corners, the least that have no resultant. So
     linear and angular momentum are kept to rounding.
 
-    Friction is regularised: below ``slip_speed`` it is viscous and bodies creep on each other. The
+    Friction is regularized: below ``slip_speed`` it is viscous and bodies creep on each other. The
     force is explicit: stable only while stiffness * area is small against node mass / dt^2. A node
     deeper than half its thin opponent is pushed out on the wrong side.
 
@@ -85,35 +87,28 @@ class BodyContact(nn.Module):
         on_a, on_b = torch.zeros_like(x_a), torch.zeros_like(x_b)
         box = _overlap(self._a, x_a, self._b, x_b)
         if box is not None:
-            on_a, on_b = self._half(self._a, x_a, v_a, self._b, x_b, v_b, on_a, on_b, box)
-            on_b, on_a = self._half(self._b, x_b, v_b, self._a, x_a, v_a, on_b, on_a, box)
+            a, b = _Moving(skin=self._a, x=x_a, v=v_a), _Moving(skin=self._b, x=x_b, v=v_b)
+            on_a, on_b = self._half(a, b, on_a, on_b, box)
+            on_b, on_a = self._half(b, a, on_b, on_a, box)
         return on_a, on_b
 
     def _half(
-        self,
-        own: _Skin,
-        x: Tensor,
-        v: Tensor,
-        other: _Skin,
-        y: Tensor,
-        w: Tensor,
-        on_own: Tensor,
-        on_other: Tensor,
-        box: Tensor,
+        self, own: _Moving, other: _Moving, on_own: Tensor, on_other: Tensor, box: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Add the forces of ``own``'s nodes that are inside ``other``."""
-        local = other.touching(y, own.vertices, x, box)
+        x = own.x
+        local = other.skin.touching(other.x, own.skin.vertices, x, box)
         if local is None:
             return on_own, on_other
         rows, face, feature, pseudonormal = local
-        node, corner = own.vertices[rows], other.faces[face]
-        triangle = y[corner]
+        node, corner = own.skin.vertices[rows], other.skin.faces[face]
+        triangle = other.x[corner]
         sign = -torch.ones(len(rows), dtype=x.dtype)
         phi, n, weights = feature_distance(x[node], triangle, feature, sign, pseudonormal)
-        relative = v[node] - (weights[:, :, None] * w[corner]).sum(1)
+        relative = own.v[node] - (weights[:, :, None] * other.v[corner]).sum(1)
         v_n = dot(relative, n)
         u = relative - v_n[:, None] * n
-        fn = 0.5 * self.stiffness * own.area[rows] * -phi
+        fn = 0.5 * self.stiffness * own.skin.area[rows] * -phi
         fn = fn * (1.0 - self.damping * v_n).clamp(min=0.0)
         grip = self.friction / (dot(u, u) + self.slip_speed**2).sqrt()
         force = fn[:, None] * (n - grip[:, None] * u)
@@ -166,6 +161,14 @@ class _Skin:
             torch.from_numpy(near.feature)[inside],
             torch.from_numpy(near.normal)[inside],
         )
+
+
+class _Moving(NamedTuple):
+    """A body's surface with its positions [m] and velocities [m/s], (num_vertices, 3)."""
+
+    skin: _Skin
+    x: Tensor
+    v: Tensor
 
 
 @torch.no_grad()

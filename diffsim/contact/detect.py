@@ -48,12 +48,12 @@ def detect(
     max_depenetration_speed: float = math.inf,
     continuous: bool = True,
 ) -> ContactPlanes:
-    """Linearised contact of points that move from x_start to about x_end in one step.
+    """Linearized contact of points that move from x_start to about x_end in one step.
 
-    For each point the obstacle of least signed distance at x_end and the end pose, linearised at
+    For each point the obstacle of least signed distance at x_end and the end pose, linearized at
     x_end: phi(x_end) + n . (x - x_end) >= 0. Where the straight path, seen from the moving
     obstacle, enters an obstacle and ends on another side of it (normals 90 degrees or more apart,
-    or in by 30 degrees or steeper and out again), the first such obstacle is linearised at the
+    or in by 30 degrees or steeper and out again), the first such obstacle is linearized at the
     entry instead, so that fast points do not tunnel through thin obstacles. (For a turning obstacle
     the path is the chord in its frame.)
 
@@ -89,24 +89,13 @@ def detect(
     shape = start.shape[:-1]
     start, end = start.reshape(-1, 3), end.reshape(-1, 3)
     moved = [obstacle.after(dt) for obstacle in many]
-    columns: Sequence[Tensor]
     if len(many) == 1:
-        choice = torch.zeros(len(start), dtype=torch.int64)
         paths = _Paths.of(many[0], moved[0], start, end)
         entry = paths.entry(many[0].shape, continuous)
-        columns = _planes(many[0], moved[0], dt, paths, entry, push)
+        planes = _planes(0, many[0], moved[0], dt, paths, entry, push)
     else:
-        choice, columns = _nearest_planes(many, moved, dt, start, end, push, continuous)
-    normal, reference, offset, friction, restitution, distance = columns
-    return ContactPlanes(
-        normal.reshape(*shape, 3),
-        reference.reshape(*shape, 3),
-        offset.reshape(shape),
-        friction.reshape(shape),
-        restitution.reshape(shape),
-        choice.reshape(shape),
-        distance.reshape(shape),
-    )
+        planes = _nearest_planes(many, moved, dt, start, end, push, continuous)
+    return ContactPlanes(*(field.reshape(*shape, *field.shape[1:]) for field in planes))
 
 
 class _Paths(NamedTuple):
@@ -141,8 +130,8 @@ def _nearest_planes(
     end: Tensor,
     push: float,
     continuous: bool,
-) -> tuple[Tensor, Sequence[Tensor]]:
-    """Index of each point's obstacle, and its half space."""
+) -> ContactPlanes:
+    """The half space of each point's obstacle."""
     with torch.no_grad():
         depths, entries = [], []
         for obstacle, later in zip(many, moved, strict=True):
@@ -153,7 +142,7 @@ def _nearest_planes(
             entries.append(none if own_entry is None else own_entry)
         entry, first = torch.stack(entries).min(0)
         choice = torch.where(entry.isfinite(), first, torch.stack(depths).argmin(0))
-    parts: list[tuple[Tensor, ...]] = []
+    parts: list[ContactPlanes] = []
     order: list[Tensor] = []
     for k, (obstacle, later) in enumerate(zip(many, moved, strict=True)):
         own = torch.nonzero(choice == k).flatten()
@@ -162,19 +151,21 @@ def _nearest_planes(
         order.append(own)
         paths = _Paths.of(obstacle, later, start[own], end[own])
         used = entry[own] if bool(entry[own].isfinite().any()) else None
-        parts.append(_planes(obstacle, later, dt, paths, used, push))
+        parts.append(_planes(k, obstacle, later, dt, paths, used, push))
     back = torch.argsort(torch.cat(order))
-    return choice, [torch.cat(column)[back] for column in zip(*parts, strict=True)]
+    return ContactPlanes(*(torch.cat(fields)[back] for fields in zip(*parts, strict=True)))
 
 
 def _planes(
+    index: int,
     obstacle: Obstacle,
     later: Obstacle,
     dt: float,
     paths: _Paths,
     entry: Tensor | None,
     push: float,
-) -> tuple[Tensor, ...]:
+) -> ContactPlanes:
+    """Half spaces of the points that meet one obstacle; ``index`` is its place in the list."""
     start, end, y0, y1, distance, phi, normal = paths
     at = end
     if entry is not None:
@@ -201,11 +192,12 @@ def _planes(
         hits = (inside if entry is None else inside | entered) & (approach.detach() < 0)
         hits = hits & (bounce.detach() > 0)
         offset = torch.where(hits, torch.maximum(offset, bounce), offset)
-    return (
-        normal,
-        reference,
-        offset,
-        obstacle.friction.expand_as(phi),
-        obstacle.restitution.expand_as(phi),
-        distance,
+    return ContactPlanes(
+        normal=normal,
+        reference=reference,
+        offset=offset,
+        friction=obstacle.friction.expand_as(phi),
+        restitution=obstacle.restitution.expand_as(phi),
+        obstacle=torch.full(phi.shape, index, dtype=torch.int64),
+        distance=distance,
     )

@@ -9,7 +9,7 @@ from diffsim.contact._values import Vector, dot, scalar, vector
 from diffsim.contact.shapes import Pair, Shape
 from diffsim.core.check import require
 
-# Catmull-Rom cubics of the four neighbours, by rising powers of t: interpolating, C1
+# Catmull-Rom cubics of the four neighbors, by rising powers of t: interpolating, C1
 _CUBIC = 0.5 * torch.tensor(
     [[0.0, 2.0, 0.0, 0.0], [-1.0, 0.0, 1.0, 0.0], [2.0, -5.0, 4.0, -1.0], [-1.0, 3.0, -3.0, 1.0]],
     dtype=torch.float64,
@@ -28,7 +28,7 @@ class HeightField(Shape):
     phi is the distance along the normal through the closest point, found by a safeguarded Newton
     iteration to rounding. The closest point is the global one nearer to the surface than its least
     radius of curvature; farther away it is the best of a search and may be a local one. At a
-    centre of curvature, where the closest point is not unique, gradients are those of the
+    center of curvature, where the closest point is not unique, gradients are those of the
     Gauss-Newton step: finite, not meaningful.
 
     Args:
@@ -72,7 +72,7 @@ class HeightField(Shape):
         return phi.reshape(x.shape[:-1]), normal.reshape(x.shape)
 
     def _closest(self, padded: Tensor, p: Tensor) -> Tensor:
-        """Minimise |p - (xy, h(xy))|^2 from the best of a few samples around the foot, (N, 2)."""
+        """Minimize |p - (xy, h(xy))|^2 from the best of a few samples around the foot, (N, 2)."""
         drop = (p[:, 2] - self._value(padded, p[:, :2])).abs()
         line = torch.linspace(-1.0, 1.0, _SAMPLES, dtype=torch.float64)
         around = torch.cartesian_prod(line, line)
@@ -150,7 +150,7 @@ class HeightField(Shape):
 
 
 def _weights(u: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """First neighbour in the padded grid; weights of four and their derivatives, (..., 4)."""
+    """First neighbor in the padded grid; weights of four and their derivatives, (..., 4)."""
     first = u.detach().floor().clamp(0, count - 2).long()
     t = u - first
     cell = t.clamp(0.0, 1.0)

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from diffsim.contact._values import Number, Vector, friction_coefficient, scalar, vector
-from diffsim.contact.rotation import rotation_matrix, turn_offset
 from diffsim.contact.shapes import Box, Capsule, Pair, Plane, Shape, Sphere
 from diffsim.core.check import require
+from diffsim.core.rotation import matrix_from_rotation_vector, rotation_offset
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -102,7 +102,7 @@ class Obstacle:
         """The obstacle ``dt`` [s] later; velocity and angular velocity are held."""
         if not self.moves:
             return self
-        turn = rotation_matrix(self.angular_velocity * dt)
+        turn = matrix_from_rotation_vector(self.angular_velocity * dt)
         moved = object.__new__(Obstacle)
         moved._set(
             shape=self.shape,
@@ -129,7 +129,7 @@ class Obstacle:
 
     def displacement(self, x: Tensor, dt: float) -> Tensor:
         """How far the obstacle's material now at x (..., 3) [m] moves in ``dt``, (..., 3) [m]."""
-        turned = turn_offset(self.angular_velocity * dt, x - self.position)
+        turned = rotation_offset(self.angular_velocity * dt, x - self.position)
         return self.velocity * dt + turned
 
     def label(self, index: int) -> str:
@@ -191,4 +191,4 @@ def _rotation(value: Vector) -> Tensor:
                 f"from the identity by {off:.2g}, det R = {float(torch.linalg.det(matrix)):.3g}"
             )
         return matrix
-    return rotation_matrix(vector("rotation", value))
+    return matrix_from_rotation_vector(vector("rotation", value))

@@ -58,7 +58,7 @@ class Shape:
 
 
 class Plane(Shape):
-    """Half space n.x <= offset, n the normalised ``normal``; exact everywhere.
+    """Half space n.x <= offset, n the normalized ``normal``; exact everywhere.
 
     Args:
         normal: Outward normal of any length > 0, (3,).
@@ -80,7 +80,7 @@ class Plane(Shape):
 
 
 class Sphere(Shape):
-    """Ball about the origin. At its centre: normal +z, gradients zero.
+    """Ball about the origin. At its center: normal +z, gradients zero.
 
     Args:
         radius: [m], > 0.
@@ -215,7 +215,7 @@ class Trough(Shape):
 class Custom(Shape):
     """Any signed-distance function of ``diffsim.mesh.sdf``'s kind; its normal by autograd.
 
-    The normal is the function's normalised gradient, so it is a unit vector even where phi is
+    The normal is the function's normalized gradient, so it is a unit vector even where phi is
     only a bound. Where the gradient vanishes: normal +z, gradients zero.
 
     Args:

@@ -17,7 +17,7 @@ from diffsim.copter.control_metrics import (
 )
 from diffsim.copter.design import Design, build_design
 from diffsim.copter.design_file import load_design, save_design
-from diffsim.copter.effects import FlightEffects
+from diffsim.copter.effects import BodyDrag, FlightEffects, MotorLag
 from diffsim.copter.fleet import Fleet
 from diffsim.copter.flight import Feedback, Flight, FlightError, fly
 from diffsim.copter.flight_state import FlightState
@@ -27,7 +27,7 @@ from diffsim.copter.import_xml import import_xml
 from diffsim.copter.linearize import LinearModel, linearize, state_rate
 from diffsim.copter.listing import PartEntry
 from diffsim.copter.lqr import LQR, LqrGain, lqr, lqr_stats, lyapunov
-from diffsim.copter.rotor import RotorModel, rotor_model, rotor_names
+from diffsim.copter.rotor import RotorModel, motor_lag, rotor_model, rotor_names
 from diffsim.copter.spec import Connection, DesignSpec, PartSpec
 from diffsim.copter.spec_file import shipped_designs
 from diffsim.copter.stabilizability import RiccatiError
@@ -37,6 +37,7 @@ __all__ = [
     "GRAVITY",
     "LQR",
     "Battery",
+    "BodyDrag",
     "Connection",
     "Design",
     "DesignSpec",
@@ -53,6 +54,7 @@ __all__ = [
     "InfeasibleDesignError",
     "LinearModel",
     "LqrGain",
+    "MotorLag",
     "Multicopter",
     "PartEntry",
     "PartSpec",
@@ -74,6 +76,7 @@ __all__ = [
     "lyapunov",
     "max_hover_weight",
     "min_clearance",
+    "motor_lag",
     "response_time",
     "rotor_model",
     "rotor_names",

@@ -1,6 +1,6 @@
 """Fit rotor models to bench tables.
 
-python -m diffsim.cli.fit_rotors [--data FOLDER] [--output FOLDER] [--figures FOLDER]
+diffsim fit-rotors [--data FOLDER] [--output FOLDER] [--figures FOLDER]
 """
 
 from __future__ import annotations
@@ -223,7 +223,7 @@ def write_rotor(fit: RotorFit, folder: Path) -> Path:
         "provenance": {
             "title": fit.table.title,
             "source": fit.table.source,
-            "command": "python -m diffsim.cli.fit_rotors",
+            "command": "diffsim fit-rotors",
         },
     }
     text = yaml.safe_dump(_rounded(record), sort_keys=False, width=100)

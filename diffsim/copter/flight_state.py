@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from diffsim.copter.attitude import (
+from diffsim.core.check import require
+from diffsim.core.rotation import (
     body_rates_from_rpy_rates,
+    matrix_from_quaternion,
     quaternion_from_rpy,
-    rotation_from_quaternion,
-    rpy_from_rotation,
+    rpy_from_matrix,
     rpy_rates_from_body_rates,
 )
-from diffsim.core.check import require
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,18 +70,18 @@ class FlightState:
         require("x12", x12, ("...", 12))
         position, rpy, velocity, rates = x12.split(3, dim=-1)
         quaternion = quaternion_from_rpy(rpy)
-        world = (rotation_from_quaternion(quaternion) @ velocity[..., None])[..., 0]
+        world = (matrix_from_quaternion(quaternion) @ velocity[..., None])[..., 0]
         return cls(position, quaternion, world, body_rates_from_rpy_rates(rpy, rates))
 
     @property
     def rotation(self) -> Tensor:
         """World from body, (..., 3, 3)."""
-        return rotation_from_quaternion(self.quaternion)
+        return matrix_from_quaternion(self.quaternion)
 
     @property
     def rpy(self) -> Tensor:
         """Roll, pitch, yaw, (..., 3) [rad]."""
-        return rpy_from_rotation(self.rotation)
+        return rpy_from_matrix(self.rotation)
 
     def minimal(self) -> Tensor:
         """The state of 12 (see ``from_minimal``), (..., 12)."""

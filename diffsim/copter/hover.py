@@ -8,9 +8,9 @@ from torch import Tensor, nn
 from diffsim.copter import _ops_hover
 from diffsim.copter._ops_hover import HoverProblem, HoverSolution
 from diffsim.copter.hover_result import HoverResult, report
-from diffsim.copter.rotation import attitude_of_thrust
 from diffsim.copter.vehicle import Multicopter
 from diffsim.core.check import require, require_choice, require_number, require_range
+from diffsim.core.rotation import roll_pitch_of_thrust
 
 _WEAK = 1e-6  # multiplier or distance to a bound, in shares of the weight per rotor
 
@@ -97,7 +97,7 @@ def hover_thrusts(
     code, rank, free_rank, num_iters = (solution.info[:, k].reshape(batch) for k in range(4))
     return HoverResult(
         thrusts=(u * share).reshape(*batch, n),
-        attitude=attitude_of_thrust(net).reshape(*batch, 2),
+        attitude=roll_pitch_of_thrust(net).reshape(*batch, 2),
         residual=residual.reshape(*batch, 4),
         multipliers=solution.multipliers.reshape(*batch, 4),
         status_code=code,

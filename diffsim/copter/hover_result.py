@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from diffsim.copter import _ops_hover
-from diffsim.copter.rotation import rotation_from_euler
 from diffsim.core.errors import DiffsimError
+from diffsim.core.rotation import matrix_from_rpy
 
 
 class HoverError(DiffsimError):
@@ -84,7 +84,7 @@ class HoverResult:
     def rot_world_from_body(self) -> Tensor:
         """(..., 3, 3) [-]."""
         roll, pitch = self.attitude.unbind(-1)
-        return rotation_from_euler(torch.stack([roll, pitch, torch.zeros_like(roll)], -1))
+        return matrix_from_rpy(torch.stack([roll, pitch, torch.zeros_like(roll)], -1))
 
 
 def report(result: HoverResult, on_infeasible: str) -> None:

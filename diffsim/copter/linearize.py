@@ -7,9 +7,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from diffsim.copter.rotation import body_rates_from_euler_rates, rotation_from_euler, skew
 from diffsim.copter.vehicle import GRAVITY, Multicopter
 from diffsim.core.check import require, require_choice
+from diffsim.core.rotation import body_rates_matrix, matrix_from_rpy, skew
 
 FORMS = ("euler", "rotation_vector")
 
@@ -41,8 +41,8 @@ def state_rate(copter: Multicopter, state: Tensor, thrusts: Tensor) -> Tensor:
         The state's rate, (12,). Not defined at a pitch of 90 degrees.
     """
     euler, velocity, rates = state[3:6], state[6:9], state[9:]
-    R = rotation_from_euler(euler)
-    turning = torch.func.jvp(body_rates_from_euler_rates, (euler,), (rates,))
+    R = matrix_from_rpy(euler)
+    turning = torch.func.jvp(body_rates_matrix, (euler,), (rates,))
     E, E_rate = turning[0], turning[1]
     omega = E @ rates
     gravity = R[2] * GRAVITY
@@ -95,7 +95,7 @@ def linearize(
 
 def _about_euler_angles(copter: Multicopter, thrusts: Tensor, euler: Tensor) -> LinearModel:
     """At rest: p' = R v, v' = R'g + M_f u / m, euler'' = E^-1 J^-1 M_t u."""
-    R, E = rotation_from_euler(euler), body_rates_from_euler_rates(euler)
+    R, E = matrix_from_rpy(euler), body_rates_matrix(euler)
     push = torch.linalg.solve(copter.inertia, copter.torque_matrix)
     none, eye = torch.zeros(3, 3, dtype=torch.float64), torch.eye(3, dtype=torch.float64)
     A = torch.cat(
@@ -133,7 +133,7 @@ def _angle_acceleration_slope(euler: Tensor, omega_rate: Tensor) -> Tensor:
 
 def _about_rotation_vector(copter: Multicopter, euler: Tensor) -> LinearModel:
     """At rest: p' = R v, theta' = w, v' = exp(-theta) R'g + M_f u / m, w' = J^-1 M_t u."""
-    R = rotation_from_euler(euler)
+    R = matrix_from_rpy(euler)
     none, eye = torch.zeros(3, 3, dtype=torch.float64), torch.eye(3, dtype=torch.float64)
     A = torch.cat(
         [

@@ -5,15 +5,18 @@ A *study* is the recordings of one system with what is known about them: ``load_
 that make studies with hidden causes are in ``diffsim.data.labs``.
 """
 
-from diffsim.data.beam import BeamGeometry, BeamStudy, BeamTrial, load_beam_study
+from diffsim.data.ball_video import ball_video_study
+from diffsim.data.beam import TIP_MARKERS, BeamGeometry, BeamStudy, BeamTrial, load_beam_study
 from diffsim.data.importers import IMPORTERS, import_study
 from diffsim.data.recording import Recording, find_dataset, load_csv
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_check import Problem, check_study
 from diffsim.data.study_file import load_study, save_study
+from diffsim.data.virtual_lab import write_beam_study
 
 __all__ = [
     "IMPORTERS",
+    "TIP_MARKERS",
     "BeamGeometry",
     "BeamStudy",
     "BeamTrial",
@@ -22,6 +25,7 @@ __all__ = [
     "Recording",
     "Run",
     "Study",
+    "ball_video_study",
     "check_study",
     "find_dataset",
     "import_study",
@@ -29,4 +33,5 @@ __all__ = [
     "load_csv",
     "load_study",
     "save_study",
+    "write_beam_study",
 ]

@@ -52,6 +52,7 @@ from typing import Any
 import numpy as np
 import yaml
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from diffsim.data import signal
 from diffsim.data.recording import Recording, load_csv
@@ -222,16 +223,10 @@ def detect_release(time_s: Array, displacement_m: Array) -> tuple[int, float]:
 def rigid_rotation_deg(before: Array, after: Array) -> Array:
     """(3,) rotation vector of the best rigid motion between two sets of points (n, 3) [degrees].
 
-    Kabsch's algorithm; needs three points that are not on one line.
+    Needs three points that are not on one line.
     """
     a, b = before - before.mean(0), after - after.mean(0)
-    u, _, vt = np.linalg.svd(a.T @ b)
-    sign = np.sign(np.linalg.det(vt.T @ u.T))
-    rot = vt.T @ np.diag([1.0, 1.0, sign]) @ u.T
-    angle = np.arccos(np.clip((np.trace(rot) - 1.0) / 2.0, -1.0, 1.0))
-    axis = np.array([rot[2, 1] - rot[1, 2], rot[0, 2] - rot[2, 0], rot[1, 0] - rot[0, 1]])
-    length = float(np.linalg.norm(axis))
-    return np.degrees(angle) * axis / length if length > 0 else np.zeros(3)
+    return np.asarray(Rotation.align_vectors(b, a)[0].as_rotvec(degrees=True))
 
 
 def _trial(folder: Path, entry: dict[str, Any]) -> BeamTrial:

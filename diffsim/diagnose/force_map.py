@@ -31,7 +31,7 @@ class ForceMap:
         name: Of the force.
         groups: Commands.
         components: Of the force.
-        values: (num_groups, num_components) scores [nats per standardised component].
+        values: (num_groups, num_components) scores [nats per standardized component].
         noise: (num_groups, num_components) their standard deviation under noise alone.
     """
 

@@ -14,6 +14,7 @@ from diffsim.identify import Fit
 
 Array = NDArray[np.float64]
 MIN_BLOCKS = 4  # per run
+BLOCK_S = 0.3  # longer than the memory of what the models leave
 
 
 @dataclass(frozen=True)
@@ -43,38 +44,55 @@ class Gain:
 
 
 def gain(
-    runs: Sequence[Run],
-    null: Fit,
-    extended: Fit,
-    *,
-    seed: int,
-    block_s: float = 0.3,
-    draws: int = 1000,
-    known: dict[Fit, list[Array]] | None = None,
+    runs: Sequence[Run], null: Fit, extended: Fit, *, seed: int, block_s: float = BLOCK_S
 ) -> Gain:
     """Compare two fits on held-out runs.
 
     Nuisances of a held-out run ("offset@run") are fitted to it, for both alike; nothing else is.
 
     Args:
-        runs: Held out.
-        null, extended: Fits of the same model, with and without effects.
+        runs: Held-out runs.
+        null: Fit without effects.
+        extended: Fit of the same model with effects.
         seed: Of the bootstrap.
-        block_s: Length of a block; longer than the memory of what the models leave.
-        draws: Of the bootstrap.
-        known: Residuals of these runs by fit, filled as they are computed.
+        block_s: Length of a resampled block [s].
     """
     if not runs:
         raise ValueError("runs is empty; the gain needs at least one held-out run")
-    known = {} if known is None else known
-    for fit in (null, extended):
-        if fit not in known:
-            known[fit] = [held_out_residual(fit, run) for run in runs]
+    before, after = held_out_residuals(null, runs), held_out_residuals(extended, runs)
+    return compared(runs, null, before, after, seed=seed, block_s=block_s)
+
+
+def compared(
+    runs: Sequence[Run],
+    null: Fit,
+    before: Sequence[Array],
+    after: Sequence[Array],
+    *,
+    seed: int,
+    block_s: float = BLOCK_S,
+    draws: int = 1000,
+) -> Gain:
+    """Gain from whitened residuals of held-out runs.
+
+    Args:
+        runs: Held-out runs.
+        null: A fit whose noise floor whitened the residuals.
+        before: Residuals without the effects, (num_valid,) by run.
+        after: Residuals with the effects, (num_valid,) by run.
+        seed: Of the bootstrap.
+        block_s: Length of a resampled block [s].
+        draws: Of the bootstrap.
+    """
     pairs = [
-        _blocks(run, block_s, before, after, null)
-        for run, before, after in zip(runs, known[null], known[extended], strict=True)
+        _blocks(run, block_s, a, b, null) for run, a, b in zip(runs, before, after, strict=True)
     ]
     return share_removed(np.concatenate(pairs), seed=seed, draws=draws)
+
+
+def held_out_residuals(fit: Fit, runs: Sequence[Run]) -> list[Array]:
+    """``held_out_residual`` of every run."""
+    return [held_out_residual(fit, run) for run in runs]
 
 
 def share_removed(blocks: Array, *, seed: int, draws: int = 1000) -> Gain:
@@ -116,7 +134,7 @@ def held_out_point(fit: Fit, run: Run) -> Array:
         return x
 
     # nuisances act almost linearly: slopes of their start serve for all steps
-    slopes = -problem.linearise(full(np.zeros(len(own))), only=own)[1][:, own]
+    slopes = -problem.linearize(full(np.zeros(len(own))), only=own)[1][:, own]
     found = optimize.least_squares(
         lambda part: np.concatenate([problem.residual(full(part)), part]),
         np.zeros(len(own)),

@@ -53,7 +53,7 @@ def next_run(rivals: Sequence[Fit], bank: Sequence[Run]) -> NextRun:
 def _nearest_pair(rivals: Sequence[Fit], run: Run) -> float:
     linear = []
     for fit in rivals:
-        residual, jacobian = replace(fit.problem, runs=(run,)).linearise(fit.x)
+        residual, jacobian = replace(fit.problem, runs=(run,)).linearize(fit.x)
         linear.append(
             (residual, jacobian @ linalg.cholesky(_symmetric(fit.covariance), lower=True))
         )

@@ -1,4 +1,4 @@
-"""The noise floor: how large, what colour, and whether repeats scatter more than the sensor."""
+"""The noise floor: how large, what color, and whether repeats scatter more than the sensor."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from diffsim.data.study import Channel, Run
 Array = NDArray[np.float64]
 MAX_ORDER = 4
 UNREPEATABLE = 1.4  # clean data of the prototypes: at most 1.38
-SPIKE = 6.0  # robust standard deviations from the neighbours' median
+SPIKE = 6.0  # robust standard deviations from the neighbors' median
 MAX_SPIKES = 0.03  # a larger share is no spikes, but a heavy-tailed sensor
 
 
@@ -173,7 +173,7 @@ def without_spikes(run: Run, left: Array) -> tuple[Run, int]:
     """The run with isolated spikes marked as missing, and how many there were.
 
     A spike is a sample of the residual ``left`` (num_samples, num_channels) far from the median of
-    itself and its four neighbours; what lasts longer than two samples is not one.
+    itself and its four neighbors; what lasts longer than two samples is not one.
     """
     away = np.abs(left - median_filter(left, size=(5, 1), mode="nearest"))
     # a channel that was never measured, or never five samples in a row, has no scale

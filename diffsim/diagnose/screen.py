@@ -34,7 +34,7 @@ class Screen:
         smallest_visible: (m,) [unit]; infinite where the data do not move at all.
         block_z: (num_effects,) sqrt(s' I^-1 s); |z| for effects of one component.
         confounding: (m, m) cosines.
-        information: (m, m) G'G~ in standardised sizes.
+        information: (m, m) G'G~ in standardized sizes.
     """
 
     names: tuple[str, ...]
@@ -47,7 +47,7 @@ class Screen:
 
 
 def screen(problem: Problem, residual: Array, jacobian: Array, x: Array) -> Screen:
-    """Scores from a linearisation at the null fit.
+    """Scores from a linearization at the null fit.
 
     Args:
         problem: With all candidate effects, in this order.

@@ -16,7 +16,7 @@ class SearchSettings:
         num_refits: Neighbours refitted per round.
         max_rounds: Of moving to a better set.
         rival_nats: What linear evidence puts further behind the best set is not refitted.
-        misled: Share of the misfit [nats] by which linear evidence may be wrong beyond that.
+        linear_error: Share of the misfit [nats] by which linear evidence may be wrong beyond that.
         unknown_steps: Gauss-Newton steps of a set together with an unknown cause.
     """
 
@@ -24,7 +24,7 @@ class SearchSettings:
     num_refits: int = 4
     max_rounds: int = 8
     rival_nats: float = 6.0
-    misled: float = 0.1
+    linear_error: float = 0.1
     unknown_steps: int = 3
 
 

@@ -11,9 +11,8 @@ from torch import Tensor
 
 from diffsim.identify.effect import Effect
 from diffsim.identify.fitting import Fit
-from diffsim.identify.model import Scene, SimModel
+from diffsim.identify.model import Parameter, Scene, SimModel
 from diffsim.identify.numerics import Numerics
-from diffsim.identify.parameter import Parameter
 from diffsim.identify.problem import effect_coordinates
 
 if TYPE_CHECKING:
@@ -105,7 +104,7 @@ def extended_at(
     Args:
         inner: The plain model.
         effects: To build in.
-        values, sd: By name of base parameter or component, [unit]: centre and width of the new
+        values, sd: By name of base parameter or component, [unit]: center and width of the new
             priors.
     """
     base = [

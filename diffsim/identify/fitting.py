@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy import linalg, optimize
 
+from diffsim import optim
 from diffsim.core.check import require_choice
 from diffsim.core.errors import DiffsimError
 from diffsim.identify.jacobian import Jacobian
-from diffsim.identify.noise_model import Whitener, WhiteNoise
-from diffsim.identify.parameter import Parameter
-from diffsim.identify.problem import PRIOR_WIDTH, Problem
+from diffsim.identify.model import Parameter
+from diffsim.identify.problem import PRIOR_WIDTH, Problem, Whitener, WhiteNoise
 
 if TYPE_CHECKING:
     from diffsim.data.study import Channel, Run
@@ -34,7 +34,7 @@ class Fit:
 
     Attributes:
         problem: What was fitted.
-        x: (n,) standardised coordinates.
+        x: (n,) standardized coordinates.
         values: By name, [unit].
         sd: Posterior standard deviation by name, [unit], from (A'A + 1)^-1 with prior.
         correlation: (n, n) posterior, in the order of ``values``.
@@ -68,7 +68,7 @@ class Fit:
 
     @property
     def covariance(self) -> Array:
-        """(n, n) posterior covariance of the standardised coordinates."""
+        """(n, n) posterior covariance of the standardized coordinates."""
         return posterior_covariance(self.jacobian)
 
 
@@ -94,8 +94,8 @@ def fit(
         channels: Of the runs; their ``sd`` is the noise unless ``whitener`` is given.
         effects: Whose sizes are fitted too.
         method: "gauss_newton" (scipy's dogleg within bounds) or "lbfgs".
-        start: (n,) standardised coordinates; the prior's centre if None.
-        whitener: Of coloured noise.
+        start: (n,) standardized coordinates; the prior's center if None.
+        whitener: Of colored noise.
         jacobian: How to differentiate.
         gradient: For "lbfgs": "differences", or "autograd" where the scene is differentiable.
         workers: Threads over runs.
@@ -123,16 +123,23 @@ def fit(
     solve = _gauss_newton if method == "gauss_newton" else _lbfgs
     latest = _Latest(problem)
     found = solve(latest, x0, max_evaluations, gradient)
-    return _summarise(latest, found.x, bool(found.success), str(found.message), int(found.nfev))
-
-
-def _summarise(
-    latest: _Latest, x: Array, converged: bool, message: str, num_evaluations: int
-) -> Fit:
-    residual, jacobian = latest.linearise(x)
+    residual, slopes = latest.linearize(found.x)
+    message = found.message
     if latest.num_failed:
         message += f"; {latest.num_failed} trial points could not be simulated"
-    return summary(latest.problem, x, residual, jacobian, converged, message, num_evaluations)
+    return summary(
+        problem, found.x, residual, slopes, found.converged, message, found.num_evaluations
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Minimum:
+    """Where a solver ended; fields as of ``Fit``."""
+
+    x: Array
+    converged: bool
+    message: str
+    num_evaluations: int
 
 
 def summary(
@@ -177,22 +184,22 @@ def posterior_covariance(jacobian: Array) -> Array:
 
 
 class _Latest:
-    """Linearisations of a problem, the latest kept: solvers ask for the same point twice."""
+    """Linearizations of a problem, the latest kept: solvers ask for the same point twice."""
 
     def __init__(self, problem: Problem):
         self.problem, self.at = problem, np.zeros(0)
         self.kept: tuple[Array, Array] | None = None
         self.num_failed = 0
 
-    def linearise(self, x: Array) -> tuple[Array, Array]:
+    def linearize(self, x: Array) -> tuple[Array, Array]:
         if self.kept is None or not np.array_equal(x, self.at):
-            self.at, self.kept = x.copy(), self.problem.linearise(x)
+            self.at, self.kept = x.copy(), self.problem.linearize(x)
         return self.kept
 
     def residual(self, x: Array) -> Array:
         """Where the simulation of a trial point fails: so large that the solver turns back."""
         if self.kept is None:
-            return self.linearise(x)[0]  # the start must be possible
+            return self.linearize(x)[0]  # the start must be possible
         try:
             return self._residual(x)
         except DiffsimError:
@@ -202,19 +209,19 @@ class _Latest:
     def _residual(self, x: Array) -> Array:
         # a batched model makes the whole stencil at about the price of one point
         if self.problem.model.batched or (self.kept is not None and np.array_equal(x, self.at)):
-            return self.linearise(x)[0]
+            return self.linearize(x)[0]
         return self.problem.residual(x)
 
 
-def _gauss_newton(latest: _Latest, x0: Array, max_evaluations: int, _: str) -> Any:
+def _gauss_newton(latest: _Latest, x0: Array, max_evaluations: int, _: str) -> _Minimum:
     low, high = latest.problem.bounds
     if not len(x0):
-        return optimize.OptimizeResult(x=x0, success=True, message="nothing to fit", nfev=0)
+        return _Minimum(x0, True, "nothing to fit", 0)
     n = len(x0)
-    return optimize.least_squares(
+    found = optimize.least_squares(
         lambda x: np.concatenate([latest.residual(x), x]),
         np.clip(x0, low, high),
-        jac=lambda x: np.vstack([-latest.linearise(x)[1], np.eye(n)]),
+        jac=lambda x: np.vstack([-latest.linearize(x)[1], np.eye(n)]),
         bounds=(low, high),
         method="dogbox",  # may rest on a bound, where trf only creeps towards it
         ftol=1e-7,  # of a cost of about N / 2 nats: far below the 0.1 nat that would matter
@@ -222,28 +229,33 @@ def _gauss_newton(latest: _Latest, x0: Array, max_evaluations: int, _: str) -> A
         gtol=1e-6,
         max_nfev=max_evaluations,
     )
+    return _Minimum(found.x, bool(found.success), str(found.message), int(found.nfev))
 
 
-def _lbfgs(latest: _Latest, x0: Array, max_evaluations: int, gradient: str) -> Any:
+def _lbfgs(latest: _Latest, x0: Array, max_evaluations: int, gradient: str) -> _Minimum:
     problem = latest.problem
-    low, high = problem.bounds
+    if not len(x0):
+        return _Minimum(x0, True, "nothing to fit", 0)
 
     def cost(x: Array) -> tuple[float, Array]:
         if gradient == "autograd":
             value, slope = problem.gradient(x)
         else:
-            r, a = problem.linearise(x)
+            r, a = problem.linearize(x)
             value, slope = 0.5 * float(r @ r), -a.T @ r
         return value + 0.5 * float(x @ x), slope + x
 
-    return optimize.minimize(
+    found = optim.minimize(
         cost,
-        np.clip(x0, low, high),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=list(zip(low, high, strict=True)),
-        options={"maxfun": max_evaluations, "ftol": 1e-10, "gtol": 1e-6},
+        x0,
+        problem.bounds,
+        optim.Options(
+            budget=optim.Budget(max_evaluations, finish_line_search=True),
+            tolerances=optim.Tolerances(ftol=1e-10, gtol=1e-6),
+        ),
     )
+    latest.num_failed = found.num_failed
+    return _Minimum(found.final.x, found.converged, found.message, found.num_evaluations)
 
 
 def _values(problem: Problem, x: Array) -> dict[str, float]:

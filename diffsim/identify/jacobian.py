@@ -1,4 +1,4 @@
-"""Derivatives of a predicted record in standardised coordinates.
+"""Derivatives of a predicted record in standardized coordinates.
 
 By the simulator's own tangents, by differences of simulations, or by torch's forward mode.
 """

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, optimize
+from scipy import linalg
 
+from diffsim import optim
 from diffsim.core.check import require_number
 from diffsim.core.errors import DiffsimError
 from diffsim.identify.problem import Problem
@@ -57,12 +57,15 @@ def random_starts(
     x[0] = 0.0
     x[:, [name in fixed for name in problem.names]] = 0.0
     x = np.clip(x, *problem.bounds)
-    cost = np.full(count, np.inf)
-    for k, point in enumerate(x):
-        with contextlib.suppress(DiffsimError):  # a wild point that cannot be simulated is no start
-            r = problem.residual(point)
-            cost[k] = 0.5 * float(r @ r + point @ point)
-        report(float(cost[k]))
+
+    def value(point: Array) -> float:
+        r = problem.residual(point)
+        return 0.5 * float(r @ r + point @ point)
+
+    def tell(progress: optim.Progress) -> None:
+        report(progress.evaluation.value)
+
+    cost = np.array([e.value for e in optim.screen(value, x, callback=tell)])
     if not np.isfinite(cost).any():
         raise DiffsimError(f"none of {count} random starts could be simulated; narrow the priors")
     order = np.argsort(cost)
@@ -105,46 +108,38 @@ def descend(
         report: Called with each cost as it is known.
     """
     require_number("max_evaluations", max_evaluations, at_least=1)
-    _, a = problem.linearise(start)
+    _, a = problem.linearize(start)
     root = linalg.inv(linalg.cholesky(a.T @ a + np.eye(len(start)), lower=True)).T
     low, high = problem.bounds
-    costs: list[float] = []
-    best = np.array(start)
 
-    def evaluate(z: Array) -> tuple[float, Array]:
-        nonlocal best
-        if len(costs) >= max_evaluations:
-            raise StopIteration
+    def cost_at(z: Array) -> optim.Sample:
         x = np.clip(start + root @ z, low, high)
-        try:
-            value, slope = problem.gradient(x)
-        except DiffsimError:
-            if not costs:
-                raise  # the start must be possible
-            costs.append(np.inf)  # so bad that the line search turns back
-            return TURN_BACK * costs[0], np.zeros(len(start))
-        costs.append(value + 0.5 * float(x @ x))
-        report(costs[-1])
-        if costs[-1] <= min(costs):
-            best = x
-        return costs[-1], root.T @ (slope + x)
+        value, slope = problem.gradient(x)
+        cost = value + 0.5 * float(x @ x)
+        return optim.Sample(cost, root.T @ (slope + x), {"x": x, "cost": cost})
 
-    first = evaluate(np.zeros(len(start)))
-    scale = first_step * float(np.linalg.norm(first[1])) or 1.0  # L-BFGS first steps by 1
+    first = cost_at(np.zeros(len(start)))
+    slope = np.asarray(first.gradient)
+    scale = first_step * float(np.linalg.norm(slope)) or 1.0  # L-BFGS first steps by 1
 
-    def scaled(z: Array) -> tuple[float, Array]:
-        value, slope = evaluate(scale * z) if z.any() else first
-        return value / scale**2, slope / scale
+    def scaled(z: Array) -> optim.Sample:
+        cost, slope, notes = cost_at(scale * z) if z.any() else first
+        return optim.Sample(cost / scale**2, np.asarray(slope) / scale, notes)
 
-    message = f"{max_evaluations} evaluations"
-    with contextlib.suppress(StopIteration):
-        message = str(
-            optimize.minimize(
-                scaled,
-                np.zeros(len(start)),
-                jac=True,
-                method="L-BFGS-B",
-                options={"ftol": 1e-8, "gtol": 1e-8},
-            ).message
-        )
-    return Descent(best, tuple(costs), message)
+    def tell(progress: optim.Progress) -> None:
+        if not progress.evaluation.failure:
+            report(progress.evaluation.notes["cost"])
+
+    found = optim.minimize(
+        scaled,
+        np.zeros(len(start)),
+        options=optim.Options(
+            budget=optim.Budget(max_evaluations),
+            tolerances=optim.Tolerances(ftol=1e-8, gtol=1e-8),
+            wall=optim.Wall(height=TURN_BACK * first.value / scale**2, over_first=0.0),
+        ),
+        callback=tell,
+    )
+    costs = tuple(np.inf if e.failure else e.notes["cost"] for e in found.history)
+    best = min(range(len(costs)), key=lambda k: (costs[k], -k))  # the last of the least
+    return Descent(found.history[best].notes["x"], costs, found.message)

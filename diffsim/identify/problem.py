@@ -1,4 +1,4 @@
-"""Model, runs and noise as one least-squares problem in standardised coordinates.
+"""Model, runs and noise as one least-squares problem in standardized coordinates.
 
 Coordinates x: first the base parameters, then the components of the effects. All have the prior
 N(0, 1); a component has the size 1.5 typical x, and x >= 0 unless the effect is signed.
@@ -9,19 +9,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy import sparse
 from torch import Tensor
 
 from diffsim.core.errors import DiffsimError
-from diffsim.data.study import Run
+from diffsim.data.study import Channel, Run
 from diffsim.identify.effect import Effect
 from diffsim.identify.jacobian import Jacobian, Stencil
 from diffsim.identify.line import Line, Point
 from diffsim.identify.model import SimModel
-from diffsim.identify.noise_model import Whitener
 from diffsim.identify.numerics import Numerics
 
 Array = NDArray[np.float64]
@@ -31,6 +32,37 @@ SECANT = 0.1  # of the typical size
 
 class PredictionError(DiffsimError):
     """A simulation left the range of numbers."""
+
+
+class Whitener(Protocol):
+    """Makes the noise of a run white with standard deviation one."""
+
+    def matrix(self, run: Run) -> sparse.csr_array:
+        """(num_valid, num_samples * num_channels); missing samples have no row."""
+        ...
+
+
+class WhiteNoise:
+    """Independent noise of known standard deviation in every channel.
+
+    Args:
+        channels: With ``sd``.
+    """
+
+    def __init__(self, channels: Sequence[Channel]):
+        missing = [c.name for c in channels if c.sd is None]
+        if missing:
+            raise ValueError(
+                f"channels {missing} have no sd; state it, or estimate it from repeats with "
+                "diffsim.diagnose.noise.noise_floor"
+            )
+        self.sd = np.array([c.sd for c in channels], dtype=np.float64)
+
+    def matrix(self, run: Run) -> sparse.csr_array:
+        """Rows of the measured samples of ``diag(1 / sd)``."""
+        valid = np.isfinite(run.measured).ravel()
+        weight = np.tile(1.0 / self.sd, len(run.time_s))
+        return sparse.csr_array(sparse.diags_array(weight).tocsr()[np.flatnonzero(valid)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +161,7 @@ class Problem:
 
         return np.concatenate(self._each(one))
 
-    def linearise(
+    def linearize(
         self, x: Array, *, screen: bool = False, only: Sequence[int] | None = None
     ) -> tuple[Array, Array]:
         """Residual and A = d(W S)/dx at x.

@@ -1,1 +1,88 @@
-"""Training of controllers: through the simulator's gradient, and without it."""
+"""Training of controllers: through the simulator's gradient, and without it.
+
+A learner takes a ``Setup`` (task and seed) and its frozen options; ``Run`` keeps its progress on
+disk and goes on after an interruption; ``comparison`` trains several methods on equal terms.
+
+Needs the extra: ``pip install 'diffsim-robot[rl]'``. Importing this room needs nothing; what is
+missing is named when a learner is used.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from diffsim.core.lazy import offered
+
+if TYPE_CHECKING:
+    from diffsim.learn import comparison, open_loop
+    from diffsim.learn.cma_es import CmaLearner, CmaOptions
+    from diffsim.learn.gradient import GradientLearner, GradientOptions
+    from diffsim.learn.methods import METHODS, Plan, make_learner
+    from diffsim.learn.mixed import MixedLearner, MixedOptions
+    from diffsim.learn.options import main_training
+    from diffsim.learn.ppo import PpoLearner, PpoOptions
+    from diffsim.learn.presets import PRESETS, preset
+    from diffsim.learn.run import Learner, Run, train
+    from diffsim.learn.sac import SacLearner, SacOptions
+    from diffsim.learn.sapo import SapoLearner, SapoOptions
+    from diffsim.learn.setup import Setup
+    from diffsim.learn.shac import ShacLearner, ShacOptions
+
+_WHERE = {
+    "CmaLearner": "cma_es",
+    "CmaOptions": "cma_es",
+    "GradientLearner": "gradient",
+    "GradientOptions": "gradient",
+    "Learner": "run",
+    "METHODS": "methods",
+    "MixedLearner": "mixed",
+    "MixedOptions": "mixed",
+    "PRESETS": "presets",
+    "Plan": "methods",
+    "PpoLearner": "ppo",
+    "PpoOptions": "ppo",
+    "Run": "run",
+    "SacLearner": "sac",
+    "SacOptions": "sac",
+    "SapoLearner": "sapo",
+    "SapoOptions": "sapo",
+    "Setup": "setup",
+    "ShacLearner": "shac",
+    "ShacOptions": "shac",
+    "comparison": "comparison",
+    "main_training": "options",
+    "make_learner": "methods",
+    "open_loop": "open_loop",
+    "preset": "presets",
+    "train": "run",
+}
+__getattr__, __dir__ = offered(__name__, {n: f"{__name__}.{m}" for n, m in _WHERE.items()})
+
+__all__ = [
+    "METHODS",
+    "PRESETS",
+    "CmaLearner",
+    "CmaOptions",
+    "GradientLearner",
+    "GradientOptions",
+    "Learner",
+    "MixedLearner",
+    "MixedOptions",
+    "Plan",
+    "PpoLearner",
+    "PpoOptions",
+    "Run",
+    "SacLearner",
+    "SacOptions",
+    "SapoLearner",
+    "SapoOptions",
+    "Setup",
+    "ShacLearner",
+    "ShacOptions",
+    "comparison",
+    "main_training",
+    "make_learner",
+    "open_loop",
+    "preset",
+    "train",
+]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,12 +11,13 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.optimize import OptimizeResult, minimize
 from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
+from diffsim import optim
 from diffsim.control import Knots, OpenLoop, Sinusoid
 from diffsim.core.check import require_choice
+from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_json_atomic
 from diffsim.envs.rollout import rollout_task
 from diffsim.envs.task import Task
@@ -49,8 +51,8 @@ def make_open_loop(kind: str, task: Task, seed: int) -> OpenLoop:
 
 def fit_open_loop(
     task: Task, controller: OpenLoop, *, seed: int = 0, batch: int = 1, max_iterations: int = 30
-) -> OptimizeResult:
-    """Maximise the mean reward of fixed episodes with L-BFGS (scipy); changes ``controller``.
+) -> optim.Result:
+    """Maximize the mean reward of fixed episodes with L-BFGS; changes ``controller``.
 
     Args:
         task: Task.
@@ -60,26 +62,30 @@ def fit_open_loop(
         max_iterations: Of L-BFGS.
 
     Returns:
-        scipy's result; ``fun`` is minus the mean reward per step.
+        The search's result; its values are minus the mean reward per step. The controller gets the
+        parameters of ``final``.
+
+    Raises:
+        DiffsimError: the simulation of the first guess breaks down.
     """
     start = task.start(batch, np.random.default_rng([seed, 5]))
     trained = [p for p in controller.parameters() if p.requires_grad]
     first = parameters_to_vector(trained).detach().numpy().astype(np.float64)
 
     def loss_and_gradient(x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-        vector_to_parameters(torch.from_numpy(x.copy()), trained)
+        vector_to_parameters(torch.from_numpy(x), trained)
         try:
             loss: Tensor = -rollout_task(task, controller, start, task.max_steps).rewards.mean()
             parts = torch.autograd.grad(loss, trained)
         except (ArithmeticError, RuntimeError, ValueError) as error:
             if not broke_down(error):
                 raise
-            return np.inf, np.zeros_like(x)  # the line search steps back
+            raise DiffsimError(f"the simulation broke down: {error}") from error
         return float(loss.detach()), torch.cat([g.flatten() for g in parts]).numpy()
 
-    options = {"maxiter": max_iterations}
-    result = minimize(loss_and_gradient, first, jac=True, method="L-BFGS-B", options=options)
-    vector_to_parameters(torch.from_numpy(result.x), trained)
+    budget = optim.Budget(evaluations=None, iterations=max_iterations)
+    result = optim.minimize(loss_and_gradient, first, options=optim.Options(budget=budget))
+    vector_to_parameters(torch.from_numpy(result.final.x.copy()), trained)
     return result
 
 
@@ -99,9 +105,13 @@ def main(argv: Sequence[str], description: str | None = None) -> dict[str, objec
     for k in range(2 if args.quick else args.starts):
         controller = make_open_loop(args.controller, task, setup.seed + k)
         iterations = 2 if args.quick else args.max_iterations
-        result = fit_open_loop(task, controller, seed=setup.seed, max_iterations=iterations)
-        calls += int(result.nfev)
-        fits.append((-float(result.fun), setup.seed + k, controller))
+        try:
+            found = fit_open_loop(task, controller, seed=setup.seed, max_iterations=iterations)
+            reward, count = -found.final.value, found.num_evaluations
+        except DiffsimError:  # this first guess breaks down; another may not
+            reward, count = -math.inf, 1
+        calls += count
+        fits.append((reward, setup.seed + k, controller))
     reward, seed, best = max(fits, key=lambda fit: fit[0])
     out = {
         "task": setup.task,

@@ -1,4 +1,4 @@
-"""Volume meshes: make, load, voxelise, tetrahedralise, save, measure."""
+"""Volume meshes: make, load, voxelize, tetrahedralize, save, measure."""
 
 from diffsim.mesh import sdf
 from diffsim.mesh.box import hex_box, tet_box
@@ -16,7 +16,7 @@ from diffsim.mesh.repair import (
     remove_unreferenced_nodes,
     repair,
 )
-from diffsim.mesh.shape import ShapeGradients, nodal_volume, shape_gradients
+from diffsim.mesh.shape import ShapeGradients, nodal_shares, nodal_volume, shape_gradients
 from diffsim.mesh.solids import (
     hex_cylinder,
     hex_sphere,
@@ -58,6 +58,7 @@ __all__ = [
     "load_arrays",
     "load_surface",
     "merge_duplicate_nodes",
+    "nodal_shares",
     "nodal_volume",
     "quality",
     "remove_degenerate",

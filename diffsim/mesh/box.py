@@ -14,7 +14,7 @@ from diffsim.mesh.reference import HEX_CORNERS, Array, IntArray
 KUHN: IntArray = np.array(
     [[0, 4, 6, 7], [0, 5, 4, 7], [0, 6, 2, 7], [0, 2, 3, 7], [0, 1, 5, 7], [0, 3, 1, 7]], np.int64
 )
-"""Six right-handed tetrahedra around the diagonal 0-7 of a cell; neighbours conform, (6, 4)."""
+"""Six right-handed tetrahedra around the diagonal 0-7 of a cell; neighbors conform, (6, 4)."""
 
 
 def hex_box(

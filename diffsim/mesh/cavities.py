@@ -27,13 +27,13 @@ def cavities(mesh: HexMesh | TetMesh) -> list[Tensor]:
     faces = surface_triangles(mesh).faces.numpy()
     a, b, c = mesh.x_rest.numpy()[faces].transpose(1, 0, 2)
     volume = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
-    count, part = connected_components(_neighbours(faces), directed=False)
+    count, part = connected_components(_neighbors(faces), directed=False)
     enclosed = np.bincount(part, weights=volume, minlength=count)  # negative for a void
     order = [k for k in np.argsort(enclosed, kind="stable") if enclosed[k] < 0.0]
     return [torch.from_numpy(np.ascontiguousarray(faces[part == k])) for k in order]
 
 
-def _neighbours(faces: IntArray) -> coo_array:
+def _neighbors(faces: IntArray) -> coo_array:
     """Graph of faces that share an edge, (num_faces, num_faces)."""
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     edge = np.unique(edges, axis=0, return_inverse=True)[1].reshape(-1)

@@ -28,7 +28,7 @@ class Nearest(NamedTuple):
         feature: Its corner 0..2, edge 01, 12, 20 as 3..5, or 6 for its inside, (N,) int64.
         sign: -1 inside the surface, 1 outside, (N,).
         distance: Not signed, (N,) [m].
-        normal: Pseudonormal of the feature, not normalised, (N, 3).
+        normal: Pseudonormal of the feature, not normalized, (N, 3).
     """
 
     face: IntArray
@@ -110,7 +110,7 @@ class SurfaceDistance:
         _, nearest = self._tree.query(points)
         guess, _ = _closest(points, self.x[self.faces[self._parent[nearest]]])
         near = np.linalg.norm(points - guess, axis=1)
-        # the closest triangle has a piece whose centre is no farther than this
+        # the closest triangle has a piece whose center is no farther than this
         found = self._tree.query_ball_point(
             points, near * (1.0 + 1e-12) + self._reach, return_sorted=False
         )
@@ -141,7 +141,7 @@ class SurfaceDistance:
 
 
 def _pieces(corners: Array) -> tuple[Array, IntArray]:
-    """Halve long triangles, so that a search by piece centres looks at few: pieces, parents."""
+    """Halve long triangles, so that a search by piece centers looks at few: pieces, parents."""
     parent = np.arange(len(corners))
     edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     diagonal = float(np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0)))

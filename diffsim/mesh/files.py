@@ -1,6 +1,6 @@
 """Meshes from files and to files: volumes through meshio, surfaces through trimesh.
 
-Files carry no unit: coordinates are taken as metres unless ``scale`` says otherwise.
+Files carry no unit: coordinates are taken as meters unless ``scale`` says otherwise.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def load(path: str | Path, scale: float = 1.0) -> HexMesh | TetMesh:
 
     Args:
         path: A file with one of the extensions .vtu, .vtk, .msh, .inp, .mesh.
-        scale: Metres per unit of the file, 1e-3 for millimetres.
+        scale: Meters per unit of the file, 1e-3 for millimeters.
 
     Raises:
         FileNotFoundError: no such file.
@@ -103,7 +103,7 @@ def load_surface(path: str | Path, scale: float = 1.0) -> trimesh.Trimesh:
 
     Args:
         path: The file.
-        scale: Metres per unit of the file, 1e-3 for millimetres.
+        scale: Meters per unit of the file, 1e-3 for millimeters.
     """
     path = Path(path)
     scale = require_number("scale", float(scale), above=0.0)

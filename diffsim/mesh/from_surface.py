@@ -22,16 +22,16 @@ from diffsim.mesh.voxels import grid, hex_from_mask
 
 
 def voxelize(surface: SurfaceLike, spacing: float, keep: str = "largest") -> HexMesh:
-    """Cubes whose centre lies inside a closed surface.
+    """Cubes whose center lies inside a closed surface.
 
     Args:
-        surface: A watertight `trimesh.Trimesh`, or the path of a surface file in metres.
-        spacing: Edge length of the cubes [m]; the grid is centred on the bounding box.
+        surface: A watertight `trimesh.Trimesh`, or the path of a surface file in meters.
+        spacing: Edge length of the cubes [m]; the grid is centered on the bounding box.
         keep: "largest": only the largest part that hangs together through faces; "all". Cubes
             that hang on by a mere edge or node are dropped either way.
 
     Raises:
-        MeshError: the surface is not closed, or no centre is inside.
+        MeshError: the surface is not closed, or no center is inside.
     """
     x, faces = closed_surface(surface)
     _, counts = grid([x.min(axis=0).tolist(), x.max(axis=0).tolist()], spacing)
@@ -50,7 +50,7 @@ def tetrahedralize(
     """Tetrahedra that fill a closed surface.
 
     Args:
-        surface: A watertight `trimesh.Trimesh`, or the path of a surface file in metres.
+        surface: A watertight `trimesh.Trimesh`, or the path of a surface file in meters.
         spacing: Target edge length [m].
         method: "ftetwild" keeps sharp edges (Hu et al. 2020, "Fast Tetrahedral Meshing in the
             Wild"; needs ``pip install diffsim-robot[mesh]``; two runs give two meshes, so save

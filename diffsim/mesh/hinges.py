@@ -25,7 +25,7 @@ def without_hinges(elements: IntArray, keep_largest: bool) -> IntArray:
     """
     while len(elements):
         if keep_largest:
-            part = _parts(len(elements), *_neighbours(elements)[:2])
+            part = _parts(len(elements), *_neighbors(elements)[:2])
             elements = elements[part == np.bincount(part).argmax()]
         drop = hinged_elements(elements)
         if not drop.any():
@@ -41,7 +41,7 @@ def hinged_elements(elements: IntArray) -> np.ndarray:
     a second fan makes a hinge. Contact at an edge or a node of two separate parts counts too.
     """
     faces, edges = (HEX_FACES, HEX_EDGES) if elements.shape[1] == 8 else (TET_FACES, TET_EDGES)
-    first, second, first_face, second_face = _neighbours(elements)
+    first, second, first_face, second_face = _neighbors(elements)
     size = int(elements.max()) + 1
     edge_of = {frozenset(edge): number for number, edge in enumerate(edges.tolist())}
     face_edges = np.array(
@@ -61,7 +61,7 @@ def hinged_elements(elements: IntArray) -> np.ndarray:
     return drop
 
 
-def _neighbours(elements: IntArray) -> tuple[IntArray, IntArray, IntArray, IntArray]:
+def _neighbors(elements: IntArray) -> tuple[IntArray, IntArray, IntArray, IntArray]:
     """Pairs of elements that share a face, and the local number of that face in each."""
     faces = HEX_FACES if elements.shape[1] == 8 else TET_FACES
     keys = face_keys(elements[:, faces].reshape(-1, faces.shape[1]))

@@ -21,7 +21,7 @@ def grid_inside(x: Array, faces: IntArray, first: Array, spacing: float, counts:
         x: Surface vertices, (V, 3) [m].
         faces: Triangles, (F, 3), closed.
         first: Point (0, 0, 0), (3,) [m].
-        spacing: Distance of neighbours [m].
+        spacing: Distance of neighbors [m].
         counts: Number of points along each axis, (3,).
 
     Returns:
@@ -76,7 +76,7 @@ def _crossings(
 def _heights(flat: Array, z: Array, points: IntArray) -> tuple[np.ndarray, Array]:
     """Is each point inside its triangle (P, 3, 2), and the triangle's height there.
 
-    Both neighbours of an edge compute its sign from the same two numbers in the same order, so a
+    Both neighbors of an edge compute its sign from the same two numbers in the same order, so a
     point never falls between them.
     """
     p = points.astype(np.float64)

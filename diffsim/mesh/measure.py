@@ -50,7 +50,7 @@ class Range:
 
     @staticmethod
     def of(values: Array, bins: int = 10) -> Range:
-        """Summarise values, any shape."""
+        """Summarize values, any shape."""
         low, high = float(values.min()), float(values.max())
         if high - low <= 1e-9 * max(abs(low), abs(high)):  # equal up to rounding: one bin
             counts, edges = np.array([values.size]), np.array([low, high])

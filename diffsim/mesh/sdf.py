@@ -81,7 +81,7 @@ def torus(major_radius: float, minor_radius: float, center: Vector = (0.0, 0.0, 
 
 
 def plane(normal: Vector, offset: float = 0.0) -> Sdf:
-    """Half space n.x <= offset [m], n the normalised outward normal."""
+    """Half space n.x <= offset [m], n the normalized outward normal."""
     n = _vector("normal", normal)
     if not float(n.norm()) > 0:
         raise ValueError("normal must not be zero")

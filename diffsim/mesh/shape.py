@@ -58,22 +58,31 @@ def shape_gradients(mesh: HexMesh | TetMesh) -> ShapeGradients:
     return _freeze(grad[:, None], weight[:, None], np.arange(mesh.num_elements, dtype=np.int64))
 
 
-def nodal_volume(mesh: HexMesh | TetMesh) -> Tensor:
-    """Volume lumped to the nodes: the integral of each node's shape function.
+def nodal_shares(mesh: HexMesh | TetMesh) -> Tensor:
+    """Volume of each element lumped to its nodes: the integrals of its shape functions.
 
     Hex: 2x2x2 Gauss, exact for trilinear geometry. Tet: V/4 to each node.
 
     Returns:
-        (num_vertices,) [m^3], positive, summing to the mesh's volume; times density it is the
-        lumped mass.
+        (num_elements, 8 or 4) [m^3], positive, in the order of ``mesh.elements``.
     """
     shape = shape_gradients(mesh)
     if mesh.kind == "hex":
         share = shape.weight @ torch.from_numpy(hex_shape(HEX_GAUSS))
     else:
         share = shape.weight.expand(-1, 4) / 4.0
+    return share[shape.class_idx]
+
+
+def nodal_volume(mesh: HexMesh | TetMesh) -> Tensor:
+    """Volume lumped to the nodes, see :func:`nodal_shares`.
+
+    Returns:
+        (num_vertices,) [m^3], positive, summing to the mesh's volume; times density it is the
+        lumped mass.
+    """
     out = torch.zeros(mesh.num_vertices, dtype=torch.float64)
-    return out.index_add_(0, mesh.elements.flatten(), share[shape.class_idx].flatten())
+    return out.index_add_(0, mesh.elements.flatten(), nodal_shares(mesh).flatten())
 
 
 def hex_gradients(corners: Array) -> tuple[Array, Array]:

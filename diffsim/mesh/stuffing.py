@@ -1,8 +1,8 @@
-"""Tetrahedra that follow a surface: isosurface stuffing on a body-centred cubic lattice.
+"""Tetrahedra that follow a surface: isosurface stuffing on a body-centered cubic lattice.
 
 Labelle, Shewchuk 2007, "Isosurface Stuffing: Fast Tetrahedral Meshes with Good Dihedral Angles".
 Lattice nodes that lie too close to the surface are moved onto it, the lattice's tetrahedra are then
-cut at the surface, and neighbours cut their common face along the same diagonal. Uniform lattice;
+cut at the surface, and neighbors cut their common face along the same diagonal. Uniform lattice;
 edges and corners sharper than the spacing are cut off.
 """
 
@@ -84,7 +84,7 @@ class _Lattice:
 
     x: Array  # (V, 3) [m]
     side: IntArray  # (V,) inside, on, outside
-    center: np.ndarray  # (V,) bool: centre of a cube rather than corner; long edges join equals
+    center: np.ndarray  # (V,) bool: center of a cube rather than corner; long edges join equals
     tets: IntArray  # (T, 4)
 
 
@@ -213,7 +213,7 @@ def _warp(lattice: _Lattice, cuts: _Cuts) -> None:
         near = near[np.argsort(distance[near], kind="stable")]
         nodes, first = np.unique(ends[near], return_index=True)  # the nearest cut of each node
         priority = np.full(len(lattice.x), np.inf)
-        priority[nodes] = first  # ranks differ: of two neighbours the nearer one moves
+        priority[nodes] = first  # ranks differ: of two neighbors the nearer one moves
         rival = np.full(len(lattice.x), np.inf)
         live = cuts.edges[alive]
         np.minimum.at(rival, live[:, 0], priority[live[:, 1]])

@@ -140,7 +140,7 @@ def bounding_diagonal(x: Array) -> float:
 def coincident_pairs(x: Array, distance: float) -> IntArray:
     """Some pairs of nodes at most ``distance`` apart, (P, 2); empty only when there are none.
 
-    Nodes are sorted along an oblique line, where neighbours in space are neighbours in the order.
+    Nodes are sorted along an oblique line, where neighbors in space are neighbors in the order.
     """
     along = x @ np.array([0.5773, 0.7071, 0.4082])  # length at most 1: no pair is overlooked
     order = np.argsort(along)

@@ -1,4 +1,4 @@
-"""Hexahedra on a regular grid from a solid: the cells whose centre is inside."""
+"""Hexahedra on a regular grid from a solid: the cells whose center is inside."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def hex_from_sdf(
     spacing: float,
     keep: str = "largest",
 ) -> HexMesh:
-    """Cubes of a regular grid whose centre is inside a solid.
+    """Cubes of a regular grid whose center is inside a solid.
 
     Args:
         sdf: Signed distance (N, 3) -> (N,) [m], negative inside; on torch tensors or NumPy arrays.
@@ -37,7 +37,7 @@ def hex_from_sdf(
             that hang on by a mere edge or node are dropped either way.
 
     Raises:
-        MeshError: no centre is inside.
+        MeshError: no center is inside.
     """
     low, counts = grid(bounds, spacing)
     ijk = np.indices(counts.tolist()).reshape(3, -1).T
@@ -50,7 +50,7 @@ def hex_from_mask(inside: np.ndarray, origin: Array, spacing: float, keep: str) 
     require_choice("keep", keep, ["largest", "all"])
     if not inside.any():
         raise MeshError(
-            f"no cell centre of the {' x '.join(map(str, inside.shape))} grid lies inside; make "
+            f"no cell center of the {' x '.join(map(str, inside.shape))} grid lies inside; make "
             f"spacing smaller than {spacing:g} m, check bounds, and that the distance is negative "
             "inside"
         )

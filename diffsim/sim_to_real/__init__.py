@@ -1,4 +1,4 @@
-"""Sim-to-real: identify a simulated robot from hardware, optimise its command, execute, repeat."""
+"""Sim-to-real: identify a simulated robot from hardware, optimize its command, execute, repeat."""
 
 from diffsim.sim_to_real.command import Command, Limits, followed, sinusoid
 from diffsim.sim_to_real.hardware import (
@@ -12,7 +12,7 @@ from diffsim.sim_to_real.loop import sim_to_real
 from diffsim.sim_to_real.measured import on_real_recording
 from diffsim.sim_to_real.model import Starfish
 from diffsim.sim_to_real.records import Iteration, LoopResult, LoopSettings
-from diffsim.sim_to_real.trajectory import TrajectorySettings, optimise, travel_loss
+from diffsim.sim_to_real.trajectory import TrajectorySettings, optimize, travel_loss
 
 __all__ = [
     "AwaitingRecordingError",
@@ -31,7 +31,7 @@ __all__ = [
     "followed",
     "identify",
     "on_real_recording",
-    "optimise",
+    "optimize",
     "sim_to_real",
     "sinusoid",
     "travel_loss",

@@ -122,10 +122,6 @@ def _chase(wish: Tensor, begin: Tensor, step: float) -> Tensor:
 
 def interpolation(num_knots: int, num_samples: int) -> Array:
     """(num_samples, num_knots): straight lines between knots evenly spaced over a period."""
-    place = np.arange(num_samples) * num_knots / num_samples
-    first = place.astype(int)
-    rows = np.zeros((num_samples, num_knots))
-    idx = np.arange(num_samples)
-    rows[idx, first] = 1.0 - (place - first)
-    rows[idx, (first + 1) % num_knots] += place - first
-    return rows
+    place, knots = np.arange(num_samples) * num_knots / num_samples, np.arange(num_knots)
+    hats = [np.interp(place, knots, hat, period=num_knots) for hat in np.eye(num_knots)]
+    return np.stack(hats, axis=1)

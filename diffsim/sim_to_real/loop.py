@@ -1,4 +1,4 @@
-"""The alternating loop of thesis Alg. 7: execute, identify, optimise the command, execute again."""
+"""The alternating loop of thesis Alg. 7: execute, identify, optimize the command, execute again."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from diffsim.sim_to_real.records import (
     open_loop,
     save_plan,
 )
-from diffsim.sim_to_real.trajectory import optimise, speed, travel_loss
+from diffsim.sim_to_real.trajectory import optimize, speed, travel_loss
 
 
 def sim_to_real(
@@ -63,7 +63,7 @@ def sim_to_real(
     with tqdm(total=settings.max_iterations + 1, desc="sim to real", disable=not progress) as bar:
         for k in range(settings.max_iterations + 1):
             place = folder / f"iteration_{k}"
-            bar.set_description(f"iteration {k}: identify, optimise")
+            bar.set_description(f"iteration {k}: identify, optimize")
             if k == 0:
                 planned = load_plan(place) or _baseline(place, model, command, settings)
             else:
@@ -100,11 +100,11 @@ def _plan(
     settings: LoopSettings,
     done: list[Iteration],
 ) -> Planned:
-    """Identify on the latest recordings, then optimise the command."""
+    """Identify on the latest recordings, then optimize the command."""
     found = _identified(place, model, settings, done)
     shared = [p.name for p in model.parameters]
     values = {name: found.values[name] for name in shared}
-    best = optimise(model, values, done[-1].command, hardware.limits, settings.trajectory)
+    best = optimize(model, values, done[-1].command, hardware.limits, settings.trajectory)
     return save_plan(place, Planned(values, best.command, found, best.loss_after, best.loss_before))
 
 

@@ -143,7 +143,7 @@ class Starfish:
             parameters={
                 "youngs_modulus": values["youngs_modulus"],
                 # half a tendon in a quarter of the body
-                "fibre_stiffness": (0.5 * values["axial_stiffness"]).expand(2),
+                "fiber_stiffness": (0.5 * values["axial_stiffness"]).expand(2),
                 "rayleigh_beta": torch.tensor(self.rayleigh_beta, dtype=torch.float64),
                 "added_mass": 1000.0 * self.added_mass * volume,
             },

@@ -25,13 +25,13 @@ _MAY_CHANGE = ("max_iterations", "tolerance")  # of a loop that is resumed
 
 @dataclass(frozen=True, kw_only=True)
 class LoopSettings:
-    """How long the loop goes on, and how its two optimisations are made.
+    """How long the loop goes on, and how its two optimizations are made.
 
     Attributes:
         max_iterations: After the baseline.
         tolerance: Converged where the measured speed changes by less than this share.
         memory: Latest recordings that parameters are fitted to; 1 in Alg. 7.
-        fit, trajectory: Of the optimisations.
+        fit, trajectory: Of the optimizations.
     """
 
     max_iterations: int = 5
@@ -54,7 +54,7 @@ class Iteration:
 
     Attributes:
         idx: From 0.
-        values: theta, by name, that ``command`` was optimised for.
+        values: theta, by name, that ``command`` was optimized for.
         identified: How theta was found, from the recordings before; None in iteration 0.
         loss_theta: L_theta [m^2]: of theta on the recordings that it was fitted to; in iteration 0
             of the first guesses on the recording of this command.

@@ -1,4 +1,4 @@
-"""Trajectory optimisation (thesis eqs. 5.10-5.12): a cyclic command that travels far."""
+"""Trajectory optimization (thesis eqs. 5.10-5.12): a cyclic command that travels far."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy import optimize
 from torch import Tensor
 
+from diffsim import optim
 from diffsim.core.errors import DiffsimError
 from diffsim.sim_to_real.command import (
     RATE_HZ,
@@ -24,12 +24,12 @@ from diffsim.sim_to_real.model import Starfish
 
 Array = NDArray[np.float64]
 _UNIT_M = 0.01  # scale of the travel, so that L-BFGS' tolerances fit
-_IMPOSSIBLE = 1e3
+_WALL = optim.Wall(height=1e3, over_first=0.0, failures=(DiffsimError, ValueError))
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrajectorySettings:
-    """How the command is optimised.
+    """How the command is optimized.
 
     Attributes:
         periods: Simulated from rest; travel counts from the first sample to the last.
@@ -43,7 +43,7 @@ class TrajectorySettings:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Optimised:
+class Optimized:
     """A command with what the simulation promises.
 
     Attributes:
@@ -81,14 +81,14 @@ def travel_loss(
     return centre[-1] - centre[0]
 
 
-def optimise(
+def optimize(
     model: Starfish,
     values: Mapping[str, float],
     start: Command,
     limits: Limits,
     settings: TrajectorySettings,
-) -> Optimised:
-    """Minimise L_a over the knots of a period by L-BFGS-B; theta stays fixed.
+) -> Optimized:
+    """Minimize L_a over the knots of a period by L-BFGS-B; theta stays fixed.
 
     Bounds of the knots are the solver's; what is too fast for the servo is turned into what it can
     follow (:func:`~diffsim.sim_to_real.followed`), through which gradients flow.
@@ -104,36 +104,31 @@ def optimise(
     rows = interpolation(min(settings.num_knots, num_samples), num_samples)
     lines = torch.from_numpy(rows)
     knots = np.linalg.lstsq(rows, start.contraction_m, rcond=None)[0] / limits.contraction_m
-    history: list[tuple[float, Array]] = []
 
-    def cost(u: Array) -> tuple[float, Array]:
+    def cost(u: Array) -> optim.Sample:
         leaf = torch.tensor(u, dtype=torch.float64, requires_grad=True)
         period = followed(lines @ leaf * limits.contraction_m, limits)
-        try:
-            loss = travel_loss(model, values, period, settings.periods) / _UNIT_M
-        except (DiffsimError, ValueError):
-            if not history:
-                raise  # the start must be possible
-            return _IMPOSSIBLE, np.zeros_like(u)  # the line search turns back
+        loss = travel_loss(model, values, period, settings.periods) / _UNIT_M
         (slope,) = torch.autograd.grad(loss, leaf)
-        history.append((loss.item(), period.detach().numpy()))
-        return loss.item(), slope.numpy()
+        return optim.Sample(loss.item(), slope.numpy(), {"period": period.detach().numpy()})
 
-    found = optimize.minimize(
+    count = rows.shape[1]
+    found = optim.minimize(
         cost,
-        np.clip(knots, 0.0, 1.0),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=[(0.0, 1.0)] * rows.shape[1],
-        options={"maxfun": settings.max_evaluations, "ftol": 1e-5, "gtol": 1e-5},
+        np.asarray(knots, dtype=np.float64),
+        (np.zeros(count), np.ones(count)),
+        optim.Options(
+            budget=optim.Budget(settings.max_evaluations, finish_line_search=True),
+            tolerances=optim.Tolerances(ftol=1e-5, gtol=1e-5),
+            wall=_WALL,
+        ),
     )
-    best, period = min(history, key=lambda entry: entry[0])
-    return Optimised(
-        command=Command(period),
-        loss_before=history[0][0] * _UNIT_M,
-        loss_after=best * _UNIT_M,
-        num_evaluations=int(found.nfev),
-        message=str(found.message),
+    return Optimized(
+        command=Command(found.best.notes["period"]),
+        loss_before=found.history[0].value * _UNIT_M,
+        loss_after=found.value * _UNIT_M,
+        num_evaluations=found.num_evaluations,
+        message=found.message,
     )
 
 

@@ -11,12 +11,13 @@ from diffsim.soft.chambers import PressureChamber, sealed_pressure
 from diffsim.soft.forces import elastic_energy, elastic_force
 from diffsim.soft.hydrodynamics import Hydrodynamics, HydroForces
 from diffsim.soft.immersion import added_mass, buoyancy
-from diffsim.soft.materials import MATERIALS, lame_parameters, pd_weights
+from diffsim.soft.materials import MATERIALS, Material, lame_parameters, pd_weights
 from diffsim.soft.muscles import Muscle
-from diffsim.soft.options import SolverOptions
+from diffsim.soft.options import ContactOptions, Damping, Masses, SolverOptions
 from diffsim.soft.physics import Physics
 from diffsim.soft.physics_tangent import physics_directions
 from diffsim.soft.rollout import rollout
+from diffsim.soft.solid import Solid
 from diffsim.soft.state import State, Trajectory
 from diffsim.soft.statics import static_equilibrium
 from diffsim.soft.stats import SolveStats, record_stats
@@ -28,15 +29,20 @@ __all__ = [
     "MATERIALS",
     "ActuatorDynamics",
     "ActuatorState",
+    "ContactOptions",
+    "Damping",
     "Directions",
     "FirstOrderLag",
     "HydroForces",
     "Hydrodynamics",
+    "Masses",
+    "Material",
     "Muscle",
     "Physics",
     "PressureChamber",
     "RateLimit",
     "SoftBody",
+    "Solid",
     "SolveStats",
     "SolverOptions",
     "State",

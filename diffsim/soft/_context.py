@@ -10,6 +10,7 @@ import itertools
 import threading
 import weakref
 from collections import OrderedDict
+from collections.abc import Mapping
 from typing import Protocol
 
 import torch
@@ -17,24 +18,9 @@ from torch import Tensor
 
 from diffsim.core.compiled import core
 from diffsim.core.errors import FactorizationError, InvertedElementError
+from diffsim.soft._arrays import StepArrays
 
 _CACHED_SYSTEMS = 4
-# Parameters of the elastic energy, as both soft ops take them.
-ENERGY_INPUTS = (
-    "w_mu",
-    "w_vol",
-    "fibre_stiffness",
-    "activation",
-    "damp_mu",
-    "damp_lambda",
-    "x_frame",
-    "x_velocity",
-    "pressure",
-)
-STEP_INPUTS = ("y", "force", "target", "guess", "inertia", *ENERGY_INPUTS)
-STEP_GRADIENTS = tuple(name for name in STEP_INPUTS if name != "guess")
-# Inputs without a batch axis.
-SHARED_INPUTS = ("inertia", "w_mu", "w_vol", "fibre_stiffness", "damp_mu", "damp_lambda")
 MATERIALS = ("pd", "corotated", "stable_neo_hookean", "neo_hookean", "stvk")
 _handles = itertools.count(1)
 contexts: weakref.WeakValueDictionary[int, SoftContext] = weakref.WeakValueDictionary()
@@ -53,7 +39,7 @@ class ChamberArrays(Protocol):
 
 
 class SoftContext:
-    """Prepared C++ objects of one mesh with its material law, fibres, chambers and Dirichlet set.
+    """Prepared C++ objects of one mesh with its material law, fibers, chambers and Dirichlet set.
 
     The pattern (elements, sparsity, ordering) is made once. Constant systems are keyed by all that
     their content depends on; the last few are kept.
@@ -69,9 +55,9 @@ class SoftContext:
         weight: Tensor,
         class_idx: Tensor,
         x_rest: Tensor,
-        fibre_elements: Tensor,
-        fibre_directions: Tensor,
-        fibre_pull_only: Tensor,
+        fiber_elements: Tensor,
+        fiber_directions: Tensor,
+        fiber_pull_only: Tensor,
         chambers: ChamberArrays,
         fixed: Tensor,
     ):
@@ -79,7 +65,7 @@ class SoftContext:
         self.material = material
         self.num_vertices = x_rest.shape[0]
         self.num_elements = elements.shape[0]
-        self.num_fibres = fibre_elements.shape[0]
+        self.num_fibers = fiber_elements.shape[0]
         self.num_chambers = chambers.num_chambers
         self.fixed = fixed.to(torch.uint8).contiguous()
         self.pattern = core.make_soft_pattern(
@@ -88,7 +74,7 @@ class SoftContext:
             num_nodes=self.num_vertices,
             num_elements=self.num_elements,
             num_classes=grad.shape[0],
-            num_fibres=self.num_fibres,
+            num_fibers=self.num_fibers,
             num_chambers=self.num_chambers,
             num_lids=chambers.num_lids,
             elements=elements.data_ptr(),
@@ -96,9 +82,9 @@ class SoftContext:
             weight=weight.data_ptr(),
             class_idx=class_idx.data_ptr(),
             coords=x_rest.data_ptr(),
-            fibre_elements=fibre_elements.data_ptr(),
-            fibre_directions=fibre_directions.data_ptr(),
-            fibre_pull_only=fibre_pull_only.data_ptr(),
+            fiber_elements=fiber_elements.data_ptr(),
+            fiber_directions=fiber_directions.data_ptr(),
+            fiber_pull_only=fiber_pull_only.data_ptr(),
             chamber_start=chambers.start.data_ptr(),
             chamber_faces=chambers.faces.data_ptr(),
             lid_chamber=chambers.lid_chamber.data_ptr(),
@@ -109,25 +95,36 @@ class SoftContext:
         self._lock = threading.Lock()
         contexts[self.handle] = self
 
-    def system(self, inputs: dict[str, Tensor], num_threads: int) -> object:
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Sizes of arrays by name, see :mod:`diffsim.soft._arrays`."""
+        return {
+            "num_vertices": self.num_vertices,
+            "num_elements": self.num_elements,
+            "num_fibers": self.num_fibers,
+            "num_chambers": self.num_chambers,
+        }
+
+    def system(self, inputs: StepArrays, num_threads: int) -> object:
         """The constant system of these inputs, from the cache where all it depends on is equal."""
-        key = (inputs["inertia"], *(inputs[name] for name in _SYSTEM_PARAMETERS))
+        shared = inputs.shared()  # all that it depends on
+        key = tuple(shared.values())
         with self._lock:
             for known in self._systems:
                 if all(torch.equal(a, b) for a, b in zip(known, key, strict=True)):
                     self._systems.move_to_end(known)
                     return self._systems[known]
         key = tuple(k.contiguous().clone() for k in key)
-        inertia, *values = key
-        named = dict(zip(_SYSTEM_PARAMETERS, values, strict=True))
-        kappa, fibre_kappa = preconditioner_stiffness(self.material, **named)
+        shared = dict(zip(shared, key, strict=True))
+        inertia = shared.pop("inertia")
+        kappa, fiber_kappa = preconditioner_stiffness(self.material, **shared)
         made, node, pivot = core.make_constant_system(
             self.pattern,
             fixed=self.fixed.data_ptr(),
             inertia=inertia.data_ptr(),
             kappa=kappa.data_ptr(),
-            fibre_kappa=fibre_kappa.data_ptr(),
-            parameters=pointers(**named),
+            fiber_kappa=fiber_kappa.data_ptr(),
+            parameters=soft_addresses(shared),
             num_threads=num_threads,
         )
         if made is None:
@@ -153,22 +150,20 @@ def context(handle: int) -> SoftContext:
     return found
 
 
-# What a constant system depends on, apart from the inertias.
-_SYSTEM_PARAMETERS = ("w_mu", "w_vol", "fibre_stiffness", "damp_mu", "damp_lambda")
-# Shares of the volume and fibre stiffness in the constant matrix, measured in benchmarks/soft.py.
+# Shares of the volume and fiber stiffness in the constant matrix, measured in benchmarks/soft.py.
 VOLUME_SHARE = 0.1
-FIBRE_SHARE = 0.5
+FIBER_SHARE = 0.5
 
 
 def preconditioner_stiffness(
     material: str,
     w_mu: Tensor,
     w_vol: Tensor,
-    fibre_stiffness: Tensor,
+    fiber_stiffness: Tensor,
     damp_mu: Tensor,
     damp_lambda: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Stiffness kappa of A = diag(inertia) + sum kappa G^T G, of elements and of fibres [Pa].
+    """Stiffness kappa of A = diag(inertia) + sum kappa G^T G, of elements and of fibers [Pa].
 
     The volume term acts on one of nine directions of F; with its full weight (eq. 4.15) A is far
     too stiff in the other eight. All materials are alike at small strain, where PD's w_vol stands
@@ -177,7 +172,7 @@ def preconditioner_stiffness(
     kappa = w_mu + VOLUME_SHARE * 3.0 * small_strain_lambda(material, w_vol)
     if damp_mu.numel():
         kappa = kappa + 0.75 * damp_mu + 0.3 * damp_lambda
-    return kappa, FIBRE_SHARE * fibre_stiffness
+    return kappa, FIBER_SHARE * fiber_stiffness
 
 
 def small_strain_lambda(material: str, w_vol: Tensor) -> Tensor:
@@ -200,48 +195,20 @@ def require_upright(ctx: SoftContext, energy: Tensor, x: Tensor) -> None:
         )
 
 
-def require_sizes(ctx: SoftContext, batch: int, tensors: dict[str, Tensor]) -> None:
-    """Kernels read whole arrays: refuse any other size before they do."""
-    expected = {
-        "activation": (batch, ctx.num_fibres),
-        "pressure": (batch, ctx.num_chambers),
-        "fibre_stiffness": (ctx.num_fibres,),
-        "inertia": (ctx.num_vertices,),
-        **dict.fromkeys(("w_mu", "w_vol", "damp_mu", "damp_lambda"), (ctx.num_elements,)),
-    }
-    damped = tensors["damp_mu"].numel() > 0
-    for name, tensor in tensors.items():
-        shape = expected.get(name, (batch, ctx.num_vertices, 3))
-        if not damped and name in ("damp_mu", "damp_lambda", "x_frame", "x_velocity"):
-            shape = (0,)
-        if tuple(tensor.shape) != shape:
-            raise ValueError(f"{name} must have shape {shape}, got {tuple(tensor.shape)}")
-        if tensor.dtype != torch.float64 or not tensor.is_contiguous():
-            raise TypeError(f"{name} must be contiguous float64")
+def soft_addresses(tensors: Mapping[str, Tensor]) -> object:
+    """Addresses of a soft body's arrays by name; what is empty or missing stays absent."""
+    return _fill(core.SoftArrays(), tensors)
 
 
-def pointers(**tensors: Tensor) -> object:
-    arrays = core.SoftArrays()
+def contact_addresses(num_contacts: int, tensors: Mapping[str, Tensor]) -> object:
+    """Addresses of contacts' arrays by name, ``node`` among them."""
+    arrays = core.ContactArrays()
+    arrays.num_contacts = num_contacts
+    return _fill(arrays, tensors)
+
+
+def _fill(arrays: object, tensors: Mapping[str, Tensor]) -> object:
     for name, tensor in tensors.items():
         if tensor.numel():
             setattr(arrays, name, tensor.data_ptr())
     return arrays
-
-
-def gradient_buffers(
-    inputs: dict[str, Tensor], names: tuple[str, ...], batch: int
-) -> dict[str, Tensor]:
-    """Zeroed outputs; those of shared parameters get a batch axis, summed afterwards in order."""
-    return {
-        name: inputs[name].new_zeros(
-            (batch, *inputs[name].shape) if name in SHARED_INPUTS else inputs[name].shape
-        )
-        for name in names
-    }
-
-
-def sum_shared(grads: dict[str, Tensor]) -> list[Tensor]:
-    return [
-        (g[0].clone() if g.shape[0] == 1 else g.sum(0)) if name in SHARED_INPUTS else g
-        for name, g in grads.items()
-    ]

@@ -9,54 +9,38 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
+from diffsim.soft._arrays import ContactArrays, StepArrays, require_array
 from diffsim.soft._context import (
-    STEP_GRADIENTS,
-    STEP_INPUTS,
+    contact_addresses,
     context,
-    gradient_buffers,
-    pointers,
-    require_sizes,
     require_upright,
-    sum_shared,
+    soft_addresses,
 )
 from diffsim.soft._ops_step import (
     ADJOINT_HINT,
     STATS,
     STEP_HINT,
+    adjoint_arguments,
+    new_stats,
     notify,
     report_failure,
+    require_step,
     step_options,
 )
 
-CONTACT_INPUTS = ("normal", "reference", "offset", "friction", "force_guess")
-CONTACT_GRADIENTS = CONTACT_INPUTS[:-1]
-
-
-def _contact_pointers(num_contacts: int, **tensors: Tensor) -> object:
-    arrays = core.ContactArrays()
-    arrays.num_contacts = num_contacts
-    for name, tensor in tensors.items():
-        if tensor.numel():
-            setattr(arrays, name, tensor.data_ptr())
-    return arrays
-
 
 def _require_contacts(
-    num_vertices: int, batch: int, nodes: Tensor, tensors: dict[str, Tensor]
-) -> None:
-    """Kernels read whole arrays: refuse any other size before they do."""
+    num_vertices: int, batch: int, nodes: Tensor, contacts: list[Tensor]
+) -> ContactArrays:
+    """The arrays of the contacts, of the right sizes: kernels read whole arrays."""
     if nodes.dtype != torch.int64 or nodes.ndim != 1 or not nodes.is_contiguous():
         raise TypeError("contact nodes must be a contiguous int64 vector")
     count = nodes.shape[0]
     if count and (int(nodes.min()) < 0 or int(nodes.max()) >= num_vertices):
         raise ValueError(f"contact nodes must lie in [0, {num_vertices})")
-    for name, tensor in tensors.items():
-        vector = name not in ("offset", "friction")
-        shape = (batch, count, 3) if vector else (batch, count)
-        if tuple(tensor.shape) != shape:
-            raise ValueError(f"{name} must have shape {shape}, got {tuple(tensor.shape)}")
-        if tensor.dtype != torch.float64 or not tensor.is_contiguous():
-            raise TypeError(f"{name} must be contiguous float64")
+    arrays = ContactArrays.of(contacts)
+    arrays.require_sizes(batch, {"num_contacts": count})
+    return arrays
 
 
 @torch.library.custom_op("diffsim::contact_step", mutates_args=())
@@ -64,6 +48,7 @@ def contact_step(
     inputs: list[Tensor],
     contacts: list[Tensor],
     nodes: Tensor,
+    *,
     handle: int,
     cache_columns: bool,
     method: str,
@@ -75,39 +60,36 @@ def contact_step(
     adjoint_rtol: float,
     adjoint_max_iters: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """One implicit step of a batch in contact; see csrc/kernels/contact/contact_step.h.
+    """One implicit step of a batch in contact; see csrc/kernels/soft/contact/contact_step.h.
 
     Args:
-        inputs: Those of ``STEP_INPUTS``, in that order.
-        contacts: Those of ``CONTACT_INPUTS``, in that order.
+        inputs: Tensors of a :class:`StepArrays`.
+        contacts: Tensors of a :class:`ContactArrays`.
         nodes: (num_contacts,) int64, no node twice.
 
     Returns:
         x, contact force (batch, num_contacts, 3), status (batch, num_contacts) int64, stats.
     """
     ctx = context(handle)
-    named = dict(zip(STEP_INPUTS, inputs, strict=True))
-    planes = dict(zip(CONTACT_INPUTS, contacts, strict=True))
-    y = named["y"]
-    batch, count = y.shape[0], nodes.shape[0]
-    require_sizes(ctx, batch, named)
-    _require_contacts(ctx.num_vertices, batch, nodes, planes)
-    x = torch.empty_like(y)
-    force = y.new_zeros(batch, count, 3)
+    batch, count = StepArrays.of(inputs).y.shape[0], nodes.shape[0]
+    arrays = require_step(ctx, inputs, batch)
+    planes = _require_contacts(ctx.num_vertices, batch, nodes, contacts)
+    x = torch.empty_like(arrays.y)
+    force = x.new_zeros(batch, count, 3)
     status = torch.zeros(batch, count, dtype=torch.int64)
-    stats = torch.zeros(batch, len(STATS), dtype=torch.float64)
+    stats = new_stats(batch)
     core.contact_step(
-        ctx.system(named, num_threads),
-        pointers(**named),
-        _contact_pointers(count, node=nodes, **planes),
-        step_options(method, rtol, atol, max_iters),
-        cache_columns,
-        batch,
-        x.data_ptr(),
-        force.data_ptr(),
-        status.data_ptr(),
-        stats.data_ptr(),
-        num_threads,
+        system=ctx.system(arrays, num_threads),
+        inputs=soft_addresses(arrays.named()),
+        contacts=contact_addresses(count, {"node": nodes, **planes.named()}),
+        options=step_options(method, rtol=rtol, atol=atol, max_iters=max_iters),
+        cache_columns=cache_columns,
+        batch=batch,
+        x=x.data_ptr(),
+        force=force.data_ptr(),
+        status=status.data_ptr(),
+        stats=stats.data_ptr(),
+        num_threads=num_threads,
     )
     notify("step", stats)
     require_upright(ctx, stats[:, STATS.index("energy")], x)  # x is the start where that failed
@@ -116,8 +98,8 @@ def contact_step(
 
 
 @contact_step.register_fake
-def _(inputs, contacts, nodes, *args):
-    y = inputs[0]
+def _(inputs, contacts, nodes, **_options):
+    y = StepArrays.of(inputs).y
     batch, count = y.shape[0], nodes.shape[0]
     return (
         torch.empty_like(y),
@@ -136,6 +118,7 @@ def contact_step_vjp(
     inputs: list[Tensor],
     contacts: list[Tensor],
     nodes: Tensor,
+    *,
     handle: int,
     cache_columns: bool,
     method: str,
@@ -144,69 +127,73 @@ def contact_step_vjp(
     num_threads: int,
     on_failure: str,
 ) -> list[Tensor]:
-    """Adjoint of :func:`contact_step`: ``STEP_GRADIENTS``, ``CONTACT_GRADIENTS``, stats."""
+    """Adjoint of :func:`contact_step`: gradients of both records' differentiable tensors, stats."""
     ctx = context(handle)
-    named = dict(zip(STEP_INPUTS, inputs, strict=True))
-    planes = dict(zip(CONTACT_INPUTS, contacts, strict=True))
     batch, count = x.shape[0], nodes.shape[0]
     grad_x, grad_force, status = grad_x.contiguous(), grad_force.contiguous(), status.contiguous()
-    require_sizes(ctx, batch, {**named, "x": x, "grad_x": grad_x})
-    _require_contacts(ctx.num_vertices, batch, nodes, {**planes, "grad_force": grad_force})
+    arrays = require_step(ctx, inputs, batch, x=x, grad_x=grad_x)
+    planes = _require_contacts(ctx.num_vertices, batch, nodes, contacts)
+    require_array("grad_force", grad_force, (batch, count, 3))
     if tuple(status.shape) != (batch, count) or status.dtype != torch.int64:
         raise ValueError(
             f"status must be int64 of shape {(batch, count)}, got {status.dtype} of shape "
             f"{tuple(status.shape)}"
         )
-    grads = gradient_buffers(named, STEP_GRADIENTS, batch)
-    contact_grads = {name: torch.zeros_like(planes[name]) for name in CONTACT_GRADIENTS}
-    stats = torch.zeros(batch, len(STATS), dtype=torch.float64)
+    grads = arrays.gradient_buffers(batch)
+    contact_grads = planes.gradient_buffers(batch)
+    stats = new_stats(batch)
     core.contact_step_adjoint(
-        ctx.system(named, num_threads),
-        pointers(**named),
-        _contact_pointers(count, node=nodes, **planes),
-        step_options(method, rtol, 0.0, max_iters),
-        cache_columns,
-        batch,
-        x.data_ptr(),
-        status.data_ptr(),
-        grad_x.data_ptr(),
-        grad_force.data_ptr(),
-        pointers(**grads),
-        _contact_pointers(count, **contact_grads),
-        stats.data_ptr(),
-        num_threads,
+        system=ctx.system(arrays, num_threads),
+        inputs=soft_addresses(arrays.named()),
+        contacts=contact_addresses(count, {"node": nodes, **planes.named()}),
+        options=step_options(method, rtol=rtol, max_iters=max_iters),
+        cache_columns=cache_columns,
+        batch=batch,
+        x=x.data_ptr(),
+        status=status.data_ptr(),
+        grad_x=grad_x.data_ptr(),
+        grad_force=grad_force.data_ptr(),
+        grads=soft_addresses(grads),
+        contact_grads=contact_addresses(count, contact_grads),
+        stats=stats.data_ptr(),
+        num_threads=num_threads,
     )
     notify("adjoint", stats)
     report_failure(stats, "adjoint solve in contact", ADJOINT_HINT, on_failure)
-    return [*sum_shared(grads), *contact_grads.values(), stats]
+    return [*StepArrays.summed(grads), *ContactArrays.summed(contact_grads), stats]
 
 
 @contact_step_vjp.register_fake
-def _(grad_x, grad_force, x, status, inputs, contacts, nodes, *args):
-    like = [t for name, t in zip(STEP_INPUTS, inputs, strict=True) if name in STEP_GRADIENTS]
-    like += contacts[: len(CONTACT_GRADIENTS)]
-    return [*(torch.empty_like(t) for t in like), x.new_empty(x.shape[0], len(STATS))]
+def _(grad_x, grad_force, x, status, inputs, contacts, nodes, **_options):
+    like = [
+        *StepArrays.of(inputs).empty_gradients(),
+        *ContactArrays.of(contacts).empty_gradients(),
+    ]
+    return [*like, x.new_empty(x.shape[0], len(STATS))]
 
 
-def _setup(ctx, inputs, output):
-    tensors, contacts, nodes, ctx.handle, ctx.cache, ctx.method, *rest = inputs
-    *_, ctx.num_threads, ctx.on_failure, ctx.rtol, ctx.iters = rest
+def _setup(ctx, inputs, keyword_only_inputs, output):
+    tensors, contacts, nodes = inputs
+    ctx.arguments = adjoint_arguments(keyword_only_inputs)
+    ctx.arguments["cache_columns"] = keyword_only_inputs["cache_columns"]
     x, _force, status, stats = output
     ctx.save_for_backward(x, status, nodes, *tensors, *contacts)
-    ctx.owner = context(ctx.handle)  # the graph keeps the prepared solver, if its body is deleted
+    ctx.owner = context(ctx.arguments["handle"])  # keeps the prepared solver of a deleted body
     ctx.mark_non_differentiable(status, stats)
 
 
 def _backward(ctx, grad_x, grad_force, _grad_status, _grad_stats):
     x, status, nodes, *rest = ctx.saved_tensors
-    tensors, contacts = rest[: len(STEP_INPUTS)], rest[len(STEP_INPUTS) :]
+    tensors, contacts = rest[: len(StepArrays.specs)], rest[len(StepArrays.specs) :]
     *grads, _stats = contact_step_vjp(
-        grad_x, grad_force, x, status, tensors, contacts, nodes, ctx.handle, ctx.cache, ctx.method,
-        ctx.rtol, ctx.iters, ctx.num_threads, ctx.on_failure,
-    )  # fmt: skip
-    split = len(STEP_GRADIENTS)
-    named = dict(zip(STEP_GRADIENTS, grads[:split], strict=True))
-    return [named.get(name) for name in STEP_INPUTS], [*grads[split:], None], *([None] * 11)
+        grad_x, grad_force, x, status, tensors, contacts, nodes, **ctx.arguments
+    )
+    split = len(StepArrays.differentiable())
+    return (
+        StepArrays.all_gradients(grads[:split]),
+        ContactArrays.all_gradients(grads[split:]),
+        None,
+    )
 
 
 contact_step.register_autograd(_backward, setup_context=_setup)

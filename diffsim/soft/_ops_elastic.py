@@ -9,98 +9,93 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
-from diffsim.soft._context import (
-    ENERGY_INPUTS,
-    context,
-    gradient_buffers,
-    pointers,
-    require_sizes,
-    require_upright,
-    sum_shared,
-)
+from diffsim.soft._arrays import EnergyArrays, require_array
+from diffsim.soft._context import SoftContext, context, require_upright, soft_addresses
+
+
+def _require(ctx: SoftContext, inputs: list[Tensor], **nodal: Tensor) -> EnergyArrays:
+    arrays = EnergyArrays.of(inputs)
+    batch = next(iter(nodal.values())).shape[0]
+    arrays.require_sizes(batch, ctx.sizes, damped=arrays.damped)
+    for name, tensor in nodal.items():
+        require_array(name, tensor, (batch, ctx.num_vertices, 3))
+    return arrays
 
 
 @torch.library.custom_op("diffsim::elastic_gradient", mutates_args=())
 def elastic_gradient(
-    x: Tensor, inputs: list[Tensor], handle: int, num_threads: int
+    x: Tensor, inputs: list[Tensor], *, handle: int, num_threads: int
 ) -> tuple[Tensor, Tensor]:
     """Gradient of elastic, damping and pressure energy [N], and the energy [J], per batch item.
 
-    ``inputs`` are those of ``ENERGY_INPUTS``, in that order.
+    ``inputs`` are the tensors of an :class:`EnergyArrays`.
     """
     ctx = context(handle)
-    named = dict(zip(ENERGY_INPUTS, inputs, strict=True))
-    require_sizes(ctx, x.shape[0], {**named, "x": x})
+    arrays = _require(ctx, inputs, x=x)
     gradient = torch.empty_like(x)
     energy = torch.empty(x.shape[0], dtype=torch.float64)
     core.elastic_gradient(
-        ctx.pattern,
-        pointers(**named),
-        x.shape[0],
-        x.data_ptr(),
-        gradient.data_ptr(),
-        energy.data_ptr(),
-        num_threads,
+        pattern=ctx.pattern,
+        inputs=soft_addresses(arrays.named()),
+        batch=x.shape[0],
+        x=x.data_ptr(),
+        gradient=gradient.data_ptr(),
+        energy=energy.data_ptr(),
+        num_threads=num_threads,
     )
     require_upright(ctx, energy, x)
     return gradient, energy
 
 
-def _item(k: int, named: dict[str, Tensor]) -> object:
-    batched = ("activation", "x_frame", "x_velocity", "pressure")
-    return pointers(**{n: t[k] if n in batched and t.numel() else t for n, t in named.items()})
-
-
 @elastic_gradient.register_fake
-def _(x, *args):
+def _(x, inputs, **_options):
     return torch.empty_like(x), x.new_empty(x.shape[0])
 
 
 @torch.library.custom_op("diffsim::elastic_gradient_vjp", mutates_args=())
 def elastic_gradient_vjp(
-    z: Tensor, x: Tensor, inputs: list[Tensor], handle: int, num_threads: int
+    z: Tensor, x: Tensor, inputs: list[Tensor], *, handle: int, num_threads: int
 ) -> list[Tensor]:
-    """Adjoint of the gradient output: Hessian times z, then parameters in op order."""
+    """Adjoint of the gradient output: Hessian times z, then the parameters in op order."""
     ctx = context(handle)
-    batch = x.shape[0]
-    named = dict(zip(ENERGY_INPUTS, inputs, strict=True))
     z = z.contiguous()
-    require_sizes(ctx, batch, {**named, "x": x, "z": z})
-    grads = gradient_buffers(named, ENERGY_INPUTS, batch)
+    arrays = _require(ctx, inputs, x=x, z=z)
+    grads = arrays.gradient_buffers(x.shape[0])
     grad_x = torch.empty_like(x)
-    for k in range(batch):
+    for k in range(x.shape[0]):
         core.elastic_gradient_adjoint(
-            ctx.pattern,
-            _item(k, named),
-            x[k].data_ptr(),
-            z[k].data_ptr(),
-            grad_x[k].data_ptr(),
-            pointers(**{name: g[k] if g.numel() else g for name, g in grads.items()}),
-            num_threads,
+            pattern=ctx.pattern,
+            inputs=soft_addresses(arrays.item(k)),
+            x=x[k].data_ptr(),
+            z=z[k].data_ptr(),
+            grad_x=grad_x[k].data_ptr(),
+            grads=soft_addresses({n: g[k] if g.numel() else g for n, g in grads.items()}),
+            num_threads=num_threads,
         )
-    return [grad_x, *sum_shared(grads)]
+    return [grad_x, *EnergyArrays.summed(grads)]
 
 
 @elastic_gradient_vjp.register_fake
-def _(z, x, inputs, *args):
-    return [torch.empty_like(t) for t in (x, *inputs)]
+def _(z, x, inputs, **_options):
+    return [torch.empty_like(x), *EnergyArrays.of(inputs).empty_gradients()]
 
 
-def _elastic_setup(ctx, inputs, output):
-    x, tensors, ctx.handle, ctx.num_threads = inputs
+def _elastic_setup(ctx, inputs, keyword_only_inputs, output):
+    x, tensors = inputs
+    ctx.arguments = keyword_only_inputs
     ctx.save_for_backward(x, output[0], *tensors)
-    ctx.owner = context(ctx.handle)
-    ctx.damped = tensors[ENERGY_INPUTS.index("damp_mu")].numel() > 0
+    ctx.owner = context(keyword_only_inputs["handle"])
+    ctx.damped = EnergyArrays.of(tensors).damped
     if ctx.damped:  # with damping frames the energy's own gradient is not defined
         ctx.mark_non_differentiable(output[1])
 
 
 def _elastic_backward(ctx, grad_gradient, grad_energy):
     x, gradient, *tensors = ctx.saved_tensors
-    g_x, *others = elastic_gradient_vjp(grad_gradient, x, tensors, ctx.handle, ctx.num_threads)
+    g_x, *others = elastic_gradient_vjp(grad_gradient, x, tensors, **ctx.arguments)
     if not ctx.damped:
         g_x = g_x + grad_energy[:, None, None] * gradient
-    return g_x, others, None, None
+    return g_x, EnergyArrays.all_gradients(others)
 
 
 elastic_gradient.register_autograd(_elastic_backward, setup_context=_elastic_setup)

@@ -7,24 +7,16 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
 from diffsim.core.errors import ConvergenceError, ConvergenceWarning
-from diffsim.soft._context import (
-    SHARED_INPUTS,
-    STEP_GRADIENTS,
-    STEP_INPUTS,
-    context,
-    gradient_buffers,
-    pointers,
-    require_sizes,
-    require_upright,
-    sum_shared,
-)
+from diffsim.soft._arrays import StepArrays, require_array
+from diffsim.soft._context import SoftContext, context, require_upright, soft_addresses
 
 METHODS = ("auto", "quasi_newton", "newton_pcg", "newton_jacobi", "newton_cholesky")
 STATS = (
@@ -46,7 +38,8 @@ STEP_HINT = "halve dt, raise max_iters, or loosen rtol (or set atol) where round
 ADJOINT_HINT = "loosen adjoint_rtol or raise max_iters"
 
 
-def step_options(method: str, rtol: float, atol: float, max_iters: int) -> object:
+def step_options(method: str, *, rtol: float, max_iters: int, atol: float = 0.0) -> object:
+    """Solver and tolerances as kernels take them."""
     options = core.StepOptions()
     options.method = getattr(core.StepMethod, method)
     options.rtol, options.atol, options.max_iters = rtol, atol, max_iters
@@ -63,11 +56,11 @@ def notify(kind: str, stats: Tensor) -> None:
 
 
 def report_failure(stats: Tensor, what: str, hint: str, on_failure: str) -> None:
-    failed = stats[:, 7] == 0
+    failed = stats[:, STATS.index("converged")] == 0
     if not bool(failed.any()):
         return
-    row = stats[failed][0]
-    residual, tolerance, iters = float(row[0]), float(row[1]), int(row[3])
+    row = dict(zip(STATS, stats[failed][0].tolist(), strict=True))
+    residual, tolerance, iters = row["residual_norm"], row["tolerance"], int(row["num_iters"])
     message = (
         f"{what} stopped after {iters} iterations at residual {residual:.3e}, needed "
         f"{tolerance:.3e}; {hint}"
@@ -78,9 +71,24 @@ def report_failure(stats: Tensor, what: str, hint: str, on_failure: str) -> None
     raise ConvergenceError(message, residual_norm=residual, tolerance=tolerance, num_iters=iters)
 
 
+def require_step(ctx: SoftContext, inputs: list[Tensor], batch: int, **nodal: Tensor) -> StepArrays:
+    """The arrays of a step, and further (batch, num_vertices, 3) ones, of the body's sizes."""
+    arrays = StepArrays.of(inputs)
+    arrays.require_sizes(batch, ctx.sizes, damped=arrays.damped)
+    for name, tensor in nodal.items():
+        require_array(name, tensor, (batch, ctx.num_vertices, 3))
+    return arrays
+
+
+def new_stats(batch: int) -> Tensor:
+    """Room for ``STATS`` of each item."""
+    return torch.zeros(batch, len(STATS), dtype=torch.float64)
+
+
 @torch.library.custom_op("diffsim::soft_step", mutates_args=())
 def soft_step(
     inputs: list[Tensor],
+    *,
     handle: int,
     method: str,
     rtol: float,
@@ -91,25 +99,27 @@ def soft_step(
     adjoint_rtol: float,
     adjoint_max_iters: int,
 ) -> tuple[Tensor, Tensor]:
-    """One implicit step of a batch; see csrc/kernels/soft/implicit_step.h. Returns x and stats.
+    """One implicit step of a batch; see csrc/kernels/soft/implicit_step.h.
 
-    ``inputs`` are those of ``STEP_INPUTS``, in that order.
+    Args:
+        inputs: Tensors of a :class:`StepArrays`.
+
+    Returns:
+        x (batch, num_vertices, 3) [m], stats.
     """
     ctx = context(handle)
-    named = dict(zip(STEP_INPUTS, inputs, strict=True))
-    y = named["y"]
-    require_sizes(ctx, y.shape[0], named)
-    system = ctx.system(named, num_threads)
-    x = torch.empty_like(y)
-    stats = torch.zeros(y.shape[0], len(STATS), dtype=torch.float64)
+    batch = StepArrays.of(inputs).y.shape[0]
+    arrays = require_step(ctx, inputs, batch)
+    x = torch.empty_like(arrays.y)
+    stats = new_stats(batch)
     core.implicit_step(
-        system,
-        pointers(**named),
-        step_options(method, rtol, atol, max_iters),
-        y.shape[0],
-        x.data_ptr(),
-        stats.data_ptr(),
-        num_threads,
+        system=ctx.system(arrays, num_threads),
+        inputs=soft_addresses(arrays.named()),
+        options=step_options(method, rtol=rtol, atol=atol, max_iters=max_iters),
+        batch=batch,
+        x=x.data_ptr(),
+        stats=stats.data_ptr(),
+        num_threads=num_threads,
     )
     notify("step", stats)
     require_upright(ctx, stats[:, STATS.index("energy")], x)  # x is the start where that failed
@@ -118,8 +128,9 @@ def soft_step(
 
 
 @soft_step.register_fake
-def _(inputs, *args):
-    return torch.empty_like(inputs[0]), inputs[0].new_empty(inputs[0].shape[0], len(STATS))
+def _(inputs, **_options):
+    y = StepArrays.of(inputs).y
+    return torch.empty_like(y), y.new_empty(y.shape[0], len(STATS))
 
 
 @torch.library.custom_op("diffsim::soft_step_vjp", mutates_args=())
@@ -127,6 +138,7 @@ def soft_step_vjp(
     grad_x: Tensor,
     x: Tensor,
     inputs: list[Tensor],
+    *,
     handle: int,
     method: str,
     rtol: float,
@@ -134,55 +146,54 @@ def soft_step_vjp(
     num_threads: int,
     on_failure: str,
 ) -> list[Tensor]:
-    """Adjoint of :func:`soft_step`; gradients of ``STEP_GRADIENTS`` in order, then stats."""
+    """Adjoint of :func:`soft_step`: gradients of ``StepArrays.differentiable()``, then stats."""
     ctx = context(handle)
-    named = dict(zip(STEP_INPUTS, inputs, strict=True))
     batch = x.shape[0]
     grad_x = grad_x.contiguous()
-    require_sizes(ctx, batch, {**named, "x": x, "grad_x": grad_x})
-    system = ctx.system(named, num_threads)
-    grads = gradient_buffers(named, STEP_GRADIENTS, batch)
-    stats = torch.zeros(batch, len(STATS), dtype=torch.float64)
+    arrays = require_step(ctx, inputs, batch, x=x, grad_x=grad_x)
+    grads = arrays.gradient_buffers(batch)
+    stats = new_stats(batch)
     core.implicit_step_adjoint(
-        system,
-        pointers(**named),
-        step_options(method, rtol, 0.0, max_iters),
-        batch,
-        x.data_ptr(),
-        grad_x.data_ptr(),
-        pointers(**grads),
-        stats.data_ptr(),
-        num_threads,
+        system=ctx.system(arrays, num_threads),
+        inputs=soft_addresses(arrays.named()),
+        options=step_options(method, rtol=rtol, max_iters=max_iters),
+        batch=batch,
+        x=x.data_ptr(),
+        grad_x=grad_x.data_ptr(),
+        grads=soft_addresses(grads),
+        stats=stats.data_ptr(),
+        num_threads=num_threads,
     )
     notify("adjoint", stats)
     report_failure(stats, "adjoint solve", ADJOINT_HINT, on_failure)
-    return [*sum_shared(grads), stats]
+    return [*StepArrays.summed(grads), stats]
 
 
 @soft_step_vjp.register_fake
-def _(grad_x, x, inputs, *args):
-    like = [t for name, t in zip(STEP_INPUTS, inputs, strict=True) if name in STEP_GRADIENTS]
-    return [*(torch.empty_like(t) for t in like), x.new_empty(x.shape[0], len(STATS))]
+def _(grad_x, x, inputs, **_options):
+    return [*StepArrays.of(inputs).empty_gradients(), x.new_empty(x.shape[0], len(STATS))]
 
 
-def _step_setup(ctx, inputs, output):
-    tensors, ctx.handle, ctx.method, *_, ctx.num_threads, ctx.on_failure, ctx.rtol, ctx.iters = (
-        inputs
-    )
+def adjoint_arguments(step: Mapping[str, Any]) -> dict[str, Any]:
+    """Keyword arguments of a step's adjoint from those of the step."""
+    same = ("handle", "method", "num_threads", "on_failure")
+    own = {"rtol": step["adjoint_rtol"], "max_iters": step["adjoint_max_iters"]}
+    return {name: step[name] for name in same} | own
+
+
+def _step_setup(ctx, inputs, keyword_only_inputs, output):
+    (tensors,) = inputs
+    ctx.arguments = adjoint_arguments(keyword_only_inputs)
     ctx.save_for_backward(output[0], *tensors)
-    ctx.owner = context(ctx.handle)  # the graph keeps the prepared solver, if its body is deleted
+    ctx.owner = context(ctx.arguments["handle"])  # keeps the prepared solver of a deleted body
     ctx.mark_non_differentiable(output[1])
 
 
 def _step_backward(ctx, grad_x, _grad_stats):
     # H z = dL/dx, then dL/dp = -z . d(grad g)/dp (thesis eqs. 4.9, 4.10): one solve for all inputs.
     x, *tensors = ctx.saved_tensors
-    *grads, _stats = soft_step_vjp(
-        grad_x, x, tensors, ctx.handle, ctx.method, ctx.rtol, ctx.iters, ctx.num_threads,
-        ctx.on_failure,
-    )  # fmt: skip
-    named = dict(zip(STEP_GRADIENTS, grads, strict=True))
-    return [named.get(name) for name in STEP_INPUTS], *([None] * 9)
+    *grads, _stats = soft_step_vjp(grad_x, x, tensors, **ctx.arguments)
+    return StepArrays.all_gradients(grads)
 
 
 soft_step.register_autograd(_step_backward, setup_context=_step_setup)
@@ -190,8 +201,9 @@ soft_step.register_autograd(_step_backward, setup_context=_step_setup)
 
 def step_tangents(
     x: Tensor,
-    inputs: list[Tensor],
-    directions: dict[str, Tensor],
+    inputs: StepArrays,
+    directions: Mapping[str, Tensor],
+    *,
     handle: int,
     method: str,
     rtol: float,
@@ -203,39 +215,33 @@ def step_tangents(
 
     Args:
         x: Answer of the step, (1, V, 3) [m].
-        inputs: Of the step, those of ``STEP_INPUTS`` in that order, of batch 1.
-        directions: By name of ``STEP_GRADIENTS``, with a leading K instead of the batch axis;
-            what does not move may be missing.
+        inputs: Of the step, of batch 1.
+        directions: By name of ``StepArrays.differentiable()``, with a leading K instead of the
+            batch axis; what does not move may be missing.
         handle, method, rtol, max_iters, num_threads, on_failure: As for :func:`soft_step_vjp`.
 
     Returns:
         (K, V, 3).
     """
     ctx = context(handle)
-    named = dict(zip(STEP_INPUTS, inputs, strict=True))
-    require_sizes(ctx, 1, {**named, "x": x})
+    arrays = require_step(ctx, inputs.tensors(), 1, x=x)
     count = next(iter(directions.values())).shape[0]
-    shaped = {name: named[name] for name in directions}
     for name, direction in directions.items():
-        one = shaped[name].shape if name in SHARED_INPUTS else shaped[name].shape[1:]
-        if direction.shape != (count, *one) or not direction.is_contiguous():
-            raise ValueError(
-                f"direction of {name} must be contiguous {(count, *one)}, got "
-                f"{tuple(direction.shape)}"
-            )
-    system = ctx.system(named, num_threads)
+        shape = getattr(arrays, name).shape
+        one = shape[1:] if StepArrays.specs[name].batched else shape
+        require_array(f"direction of {name}", direction, (count, *one))
     dx = x.new_empty(count, *x.shape[1:])
-    stats = torch.zeros(1, len(STATS), dtype=torch.float64)
+    stats = new_stats(1)
     core.implicit_step_tangent(
-        system,
-        pointers(**named),
-        step_options(method, rtol, 0.0, max_iters),
-        count,
-        x.data_ptr(),
-        pointers(**directions),
-        dx.data_ptr(),
-        stats.data_ptr(),
-        num_threads,
+        system=ctx.system(arrays, num_threads),
+        inputs=soft_addresses(arrays.named()),
+        options=step_options(method, rtol=rtol, max_iters=max_iters),
+        count=count,
+        x=x.data_ptr(),
+        directions=soft_addresses(directions),
+        dx=dx.data_ptr(),
+        stats=stats.data_ptr(),
+        num_threads=num_threads,
     )
     notify("tangent", stats)
     report_failure(stats, "tangent solve", TANGENT_HINT, on_failure)

@@ -25,7 +25,7 @@ class PressureChamber:
     A chamber may be a cavity (a closed surface, see :meth:`from_cavity`) or an open pocket of the
     boundary. A pocket is closed by a *lid* per rim, a weightless cone from the rim's nodes to their
     mean: what presses on the lid is carried by the rim, as by a plug that is glued in. So the force
-    is always that of a potential and sums to zero. Not modelled: fluid that flows out of a rim, and
+    is always that of a potential and sums to zero. Not modeled: fluid that flows out of a rim, and
     a pressure that does not enclose a volume (a jet, the atmosphere on one side): for these compute
     nodal forces and pass ``external_force``.
 
@@ -99,8 +99,8 @@ class PressureChamber:
         total = _triple(*(x[..., corner, :] for corner in self.faces.T)).sum(-1)
         for lid in self.lids:
             rim = x[..., lid, :]
-            centre = rim.mean(-2, keepdim=True).expand_as(rim)
-            total = total + _triple(rim, rim.roll(-1, -2), centre).sum(-1)
+            center = rim.mean(-2, keepdim=True).expand_as(rim)
+            total = total + _triple(rim, rim.roll(-1, -2), center).sum(-1)
         return -total / 6.0
 
 

@@ -3,59 +3,37 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from diffsim.core.check import require
 from diffsim.soft import _ops_elastic
-from diffsim.soft.inputs import EMPTY, check_inputs, flat
+from diffsim.soft.inputs import DampingFrame, Loads, check_inputs, energy_arrays, flat
 from diffsim.soft.physics import Physics
+from diffsim.soft.solid import Solid
 from diffsim.soft.state import State
-
-if TYPE_CHECKING:
-    from diffsim.soft.body import SoftBody
 
 
 def elastic_gradient(
-    body: SoftBody,
-    x: Tensor,
-    v: Tensor | None,
-    activation: Tensor,
-    pressure: Tensor,
-    physics: Physics,
+    body: Solid, x: Tensor, loads: Loads, frame: DampingFrame | None = None
 ) -> tuple[Tensor, Tensor]:
-    """Gradient of the energy, with damping where v is given [N], and the energy [J].
+    """Gradient of the energy, with damping where a frame is given [N], and the energy [J].
 
     The arguments are checked already; the energy's gradient is right in x alone.
     """
-    stiffness, stretch = body.muscles.fibres(physics.fibre_stiffness, activation)
-    damp_mu, damp_lambda, frame, x_velocity = EMPTY, EMPTY, EMPTY, EMPTY
-    if v is not None and physics.rayleigh_beta is not None:
-        damp_mu, damp_lambda = physics.damping(1.0)
-        frame, x_velocity = flat(x), flat(x - v)
+    arrays = energy_arrays(body, loads, frame)
     gradient, energy = _ops_elastic.elastic_gradient(
         flat(x),
-        [
-            physics.w_mu,
-            physics.w_vol,
-            stiffness.contiguous(),
-            flat(stretch, 1),
-            damp_mu.contiguous(),
-            damp_lambda.contiguous(),
-            frame,
-            x_velocity,
-            flat(pressure, 1),
-        ],
-        body.handle,
-        body.solver.num_threads,
+        arrays.tensors(),
+        handle=body.handle,
+        num_threads=body.solver.num_threads,
     )
     return gradient.reshape(x.shape), energy.reshape(x.shape[:-2])
 
 
 def elastic_force(
-    body: SoftBody,
+    body: Solid,
     x: Tensor,
     *,
     activation: Tensor | None = None,
@@ -75,11 +53,12 @@ def elastic_force(
     Returns:
         Forces, shape of x [N]. Gradients: x, activation, pressure, physics; first order.
     """
-    return -elastic_gradient(body, *_checked(body, x, activation, pressure, physics))[0]
+    x, loads = _checked(body, x, activation=activation, pressure=pressure, physics=physics)
+    return -elastic_gradient(body, x, loads)[0]
 
 
 def elastic_energy(
-    body: SoftBody,
+    body: Solid,
     x: Tensor,
     *,
     activation: Tensor | None = None,
@@ -94,27 +73,31 @@ def elastic_energy(
     Returns:
         Energies, (...) [J]. Gradient: x only (parameters are treated as constants).
     """
-    x, v, activation, pressure, physics = _checked(body, x, activation, pressure, physics)
+    x, loads = _checked(body, x, activation=activation, pressure=pressure, physics=physics)
     constants = replace(
-        physics,
-        w_mu=physics.w_mu.detach(),
-        w_vol=physics.w_vol.detach(),
-        fibre_stiffness=physics.fibre_stiffness.detach(),
+        loads.physics,
+        w_mu=loads.physics.w_mu.detach(),
+        w_vol=loads.physics.w_vol.detach(),
+        fiber_stiffness=loads.physics.fiber_stiffness.detach(),
     )
-    return elastic_gradient(body, x, v, activation.detach(), pressure.detach(), constants)[1]
+    loads = replace(
+        loads,
+        activation=loads.activation.detach(),
+        pressure=loads.pressure.detach(),
+        physics=constants,
+    )
+    return elastic_gradient(body, x, loads)[1]
 
 
 def _checked(
-    body: SoftBody,
+    body: Solid,
     x: Tensor,
+    *,
     activation: Tensor | None,
     pressure: Tensor | None,
     physics: Physics | None,
-) -> tuple[Tensor, None, Tensor, Tensor, Physics]:
+) -> tuple[Tensor, Loads]:
     physics = body.physics() if physics is None else physics
     x = require("x", x, ("...", body.mesh.num_vertices, 3))
     state = State(x, torch.zeros_like(x))
-    x, _, _, activation, pressure = check_inputs(
-        body, state, None, activation, pressure, None, physics
-    )
-    return x, None, activation, pressure, physics
+    return check_inputs(body, state, physics, activation=activation, pressure=pressure)

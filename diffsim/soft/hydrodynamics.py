@@ -55,7 +55,7 @@ class Hydrodynamics(nn.Module):
     (the force jumps by 1/2 rho A |v|^2 (C_d(0) v_rel/|v_rel| - C_t(0) n), unless ``fade_angle``
     lets it rise: s^3 (10 - 15 s + 6 s^2) times the published, s = alpha / fade_angle), flow exactly
     head-on (alpha has a kink; the gradient's part through alpha is 0 there) and the force limit.
-    At v_rel = 0 the force and its gradient are 0. Not modelled: water that remembers (wakes), one
+    At v_rel = 0 the force and its gradient are 0. Not modeled: water that remembers (wakes), one
     face sheltering another, shear on faces seen edge-on; for the water's inertia see
     :func:`~diffsim.soft.added_mass`.
 

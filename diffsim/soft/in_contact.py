@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from diffsim.contact import ContactPlanes, Obstacle, detect
 from diffsim.soft import _ops_contact
+from diffsim.soft._arrays import ContactArrays
 from diffsim.soft.inputs import flat
-from diffsim.soft.problem import Problem, solver_arguments
+from diffsim.soft.problem import Problem
+from diffsim.soft.solid import Solid
 from diffsim.soft.state import State
-
-if TYPE_CHECKING:
-    from diffsim.soft.body import SoftBody
 
 
 def contact_planes(
-    body: SoftBody, obstacles: Sequence[Obstacle], x: Tensor, y: Tensor
+    body: Solid, obstacles: Sequence[Obstacle], x: Tensor, y: Tensor
 ) -> ContactPlanes:
     """Half spaces of the contact nodes for a step from x to about y, (..., num_vertices, 3) [m]."""
     nodes = body.contact_nodes
@@ -37,14 +35,14 @@ def in_contact(state: State) -> bool:
     return state.contact_force is not None and bool((state.contact_force != 0.0).any())
 
 
-def enters(body: SoftBody, planes: ContactPlanes, x: Tensor) -> bool:
+def enters(body: Solid, planes: ContactPlanes, x: Tensor) -> bool:
     """Whether any contact node lies outside its half space at x."""
     away = x[..., body.contact_nodes, :] - planes.reference
     return bool(((planes.normal * away).sum(-1) < planes.offset).any())
 
 
 def solve_in_contact(
-    body: SoftBody, planes: ContactPlanes, state: State, problem: Problem
+    body: Solid, planes: ContactPlanes, state: State, problem: Problem
 ) -> tuple[Tensor, Tensor]:
     """The solution of a problem with half spaces; also the contact force on every node [N]."""
     if body.solver.method == "quasi_newton":
@@ -56,20 +54,20 @@ def solve_in_contact(
     guess = state.contact_force
     guess = torch.zeros(shape, dtype=torch.float64) if guess is None else guess.detach()
     vector = (*shape[:-2], len(nodes), 3)
-    contacts = [
-        flat(planes.normal),
-        flat(planes.reference),
-        flat(planes.offset, 1),
-        flat(planes.friction, 1),
-        flat(guess[..., nodes, :].expand(vector)),
-    ]
+    contacts = ContactArrays(
+        normal=flat(planes.normal),
+        reference=flat(planes.reference),
+        offset=flat(planes.offset, 1),
+        friction=flat(planes.friction, 1),
+        force_guess=flat(guess[..., nodes, :].expand(vector)),
+    )
     x, force, _, _ = _ops_contact.contact_step(
-        problem.inputs(body),
-        contacts,
+        problem.arrays(body).tensors(),
+        contacts.tensors(),
         nodes,
-        body.handle,
-        body.solver.cache_columns,
-        *solver_arguments(body.solver),
+        handle=body.handle,
+        cache_columns=body.solver.cache_columns,
+        **body.solver.arguments(),
     )
     nodal = torch.zeros(shape, dtype=torch.float64)
     return x.reshape(shape), nodal.index_add(-2, nodes, force.reshape(vector))

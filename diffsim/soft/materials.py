@@ -22,6 +22,9 @@ w_vol = lambda (pd: 3 lambda, see :func:`pd_weights`).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -31,7 +34,52 @@ from diffsim.soft._context import MATERIALS
 VOLUME_WEIGHTS = ("small_strain", "thesis")
 
 
-def lame_parameters(youngs_modulus: Tensor, poissons_ratio: Tensor) -> tuple[Tensor, Tensor]:
+class LameParameters(NamedTuple):
+    """Lame parameters of a linear elastic solid [Pa]."""
+
+    mu: Tensor
+    lame_lambda: Tensor
+
+
+class SolidWeights(NamedTuple):
+    """Element parameters of a solid as the kernels read them, (num_elements,) [Pa]."""
+
+    w_mu: Tensor
+    w_vol: Tensor
+
+
+@dataclass(frozen=True)
+class Material:
+    """Energy of a solid; a name alone, as in ``SoftBody(material="stvk")``, means the same.
+
+    Attributes:
+        law: ``pd``, ``corotated``, ``stable_neo_hookean``, ``neo_hookean`` or ``stvk``, see this
+            module's docstring.
+        volume_weight: Of ``pd``: ``small_strain`` (E, nu in = E, nu out) or ``thesis``, see
+            :func:`pd_weights`.
+    """
+
+    law: str = "pd"
+    volume_weight: str = "small_strain"
+
+    def __post_init__(self) -> None:
+        require_choice("material", self.law, MATERIALS)
+        weight = require_choice("volume_weight", self.volume_weight, VOLUME_WEIGHTS)
+        if self.law != "pd" and weight != "small_strain":
+            raise ValueError(
+                f"volume_weight must be 'small_strain' for material={self.law!r}, got "
+                f"{weight!r}, a convention of material='pd'"
+            )
+
+    def weights(self, youngs_modulus: Tensor, poissons_ratio: Tensor) -> SolidWeights:
+        """Element parameters; arguments and gradients as in :func:`material_weights`."""
+        if self.law == "pd":
+            return pd_weights(youngs_modulus, poissons_ratio, self.volume_weight)
+        lame = lame_parameters(youngs_modulus, poissons_ratio)
+        return SolidWeights(w_mu=2.0 * lame.mu, w_vol=lame.lame_lambda)
+
+
+def lame_parameters(youngs_modulus: Tensor, poissons_ratio: Tensor) -> LameParameters:
     """Lame parameters of a linear elastic solid.
 
     lame_mu = E / (2 (1 + nu)),  lame_lambda = E nu / ((1 + nu)(1 - 2 nu)).
@@ -41,7 +89,7 @@ def lame_parameters(youngs_modulus: Tensor, poissons_ratio: Tensor) -> tuple[Ten
         poissons_ratio: nu, broadcastable [-], in (-1, 0.5).
 
     Returns:
-        (lame_mu, lame_lambda) [Pa]. Gradients: both arguments.
+        mu and lambda [Pa]. Gradients: both arguments.
 
     Raises:
         ValueError: out of range.
@@ -51,7 +99,7 @@ def lame_parameters(youngs_modulus: Tensor, poissons_ratio: Tensor) -> tuple[Ten
     lame_lambda = (
         youngs_modulus * poissons_ratio / ((1.0 + poissons_ratio) * (1.0 - 2.0 * poissons_ratio))
     )
-    return mu, lame_lambda
+    return LameParameters(mu=mu, lame_lambda=lame_lambda)
 
 
 def material_weights(
@@ -59,7 +107,7 @@ def material_weights(
     youngs_modulus: Tensor,
     poissons_ratio: Tensor,
     volume_weight: str = "small_strain",
-) -> tuple[Tensor, Tensor]:
+) -> SolidWeights:
     """Element parameters of a material, as the kernels read them (see this module's docstring).
 
     Args:
@@ -71,21 +119,12 @@ def material_weights(
     Returns:
         (w_mu, w_vol) [Pa]. Gradients: both constants.
     """
-    require_choice("material", material, MATERIALS)
-    if material == "pd":
-        return pd_weights(youngs_modulus, poissons_ratio, volume_weight)
-    if require_choice("volume_weight", volume_weight, VOLUME_WEIGHTS) != "small_strain":
-        raise ValueError(
-            f"volume_weight must be 'small_strain' for material={material!r}, got "
-            f"{volume_weight!r}, a convention of material='pd'"
-        )
-    mu, lame_lambda = lame_parameters(youngs_modulus, poissons_ratio)
-    return 2.0 * mu, lame_lambda
+    return Material(material, volume_weight).weights(youngs_modulus, poissons_ratio)
 
 
 def pd_weights(
     youngs_modulus: Tensor, poissons_ratio: Tensor, volume_weight: str = "small_strain"
-) -> tuple[Tensor, Tensor]:
+) -> SolidWeights:
     """Weights of the corotated and volume energies (thesis eq. 4.12).
 
     psi(F) = w_mu/2 |F - R|^2 + w_vol/2 |F - B|^2,  w_mu = 2 lame_mu.
@@ -107,7 +146,7 @@ def pd_weights(
         (w_mu, w_vol) [Pa]. Gradients: both arguments.
     """
     require_choice("volume_weight", volume_weight, VOLUME_WEIGHTS)
-    mu, lame_lambda = lame_parameters(youngs_modulus, poissons_ratio)
+    lame = lame_parameters(youngs_modulus, poissons_ratio)
     if not torch.compiler.is_compiling():
         require_range(
             "poissons_ratio",
@@ -116,7 +155,8 @@ def pd_weights(
             hint="the projective-dynamics volume energy needs a non-negative weight; other "
             "materials, such as 'stable_neo_hookean', take nu in (-1, 0.5)",
         )
-    return 2.0 * mu, (3.0 if volume_weight == "small_strain" else 1.0) * lame_lambda
+    share = 3.0 if volume_weight == "small_strain" else 1.0
+    return SolidWeights(w_mu=2.0 * lame.mu, w_vol=share * lame.lame_lambda)
 
 
 def check_elastic(youngs_modulus: Tensor, poissons_ratio: Tensor) -> None:

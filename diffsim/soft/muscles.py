@@ -1,9 +1,10 @@
-"""Muscle fibres: elements that contract along a direction on command."""
+"""Muscle fibers: elements that contract along a direction on command."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -21,22 +22,22 @@ KINDS = ("length", "contraction", "tendon")
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Muscle:
-    """Fibres through some elements, driven by one activation.
+    """Fibers through some elements, driven by one activation.
 
     * ``kind="length"``: psi = w/2 (|F m| - a)^2, activation a = target stretch; 1 is rest, below 1
       contracts (Min et al. 2019; the published DiffPD code).
     * ``kind="contraction"``: psi = w/2 |(1 - r) F m|^2, activation r in [0, 1] (thesis 4.1.6): the
-      fibre always pulls, least at r = 1.
+      fiber always pulls, least at r = 1.
     * ``kind="tendon"``: psi = w/2 max(0, |F m| - a)^2, activation a = commanded length over rest
       length: pulls when longer than commanded, is slack when shorter, and never pushes. Slack, it
       has no force and no gradient; just taut (within 1e-12), the derivatives of the taut side.
 
     Attributes:
-        elements: Element indices, (num_fibres,) int64.
-        direction: Fibre direction m in the rest shape, (3,) or (num_fibres, 3); normalised here.
+        elements: Element indices, (num_fibers,) int64.
+        direction: Fiber direction m in the rest shape, (3,) or (num_fibers, 3); normalized here.
         stiffness: w [Pa], > 0.
         kind: what the activation means.
-        weights: Factor on ``stiffness`` of each fibre, (num_fibres,) > 0; None: ones. With weights
+        weights: Factor on ``stiffness`` of each fiber, (num_fibers,) > 0; None: ones. With weights
             in 1/m^2 the stiffness is a force, see :class:`~diffsim.soft.Tendon`.
     """
 
@@ -47,7 +48,7 @@ class Muscle:
     weights: Tensor | None = None
 
     def __post_init__(self) -> None:
-        elements = require("elements", torch.as_tensor(self.elements), ("num_fibres",), torch.int64)
+        elements = require("elements", torch.as_tensor(self.elements), ("num_fibers",), torch.int64)
         if elements.numel() == 0:
             raise ValueError("elements must name at least one element, got none")
         direction = torch.as_tensor(self.direction, dtype=torch.float64)
@@ -73,8 +74,20 @@ class Muscle:
         return 1.0
 
 
+class FiberValues(NamedTuple):
+    """What the fibers of one step have.
+
+    Attributes:
+        stiffness: (num_fibers,) [Pa].
+        stretch: Target stretch, (..., num_fibers) [-].
+    """
+
+    stiffness: Tensor
+    stretch: Tensor
+
+
 class MuscleSet:
-    """All muscles of a body, as the flat fibre arrays that kernels read."""
+    """All muscles of a body, as the flat fiber arrays that kernels read."""
 
     def __init__(self, muscles: Sequence[Muscle], num_elements: int):
         for k, muscle in enumerate(muscles):
@@ -98,7 +111,7 @@ class MuscleSet:
         )
         self.stiffness = torch.tensor([float(m.stiffness) for m in muscles], dtype=torch.float64)
         self.contraction = torch.tensor([m.kind == "contraction" for m in muscles])
-        # Per fibre, 1 where it cannot push; part of the prepared model, as directions are.
+        # Per fiber, 1 where it cannot push; part of the prepared model, as directions are.
         self.pull_only = torch.tensor([m.kind == "tendon" for m in muscles], dtype=torch.float64)[
             self.owner
         ]
@@ -107,20 +120,22 @@ class MuscleSet:
             [m.rest_activation for m in muscles], dtype=torch.float64
         )
 
-    def fibres(self, stiffness: Tensor, activation: Tensor) -> tuple[Tensor, Tensor]:
-        """Stiffness (num_fibres,) and target stretch (..., num_fibres) of the fibres.
+    def fibers(self, stiffness: Tensor, activation: Tensor) -> FiberValues:
+        """Stiffness and target stretch of the fibers.
 
         A contraction muscle is the length muscle of stiffness w (1 - r)^2 and target 0; its
         stiffness would differ within a batch, so such muscles take one activation for all of it.
         """
         if not self.num_muscles:
-            return stiffness, activation
+            return FiberValues(stiffness=stiffness, stretch=activation)
         if self.has_contraction:
             shared = _shared_activation(activation, self.contraction)
             slack = torch.where(self.contraction, (1.0 - shared) ** 2, torch.ones_like(stiffness))
             stiffness = stiffness * slack
             activation = torch.where(self.contraction, torch.zeros_like(activation), activation)
-        return stiffness[self.owner] * self.weights, activation[..., self.owner]
+        return FiberValues(
+            stiffness=stiffness[self.owner] * self.weights, stretch=activation[..., self.owner]
+        )
 
 
 def _shared_activation(activation: Tensor, which: Tensor) -> Tensor:

@@ -1,11 +1,66 @@
-"""How a step is solved."""
+"""Options of a soft body: its damping, masses, contact and solver."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
+
+from torch import Tensor
 
 from diffsim.core.check import require_choice, require_number
 from diffsim.soft import _ops_step
+from diffsim.soft.parameters import Value
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Damping:
+    """Rayleigh damping: force -(alpha M + beta K) v.
+
+    Attributes:
+        rayleigh_alpha: Mass-proportional damping, scalar [1/s], >= 0.
+        rayleigh_beta: Stiffness-proportional damping, scalar or (num_elements,) [s], >= 0; see
+            csrc/kernels/soft/damping.h for its objective form. A number 0 switches it off.
+    """
+
+    rayleigh_alpha: Value = 0.0
+    rayleigh_beta: Value = 0.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Masses:
+    """Masses of nodes besides that of the solid.
+
+    Attributes:
+        attached_mass: Point masses, (num_vertices,) [kg]; they weigh and are inert.
+        added_mass: Inertia without weight, of surrounding water say, (num_vertices,) [kg]; see
+            :func:`~diffsim.soft.added_mass`.
+        node_mass: Nodal masses instead of those of ``density``, (num_vertices,) [kg].
+    """
+
+    attached_mass: Tensor | None = None
+    added_mass: Tensor | None = None
+    node_mass: Tensor | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ContactOptions:
+    """Which nodes meet obstacles, and how fast they leave them.
+
+    Attributes:
+        contact_nodes: Nodes that touch obstacles, (k,) int64; None: all surface nodes without
+            Dirichlet conditions.
+        max_depenetration_speed: Nodes that start inside an obstacle are pushed out no faster
+            [m/s].
+    """
+
+    contact_nodes: Tensor | None = None
+    max_depenetration_speed: float = math.inf
+
+    def __post_init__(self) -> None:
+        speed = self.max_depenetration_speed
+        if speed != math.inf:
+            require_number("max_depenetration_speed", speed, above=0.0, hint="unit is m/s")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,7 +74,7 @@ class SolverOptions:
             sparse Cholesky of the tangent at every iteration).
         rtol: The residual must fall below ``rtol * scale + atol``; scale is
             |inertia (y - mean y)| + |force| over free nodes (the right-hand side of eq. 4.3 about
-            the body's centre) [-]. Without load (statics), scale is the residual at the start, and
+            the body's center) [-]. Without load (statics), scale is the residual at the start, and
             the tolerance is at least rounding, 4e-16 |diag(A) x|.
         atol: See rtol [N].
         adjoint_rtol: |H z - dL/dx| must fall below ``adjoint_rtol * |dL/dx|``; None: rtol [-].
@@ -57,3 +112,16 @@ class SolverOptions:
                 raise TypeError(f"{name} must be an int, got {type(value).__name__}")
             require_number(name, value, at_least=1)
         require_choice("on_failure", self.on_failure, ("raise", "warn"))
+
+    def arguments(self) -> dict[str, Any]:
+        """Keyword arguments of the step's op."""
+        return {
+            "method": self.method,
+            "rtol": self.rtol,
+            "atol": self.atol,
+            "max_iters": self.max_iters,
+            "num_threads": self.num_threads,
+            "on_failure": self.on_failure,
+            "adjoint_rtol": self.rtol if self.adjoint_rtol is None else self.adjoint_rtol,
+            "adjoint_max_iters": self.adjoint_max_iters,
+        }

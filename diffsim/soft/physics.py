@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_range
 from diffsim.soft._context import small_strain_lambda
-from diffsim.soft.materials import material_weights
+from diffsim.soft.materials import Material
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Physics:
     """Per-element and per-node parameters; every tensor may carry a gradient.
 
@@ -24,7 +25,7 @@ class Physics:
         gravity: (3,) [m/s^2].
         rayleigh_alpha: Damping proportional to ``mass``, scalar [1/s].
         rayleigh_beta: Stiffness-proportional damping, scalar or (num_elements,) [s]; None: none.
-        fibre_stiffness: Of each muscle, (num_muscles,) [Pa].
+        fiber_stiffness: Of each muscle, (num_muscles,) [Pa].
     """
 
     material: str
@@ -35,78 +36,142 @@ class Physics:
     gravity: Tensor
     rayleigh_alpha: Tensor
     rayleigh_beta: Tensor | None
-    fibre_stiffness: Tensor
+    fiber_stiffness: Tensor
 
-    def damping(self, kappa: float) -> tuple[Tensor, Tensor]:
-        """Damping weights beta kappa 2 mu and beta kappa lambda, (num_elements,) [Pa], or empty.
+    def damping(self, kappa: float) -> DampingWeights | None:
+        """Weights of damping beta K of a velocity kappa (x - x_velocity); None without damping.
 
         mu and lambda are those that the elastic energy has at small strain, so that damping is
         beta K whatever the material and the volume weight's convention.
+
+        Args:
+            kappa: Velocity per displacement [1/s].
         """
         if self.rayleigh_beta is None:
-            empty = torch.zeros(0, dtype=torch.float64)
-            return empty, empty
+            return None
         rate = self.rayleigh_beta * kappa
-        return rate * self.w_mu, rate * small_strain_lambda(self.material, self.w_vol)
+        small_strain = small_strain_lambda(self.material, self.w_vol)
+        return DampingWeights(mu=rate * self.w_mu, lame_lambda=rate * small_strain)
+
+
+class DampingWeights(NamedTuple):
+    """Damping of elements: beta kappa 2 mu and beta kappa lambda, (num_elements,) [Pa]."""
+
+    mu: Tensor
+    lame_lambda: Tensor
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PhysicalValues:
+    """Physical parameters of a body as they are given: numbers as tensors, not yet expanded.
+
+    ``body.physics`` takes the same names; meaning, shape and unit as in
+    :class:`~diffsim.soft.SoftBody` and its options.
+    """
+
+    youngs_modulus: Tensor
+    poissons_ratio: Tensor
+    density: Tensor
+    gravity: Tensor
+    rayleigh_alpha: Tensor
+    rayleigh_beta: Tensor | None
+    attached_mass: Tensor | None
+    added_mass: Tensor | None
+    node_mass: Tensor | None
+    fiber_stiffness: Tensor
+
+
+PARAMETERS = tuple(f.name for f in fields(PhysicalValues))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LumpedVolume:
+    """Volume of a mesh, lumped to its nodes.
+
+    Attributes:
+        elements: Nodes of each element, (num_elements, 8 or 4) int64.
+        shares: Volume of each element lumped to its nodes, (num_elements, 8 or 4) [m^3].
+        nodal: Volume of each node, (num_vertices,) [m^3].
+    """
+
+    elements: Tensor
+    shares: Tensor
+    nodal: Tensor
+
+    def mass(self, density: Tensor) -> Tensor:
+        """Lumped mass, (num_vertices,) [kg].
+
+        Args:
+            density: Scalar, (num_vertices,) or (num_elements,) [kg/m^3].
+        """
+        num_elements, num_vertices = len(self.elements), len(self.nodal)
+        shape = tuple(density.shape) if isinstance(density, Tensor) else ()
+        if shape not in ((), (num_vertices,), (num_elements,)):
+            raise ValueError(
+                f"density must be a scalar or have shape (num_vertices,) = ({num_vertices},) or "
+                f"(num_elements,) = ({num_elements},), got {shape}"
+            )
+        if shape and num_elements == num_vertices:
+            raise ValueError(
+                f"density of shape {shape} may be of elements or of vertices: the mesh has as many "
+                "of both; pass a scalar, or node_mass instead"
+            )
+        if shape == (num_elements,):
+            density = _checked_density(require("density", density, shape))
+            masses = density[:, None] * self.shares
+            none = torch.zeros_like(self.nodal)
+            return none.index_add(0, self.elements.flatten(), masses.flatten())
+        return _checked_density(_per("density", density, num_vertices, "num_vertices")) * self.nodal
 
 
 def make_physics(
-    *,
-    num_elements: int,
-    num_muscles: int,
-    nodal_volume: Tensor,
-    material: str,
-    volume_weight: str,
-    youngs_modulus: Tensor,
-    poissons_ratio: Tensor,
-    density: Tensor,
-    gravity: Tensor,
-    rayleigh_alpha: Tensor,
-    rayleigh_beta: Tensor | None,
-    attached_mass: Tensor | None,
-    added_mass: Tensor | None,
-    node_mass: Tensor | None,
-    fibre_stiffness: Tensor,
+    values: PhysicalValues, volume: LumpedVolume, material: Material, num_muscles: int
 ) -> Physics:
-    """Check ranges and expand scalars to elements and nodes (see :class:`Physics`)."""
-    youngs_modulus = _per("youngs_modulus", youngs_modulus, num_elements, "num_elements")
-    poissons_ratio = _per("poissons_ratio", poissons_ratio, num_elements, "num_elements")
-    w_mu, w_vol = material_weights(material, youngs_modulus, poissons_ratio, volume_weight)
-    num_vertices = nodal_volume.shape[0]
-    if node_mass is None:
-        density = _per("density", density, num_vertices, "num_vertices")
-        _range("density", density, above=0.0, hint="unit is kg/m^3")
-        mass = density * nodal_volume
+    """Check ranges and expand scalars to elements and nodes.
+
+    Args:
+        values: The parameters as given.
+        volume: Of the body's mesh.
+        material: Energy of the solid.
+        num_muscles: Number of muscles.
+
+    Returns:
+        :class:`Physics`. Gradients: all values.
+    """
+    num_elements, num_vertices = len(volume.elements), len(volume.nodal)
+    weights = material.weights(
+        _per("youngs_modulus", values.youngs_modulus, num_elements, "num_elements"),
+        _per("poissons_ratio", values.poissons_ratio, num_elements, "num_elements"),
+    )
+    if values.node_mass is None:
+        mass = volume.mass(values.density)
     else:
-        mass = require("node_mass", node_mass, (num_vertices,))
+        mass = require("node_mass", values.node_mass, (num_vertices,))
         _range("node_mass", mass, above=0.0, hint="unit is kg")
-    if attached_mass is not None:
-        attached_mass = require("attached_mass", attached_mass, (num_vertices,))
-        _range("attached_mass", attached_mass, at_least=0.0, hint="unit is kg")
-        mass = mass + attached_mass
+    if values.attached_mass is not None:
+        mass = mass + _nodal_mass("attached_mass", values.attached_mass, num_vertices)
     weighing_mass = mass
-    if added_mass is not None:
-        added_mass = require("added_mass", added_mass, (num_vertices,))
-        _range("added_mass", added_mass, at_least=0.0, hint="unit is kg")
-        mass = mass + added_mass
-    gravity = require("gravity", gravity, (3,))
-    rayleigh_alpha = require("rayleigh_alpha", rayleigh_alpha, ())
+    if values.added_mass is not None:
+        mass = mass + _nodal_mass("added_mass", values.added_mass, num_vertices)
+    gravity = require("gravity", values.gravity, (3,))
+    rayleigh_alpha = require("rayleigh_alpha", values.rayleigh_alpha, ())
     _range("rayleigh_alpha", rayleigh_alpha, at_least=0.0, hint="unit is 1/s")
+    rayleigh_beta = values.rayleigh_beta
     if rayleigh_beta is not None:
         rayleigh_beta = _per("rayleigh_beta", rayleigh_beta, num_elements, "num_elements")
         _range("rayleigh_beta", rayleigh_beta, at_least=0.0, hint="unit is s")
-    fibre_stiffness = require("fibre_stiffness", fibre_stiffness, (num_muscles,))
-    _range("fibre_stiffness", fibre_stiffness, above=0.0, hint="unit is Pa")
+    fiber_stiffness = require("fiber_stiffness", values.fiber_stiffness, (num_muscles,))
+    _range("fiber_stiffness", fiber_stiffness, above=0.0, hint="unit is Pa")
     return Physics(
-        material=material,
-        w_mu=w_mu,
-        w_vol=w_vol,
+        material=material.law,
+        w_mu=weights.w_mu,
+        w_vol=weights.w_vol,
         mass=mass,
         weighing_mass=weighing_mass,
         gravity=gravity,
         rayleigh_alpha=rayleigh_alpha,
         rayleigh_beta=rayleigh_beta,
-        fibre_stiffness=fibre_stiffness,
+        fiber_stiffness=fiber_stiffness,
     )
 
 
@@ -128,6 +193,17 @@ def require_physics(
             f"{physics.material!r}, the body has {material!r}"
         )
     return physics
+
+
+def _checked_density(density: Tensor) -> Tensor:
+    _range("density", density, above=0.0, hint="unit is kg/m^3")
+    return density
+
+
+def _nodal_mass(name: str, value: Tensor, num_vertices: int) -> Tensor:
+    mass = require(name, value, (num_vertices,))
+    _range(name, mass, at_least=0.0, hint="unit is kg")
+    return mass
 
 
 def _per(name: str, value: Tensor, size: int, axis: str) -> Tensor:

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 import torch.autograd.forward_ad as forward_ad
 from torch import Tensor
 
 from diffsim.soft.physics import Physics
-
-if TYPE_CHECKING:
-    from diffsim.soft.body import SoftBody
+from diffsim.soft.solid import Solid
 
 
 def physics_directions(
-    body: SoftBody, values: Mapping[str, Tensor], directions: Mapping[str, Tensor]
+    body: Solid, values: Mapping[str, Tensor], directions: Mapping[str, Tensor]
 ) -> Physics:
     """Derivatives of ``body.physics(**values)`` along K directions.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -12,39 +11,42 @@ from diffsim.soft import _ops_step
 from diffsim.soft._context import small_strain_lambda
 from diffsim.soft.integrators import Stage
 from diffsim.soft.physics import Physics
-from diffsim.soft.problem import Problem, solver_arguments
+from diffsim.soft.problem import Problem
+from diffsim.soft.solid import Solid
 from diffsim.soft.state import State
 
-if TYPE_CHECKING:
-    from diffsim.soft.body import SoftBody
 
+def solve_along(body: Solid, problem: Problem, x: Tensor, rates: Mapping[str, Tensor]) -> Tensor:
+    """Derivatives of a problem's solution x along K directions.
 
-def solve_along(body: SoftBody, problem: Problem, x: Tensor, rates: dict[str, Tensor]) -> Tensor:
-    method, _, _, _, threads, on_failure, rtol, max_iters = solver_arguments(body.solver)
+    Args:
+        body: The body.
+        problem: The problem, without batch axes.
+        x: Its solution, (num_vertices, 3) [m].
+        rates: Directions by name of ``StepArrays.differentiable()``, with a leading K.
+
+    Returns:
+        (K, num_vertices, 3) [m] per unit of each direction.
+    """
     return _ops_step.step_tangents(
         x[None].contiguous(),
-        problem.inputs(body),
+        problem.arrays(body),
         {name: rate.contiguous() for name, rate in rates.items()},
-        body.handle,
-        method,
-        rtol,
-        max_iters,
-        threads,
-        on_failure,
+        **_ops_step.adjoint_arguments({"handle": body.handle, **body.solver.arguments()}),
     )
 
 
 def stage_rates(
-    body: SoftBody,
+    body: Solid,
     problem: Problem,
     stage: Stage,
     d_stage: Stage,
     moving: State,
     moved: Mapping[str, Tensor | None],
-    physics: Physics,
     changing: Physics,
 ) -> dict[str, Tensor]:
     """Directions in the inputs of a step's problem, see ``stage_problem``."""
+    physics = problem.loads.physics
     total = stage.c + physics.rayleigh_alpha * stage.kappa
     d_total = changing.rayleigh_alpha * stage.kappa
     rates = {
@@ -79,7 +81,7 @@ def load_rates(
     problem: Problem, moved: Mapping[str, Tensor | None], changing: Physics
 ) -> dict[str, Tensor]:
     """Of force, chambers and Dirichlet targets; weight is among the forces."""
-    physics = problem.physics
+    physics = problem.loads.physics
     force = (
         changing.weighing_mass[:, :, None] * physics.gravity
         + physics.weighing_mass[:, None] * changing.gravity[:, None, :]
@@ -94,23 +96,22 @@ def load_rates(
 
 
 def stiffness_rates(
-    body: SoftBody, problem: Problem, d_activation: Tensor | None, changing: Physics
+    body: Solid, problem: Problem, d_activation: Tensor | None, changing: Physics
 ) -> dict[str, Tensor]:
-    """Of the solid's weights, and of the fibres' stiffness and target, see ``MuscleSet.fibres``."""
+    """Of the solid's weights, and of the fibers' stiffness and target, see ``MuscleSet.fibers``."""
     rates = {"w_mu": changing.w_mu, "w_vol": changing.w_vol}
     muscles = body.muscles
     if not muscles.num_muscles:
         return rates
-    d_stiffness = changing.fibre_stiffness
+    d_stiffness = changing.fiber_stiffness
     if d_activation is None:
         d_activation = torch.zeros_like(d_stiffness)
     if muscles.has_contraction:
-        which, slack = muscles.contraction, 1.0 - problem.activation
-        contracted = (
-            slack**2 * d_stiffness - 2.0 * slack * problem.physics.fibre_stiffness * d_activation
-        )
+        which, slack = muscles.contraction, 1.0 - problem.loads.activation
+        stiffness = problem.loads.physics.fiber_stiffness
+        contracted = slack**2 * d_stiffness - 2.0 * slack * stiffness * d_activation
         d_stiffness = torch.where(which, contracted, d_stiffness)
         d_activation = torch.where(which, torch.zeros_like(d_activation), d_activation)
-    rates["fibre_stiffness"] = d_stiffness[:, muscles.owner] * muscles.weights
+    rates["fiber_stiffness"] = d_stiffness[:, muscles.owner] * muscles.weights
     rates["activation"] = d_activation[:, muscles.owner]
     return rates

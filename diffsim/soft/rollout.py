@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -13,18 +12,16 @@ from diffsim.contact import Obstacle, check_clear
 from diffsim.contact.obstacle import require_obstacles
 from diffsim.core.check import require_number
 from diffsim.soft.physics import Physics
+from diffsim.soft.solid import Solid
 from diffsim.soft.state import State, Trajectory, require_state
 from diffsim.soft.step import step
-
-if TYPE_CHECKING:
-    from diffsim.soft.body import SoftBody
 
 Obstacles = Sequence[Obstacle] | Obstacle | Callable[[int, State], Sequence[Obstacle]] | None
 Signal = Tensor | Callable[[int, State], Tensor] | None
 
 
 def rollout(
-    body: SoftBody,
+    body: Solid,
     state: State,
     num_steps: int,
     *,
@@ -109,7 +106,7 @@ def at_step(signal: Signal, k: int, state: State) -> Tensor | None:
 
 
 def _obstacles_at(
-    body: SoftBody, obstacles: Obstacles, start: State
+    body: Solid, obstacles: Obstacles, start: State
 ) -> Callable[[int, State], Sequence[Obstacle] | None]:
     """Obstacles of step k; refuses a start in the middle of one."""
     if obstacles is None:

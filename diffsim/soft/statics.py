@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import torch
 from torch import Tensor
 
@@ -11,14 +9,12 @@ from diffsim.core.check import require
 from diffsim.soft.inputs import check_inputs
 from diffsim.soft.physics import Physics
 from diffsim.soft.problem import Problem, solve
+from diffsim.soft.solid import Solid
 from diffsim.soft.state import State
-
-if TYPE_CHECKING:
-    from diffsim.soft.body import SoftBody
 
 
 def static_equilibrium(
-    body: SoftBody,
+    body: Solid,
     *,
     guess: Tensor | None = None,
     external_force: Tensor | None = None,
@@ -62,18 +58,15 @@ def static_equilibrium(
         if given.ndim + 1 > start.ndim:
             start = start.expand(*given.shape[:-1], *start.shape[-2:])
     state = State(start, torch.zeros_like(start))
-    x, force, target, activation, pressure = check_inputs(
-        body, state, external_force, activation, pressure, dirichlet_target, physics
-    )
-    problem = Problem(
-        y=x.detach(),
-        force=force,
-        target=target,
-        guess=x,
-        inertia=torch.zeros_like(physics.mass),
+    x, loads = check_inputs(
+        body,
+        state,
+        physics,
+        external_force=external_force,
         activation=activation,
         pressure=pressure,
-        physics=physics,
+        dirichlet_target=dirichlet_target,
     )
+    problem = Problem(y=x.detach(), guess=x, inertia=torch.zeros_like(physics.mass), loads=loads)
     x = solve(body, problem)
     return State(x, torch.zeros_like(x))

@@ -1,4 +1,4 @@
-"""What the solver did: residuals, iterations, solves and factorisations, step by step."""
+"""What the solver did: residuals, iterations, solves and factorizations, step by step."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class SolveStats(NamedTuple):
         scale: Norm that ``rtol`` refers to, same unit.
         num_iters: Outer iterations; adjoint: Krylov iterations.
         num_solves: Solves with the constant factor.
-        num_factorizations: Factorisations of the tangent.
+        num_factorizations: Factorizations of the tangent.
         energy: Elastic energy at the answer [J]; adjoint: 0.
         converged: 1 where the residual met its tolerance, else 0.
         num_contacts: Nodes in contact at the answer; 0 without obstacles, as the following.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -13,18 +13,16 @@ from diffsim.contact.obstacle import require_obstacles
 from diffsim.core.errors import DiffsimError
 from diffsim.soft.forces import elastic_gradient
 from diffsim.soft.in_contact import contact_planes, enters, in_contact, solve_in_contact
-from diffsim.soft.inputs import check_inputs
+from diffsim.soft.inputs import DampingFrame, Loads, check_inputs, flat
 from diffsim.soft.integrators import EXPLICIT, WITH_CONTACT, Stage, finish_stage, make_stage
 from diffsim.soft.physics import Physics
 from diffsim.soft.problem import Problem, solve
+from diffsim.soft.solid import Solid
 from diffsim.soft.state import State
-
-if TYPE_CHECKING:
-    from diffsim.soft.body import SoftBody
 
 
 def step(
-    body: SoftBody,
+    body: Solid,
     state: State,
     *,
     external_force: Tensor | None = None,
@@ -61,8 +59,14 @@ def step(
         ConvergenceError: the solver stopped above its tolerance (see ``body.solver.on_failure``).
     """
     physics = body.physics() if physics is None else physics
-    x, force, target, activation, pressure = check_inputs(
-        body, state, external_force, activation, pressure, dirichlet_target, physics
+    x, loads = check_inputs(
+        body,
+        state,
+        physics,
+        external_force=external_force,
+        activation=activation,
+        pressure=pressure,
+        dirichlet_target=dirichlet_target,
     )
     many = () if obstacles is None else require_obstacles(obstacles)
     if many and body.integrator not in WITH_CONTACT:
@@ -71,29 +75,21 @@ def step(
             f"{body.integrator!r}; or use contact.penalty_force as an external force"
         )
     if body.integrator in EXPLICIT:
-        return _explicit_step(body, state, x, force, target, activation, pressure, physics)
-    inputs = (force, target, activation, pressure, physics)
+        return _explicit_step(body, state, x, loads)
     if many:
-        return _contact_step(body, state, many, inputs)
-    return _free_step(body, state, inputs)
+        return _contact_step(body, state, many, loads)
+    return _free_step(body, state, loads)
 
 
-_Inputs = tuple[Tensor, Tensor, Tensor, Tensor, Physics]
-
-
-def _free_step(body: SoftBody, state: State, inputs: _Inputs) -> State:
-    """Force, Dirichlet target, activation, pressure and physics -> the next state."""
-    force, target, activation, pressure, physics = inputs
+def _free_step(body: Solid, state: State, loads: Loads) -> State:
     stage = make_stage(body.integrator, body.dt, state)
     if stage.midpoint:
-        target = 0.5 * (state.x + target)
-    problem = stage_problem(body, stage, state.x, force, target, activation, pressure, physics)
+        loads = replace(loads, target=0.5 * (state.x + loads.target))
+    problem = stage_problem(stage, state.x, loads)
     return finish_stage(body.integrator, stage, state, solve(body, problem), body.fixed)
 
 
-def _contact_step(
-    body: SoftBody, state: State, obstacles: Sequence[Obstacle], inputs: _Inputs
-) -> State:
+def _contact_step(body: Solid, state: State, obstacles: Sequence[Obstacle], loads: Loads) -> State:
     """A step among obstacles.
 
     BDF2 takes velocities from positions before an impact, and an impact forgets those: it is used
@@ -103,60 +99,43 @@ def _contact_step(
         stage = make_stage("bdf2", body.dt, state)
         planes = contact_planes(body, obstacles, state.x, stage.y)
         if not enters(body, planes, stage.y):
-            end = _free_step(body, state, inputs)
+            end = _free_step(body, state, loads)
             if not enters(body, planes, end.x):
                 return end._replace(contact_force=torch.zeros_like(end.x))
     stage = make_stage("implicit_euler", body.dt, state)
     planes = contact_planes(body, obstacles, state.x, stage.y)
-    problem = stage_problem(body, stage, state.x, *inputs)
+    problem = stage_problem(stage, state.x, loads)
     solution, contact_force = solve_in_contact(body, planes, state, problem)
     end = finish_stage("implicit_euler", stage, state, solution, body.fixed)
     return end._replace(contact_force=contact_force)
 
 
-def stage_problem(
-    body: SoftBody,
-    stage: Stage,
-    guess: Tensor,
-    force: Tensor,
-    target: Tensor,
-    activation: Tensor,
-    pressure: Tensor,
-    physics: Physics,
-) -> Problem:
-    """The stage's problem; mass-proportional damping joins the inertia term."""
-    alpha = physics.rayleigh_alpha * stage.kappa
-    damping = physics.damping(stage.kappa)
-    damped = damping[0].numel() > 0
+def stage_problem(stage: Stage, guess: Tensor, loads: Loads) -> Problem:
+    """The stage's problem; mass-proportional damping joins the inertia term.
+
+    Args:
+        stage: Of the integrator.
+        guess: Start of the iteration, (..., num_vertices, 3) [m].
+        loads: What acts in the step.
+    """
+    alpha = loads.physics.rayleigh_alpha * stage.kappa
     return Problem(
         y=(stage.c * stage.y + alpha * stage.x_velocity) / (stage.c + alpha),
-        force=force,
-        target=target,
         guess=guess,
-        inertia=(stage.c + alpha) * physics.mass,
-        activation=activation,
-        pressure=pressure,
-        physics=physics,
-        damping=damping,
-        x_frame=stage.y if damped else None,
-        x_velocity=stage.x_velocity if damped else None,
+        inertia=(stage.c + alpha) * loads.physics.mass,
+        loads=loads,
+        frame=DampingFrame(kappa=stage.kappa, x_frame=stage.y, x_velocity=stage.x_velocity),
     )
 
 
-def _explicit_step(
-    body: SoftBody,
-    state: State,
-    x: Tensor,
-    force: Tensor,
-    target: Tensor,
-    activation: Tensor,
-    pressure: Tensor,
-    physics: Physics,
-) -> State:
+def _explicit_step(body: Solid, state: State, x: Tensor, loads: Loads) -> State:
     """Semi-implicit Euler: v1 = v + h a(x, v), x1 = x + h v1; stable for h below 2 / w_max only."""
-    gradient, _ = elastic_gradient(body, x, state.v, activation, pressure, physics)
+    physics = loads.physics
+    frame = DampingFrame(kappa=1.0, x_frame=flat(x), x_velocity=flat(x - state.v))
+    gradient, _ = elastic_gradient(body, x, loads, frame)
     mass = physics.mass[:, None]
-    v = state.v + body.dt * ((force - gradient) / mass - physics.rayleigh_alpha * state.v)
+    v = state.v + body.dt * ((loads.force - gradient) / mass - physics.rayleigh_alpha * state.v)
+    target = loads.target
     v = torch.where(body.fixed, (target - x) / body.dt, v)
     x = x + body.dt * v
     if not torch.compiler.is_compiling() and not bool(torch.isfinite(x).all()):

@@ -1,6 +1,6 @@
 """Forward mode: how a rollout changes along many directions of its inputs, in one sweep.
 
-A converged step solves R(x1, p) = 0. With the step's tangent matrix H = dR/dx1 factorised once,
+A converged step solves R(x1, p) = 0. With the step's tangent matrix H = dR/dx1 factorized once,
 every direction costs one more right-hand side, H dx1 = -dR/dp dp (the transpose of thesis eqs.
 4.9, 4.10), where p are the state, loads, commands and parameters. What integrators do before and
 after the solve is linear in the state, so the same functions serve states and their tangents.
@@ -9,8 +9,8 @@ after the solve is linear in the state, so the same functions serve states and t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -23,11 +23,9 @@ from diffsim.soft.physics_tangent import as_damped_as, still_physics
 from diffsim.soft.problem import Problem, solve
 from diffsim.soft.problem_tangent import load_rates, solve_along, stage_rates, stiffness_rates
 from diffsim.soft.rollout import Signal, at_step
+from diffsim.soft.solid import Solid
 from diffsim.soft.state import State, require_state
 from diffsim.soft.step import stage_problem
-
-if TYPE_CHECKING:
-    from diffsim.soft.body import SoftBody
 
 Moving = Tensor | Callable[[int, State, State], Tensor] | None
 
@@ -74,7 +72,7 @@ class Tangents(NamedTuple):
 
 
 def rollout_tangents(
-    body: SoftBody,
+    body: Solid,
     state: State,
     num_steps: int,
     count: int,
@@ -150,7 +148,7 @@ def rollout_tangents(
 
 
 def static_tangents(
-    body: SoftBody,
+    body: Solid,
     x: Tensor,
     count: int,
     directions: Directions,
@@ -178,19 +176,16 @@ def static_tangents(
     changing = directions.physics or still_physics(physics, count)
     state = State(x, torch.zeros_like(x))
     with torch.no_grad():
-        x, force, target, activation, pressure = check_inputs(
-            body, state, external_force, activation, pressure, dirichlet_target, physics
-        )
-        problem = Problem(
-            y=x,
-            force=force,
-            target=target,
-            guess=x,
-            inertia=torch.zeros_like(physics.mass),
+        x, loads = check_inputs(
+            body,
+            state,
+            physics,
+            external_force=external_force,
             activation=activation,
             pressure=pressure,
-            physics=physics,
+            dirichlet_target=dirichlet_target,
         )
+        problem = Problem(y=x, guess=x, inertia=torch.zeros_like(physics.mass), loads=loads)
         still = State(torch.zeros(count, *x.shape, dtype=x.dtype), torch.zeros(0))
         names = ("external_force", "activation", "pressure", "dirichlet_target")
         moved = {n: _rate(body, directions, n, count, 0, state, still) for n in names}
@@ -200,7 +195,7 @@ def static_tangents(
 
 
 def _rate(
-    body: SoftBody,
+    body: Solid,
     directions: Directions,
     name: str,
     count: int,
@@ -219,7 +214,7 @@ def _rate(
 
 
 def _step(
-    body: SoftBody,
+    body: Solid,
     state: State,
     moving: State,
     given: Mapping[str, Tensor | None],
@@ -228,13 +223,14 @@ def _step(
     changing: Physics,
 ) -> tuple[State, State]:
     """The next state and its tangents, as :func:`diffsim.soft.step` makes them."""
-    x, force, target, activation, pressure = check_inputs(body, state, physics=physics, **given)
+    x, loads = check_inputs(body, state, physics, **given)
     stage = make_stage(body.integrator, body.dt, state)
-    target = 0.5 * (x + target) if stage.midpoint else target
-    problem = stage_problem(body, stage, x, force, target, activation, pressure, physics)
+    if stage.midpoint:
+        loads = replace(loads, target=0.5 * (x + loads.target))
+    problem = stage_problem(stage, x, loads)
     solution = solve(body, problem)
     d_stage = make_stage(body.integrator, body.dt, moving)
-    rates = stage_rates(body, problem, stage, d_stage, moving, moved, physics, changing)
+    rates = stage_rates(body, problem, stage, d_stage, moving, moved, changing)
     d_solution = solve_along(body, problem, solution, rates)
     return (
         finish_stage(body.integrator, stage, state, solution, body.fixed),

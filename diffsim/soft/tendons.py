@@ -16,16 +16,17 @@ from diffsim.soft.routing import route
 class Tendon(nn.Module):
     """A cable along a polyline, bonded to the body, with the energy
 
-        E = EA/2 sum_e L_e (s_e - a)^2,   s_e = |F m_e|,   a = commanded length / rest length,
+        E = EA/2 sum_e L_e max(0, s_e - a)^2,   s_e = |F m_e|,   a = commanded / rest length,
 
     over the pieces of length L_e and direction m_e that lie in elements e: a length muscle (thesis
-    eq. 5.5 in the form of Min et al. 2019) whose fibres have the stiffness w_e = EA L_e / V_e, so
-    that the cable's stiffness does not depend on the mesh. Bonded means that each piece has its own
-    stretch and tension; it does not slide in a sheath. In a hexahedron the fibre acts at all Gauss
-    points, that is about the element's centre line: the arm of a bending tendon is that of the
-    elements it crosses, so lead it through their centres.
+    eq. 5.5 in the form of Min et al. 2019) that never pushes. Its fibers have the stiffness
+    w_e = EA L_e / V_e, so that the cable's does not depend on the mesh. Bonded means that each
+    piece has its own stretch and tension and may be slack on its own; it does not slide in a
+    sheath. In a hexahedron the fiber acts at all Gauss points, that is about the element's center
+    line: the arm of a bending tendon is that of the elements it crosses, so lead it through their
+    centers.
 
-    Give ``tendon.muscle`` to the body; its stiffness in ``fibre_stiffness`` is then EA [N]::
+    Give ``tendon.muscle`` to the body; its stiffness in ``fiber_stiffness`` is then EA [N]::
 
         tendon = Tendon(mesh, path, axial_stiffness=40.0)
         body = SoftBody(mesh, muscles=[tendon.muscle], ...)

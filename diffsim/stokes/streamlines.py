@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 from torch import Tensor
 
 from diffsim.core.check import require, require_choice, require_number
@@ -213,9 +214,7 @@ class _Sampler:
     def __init__(self, grid: Grid, velocity: Array, phi: Array):
         self.dim, self.cells = grid.dim, np.array(grid.shape, dtype=float)
         self.origin, self.spacing = np.array(grid.origin), np.array(grid.spacing)
-        self.values = np.concatenate([velocity, phi[..., None]], -1).reshape(-1, grid.dim + 1)
-        shape = grid.node_shape
-        self.strides = np.array([math.prod(shape[a + 1 :]) for a in range(grid.dim)])
+        self.nodes = [*np.moveaxis(velocity, -1, 0), phi]
         self.slowest = _REST * float(np.linalg.norm(velocity, axis=-1).max(initial=0.0))
 
     def scaled(self, points: Array) -> Array:
@@ -225,16 +224,9 @@ class _Sampler:
         return np.all((at >= -1e-9) & (at <= self.cells + 1e-9), axis=-1)
 
     def __call__(self, at: Array) -> tuple[Array, Array]:
-        at = np.clip(at, 0.0, self.cells)
-        low = np.minimum(np.floor(at), self.cells - 1.0)
-        share = at - low
-        first = low.astype(np.int64) @ self.strides
-        total = np.zeros((len(at), self.dim + 1))
-        for corner in range(1 << self.dim):
-            bits = np.array([corner >> a & 1 for a in range(self.dim)])
-            weight = np.where(bits == 1, share, 1.0 - share).prod(-1)
-            total += weight[:, None] * self.values[first + int(bits @ self.strides)]
-        return total[:, :-1], total[:, -1]
+        # beyond the box, the value at its face
+        found = [map_coordinates(n, at.T, order=1, mode="nearest") for n in self.nodes]
+        return np.stack(found[:-1], -1), found[-1]
 
     def along(self, at: Array, sign: float) -> Array:
         """Unit steps along the flow in metres, as cells per metre; zero where it rests."""

@@ -1,5 +1,70 @@
 """Figures, HTML reports and rerun scenes; imported by entry points, never by the simulator.
 
-Needs the extra: ``pip install 'diffsim-robot[viz]'``. Importing this package needs nothing;
-what is missing is named when it is used.
+Needs the extra: ``pip install 'diffsim-robot[viz]'``. Importing this room needs nothing; what is
+missing is named when it is used. Its modules are its API, with every name that has no underscore:
+``figures``, ``report`` and ``scene`` are for anything, the others draw one kind of result.
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from diffsim.core.lazy import offered
+
+if TYPE_CHECKING:
+    from diffsim.viz import (
+        application_pictures,
+        ball_figures,
+        ball_video,
+        device_evolution,
+        device_files,
+        device_picture,
+        diagnosis_figures,
+        diagnosis_recording,
+        diagnosis_report,
+        fabrication_figures,
+        fabrication_page,
+        figures,
+        fit_report,
+        flight_figures,
+        flight_scene,
+        flow,
+        flow_scene,
+        frames,
+        learning_figures,
+        loop_figures,
+        loop_report,
+        palette,
+        report,
+        rotors,
+        scene,
+    )
+
+__all__ = [
+    "application_pictures",
+    "ball_figures",
+    "ball_video",
+    "device_evolution",
+    "device_files",
+    "device_picture",
+    "diagnosis_figures",
+    "diagnosis_recording",
+    "diagnosis_report",
+    "fabrication_figures",
+    "fabrication_page",
+    "figures",
+    "fit_report",
+    "flight_figures",
+    "flight_scene",
+    "flow",
+    "flow_scene",
+    "frames",
+    "learning_figures",
+    "loop_figures",
+    "loop_report",
+    "palette",
+    "report",
+    "rotors",
+    "scene",
+]
+__getattr__, __dir__ = offered(__name__, {name: f"{__name__}.{name}" for name in __all__})

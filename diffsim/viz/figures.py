@@ -70,7 +70,7 @@ def new_figure(
     figure.set_facecolor("none")
     axes = figure.subplots(rows, columns, **kwargs)
     for ax in np.atleast_1d(np.asarray(axes, dtype=object)).flat:
-        _style(ax)
+        style(ax)
     return figure, axes
 
 
@@ -206,7 +206,8 @@ def data_uri(figure: Figure, *, png: bool = False, dpi: int = 160) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
 
 
-def _style(ax: Axes) -> None:
+def style(ax: Axes) -> None:
+    """Spines, ticks and grid as all figures have them."""
     ax.set_facecolor("none")
     ax.spines[["top", "right"]].set_visible(False)
     ax.spines[["left", "bottom"]].set_color(LINE)

@@ -142,7 +142,7 @@ _CAPTIONS = {
     "to the end of the fitted part (filled), seen with the identified clock.",
     "travel": "After Fig. 5-7: mean of the four markers; simulations are predictions, made before "
     "the experiment.",
-    "commands": "After Fig. 5-8: optimised commands; grey: bl-ctrl.",
+    "commands": "After Fig. 5-8: optimized commands; grey: bl-ctrl.",
     "strip": "After Fig. 5-9: the simulated robot (orange), the measured markers (dots).",
     "correlations": "Posterior correlations of the last identification.",
 }
@@ -170,7 +170,7 @@ def _table(iterations: Sequence[Iteration]) -> page.Table:
         columns=["iter.", "L_theta [m²]", "L_a [m]", "v_s [cm/s]", "v_r [cm/s]", *SHORT.values()],
         rows=rows,
         caption="As thesis Table 5.2. Row k: theta fitted to the recording of row k - 1, the "
-        "command optimised for it, its predicted (v_s) and then measured (v_r) speed.",
+        "command optimized for it, its predicted (v_s) and then measured (v_r) speed.",
     )
 
 

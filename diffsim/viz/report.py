@@ -12,8 +12,8 @@ from datetime import datetime, timezone
 from importlib import metadata, resources
 from pathlib import Path
 
-from diffsim import __version__
 from diffsim.core.files import write_text_atomic
+from diffsim.core.version import __version__
 from diffsim.viz._require import optional
 
 TONES = ("good", "fair", "bad", "plain")

@@ -69,8 +69,8 @@ def drape(cells: int, radius: float, num_steps: int) -> Run:
         youngs_modulus=2e4,
         poissons_ratio=0.3,
         density=500.0,
-        rayleigh_alpha=5.0,
-        contact_nodes=m.nodes_near_plane("z", GAP),
+        damping=soft.Damping(rayleigh_alpha=5.0),
+        contact=soft.ContactOptions(contact_nodes=m.nodes_near_plane("z", GAP)),
         solver=soft.SolverOptions(rtol=1e-4),
     )
     ball = contact.sphere(radius, position=(0.0, 0.0, -radius), friction=math.inf)

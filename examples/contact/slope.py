@@ -73,7 +73,7 @@ def slide(m: mesh.TetMesh, friction: float, model: str, duration: float) -> tupl
         dt=dt,
         youngs_modulus=2e5,
         poissons_ratio=0.4,
-        contact_nodes=nodes,
+        contact=soft.ContactOptions(contact_nodes=nodes),
         solver=soft.SolverOptions(rtol=1e-5),
     )
     ground = contact.plane(NORMAL, friction=friction)

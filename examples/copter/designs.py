@@ -36,6 +36,7 @@ from diffsim.copter import (
     FlightEffects,
     FlightState,
     HoverResult,
+    MotorLag,
     Multicopter,
     fly,
     hover,
@@ -48,7 +49,6 @@ from diffsim.copter import (
     rotor_names,
     shipped_designs,
 )
-from diffsim.copter.effects import MotorLag
 
 DT = 0.005  # [s]
 TARGET = (2.0, 1.0, -1.5)  # north, east, down [m]

@@ -30,10 +30,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim.copter import Feedback, FlightEffects, FlightState, fly, load_design
-from diffsim.copter.battery import Battery
-from diffsim.copter.effects import BodyDrag
-from diffsim.copter.rotor import motor_lag
+from diffsim.copter import (
+    Battery,
+    BodyDrag,
+    Feedback,
+    FlightEffects,
+    FlightState,
+    fly,
+    load_design,
+    motor_lag,
+)
 from diffsim.copter.simulator import LqrController, MotorOutputs, flight_rotors
 
 STANDARD, OPTIMIZED = "quadcopter", "quadcopter_flight_time"

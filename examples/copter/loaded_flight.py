@@ -30,8 +30,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from diffsim.copter import Design, RotorModel, load_design
-from diffsim.copter.battery import Battery
+from diffsim.copter import Battery, Design, RotorModel, load_design
 from diffsim.copter.simulator import (
     FlightLog,
     FlightSimulator,

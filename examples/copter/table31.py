@@ -118,10 +118,11 @@ def main(starts: int = 4, out: str | None = None) -> dict[str, float]:
         f"below {LIMIT:.0f} % for any design"
     )
     if out is not None:
-        from diffsim.copter.fabrication import plan, write_plan
+        from diffsim.copter.fabrication import plan
+        from diffsim.viz.fabrication_page import write_fabrication
 
         built = plan(design, best.s, best.directions, best.spins)
-        print(f"fabrication plan: {write_plan(built, Path(out) / 'fabrication')}")
+        print(f"fabrication plan: {write_fabrication(built, Path(out) / 'fabrication')}")
         vehicle = built.design.multicopter()
         numbers["largest overall weight as built, with clips [g]"] = 1e3 * lifted(vehicle) / GRAVITY
         numbers["weight as built, with clips [g]"] = 1e3 * float(vehicle.mass)

@@ -1,8 +1,7 @@
 """A video of two colliding tennis balls whose truth is known, to test the way from video to fit.
 
-The soft balls of tennis_balls.py are simulated at numbers that lie away from the fit's first
-guesses, and filmed by a camera like the published one. Beside FILE.avi lie FILE_corners.csv (eight
-points as if clicked) and FILE_truth.json. Running time: about 5 s.
+The soft balls of tennis_balls.py, at numbers away from the fit's first guesses. Beside FILE.avi lie
+FILE_corners.csv (eight points as if clicked) and FILE_truth.json. Running time: about 5 s.
 
     python examples/sim_to_real/film_tennis_balls.py runs/film.avi
     diffsim track runs/film.avi -o runs/film_tracks.csv
@@ -17,9 +16,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from diffsim.core.files import write_json_atomic, write_text_atomic
+from diffsim.core.files import write_json_atomic
 from diffsim.data import Run, Study
-from diffsim.systems.balls.soft import SoftBallModel
+from diffsim.systems.balls import SoftBallModel
 from diffsim.systems.published.tennis_balls import soft_model
 from diffsim.viz.ball_video import film_balls, view_of
 
@@ -35,26 +34,20 @@ TRUTH = {
 TABLE = ((0.0, 0.0, 0.0), (1.1, 0.0, 0.0), (1.1, 0.67, 0.0), (0.0, 0.67, 0.0))
 BOX = ((0.0, 0.614), (0.245, 0.614), (0.245, 0.67), (0.0, 0.67))
 CORNERS = (*TABLE, *((x, y, 0.245) for x, y in BOX))
-TILT = 0.546  # of the camera's axis from the vertical [rad]
-EYE = (0.57, -0.45, 1.27)  # [m]
+TILT, EYE = 0.546, np.array([0.57, -0.45, 1.27])  # camera's axis from the vertical [rad], place [m]
 
 
 def known_model(num_frames: int, size_px: tuple[int, int]) -> tuple[SoftBallModel, np.ndarray]:
     """The model, and its coordinates at ``TRUTH``."""
     c, s = np.cos(TILT), np.sin(TILT)
     rotation = np.array([[-1.0, 0.0, 0.0], [0.0, -c, -s], [0.0, -s, c]])
-    shift = -rotation @ np.array(EYE)
     focal = TRUTH["focal"] * size_px[0] / 1280.0
-    run = Run(
-        "film",
-        np.arange(num_frames) / RATE,
-        np.full((num_frames, 6), np.nan),
-        {f"corner_{a}_m": np.zeros(num_frames) for a in "xyz"},
-        "film",
-        setup={"ball_diameter_m": DIAMETER, "ball_mass_kg": MASS},
-    )
-    run.measured[:, :4] = 0.0  # soft_model wants tracks for its first guess, which is not used
-    camera = {"alpha_px": focal, "R": rotation.tolist(), "T_m": shift.tolist()}
+    tracks = np.full((num_frames, 6), np.nan)
+    tracks[:, :4] = 0.0  # soft_model wants tracks for its first guess, which is not used
+    corners = {f"corner_{a}_m": np.zeros(num_frames) for a in "xyz"}
+    ball = {"ball_diameter_m": DIAMETER, "ball_mass_kg": MASS}
+    run = Run("film", np.arange(num_frames) / RATE, tracks, corners, "film", setup=ball)
+    camera = {"alpha_px": focal, "R": rotation.tolist(), "T_m": (-rotation @ EYE).tolist()}
     study = Study("film", "rigid_body", (), (run,), {"camera": camera, "size_px": list(size_px)})
     model = soft_model(study)
     truth = {**TRUTH, "focal": focal}
@@ -69,10 +62,9 @@ def film(path: Path, num_frames: int = 33, size_px: tuple[int, int] = (1280, 720
     with torch.no_grad():
         centres = model.balls.centres(model.values_at(x), num_frames).numpy()
     film_balls(path, view, centres, model.balls.radius, table=np.array(TABLE), rate=RATE)
-    rows = ["u_px,v_px,x_m,y_m,z_m"]
-    for place, (u, v) in zip(CORNERS, view.project(np.array(CORNERS)), strict=True):
-        rows.append(",".join(f"{number:.8g}" for number in (u, v, *place)))
-    write_text_atomic(path.with_name(f"{path.stem}_corners.csv"), "\n".join(rows) + "\n")
+    rows = np.column_stack([view.project(np.array(CORNERS)), np.array(CORNERS)])
+    head = "u_px,v_px,x_m,y_m,z_m"
+    np.savetxt(path.with_name(f"{path.stem}_corners.csv"), rows, "%.8g", ",", "\n", head, "", "")
     values = {n: float(v) for n, v in model.values_at(x).items()}
     truth = {"values": values, "centres_px": view.project(centres)}
     write_json_atomic(path.with_name(f"{path.stem}_truth.json"), truth)
@@ -83,6 +75,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("file", type=Path, metavar="FILE.avi")
     parser.add_argument("--frames", type=int, default=33, help="default: %(default)s")
-    parser.add_argument("--width", type=int, default=1280, help="of the picture [px], 16:9")
-    args = parser.parse_args()
-    print(f"film: {film(args.file, args.frames, (args.width, args.width * 9 // 16))}")
+    parser.add_argument("--width", type=int, default=1280, help="[px], of 16:9")
+    given = parser.parse_args()
+    print(f"film: {film(given.file, given.frames, (given.width, given.width * 9 // 16))}")

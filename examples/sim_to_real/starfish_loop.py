@@ -1,7 +1,7 @@
 """Does a robot swim faster when simulation and hardware take turns?
 
 The loop of thesis Alg. 7 on the starfish, with a virtual laboratory as hardware: execute a
-command, identify E, w and the control points of C_d and C_t from four markers, optimise the
+command, identify E, w and the control points of C_d and C_t from four markers, optimize the
 command, execute it again. The laboratory is a robot of rods with its own water, rail, servo and
 camera, and shares no code with the model. Ends with Table 5.2 and Figs. 5-6 to 5-9 of ours, and
 with the same identification on the recordings of the real robot.

@@ -48,7 +48,7 @@ def make_arm(cells: int = 3) -> tuple[mesh.HexMesh, soft.SoftBody]:
         youngs_modulus=1e5,
         poissons_ratio=0.45,
         density=1070.0,
-        rayleigh_beta=5e-3,
+        damping=soft.Damping(rayleigh_beta=5e-3),
         fixed=m.nodes_near_plane("z", 0.0),
         muscles=muscles,
     )

@@ -71,10 +71,10 @@ def make_robot() -> tuple[soft.SoftBody, soft.Hydrodynamics, list[soft.Tendon]]:
         poissons_ratio=0.4,
         density=1000.0,  # ballasted: weight and buoyancy cancel, so
         gravity=(0.0, 0.0, 0.0),
-        rayleigh_beta=0.01,
+        damping=soft.Damping(rayleigh_beta=0.01),
         fixed=rail,
         muscles=[t.muscle for t in tendons],
-        added_mass=soft.added_mass(hydro, 1.0),
+        masses=soft.Masses(added_mass=soft.added_mass(hydro, 1.0)),
         solver=soft.SolverOptions(rtol=1e-6),
     )
     return body, hydro, tendons

@@ -24,9 +24,8 @@ import argparse
 import torch
 from torch import Tensor
 
-from diffsim.cli.devices import run
+from diffsim.cli.device_design import run
 from diffsim.stokes import devices
-from diffsim.stokes.devices.losses import area, mean_velocity
 
 
 def gradient_error(device: devices.Device, x: Tensor, step: float = 1e-5) -> float:
@@ -53,8 +52,8 @@ def main(
     return {
         "loss": optimum.loss,
         "first loss": float(optimum.evaluation_losses[0]),
-        "outlet speed": float(mean_velocity(flow, ["x+"])[0, 0]),
-        "outlet width": float(area(flow, ["x+"])),
+        "outlet speed": float(devices.mean_velocity(flow, ["x+"])[0, 0]),
+        "outlet width": float(devices.area(flow, ["x+"])),
         "error of the gradient": gradient_error(device, optimum.start),
         "mass imbalance": float(flow.mass_report()["imbalance"]),
     }

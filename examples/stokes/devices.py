@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import sys
 
-from diffsim.cli.devices import main
+from diffsim.cli import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(["devices", *sys.argv[1:]]))

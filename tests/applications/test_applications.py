@@ -1,4 +1,4 @@
-"""Minimising, resuming and comparing applications, on one whose answer is known."""
+"""Minimizing, resuming and comparing applications, on one whose answer is known."""
 
 import dataclasses
 import json
@@ -12,11 +12,11 @@ from diffsim.applications import (
     Application,
     Parameters,
     evaluate,
-    minimise,
+    minimize,
     random_losses,
     solver_options,
 )
-from diffsim.applications.normalise import normalised
+from diffsim.applications.normalize import normalized
 from diffsim.core.errors import ConvergenceError, DiffsimError
 
 TRUTH = np.array([np.log(2e5), -3.0])
@@ -71,14 +71,14 @@ def test_gradient_is_the_central_difference():
 
 @pytest.mark.parametrize("method", ["projective_dynamics", "newton_cholesky", "newton_pcg"])
 def test_every_solver_finds_the_truth(method):
-    found = minimise(made(method), max_evaluations=60, ftol=1e-14, gtol=1e-12)
+    found = minimize(made(method), max_evaluations=60, ftol=1e-14, gtol=1e-12)
     assert np.array(found.best.values) == pytest.approx(TRUTH, rel=1e-3)
 
 
-def test_interrupted_minimisation_goes_on_without_repeating(tmp_path):
+def test_interrupted_minimization_goes_on_without_repeating(tmp_path):
     record = tmp_path / "bar.jsonl"
-    whole = minimise(made(), max_evaluations=12)
-    minimise(made(), max_evaluations=5, record=record)
+    whole = minimize(made(), max_evaluations=12)
+    minimize(made(), max_evaluations=5, record=record)
     record.write_text(record.read_text() + '{"values": [1.0, ')  # cut off in a line
     calls = []
     application = made()
@@ -88,12 +88,24 @@ def test_interrupted_minimisation_goes_on_without_repeating(tmp_path):
         calls.append(p)
         return simulate(p)
 
-    resumed = minimise(
+    resumed = minimize(
         dataclasses.replace(application, simulate=counted), max_evaluations=12, record=record
     )
     assert len(calls) == len(whole.evaluations) - 5
     assert [e.loss for e in resumed.evaluations] == [e.loss for e in whole.evaluations]
-    assert minimise(made(), max_evaluations=12, record=record).best.loss == whole.best.loss
+    assert minimize(made(), max_evaluations=12, record=record).best.loss == whole.best.loss
+
+
+def test_records_of_an_older_version_or_of_other_bounds_are_refused(tmp_path):
+    record = tmp_path / "bar.jsonl"
+    record.write_text(json.dumps({"values": [1.0], "loss": 1.0, "with_gradient": True}) + "\n")
+    with pytest.raises(ValueError, match="older version"):
+        minimize(made(), max_evaluations=2, record=record)
+    record.unlink()
+    minimize(made(), max_evaluations=1, record=record)
+    wider = dataclasses.replace(made().parameters, upper=np.array([np.log(9e5), -1.0]))
+    with pytest.raises(ValueError, match="belongs to another run"):
+        minimize(made(parameters=wider), max_evaluations=1, record=record)
 
 
 def test_failed_simulation_is_stepped_back_from():
@@ -105,28 +117,28 @@ def test_failed_simulation_is_stepped_back_from():
             raise ConvergenceError("made up", residual_norm=1.0, tolerance=0.1, num_iters=3)
         return simulate(p)
 
-    found = minimise(dataclasses.replace(application, simulate=fragile), max_evaluations=40)
+    found = minimize(dataclasses.replace(application, simulate=fragile), max_evaluations=40)
     assert any(e.failure for e in found.evaluations)
     assert found.best.loss < 0.5 * found.evaluations[0].loss
     with pytest.raises(DiffsimError, match="first guess"):
         first = dataclasses.replace(application.parameters, first=np.array([np.log(1e5), -2.0]))
-        minimise(dataclasses.replace(application, simulate=fragile, parameters=first))
+        minimize(dataclasses.replace(application, simulate=fragile, parameters=first))
 
 
 def test_best_of_random_starts_is_the_first_guess():
     application = made(num_starts=6)
-    found = minimise(application, max_evaluations=3, seed=3)
+    found = minimize(application, max_evaluations=3, seed=3)
     tries = found.evaluations[: found.num_starts]
     assert len(tries) == 6 and len({tuple(e.values) for e in tries}) == 6
     assert found.evaluations[6].values == min(tries, key=lambda e: e.loss).values
 
 
-def test_random_losses_are_kept_and_normalise_to_one(tmp_path):
+def test_random_losses_are_kept_and_normalize_to_one(tmp_path):
     application, record = made(), tmp_path / "random.jsonl"
     losses = random_losses(application, record=record, count=4)
     assert losses == random_losses(made(), record=record, count=4)
-    assert len([json.loads(line) for line in record.read_text().splitlines()]) == 4
-    assert normalised(np.mean(losses), np.mean(losses), 0.3) == 1.0
+    assert len(record.read_text().splitlines()) == 1 + 4  # a header, and a line per loss
+    assert normalized(np.mean(losses), np.mean(losses), 0.3) == 1.0
 
 
 @pytest.mark.parametrize(
@@ -177,8 +189,8 @@ def test_strip_shows_the_point_that_is_followed(tmp_path):
 def test_a_warm_up_makes_the_first_guess(tmp_path):
     easier = made(name="easier")
     application = made(warm_up=easier)
-    found = minimise(application, max_evaluations=8, record=tmp_path / "bar.jsonl")
-    before = minimise(easier, max_evaluations=8, ftol=1e-6, gtol=1e-6)
+    found = minimize(application, max_evaluations=8, record=tmp_path / "bar.jsonl")
+    before = minimize(easier, max_evaluations=8, ftol=1e-6, gtol=1e-6)
     assert found.num_warm_up == len(before.evaluations)
     assert found.evaluations[0].values == pytest.approx(before.best.values, rel=1e-12)
     assert (tmp_path / "warm_up_bar.jsonl").is_file()

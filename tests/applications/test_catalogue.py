@@ -37,5 +37,10 @@ def test_folder_without_examples_says_how_to_mend_it(tmp_path):
 def test_run_is_the_script(tmp_path, capfd):
     options = ["--", "--out", str(tmp_path), "--evaluations", "2", "--no-pictures"]
     assert cli.main(["examples", "run", "routing_tendon", "--quick", *options]) == 0
-    assert "distance mm, optimised" in capfd.readouterr().out
+    assert "distance mm, optimized" in capfd.readouterr().out
     assert (tmp_path / "result_projective_dynamics_quick.json").is_file()
+    record = tmp_path / "projective_dynamics_quick.jsonl"
+    record.write_text('{"values": [1.0], "with_gradient": true}\n')  # as earlier versions kept
+    assert cli.main(["examples", "run", "routing_tendon", "--quick", *options]) != 0
+    assert "older version" in capfd.readouterr().err
+    assert cli.main(["examples", "run", "routing_tendon", "--quick", *options, "--fresh"]) == 0

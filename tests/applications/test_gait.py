@@ -1,4 +1,4 @@
-"""Signals and measures of gaits, and what optimising them needs."""
+"""Signals and measures of gaits, and what optimizing them needs."""
 
 import dataclasses
 import math
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.applications import Evaluation, minimise, random_losses
+from diffsim.applications import Evaluation, minimize, random_losses
 from diffsim.applications.gait import _turned, lines_between_knots, sinusoid
 from tests.applications.test_applications import made
 
@@ -40,7 +40,7 @@ def test_scale_sets_the_first_step():
     """The first step of L-BFGS-B is the slope over the scale, in parameters from 0 to 1."""
     steps = []
     for scale in (1.0, 2.0):
-        found = minimise(dataclasses.replace(made(), scale=scale), max_evaluations=2)
+        found = minimize(dataclasses.replace(made(), scale=scale), max_evaluations=2)
         first, second = (
             made().parameters.scaled(np.array(e.values)) for e in found.evaluations[:2]
         )

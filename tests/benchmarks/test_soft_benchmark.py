@@ -99,7 +99,7 @@ def test_explicit_steps_are_stable_only_where_linear_theory_says(results):
 def test_shares_change_iterations_only(results):
     rows = results["accuracy"]["rows"]
     assert {(r["name"], r["share"]) for r in rows} == {
-        (name, share) for name in ("VOLUME_SHARE", "FIBRE_SHARE") for share in (0.1, 1.0)
+        (name, share) for name in ("VOLUME_SHARE", "FIBER_SHARE") for share in (0.1, 1.0)
     }
     volume = [r for r in rows if r["name"] == "VOLUME_SHARE"]
     assert all(abs(r["loss"] / volume[0]["loss"] - 1.0) < 1e-2 for r in volume)

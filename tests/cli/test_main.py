@@ -14,8 +14,8 @@ from diffsim.core.errors import ConvergenceError
 
 @pytest.fixture
 def fake_demo(monkeypatch):
-    """Stand-in for diffsim.demo; returns the calls, and raises what ``.error`` holds."""
-    module = types.ModuleType("diffsim.demo")
+    """Stand-in for examples.demo; returns the calls, and raises what ``.error`` holds."""
+    module = types.ModuleType("examples.demo")
     record = types.SimpleNamespace(calls=[], error=None)
 
     def main(**kwargs):
@@ -24,7 +24,7 @@ def fake_demo(monkeypatch):
             raise record.error
 
     module.main = main
-    monkeypatch.setitem(sys.modules, "diffsim.demo", module)
+    monkeypatch.setitem(sys.modules, "examples.demo", module)
     return record
 
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from diffsim import contact, mesh, soft
-from tests.soft.cases import noise, soft_body
+from tests.soft.cases import grouped, noise, soft_body
 
 ZERO = (0.0, 0.0, 0.0)
 
@@ -36,11 +36,11 @@ def stiff_block(kind: str = "hex", cells=(2, 2, 2), edge: float = 0.1, **changes
         "density": 1000.0,
         "solver": soft.SolverOptions(rtol=1e-10),
     }
-    return soft.SoftBody(m, **{**arguments, **changes})
+    return soft.SoftBody(m, **grouped({**arguments, **changes}))
 
 
 def moving(body, velocity=ZERO, spin=ZERO, wobble: float = 0.0, seed: int = 2) -> soft.State:
-    """The rest shape with a rigid motion about its centre and random velocities on top."""
+    """The rest shape with a rigid motion about its center and random velocities on top."""
     x = body.x_rest.clone()
     arm = x - mass_mean(body, x)
     turn = torch.linalg.cross(torch.tensor(spin, dtype=x.dtype).expand_as(arm), arm)

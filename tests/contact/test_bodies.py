@@ -169,7 +169,7 @@ def test_batch_axes():
 
 
 def _collide(damping: float, friction: float, speed: float = 1.0, num_steps: int = 110):
-    """Two balls of 20 mm meet off centre; momenta [kg m/s], [kg m^2/s] and energy per step [J]."""
+    """Two balls of 20 mm meet off center; momenta [kg m/s], [kg m^2/s] and energy per step [J]."""
     ball = mesh.tet_sphere(0.02, 0.012)  # 77 nodes
     body = soft.SoftBody(
         ball,
@@ -214,11 +214,11 @@ def test_colliding_balls_keep_momentum_and_do_not_gain_energy():
 
 @pytest.mark.reference
 def test_an_elastic_collision_turns_the_velocity_along_the_normal():
-    """Without friction and damping the struck ball leaves along the line of centres."""
+    """Without friction and damping the struck ball leaves along the line of centers."""
     _, _, _, struck = _collide(damping=0.0, friction=0.0, speed=0.5)
     along = -struck[-1] / struck[-1].norm()
-    centres = tensor(0.0402, 0.008, 0.003)
-    contact_normal = centres / centres.norm()
+    centers = tensor(0.0402, 0.008, 0.003)
+    contact_normal = centers / centers.norm()
     angle = math.degrees(math.acos(float(along @ contact_normal)))
     assert angle < 10.0  # facets of a coarse ball
 

@@ -5,12 +5,14 @@ which statuses it has. Tolerances as in tests/soft/test_step_gradients.py.
 """
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
 from diffsim import contact, soft
 from diffsim.soft import _ops_contact
+from diffsim.soft._arrays import ContactArrays, StepArrays
 from tests.helpers import check_layer
 from tests.soft.cases import SHARP, irregular_mesh, leaf, noise, soft_body, two_muscles
 
@@ -87,8 +89,8 @@ def statuses(function, monkeypatch) -> list[torch.Tensor]:
     seen = []
     op = _ops_contact.contact_step
 
-    def spy(*args):
-        out = op(*args)
+    def spy(*args, **options):
+        out = op(*args, **options)
         seen.append(out[2])
         return out
 
@@ -182,7 +184,7 @@ def test_damping_muscles_and_dirichlet_nodes(integrator):
         "activation": [0.8, 0.3],
         "rayleigh_alpha": 0.4,
         "rayleigh_beta": 0.02,
-        "fibre_stiffness": [8.0, 6.0],
+        "fiber_stiffness": [8.0, 6.0],
     }
     inputs["x"] = torch.where(fixed, m.x_rest, inputs["x"])
     args = tuple(leaf(v) for v in inputs.values())
@@ -216,14 +218,14 @@ def test_batch_of_two_and_strided_inputs():
 
 
 def recorded(monkeypatch, function):
-    """[(op, args)] of the first contact step and its adjoint that ``function`` takes."""
+    """[(op, args, kwargs)] of the first contact step and its adjoint that ``function`` takes."""
     calls = {}
     for name in ("contact_step", "contact_step_vjp"):
         op = getattr(_ops_contact, name)
 
-        def record(*args, _op=op, _name=name):
-            calls.setdefault(_name, (_op, tuple(_detached(a, _name) for a in args)))
-            return _op(*args)
+        def record(*args, _op=op, _name=name, **options):
+            calls.setdefault(_name, (_op, tuple(_detached(a, _name) for a in args), options))
+            return _op(*args, **options)
 
         monkeypatch.setattr(_ops_contact, name, record)
     function()
@@ -252,16 +254,21 @@ def test_contract_of_the_op(monkeypatch):
     step = layer_of(body, inputs)
     ops = recorded(monkeypatch, lambda: step(*inputs.values()).sum().backward())
     assert len(ops) == 2
-    _, (tensors, contacts, *rest) = ops[0]
+    _, (tensors, contacts, nodes), options = ops[0]
+    step_arrays, planes = StepArrays.of(tensors), ContactArrays.of(contacts)
 
     def layer(y, force, normal, reference, offset, friction):
-        given = [y, force, *tensors[2:]]
         unit = normal / normal.norm(dim=-1, keepdim=True)  # the kernel takes unit normals
-        planes = [unit, reference, offset, friction, contacts[-1]]
-        x, contact_force, *_ = _ops_contact.contact_step(given, planes, *rest)
+        given = replace(StepArrays.of(tensors), y=y, force=force)
+        at = replace(planes, normal=unit, reference=reference, offset=offset, friction=friction)
+        x, contact_force, *_ = _ops_contact.contact_step(
+            given.tensors(), at.tensors(), nodes, **options
+        )
         return torch.cat([x.flatten(), contact_force.flatten()])
 
-    args = tuple(leaf(t.detach()) for t in (tensors[0], tensors[1], *contacts[:4]))
+    moved = (step_arrays.y, step_arrays.force)
+    moved += (planes.normal, planes.reference, planes.offset, planes.friction)
+    args = tuple(leaf(t.detach()) for t in moved)
     tensors[:] = [t.detach() for t in tensors]
     check_layer(layer, args, ops=ops, **TOLERANCE)
 

@@ -8,6 +8,7 @@ import torch
 from diffsim import contact, mesh, soft
 from diffsim.core.errors import ConvergenceError
 from diffsim.soft import _ops_contact
+from diffsim.soft._arrays import ContactArrays
 from tests.contact.scenes import moving, slab
 
 FLOOR = contact.floor()
@@ -124,16 +125,21 @@ def call(**changes):
     body = slab("hex", (1, 1, 1), (1.0, 1.0, 1.0))
     captured = {}
     op = _ops_contact.contact_step
-    _ops_contact.contact_step = lambda *args: captured.setdefault("args", args) and op(*args)
+
+    def spy(*args, **options):
+        captured.setdefault("call", (args, options))
+        return op(*args, **options)
+
+    _ops_contact.contact_step = spy
     try:
         body(body.rest_state(), obstacles=FLOOR)
     finally:
         _ops_contact.contact_step = op
-    inputs, planes, nodes, *rest = captured["args"]
-    named = dict(zip(_ops_contact.CONTACT_INPUTS, planes, strict=True))
+    (inputs, planes, nodes), options = captured["call"]
+    named = ContactArrays.of(planes).named()
     named |= {k: change(named[k]) for k, change in changes.items() if k in named}
     nodes = changes.get("nodes", lambda n: n)(nodes)
-    return op(inputs, list(named.values()), nodes, *rest)
+    return op(inputs, list(named.values()), nodes, **options)
 
 
 @pytest.mark.parametrize(

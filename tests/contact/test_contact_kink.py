@@ -36,8 +36,8 @@ def loss_of(body, state, height, friction, monkeypatch):
     """A generic loss of a step on a floor, and the node's status: 0 separate, 1 stick, 2 slip."""
     seen, op = [], _ops_contact.contact_step
 
-    def spy(*args):
-        out = op(*args)
+    def spy(*args, **options):
+        out = op(*args, **options)
         seen.append(int(out[2]))
         return out
 

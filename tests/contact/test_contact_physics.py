@@ -51,13 +51,13 @@ def onset_of_rolling(spacing, hollow, mu=0.3, v0=0.5, dt=1e-3) -> tuple[float, f
     if hollow:
         skin[mesh.surface_vertices(m)] = 4.7 / len(mesh.surface_vertices(m))
     body = soft.SoftBody(
-        m, dt=dt, youngs_modulus=2e7, poissons_ratio=0.3, attached_mass=skin,
+        m, dt=dt, youngs_modulus=2e7, poissons_ratio=0.3, masses=soft.Masses(attached_mass=skin),
         solver=soft.SolverOptions(rtol=1e-8),
     )  # fmt: skip
     low = float(m.x_rest[:, 2].min())
     state, floor = moving(body, (v0, 0.0, 0.0)), contact.floor(low, friction=mu)
-    mass, centre = body.physics().mass, mass_mean(body, body.x_rest)
-    arm, radius = body.x_rest - centre, float(centre[2]) - low
+    mass, center = body.physics().mass, mass_mean(body, body.x_rest)
+    arm, radius = body.x_rest - center, float(center[2]) - low
     inertia = float((mass * arm[:, [0, 2]].square().sum(1)).sum())
     beta = inertia / (float(mass.sum()) * radius**2)
     for _ in range(200):

@@ -11,8 +11,8 @@ import torch
 
 from diffsim import contact, soft
 from diffsim.soft import _ops_contact
+from diffsim.soft._arrays import ContactArrays, StepArrays
 from diffsim.soft.integrators import make_stage
-from diffsim.soft.problem import solver_arguments
 from tests.contact.scenes import violations
 from tests.soft.test_reference import close, load, make_mesh, reference_mass
 
@@ -34,9 +34,9 @@ def body(data):
         dt=float(data["h"]),
         youngs_modulus=float(data["E"]),
         poissons_ratio=float(data["nu"]),
-        node_mass=reference_mass(m, data),
-        volume_weight="thesis",
-        contact_nodes=data["candidates"],
+        masses=soft.Masses(node_mass=reference_mass(m, data)),
+        material=soft.Material(volume_weight="thesis"),
+        contact=soft.ContactOptions(contact_nodes=data["candidates"]),
         solver=SOLVER,
     )
 
@@ -59,32 +59,38 @@ def held_step(body, data, state, active, physics):
     offset = torch.where(active[nodes], 0.0, gap)
     stage = make_stage("implicit_euler", body.dt, state)
     empty = torch.zeros(0, dtype=torch.float64)
-    inputs = [
-        stage.y[None],
-        (physics.weighing_mass[:, None] * physics.gravity)[None],
-        body.x_rest[None],
-        state.x.detach()[None],
-        stage.c * physics.mass,
-        physics.w_mu,
-        physics.w_vol,
-        empty,
-        torch.zeros(1, 0, dtype=torch.float64),
-        empty,
-        empty,
-        empty,
-        empty,
-        torch.zeros(1, 0, dtype=torch.float64),
-    ]
+    none = torch.zeros(1, 0, dtype=torch.float64)
+    inputs = StepArrays(
+        y=stage.y[None],
+        force=(physics.weighing_mass[:, None] * physics.gravity)[None],
+        target=body.x_rest[None],
+        guess=state.x.detach()[None],
+        inertia=stage.c * physics.mass,
+        w_mu=physics.w_mu,
+        w_vol=physics.w_vol,
+        fiber_stiffness=empty,
+        activation=none,
+        damp_mu=empty,
+        damp_lambda=empty,
+        x_frame=empty,
+        x_velocity=empty,
+        pressure=none,
+    )
     guess = torch.where(active[nodes][:, None], 1.0, 0.0) * normal
-    contacts = [
-        normal.expand(len(nodes), 3).contiguous()[None],
-        reference[None],
-        offset[None],
-        torch.full((1, len(nodes)), math.inf, dtype=torch.float64),
-        guess[None],
-    ]
+    contacts = ContactArrays(
+        normal=normal.expand(len(nodes), 3).contiguous()[None],
+        reference=reference[None],
+        offset=offset[None],
+        friction=torch.full((1, len(nodes)), math.inf, dtype=torch.float64),
+        force_guess=guess[None],
+    )
     x, _, status, _ = _ops_contact.contact_step(
-        inputs, contacts, nodes, body.handle, True, *solver_arguments(body.solver)
+        inputs.tensors(),
+        contacts.tensors(),
+        nodes,
+        handle=body.handle,
+        cache_columns=True,
+        **body.solver.arguments(),
     )
     assert torch.equal(status[0] > 0, active[nodes])
     return soft.State(x[0], (x[0] - state.x) / body.dt)

@@ -1,4 +1,4 @@
-"""Half spaces of a step: choice, linearisation, fast motion, restitution, gradients."""
+"""Half spaces of a step: choice, linearization, fast motion, restitution, gradients."""
 
 import math
 
@@ -74,7 +74,7 @@ PLATES = {
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("kind", list(PLATES))
 def test_nothing_tunnels_through_a_thin_plate(kind, side):
-    """300 m/s through a millimetre: 3 m in one step."""
+    """300 m/s through a millimeter: 3 m in one step."""
     plate = contact.Obstacle(PLATES[kind], position=(0.1, 0.2, 0.3), rotation=(0.3, -0.2, 0.1))
     x, y = uniform(40, seed=1, low=-0.7, high=0.7), uniform(40, seed=2, low=-0.7, high=0.7)
     if kind.startswith("capsule"):

@@ -74,7 +74,7 @@ def test_inside_out_changes_signs_alone(kind):
 KINKS = {
     "sphere": tensor((0.0, 0.0, 0.0)),
     "capsule": tensor((-0.4, 0.1, 0.0), (0.05, 0.15, 0.15)),
-    # centre, corner, edge, face, outside an edge, on a diagonal of the inside
+    # center, corner, edge, face, outside an edge, on a diagonal of the inside
     "box": tensor(
         (0.0, 0.0, 0.0), (0.45, 0.55, 0.65), (0.45, 0.55, 0.1), (0.45, 0.1, 0.1), (0.5, 0.6, 0.0),
         (0.35, 0.45, 0.0),

@@ -27,6 +27,7 @@ from diffsim.copter.fabrication.printable import has_screw_holes
 from diffsim.copter.fabrication.prism import circle, inside, perforated_prism, refined
 from diffsim.copter.fabrication.rods import RodCut, pack
 from diffsim.core.errors import MeshError
+from diffsim.viz.fabrication_page import write_fabrication
 from tests.measured import data_folder
 
 LARGE = Printer(bed=(700.0, 700.0, 300.0))
@@ -260,7 +261,7 @@ def test_spins_and_numbers(plans):
 
 def test_files(tmp_path):
     found = plan(load_design("pentacopter_payload"))
-    page = write_plan(found, tmp_path / "deep" / "plan").read_text(encoding="utf-8")
+    page = write_fabrication(found, tmp_path / "deep" / "plan").read_text(encoding="utf-8")
     folder = tmp_path / "deep" / "plan"
     assert page.count("data:image/") == 4
     assert 'src="http' not in page and "<script" not in page

@@ -10,11 +10,6 @@ import torch
 from scipy.integrate import solve_ivp
 
 from diffsim.copter import GRAVITY
-from diffsim.copter.attitude import (
-    quaternion_from_rpy,
-    rotation_from_quaternion,
-    rpy_rates_from_body_rates,
-)
 from diffsim.copter.effects import (
     BodyDrag,
     FlightEffects,
@@ -26,6 +21,11 @@ from diffsim.copter.effects import (
 )
 from diffsim.copter.flight import Feedback, FlightError, fly
 from diffsim.copter.flight_state import FlightState
+from diffsim.core.rotation import (
+    matrix_from_quaternion,
+    quaternion_from_rpy,
+    rpy_rates_from_body_rates,
+)
 from tests.copter.flight_cases import all_effects, crooked_copter, tensor, tumbling
 from tests.copter.test_vehicle import NAMES, from_reference, plus_quadcopter, reference
 
@@ -271,7 +271,7 @@ def test_yaw_does_not_matter_to_physics():
     """Turning start and wind about the vertical turns the flight."""
     vehicle, start = crooked_copter(), tumbling(1)
     turn = tensor([np.cos(0.6), 0, 0, np.sin(0.6)])
-    R = rotation_from_quaternion(turn)
+    R = matrix_from_quaternion(turn)
     a, b = turn, start.quaternion[0]
     product = torch.cat(
         [

@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from diffsim.copter import hover, linearize, lqr, state_rate
-from diffsim.copter.rotation import (
-    attitude_of_thrust,
-    body_rates_from_euler_rates,
-    rotation_from_euler,
+from diffsim.core.rotation import (
+    body_rates_matrix,
+    matrix_from_rpy,
+    roll_pitch_of_thrust,
     skew,
 )
 from tests.copter.designs import random_copter
@@ -44,11 +44,11 @@ def test_rotation_of_scipy():
 
     euler = torch.tensor([[0.3, -0.7, 1.2], [-1.0, 0.4, -2.0]], dtype=torch.float64)
     expected = Rotation.from_euler("ZYX", euler.flip(-1).numpy()).as_matrix()
-    R = rotation_from_euler(euler)
+    R = matrix_from_rpy(euler)
     torch.testing.assert_close(R, torch.from_numpy(expected), atol=1e-15, rtol=0)
     up = torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)
     net = (R.mT @ up[:, None]).squeeze(-1)
-    torch.testing.assert_close(attitude_of_thrust(3.0 * net), euler[:, :2])
+    torch.testing.assert_close(roll_pitch_of_thrust(3.0 * net), euler[:, :2])
 
 
 @pytest.mark.reference
@@ -56,8 +56,8 @@ def test_body_rates_are_the_rotation_s_velocity():
     """R' = R [omega]."""
     euler = torch.tensor([0.3, -0.7, 1.2], dtype=torch.float64)
     rates = torch.tensor([0.5, -1.0, 2.0], dtype=torch.float64)
-    R, R_rate = torch.func.jvp(rotation_from_euler, (euler,), (rates,))
-    omega = body_rates_from_euler_rates(euler) @ rates
+    R, R_rate = torch.func.jvp(matrix_from_rpy, (euler,), (rates,))
+    omega = body_rates_matrix(euler) @ rates
     torch.testing.assert_close(R_rate, R @ skew(omega))
 
 
@@ -71,8 +71,8 @@ def test_motion_conserves_what_it_must():
     rate = state_rate(copter, state, none)
 
     def world(state):
-        R = rotation_from_euler(state[3:6])
-        omega = body_rates_from_euler_rates(state[3:6]) @ state[9:]
+        R = matrix_from_rpy(state[3:6])
+        omega = body_rates_matrix(state[3:6]) @ state[9:]
         return R @ state[6:9], R @ copter.inertia @ omega
 
     velocity_rate, momentum_rate = torch.func.jvp(world, (state,), (rate,))[1]
@@ -109,7 +109,7 @@ def test_both_forms_describe_one_motion(seed):
     thrusts, attitude = trimmed(copter)
     A, B = linearize(copter, thrusts, attitude)
     A_vector, B_vector = linearize(copter, thrusts, attitude, form="rotation_vector")
-    E = body_rates_from_euler_rates(torch.cat([attitude, attitude.new_zeros(1)]))
+    E = body_rates_matrix(torch.cat([attitude, attitude.new_zeros(1)]))
     eye = torch.eye(3, dtype=torch.float64)
     change = torch.block_diag(eye, E, eye, E)
     torch.testing.assert_close(change @ A, A_vector @ change, atol=1e-11, rtol=0)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import yaml
+from scipy.spatial.transform import Rotation
 
 from diffsim.data import load_beam_study
 from diffsim.data.beam import detect_release, rigid_rotation_deg
+from diffsim.data.beam_motion import describe, moving_tip_mass
 from diffsim.data.signal import amplitude_spectrum
-from diffsim.demo.measured import describe, moving_tip_mass
 
 pytestmark = pytest.mark.reference
 
@@ -150,7 +151,10 @@ def test_rigid_rotation():
     np.testing.assert_allclose(
         rigid_rotation_deg(points, points @ rot.T + 3.0), [0.0, 7.0, 0.0], atol=1e-9
     )
-    np.testing.assert_allclose(rigid_rotation_deg(points, points), 0.0, atol=1e-5)
+    np.testing.assert_allclose(rigid_rotation_deg(points, points), 0.0, atol=1e-12)
+    small = Rotation.from_rotvec([0.0, 1e-6, 0.0], degrees=True)  # where an arccos sees nothing
+    turned = rigid_rotation_deg(points, small.apply(points))
+    np.testing.assert_allclose(turned, [0.0, 1e-6, 0.0], atol=1e-12)
 
 
 def test_the_loaded_tip_pauses_where_free_fall_catches_up(measured_beam):

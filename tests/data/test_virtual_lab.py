@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from diffsim.data import load_beam_study
+from diffsim.data.beam_motion import describe, moving_tip_mass
 from diffsim.data.virtual_lab import VirtualBeam, _Plane, bending_modes, write_beam_study
-from diffsim.demo.measured import describe, moving_tip_mass
 
 
 @pytest.mark.reference

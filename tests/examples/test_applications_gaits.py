@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from diffsim.applications import evaluate, minimise, solver_options
+from diffsim.applications import evaluate, minimize, solver_options
 from tests.examples.stories import load_story
 
 
@@ -23,7 +23,7 @@ def meaning(application, values):
 
 def test_torus_learns_to_roll():
     application = quick("torus")
-    found = minimise(application, max_evaluations=8)
+    found = minimize(application, max_evaluations=8)
     start = found.evaluations[found.num_starts]
     assert found.num_starts == 4
     assert found.best.loss < 3.0 * start.loss < 0.0  # best of the random signals: 5 cm
@@ -38,7 +38,7 @@ def test_torus_learns_to_roll():
 
 def test_quadruped_learns_to_go_three_times_as_far():
     application = quick("quadruped")
-    found = minimise(application, max_evaluations=4)
+    found = minimize(application, max_evaluations=4)
     assert found.best.loss < 3.0 * found.evaluations[0].loss < 0.0
     after = meaning(application, found.best.values)
     assert after["travel body lengths"] > 1.5
@@ -104,7 +104,7 @@ def test_thesis_sizes(name):
 def test_routing_tendon_reaches_for_its_target():
     module = load_story("applications/routing_tendon.py")
     application = module.build(solver_options("projective_dynamics", rtol=module.RTOL), True)
-    found = minimise(application, max_evaluations=8)
+    found = minimize(application, max_evaluations=8)
     before = meaning(application, application.parameters.first)["distance mm"]
     after = meaning(application, found.best.values)["distance mm"]
     assert after < 0.5 * before

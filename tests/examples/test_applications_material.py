@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from diffsim import mesh
-from diffsim.applications import evaluate, minimise, solver_options
+from diffsim.applications import evaluate, minimize, solver_options
 from diffsim.applications.identification import visibility
 from diffsim.applications.table import load
 
@@ -35,12 +35,12 @@ def test_gradient_is_the_central_difference_along_a_direction(name):
     [pytest.param("plant", 1e3, marks=pytest.mark.slow), ("bouncing_ball", 1e2)],
 )
 def test_loss_falls_in_few_evaluations(name, fall):
-    found = minimise(built(name), max_evaluations=5)
+    found = minimize(built(name), max_evaluations=5)
     assert found.best.loss < found.evaluations[0].loss / fall
 
 
 def test_a_bunny_that_flies_the_wrong_way_turns_round():
-    found = minimise(built("bunny"), max_evaluations=6)
+    found = minimize(built("bunny"), max_evaluations=6)
     assert found.best.loss < 0.25 * found.evaluations[0].loss
 
 
@@ -48,7 +48,7 @@ def test_a_bunny_that_flies_the_wrong_way_turns_round():
 @pytest.mark.parametrize("name", ["plant", "bouncing_ball"])
 def test_truth_is_found(name):
     application = built(name)
-    found = minimise(application, max_evaluations=40)
+    found = minimize(application, max_evaluations=40)
     error = np.exp(np.array(found.best.values) - application.oracle_parameters) - 1.0
     assert np.abs(error).max() < 0.01
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.blind import __main__ as command
 from benchmarks.blind import sessions as blind_module
-from benchmarks.blind.case import CoarseModel, Twin
+from benchmarks.blind.case import CoarseModel, twin
 from benchmarks.blind.score import score_answer, true_sizes, with_strength
 from benchmarks.blind.sessions import Blind
 from benchmarks.blind.table import confusion, figures, markdown
-from diffsim import cli
 from diffsim.identify.model import Numerics, SimModel
 from tests.diagnose import toy, toy_setup
 from tests.hidden.toy_lab import TOY
@@ -76,7 +76,7 @@ def test_a_class_counts_as_given_only_whole():
 
 
 def test_places_of_a_laboratory_are_effects_of_a_library():
-    known = {name: toy.Drag() for name in ("weak_rotor_1", "weak_rotor_2", "drag")}
+    known = {name: toy.DRAG for name in ("weak_rotor_1", "weak_rotor_2", "drag")}
     hidden = label("single", {"weak_rotor": [0.0, 0.1]})
     assert true_sizes(hidden, known) == {"weak_rotor_2": (0.1,)}
     assert true_sizes(label("single", {"drag": [0.2]}), known) == {"drag": (0.2,)}
@@ -115,12 +115,12 @@ def test_twins_predict_the_same_and_coarse_models_are_coarser():
     run = toy.generate(0).runs[0]
     model = toy.model([run], implicit_step=0.01)
     q = model.at_prior()
-    delay = toy.Delay()
-    twin = Twin(delay)
-    assert twin.name == "delay_again" and twin.family == delay.family
+    delay = toy.DELAY
+    again = twin(delay)
+    assert again.name == "delay_again" and again.family == delay.family
     size = q.new_tensor([0.02])
     np.testing.assert_array_equal(
-        model.predict(run, q, {delay: size}), model.predict(run, q, {twin: size})
+        model.predict(run, q, {delay: size}), model.predict(run, q, {again: size})
     )
     rough = CoarseModel(model, {"time_step": 2.0})
     expected = SimModel.predict(model, run, q, None, Numerics(time_step=2.0))
@@ -217,19 +217,19 @@ def test_what_the_base_parameters_absorb_is_rightly_not_found():
 
 def test_another_set_in_the_same_folder_is_refused(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(Blind, "run", lambda *_: [])
-    argv = ["diagnose", "blind", "--system", "network", "--out", str(tmp_path / "o")]
-    assert cli.main([*argv, "--seed", "4", "--n", "2"]) == 0
+    argv = ["--system", "network", "--out", str(tmp_path / "o")]
+    assert command.main([*argv, "--seed", "4", "--n", "2"]) == 0
     assert "seed 4;" in capsys.readouterr().out
-    assert cli.main([*argv, "--n", "3"]) == 0  # goes on with the seed it finds
+    assert command.main([*argv, "--n", "3"]) == 0  # goes on with the seed it finds
     assert "seed 4;" in capsys.readouterr().out
-    assert cli.main([*argv, "--seed", "5"]) == 2
+    assert command.main([*argv, "--seed", "5"]) == 2
     assert "holds other cases" in capsys.readouterr().err
 
 
 def test_a_fresh_seed_is_printed(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(Blind, "run", lambda *_: [])
     monkeypatch.setattr(blind_module.secrets, "randbits", lambda _: 123456)
-    assert cli.main(["diagnose", "blind", "--out", str(tmp_path / "o")]) == 0
+    assert command.main(["--out", str(tmp_path / "o")]) == 0
     assert "seed 123456;" in capsys.readouterr().out
 
 

@@ -74,6 +74,17 @@ def test_descent_keeps_to_its_budget_and_its_best():
     assert 0.5 * float(r @ r + down.x @ down.x) == pytest.approx(min(down.cost))
 
 
+def test_fit_by_lbfgs_turns_back_and_says_so():
+    channels = [Channel("y", "m", "position", 0.01)]
+    whole = problem_of()
+    options = {"method": "lbfgs", "gradient": "autograd", "start": np.array([5.0, 1.0])}
+    truth = fit(whole.model, whole.runs, channels, max_evaluations=100, **options)
+    fragile = problem_of(lowest=2.45)  # on the way, not at the end
+    found = fit(fragile.model, fragile.runs, channels, max_evaluations=100, **options)
+    assert "trial points could not be simulated" in found.message
+    np.testing.assert_allclose(found.x, truth.x, atol=1e-4)
+
+
 def test_descent_turns_back_where_the_simulation_fails():
     problem = problem_of(lowest=0.9)
     start = np.array([0.0, 1.5])

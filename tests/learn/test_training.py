@@ -16,12 +16,13 @@ pytest.importorskip("stable_baselines3", reason="PPO is stable-baselines3's: pip
 pytest.importorskip("tensorboard", reason="training writes a TensorBoard log")
 pytest.importorskip("cma", reason="CMA-ES is the package cma: pip install '.[rl]'")
 
-from diffsim.learn import gradient, run
+from diffsim.core.errors import DiffsimError
+from diffsim.learn import gradient, open_loop, run
 from diffsim.learn.critics import Critic, td_lambda_targets
 from diffsim.learn.gradient import BadGradients, GradientLearner, GradientOptions, NanGuard
 from diffsim.learn.members import steer_members
 from diffsim.learn.methods import make_learner
-from diffsim.learn.open_loop import make_open_loop
+from diffsim.learn.open_loop import fit_open_loop, make_open_loop
 from diffsim.learn.run import Learner, Update, read_rows, train
 from diffsim.learn.setup import Setup, evaluate, first_controller
 from diffsim.learn.shac import ShacLearner, ShacOptions
@@ -73,6 +74,28 @@ def test_open_loop_controllers_are_fitted_by_l_bfgs(tmp_path: Path) -> None:
     written = json.loads((tmp_path / "open_loop.json").read_text())
     assert max(written["rewards"]) == max(out["rewards"])
     assert len(written["parameters"]["raw"]) == 20
+
+
+def test_open_loop_fit_backs_off_from_what_breaks_down(monkeypatch: pytest.MonkeyPatch) -> None:
+    task = TINY.make_task()
+    first = make_open_loop("knots", task, 1).raw.detach().clone()  # type: ignore[union-attr]
+    free = fit_open_loop(task, make_open_loop("knots", task, 1), max_iterations=4)
+    reach = 0.5 * float(np.linalg.norm(free.history[1].x - free.history[0].x))
+    simulated = open_loop.rollout_task
+
+    def fragile(task: Any, controller: Any, *rest: Any) -> Any:
+        if float((controller.raw - first).norm().detach()) > reach:
+            raise ValueError("x must be finite, got nan")
+        return simulated(task, controller, *rest)
+
+    monkeypatch.setattr(open_loop, "rollout_task", fragile)
+    controller = make_open_loop("knots", task, 1)
+    found = fit_open_loop(task, controller, max_iterations=4)
+    assert found.num_failed > 0 and found.final.value < found.history[0].value
+    np.testing.assert_array_equal(controller.raw.detach().numpy().ravel(), found.final.x)  # type: ignore[union-attr, arg-type]
+    reach = -1.0
+    with pytest.raises(DiffsimError, match="broke down"):
+        fit_open_loop(task, controller, max_iterations=4)
 
 
 @pytest.mark.parametrize("method", ["gradient", "shac", "sapo", "mixed", "ppo", "sac"])

@@ -144,7 +144,7 @@ def test_loose_parts_and_hinges():
 
 
 def test_messages():
-    with pytest.raises(MeshError, match="no cell centre of the 2 x 2 x 2 grid lies inside"):
+    with pytest.raises(MeshError, match="no cell center of the 2 x 2 x 2 grid lies inside"):
         m.hex_from_sdf(sdf.sphere(0.1), UNIT, 1.0)
     with pytest.raises(MeshError, match="no lattice node lies inside; make spacing smaller"):
         m.tet_from_sdf(sdf.sphere(0.05, (0.3, 0.3, 0.3)), UNIT, 0.9)
@@ -194,9 +194,9 @@ def test_ellipsoid_is_zero_on_its_surface_and_a_sphere_where_it_is_one():
     rng = np.random.default_rng(0)
     rays = torch.from_numpy(rng.normal(size=(50, 3)))
     rays = rays / rays.norm(dim=1, keepdim=True)
-    half, centre = torch.tensor([0.3, 0.2, 0.1], dtype=torch.float64), (0.1, -0.2, 0.3)
-    at = rays * half + torch.tensor(centre, dtype=torch.float64)
-    shape = sdf.ellipsoid(half, centre)
+    half, center = torch.tensor([0.3, 0.2, 0.1], dtype=torch.float64), (0.1, -0.2, 0.3)
+    at = rays * half + torch.tensor(center, dtype=torch.float64)
+    shape = sdf.ellipsoid(half, center)
     assert shape(at).abs().max() < 1e-15
     outside = at + 1e-6 * (rays / half) / (rays / half).norm(dim=1, keepdim=True)
     assert shape(outside).numpy() == pytest.approx(1e-6, rel=1e-4)

@@ -1,7 +1,9 @@
-"""Small bodies in round units (metre, second, tens of Pa), so that every gradient is of order
+"""Small bodies in round units (meter, second, tens of Pa), so that every gradient is of order
 one."""
 
 from __future__ import annotations
+
+from dataclasses import fields
 
 import torch
 from torch import Tensor
@@ -53,8 +55,24 @@ def rail_mask(m) -> Tensor:
     return mask
 
 
+OPTIONS = {"damping": soft.Damping, "masses": soft.Masses, "contact": soft.ContactOptions}
+
+
+def grouped(arguments: dict) -> dict:
+    """Constructor arguments of a body, those named like fields of its options put into these."""
+    arguments = dict(arguments)
+    for name, kind in OPTIONS.items():
+        own = {f.name: arguments.pop(f.name) for f in fields(kind) if f.name in arguments}
+        if own:
+            arguments[name] = kind(**own)
+    if "volume_weight" in arguments:
+        law, weight = arguments.get("material", "pd"), arguments.pop("volume_weight")
+        arguments["material"] = soft.Material(law, volume_weight=weight)
+    return arguments
+
+
 def soft_body(m, **changes) -> soft.SoftBody:
-    """A body of order-one constants; ``changes`` replace constructor arguments."""
+    """A body of order-one constants; ``changes`` replace arguments, or fields of its options."""
     arguments = {
         "dt": 0.1,
         "youngs_modulus": 30.0,
@@ -63,7 +81,7 @@ def soft_body(m, **changes) -> soft.SoftBody:
         "gravity": (0.3, -0.2, -1.0),
         "solver": soft.SolverOptions(**SHARP),
     }
-    return soft.SoftBody(m, **{**arguments, **changes})
+    return soft.SoftBody(m, **grouped({**arguments, **changes}))
 
 
 def leaf(value) -> Tensor:

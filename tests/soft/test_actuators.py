@@ -189,7 +189,7 @@ def test_parameters_are_trained_and_saved():
     assert set(dynamics.state_dict()) == {"time_constant", "max_rate"}
     assert "max_rate=3" in repr(dynamics)
     with torch.no_grad():
-        dynamics.time_constant.fill_(-0.1)  # an optimiser went too far
+        dynamics.time_constant.fill_(-0.1)  # an optimizer went too far
     with pytest.raises(ValueError, match=r"time_constant must lie in .*got -0\.1; unit is s"):
         dynamics.sequence(torch.zeros(2, 1, dtype=torch.float64), DT)
 

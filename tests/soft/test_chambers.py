@@ -25,12 +25,12 @@ def hollow(kind="hex", shape="cavity", amount=0.06):
     sides (tunnel), all nodes displaced; and the chamber inside."""
     cells = (3, 3, 3)
     box = (mesh.hex_box if kind == "hex" else mesh.tet_box)(cells, (3.0, 3.0, 3.0))
-    centre = box.x_rest[box.elements].mean(1)
-    inside = ((centre - 1.5).abs()[:, :2] < 0.5).all(1)
+    center = box.x_rest[box.elements].mean(1)
+    inside = ((center - 1.5).abs()[:, :2] < 0.5).all(1)
     if shape != "tunnel":
-        inside &= centre[:, 2] > 1.0
+        inside &= center[:, 2] > 1.0
     if shape == "cavity":
-        inside &= centre[:, 2] < 2.0
+        inside &= center[:, 2] < 2.0
     x = box.x_rest + amount * noise(box.num_vertices, 3, seed=9).clamp(-1.5, 1.5)
     m = type(box)(x, box.elements[~inside])
     if shape == "cavity":
@@ -70,10 +70,10 @@ def at_rest(x):
 @pytest.mark.parametrize("kind", ["hex", "tet"])
 def test_cavities_are_found_largest_first(kind):
     box = (mesh.hex_box if kind == "hex" else mesh.tet_box)((7, 3, 3), (7.0, 3.0, 3.0))
-    centre = box.x_rest[box.elements].mean(1)
-    middle = ((centre[:, 1:] - 1.5).abs() < 0.5).all(1)
-    small = middle & (centre[:, 0] > 1.0) & (centre[:, 0] < 2.0)
-    large = middle & (centre[:, 0] > 3.0) & (centre[:, 0] < 5.0)
+    center = box.x_rest[box.elements].mean(1)
+    middle = ((center[:, 1:] - 1.5).abs() < 0.5).all(1)
+    small = middle & (center[:, 0] > 1.0) & (center[:, 0] < 2.0)
+    large = middle & (center[:, 0] > 3.0) & (center[:, 0] < 5.0)
     assert mesh.cavities(box) == []
     m = type(box)(box.x_rest, box.elements[~(small | large)])
     found = mesh.cavities(m)

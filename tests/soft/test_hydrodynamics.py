@@ -147,7 +147,7 @@ def test_terminal_velocity():
         poissons_ratio=0.3,
         density=1500.0,
         gravity=gravity,
-        added_mass=soft.added_mass(hydro, 0.5),
+        masses=soft.Masses(added_mass=soft.added_mass(hydro, 0.5)),
     )
     expected = math.sqrt(2 * 500.0 * 0.002 * 9.81 / (1000.0 * 0.04 * (1.1 + 0.4)))
     lift = soft.buoyancy(m, 1000.0, gravity)
@@ -431,7 +431,7 @@ def test_added_mass_slows_a_beam_by_the_predicted_ratio():
             gravity=(0.0, 0.0, 0.0),
             integrator="implicit_midpoint",
             fixed=m.nodes_near_plane("x", 0.0),
-            added_mass=added,
+            masses=soft.Masses(added_mass=added),
         )
         tip = m.nodes_near_plane("x", 0.2)
         shape = (m.x_rest[:, :1] / 0.2) ** 2 * torch.tensor([0.0, 0.0, 0.01])

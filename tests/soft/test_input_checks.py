@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from diffsim import mesh, soft
 from diffsim.core.errors import DiffsimError, FactorizationError
+from diffsim.soft import _ops_elastic
+from diffsim.soft._arrays import EnergyArrays
 from tests.soft.cases import irregular_mesh, soft_body, two_muscles
 
 MESH = mesh.hex_box((2, 1, 1))
@@ -65,7 +67,7 @@ BAD_BODIES = [
     ({"density": 0.0}, ValueError, "density must lie in.*got 0; unit is kg/m"),
     ({"density": -1.0}, ValueError, "density must lie in.*got -1"),
     (
-        {"density": zeros(ELEMENTS)},
+        {"density": zeros(ELEMENTS + 1)},
         ValueError,
         r"density must be a scalar or have shape \(num_vertices,\)",
     ),
@@ -140,10 +142,10 @@ BAD_PHYSICS = [
         TypeError,
         "gravity must be torch.float64, got torch.float32",
     ),
-    ({"fibre_stiffness": [1.0]}, ValueError, "fibre_stiffness must have shape"),
-    ({"fibre_stiffness": [1.0, -1.0]}, ValueError, "fibre_stiffness must lie in"),
-    ({"fibre_stiffness": [1.0, NAN]}, ValueError, "fibre_stiffness must be finite"),
-    ({"fibre_stiffness": torch.ones(2)}, TypeError, "fibre_stiffness must be torch.float64"),
+    ({"fiber_stiffness": [1.0]}, ValueError, "fiber_stiffness must have shape"),
+    ({"fiber_stiffness": [1.0, -1.0]}, ValueError, "fiber_stiffness must lie in"),
+    ({"fiber_stiffness": [1.0, NAN]}, ValueError, "fiber_stiffness must be finite"),
+    ({"fiber_stiffness": torch.ones(2)}, TypeError, "fiber_stiffness must be torch.float64"),
     ({"youngs_modulus": None}, TypeError, "youngs_modulus"),
     ({"gravity": None}, TypeError, "gravity"),
 ]
@@ -371,7 +373,7 @@ BAD_MUSCLES = [
         "elements must name at least one",
     ),
     ({"elements": torch.tensor([0.0])}, TypeError, "elements must be torch.int64"),
-    ({"elements": torch.tensor([[0]])}, ValueError, r"elements must have shape \(num_fibres\)"),
+    ({"elements": torch.tensor([[0]])}, ValueError, r"elements must have shape \(num_fibers\)"),
     ({"direction": [0.0, 0.0, 0.0]}, ValueError, "direction must not be zero"),
     ({"direction": [1.0, 0.0]}, ValueError, "direction must have shape"),
     ({"direction": [[1.0, 0.0, 0.0]] * 3}, ValueError, "direction must have shape"),
@@ -490,25 +492,42 @@ def test_empty_batches_are_used_or_refused():
 
 def test_ops_refuse_sizes_that_kernels_would_overrun():
     """The ops are the door to compiled code: public functions check, but so do they."""
-    from diffsim.soft import _ops_elastic
-
     physics, empty = BODY.physics(), zeros(0)
     x, none = X[None].contiguous(), zeros(1, 0)
-    good = [physics.w_mu, physics.w_vol, empty, none, empty, empty, empty, empty, none]
-    _ops_elastic.elastic_gradient(x, good, BODY.handle, 1)
+    good = {
+        **dict.fromkeys(EnergyArrays.specs, empty),
+        "w_mu": physics.w_mu,
+        "w_vol": physics.w_vol,
+        "activation": none,
+        "pressure": none,
+    }
+
+    def call(x, handle=BODY.handle, **changes):
+        tensors = EnergyArrays(**{**good, **changes}).tensors()
+        return _ops_elastic.elastic_gradient(x, tensors, handle=handle, num_threads=1)
+
+    call(x)
     with pytest.raises(ValueError, match="must have shape"):
-        _ops_elastic.elastic_gradient(x[:, 1:].contiguous(), good, BODY.handle, 1)
-    for k, bad in [
-        (0, physics.w_mu[1:]),
-        (1, zeros(ELEMENTS + 1)),
-        (2, zeros(1)),
-        (3, zeros(1, 3)),
-        (4, zeros(1)),
-        (6, x),
-        (8, zeros(1, 1)),
+        call(x[:, 1:].contiguous())
+    for name, bad in [
+        ("w_mu", physics.w_mu[1:]),
+        ("w_vol", zeros(ELEMENTS + 1)),
+        ("fiber_stiffness", zeros(1)),
+        ("activation", zeros(1, 3)),
+        ("damp_mu", zeros(1)),
+        ("x_frame", x),
+        ("pressure", zeros(1, 1)),
     ]:
-        with pytest.raises(ValueError, match="must have shape"):
-            inputs = [*good[:k], bad, *good[k + 1 :]]
-            _ops_elastic.elastic_gradient(x, inputs, BODY.handle, 1)
+        with pytest.raises(ValueError, match=rf"{name} must have shape"):
+            call(x, **{name: bad})
     with pytest.raises(RuntimeError, match="handle 0 is gone"):
-        _ops_elastic.elastic_gradient(x, good, 0, 1)
+        call(x, handle=0)
+
+
+def test_arrays_of_kernels_are_named():
+    """Two tensors of one shape cannot change places: a record takes keywords only."""
+    one = zeros(ELEMENTS)
+    with pytest.raises(TypeError, match="positional"):
+        EnergyArrays(one, one)
+    with pytest.raises(TypeError, match="missing 8 required keyword-only"):
+        EnergyArrays(w_mu=one)

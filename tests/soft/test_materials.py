@@ -195,7 +195,7 @@ def reference_body(kind, d, **changes):
         youngs_modulus=float(d["E"]),
         poissons_ratio=float(d["nu"]),
         material="neo_hookean",
-        node_mass=reference_mass(m, d),
+        masses=soft.Masses(node_mass=reference_mass(m, d)),
         **{"fixed": d["fixed_nodes"], "solver": soft.SolverOptions(**SHARP), **changes},
     )
 
@@ -239,7 +239,7 @@ def test_neo_hookean_reference_static():
     body = reference_body("hex", d, fixed=held, gravity=(0.0, 0.0, 0.0), solver=solver)
     target = body.x_rest.clone()
     target[d["static_held"]] = d["static_held_pos"]
-    # The prescribed end lies within an element's height of its neighbours: start from a shape that
+    # The prescribed end lies within an element's height of its neighbors: start from a shape that
     # follows it, as the whole bar twisted and pulled would.
     start = blend(body.x_rest, d)
     found = body.static_equilibrium(
@@ -251,11 +251,11 @@ def test_neo_hookean_reference_static():
 def blend(x, d):
     """The bar twisted about its axis by pi/6 and pulled by a tenth, in proportion to x."""
     length = x[:, 0].max()
-    centre = x[:, 1:].mean(0)
+    center = x[:, 1:].mean(0)
     angle = math.pi / 6 * x[:, 0] / length
-    y, z = (x[:, 1:] - centre).unbind(1)
+    y, z = (x[:, 1:] - center).unbind(1)
     turned = [y * angle.cos() - z * angle.sin(), y * angle.sin() + z * angle.cos()]
-    return torch.cat([1.1 * x[:, :1], torch.stack(turned, 1) + centre], 1)
+    return torch.cat([1.1 * x[:, :1], torch.stack(turned, 1) + center], 1)
 
 
 @pytest.mark.grad

@@ -51,9 +51,9 @@ def test_cantilever_states_and_gradients(kind, num_steps):
         dt=float(d["h"]),
         youngs_modulus=float(d["E"]),
         poissons_ratio=float(d["nu"]),
-        node_mass=reference_mass(m, d),
+        masses=soft.Masses(node_mass=reference_mass(m, d)),
         fixed=d["fixed_nodes"],
-        volume_weight="thesis",
+        material=soft.Material(volume_weight="thesis"),
         solver=SOLVER,
     )
     youngs_modulus = torch.tensor(float(d["E"]), dtype=torch.float64, requires_grad=True)
@@ -103,11 +103,11 @@ def test_muscles():
         dt=float(d["h"]),
         youngs_modulus=float(d["E"]),
         poissons_ratio=float(d["nu"]),
-        node_mass=reference_mass(m, d),
+        masses=soft.Masses(node_mass=reference_mass(m, d)),
         fixed=d["fixed_nodes"],
         muscles=muscles,
         gravity=(0.0, 0.0, 0.0),
-        volume_weight="thesis",
+        material=soft.Material(volume_weight="thesis"),
         solver=SOLVER,
     )
     activation = d["act"].clone().requires_grad_()
@@ -120,7 +120,7 @@ def test_muscles():
         soft.State(x0, v0),
         10,
         activation=lambda k, state: activation[k],
-        physics=body.physics(fibre_stiffness=stiffness),
+        physics=body.physics(fiber_stiffness=stiffness),
     )
     close(traj.x.reshape(11, -1), d["q"])
     close(traj.v.reshape(11, -1), d["v"], 1e-8)
@@ -139,7 +139,7 @@ def test_static_energies_and_forces(kind, term):
     m = make_mesh(kind, d, {"hex": "hexes", "tet": "tets"}[kind])
     body = soft.SoftBody(
         m, dt=1e-2, youngs_modulus=float(d["E"]), poissons_ratio=float(d["nu"]),
-        volume_weight="thesis",
+        material=soft.Material(volume_weight="thesis"),
     )  # fmt: skip
     physics = body.physics()
     only = {"corotated": ("w_mu", "w_vol"), "volume": ("w_vol", "w_mu")}[term]

@@ -17,7 +17,7 @@ from diffsim.core.errors import (
     FactorizationError,
 )
 from diffsim.soft import _context, _ops_step
-from diffsim.soft._context import STEP_GRADIENTS, STEP_INPUTS
+from diffsim.soft._arrays import StepArrays
 from tests.soft.cases import SHARP, deformed, irregular_mesh, leaf, noise, soft_body, two_muscles
 
 pytestmark = pytest.mark.reference
@@ -285,11 +285,19 @@ def test_the_adjoint_at_an_indefinite_point_solves_its_system_or_raises(method, 
     inputs = {"y": zeros, "force": zeros, "target": zeros, "guess": zeros, "inertia": inertia}
     inputs |= {"w_mu": physics.w_mu, "w_vol": physics.w_vol}
     inputs["activation"] = inputs["pressure"] = torch.zeros(1, 0, dtype=torch.float64)
-    values = [inputs.get(name, empty) for name in STEP_INPUTS]
+    arrays = StepArrays(**{**dict.fromkeys(StepArrays.specs, empty), **inputs})
     grads = _ops_step.soft_step_vjp(
-        b, x[None], values, body.handle, method, 1e-10, 2000, 1, "raise"
+        b,
+        x[None],
+        arrays.tensors(),
+        handle=body.handle,
+        method=method,
+        rtol=1e-10,
+        max_iters=2000,
+        num_threads=1,
+        on_failure="raise",
     )
-    z = grads[STEP_GRADIENTS.index("force")].flatten()
+    z = grads[StepArrays.differentiable().index("force")].flatten()
     expected = torch.linalg.solve(block, b.flatten()[free])
     # 1e-10 of |b| over the smallest eigenvalue.
     smallest = float(eigenvalues.abs().min())
@@ -306,7 +314,7 @@ def test_a_singular_static_problem_is_refused(method):
 
 
 def test_a_changed_parameter_never_meets_an_old_factor():
-    """One body through changes of dt, stiffness, density, fibres, damping, and a fresh one for
+    """One body through changes of dt, stiffness, density, fibers, damping, and a fresh one for
     each."""
     m = irregular_mesh("hex", (2, 1, 1))
     arguments = {"fixed": torch.tensor([0, 1]), "muscles": two_muscles()}
@@ -341,7 +349,7 @@ def test_a_changed_parameter_never_meets_an_old_factor():
 
 
 def test_an_in_place_change_of_a_parameter_is_seen():
-    """Optimisers write into parameters: the cache's key must be a copy."""
+    """Optimizers write into parameters: the cache's key must be a copy."""
     m = irregular_mesh("hex", (2, 1, 1))
     stiffness = torch.nn.Parameter(torch.full((m.num_elements,), 30.0, dtype=torch.float64))
     body = soft_body(m, youngs_modulus=stiffness)

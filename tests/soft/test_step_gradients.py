@@ -47,7 +47,7 @@ def all_inputs(m, per_element: bool = False, fixed: torch.Tensor | None = None) 
         "rayleigh_alpha": 0.4,
         "rayleigh_beta": 0.02 * spread,
         "attached_mass": 0.2 + 0.1 * noise(m.num_vertices, seed=7).tanh(),
-        "fibre_stiffness": [8.0, 6.0],
+        "fiber_stiffness": [8.0, 6.0],
     }
     return {name: leaf(value) for name, value in values.items()}
 
@@ -70,16 +70,16 @@ def layer_of(body, names, num_steps=2):
 
 
 def recorded_ops(monkeypatch, function, *names):
-    """Runs ``function`` and returns [(op, args)] of its first call of each named op."""
+    """Runs ``function`` and returns [(op, args, kwargs)] of its first call of each named op."""
     calls = {}
     for name in names:
         module = _ops_elastic if name.startswith("elastic") else _ops_step
         op = getattr(module, name)
 
-        def record(*args, _op=op, _name=name):
+        def record(*args, _op=op, _name=name, **options):
             keep = not _name.endswith("_vjp")  # first order only: a _vjp has no gradient
-            calls.setdefault(_name, (_op, tuple(_detached(a, keep) for a in args)))
-            return _op(*args)
+            calls.setdefault(_name, (_op, tuple(_detached(a, keep) for a in args), options))
+            return _op(*args, **options)
 
         monkeypatch.setattr(module, name, record)
     function()
@@ -288,8 +288,8 @@ def test_static_equilibrium_of_muscles():
     m = irregular_mesh("hex", (2, 1, 1))
     body = soft_body(m, fixed=torch.tensor([0, 1, 2, 3]), muscles=two_muscles())
 
-    def layer(activation, fibre_stiffness):
-        physics = body.physics(fibre_stiffness=fibre_stiffness)
+    def layer(activation, fiber_stiffness):
+        physics = body.physics(fiber_stiffness=fiber_stiffness)
         return body.static_equilibrium(activation=activation, physics=physics).x
 
     assert torch.autograd.gradcheck(layer, (leaf([0.8, 0.3]), leaf([8.0, 6.0])), **TOLERANCE)
@@ -467,11 +467,11 @@ def test_elastic_force_keeps_the_layer_contract(monkeypatch):
     body = soft_body(m, muscles=two_muscles())
     args = (leaf(deformed(m)), leaf([0.8, 0.3]), leaf(30.0), leaf(0.3), leaf([8.0, 6.0]))
 
-    def layer(x, activation, youngs_modulus, poissons_ratio, fibre_stiffness):
+    def layer(x, activation, youngs_modulus, poissons_ratio, fiber_stiffness):
         physics = body.physics(
             youngs_modulus=youngs_modulus,
             poissons_ratio=poissons_ratio,
-            fibre_stiffness=fibre_stiffness,
+            fiber_stiffness=fiber_stiffness,
         )
         return body.elastic_force(x, activation=activation, physics=physics)
 

@@ -132,11 +132,11 @@ def test_free_bodies_keep_their_momentum(integrator, kind):
 
 
 def spin(body, speed):
-    """Rigid rotation about the centre of mass, at rest length."""
+    """Rigid rotation about the center of mass, at rest length."""
     mass = body.physics().mass[:, None]
-    centre = (mass * body.x_rest).sum(0) / mass.sum()
+    center = (mass * body.x_rest).sum(0) / mass.sum()
     omega = speed * torch.tensor([0.3, -0.5, 0.8], dtype=torch.float64)
-    v = torch.linalg.cross(omega.expand_as(body.x_rest), body.x_rest - centre)
+    v = torch.linalg.cross(omega.expand_as(body.x_rest), body.x_rest - center)
     return soft.State(body.x_rest.clone(), v)
 
 

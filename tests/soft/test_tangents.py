@@ -33,7 +33,7 @@ def inputs_of(body):
         "rayleigh_alpha": torch.tensor(0.4, dtype=torch.float64),
         "rayleigh_beta": 0.02 * (1.0 + 0.2 * noise(m.num_elements, seed=5).tanh()),
         "attached_mass": 0.2 + 0.1 * noise(m.num_vertices, seed=7).tanh(),
-        "fibre_stiffness": torch.tensor([8.0, 6.0], dtype=torch.float64),
+        "fiber_stiffness": torch.tensor([8.0, 6.0], dtype=torch.float64),
     }
 
 

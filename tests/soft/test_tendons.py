@@ -176,7 +176,7 @@ def test_contraction_of_a_bar(sections):
 
 @pytest.mark.property
 def test_stiffness_does_not_depend_on_the_mesh():
-    """A cable in the axis shortens a bar alike in any mesh. A fibre of fixed w would pull 4 times
+    """A cable in the axis shortens a bar alike in any mesh. A fiber of fixed w would pull 4 times
     less in the mesh of half the element size, and 6 times less in tetrahedra."""
     ends = []
     for m in (slender("hex", (10, 2, 2)), slender("hex", (20, 4, 4)), slender("tet", (10, 2, 2))):
@@ -216,7 +216,7 @@ def test_gradients_of_length_and_tension(kind):
 
 @pytest.mark.grad
 def test_gradients_through_a_step():
-    """To the commanded length and to EA, which ``fibre_stiffness`` is for a tendon."""
+    """To the commanded length and to EA, which ``fiber_stiffness`` is for a tendon."""
     m = irregular_mesh("hex")
     tendon = soft.Tendon(m, BENT, axial_stiffness=7.0)
     other = soft.Muscle(elements=torch.tensor([0, 1]), direction=[0.0, 1.0, 0.3], stiffness=4.0)
@@ -224,7 +224,7 @@ def test_gradients_through_a_step():
 
     def after(command, stiffness):
         activation = torch.cat([f64([0.9]), tendon.activation(command)])
-        physics = body.physics(fibre_stiffness=stiffness)
+        physics = body.physics(fiber_stiffness=stiffness)
         return body(body.rest_state(), activation=activation, physics=physics).x
 
     args = (leaf([1.4]), leaf([4.0, 7.0]))
@@ -237,7 +237,7 @@ def test_gradients_through_a_step():
 
 
 @pytest.mark.reference
-def test_weights_multiply_the_stiffness_of_fibres():
+def test_weights_multiply_the_stiffness_of_fibers():
     """A weighted muscle is as many muscles of the weighted stiffness, driven alike."""
     m = irregular_mesh("tet")
     elements, weights = torch.tensor([0, 3, 5]), f64([0.5, 2.0, 3.0])

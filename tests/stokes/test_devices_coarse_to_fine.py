@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
-
 import pytest
 import torch
 
 from diffsim.core.errors import DiffsimError
+from diffsim.optim import Log
 from diffsim.stokes import devices
 from diffsim.stokes.devices.coarse_to_fine import unit_on_fine_grid
-from diffsim.stokes.devices.log import Log
 from diffsim.stokes.devices.sampling import Samples, values
 from tests.stokes.test_devices_optimize import Interrupted
 
@@ -84,7 +82,7 @@ def test_standard_error_of_the_unit_is_that_of_repeated_draws():
 def test_interrupted_runs_go_on(tmp_path, calls):
     device, coarse = amplifiers()
     options = {"num_starts": 2, "max_evaluations": 4, "max_coarse_evaluations": 3}
-    options |= {"num_checked": 3, "progress": False, "path": tmp_path / "progress.json"}
+    options |= {"num_checked": 3, "progress": False, "path": tmp_path / "progress.jsonl"}
     with pytest.raises(KeyboardInterrupt):
         devices.coarse_to_fine(Interrupted(device, calls), coarse, 4, **options)
     rest = Interrupted(device, 2 + 4 + 3 - calls)
@@ -99,15 +97,15 @@ def test_interrupted_runs_go_on(tmp_path, calls):
     assert more.left == 0
 
 
-def test_kept_losses_of_other_designs_are_dropped(tmp_path):
+def test_kept_losses_of_other_designs_are_not_mixed_up(tmp_path):
     device = devices.make("amplifier", 0.25)
-    log = Log(tmp_path / "log.json", {})
+    log = Log(tmp_path / "log.jsonl")
     designs = [device.sample(torch.Generator().manual_seed(k)) for k in range(3)]
     first = values(device, log, "improved", designs[:2], progress=False)
     again = values(Interrupted(device, 1), log, "improved", designs[::2], progress=False)
     assert float(again[0]) == float(first[0])
     assert float(again[1]) == device.value(designs[2])
-    assert len(json.loads((tmp_path / "log.json").read_text())["improved"]) == 2
+    assert len(Log(tmp_path / "log.jsonl")["improved"]) == 3
 
 
 def test_refuses_what_is_not_a_coarser_grid_of_the_same_device():

@@ -118,7 +118,7 @@ def test_command_line_exports(tmp_path, capsys):
     assert main([*arguments, "--export", "--out", str(tmp_path)]) == 0
     written = {f.name for f in tmp_path.iterdir()}
     assert written == {
-        "progress.json", "result.json", "flow.png", "shapes.png",
+        "progress.jsonl", "result.json", "flow.png", "shapes.png",
         "amplifier.stl", "amplifier.vti", "amplifier.rrd", "amplifier.png",
     }  # fmt: skip
     assert "unit loss on the coarse grid" in capsys.readouterr().out

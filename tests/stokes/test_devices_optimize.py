@@ -49,17 +49,23 @@ class Interrupted:
         self.left -= 1
 
 
+def test_progress_of_an_older_version_is_refused(tmp_path):
+    path = tmp_path / "progress.json"
+    path.write_text(json.dumps({"settings": {"device": "amplifier"}, "samples": []}, indent=2))
+    with pytest.raises(ValueError, match="older version"):
+        devices.optimize(devices.make("amplifier", 0.25), 2, path=path, progress=False)
+
+
 @pytest.mark.parametrize("calls", [2, 7])  # while sampling, while improving
 def test_interrupted_runs_go_on(tmp_path, calls):
     device = devices.make("amplifier", 0.25)
     options = {"seed": 3, "max_evaluations": 8, "progress": False}
     whole = devices.optimize(device, 4, **options)
-    path = tmp_path / "progress.json"
+    path = tmp_path / "progress.jsonl"
     stopped = Interrupted(device, calls)
     with pytest.raises(KeyboardInterrupt):
         devices.optimize(stopped, 4, path=path, **options)
-    kept = json.loads(path.read_text())
-    assert len(kept["samples"]) + len(kept.get("evaluations", [])) == calls
+    assert len(path.read_text().splitlines()) == 1 + calls  # a header, and a line per flow
     rest = Interrupted(device, 4 + len(whole.evaluations) - calls)  # not one more
     resumed = devices.optimize(rest, 4, path=path, **options)
     assert rest.left == 0
@@ -97,5 +103,11 @@ def test_command_line_writes_numbers_and_picture(tmp_path, capsys):
     assert result["evaluations"] == 3
     assert (tmp_path / "flow.png").stat().st_size > 10_000
     assert "loss in the thesis" in capsys.readouterr().out
+    more = ["amplifier", "--resolution", "0.25", "--samples", "3", "--out", str(tmp_path)]
+    (tmp_path / "progress.json").write_text("{}")  # as earlier versions kept
+    assert main(more) == 2
+    captured = capsys.readouterr()
+    assert "belongs to another run" in captured.err
+    assert "progress.json is of an older version" in captured.out
     with pytest.raises(SystemExit):
         main(["gate", "--no-slip"])

@@ -205,6 +205,30 @@ def test_field_samples_between_nodes():
         field.sample(tensor(1.1, 0.5)[None])
 
 
+@pytest.mark.grad
+@pytest.mark.parametrize("dim", [2, 3])
+def test_gradient_of_samples(dim):
+    grid = stokes.Grid((3, 4, 5)[:dim], size=(1.0, 0.8, 1.5)[:dim])
+    rng = torch.Generator().manual_seed(0)
+    velocity = torch.rand(2, *grid.node_shape, dim, generator=rng, dtype=torch.float64)
+
+    def sample(values, points):
+        phi = torch.ones(grid.node_shape, dtype=torch.float64)
+        return stokes.FlowField(grid, phi, values, phi, phi, {}).sample(points)
+
+    points = torch.rand(6, dim, generator=rng, dtype=torch.float64) * torch.tensor(grid.size)
+    inputs = velocity.requires_grad_(), points.requires_grad_()
+    assert torch.autograd.gradcheck(sample, inputs)
+    for face in (0.0, grid.size[0]):  # the field is linear in x within a cell: no jump at its end
+        on, inside = points.detach().clone(), points.detach().clone()
+        on[:, 0], inside[:, 0] = face, abs(face - 0.1)
+        on, inside = on.requires_grad_(), inside.requires_grad_()
+        slopes = [
+            torch.autograd.grad(sample(velocity, p)[..., 0].sum(), p)[0] for p in (on, inside)
+        ]
+        torch.testing.assert_close(slopes[0][:, 0], slopes[1][:, 0])
+
+
 def test_shapes_of_all_outputs():
     flow = small_flow(3)
     inputs = small_inputs(flow, cases=2)

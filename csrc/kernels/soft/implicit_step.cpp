@@ -2,6 +2,7 @@
 
 #include <deque>
 
+#include "kernels/soft/descent.h"
 #include "kernels/soft/step_problem.h"
 
 namespace diffsim {
@@ -10,21 +11,31 @@ namespace {
 // On the constant factor where a tangent was indefinite, before Newton is tried again. Of 10, 20
 // and 40, 40 was fastest on eight steps in which a starfish's arms buckle.
 constexpr int kFarIterations = 40;
+// A line search gives up after so many trials, and extends a full step by so many doublings while
+// the slope there is at least this of the first.
+constexpr int kMaxTrials = 30, kMaxDoublings = 10;
+constexpr double kSteep = 0.5;
+// Pairs that L-BFGS keeps, and the least cosine of the angle between their members.
+constexpr std::size_t kHistory = 10;
+constexpr double kLeastCurvature = 1e-14;
+// A Newton direction's residual need not be lowered below this of the step's tolerance; it is
+// lowered to this of the right-hand side at least.
+constexpr double kEnoughOfTolerance = 0.5, kLargestForcing = 0.5;
 
 /// Takes longer and longer steps along d while the energy falls about as steeply as at its start.
 /// Directions on a clamped Hessian are far too short where a body buckles: it is stiffer than the
 /// energy, and full steps would leave a saddle by a fifth more each.
 void extend(StepProblem& problem, const Vector& d, double slope, const Vector& start, Vector& x,
             double& value, Vector& gradient) {
-  constexpr int kDoublings = 10;
   Vector farther, gradient_there;
   double step = 1.0;
-  for (int k = 0; k < kDoublings && problem.ops().dot(gradient, d) < 0.5 * slope; ++k) {
+  for (int k = 0; k < kMaxDoublings && problem.ops().dot(gradient, d) < kSteep * slope; ++k) {
     step *= 2.0;
     farther = start;
     problem.ops().add(step, d, farther);
     const double value_there = problem.value_gradient(farther, gradient_there);
-    if (!(value_there < value + 1e-4 * 0.5 * step * slope)) {
+    const double added = 0.5 * step;
+    if (!(value_there < value + kArmijo * added * slope)) {
       value = problem.value_gradient(x, gradient);  // what the problem remembers is that of x again
       return;
     }
@@ -34,27 +45,25 @@ void extend(StepProblem& problem, const Vector& d, double slope, const Vector& s
   }
 }
 
-/// Backtracks along d until the Armijo condition holds; updates x, value and gradient.
-/// Differences below rounding count as descent, else the last digits could not be reached. Near
-/// rest the energy w/2 (s - 1)^2 loses its digits to s - 1 long before its gradient does; there the
-/// slope decides instead (approximate Wolfe condition, Hager and Zhang 2005, eq. 4.1).
+/// Backtracks along d until the energy falls enough, or the slope where that says no more
+/// (descent.h); updates x, value and gradient.
 bool line_search(StepProblem& problem, const Vector& d, double slope, Vector& x, double& value,
                  Vector& gradient) {
   const Vector start = x;
   const double start_value = value;
-  const double rounding = 1e-14 * problem.magnitude();
+  const double rounding = kEnergyRounding * problem.magnitude();
   double step = 1.0;
-  for (int trial = 0; trial < 30; ++trial, step *= 0.5) {
+  for (int trial = 0; trial < kMaxTrials; ++trial, step *= 0.5) {
     x = start;
     problem.ops().add(step, d, x);
     value = problem.value_gradient(x, gradient);
     if (!std::isfinite(value)) continue;  // beyond the reach of the energy: inverted, or overflow
-    if (value <= start_value + 1e-4 * step * slope + rounding) {
+    if (value <= start_value + kArmijo * step * slope + rounding) {
       if (step == 1.0) extend(problem, d, slope, start, x, value, gradient);
       return true;
     }
-    if (value <= start_value + 1e-6 * problem.magnitude() &&
-        std::abs(problem.ops().dot(gradient, d)) <= -0.9 * slope)
+    if (value <= start_value + kFlatEnergy * problem.magnitude() &&
+        std::abs(problem.ops().dot(gradient, d)) <= -kWolfe * slope)
       return true;
   }
   x = start;
@@ -87,7 +96,8 @@ class QuasiNewton {
     problem_.ops().add(-1.0, g_old, pair.y);
     pair.sy = problem_.ops().dot(pair.s, pair.y);
     // A pair without positive curvature would make the update indefinite.
-    if (!(pair.sy > 1e-14 * problem_.ops().norm(pair.s) * problem_.ops().norm(pair.y))) return;
+    if (!(pair.sy > kLeastCurvature * problem_.ops().norm(pair.s) * problem_.ops().norm(pair.y)))
+      return;
     if (pairs_.size() == kHistory) pairs_.pop_front();
     pairs_.push_back(std::move(pair));
   }
@@ -95,7 +105,6 @@ class QuasiNewton {
   void forget() { pairs_.clear(); }
 
  private:
-  static constexpr std::size_t kHistory = 10;
   struct Pair {
     Vector s, y;
     double sy;
@@ -115,14 +124,13 @@ class Newton {
       preconditioner_ = Preconditioner::kTangent;
   }
 
-  /// Forcing term by Eisenstat and Walker 1996, choice 2, never tighter than needed.
+  /// The direction, solved for as accurately as the step's convergence is worth.
   void direction(const Vector& x, const Vector& gradient, double norm, double tolerance,
                  Vector& d) {
     problem_.assemble(x, clamp_);
-    double forcing = 0.1;
-    if (last_norm_ > 0.0) forcing = std::min(0.1, 0.9 * (norm / last_norm_) * (norm / last_norm_));
+    const double enough = std::min(kLargestForcing, kEnoughOfTolerance * tolerance / norm);
+    const double forcing = std::max(forcing_term(norm, last_norm_), enough);
     last_norm_ = norm;
-    forcing = std::max(forcing, std::min(0.5, 0.5 * tolerance / norm));
     Vector rhs = gradient;
     for (double& v : rhs) v = -v;
     if (preconditioner_ == Preconditioner::kTangent) update_factor(x);
@@ -148,7 +156,7 @@ class Newton {
  private:
   enum class Preconditioner { kConstant, kJacobi, kTangent };
 
-  /// Factorises the tangent at x where there is no factor yet or the old one has served its time.
+  /// Factorizes the tangent at x where there is no factor yet or the old one has served its time.
   void update_factor(const Vector& x) {
     if (factor_usable_ && method_ == StepMethod::kAuto && factor_age_ < plan_.refactor_after())
       return;
@@ -199,13 +207,14 @@ class Newton {
   KrylovScratch krylov_;
 };
 
-/// Moves fixed unknowns from the guess to their targets while free ones follow by the linearised
+/// Moves fixed unknowns from the guess to their targets while free ones follow by the linearized
 /// problem, in as many pieces as the energy needs to stay finite. For energies with a barrier:
 /// prescribed motion alone may invert the elements beside it. False where no such path is found.
 bool follow_targets(StepProblem& problem, const ConstantSystem& system, const StepInputs& inputs,
                     Vector& x) {
   constexpr int kPieces = 30;
-  constexpr double kLeastPart = 1.0 / 64.0, kAccuracy = 1e-3;
+  constexpr double kLeastPart = 1.0 / 64.0;  // of what is left of the motion
+  constexpr double kAccuracy = 1e-3;         // of the linearized solve, of its right-hand side
   const Vector arrived = x;
   x.assign(inputs.guess, inputs.guess + problem.size());
   KrylovScratch scratch;
@@ -292,7 +301,8 @@ StepStats implicit_step(const ConstantSystem& system, const StepInputs& inputs,
     since_best = stats.residual_norm < best ? 0 : since_best + 1;
     best = std::min(best, stats.residual_norm);
     // Rounding decides from here on; a tolerance below it is reported as missed, but soon.
-    if (best <= rounding && since_best > 20 && stats.residual_norm > stats.tolerance) break;
+    if (best <= rounding && since_best > kMaxStalled && stats.residual_norm > stats.tolerance)
+      break;
     if (!by_newton) {
       if (descended)
         quasi_newton.update(x_old, g_old, x, gradient);

@@ -1,6 +1,6 @@
 // One implicit step of a soft body and its adjoint.
 //
-// Forward: x minimises over free unknowns, with x = target on fixed ones,
+// Forward: x minimizes over free unknowns, with x = target on fixed ones,
 //   g(x) = 1/2 (x - y)^T diag(inertia) (x - y) - force . x + E(x) + D(x) - p V(x)   (thesis
 //   eq. 4.5, with the chambers of pressure.h)
 // Backward (eq. 4.9, 4.10): with H = d^2 g/dx^2 on free unknowns, H z = dL/dx, and for any

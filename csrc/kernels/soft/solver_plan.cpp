@@ -13,13 +13,14 @@ constexpr double kCacheBytesPerSecond = 5e10, kMemoryBytesPerSecond = 2.5e10, kC
 constexpr double kFlopsPerSecond = 6e10 * kNativeBytes / 64.0;
 // A factor of the tangent above this is not worth its memory (its work arrays need as much again).
 constexpr double kMaxFactorBytes = 4e9;
-constexpr int kMaxProbe = 400;
+constexpr int kMaxProbe = 400, kLeastProbe = 20;
+constexpr double kProbeTolerance = 1e-2;  // of the right-hand side: kProbeDigits
 
 struct Probe {
   int constant, jacobi;
 };
 
-/// Iterations to 1e-2 at rest, for a smooth right-hand side, on either preconditioner.
+/// Iterations to kProbeTolerance at rest, for a smooth right-hand side, on either preconditioner.
 Probe probe(const ConstantSystem& system, const SoftParameters& parameters, int limit,
             int jacobi_limit, ThreadPool& pool) {
   const SoftModel& model = system.model();
@@ -52,9 +53,9 @@ Probe probe(const ConstantSystem& system, const SoftParameters& parameters, int 
   const auto jacobi = [&](const Vector& in, Vector& out) { problem.solve_jacobi(in, out); };
   // Cut off where a factor would have paid already; by how much more is not worth finding out.
   const auto count = [&](const auto& preconditioner, int most) {
-    const KrylovResult result =
-        conjugate_gradients(apply, preconditioner, rhs, x, false, 1e-2 * problem.ops().norm(rhs),
-                            most, scratch, problem.ops());
+    const KrylovResult result = conjugate_gradients(apply, preconditioner, rhs, x, false,
+                                                    kProbeTolerance * problem.ops().norm(rhs), most,
+                                                    scratch, problem.ops());
     return result.converged ? result.num_iters : 4 * most;
   };
   return {count(constant, limit), count(jacobi, jacobi_limit)};
@@ -71,8 +72,9 @@ double flop_cost(double flops) { return flops / kFlopsPerSecond; }
 double decades(double rtol) { return std::max(1.0, -std::log10(rtol)); }
 
 bool SolverPlan::factorize_step(double rtol) const {
-  const double total = 0.5 * iterations * decades(rtol);  // over all Newton iterations of a step
-  return total * constant_cost > factorize_cost + 12.0 * tangent_cost;
+  // over all Newton iterations of a step
+  const double total = iterations / kProbeDigits * decades(rtol);
+  return total * constant_cost > factorize_cost + kTangentIterations * tangent_cost;
 }
 
 bool SolverPlan::factorize_adjoint(double rtol) const {
@@ -102,7 +104,7 @@ SolverPlan make_solver_plan(const ConstantSystem& system, const SoftParameters& 
   plan.jacobi_cost = streaming_cost(matrix_bytes);
   const auto limit = [&](double cost) {
     return static_cast<int>(
-        std::min<double>(kMaxProbe, std::max(20.0, plan.factorize_cost / cost)));
+        std::min<double>(kMaxProbe, std::max<double>(kLeastProbe, plan.factorize_cost / cost)));
   };
   const Probe found =
       probe(system, parameters, limit(plan.constant_cost), limit(plan.jacobi_cost), pool);

@@ -12,6 +12,11 @@ namespace diffsim {
 
 class ConstantSystem;
 
+// Iterations of a plan are those to 10^-digits.
+constexpr double kProbeDigits = 2.0;
+// On factors of the tangent, over a whole forward step.
+constexpr double kTangentIterations = 12.0;
+
 /// Costs in seconds on a model machine; only their ratios matter.
 struct SolverPlan {
   double iterations = 0.0;         // of conjugate gradients at rest, to 1e-2
@@ -21,7 +26,7 @@ struct SolverPlan {
   double jacobi_iterations = 0.0;  // as `iterations`, preconditioned by 3x3 diagonal blocks
   double jacobi_cost = 0.0;        // one of these
 
-  /// Whether a forward step (an adjoint) to relative tolerance rtol should factorise the tangent.
+  /// Whether a forward step (an adjoint) to relative tolerance rtol should factorize the tangent.
   bool factorize_step(double rtol) const;
   bool factorize_adjoint(double rtol) const;
   /// Iterations at this cost after which a factor of the tangent would have been cheaper.
@@ -30,7 +35,7 @@ struct SolverPlan {
   int refactor_after() const;
 };
 
-/// Modelled seconds to stream bytes, and to do arithmetic in blocked kernels.
+/// Modeled seconds to stream bytes, and to do arithmetic in blocked kernels.
 double streaming_cost(double bytes);
 double flop_cost(double flops);
 /// Decimal digits that a relative tolerance asks for, at least one.

@@ -46,7 +46,7 @@ class StepProblem {
   void solve_constant(const Vector& r, Vector& z);
   /// z = (3x3 diagonal blocks of H)^-1 r.
   void solve_jacobi(const Vector& r, Vector& z) const;
-  /// Factorises H; false where it is not positive definite.
+  /// Factorizes H; false where it is not positive definite.
   /// @param[in] edit  changes the (num_blocks, 3, 3) blocks first, if not empty
   bool factorize(const std::function<void(double*)>& edit = {});
   void solve_factorized(const Vector& r, Vector& z);

@@ -2,18 +2,56 @@
 
 namespace diffsim {
 
+namespace {
+
+/// Cells of one color share no node: even or odd along each axis.
+template <int D>
+int cell_color(const std::int64_t* at) {
+  int color = 0;
+  for (int a = 0; a < D; ++a) color = 2 * color + static_cast<int>(at[a] % 2);
+  return color;
+}
+template <int D>
+constexpr int kCellColors = 1 << D;
+
+/// Faces of one color share no node: their penalties couple three layers of nodes along the axis.
+template <int D>
+int face_color(const std::int64_t* at, int axis) {
+  int color = static_cast<int>(at[axis] % 3);
+  for (int a = 0; a < D; ++a)
+    if (a != axis) color = 2 * color + static_cast<int>(at[a] % 2);
+  return color;
+}
+template <int D>
+constexpr int kFaceColors = 3 << (D - 1);
+
+}  // namespace
+
 template <int D>
 FlowGeometry<D>::FlowGeometry(const StokesGrid<D>& grid, const double* phi, ThreadPool& pool)
     : grid_(grid), fraction_(u(grid.num_cells), 0.0), cut_index_(u(grid.num_cells), -1) {
-  for (std::int64_t cell = 0; cell < grid.num_cells; ++cell) {
+  classify_cells(phi);
+  make_cuts(phi, pool);
+  color_cells();
+  color_penalty_faces();
+  number_nodes();
+}
+
+template <int D>
+void FlowGeometry<D>::classify_cells(const double* phi) {
+  for (std::int64_t cell = 0; cell < grid_.num_cells; ++cell) {
     const CellKind kind = plane(cell, phi).kind();
     if (kind == CellKind::kFull) fraction_[u(cell)] = 1.0;
     if (kind != CellKind::kCut) continue;
     cut_index_[u(cell)] = static_cast<std::int32_t>(cut_cells_.size());
     cut_cells_.push_back(cell);
   }
-  const std::int64_t num_cuts = static_cast<std::int64_t>(cut_cells_.size());
+}
+
+template <int D>
+void FlowGeometry<D>::make_cuts(const double* phi, ThreadPool& pool) {
   constexpr std::int64_t kChunk = 16;
+  const std::int64_t num_cuts = static_cast<std::int64_t>(cut_cells_.size());
   std::vector<std::vector<CutCell<D>>> made(u((num_cuts + kChunk - 1) / kChunk));
   pool.run(static_cast<std::int64_t>(made.size()), [&](std::int64_t task) {
     made[u(task)].reserve(kChunk);
@@ -28,37 +66,45 @@ FlowGeometry<D>::FlowGeometry(const StokesGrid<D>& grid, const double* phi, Thre
     for (int q = 0; q < CutCell<D>::kPoints; ++q) volume += cuts_[u(i)].volume()[q];
     fraction_[u(cut_cells_[u(i)])] = volume / grid_.cell_volume;
   }
+}
 
-  cell_colours_.resize(1 << D);
-  for (auto& kinds : penalty_faces_)
-    for (Colours& colours : kinds) colours.resize(3 << (D - 1));
-  unknown_node_.assign(u(grid.num_nodes), -1);
-  for (std::int64_t cell = 0; cell < grid.num_cells; ++cell) {
-    if (!active(cell)) continue;
+template <int D>
+void FlowGeometry<D>::color_cells() {
+  cell_colors_.resize(kCellColors<D>);
+  for_active_cells([&](std::int64_t cell, const std::int64_t* at) {
     ++num_active_cells_;
-    std::int64_t at[D];
-    grid_.cell_position(cell, at);
-    const std::int64_t node = grid_.first_node(at);
-    for (std::int64_t offset : grid_.corner_offset) unknown_node_[u(node + offset)] = 0;
-    int colour = 0;
-    for (int a = 0; a < D; ++a) colour = 2 * colour + static_cast<int>(at[a] % 2);
-    cell_colours_[u(colour)].push_back(cell);
+    cell_colors_[u(cell_color<D>(at))].push_back(cell);
+  });
+}
+
+template <int D>
+void FlowGeometry<D>::color_penalty_faces() {
+  for (auto& kinds : penalty_faces_)
+    for (Colors& colors : kinds) colors.resize(kFaceColors<D>);
+  for_active_cells([&](std::int64_t cell, const std::int64_t* at) {
     for (int axis = 0; axis < D; ++axis) {
-      int face = static_cast<int>(at[axis] % 3);  // three layers of nodes
-      for (int a = 0; a < D; ++a)
-        if (a != axis) face = 2 * face + static_cast<int>(at[a] % 2);
+      const int color = face_color<D>(at, axis);
       const auto add = [&](FaceKind kind) {
-        penalty_faces_[axis][static_cast<int>(kind)][u(face)].push_back(cell);
+        penalty_faces_[axis][static_cast<int>(kind)][u(color)].push_back(cell);
       };
-      const std::int64_t stride = grid.cell_stride[axis];
+      const std::int64_t stride = grid_.cell_stride[axis];
       const bool low = at[axis] > 0 && active(cell - stride);
-      const bool high = at[axis] + 1 < grid.cells[axis] && active(cell + stride);
+      const bool high = at[axis] + 1 < grid_.cells[axis] && active(cell + stride);
       if (cut(cell) && !low) add(FaceKind::kLow);
       if (cut(cell) && !high) add(FaceKind::kHigh);
       if (high && (cut(cell) || cut(cell + stride))) add(FaceKind::kInner);
     }
-  }
-  for (std::int64_t node = 0; node < grid.num_nodes; ++node) {
+  });
+}
+
+template <int D>
+void FlowGeometry<D>::number_nodes() {
+  unknown_node_.assign(u(grid_.num_nodes), -1);
+  for_active_cells([&](std::int64_t, const std::int64_t* at) {
+    const std::int64_t node = grid_.first_node(at);
+    for (std::int64_t offset : grid_.corner_offset) unknown_node_[u(node + offset)] = 0;
+  });
+  for (std::int64_t node = 0; node < grid_.num_nodes; ++node) {
     if (unknown_node_[u(node)] < 0) continue;
     unknown_node_[u(node)] = static_cast<std::int64_t>(active_nodes_.size());
     active_nodes_.push_back(node);

@@ -28,7 +28,7 @@ enum class FaceKind { kInner, kLow, kHigh };
 /// f fluid fraction of a cell, a fluid share of the face. It vanishes where both cells are full,
 /// and with the face's fluid share, so that cells become full, cut and empty continuously. The area
 /// of the wall in a cell is at most that of the cell's faces that are fluid: the penalty holds
-/// every wall term down. It grows where a cell is nearly empty: such a cell takes its neighbour's
+/// every wall term down. It grows where a cell is nearly empty: such a cell takes its neighbor's
 /// velocity, extrapolated, and a wall that passes from one cell to the next changes next to
 /// nothing.
 inline FaceTerm ghost_term(double f_a, double f_b, double aperture, double gamma, double delta) {
@@ -46,10 +46,10 @@ inline FaceTerm ghost_term(double f_a, double f_b, double aperture, double gamma
 
 /// Penalty on the normal derivative itself where fluid is much thinner than a cell, t = f_A + f_B
 /// (one f with nothing behind): a film between two walls, or between a wall and the box, has no
-/// neighbour that could hold it, nor has a sliver whose neighbours' planes leave them empty.
+/// neighbor that could hold it, nor has a sliver whose neighbors' planes leave them empty.
 /// weight theta a / (1 + (t / t_0)^4): nothing where there is fluid behind.
 inline FaceTerm film_term(double t, double aperture, double theta, FaceKind kind) {
-  constexpr double kThin = 0.08;
+  constexpr double kThin = 0.08;  // t_0
   FaceTerm term;
   const double r = t / kThin, s = 1.0 / (1.0 + r * r * r * r);
   term.weight = theta * aperture * s;
@@ -62,12 +62,12 @@ inline FaceTerm film_term(double t, double aperture, double theta, FaceKind kind
 
 /// Work lists whose items share no node within a list, so that threads add to nodes without locks
 /// and in a fixed order.
-using Colours = std::vector<std::vector<std::int64_t>>;
+using Colors = std::vector<std::vector<std::int64_t>>;
 
 template <typename F>
-void run_colours(const Colours& colours, ThreadPool& pool, F&& f) {
+void run_colors(const Colors& colors, ThreadPool& pool, F&& f) {
   constexpr std::int64_t kChunk = 32;
-  for (const std::vector<std::int64_t>& list : colours) {
+  for (const std::vector<std::int64_t>& list : colors) {
     const std::int64_t size = static_cast<std::int64_t>(list.size());
     pool.run((size + kChunk - 1) / kChunk, [&](std::int64_t task) {
       for (std::int64_t i = task * kChunk; i < std::min(size, (task + 1) * kChunk); ++i)
@@ -98,9 +98,9 @@ class FlowGeometry {
 
   std::int64_t num_active_cells() const { return num_active_cells_; }
   const std::vector<std::int64_t>& cut_cells() const { return cut_cells_; }  // active or not
-  const Colours& cell_colours() const { return cell_colours_; }              // active cells
+  const Colors& cell_colors() const { return cell_colors_; }                 // active cells
   /// Faces with a penalty, by the cell on their lower side, or the only one with fluid.
-  const Colours& penalty_faces(int axis, FaceKind kind) const {
+  const Colors& penalty_faces(int axis, FaceKind kind) const {
     return penalty_faces_[axis][static_cast<int>(kind)];
   }
   /// Share of one cell in the aperture of a face: half, unless the face is the box's.
@@ -132,12 +132,29 @@ class FlowGeometry {
  private:
   static std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
 
+  /// Steps of the constructor, in this order.
+  void classify_cells(const double* phi);               // full, cut or empty
+  void make_cuts(const double* phi, ThreadPool& pool);  // and the fluid fractions of cut cells
+  void color_cells();
+  void color_penalty_faces();
+  void number_nodes();
+  /// f(cell, position), cells ascending.
+  template <typename F>
+  void for_active_cells(F&& f) const {
+    for (std::int64_t cell = 0; cell < grid_.num_cells; ++cell) {
+      if (!active(cell)) continue;
+      std::int64_t at[D];
+      grid_.cell_position(cell, at);
+      f(cell, at);
+    }
+  }
+
   StokesGrid<D> grid_;
   std::vector<double> fraction_;         // (num_cells,)
   std::vector<std::int32_t> cut_index_;  // (num_cells,), -1: not cut
   std::vector<CutCell<D>> cuts_;
   std::vector<std::int64_t> cut_cells_;
-  Colours cell_colours_, penalty_faces_[D][3];
+  Colors cell_colors_, penalty_faces_[D][3];
   std::vector<std::int64_t> active_nodes_, unknown_node_;
   std::int64_t num_active_cells_ = 0;
 };

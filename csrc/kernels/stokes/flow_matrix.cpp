@@ -59,7 +59,7 @@ FlowMatrix<D>::FlowMatrix(const FlowOperator<D>& op, ThreadPool& pool)
       for (int j = 0; j < kPatch; ++j) patch_bit_[axis][i][j] = stencil_bit<D>(patch[i], patch[j]);
   }
 
-  run_colours(geometry.cell_colours(), pool, [&](std::int64_t cell) {
+  run_colors(geometry.cell_colors(), pool, [&](std::int64_t cell) {
     const std::int64_t node = geometry.first_node(cell);
     for (int i = 0; i < kCorners; ++i) {
       NodeStencil& s = stencils_[u(geometry.unknown_node(node + grid.corner_offset[i]))];
@@ -67,7 +67,7 @@ FlowMatrix<D>::FlowMatrix(const FlowOperator<D>& op, ThreadPool& pool)
     }
   });
   for (int axis = 0; axis < D; ++axis)
-    run_colours(geometry.penalty_faces(axis, FaceKind::kInner), pool, [&](std::int64_t cell) {
+    run_colors(geometry.penalty_faces(axis, FaceKind::kInner), pool, [&](std::int64_t cell) {
       const std::int64_t node = geometry.first_node(cell);
       for (int i = 0; i < kPatch; ++i) {
         NodeStencil& s = stencils_[u(geometry.unknown_node(node + patch_offset_[axis][i]))];
@@ -129,7 +129,7 @@ void FlowMatrix<D>::add_cells(double bulk, double* values, ThreadPool& pool) con
   op_.form().matrix({op_.form().basis().weight, nullptr, nullptr},
                     bulk / PressureVolume(1.0, 2 * D, grid.cell_volume, op_.options()).value,
                     full.data());
-  run_colours(geometry.cell_colours(), pool, [&](std::int64_t cell) {
+  run_colors(geometry.cell_colors(), pool, [&](std::int64_t cell) {
     const std::int64_t node = geometry.first_node(cell);
     double cut[n * n];
     const double* A = full.data();
@@ -153,7 +153,7 @@ void FlowMatrix<D>::add_faces(double* values, ThreadPool& pool) const {
   const FlowGeometry<D>& geometry = op_.geometry();
   for (int axis = 0; axis < D; ++axis)
     for (FaceKind kind : kFaceKinds)
-      run_colours(geometry.penalty_faces(axis, kind), pool, [&](std::int64_t cell) {
+      run_colors(geometry.penalty_faces(axis, kind), pool, [&](std::int64_t cell) {
         const std::int64_t node = geometry.first_node(cell);
         const int layers = face_layers(kind);
         FaceTerm terms[2];

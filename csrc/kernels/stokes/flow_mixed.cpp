@@ -10,8 +10,12 @@ namespace {
 
 std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
 
-constexpr double kGamma = 10.0;
-constexpr std::int64_t kChunk = 256;
+// Weight gamma of C' M^-1 C, and its largest share of the bulk modulus, which keeps bulk - gamma
+// positive.
+constexpr double kGamma = 10.0, kLargestGamma = 0.5;
+constexpr std::int64_t kChunk = 256;  // rows of a task
+// Added to Q' L Q, of its diagonal.
+constexpr double kRegular = 1e-6;
 
 template <typename F>
 void for_chunks(std::int64_t n, ThreadPool& pool, F&& f) {
@@ -25,7 +29,7 @@ void for_chunks(std::int64_t n, ThreadPool& pool, F&& f) {
 template <int D>
 FlowMixed<D>::FlowMixed(const FlowOperator<D>& op, const FlowMatrix<D>& matrix,
                         const std::uint8_t* fixed, ThreadPool& pool)
-    : op_(op), gamma_(std::min(kGamma, 0.5 * op.options().bulk)) {
+    : op_(op), gamma_(std::min(kGamma, kLargestGamma * op.options().bulk)) {
   const FlowGeometry<D>& geometry = op.geometry();
   const StokesGrid<D>& grid = geometry.grid();
   velocity_scale_ = grid.h_min * grid.h_min / grid.cell_volume;
@@ -130,10 +134,10 @@ void FlowMixed<D>::set_diagonals(ThreadPool& pool) {
   });
 }
 
-/// Patterns alternate along axes 0 and 1; 0 and 2; 1 and 2; all.
+/// Patterns alternate along axes 0 and 1; 0 and 2; 1 and 2; all. Bit a of kAxes stands for axis a.
 template <int D>
 double FlowMixed<D>::sign(std::int64_t cell, int pattern) const {
-  constexpr int kAxes[4] = {3, 5, 6, 7};
+  constexpr int kAxes[4] = {0b011, 0b101, 0b110, 0b111};
   std::int64_t at[D], sum = 0;
   op_.geometry().grid().cell_position(cells_[u(cell)], at);
   for (int a = 0; a < D; ++a)
@@ -179,7 +183,7 @@ void FlowMixed<D>::set_patterns(ThreadPool& pool) {
     for (int i = 0; i < kCorners; ++i)
       about[u(std::int64_t{cell_nodes_[u(cell * kCorners + i)]} * kCorners + i)] =
           static_cast<std::int32_t>(cell);
-  constexpr int kSlots = D == 2 ? 9 : 27, kBlock = kPatterns * kPatterns;
+  constexpr int kSlots = pow3(D), kBlock = kPatterns * kPatterns;  // neighbors, and itself
   std::vector<double> rows(u(n * kSlots * kBlock), 0.0);
   std::vector<std::int32_t> column(u(n * kSlots), -1);
   const auto slot_of = [&](std::int64_t from, std::int64_t to) {
@@ -227,8 +231,7 @@ void FlowMixed<D>::set_patterns(ThreadPool& pool) {
   std::vector<std::int64_t> indptr(1, 0), indices;
   std::vector<double> values;
   // Where less than 2^D cells of a block are fluid, patterns coincide: Q has no full rank, and only
-  // Q times the solution counts.
-  constexpr double kRegular = 1e-6;
+  // Q times the solution counts. kRegular makes Q' L Q definite.
   for (std::int64_t m = 0; m < n; ++m) {
     for (int slot = 0; slot < kSlots; ++slot) {
       const std::int64_t at = m * kSlots + slot;
@@ -251,7 +254,7 @@ void FlowMixed<D>::set_patterns(ThreadPool& pool) {
 
 template <int D>
 void FlowMixed<D>::add_gradient(double scale, const double* p, double* y, ThreadPool& pool) const {
-  run_colours(op_.geometry().cell_colours(), pool, [&](std::int64_t grid_cell) {
+  run_colors(op_.geometry().cell_colors(), pool, [&](std::int64_t grid_cell) {
     const std::int64_t cell = number_[u(grid_cell)];
     const double* c = divergence(cell);
     const double value = scale * p[cell];

@@ -8,9 +8,13 @@ namespace {
 
 std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
 
-constexpr std::int64_t kCoarsest = 1200;  // nodes that are factorised rather than coarsened
+constexpr std::int64_t kCoarsest = 1200;  // nodes that are factorized rather than coarsened
 constexpr int kMaxLevels = 12;
-constexpr std::int64_t kChunk = 256;
+// Fine nodes for each coarse one, at least: a thin shape gains nothing from fewer.
+constexpr std::size_t kLeastCoarsening = 2;
+constexpr std::int64_t kChunk = 256;  // rows of a task
+// Nodes couple with nodes up to two planes away.
+constexpr std::int64_t kPlaneColors = 3;
 
 template <typename F>
 void for_chunks(std::int64_t n, ThreadPool& pool, F&& f) {
@@ -35,7 +39,7 @@ FlowMultigrid<D>::FlowMultigrid(const NodeMatrix<D>& matrix, const NodePositions
     levels_.emplace_back();
     levels_.back().fixed = std::move(held_fixed);
     NodePositions<D> coarse = coarsen(at, levels_.back());
-    if (2 * coarse.size() > at.size()) {  // thin: nothing to gain
+    if (kLeastCoarsening * coarse.size() > at.size()) {
       held_fixed = std::move(levels_.back().fixed);
       levels_.pop_back();
       break;
@@ -56,7 +60,7 @@ FlowMultigrid<D>::FlowMultigrid(const NodeMatrix<D>& matrix, const NodePositions
             held_fixed[u(i * D + a)] = 1;
           }
   }
-  factorise(*A, at, scale, pool);
+  factorize(*A, at, scale, pool);
 }
 
 template <int D>
@@ -160,8 +164,8 @@ void FlowMultigrid<D>::add_level(const NodeMatrix<D>& A, const NodePositions<D>&
 template <int D>
 NodeMatrix<D> FlowMultigrid<D>::galerkin(const NodeMatrix<D>& A, const NodePositions<D>& coarse,
                                          const Level& level, ThreadPool& pool) const {
-  constexpr int kSlots = pow5(D);
-  constexpr std::int64_t kRows = 64;
+  constexpr int kSlots = pow5(D);     // nodes at most two away along each axis
+  constexpr std::int64_t kRows = 64;  // of a task
   const std::int64_t n = static_cast<std::int64_t>(coarse.size());
   struct Part {
     std::vector<std::int64_t> counts;
@@ -226,7 +230,7 @@ NodeMatrix<D> FlowMultigrid<D>::galerkin(const NodeMatrix<D>& A, const NodePosit
 }
 
 template <int D>
-void FlowMultigrid<D>::factorise(const NodeMatrix<D>& A, const NodePositions<D>& positions,
+void FlowMultigrid<D>::factorize(const NodeMatrix<D>& A, const NodePositions<D>& positions,
                                  double scale, ThreadPool& pool) {
   std::vector<std::int64_t> indices(A.columns.begin(), A.columns.end());
   std::vector<double> coords(positions.size() * 3, 0.0), values(A.values);
@@ -234,7 +238,7 @@ void FlowMultigrid<D>::factorise(const NodeMatrix<D>& A, const NodePositions<D>&
     for (std::size_t a = 0; a < D; ++a) coords[3 * i + a] = positions[i][a];
   for (double& v : values) v *= scale;
   // Coarse functions coincide where all the fine nodes that they reach do, at the fluid's edge:
-  // only what they give together counts.
+  // only what they give together counts. This much on the diagonal makes the matrix definite.
   constexpr double kRegular = 1e-7;
   for (std::int64_t i = 0; i < A.num_nodes(); ++i)
     for (std::int64_t k = A.indptr[u(i)]; k < A.indptr[u(i) + 1]; ++k)
@@ -269,10 +273,11 @@ void FlowMultigrid<D>::sweep(Level& level, bool backward, ThreadPool& pool) cons
     }
     *reinterpret_cast<Lanes*>(x + i * kLanes) += step;
   };
-  for (int turn = 0; turn < 3; ++turn) {
-    const std::int64_t colour = backward ? 2 - turn : turn;
-    pool.run((num_planes - colour + 2) / 3, [&](std::int64_t task) {
-      const std::int64_t p = 3 * task + colour;
+  for (std::int64_t turn = 0; turn < kPlaneColors; ++turn) {
+    const std::int64_t color = backward ? kPlaneColors - 1 - turn : turn;
+    const std::int64_t num_tasks = (num_planes - color + kPlaneColors - 1) / kPlaneColors;
+    pool.run(num_tasks, [&](std::int64_t task) {
+      const std::int64_t p = kPlaneColors * task + color;
       const std::int64_t begin = level.planes[u(p)], end = level.planes[u(p) + 1];
       if (backward)
         for (std::int64_t i = end - 1; i >= begin; --i) update(i);

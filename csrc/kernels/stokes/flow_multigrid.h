@@ -4,8 +4,8 @@
 // Coarse grids have half the cells per axis; a coarse node is active where it carries a share of an
 // active fine node. Multilinear prolongation, Galerkin matrices, one sweep of Gauss-Seidel by nodes
 // before and after the coarse correction, backwards after, so that a cycle is symmetric. Planes of
-// nodes across axis 0 are swept in three colours (a node couples with nodes up to two planes away),
-// so the result does not depend on the number of threads. The coarsest matrix is factorised.
+// nodes across axis 0 are swept in three colors (a node couples with nodes up to two planes away),
+// so the result does not depend on the number of threads. The coarsest matrix is factorized.
 #pragma once
 
 #include <array>
@@ -72,7 +72,7 @@ class FlowMultigrid {
   NodePositions<D> coarsen(const NodePositions<D>& positions, Level& level) const;
   NodeMatrix<D> galerkin(const NodeMatrix<D>& A, const NodePositions<D>& coarse, const Level& level,
                          ThreadPool& pool) const;
-  void factorise(const NodeMatrix<D>& A, const NodePositions<D>& positions, double scale,
+  void factorize(const NodeMatrix<D>& A, const NodePositions<D>& positions, double scale,
                  ThreadPool& pool);
   void cycle(std::size_t l, ThreadPool& pool);
   void sweep(Level& level, bool backward, ThreadPool& pool) const;

@@ -66,7 +66,7 @@ void FlowOperator<D>::residual(const double* v, const FlowData& data, const doub
                                double eta, double* r, ThreadPool& pool) const {
   const StokesGrid<D>& grid = geometry_.grid();
   std::fill(r, r + grid.num_nodes * D, 0.0);
-  run_colours(geometry_.cell_colours(), pool, [&](std::int64_t cell) {
+  run_colors(geometry_.cell_colors(), pool, [&](std::int64_t cell) {
     const std::int64_t node = geometry_.first_node(cell);
     typename Form::Corner ve, ge, fe, re = {};
     gather(v, node, ve);
@@ -110,7 +110,7 @@ void FlowOperator<D>::add_face_residual(const double* v, double eta, double* r,
     int corners[kFace];
     face_corners<D>(axis, corners);
     for (FaceKind kind : kFaceKinds)
-      run_colours(geometry_.penalty_faces(axis, kind), pool, [&](std::int64_t cell) {
+      run_colors(geometry_.penalty_faces(axis, kind), pool, [&](std::int64_t cell) {
         const std::int64_t node = geometry_.first_node(cell);
         FaceTerm terms[2];
         const int count = face_terms(cell, axis, kind, terms);
@@ -155,7 +155,7 @@ void FlowOperator<D>::outflow(const double* v, const double* wall_velocity, doub
                               ThreadPool& pool) const {
   const StokesGrid<D>& grid = geometry_.grid();
   std::fill(C, C + grid.num_cells, 0.0);
-  run_colours(geometry_.cell_colours(), pool, [&](std::int64_t cell) {
+  run_colors(geometry_.cell_colors(), pool, [&](std::int64_t cell) {
     const std::int64_t node = geometry_.first_node(cell);
     const CutCell<D>* cut = geometry_.cut(cell);
     typename Form::Corner ve, ge;
@@ -186,8 +186,8 @@ void FlowOperator<D>::gradient(const double* v, const double* z, const FlowData&
   std::vector<std::int64_t> cut_of(u(grid.num_cells), -1);
   for (std::int64_t i = 0; i < num_cuts; ++i) cut_of[u(cut_cells[u(i)])] = i;
 
-  // Forms of cells. Nodal gradients are added to in colour order.
-  run_colours(geometry_.cell_colours(), pool, [&](std::int64_t cell) {
+  // Forms of cells. Nodal gradients are added to in color order.
+  run_colors(geometry_.cell_colors(), pool, [&](std::int64_t cell) {
     const Cut* cut = geometry_.cut(cell);
     if (!cut && !grad.body_force) return;
     const std::int64_t node = geometry_.first_node(cell);

@@ -1,12 +1,9 @@
 #include "kernels/stokes/flow_system.h"
 
-#include <algorithm>
 #include <chrono>
-#include <cmath>
-#include <stdexcept>
 
 #include "kernels/stokes/flow_mixed.h"
-#include "kernels/stokes/flow_regions.h"
+#include "kernels/stokes/flow_space.h"
 
 namespace diffsim {
 namespace {
@@ -38,21 +35,8 @@ class FlowSystem final : public StokesSystem {
  public:
   FlowSystem(const FlowGeometryInputs& in, const FlowOptions& options, StokesPlan& plan,
              ThreadPool& pool)
-      : start_(seconds()),
-        op_(StokesGrid<D>(in.shape), in.phi, in.open, options, pool),
-        regions_(op_, in.fixed),
-        fixed_(in.fixed, in.fixed + grid().num_nodes * D),
-        memory_(plan.memory()) {
-    if (geometry().active_nodes().empty())
-      throw std::invalid_argument("phi leaves no fluid: it must be > 0 somewhere in the box");
-    for (std::int64_t cell = 0; cell < grid().num_cells; ++cell) {
-      bool rigid = geometry().active(cell);
-      for (std::int64_t offset : grid().corner_offset)
-        for (int a = 0; a < D && rigid; ++a)
-          rigid = fixed_[u((geometry().first_node(cell) + offset) * D + a)] != 0;
-      if (rigid) rigid_cells_.push_back(cell);
-    }
-    const FlowMatrix<D> matrix(op_, pool);
+      : start_(seconds()), space_(in, options, pool), memory_(plan.memory()) {
+    const FlowMatrix<D> matrix(op(), pool);
     report_.geometry_s = seconds() - start_;
     report_.num_cells = geometry().num_active_cells();
     for (std::int64_t cell : geometry().cut_cells())
@@ -62,8 +46,8 @@ class FlowSystem final : public StokesSystem {
     if (report_.iterative)
       prepare_iterative(in, matrix, pool);
     else
-      factorise(in, matrix, plan, pool);
-    regions_.count(report_.num_regions, report_.num_loose_regions, report_.num_loose_cells);
+      factorize(in, matrix, plan, pool);
+    space_.regions().count(report_.num_regions, report_.num_loose_regions, report_.num_loose_cells);
   }
 
   ~FlowSystem() override {
@@ -80,40 +64,42 @@ class FlowSystem final : public StokesSystem {
     std::fill(p, p + cases * M, 0.0);
     for (std::int64_t k = 0; k < cases; ++k) {
       stats[k] = FlowStats();
-      for_active([&](std::int64_t i, std::int64_t) {
-        if (fixed_[u(i)]) v[k * N + i] = in.prescribed[k * N + i];
+      space_.for_active([&](std::int64_t i, std::int64_t) {
+        if (space_.fixed(i)) v[k * N + i] = in.prescribed[k * N + i];
       });
-      stats[k].net_inflow = regions_.net_inflow(op_, v + k * N, data_of(in, k).wall_velocity);
+      stats[k].net_inflow =
+          space_.regions().net_inflow(op(), v + k * N, data_of(in, k).wall_velocity);
     }
     if (mixed_) return solve_mixed(in, v, p, stats, pool);
     // K v = b with the pressure eliminated, -(bulk / M) C(v, g): one correction of the lifted
     // values.
-    const double bulk = op_.options().bulk * in.viscosity;
-    std::vector<double> r(u(N)), C(u(M)), b(num_unknowns() * u(cases)), remainder(u(M * cases));
+    const double bulk = options().bulk * in.viscosity;
+    std::vector<double> r(u(N)), C(u(M)), b(space_.num_unknowns() * u(cases)),
+        remainder(u(M * cases));
     const auto excess = [&](std::int64_t k) {
-      op_.outflow(v + k * N, data_of(in, k).wall_velocity, C.data(), pool);
-      if (op_.options().incompressible) constrain(C.data(), nullptr);
+      op().outflow(v + k * N, data_of(in, k).wall_velocity, C.data(), pool);
+      if (options().incompressible) space_.constrain(C.data(), nullptr);
     };
     for (std::int64_t k = 0; k < cases; ++k) {
       excess(k);
-      add_pressure(-bulk, C.data(), p + k * M);
-      op_.residual(v + k * N, data_of(in, k), p + k * M, in.viscosity, r.data(), pool);
-      gather(r.data(), b.data(), k, cases, -1.0 / in.viscosity);
+      space_.add_pressure(-bulk, C.data(), p + k * M);
+      op().residual(v + k * N, data_of(in, k), p + k * M, in.viscosity, r.data(), pool);
+      space_.gather(r.data(), b.data(), k, cases, -1.0 / in.viscosity);
       std::fill(p + k * M, p + (k + 1) * M, 0.0);
     }
     factor_->solve(b.data(), b.data(), static_cast<int>(cases), workspace_, pool);
     for (std::int64_t k = 0; k < cases; ++k) {
-      scatter_add(b.data(), k, cases, 1.0, v + k * N);
+      space_.scatter_add(b.data(), k, cases, 1.0, v + k * N);
       excess(k);
       stats[k].num_iters = 1.0;
-      stats[k].divergence = divergence(C.data(), v + k * N);
+      stats[k].divergence = space_.divergence(C.data(), v + k * N);
       for (std::int64_t cell = 0; cell < M; ++cell) remainder[u(k * M + cell)] = -C[u(cell)];
     }
-    if (op_.options().incompressible)
+    if (options().incompressible)
       close(in.viscosity, cases, 1.0, v, p, remainder.data(), stats, pool);
     for (std::int64_t k = 0; k < cases; ++k) {
-      add_pressure(bulk, remainder.data() + k * M, p + k * M);
-      if (op_.options().incompressible) regions_.subtract_level(op_, p + k * M);
+      space_.add_pressure(bulk, remainder.data() + k * M, p + k * M);
+      if (options().incompressible) space_.subtract_level(p + k * M);
     }
   }
 
@@ -121,8 +107,8 @@ class FlowSystem final : public StokesSystem {
                const double* grad_p, const double* grad_fraction, const FlowGradients& grad,
                FlowStats* stats, ThreadPool& pool) override {
     const std::int64_t N = grid().num_nodes * D, M = grid().num_cells, cases = in.num_cases;
-    const double bulk = op_.options().bulk * in.viscosity;
-    const bool strict = op_.options().incompressible;
+    const double bulk = options().bulk * in.viscosity;
+    const bool strict = options().incompressible;
     std::vector<double> z(u(N * cases)), pi(u(M * cases)), mu(u(M * cases)), mean(u(M));
     std::vector<double> r(u(N)), C(u(M)), effective(u(M));
     for (std::int64_t k = 0; k < cases; ++k) stats[k] = FlowStats();
@@ -140,74 +126,57 @@ class FlowSystem final : public StokesSystem {
       double* zk = z.data() + k * N;
       const double* pk = pi.data() + k * M;
       if (strict) {  // the dilatation that the boundary values force on closed regions
-        op_.outflow(v + k * N, data.wall_velocity, C.data(), pool);
-        constrain(C.data(), mean.data());
+        op().outflow(v + k * N, data.wall_velocity, C.data(), pool);
+        space_.constrain(C.data(), mean.data());
       }
       const FlowDataGradient out = {at_case(grad.data.wall_velocity, in.wall_stride, k),
                                     at_case(grad.data.body_force, in.force_stride, k),
                                     at_case(grad.data.traction, in.traction_stride, k)};
       // the gradient is that of -[...]: see flow_operator.h
-      op_.gradient(v + k * N, zk, data, p + k * M, pk, inverse_bulk, strict ? mean.data() : nullptr,
-                   strict ? mu.data() + k * M : nullptr, in.viscosity, grad.phi, out, pool);
+      op().gradient(v + k * N, zk, data, p + k * M, pk, inverse_bulk,
+                    strict ? mean.data() : nullptr, strict ? mu.data() + k * M : nullptr,
+                    in.viscosity, grad.phi, out, pool);
       // Prescribed values: dL/dv - e(., z) - C' pi at their components.
       for (std::int64_t cell = 0; cell < M; ++cell) effective[u(cell)] = -pk[cell];
-      op_.residual(zk, FlowData(), effective.data(), in.viscosity, r.data(), pool);
+      op().residual(zk, FlowData(), effective.data(), in.viscosity, r.data(), pool);
       double* prescribed = grad.prescribed + k * N;
       std::fill(prescribed, prescribed + N, 0.0);
-      for_active([&](std::int64_t i, std::int64_t) {
-        if (fixed_[u(i)]) prescribed[i] = grad_v[k * N + i] - r[u(i)];
+      space_.for_active([&](std::int64_t i, std::int64_t) {
+        if (space_.fixed(i)) prescribed[i] = grad_v[k * N + i] - r[u(i)];
       });
       // Viscosity: everything viscous in e is proportional to it, and so is the bulk modulus.
-      op_.residual(v + k * N, {data.wall_velocity, nullptr, nullptr}, nullptr, 1.0, r.data(), pool);
+      op().residual(v + k * N, {data.wall_velocity, nullptr, nullptr}, nullptr, 1.0, r.data(),
+                    pool);
       double sum = 0.0;
-      for_active([&](std::int64_t i, std::int64_t) { sum += r[u(i)] * zk[i]; });
+      space_.for_active([&](std::int64_t i, std::int64_t) { sum += r[u(i)] * zk[i]; });
       for (std::int64_t cell = 0; cell < M && !strict; ++cell)
         if (geometry().active(cell))
           sum -=
-              pk[cell] * p[k * M + cell] * op_.pressure_volume(cell) * inverse_bulk / in.viscosity;
+              pk[cell] * p[k * M + cell] * op().pressure_volume(cell) * inverse_bulk / in.viscosity;
       *grad.viscosity -= sum;
     }
-    op_.fraction_gradient(grad_fraction, grad.phi);
+    op().fraction_gradient(grad_fraction, grad.phi);
   }
 
  private:
-  const FlowGeometry<D>& geometry() const { return op_.geometry(); }
-  const StokesGrid<D>& grid() const { return op_.geometry().grid(); }
-  std::size_t num_unknowns() const { return geometry().active_nodes().size() * D; }
-
-  /// f(component of the grid, component of the matrix)
-  template <typename F>
-  void for_active(F&& f) const {
-    std::int64_t i = 0;
-    for (std::int64_t node : geometry().active_nodes())
-      for (int a = 0; a < D; ++a) f(node * D + a, i++);
-  }
-  void gather(const double* field, double* b, std::int64_t k, std::int64_t cases,
-              double scale) const {
-    for_active([&](std::int64_t i, std::int64_t j) {
-      b[j * cases + k] = fixed_[u(i)] ? 0.0 : scale * field[i];
-    });
-  }
-  void scatter_add(const double* b, std::int64_t k, std::int64_t cases, double scale,
-                   double* field) const {
-    for_active([&](std::int64_t i, std::int64_t j) {
-      if (!fixed_[u(i)]) field[i] += scale * b[j * cases + k];
-    });
-  }
+  const FlowOperator<D>& op() const { return space_.op(); }
+  const FlowOptions& options() const { return space_.options(); }
+  const FlowGeometry<D>& geometry() const { return space_.geometry(); }
+  const StokesGrid<D>& grid() const { return space_.grid(); }
   static FlowData data_of(const FlowInputs& in, std::int64_t k) {
     return {at_case(in.data.wall_velocity, in.wall_stride, k),
             at_case(in.data.body_force, in.force_stride, k),
             at_case(in.data.traction, in.traction_stride, k)};
   }
 
-  void factorise(const FlowGeometryInputs& in, const FlowMatrix<D>& matrix, StokesPlan& plan,
+  void factorize(const FlowGeometryInputs& in, const FlowMatrix<D>& matrix, StokesPlan& plan,
                  ThreadPool& pool) {
     const double start = seconds();
     factor_ = std::make_unique<CholeskyFactor>(matrix.analyze(in.fixed, plan),
                                                FactorPrecision::kFloat64, memory_->take());
     const double analysis_end = seconds();
     {
-      const std::vector<double> values = matrix.assemble(in.fixed, op_.options().bulk, pool);
+      const std::vector<double> values = matrix.assemble(in.fixed, options().bulk, pool);
       report_.assembly_s = seconds() - analysis_end;
       try {
         factor_->refactor(values.data(), pool);
@@ -226,7 +195,7 @@ class FlowSystem final : public StokesSystem {
                          ThreadPool& pool) {
     const double start = seconds();
     try {
-      mixed_ = std::make_unique<FlowMixed<D>>(op_, matrix, in.fixed, pool);
+      mixed_ = std::make_unique<FlowMixed<D>>(op(), matrix, in.fixed, pool);
     } catch (const NotPositiveDefinite& e) {
       throw NotPositiveDefinite(-1, e.pivot);  // an unknown of a coarse grid means nothing outside
     }
@@ -237,16 +206,16 @@ class FlowSystem final : public StokesSystem {
   /// The mixed system from the lifted values in v.
   void solve_mixed(const FlowInputs& in, double* v, double* p, FlowStats* stats, ThreadPool& pool) {
     const std::int64_t N = grid().num_nodes * D, M = grid().num_cells;
-    const bool strict = op_.options().incompressible;
+    const bool strict = options().incompressible;
     std::vector<double> r(u(N)), C(u(M)), step(u(N)), pressure(u(M));
     std::vector<double> remainder(strict ? u(M * in.num_cases) : 0);
     const auto excess = [&](std::int64_t k) {
-      op_.outflow(v + k * N, data_of(in, k).wall_velocity, C.data(), pool);
-      if (strict) constrain(C.data(), nullptr);
+      op().outflow(v + k * N, data_of(in, k).wall_velocity, C.data(), pool);
+      if (strict) space_.constrain(C.data(), nullptr);
     };
     for (std::int64_t k = 0; k < in.num_cases; ++k) {
       excess(k);
-      op_.residual(v + k * N, data_of(in, k), nullptr, in.viscosity, r.data(), pool);
+      op().residual(v + k * N, data_of(in, k), nullptr, in.viscosity, r.data(), pool);
       for (double& value : r) value /= -in.viscosity;
       for (double& value : C) value = -value;
       run_mixed(r.data(), C.data(), step.data(), pressure.data(), stats[k], pool);
@@ -254,19 +223,19 @@ class FlowSystem final : public StokesSystem {
       for (std::int64_t cell = 0; cell < M; ++cell)
         p[k * M + cell] = in.viscosity * pressure[u(cell)];
       excess(k);
-      stats[k].divergence = divergence(C.data(), v + k * N);
+      stats[k].divergence = space_.divergence(C.data(), v + k * N);
       for (std::int64_t cell = 0; cell < M && strict; ++cell)
         remainder[u(k * M + cell)] = -C[u(cell)];
     }
     if (!strict) return;
     close(in.viscosity, in.num_cases, 1.0, v, p, remainder.data(), stats, pool);
-    for (std::int64_t k = 0; k < in.num_cases; ++k) regions_.subtract_level(op_, p + k * M);
+    for (std::int64_t k = 0; k < in.num_cases; ++k) space_.subtract_level(p + k * M);
   }
   /// E z - C' p = dL/dv / eta, C z + p M / bulk = -dL/dp, pi = -eta p.
   void adjoint_mixed(const FlowInputs& in, const double* grad_v, const double* grad_p, double* z,
                      double* pi, double* mu, FlowStats* stats, ThreadPool& pool) {
     const std::int64_t N = grid().num_nodes * D, M = grid().num_cells;
-    const bool strict = op_.options().incompressible;
+    const bool strict = options().incompressible;
     std::vector<double> f(u(N)), C(u(M)), remainder(strict ? u(M * in.num_cases) : 0);
     for (std::int64_t k = 0; k < in.num_cases; ++k) {
       for (std::int64_t i = 0; i < N; ++i) f[u(i)] = grad_v[k * N + i] / in.viscosity;
@@ -275,19 +244,19 @@ class FlowSystem final : public StokesSystem {
       run_mixed(f.data(), C.data(), z + k * N, pi + k * M, stats[k], pool);
       for (std::int64_t cell = 0; cell < M; ++cell) pi[k * M + cell] *= -in.viscosity;
       adjoint_excess(k, z, grad_p, mu, C.data(), pool);
-      stats[k].divergence = divergence(C.data(), z + k * N);
+      stats[k].divergence = space_.divergence(C.data(), z + k * N);
       if (strict) std::copy(C.begin(), C.end(), remainder.begin() + k * M);
     }
     if (!strict) return;
     close(in.viscosity, in.num_cases, -1.0, z, pi, remainder.data(), stats, pool);
     for (std::int64_t k = 0; k < in.num_cases; ++k) {
       adjoint_excess(k, z, grad_p, mu, C.data(), pool);  // mu of the final z
-      regions_.subtract_level(op_, pi + k * M);
+      space_.subtract_level(pi + k * M);
     }
   }
   void run_mixed(const double* f, const double* g, double* v, double* p, FlowStats& stats,
                  ThreadPool& pool) {
-    const FlowOptions& options = op_.options();
+    const FlowOptions& options = space_.options();
     const KrylovResult result = mixed_->solve(f, g, v, p, options.rtol, options.max_iters, pool);
     stats.num_iters = result.num_iters;
     stats.residual = result.residual_norm;
@@ -298,34 +267,34 @@ class FlowSystem final : public StokesSystem {
   void adjoint_excess(std::int64_t k, const double* z, const double* grad_p, double* mu, double* C,
                       ThreadPool& pool) const {
     const std::int64_t N = grid().num_nodes * D, M = grid().num_cells;
-    op_.outflow(z + k * N, nullptr, C, pool);
+    op().outflow(z + k * N, nullptr, C, pool);
     for (std::int64_t cell = 0; cell < M; ++cell)
       if (geometry().active(cell)) C[cell] += grad_p[k * M + cell];
-    if (op_.options().incompressible) constrain(C, mu + k * M);
+    if (options().incompressible) space_.constrain(C, mu + k * M);
   }
   /// @param[out] z, pi, mu zero on entry
   void adjoint_direct(const FlowInputs& in, const double* grad_v, const double* grad_p, double* z,
                       double* pi, double* mu, FlowStats* stats, ThreadPool& pool) {
     const std::int64_t N = grid().num_nodes * D, M = grid().num_cells, cases = in.num_cases;
-    const double bulk = op_.options().bulk * in.viscosity;
-    const bool strict = op_.options().incompressible;
-    std::vector<double> r(u(N)), C(u(M)), effective(u(M)), b(num_unknowns() * u(cases));
+    const double bulk = options().bulk * in.viscosity;
+    const bool strict = options().incompressible;
+    std::vector<double> r(u(N)), C(u(M)), effective(u(M)), b(space_.num_unknowns() * u(cases));
     const auto excess = [&](std::int64_t k) { adjoint_excess(k, z, grad_p, mu, C.data(), pool); };
     for (std::int64_t k = 0; k < cases; ++k) {
       excess(k);
       std::fill(effective.begin(), effective.end(), 0.0);
-      add_pressure(-bulk, C.data(), effective.data());
-      op_.residual(z + k * N, FlowData(), effective.data(), in.viscosity, r.data(), pool);
-      for_active([&](std::int64_t i, std::int64_t) { r[u(i)] -= grad_v[k * N + i]; });
-      gather(r.data(), b.data(), k, cases, -1.0 / in.viscosity);
+      space_.add_pressure(-bulk, C.data(), effective.data());
+      op().residual(z + k * N, FlowData(), effective.data(), in.viscosity, r.data(), pool);
+      space_.for_active([&](std::int64_t i, std::int64_t) { r[u(i)] -= grad_v[k * N + i]; });
+      space_.gather(r.data(), b.data(), k, cases, -1.0 / in.viscosity);
     }
     factor_->solve(b.data(), b.data(), static_cast<int>(cases), workspace_, pool);
     std::vector<double> remainder(u(M * cases));
     for (std::int64_t k = 0; k < cases; ++k) {
-      scatter_add(b.data(), k, cases, 1.0, z + k * N);
+      space_.scatter_add(b.data(), k, cases, 1.0, z + k * N);
       excess(k);
       stats[k].num_iters = 1.0;
-      stats[k].divergence = divergence(C.data(), z + k * N);
+      stats[k].divergence = space_.divergence(C.data(), z + k * N);
       std::copy(C.begin(), C.end(), remainder.begin() + k * M);
     }
     if (strict) {
@@ -333,36 +302,9 @@ class FlowSystem final : public StokesSystem {
       for (std::int64_t k = 0; k < cases; ++k) excess(k);  // mu of the final z
     }
     for (std::int64_t k = 0; k < cases; ++k) {
-      add_pressure(bulk, remainder.data() + k * M, pi + k * M);
-      if (strict) regions_.subtract_level(op_, pi + k * M);
+      space_.add_pressure(bulk, remainder.data() + k * M, pi + k * M);
+      if (strict) space_.subtract_level(pi + k * M);
     }
-  }
-
-  /// Root mean square dilatation, relative to max |v| / (longest side of the box).
-  double divergence(const double* C, const double* v) const {
-    double sum = 0.0, volume = 0.0, largest = 0.0, side = 0.0;
-    for (std::int64_t cell = 0; cell < grid().num_cells; ++cell) {
-      if (!geometry().active(cell)) continue;
-      const double M = op_.pressure_volume(cell);
-      sum += C[cell] * C[cell] / M;
-      volume += M;
-    }
-    for_active([&](std::int64_t i, std::int64_t) { largest = std::max(largest, std::abs(v[i])); });
-    for (int a = 0; a < D; ++a)
-      side = std::max(side, static_cast<double>(grid().cells[a]) * grid().h[a]);
-    return largest > 0.0 ? std::sqrt(sum / volume) * side / largest : 0.0;
-  }
-
-  /// p += scale C / M.
-  void add_pressure(double scale, const double* C, double* p) const {
-    for (std::int64_t cell = 0; cell < grid().num_cells; ++cell)
-      if (geometry().active(cell)) p[cell] += scale * C[cell] / op_.pressure_volume(cell);
-  }
-  /// What of C must vanish where incompressible: not in cells whose velocities are all prescribed,
-  /// and not the mean of regions without an open face, which is returned.
-  void constrain(double* C, double* mean) const {
-    for (std::int64_t cell : rigid_cells_) C[cell] = 0.0;
-    regions_.subtract_mean(op_, C, mean);
   }
 
   /// Drives C of each case to zero: conjugate gradients for C K^-1 C' d = remainder, preconditioned
@@ -372,11 +314,11 @@ class FlowSystem final : public StokesSystem {
   /// @param remainder (cases, num_cells), updated
   void close(double eta, std::int64_t cases, double sign, double* x, double* multiplier,
              double* remainder, FlowStats* stats, ThreadPool& pool) {
-    const FlowOptions& options = op_.options();
+    const FlowOptions& options = space_.options();
     const std::int64_t N = grid().num_nodes * D, M = grid().num_cells;
     const double bulk = options.bulk * eta;
     std::vector<double> d(u(M * cases), 0.0), y(u(M)), rest(u(N), 0.0), r(u(N)), C(u(M));
-    std::vector<double> b(num_unknowns() * u(cases)), ry(u(cases), 0.0), step(u(N));
+    std::vector<double> b(space_.num_unknowns() * u(cases)), ry(u(cases), 0.0), step(u(N));
     std::vector<double> inner_iters(u(cases));
     for (std::int64_t k = 0; k < cases; ++k) inner_iters[u(k)] = stats[k].num_iters;
     const auto dot = [&](const double* a, const double* c) {
@@ -388,13 +330,13 @@ class FlowSystem final : public StokesSystem {
       bool done = true;
       for (std::int64_t k = 0; k < cases; ++k) {
         const double* rk = remainder + k * M;
-        stats[k].divergence = divergence(rk, x + k * N);
+        stats[k].divergence = space_.divergence(rk, x + k * N);
         stats[k].converged = stats[k].divergence <= options.tolerance;
         done = done && stats[k].converged != 0.0;
         std::fill(y.begin(), y.end(), 0.0);
-        add_pressure(bulk, rk, y.data());
-        regions_.subtract_level(op_, y.data());
-        for (std::int64_t cell : rigid_cells_) y[u(cell)] = 0.0;
+        space_.add_pressure(bulk, rk, y.data());
+        space_.subtract_level(y.data());
+        for (std::int64_t cell : space_.rigid_cells()) y[u(cell)] = 0.0;
         const double now = dot(rk, y.data()), beta = ry[u(k)] > 0.0 ? now / ry[u(k)] : 0.0;
         ry[u(k)] = now;
         for (std::int64_t cell = 0; cell < M; ++cell)
@@ -402,23 +344,23 @@ class FlowSystem final : public StokesSystem {
       }
       if (done || iter >= options.max_iters) return;
       for (std::int64_t k = 0; k < cases && factor_; ++k) {
-        op_.residual(rest.data(), FlowData(), d.data() + k * M, eta, r.data(), pool);
-        gather(r.data(), b.data(), k, cases, -1.0 / eta);
+        op().residual(rest.data(), FlowData(), d.data() + k * M, eta, r.data(), pool);
+        space_.gather(r.data(), b.data(), k, cases, -1.0 / eta);
       }
       if (factor_) factor_->solve(b.data(), b.data(), static_cast<int>(cases), workspace_, pool);
       for (std::int64_t k = 0; k < cases; ++k) {
         std::fill(step.begin(), step.end(), 0.0);
         if (factor_) {
-          scatter_add(b.data(), k, cases, 1.0, step.data());
+          space_.scatter_add(b.data(), k, cases, 1.0, step.data());
         } else {  // K v = C' d / eta as E v - C' p = 0, C v + p M / bulk = d M / (bulk eta)
           for (std::int64_t cell = 0; cell < M; ++cell)
-            C[u(cell)] = d[u(k * M + cell)] / bulk * op_.pressure_volume(cell);
+            C[u(cell)] = d[u(k * M + cell)] / bulk * op().pressure_volume(cell);
           const KrylovResult inner = mixed_->solve(rest.data(), C.data(), step.data(), y.data(),
                                                    options.rtol, options.max_iters, pool);
           inner_iters[u(k)] += inner.num_iters;
         }
-        op_.outflow(step.data(), nullptr, C.data(), pool);
-        constrain(C.data(), nullptr);
+        op().outflow(step.data(), nullptr, C.data(), pool);
+        space_.constrain(C.data(), nullptr);
         const double curvature = dot(d.data() + k * M, C.data());
         if (!(curvature > 0.0)) continue;
         const double alpha = ry[u(k)] / curvature;
@@ -433,10 +375,7 @@ class FlowSystem final : public StokesSystem {
   }
 
   double start_;
-  FlowOperator<D> op_;
-  FlowRegions<D> regions_;
-  std::vector<std::uint8_t> fixed_;
-  std::vector<std::int64_t> rigid_cells_;  // active, all velocities prescribed
+  FlowSpace<D> space_;
   std::shared_ptr<StokesMemory> memory_;
   std::unique_ptr<CholeskyFactor> factor_;  // or
   std::unique_ptr<FlowMixed<D>> mixed_;

@@ -1,1 +1,1 @@
-"""Rotor models fitted to bench tables, one YAML file each; `python -m diffsim.copter.fit_rotor`."""
+"""Rotor models fitted to bench tables, one YAML file each; `diffsim fit-rotors`."""

@@ -9,7 +9,6 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from diffsim.copter.attitude import quaternion_from_rpy, rotation_from_quaternion
 from diffsim.copter.flight_state import FlightState
 from diffsim.copter.hover import hover
 from diffsim.copter.hover_result import HoverError, HoverResult, HoverWarning
@@ -19,6 +18,7 @@ from diffsim.copter.pid import PidController, PidGains
 from diffsim.copter.simulator.setpoint import Setpoint
 from diffsim.copter.vehicle import GRAVITY, Multicopter
 from diffsim.core.check import require_number
+from diffsim.core.rotation import matrix_from_quaternion, quaternion_from_rpy
 
 
 class Controller(Protocol):
@@ -91,9 +91,7 @@ class LqrController:
             ahead[:2], slip[:2] = 0.0, 0.0
             lean = lean + x.new_tensor([target.roll, target.pitch])
         far = max(float(ahead.norm()) / self.max_error, 1.0)
-        level = rotation_from_quaternion(
-            quaternion_from_rpy(x[3:6] * x.new_tensor([1.0, 1.0, 0.0]))
-        )
+        level = matrix_from_quaternion(quaternion_from_rpy(x[3:6] * x.new_tensor([1.0, 1.0, 0.0])))
         turn = float(x[5]) - target.yaw
         turn = math.atan2(math.sin(turn), math.cos(turn))
         error = torch.cat(
@@ -165,4 +163,4 @@ def flyable_hover(vehicle: Multicopter) -> HoverResult:
 
 def _about_z(yaw: Tensor) -> Tensor:
     zero = torch.zeros_like(yaw)
-    return rotation_from_quaternion(quaternion_from_rpy(torch.stack([zero, zero, yaw])))
+    return matrix_from_quaternion(quaternion_from_rpy(torch.stack([zero, zero, yaw])))

@@ -60,4 +60,4 @@ def import_study(name: str, data: str | Path | None = None) -> Study:
     return replace(study, metadata={**study.metadata, "setup": folder_name})
 
 
-__all__ = ["IMPORTERS", "import_study"]
+__all__ = ["IMPORTERS", "import_silicone_beam", "import_study"]

@@ -5,7 +5,7 @@
     >>> best = devices.optimize(device)
     >>> flow = device.solve(best.x)
 
-On the command line: ``python -m diffsim.cli.devices amplifier --out runs/amplifier``.
+On the command line: ``diffsim devices amplifier --out runs/amplifier``.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from diffsim.stokes.devices.coarse_to_fine import coarse_to_fine
 from diffsim.stokes.devices.device import Device, Parameter, State
 from diffsim.stokes.devices.funnel import funnel
 from diffsim.stokes.devices.gate import gate
+from diffsim.stokes.devices.losses import area, mean_velocity
 from diffsim.stokes.devices.optimize import optimize
 from diffsim.stokes.devices.optimum import CoarseStage, Optimum
 from diffsim.stokes.devices.switch import switch
@@ -54,11 +55,13 @@ __all__ = [
     "Parameter",
     "State",
     "amplifier",
+    "area",
     "averager",
     "coarse_to_fine",
     "funnel",
     "gate",
     "make",
+    "mean_velocity",
     "optimize",
     "switch",
     "twister",

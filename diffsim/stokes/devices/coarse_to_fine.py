@@ -9,8 +9,8 @@ from torch import Tensor
 
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import to_plain
+from diffsim.optim import Log
 from diffsim.stokes.devices.device import Device
-from diffsim.stokes.devices.log import Log
 from diffsim.stokes.devices.optimize import check_counts, search_settings
 from diffsim.stokes.devices.optimum import CoarseStage, Optimum, as_optimum
 from diffsim.stokes.devices.sampling import Samples, draw, values
@@ -53,8 +53,8 @@ def coarse_to_fine(
         max_evaluations: Largest number of evaluations of loss and gradient.
         max_coarse_evaluations: Largest number of evaluations of each L-BFGS on the coarse grid.
         ftol: Relative decrease of the loss below which L-BFGS stops.
-        path: JSON file of the state; none is kept if None.
-        progress: Show progress bars.
+        path: File of the state (see ``optim.Log``); none is kept if None.
+        progress: Show bars.
 
     Returns:
         ``Optimum``; its ``coarse`` says how the grids compare.

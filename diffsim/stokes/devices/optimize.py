@@ -8,8 +8,8 @@ from typing import Any
 from torch import Tensor
 
 from diffsim.core.files import to_plain
+from diffsim.optim import Log
 from diffsim.stokes.devices.device import Device
-from diffsim.stokes.devices.log import Log
 from diffsim.stokes.devices.optimum import Optimum, as_optimum
 from diffsim.stokes.devices.sampling import draw
 from diffsim.stokes.devices.search import descend
@@ -39,8 +39,8 @@ def optimize(
         max_evaluations: Largest number of evaluations of loss and gradient.
         ftol: Relative decrease of the loss below which L-BFGS stops.
         start: Start L-BFGS here instead (the samples still set the unit of the loss).
-        path: JSON file of the state; none is kept if None.
-        progress: Show progress bars.
+        path: File of the state (see ``optim.Log``); none is kept if None.
+        progress: Show bars.
 
     Returns:
         ``Optimum``.

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 from tqdm import tqdm
 
 from diffsim.core.errors import DiffsimError
+from diffsim.optim import Log, progress_bar, screen
 from diffsim.stokes.devices.device import FAILURES, Device, quiet
-from diffsim.stokes.devices.log import Log
 
 _MAX_REJECTED = 50  # per accepted sample
 
@@ -38,7 +39,7 @@ class Samples:
 def draw(device: Device, log: Log, count: int, seed: int, *, progress: bool) -> Samples:
     """Random designs, those without flow drawn again; the log's are repeated, not their flows."""
     generator = torch.Generator().manual_seed(seed)
-    kept = log["samples"]
+    kept = list(log["samples"])
     for entry in kept:
         for _ in range(entry["rejected"] + 1):
             device.sample(generator)
@@ -52,7 +53,8 @@ def draw(device: Device, log: Log, count: int, seed: int, *, progress: bool) -> 
                 except FAILURES as error:
                     last = error
                     continue
-                log.append("samples", {"x": x.tolist(), "loss": loss, "rejected": rejected})
+                entry = {"x": x.tolist(), "loss": loss, "rejected": rejected}
+                kept.append(log.append("samples", entry))
                 break
             else:
                 raise DiffsimError(
@@ -70,23 +72,19 @@ def draw(device: Device, log: Log, count: int, seed: int, *, progress: bool) -> 
 def values(
     device: Device, log: Log, name: str, designs: Sequence[Tensor], *, progress: bool
 ) -> Tensor:
-    """Losses of given designs, (len(designs),), infinite without flow; kept in the log's list.
+    """Losses of given designs, (len(designs),), infinite without flow; kept in the log's list."""
 
-    The list may hold those of the first designs, or of more; other designs in it are dropped.
-    """
-    kept = log[name]
-    same = 0
-    while same < min(len(kept), len(designs)) and kept[same]["x"] == designs[same].tolist():
-        same += 1
-    if same < len(designs):
-        del kept[same:]
-    rest = designs[len(kept) :]
-    with quiet():
-        for x in tqdm(rest, desc=f"{name}, {device.grid.shape}", disable=not progress):
-            try:
-                loss: float | None = device.value(x)
-            except FAILURES:
-                loss = None
-            log.append(name, {"x": x.tolist(), "loss": loss})
-    losses = [torch.inf if e["loss"] is None else e["loss"] for e in kept[: len(designs)]]
-    return torch.tensor(losses, dtype=torch.float64)
+    def loss(x: np.ndarray) -> float:
+        return device.value(torch.from_numpy(x))
+
+    label = f"{name}, {device.grid.shape}"
+    with quiet(), progress_bar(label, len(designs), show=progress) as bar:
+        found = screen(
+            loss,
+            [x.numpy() for x in designs],
+            log=log,
+            name=name,
+            failures=FAILURES,
+            callback=bar,
+        )
+    return torch.tensor([e.value for e in found], dtype=torch.float64)

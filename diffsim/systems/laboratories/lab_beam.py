@@ -25,9 +25,9 @@ from diffsim.systems.soft_body.unknown import unknown_force
 
 KNOTS_PER_S = 5.0
 # Causes act almost in proportion to their sizes here (docs/measured/lab_beam.md): linear evidence
-# misleads by less than elsewhere, and most sets need no refit.
+# is wrong by less than elsewhere, and most sets need no refit.
 EFFORT = SearchSettings(
-    max_effects=2, num_refits=2, max_rounds=3, rival_nats=4.0, misled=0.02, unknown_steps=2
+    max_effects=2, num_refits=2, max_rounds=3, rival_nats=4.0, linear_error=0.02, unknown_steps=2
 )
 
 

@@ -3,59 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from diffsim.copter import FlightEffects, fly
-from diffsim.copter.attitude import rpy_from_rotation
 from diffsim.copter.fleet import Fleet
 from diffsim.copter.vehicle import GRAVITY
 from diffsim.core.errors import ConvergenceError
+from diffsim.core.rotation import rpy_from_matrix
+from diffsim.systems.multicopter.flight import CopterFlight
+from diffsim.systems.multicopter.motion import Motion, turned_back
 from diffsim.systems.multicopter.shooting import RIGID, flight_state
-
-if TYPE_CHECKING:
-    from diffsim.systems.multicopter.scene import CopterScene
 
 _MAX_PASSES = 40  # over causes that depend on the motion
 _NO_LIMIT_N = 1e6
 _SETTLED = 1e-8  # change of forces from pass to pass [N]
 _MORE_FOR_GRADIENTS = 2  # passes: derivatives settle after the values
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """What a cause may depend on, in the middle of every control step.
-
-    Attributes:
-        vehicle: That flies.
-        position: World frame, (points, num_windows, length, 3) [m].
-        velocity: World frame, of the same shape [m/s].
-        rotation: World from body, (points, num_windows, length, 3, 3).
-        body_rates: (points, num_windows, length, 3) [rad/s].
-    """
-
-    vehicle: Fleet
-    position: Tensor
-    velocity: Tensor
-    rotation: Tensor
-    body_rates: Tensor
-
-    @property
-    def body_velocity(self) -> Tensor:
-        """(points, num_windows, length, 3) [m/s]."""
-        return turned_back(self.rotation, self.velocity)
-
-
-def turned_back(rotation: Tensor, value: Tensor) -> Tensor:
-    """R' v without a product of many small matrices, which is slow."""
-    return (rotation * value[..., None]).sum(-2)
-
-
-def by_rotor(vectors: Tensor, rotors: Tensor) -> Tensor:
-    """Products of vectors (points, windows, length, k) with rows (points, n_rotors, k)."""
-    return vectors @ rotors.mT[:, None]
 
 
 class Flyer:
@@ -73,7 +38,7 @@ class Flyer:
         points: How many its leading axes stand for.
     """
 
-    def __init__(self, scene: CopterScene, points: int):
+    def __init__(self, scene: CopterFlight, points: int):
         self.scene, self.points = scene, points
         # limits hold for commands; what a gain or a cause makes of them may lie beyond
         free = torch.full_like(scene.vehicle.max_thrusts, _NO_LIMIT_N)
@@ -236,7 +201,7 @@ class _Frame:
         return cls(torch.cat([zero, steps.cumsum(-2)], -2), velocity)
 
 
-def _read(scene: CopterScene, record: _Record) -> Tensor:
+def _read(scene: CopterFlight, record: _Record) -> Tensor:
     """What the sensors show, (points, num_windows, length, num_channels)."""
 
     def wide(value: Tensor) -> Tensor:
@@ -260,7 +225,7 @@ def _read(scene: CopterScene, record: _Record) -> Tensor:
 
     channels = {
         "position": scaled(scene.position_scale, seen),
-        "attitude": rpy_from_rotation(rotation) + wide(scene.attitude_offset),
+        "attitude": rpy_from_matrix(rotation) + wide(scene.attitude_offset),
         "body_rates": in_unit(record.body_rates[:, :, 1:]) + wide(scene.body_rates_offset),
         "accelerometer": scaled(scene.accelerometer_scale, in_unit(specific))
         + wide(scene.accelerometer_offset),

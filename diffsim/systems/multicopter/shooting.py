@@ -14,8 +14,8 @@ from scipy.signal import savgol_filter
 from torch import Tensor
 
 from diffsim.copter import FlightState
-from diffsim.copter.attitude import body_rates_from_rpy_rates, quaternion_from_rpy
 from diffsim.core.errors import ConvergenceError
+from diffsim.core.rotation import body_rates_from_rpy_rates, quaternion_from_rpy
 
 RIGID = 12  # entries of the rigid body's state; thrusts held before the record follow
 # What is known of an initial state beyond its first guess: hardly anything.
@@ -138,7 +138,7 @@ class Windows:
 class Shooting:
     """How the best initial states of one run follow from all other parameters.
 
-    Departures d from the guess minimise |W (measured - predicted(d))|^2 + |d / spread|^2, here by
+    Departures d from the guess minimize |W (measured - predicted(d))|^2 + |d / spread|^2, here by
     Gauss-Newton with the tangents of one model: the prediction is the profile over d. Misfit that
     an initial state can explain is no evidence for anything.
 

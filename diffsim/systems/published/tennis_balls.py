@@ -55,15 +55,14 @@ def setup(study: Study, *, max_effects: int = 6) -> DiagnosisSetup:
         "two balls without friction, pinhole camera",
         batched=True,
     )
-    effects = tuple(make() for make in BALL_EFFECTS)
     settings = DiagnosisSettings(search=SearchSettings(max_effects=max_effects))
-    return DiagnosisSetup(model, effects, settings=settings)
+    return DiagnosisSetup(model, BALL_EFFECTS, settings=settings)
 
 
 def soft_model(
     study: Study, *, steps: int = 3, subdivisions: int = 2, radial: bool = False
 ) -> SoftBallModel:
-    """The thesis's balls: soft, on an exact table, pushing each other through their centres.
+    """The thesis's balls: soft, on an exact table, pushing each other through their centers.
 
     Args:
         study: As imported, or read from a video.

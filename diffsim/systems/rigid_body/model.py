@@ -14,11 +14,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.core.rotation import (
+    quaternion_conjugate,
+    quaternion_from_rotation_vector,
+    quaternion_product,
+    rotate_by_quaternion,
+)
 from diffsim.data.importers.cube_toss import CORNERS, TWIST
 from diffsim.data.study import Channel, Run
 from diffsim.identify import Parameter
 from diffsim.identify.model import Numerics, SimModel
-from diffsim.systems.rigid_body import turns
 from diffsim.systems.rigid_body.impact import impulse
 from diffsim.systems.rigid_body.shooting import Shooting
 
@@ -37,7 +42,7 @@ TERMS = {
     "ground_height": 1,
     "ground_slope": 2,
     "half_width": 1,
-    "centre": 3,
+    "center": 3,
     "contact_time": 1,
     "smoothing": 1,
     "restitution_slope": 1,
@@ -113,20 +118,20 @@ class Tosses:
         stretch = 1.0 + get["clock_scale"]
         time = self.time_s * stretch  # (K, R, n)
         x0, turn, v0, rates = start.split(3, -1)
-        q0 = turns.times(self.turn, turns.exponential(turn))
+        q0 = quaternion_product(self.turn, quaternion_from_rotation_vector(turn))
         gravity = get["gravity"] + torch.tensor([0.0, 0.0, -GRAVITY], dtype=torch.float64)
         middle = v0 + 0.5 * gravity * time[..., -1:]
         drag = get["drag"] + get["quadratic_drag"] * middle.norm(dim=-1, keepdim=True)
         spin = get["spin_drag"]
-        arm_body = self.corner * HALF_WIDTH * (1.0 + get["half_width"]) - get["centre"]
+        arm_body = self.corner * HALF_WIDTH * (1.0 + get["half_width"]) - get["center"]
         slope = get["ground_slope"]
 
         def at(t: Tensor) -> tuple[Tensor, Tensor, Tensor]:
             """Gap of the corner, its velocity, and its arm at times (K, R, 1)."""
             x, v = _ballistic(x0, v0, gravity, drag, t)
-            q = turns.times(q0, turns.exponential(rates * _slowed(t, spin)))
-            arm = turns.rotate(q, arm_body)
-            rate = turns.rotate(q, rates * (1.0 - spin * t))
+            q = quaternion_product(q0, quaternion_from_rotation_vector(rates * _slowed(t, spin)))
+            arm = rotate_by_quaternion(q, arm_body)
+            rate = rotate_by_quaternion(q, rates * (1.0 - spin * t))
             place, speed = x + arm, v + torch.linalg.cross(rate, arm)
             level = get["ground_height"] + (place[..., :2] * slope).sum(-1, True)
             return place[..., 2:] - level, speed, arm
@@ -141,8 +146,10 @@ class Tosses:
         slip = speed[..., :2].square().sum(-1).clamp(min=1e-12).sqrt()
         mu = mu * torch.exp(get["friction_slope"][..., 0] * (slip - REFERENCE_SPEED))
         kick = impulse(speed, arm, inertia[..., 0], e, mu, get["rebound"][..., 0])
-        q_hit = turns.times(q0, turns.exponential(rates * _slowed(hit, spin)))
-        twist = turns.rotate(turns.conjugate(q_hit), torch.linalg.cross(arm, kick) / inertia)
+        q_hit = quaternion_product(q0, quaternion_from_rotation_vector(rates * _slowed(hit, spin)))
+        twist = rotate_by_quaternion(
+            quaternion_conjugate(q_hit), torch.linalg.cross(arm, kick) / inertia
+        )
 
         since = _ramp(time - hit, get["contact_time"], get["smoothing"]) * self.hits
         since = since[..., None]
@@ -154,11 +161,13 @@ class Tosses:
         before = (_slowed(hit, spin) * rates)[..., None, :]
         rest = whole - before + twist[..., None, :] * since
         is_after = since > 0.0
-        q = turns.times(q0[..., None, :], turns.exponential(torch.where(is_after, before, whole)))
-        q = turns.times(q, turns.exponential(torch.where(is_after, rest, 0.0)))
+        q = quaternion_product(
+            q0[..., None, :], quaternion_from_rotation_vector(torch.where(is_after, before, whole))
+        )
+        q = quaternion_product(q, quaternion_from_rotation_vector(torch.where(is_after, rest, 0.0)))
         # at rest on a face, wherever that is: the slope of the board is left out
         rest = HALF_WIDTH * (1.0 + get["half_width"]) + get["ground_height"]
-        x = x + turns.rotate(q, get["centre"][..., None, :])
+        x = x + rotate_by_quaternion(q, get["center"][..., None, :])
         scale = 1.0 + get["length_scale"][..., None]
         return torch.cat([scale * x, q, (scale * rest[..., None]).expand_as(q[..., :1])], -1)
 
@@ -232,7 +241,7 @@ class TossModel(SimModel):
     Args:
         runs: Tosses of the study.
         channels: Of the study.
-        at: Restitution and friction where start states are linearised; the prior if None.
+        at: Restitution and friction where start states are linearized; the prior if None.
     """
 
     def __init__(
@@ -255,7 +264,7 @@ class TossModel(SimModel):
         super().__init__(build, base, "tossed cube", batched=True)
 
     def prepared_at(self, q: Tensor) -> SimModel:
-        """Start states linearised at the values of these coordinates."""
+        """Start states linearized at the values of these coordinates."""
         values = {p.name: p.value_at(q[i]) for i, p in enumerate(self.base)}
         return TossModel(self.runs, self.channels, values)
 

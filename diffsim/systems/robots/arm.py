@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from diffsim import mesh, soft
-from diffsim.systems.robots.robot import SoftRobot, element_centres, fibres
+from diffsim.systems.robots.robot import SoftRobot, element_centres, fibers
 
 
 def tendon_arm(
@@ -43,7 +43,7 @@ def tendon_arm(
     for k in range(4):
         for sx, sy in ((1, 1), (-1, 1), (-1, -1), (1, -1)):
             corner = (part == k) & (sx * centre[:, 0] > 0.0) & (sy * centre[:, 1] > 0.0)
-            muscles.append(fibres(corner, (0.0, 0.0, 1.0), 2.0 * youngs_modulus))
+            muscles.append(fibers(corner, (0.0, 0.0, 1.0), 2.0 * youngs_modulus))
             names.append(f"shorten quarter {k} at corner {'-+'[sx > 0]}x{'-+'[sy > 0]}y")
     body = soft.SoftBody(
         shape,

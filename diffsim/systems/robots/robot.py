@@ -121,7 +121,7 @@ def antagonists(pairs: int, amplitude: float) -> Tensor:
     return drive
 
 
-def fibres(where: Tensor, direction: Tensor | Sequence[float], stiffness: float) -> soft.Muscle:
+def fibers(where: Tensor, direction: Tensor | Sequence[float], stiffness: float) -> soft.Muscle:
     """A muscle in the elements of a mask; direction (3,) or one per element of it."""
     return soft.Muscle(
         elements=torch.nonzero(where)[:, 0], direction=direction, stiffness=stiffness

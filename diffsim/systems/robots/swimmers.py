@@ -26,7 +26,7 @@ from diffsim.systems.robots.robot import (
     SoftRobot,
     antagonists,
     element_centres,
-    fibres,
+    fibers,
     spread_nodes,
 )
 
@@ -51,7 +51,7 @@ def starfish(
 ) -> SoftRobot:
     """Four tapering arms that hang down around a square; it should rise.
 
-    The inner part of each arm has a lower and an upper layer of fibres along it, driven by one
+    The inner part of each arm has a lower and an upper layer of fibers along it, driven by one
     command: +1 shortens the lower one, so the arm bends down.
 
     Args:
@@ -85,7 +85,7 @@ def starfish(
         direction[:, axis], direction[:, 2] = sign * torch.cos(slope), -torch.sin(slope)
         for side in (-1.0, 1.0):
             layer = root & (side * centre[:, 2] > 0.25 * thick - 1e-9)
-            muscles.append(fibres(layer, direction[layer], stiffness))
+            muscles.append(fibers(layer, direction[layer], stiffness))
         names.append(f"bend arm {'+-'[sign < 0]}{'xy'[axis]} down")
     return _swimmer(
         "starfish",
@@ -142,7 +142,7 @@ def shark(
 ) -> SoftRobot:
     """A spindle with back, breast and tail fins; it should swim along +x.
 
-    Fibres along the left and the right of the tail are driven by one command.
+    Fibers along the left and the right of the tail are driven by one command.
 
     Args:
         length: From nose to tail [m].
@@ -166,7 +166,7 @@ def shark(
     muscles = []
     for sign in (-1.0, 1.0):  # the grid's second axis is -y
         layer = tail & (sign * side > 0.5)
-        muscles.append(fibres(layer, (1.0, 0.0, 0.0), 2.0 * youngs_modulus))
+        muscles.append(fibers(layer, (1.0, 0.0, 0.0), 2.0 * youngs_modulus))
     added = torch.ones(shape.num_vertices, dtype=torch.float64)
     added[(u[:, 1:].abs() > 1.0).any(1) | (u[:, 0] > 0.86)] = 4.0  # plates: pi w / (4 t)
     return _swimmer(
@@ -247,7 +247,7 @@ def _swimmer(
         density=DENSITY,
         gravity=(0.0, 0.0, 0.0),
         muscles=muscles,
-        added_mass=soft.added_mass(water, added),
+        masses=soft.Masses(added_mass=soft.added_mass(water, added)),
         solver=solver,
     )
     return SoftRobot(

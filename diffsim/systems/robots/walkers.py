@@ -17,7 +17,7 @@ from torch import Tensor
 from diffsim import mesh, soft
 from diffsim.contact import floor
 from diffsim.mesh.voxels import hex_from_mask
-from diffsim.systems.robots.robot import SoftRobot, element_centres, fibres, spread_nodes
+from diffsim.systems.robots.robot import SoftRobot, element_centres, fibers, spread_nodes
 
 DENSITY = 1000.0  # [kg/m^3]
 _SIDES = ("left", "right")
@@ -132,7 +132,7 @@ def torus(
     turn = torch.atan2(centre[:, 0], radius * 1.4 - centre[:, 2])  # from the lowest point to +x
     along = torch.stack([torch.cos(turn), torch.zeros_like(turn), torch.sin(turn)], 1)
     eighth = torch.floor((turn / (2.0 * math.pi)) % 1.0 * 8.0 + 1e-9).long()
-    muscles = [fibres(eighth == k, along[eighth == k], 2.0 * youngs_modulus) for k in range(8)]
+    muscles = [fibers(eighth == k, along[eighth == k], 2.0 * youngs_modulus) for k in range(8)]
     return _walker(
         "torus",
         shape,
@@ -212,7 +212,7 @@ def _legged(
             start = float(centre[of_leg, 0].min()) - 0.5
             for face, place in (("front", lx - 0.5), ("back", 0.5)):
                 layer = of_leg & ((centre[:, 0] - start - place).abs() < 1e-6)
-                muscles.append(fibres(layer, (0.0, 0.0, 1.0), 2.0 * youngs_modulus))
+                muscles.append(fibers(layer, (0.0, 0.0, 1.0), 2.0 * youngs_modulus))
                 names.append(f"shorten {face} of {where} {side} leg")
     drive = -amplitude * torch.eye(8, dtype=torch.float64)
     if not per_muscle:

@@ -104,7 +104,7 @@ class Beam:
             density=bar.density_kg_m3,
             gravity=gravity,
             fixed=self.mesh.nodes_near_plane("x", -bar.length_m),
-            attached_mass=load_kg * edge if is_mass else None,
+            masses=soft.Masses(attached_mass=load_kg * edge if is_mass else None),
             solver=soft.SolverOptions(rtol=setup.rtol),
         )
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 class SoftModel(SimModel):
     """A simulator whose ``build`` makes :class:`SoftScene`; arguments as for ``SimModel``.
 
-    All smooth columns of a linearisation come from one rollout with its tangents. Effects of size
+    All smooth columns of a linearization come from one rollout with its tangents. Effects of size
     zero are left out wherever they are not what is differentiated: at zero they are the scene
     itself.
     """

@@ -227,9 +227,9 @@ class BeamTip:
             poissons_ratio=poissons_ratio,
             density=bar.density_kg_m3,
             gravity=(0.0, 0.0, -bar.gravity_m_s2),
-            rayleigh_beta=1e-3,
+            damping=soft.Damping(rayleigh_beta=1e-3),
             fixed=box.nodes_near_plane("x", -bar.length_m),
-            attached_mass=torch.zeros_like(volume),
+            masses=soft.Masses(attached_mass=torch.zeros_like(volume)),
             solver=soft.SolverOptions(rtol=rtol),
         )
 

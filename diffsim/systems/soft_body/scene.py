@@ -13,13 +13,14 @@ from torch import Tensor
 from diffsim import soft
 from diffsim.core.errors import ConvergenceError
 from diffsim.soft.forces import elastic_gradient
+from diffsim.soft.inputs import check_inputs
 from diffsim.systems.signals import sample, straight
 from diffsim.systems.soft_body.history import History
 
 _AHEAD = {"implicit_euler": 1.0, "bdf2": 1.0, "implicit_midpoint": 0.5, "semi_implicit_euler": 0.0}
 _STATIC_ITERATIONS = 60
 _STATIC_RTOL = 1e-9  # of the largest displacement
-_NO_FIBRES = 1e-12  # share of the fibres' stiffness that is left in the solid's own force
+_NO_FIBERS = 1e-12  # share of the fibers' stiffness that is left in the solid's own force
 
 CommandMap = Callable[[Tensor, float], Tensor]
 OutputMap = Callable[[Tensor, Tensor], Tensor]
@@ -153,14 +154,14 @@ class SoftScene:
         return self.changed(output_maps=(*self.output_maps, change))
 
     def solid_force(self) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
-        """What the solid does without fibres, as a function of x (..., num_vertices, 3) [m].
+        """What the solid does without fibers, as a function of x (..., num_vertices, 3) [m].
 
         It returns the elastic force, shape of x [N], and the mean square strain (...) [-]: that of
         a bar with the same energy, 2 U / (E V), whatever E.
         """
         body = self.body
         values: dict[str, Any] = dict(self.parameters)
-        values["fibre_stiffness"] = _NO_FIBRES * self.parameter("fibre_stiffness")
+        values["fiber_stiffness"] = _NO_FIBERS * self.parameter("fiber_stiffness")
         physics = body.physics(**values)
         # a field of moduli weighs the strain; the energy carries gradients in x alone
         scale = 0.5 * self.parameter("youngs_modulus").detach().mean() * body.nodal_volume.sum()
@@ -286,9 +287,6 @@ class SoftScene:
 def _force_and_strain(
     body: soft.SoftBody, x: Tensor, physics: soft.Physics, scale: Tensor
 ) -> tuple[Tensor, Tensor]:
-    at_rest = (
-        body.muscles.rest_activation.expand(*x.shape[:-2], -1),
-        x.new_zeros(*x.shape[:-2], body.chambers.num_chambers),
-    )
-    gradient, energy = elastic_gradient(body, x, None, *at_rest, physics)
+    loads = check_inputs(body, soft.State(x, torch.zeros_like(x)), physics)[1]
+    gradient, energy = elastic_gradient(body, x, loads)
     return -gradient, energy / scale

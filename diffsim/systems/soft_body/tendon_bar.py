@@ -115,7 +115,7 @@ class TendonBar:
             poissons_ratio=shape.poissons_ratio,
             density=shape.density,
             gravity=(0.0, 0.0, 0.0),
-            rayleigh_beta=1e-3,
+            damping=soft.Damping(rayleigh_beta=1e-3),
             fixed=box.nodes_near_plane("x", 0.0),
             muscles=[t.muscle for t in tendons],
             solver=soft.SolverOptions(rtol=rtol, atol=FORCE_ATOL_N),

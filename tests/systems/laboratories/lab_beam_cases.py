@@ -1,8 +1,9 @@
 """Sealed cases of the beam, chosen: ``python -m tests.systems.laboratories.lab_beam_cases OUT``.
 
-``diffsim diagnose blind --system beam`` draws its cases; here every kind and most causes come up,
-the most telling first. Labels go to ``OUT.vault``, and each diagnosis runs in a process that sees
-its data only. One file per case is kept, the same command goes on; OUT/confusion.md has the tables.
+``python -m benchmarks.blind --system beam`` draws its cases; here every kind and most causes come
+up, the most telling first. Labels go to ``OUT.vault``, and each diagnosis runs in a process that
+sees its data only. One file per case is kept, the same command goes on; OUT/confusion.md has the
+tables.
 """
 
 from __future__ import annotations
@@ -33,17 +34,17 @@ def labels() -> Iterator[Label]:
         plan.append({**label, "seed": 100 + len(plan), **more})
 
     add("null")
-    add("single", "linear_drag")
+    add("single", "volume_drag")
     add("outside", "stop")
     add("single", "lag")
     add("single", "tilt")
     add("decoy", decoys=["spikes"])
     add("single", "temperature_drift")
-    add("pair", "linear_drag", "tip_scale")
+    add("pair", "volume_drag", "tip_scale")
     add("null")
     add("single", "delay")
-    add("single", "backlash")
-    add("single", "quadratic_drag")
+    add("single", "tension_backlash")
+    add("single", "quadratic_volume_drag")
     add("null")
     add("single", "saturation")
     add("single", "sensor_scale")
@@ -51,8 +52,8 @@ def labels() -> Iterator[Label]:
     add("decoy", decoys=["scatter"])
     add("numerical", options={"coarse": dict(bench.coarse)})
     add("single", "lag", options=FINER_STEP)
-    add("single", "linear_drag", options=FINER_STEP)
-    add("single", "dead_band")
+    add("single", "volume_drag", options=FINER_STEP)
+    add("single", "tension_dead_band")
     add("single", "added_mass", times=2.0)
     add("outside", "knock")
     add("single", "loss_factor")
@@ -61,14 +62,14 @@ def labels() -> Iterator[Label]:
     add("single", "dry_friction")
     add("single", "stiffening")
     add("single", "tip_scale")
-    add("single", "linear_drag", times=0.4)
+    add("single", "volume_drag", times=0.4)
     add("single", "tilt", times=0.5)
     add("decoy", decoys=["coloured_noise"])
     add("decoy", decoys=["heavy_tails"])
     add("decoy", decoys=["far_prior"])
     add("pair", "lag", "tilt")
     add("single", "stiffness_damping")
-    add("single", "quantisation")
+    add("single", "quantization")
     add("outside", "current")
     add("single", "lag", options=FINER_MESH)
     yield from plan

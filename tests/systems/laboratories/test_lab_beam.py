@@ -20,7 +20,7 @@ from tests.systems.laboratories.lab_beam_cases import labels
 
 STILL = {"marker_place_m": np.zeros(2), "zero_seed": 0}
 ORDER = 3  # of the run, for what drifts
-OUT = {"stiffness_damping", "quantisation"}  # a base parameter; no term in the library
+OUT = {"stiffness_damping", "quantization"}  # a base parameter; no term in the library
 SAME = sorted(n for n, e in SoftBeamLab.effects.items() if not e.outside and n not in OUT)
 # Rms of what is left at the true size over that of the change: stiffening by the body's mean strain
 # instead of each place's, and friction that creeps where the laboratory's sticks, are other forms.
@@ -125,7 +125,7 @@ def test_few_runs_and_causes_end_to_end(lab):
     kept = [r for r in study.runs if r.name in ("release_a", "chirp_a", "two_tones")]
     study = replace(study, runs=tuple(first_second(r) for r in kept))
     s = setup_of(study)
-    chosen = [e for e in s.effects if e.name in ("lag", "linear_drag", "tip_scale")]
+    chosen = [e for e in s.effects if e.name in ("lag", "volume_drag", "tip_scale")]
     report = diagnose(study, s.model, chosen, seed=0, settings=s.settings)
     assert report.verdict == "named" and report.named == ("lag",)
     (row,) = (r for r in report.table if r.effect == "lag")

@@ -1,0 +1,1 @@
+"""Blind diagnosis: effects hidden in virtual laboratories, diagnosed unseen, and counted."""

@@ -1,0 +1,63 @@
+#include "kernels/soft/contact/contact_direction.h"
+
+namespace diffsim {
+namespace {
+
+// Directions on changed statuses, where friction pushes nodes backwards.
+constexpr int kMaxReversals = 5;
+// Largest residual of the linear system, of its right-hand side, however little would be enough.
+constexpr double kLargestResidual = 0.5;
+// Of one linear solve. What needs more gets a factor of the tangent, where the method allows one.
+constexpr std::size_t kMaxKrylovIterations = 2000;
+
+/// q of ContactSolve::solve; a tangent that is not positive definite is clamped, one on which
+/// iterations do not converge is factorized where the method allows it.
+/// @return whether H is clamped now
+bool solve_linear(ContactProblem& p, const Vector& x, const Vector& rhs, double tolerance,
+                  bool is_clamped, Vector& q) {
+  const int limit =
+      static_cast<int>(std::min<std::size_t>(p.objective.size(), kMaxKrylovIterations));
+  KrylovResult result = p.solve.solve(rhs, tolerance, limit, q);
+  if (result.negative_curvature && !is_clamped) {
+    is_clamped = true;
+    p.objective.assemble(x, true);
+    p.solve.matrix_changed();
+    result = p.solve.solve(rhs, tolerance, limit, q);
+  }
+  if (!result.converged && p.options.method == StepMethod::kAuto) {
+    p.solve.use_tangent();
+    p.solve.statuses_changed();
+    p.solve.solve(rhs, tolerance, limit, q);
+  }
+  return is_clamped;
+}
+
+/// The direction on the statuses as they are.
+void solve_on_statuses(ContactProblem& p, const ContactIterate& at,
+                       const DirectionAccuracy& accuracy, ContactDirection& d) {
+  Vector rhs;
+  p.space.correction(at.x, d.onto);
+  p.objective.multiply(d.onto, rhs);
+  for (std::size_t i = 0; i < rhs.size(); ++i) rhs[i] = -(rhs[i] + at.gradient[i]);
+  p.space.reduce(rhs);
+  d.rhs_norm = p.objective.ops().norm(rhs);
+  const double enough = std::min(kLargestResidual * d.rhs_norm, accuracy.enough);
+  d.is_clamped = solve_linear(p, at.x, rhs, std::max(accuracy.forcing * d.rhs_norm, enough),
+                              d.is_clamped, d.within);
+}
+
+}  // namespace
+
+ContactDirection contact_direction(ContactProblem& problem, const ContactIterate& at,
+                                   const DirectionAccuracy& accuracy, bool is_clamped) {
+  ContactDirection d{{}, {}, 0.0, false, is_clamped};
+  for (int trial = 0; trial < kMaxReversals; ++trial) {
+    solve_on_statuses(problem, at, accuracy, d);
+    if (!problem.statuses.stop_reversed(at.x, d.within)) break;
+    problem.solve.statuses_changed();
+  }
+  d.is_corrected = std::any_of(d.onto.begin(), d.onto.end(), [](double v) { return v != 0.0; });
+  return d;
+}
+
+}  // namespace diffsim

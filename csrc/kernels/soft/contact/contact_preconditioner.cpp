@@ -1,0 +1,240 @@
+#include "kernels/soft/contact/contact_preconditioner.h"
+
+#include <limits>
+
+namespace diffsim {
+namespace {
+
+std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
+
+// Columns of A^-1 above this are not worth their memory.
+constexpr double kMaxColumnBytes = 1.5e9;
+// Contact sets that a step meets on average before its own is found.
+constexpr double kSetsPerStep = 2.0;
+// Rows that a slipping contact takes on average: its normal, and half the time across the slip.
+constexpr double kRowsOfSlip = 1.5;
+// Friction's resistance to a change of the slip's direction counts from here on, of the node's
+// diagonal entry of A.
+constexpr double kLeastSlipStiffness = 0.1;
+// Normals lie along an axis up to rounding.
+constexpr double kAligned = 1.0 - 1e-14;
+// A solve streams the factor forwards and backwards.
+constexpr double kFactorStreams = 2.0;
+
+/// Axis that a unit vector lies along, or -1.
+int aligned_axis(const double* n) {
+  for (int a = 0; a < 3; ++a)
+    if (std::abs(n[a]) > kAligned) return a;
+  return -1;
+}
+
+}  // namespace
+
+void ContactPreconditioner::make_rows() {
+  active_.clear();
+  active_contact_.clear();
+  groups_.clear();
+  bool aligned = true, all_stick = true;
+  for (std::size_t k = 0; k < space_.size(); ++k) {
+    if (space_.status[k] == ContactStatus::kSeparate) continue;
+    active_.push_back(space_.inputs().node[k]);
+    active_contact_.push_back(k);
+    if (space_.status[k] == ContactStatus::kStick) continue;
+    all_stick = false;
+    aligned = aligned && aligned_axis(space_.normal(k)) >= 0 && space_.slip_stiffness[k] == 0.0;
+  }
+  if (active_.empty()) return;
+  groups_.resize(aligned && !all_stick ? 3 : 1);
+  if (all_stick && system_.num_factors() == 1) groups_[0].axes = 3;
+  if (all_stick && system_.num_factors() > 1) groups_.resize(3);
+  for (std::size_t i = 0; i < active_.size(); ++i) {
+    const std::size_t k = active_contact_[i];
+    const double* n = space_.normal(k);
+    if (space_.status[k] == ContactStatus::kStick) {
+      for (int a = 0; a < (groups_[0].axes == 3 ? 1 : 3); ++a) {
+        Row row{i, {0.0, 0.0, 0.0}, 0.0};
+        row.direction[a] = 1.0;
+        groups_[groups_.size() == 3 ? at(a) : 0].rows.push_back(row);
+      }
+      continue;
+    }
+    const std::size_t group = groups_.size() == 3 ? at(aligned_axis(n)) : 0;
+    groups_[group].rows.push_back({i, {n[0], n[1], n[2]}, 0.0});
+    const double stiffness = space_.slip_stiffness[k];
+    if (stiffness > kLeastSlipStiffness * system_.diagonal()[active_[i]]) {
+      const double* t = space_.direction.data() + 3 * k;
+      groups_[group].rows.push_back(
+          {i,
+           {n[1] * t[2] - n[2] * t[1], n[2] * t[0] - n[0] * t[2], n[0] * t[1] - n[1] * t[0]},
+           1.0 / stiffness});
+    }
+  }
+}
+
+double ContactPreconditioner::inverse_entry(std::size_t i, std::size_t j, int axis) const {
+  return columns_->column(active_[i], axis)[active_[j]];
+}
+
+void ContactPreconditioner::factorize_group(Group& group) {
+  const Eigen::Index size = static_cast<Eigen::Index>(group.rows.size());
+  Eigen::MatrixXd S(size, size);
+  pool_.run(size, [&](std::int64_t j) {
+    const Row& b = group.rows[at(j)];
+    for (Eigen::Index i = j; i < size; ++i) {
+      const Row& a = group.rows[at(i)];
+      double total = 0.0;
+      for (int axis = 0; axis < 3; ++axis) {
+        const double both = a.direction[axis] * b.direction[axis];
+        if (both != 0.0) total += both * inverse_entry(b.active, a.active, axis);
+      }
+      S(i, j) = total + (i == j ? a.compliance : 0.0);
+    }
+  });
+  group.factor.compute(S);
+}
+
+void ContactPreconditioner::prepare_constant() {
+  on_tangent_ = false;
+  make_rows();
+  if (active_.empty()) return;
+  columns_ = &system_.inverse_columns();
+  if (!cache_columns_) {
+    own_columns_ = std::make_unique<InverseColumns>(system_);
+    columns_ = own_columns_.get();
+  }
+  columns_->require(active_, pool_);
+  for (Group& group : groups_)
+    if (!group.rows.empty()) factorize_group(group);
+}
+
+bool ContactPreconditioner::prepare_tangent() {
+  const SoftModel& model = system_.model();
+  std::vector<double> projector(9 * at(model.num_nodes), 0.0);
+  for (std::size_t i = 0; i < at(model.num_nodes); ++i)
+    for (int a = 0; a < 3; ++a) projector[9 * i + 4 * at(a)] = 1.0;
+  for (std::size_t k = 0; k < space_.size(); ++k) {
+    if (space_.status[k] == ContactStatus::kSeparate) continue;
+    double* P = projector.data() + 9 * space_.node(k);
+    const double* n = space_.normal(k);
+    for (int i = 0; i < 9; ++i)
+      P[i] = space_.status[k] == ContactStatus::kStick ? 0.0 : (i % 4 == 0) - n[i / 3] * n[i % 3];
+    const double* t = space_.direction.data() + 3 * k;
+    for (int i = 0; space_.on_rail(k) && i < 9; ++i) P[i] = t[i / 3] * t[i % 3];
+  }
+  std::vector<double> sliding(at(model.num_nodes), 0.0);
+  std::vector<const double*> slide_direction(at(model.num_nodes), nullptr);
+  for (std::size_t k = 0; k < space_.size(); ++k)
+    if (space_.status[k] == ContactStatus::kSlip && !space_.on_rail(k)) {
+      sliding[space_.node(k)] = space_.slip_stiffness[k];
+      slide_direction[space_.node(k)] = space_.direction.data() + 3 * k;
+    }
+  const auto edit = [&](double* blocks) {
+    using Block = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+    constexpr std::int64_t kRows = 64;  // of a task
+    pool_.run((model.num_nodes + kRows - 1) / kRows, [&](std::int64_t task) {
+      const std::int64_t end = std::min(model.num_nodes, kRows * (task + 1));
+      for (std::int64_t row = kRows * task; row < end; ++row) {
+        const Eigen::Map<const Block> P(projector.data() + 9 * at(row));
+        for (std::int64_t e = model.row_start[at(row)]; e < model.row_start[at(row + 1)]; ++e) {
+          const std::int64_t col = model.column[at(e)];
+          Eigen::Map<Block> B(blocks + 9 * e);
+          const double diagonal = B.diagonal().cwiseAbs().maxCoeff();
+          const Block projected = P * B * Eigen::Map<const Block>(projector.data() + 9 * at(col));
+          B = projected;
+          if (row != col) continue;
+          const Block identity = Block::Identity();
+          B += diagonal * (identity - P);
+          if (sliding[at(row)] > 0.0) {
+            const Eigen::Map<const Eigen::Vector3d> t(slide_direction[at(row)]);
+            B += sliding[at(row)] * (P - t * t.transpose());
+          }
+        }
+      }
+    });
+  };
+  on_tangent_ = problem_.factorize(edit);
+  return on_tangent_;
+}
+
+void ContactPreconditioner::subtract_columns(Vector& z) const {
+  constexpr std::int64_t kTile = 512;
+  const std::int64_t n = system_.model().num_nodes;
+  pool_.run((n + kTile - 1) / kTile, [&](std::int64_t task) {
+    const std::int64_t first = task * kTile, last = std::min(n, first + kTile);
+    for (std::size_t i = 0; i < active_.size(); ++i) {
+      const double* f = multiplier_.data() + 3 * i;
+      const double* column[3];
+      for (int a = 0; a < 3; ++a) column[a] = columns_->column(active_[i], a);
+      for (std::int64_t j = first; j < last; ++j)
+        for (int a = 0; a < 3; ++a) z[at(3 * j + a)] -= column[a][j] * f[a];
+    }
+  });
+}
+
+void ContactPreconditioner::apply(const Vector& r, Vector& z) {
+  if (on_tangent_) {
+    problem_.solve_factorized(r, z);
+    space_.project(z);
+    return;
+  }
+  problem_.solve_constant(r, z);
+  if (active_.empty()) return;
+  multiplier_.assign(3 * active_.size(), 0.0);
+  for (Group& group : groups_) {
+    const Eigen::Index size = static_cast<Eigen::Index>(group.rows.size());
+    if (size == 0) continue;
+    Eigen::MatrixXd l(size, group.axes);
+    for (Eigen::Index j = 0; j < size; ++j) {
+      const Row& row = group.rows[at(j)];
+      const double* at_node = z.data() + 3 * at(active_[row.active]);
+      if (group.axes == 3)
+        for (int a = 0; a < 3; ++a) l(j, a) = at_node[a];
+      else
+        l(j, 0) = row.direction[0] * at_node[0] + row.direction[1] * at_node[1] +
+                  row.direction[2] * at_node[2];
+    }
+    group.factor.solveInPlace(l);
+    for (Eigen::Index j = 0; j < size; ++j) {
+      const Row& row = group.rows[at(j)];
+      for (std::size_t a = 0; a < 3; ++a)
+        multiplier_[3 * row.active + a] +=
+            group.axes == 3 ? l(j, static_cast<Eigen::Index>(a)) : l(j, 0) * row.direction[a];
+    }
+  }
+  const double by_columns =
+      8.0 * static_cast<double>(system_.model().num_nodes) * static_cast<double>(active_.size());
+  if (by_columns < kFactorStreams * static_cast<double>(system_.factor_bytes())) {
+    subtract_columns(z);
+  } else {
+    second_ = r;
+    for (std::size_t i = 0; i < active_.size(); ++i)
+      for (std::size_t a = 0; a < 3; ++a) second_[3 * at(active_[i]) + a] -= multiplier_[3 * i + a];
+    problem_.solve_constant(second_, z);
+  }
+  space_.project(z);  // rounding
+}
+
+double ContactPreconditioner::constant_cost(double iterations) const {
+  double active = 0.0, rows = 0.0;
+  bool coupled = false;
+  for (std::size_t k = 0; k < space_.size(); ++k) {
+    if (space_.status[k] == ContactStatus::kSeparate) continue;
+    active += 1.0;
+    rows += space_.status[k] == ContactStatus::kStick ? 3.0 : kRowsOfSlip;
+    coupled = coupled || space_.status[k] == ContactStatus::kSlip;
+  }
+  const double column_bytes = 8.0 * static_cast<double>(system_.model().num_nodes) * active;
+  if (column_bytes > kMaxColumnBytes) return std::numeric_limits<double>::infinity();
+  const double size = coupled ? rows : active;
+  const double build = flop_cost(size * size * size / 3.0);
+  const double apply = flop_cost(2.0 * size * size * (coupled ? 1.0 : 3.0)) +
+                       std::min(streaming_cost(column_bytes), system_.plan().constant_cost);
+  return kSetsPerStep * build + iterations * (system_.plan().constant_cost + apply);
+}
+
+double ContactPreconditioner::tangent_cost() const {
+  return kSetsPerStep * system_.plan().factorize_cost +
+         kTangentIterations * system_.plan().tangent_cost;
+}
+
+}  // namespace diffsim

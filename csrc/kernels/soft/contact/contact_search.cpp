@@ -1,0 +1,83 @@
+#include "kernels/soft/contact/contact_search.h"
+
+#include "kernels/soft/contact/contact_merit.h"
+#include "kernels/soft/descent.h"
+
+namespace diffsim {
+namespace {
+
+// A whole step that cuts the residual to this is taken without a look at the point on the
+// constraints that it starts from: an evaluation less in most steps.
+constexpr double kWholeStepResidual = 0.3;
+// Shortest step, of the direction: the thirtieth trial.
+constexpr double kLeastStep = 1e-9;
+
+/// Takes the whole step, onto the constraints and along the direction, if it cuts the residual.
+bool take_whole_step(ContactProblem& p, const ContactDirection& d, const Vector& start,
+                     ContactIterate& at) {
+  at.move(p.objective, start, 1.0, d.within);
+  return std::isfinite(at.value) && p.reduced_norm(at.gradient) <= kWholeStepResidual * d.rhs_norm;
+}
+
+/// Halves the step until the merit falls; false where none does.
+/// @param start  on the constraints
+bool backtrack(ContactProblem& p, const ContactDirection& d, const Vector& limits,
+               const Vector& start, double slope, ContactIterate& at) {
+  const double before = merit(p.space, limits, start, at.value);
+  const double rounding = kEnergyRounding * p.objective.magnitude();
+  for (double step = 1.0; step > kLeastStep; step *= 0.5) {
+    at.move(p.objective, start, step, d.within);
+    const double after = merit(p.space, limits, at.x, at.value);
+    if (!std::isfinite(after)) continue;
+    if (after <= before + kArmijo * step * std::min(slope, 0.0) + rounding) return true;
+    if (after <= before + kFlatEnergy * p.objective.magnitude() &&
+        std::abs(merit_slope(p.objective, p.space, limits, at.gradient, d.within)) <=
+            kWolfe * std::abs(slope))
+      return true;
+  }
+  return false;
+}
+
+/// Where nothing descends the statuses are not those of an answer. A whole step on a clamped H
+/// changes them; without one, the next iteration clamps.
+void move_anyway(ContactProblem& p, const ContactDirection& d, const Vector& start,
+                 ContactIterate& at) {
+  at.x = start;
+  if (d.is_clamped) p.objective.ops().add(1.0, d.within, at.x);
+  at.evaluate(p.objective);
+  if (std::isfinite(at.value)) return;
+  at.x = start;
+  at.evaluate(p.objective);
+}
+
+}  // namespace
+
+SearchResult search_along(ContactProblem& problem, const ContactDirection& direction, bool is_loose,
+                          ContactIterate& at) {
+  const ContactDirection& d = direction;
+  StepProblem& objective = problem.objective;
+  const bool slides = problem.space.any_sliding_friction();
+  Vector limits(problem.space.size(), 0.0);
+  if (slides) {
+    Vector step = d.onto;
+    objective.ops().add(1.0, d.within, step);
+    limits = friction_limits(objective, problem.space, at.gradient, step);
+  }
+  Vector start = at.x;
+  if (d.is_corrected) {
+    objective.ops().add(1.0, d.onto, start);
+    if (!d.is_clamped && !slides && take_whole_step(problem, d, start, at))
+      return SearchResult::kDescended;
+    at.value = objective.value_gradient(start, at.gradient);
+  }
+  const double slope = merit_slope(objective, problem.space, limits, at.gradient, d.within);
+  if (slope > 0.0 && is_loose && slides) {
+    if (d.is_corrected) at.evaluate(objective);
+    return SearchResult::kAscends;
+  }
+  if (backtrack(problem, d, limits, start, slope, at)) return SearchResult::kDescended;
+  move_anyway(problem, d, start, at);
+  return SearchResult::kFailed;
+}
+
+}  // namespace diffsim

@@ -1,0 +1,122 @@
+#include "kernels/soft/contact/contact_space.h"
+
+#include <limits>
+
+namespace diffsim {
+namespace {
+
+// Roundings of its largest coordinate that leave a node's position undetermined.
+constexpr double kRoundings = 4.0;
+
+double dot3(const double* a, const double* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+/// v <- (I - n n^T) v.
+void tangential(const double* n, double* v) {
+  const double along = dot3(n, v);
+  for (int i = 0; i < 3; ++i) v[i] -= along * n[i];
+}
+
+/// v <- t t^T v.
+void along_direction(const double* t, double* v) {
+  const double along = dot3(t, v);
+  for (int i = 0; i < 3; ++i) v[i] = along * t[i];
+}
+
+}  // namespace
+
+double ContactSpace::gap(std::size_t k, const Vector& x) const {
+  double total = -in_.offset[k];
+  for (std::size_t i = 0; i < 3; ++i)
+    total += normal(k)[i] * (x[3 * node(k) + i] - in_.reference[3 * k + i]);
+  return total;
+}
+
+double ContactSpace::slip(std::size_t k, const Vector& x, double u[3]) const {
+  for (std::size_t i = 0; i < 3; ++i) u[i] = x[3 * node(k) + i] - in_.reference[3 * k + i];
+  tangential(normal(k), u);
+  return std::sqrt(dot3(u, u));
+}
+
+double ContactSpace::rounding(std::size_t k, const Vector& x) const {
+  double largest = 0.0;
+  for (std::size_t i = 0; i < 3; ++i) largest = std::max(largest, std::abs(x[3 * node(k) + i]));
+  return kRoundings * std::numeric_limits<double>::epsilon() * largest;
+}
+
+double ContactSpace::normal_part(std::size_t k, const Vector& r) const {
+  return dot3(normal(k), r.data() + 3 * node(k));
+}
+
+bool ContactSpace::any_slip() const {
+  return std::find(status.begin(), status.end(), ContactStatus::kSlip) != status.end();
+}
+
+bool ContactSpace::any_sliding_friction() const {
+  for (std::size_t k = 0; k < size(); ++k)
+    if (status[k] == ContactStatus::kSlip && in_.friction[k] > 0.0) return true;
+  return false;
+}
+
+bool ContactSpace::on_rail(std::size_t k) const {
+  return status[k] == ContactStatus::kSlip && std::isinf(slip_stiffness[k]);
+}
+
+void ContactSpace::project(Vector& v) const {
+  for (std::size_t k = 0; k < size(); ++k) {
+    double* at = v.data() + 3 * node(k);
+    if (status[k] == ContactStatus::kStick)
+      std::fill(at, at + 3, 0.0);
+    else if (on_rail(k))
+      along_direction(direction.data() + 3 * k, at);
+    else if (status[k] == ContactStatus::kSlip)
+      tangential(normal(k), at);
+  }
+}
+
+void ContactSpace::reduce(Vector& r) const {
+  for (std::size_t k = 0; k < size(); ++k) {
+    double* at = r.data() + 3 * node(k);
+    if (status[k] == ContactStatus::kStick) {
+      std::fill(at, at + 3, 0.0);
+    } else if (status[k] == ContactStatus::kSlip) {
+      const double friction = in_.friction[k] * dot3(normal(k), at);
+      tangential(normal(k), at);
+      if (on_rail(k)) along_direction(direction.data() + 3 * k, at);
+      for (std::size_t i = 0; i < 3; ++i) at[i] += friction * direction[3 * k + i];
+    }
+  }
+}
+
+void ContactSpace::expand(Vector& p) const {
+  for (std::size_t k = 0; k < size(); ++k) {
+    if (status[k] != ContactStatus::kSlip) continue;
+    double* at = p.data() + 3 * node(k);
+    const double along = in_.friction[k] * dot3(direction.data() + 3 * k, at);
+    for (int i = 0; i < 3; ++i) at[i] += along * normal(k)[i];
+  }
+}
+
+void ContactSpace::add_slip_stiffness(const Vector& v, Vector& out) const {
+  for (std::size_t k = 0; k < size(); ++k) {
+    if (status[k] != ContactStatus::kSlip || slip_stiffness[k] == 0.0 || on_rail(k)) continue;
+    const double* t = direction.data() + 3 * k;
+    double across[3];
+    std::copy_n(v.data() + 3 * node(k), 3, across);
+    tangential(normal(k), across);
+    tangential(t, across);
+    for (std::size_t i = 0; i < 3; ++i) out[3 * node(k) + i] += slip_stiffness[k] * across[i];
+  }
+}
+
+void ContactSpace::correction(const Vector& x, Vector& dx) const {
+  dx.assign(x.size(), 0.0);
+  for (std::size_t k = 0; k < size(); ++k) {
+    if (status[k] == ContactStatus::kSeparate) continue;
+    const double depth = -gap(k, x);
+    double u[3] = {0.0, 0.0, 0.0};
+    if (status[k] == ContactStatus::kStick) slip(k, x, u);
+    for (std::size_t i = 0; i < 3; ++i) dx[3 * node(k) + i] = depth * normal(k)[i] - u[i];
+  }
+}
+
+}  // namespace diffsim

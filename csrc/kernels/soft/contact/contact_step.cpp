@@ -1,0 +1,146 @@
+#include "kernels/soft/contact/contact_step.h"
+
+#include <limits>
+
+#include "kernels/soft/contact/contact_direction.h"
+#include "kernels/soft/contact/contact_relaxation.h"
+#include "kernels/soft/contact/contact_search.h"
+#include "kernels/soft/contact/contact_start.h"
+#include "kernels/soft/descent.h"
+
+namespace diffsim {
+namespace {
+
+// Residual of the linear system that is enough, of the step's tolerance.
+constexpr double kEnoughOfTolerance = 0.3;
+// A direction solved to its digits. GMRES, unlike conjugate gradients, may stop at one that leads
+// up: on a stiff body a small residual leaves rigid motion open. At this accuracy it leads down.
+constexpr double kTightForcing = 1e-9;
+// Iterations in a row after which rounding decides, where no direction descends; where they do,
+// kMaxStalled. The residual progresses where it falls below this of its least.
+constexpr int kMaxFailed = 5;
+constexpr double kProgress = 0.99;
+
+/// How long the iteration has made no progress.
+struct Stall {
+  int count = 0;
+  double least_norm = std::numeric_limits<double>::infinity();  // of the residual [N]
+};
+
+/// After an iteration that began with residual `norm` on the constraints of its statuses.
+Stall after_iteration(const Stall& before, double norm, bool descended, bool statuses_changed,
+                      const ConstantSystem& system, const Vector& x) {
+  if (!descended) return {before.count + 1, before.least_norm};
+  // Above what rounding leaves of the residual it may rise and fall, and still converge later.
+  const bool better =
+      statuses_changed || norm > system.rounding_floor(x) || norm < kProgress * before.least_norm;
+  return better ? Stall{0, norm} : Stall{before.count + 1, before.least_norm};
+}
+
+/// What one Newton step did.
+struct NewtonStep {
+  bool descended;    // the merit
+  bool clamps_next;  // whether H is to be positive definite from here on
+};
+
+/// Solves for the free unknowns and moves x.
+/// @param tolerance  of the whole step [N]
+NewtonStep newton_step(ContactProblem& p, double forcing, double tolerance, bool is_clamped,
+                       ContactIterate& at) {
+  p.objective.assemble(at.x, is_clamped);
+  p.solve.matrix_changed();
+  const ContactDirection loose =
+      contact_direction(p, at, {forcing, kEnoughOfTolerance * tolerance}, is_clamped);
+  const SearchResult first = search_along(p, loose, forcing > kTightForcing, at);
+  if (first != SearchResult::kAscends)
+    return {first == SearchResult::kDescended, loose.is_clamped || first == SearchResult::kFailed};
+  const ContactDirection tight = contact_direction(p, at, {kTightForcing, 0.0}, loose.is_clamped);
+  const SearchResult second = search_along(p, tight, false, at);
+  return {second == SearchResult::kDescended, tight.is_clamped || second == SearchResult::kFailed};
+}
+
+/// Semismooth Newton iteration from x to where `stats` says that it came.
+void iterate(ContactProblem& p, ContactIterate& at, StepStats& stats) {
+  ContactRelaxation relaxation(p.space.size());
+  Stall stall;
+  bool is_clamped = false;
+  bool on_constraints = false;  // whether x satisfies those of the statuses as they are
+  double last_norm = 0.0;
+  for (int iter = 0; std::isfinite(at.value); ++iter) {
+    const bool changed = iter > 0 && p.statuses.update(at.x, at.gradient);
+    if (changed) {
+      on_constraints = false;
+      p.solve.statuses_changed();
+    }
+    if (iter < p.options.max_iters && p.statuses.needs_resolution() && relaxation.resolve(p, at)) {
+      on_constraints = false;
+      continue;
+    }
+    p.statuses.update_slip(at.x, at.gradient);
+    stats.residual_norm = p.reduced_norm(at.gradient);
+    stats.num_iters = iter;
+    stats.converged = on_constraints && stats.residual_norm <= stats.tolerance ? 1.0 : 0.0;
+    if (stats.converged != 0.0 || iter == p.options.max_iters) break;
+    relaxation.remember(p.space);
+    const double forcing = forcing_term(stats.residual_norm, last_norm);
+    const NewtonStep step = newton_step(p, forcing, stats.tolerance, is_clamped, at);
+    last_norm = stats.residual_norm;
+    is_clamped = step.clamps_next;
+    stall = on_constraints ? after_iteration(stall, stats.residual_norm, step.descended, changed,
+                                             p.system, at.x)
+                           : Stall{0, stall.least_norm};
+    on_constraints = true;
+    if (stall.count > (step.descended ? kMaxStalled : kMaxFailed)) {
+      stats.num_iters = iter + 1;
+      break;
+    }
+  }
+  if (!std::isfinite(at.value)) stats.residual_norm = at.value;
+}
+
+void count_contacts(const ContactSpace& space, StepStats& stats) {
+  for (const ContactStatus s : space.status) {
+    stats.num_contacts += s != ContactStatus::kSeparate;
+    stats.num_slipping += s == ContactStatus::kSlip;
+  }
+}
+
+/// Contact forces r = grad g and statuses at the answer.
+void write_contacts(const ContactSpace& space, const Vector& gradient, double* force,
+                    std::int64_t* status) {
+  for (std::size_t k = 0; k < space.size(); ++k) {
+    const bool touches = space.status[k] != ContactStatus::kSeparate;
+    status[k] = static_cast<std::int64_t>(space.status[k]);
+    for (std::size_t i = 0; i < 3; ++i)
+      force[3 * k + i] = touches ? gradient[3 * space.node(k) + i] : 0.0;
+  }
+}
+
+}  // namespace
+
+StepStats contact_step(const ConstantSystem& system, const StepInputs& inputs,
+                       const ContactInputs& contacts, const StepOptions& options,
+                       const ContactOptions& contact_options, double* x, double* force,
+                       std::int64_t* status, ThreadPool& pool) {
+  ContactProblem problem(system, inputs, contacts, options, contact_options, pool);
+  StepProblem& objective = problem.objective;
+  ContactIterate at = contact_start(objective, system, inputs);
+  StepStats stats;
+  stats.scale = objective.scale() > 0.0 ? objective.scale() : objective.ops().norm(at.gradient);
+  stats.tolerance = options.rtol * stats.scale + options.atol;
+  problem.statuses.set_tolerances(stats.tolerance, length_tolerance(at.x));
+  problem.statuses.guess(free_flight(system, inputs));
+  problem.statuses.remember();
+  iterate(problem, at, stats);
+  stats.num_solves = objective.num_solves;
+  stats.num_factorizations = objective.num_factorizations;
+  stats.energy = objective.elastic_energy();
+  stats.num_set_changes = problem.statuses.num_changes();
+  stats.num_cycles = problem.statuses.num_cycles();
+  count_contacts(problem.space, stats);
+  write_contacts(problem.space, at.gradient, force, status);
+  std::copy(at.x.begin(), at.x.end(), x);
+  return stats;
+}
+
+}  // namespace diffsim

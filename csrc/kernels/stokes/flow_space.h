@@ -1,0 +1,105 @@
+// The unknowns of a Stokes flow on a geometry: which components are free, what of the outflow must
+// vanish, and vectors between the grid and the matrix.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+#include <vector>
+
+#include "kernels/stokes/flow_regions.h"
+#include "kernels/stokes/flow_system.h"
+
+namespace diffsim {
+
+/// Immutable. Nodal fields are (num_nodes, D) over all grid nodes, those of the matrix (active
+/// nodes, D, cases); fields of cells are (num_cells,) over all grid cells.
+template <int D>
+class FlowSpace {
+ public:
+  /// @throws std::invalid_argument where phi leaves no fluid
+  FlowSpace(const FlowGeometryInputs& in, const FlowOptions& options, ThreadPool& pool)
+      : op_(StokesGrid<D>(in.shape), in.phi, in.open, options, pool),
+        regions_(op_, in.fixed),
+        fixed_(in.fixed, in.fixed + grid().num_nodes * D) {
+    if (geometry().active_nodes().empty())
+      throw std::invalid_argument("phi leaves no fluid: it must be > 0 somewhere in the box");
+    for (std::int64_t cell = 0; cell < grid().num_cells; ++cell)
+      if (geometry().active(cell) && all_prescribed(cell)) rigid_cells_.push_back(cell);
+  }
+
+  const FlowOperator<D>& op() const { return op_; }
+  const FlowOptions& options() const { return op_.options(); }
+  const FlowGeometry<D>& geometry() const { return op_.geometry(); }
+  const StokesGrid<D>& grid() const { return op_.geometry().grid(); }
+  const FlowRegions<D>& regions() const { return regions_; }
+  bool fixed(std::int64_t component) const { return fixed_[u(component)]; }
+  const std::vector<std::int64_t>& rigid_cells() const { return rigid_cells_; }
+  std::size_t num_unknowns() const { return geometry().active_nodes().size() * D; }
+
+  /// f(component of the grid, component of the matrix)
+  template <typename F>
+  void for_active(F&& f) const {
+    std::int64_t i = 0;
+    for (std::int64_t node : geometry().active_nodes())
+      for (int a = 0; a < D; ++a) f(node * D + a, i++);
+  }
+  /// Case k of b = scale * field at free components, zero at prescribed ones.
+  void gather(const double* field, double* b, std::int64_t k, std::int64_t cases,
+              double scale) const {
+    for_active([&](std::int64_t i, std::int64_t j) {
+      b[j * cases + k] = fixed_[u(i)] ? 0.0 : scale * field[i];
+    });
+  }
+  /// field += scale * case k of b at free components.
+  void scatter_add(const double* b, std::int64_t k, std::int64_t cases, double scale,
+                   double* field) const {
+    for_active([&](std::int64_t i, std::int64_t j) {
+      if (!fixed_[u(i)]) field[i] += scale * b[j * cases + k];
+    });
+  }
+
+  /// Root mean square dilatation, relative to max |v| / (longest side of the box).
+  double divergence(const double* C, const double* v) const {
+    double sum = 0.0, volume = 0.0, largest = 0.0, side = 0.0;
+    for (std::int64_t cell = 0; cell < grid().num_cells; ++cell) {
+      if (!geometry().active(cell)) continue;
+      const double M = op_.pressure_volume(cell);
+      sum += C[cell] * C[cell] / M;
+      volume += M;
+    }
+    for_active([&](std::int64_t i, std::int64_t) { largest = std::max(largest, std::abs(v[i])); });
+    for (int a = 0; a < D; ++a)
+      side = std::max(side, static_cast<double>(grid().cells[a]) * grid().h[a]);
+    return largest > 0.0 ? std::sqrt(sum / volume) * side / largest : 0.0;
+  }
+  /// p += scale C / M.
+  void add_pressure(double scale, const double* C, double* p) const {
+    for (std::int64_t cell = 0; cell < grid().num_cells; ++cell)
+      if (geometry().active(cell)) p[cell] += scale * C[cell] / op_.pressure_volume(cell);
+  }
+  /// What of C must vanish where incompressible: not in cells whose velocities are all prescribed,
+  /// and not the mean of regions without an open face, which is returned.
+  void constrain(double* C, double* mean) const {
+    for (std::int64_t cell : rigid_cells_) C[cell] = 0.0;
+    regions_.subtract_mean(op_, C, mean);
+  }
+  /// Takes the mean pressure off regions without an open face, where incompressible.
+  void subtract_level(double* p) const { regions_.subtract_level(op_, p); }
+
+ private:
+  static std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
+  bool all_prescribed(std::int64_t cell) const {
+    for (std::int64_t offset : grid().corner_offset)
+      for (int a = 0; a < D; ++a)
+        if (!fixed_[u((geometry().first_node(cell) + offset) * D + a)]) return false;
+    return true;
+  }
+
+  FlowOperator<D> op_;
+  FlowRegions<D> regions_;
+  std::vector<std::uint8_t> fixed_;        // (num_nodes, D) nonzero: prescribed
+  std::vector<std::int64_t> rigid_cells_;  // active, all velocities prescribed
+};
+
+}  // namespace diffsim

@@ -1,0 +1,55 @@
+"""``diffsim demo``: the silicone beam's story, which lies in ``examples/demo``."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from pathlib import Path
+from types import ModuleType
+
+from diffsim.cli.arguments import positive
+from diffsim.core.paths import PROJECT
+
+HELP = "the silicone beam's story: measured against simulated, on one page"
+STORY = PROJECT / "examples" / "demo"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``diffsim demo``."""
+    parser.add_argument("--data", type=Path, help="folder of the measured data (else DIFFSIM_DATA)")
+    parser.add_argument("--out", type=Path, default=Path("runs/demo"), help="default: %(default)s")
+    parser.add_argument("--quick", action="store_true", help="fewer steps, smaller meshes")
+    parser.add_argument("--resume", action="store_true", help="go on with what --out holds")
+    parser.add_argument("--threads", type=positive, default=os.cpu_count() or 1, metavar="N")
+
+
+def command(args: argparse.Namespace) -> None:
+    """Run the story.
+
+    Raises:
+        ValueError: ``--data`` is no folder.
+        FileNotFoundError: diffsim was installed without its source checkout.
+    """
+    if args.data is not None and not args.data.is_dir():
+        raise ValueError(f"--data must be an existing folder, got {args.data}")
+    _story().main(
+        data=args.data,
+        out=args.out,
+        quick=args.quick,
+        resume=args.resume,
+        threads=args.threads,
+    )
+
+
+def _story() -> ModuleType:
+    """The package ``examples.demo`` of the checkout; the library itself never imports it."""
+    if not STORY.is_dir():
+        raise FileNotFoundError(
+            f"the demo is part of the source checkout, and {STORY} does not exist; clone the "
+            "repository and install it with pip install -e ."
+        )
+    if str(PROJECT) not in sys.path:
+        sys.path.insert(0, str(PROJECT))
+    return importlib.import_module("examples.demo")

@@ -1,0 +1,240 @@
+"""The steps of ``diffsim diagnose check|fit|explain|extend|next STUDY``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from diffsim.cli.arguments import DIAGNOSES
+from diffsim.cli.diagnose_inputs import changed, inputs_of, read_study
+from diffsim.core.errors import DiffsimError
+from diffsim.core.files import write_json_atomic
+from diffsim.data.study import Study
+from diffsim.data.study_check import check_study
+from diffsim.diagnose.diagnosis import diagnose
+from diffsim.diagnose.inputs import Inputs
+from diffsim.diagnose.progress import progress_bar
+from diffsim.diagnose.refit import advise, extend, fit_null, rival_sets
+from diffsim.diagnose.report import Report
+from diffsim.identify.model_file import MODEL_FILE, read_extended
+
+INPUTS_FILE, REPORT_FILE, CACHE = "inputs.json", "report.json", "interrupted"
+
+
+class StudyError(DiffsimError):
+    """Recordings that cannot be diagnosed."""
+
+
+def run_step(args: argparse.Namespace) -> None:
+    """Run the step that the arguments name."""
+    STEPS[args.step](args)
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Read the study and say what is wrong with it."""
+    study = read_study(args.study)
+    fit, held = len(study.fit_runs), len(study.holdout_runs)
+    print(f"{study.name}: {len(study.channels)} channels, {fit} runs to fit, {held} held out")
+    _require_ready(study, args.study)
+    print("ready for a diagnosis")
+
+
+def _require_ready(study: Study, given: str) -> None:
+    problems = check_study(study)
+    for problem in problems:
+        print(problem)
+    errors = sum(problem.severity == "error" for problem in problems)
+    if errors:
+        raise StudyError(f"{errors} of {len(problems)} problems keep {given} from a diagnosis")
+
+
+def _inputs(args: argparse.Namespace) -> tuple[Inputs, Path]:
+    """Study and setup as chosen; the folder of the results."""
+    study = read_study(args.study)
+    _require_ready(study, args.study)
+    inputs = inputs_of(
+        study,
+        seed=args.seed,
+        setup_file=args.setup,
+        only=getattr(args, "effects", ()),
+        without=getattr(args, "without", ()),
+        quick=args.quick,
+        workers=args.workers,
+        accept_numerics=args.accept_numerics,
+    )
+    return inputs, args.out or Path(DIAGNOSES) / study.name
+
+
+def _fit(args: argparse.Namespace) -> None:
+    inputs, out = _inputs(args)
+    found = fit_null(inputs)
+    fit = found.fit
+    print(f"{'parameter':<32} {'value':>12} {'sd':>10}")
+    units = {p.name: p.unit for p in fit.problem.model.base}
+    for name, value in fit.values.items():
+        unit = "" if units[name] == "-" else units[name]
+        print(f"{name:<32} {value:>12.6g} {fit.sd[name]:>10.2g} {unit}")
+    for a, b, r in found.strongest_correlations():
+        print(f"correlated: {a} and {b} ({r:+.2f})")
+    for name in fit.undetermined:
+        print(f"not determined by the data: {name}")
+    for name in fit.at_bound:
+        print(f"on its bound: {name}")
+    source = ", ".join(dict.fromkeys(found.noise.source))
+    print(
+        f"chi2 {fit.chi2:.6g} of {fit.num_samples} samples: {fit.chi2 / fit.num_samples:.3g} per "
+        f"sample, 1 would be noise alone (noise from {source})"
+    )
+    if not fit.converged:
+        print(f"the fit did not converge: {fit.message}")
+    write_json_atomic(out / "fit.json", found.to_dict())
+    print(f"wrote {out / 'fit.json'}")
+
+    def page() -> Path:
+        from diffsim.viz.fit_report import write_fit  # viz by entry points only
+
+        return write_fit(found, out / "fit.html")
+
+    _if_installed(page)
+
+
+def _explain(args: argparse.Namespace) -> None:
+    inputs, out = _inputs(args)
+    before = _read_json(out / INPUTS_FILE)
+    if before is not None and (out / REPORT_FILE).is_file() and not args.force:
+        differs = changed(before, inputs.fingerprint)
+        if not differs:
+            _say_again(out)
+            return
+        print(f"{out} holds a diagnosis of other inputs ({', '.join(differs)}): diagnosing again")
+    setup = inputs.setup
+    cache = out / CACHE / inputs.key  # an interrupted diagnosis goes on from what is there
+    if args.force:
+        shutil.rmtree(out / CACHE, ignore_errors=True)
+    elif cache.is_dir():
+        print(f"going on with what an interrupted diagnosis left in {cache}")
+    with progress_bar("diagnose") as progress:
+        report = diagnose(
+            inputs.study,
+            setup.model,
+            setup.effects,
+            seed=inputs.seed,
+            unknowns=setup.unknowns,
+            bank=setup.bank,
+            settings=setup.settings,
+            progress=progress,
+            cache=cache,
+        )
+    _write(report, inputs, out)
+    shutil.rmtree(out / CACHE, ignore_errors=True)
+    print(f"verdict: {report.verdict}")
+    for sentence in report.sentences[:2]:
+        print(sentence)
+
+
+def _write(report: Report, inputs: Inputs, out: Path) -> None:
+    """Answer first, pictures last: what cannot be drawn must not lose the answer."""
+    report.save(out)
+    write_json_atomic(out / INPUTS_FILE, dict(inputs.fingerprint))
+    print(f"wrote {out / REPORT_FILE} and {out / MODEL_FILE}")
+
+    def page() -> Path:
+        from diffsim.viz.diagnosis_report import write_diagnosis
+
+        return write_diagnosis(report, out / "report.html")
+
+    def recording() -> Path:
+        from diffsim.viz.diagnosis_recording import write_recording_of
+
+        return write_recording_of(report, out / "runs.rrd")
+
+    _if_installed(page)
+    _if_installed(recording)
+
+
+def _say_again(out: Path) -> None:
+    saved = _read_json(out / REPORT_FILE) or {}
+    print(f"{out} holds the answer to exactly this already; --force diagnoses again")
+    print(f"verdict: {saved['verdict']}")
+    for sentence in saved["sentences"][:2]:
+        print(sentence)
+
+
+def _extend(args: argparse.Namespace) -> None:
+    inputs, out = _inputs(args)
+    saved = read_extended(args.saved or out)
+    found = extend(inputs, saved)
+    path = found.save(out)
+    sizes = [n for n in found.fit.problem.names if n not in found.null.problem.names]
+    if not sizes:
+        print(f"{saved.path} names no effect: the extended model is the plain model")
+    units = {c.name: c.unit for c in found.model().base}
+    for name in sizes:
+        unit = "" if units[name] == "-" else units[name]
+        value, sd = found.fit.values[name], found.fit.sd[name]
+        print(f"{name:<32} {value:>12.6g} +- {sd:.2g} {unit} (was {saved.values[name]:.6g})")
+    print(f"chi2 of the runs fitted: {found.null.chi2:.6g} before, {found.fit.chi2:.6g} extended")
+    if found.gain is None:
+        print("no run is held out, so no gain is known: a smaller training error proves nothing")
+    else:
+        g = found.gain
+        print(
+            f"held-out runs: {g.value:.1%} of the error above the noise removed "
+            f"(90 %: {g.low:.1%} to {g.high:.1%}): {g.status}"
+        )
+    print(f"wrote {path}")
+
+
+def _next(args: argparse.Namespace) -> None:
+    inputs, out = _inputs(args)
+    path = args.saved or out / REPORT_FILE
+    saved = _read_json(path)
+    if saved is None:
+        raise FileNotFoundError(
+            f"{path}: no such report; make one with `diffsim diagnose explain {args.study}`"
+        )
+    sets, why = rival_sets(saved)
+    print(why)
+    if len(sets) < 2:
+        return
+    advice = advise(inputs, sets)
+    for name, chi2 in sorted(advice.chi2_gain.items(), key=lambda item: -item[1]):
+        print(f"{name:<32} {chi2:>12.4g}")
+    times = f"{advice.over_median:.3g} times the bank's median"
+    print(f"record {advice.best}: expected chi2 {advice.chi2_gain[advice.best]:.4g}, {times}")
+    content = {"rivals": sets, "why": why, "best": advice.best, "chi2_gain": advice.chi2_gain}
+    write_json_atomic(out / "next.json", {**content, "over_median": advice.over_median})
+    print(f"wrote {out / 'next.json'}")
+
+
+def _if_installed(write: Callable[[], Path]) -> None:
+    """Pictures need packages of the ``viz`` extra; results do not."""
+    try:
+        print(f"wrote {write()}")
+    except ImportError as error:
+        print(f"not drawn: {error}")
+
+
+def _read_json(path: Path) -> Mapping[str, Any] | None:
+    if not path.is_file():
+        return None
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path}: not JSON: {error}; remove it") from None
+    if not isinstance(content, dict):
+        raise ValueError(f"{path}: must be a mapping; remove it")
+    return content
+
+
+STEPS: dict[str, Callable[[argparse.Namespace], None]] = {
+    "check": _check,
+    "fit": _fit,
+    "explain": _explain,
+    "extend": _extend,
+    "next": _next,
+}

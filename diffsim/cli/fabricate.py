@@ -1,0 +1,43 @@
+"""``diffsim fabricate``: what it takes to build a multicopter."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+HELP = "cut list, STL files, bill and wiring of a multicopter"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``diffsim fabricate``."""
+    parser.add_argument("design", help="a shipped design such as pentacopter, or a YAML file")
+    parser.add_argument("--out", type=Path, help="default: runs/fabricate/DESIGN")
+    parser.add_argument("--stock", type=float, default=1.0, help="rods as sold [m], default 1")
+    parser.add_argument("--kerf", type=float, default=0.0015, help="of the saw [m]")
+    parser.add_argument(
+        "--bed",
+        type=float,
+        nargs=3,
+        default=(220.0, 220.0, 250.0),
+        metavar="MM",
+        help="of the printer",
+    )
+
+
+def command(args: argparse.Namespace) -> None:
+    """Plan the fabrication, write its page and files, print the sums."""
+    from diffsim.copter import load_design
+    from diffsim.copter.fabrication import Printer, plan
+    from diffsim.viz.fabrication_page import write_fabrication
+
+    design = load_design(args.design)
+    found = plan(design, stock=args.stock, kerf=args.kerf, printer=Printer(bed=tuple(args.bed)))
+    page = write_fabrication(found, args.out or Path("runs/fabricate") / design.name)
+    prints = sum(len(p.names) for p in found.printed if p.process == "print")
+    print(
+        f"{design.name}: {1e3 * found.mass:.0f} g, {found.price:.0f} EUR, "
+        f"{len(found.bars)} bars of rod, {prints} printed parts"
+    )
+    for problem in found.problems:
+        print(f"problem: {problem}")
+    print(f"page: {page}")

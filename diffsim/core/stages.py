@@ -1,0 +1,94 @@
+"""Stages of a long run: each result is kept on disk, an interrupted run takes up where it was."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from diffsim.core.files import to_plain, write_json_atomic
+
+Result = dict[str, Any]
+
+
+class Stages:
+    """Runs named stages once; with ``resume``, finished ones are read back.
+
+    A stage is reused only if everything it depends on is unchanged: the settings given here and
+    the results of all earlier stages.
+
+    Args:
+        folder: Results are kept in ``folder/stages``.
+        settings: What all stages depend on (data checksum, version, options).
+        resume: Read finished stages back; otherwise compute everything anew.
+    """
+
+    def __init__(self, folder: Path, settings: Result, *, resume: bool):
+        self.folder, self.resume = folder / "stages", resume
+        self.reused: list[str] = []
+        self._key = _digest(settings)
+
+    def run(
+        self,
+        name: str,
+        compute: Callable[[], Result],
+        *,
+        valid: Callable[[Result], bool] = lambda result: True,
+        **inputs: Any,
+    ) -> Result:
+        """The result of a stage: read back if it is finished, else computed and kept.
+
+        Args:
+            name: Of the file.
+            compute: Makes the result.
+            valid: Whether a kept result can still be used (files it names exist, say).
+            **inputs: What this stage depends on beyond the settings and the stages before.
+        """
+        path = self.folder / f"{name}.json"
+        self._key = _digest({"before": self._key, "name": name, "inputs": inputs})
+        kept = _read(path) if self.resume else None
+        if kept is not None and kept.get("key") == self._key and valid(kept["result"]):
+            self.reused.append(name)
+            return kept["result"]
+        result = to_plain(compute())
+        write_json_atomic(path, {"key": self._key, "result": result})
+        return result
+
+
+def file_digest(paths: list[Path]) -> str:
+    """SHA-256 over the contents of files, in the order given."""
+    digest = hashlib.sha256()
+    for path in paths:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def code_digest(*folders: Path) -> str:
+    """SHA-256 of the package as installed, sources and compiled parts, and of further folders.
+
+    Args:
+        folders: Code outside the package that the stages run.
+    """
+    package = Path(__file__).parents[1]
+    return file_digest(
+        sorted(
+            path
+            for folder in (package, *folders)
+            for path in folder.rglob("*")
+            if path.suffix in (".py", ".so", ".j2")
+        )
+    )
+
+
+def _read(path: Path) -> Result | None:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, json.JSONDecodeError):
+        return None
+
+
+def _digest(value: Any) -> str:
+    text = json.dumps(to_plain(value), sort_keys=True)
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()

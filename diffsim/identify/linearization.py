@@ -1,0 +1,123 @@
+"""Predicted records and their derivatives at one point, before any whitening.
+
+Simulations are what a diagnosis pays for. Their results do not depend on the noise: a new estimate
+of the noise weighs them again without another simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from diffsim.data.study import Run
+from diffsim.identify.problem import PredictionError, Problem
+
+Array = NDArray[np.float64]
+
+
+class Unwhitened:
+    """Takes every sample as it is, missing ones too."""
+
+    def matrix(self, run: Run) -> sparse.csr_array:
+        """Identity."""
+        return sparse.eye_array(run.measured.size, format="csr")
+
+
+@dataclass(frozen=True, eq=False)
+class Linearization:
+    """S(x) and dS/dx at x, with the N samples of all runs of a problem in a row.
+
+    Attributes:
+        x: Standardized coordinates of the problem, (n,).
+        record: Predicted samples of all channels, (N,) [unit of the channel].
+        idx: Coordinates whose slopes are known.
+        columns: Slopes along these coordinates, (N, len(idx)).
+        slope_error: Summed relative error of the linear prediction over the steps taken since the
+            slopes were simulated [-]; 0: they were simulated at this x.
+    """
+
+    x: Array
+    record: Array
+    idx: tuple[int, ...]
+    columns: Array
+    slope_error: float = 0.0
+
+    def slopes(self, wanted: Sequence[int]) -> Array:
+        """Slopes along some coordinates, (N, len(wanted)); all must be known."""
+        place = {i: k for k, i in enumerate(self.idx)}
+        return self.columns[:, [place[i] for i in wanted]]
+
+    def joined(self, other: Linearization) -> Linearization:
+        """With slopes of another point along coordinates that are not known here."""
+        more = [i for i in other.idx if i not in set(self.idx)]
+        columns = np.hstack([self.columns, other.slopes(more)])
+        return replace(self, idx=(*self.idx, *more), columns=columns)
+
+
+def linearization_at(
+    problem: Problem, x: Array, only: Sequence[int] | None = None, *, screen: bool = False
+) -> Linearization:
+    """Simulate a problem's runs at x and differentiate them.
+
+    Args:
+        problem: Model and runs; the whitener is not used.
+        x: Standardized coordinates, (n,).
+        only: Coordinates to differentiate; all if None.
+        screen: Differentiate non-smooth effects by a secant from here.
+
+    Raises:
+        PredictionError: a simulation left the range of numbers.
+    """
+    idx = tuple(range(len(x))) if only is None else tuple(only)
+    left, slopes = _raw(problem).linearize(x, screen=screen, only=idx)
+    slopes = slopes[:, list(idx)]
+    if not np.isfinite(slopes).all():
+        bad = [problem.names[i] for i, c in zip(idx, slopes.T, strict=True) if not _is_finite(c)]
+        raise PredictionError(
+            f"the prediction is not finite a small step along {', '.join(bad)}; narrow their "
+            "bounds, priors or typical sizes, or mend the scene"
+        )
+    return Linearization(x, measured_of(problem) - left, idx, slopes)
+
+
+def record_at(problem: Problem, x: Array) -> Array:
+    """Predicted samples of all runs at x, (N,) [unit of the channel]."""
+    return measured_of(problem) - _raw(problem).residual(x)
+
+
+def measured_of(problem: Problem) -> Array:
+    """Measured samples of all runs, (N,) [unit of the channel]; 0 where nothing was recorded."""
+    return np.concatenate([np.nan_to_num(run.measured).ravel() for run in problem.runs])
+
+
+def residuals_by_run(runs: Sequence[Run], record: Array) -> dict[str, Array]:
+    """Measured minus predicted by name of the run, (num_samples, num_channels) each.
+
+    Args:
+        runs: Whose samples the record holds, in this order.
+        record: Predicted samples of all runs, (N,) [unit of the channel].
+    """
+    edges = np.cumsum([run.measured.size for run in runs])[:-1]
+    parts = np.split(record, edges)
+    return {
+        r.name: r.measured - p.reshape(r.measured.shape) for r, p in zip(runs, parts, strict=True)
+    }
+
+
+def whitened(problem: Problem, rows: Array) -> Array:
+    """Rows (N, ...) of all runs, whitened: (num_valid, ...)."""
+    edges = np.cumsum([run.measured.size for run in problem.runs])[:-1]
+    parts = np.split(rows, edges)
+    return np.concatenate([problem.whiten(r, p) for r, p in zip(problem.runs, parts, strict=True)])
+
+
+def _is_finite(column: Array) -> bool:
+    return bool(np.isfinite(column).all())
+
+
+def _raw(problem: Problem) -> Problem:
+    return replace(problem, whitener=Unwhitened())

@@ -1,0 +1,115 @@
+"""One call of an objective: what it returned, what it cost, or how it failed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Sample(NamedTuple):
+    """What an objective returns; a plain ``(value, gradient)`` will do where there are no notes.
+
+    Attributes:
+        value: To be minimized.
+        gradient: Of the value, (n,); None where only the value was asked for.
+        notes: Whatever else should be kept with the evaluation. Plain numbers, strings and lists
+            where a log is used, since they are written to it.
+    """
+
+    value: float
+    gradient: Array | None = None
+    notes: Mapping[str, Any] = {}
+
+
+Objective = Callable[[Array], Sample | tuple[float, Array]]
+ValueOnly = Callable[[Array], Sample | tuple[float, Array] | float]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Evaluation:
+    """An objective at a point.
+
+    Attributes:
+        x: The point, (n,).
+        value: Of the objective; infinite where the evaluation failed.
+        gradient: (n,); None where the evaluation failed or the objective gave none.
+        failure: How it failed; empty where it did not.
+        wall_s: Wall-clock time [s].
+        cpu_s: Processor time of this process [s].
+        notes: What the objective gave beside; of plain types where it was read from a log.
+    """
+
+    x: Array
+    value: float
+    gradient: Array | None = None
+    failure: str = ""
+    wall_s: float = 0.0
+    cpu_s: float = 0.0
+    notes: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Progress:
+    """What a callback is told after every evaluation.
+
+    Attributes:
+        count: Evaluations so far, this one included.
+        evaluation: The latest.
+        best: Least value so far; infinite while all evaluations have failed.
+        replayed: The latest was read from the log, not computed.
+    """
+
+    count: int
+    evaluation: Evaluation
+    best: float
+    replayed: bool
+
+
+Callback = Callable[[Progress], object]
+"""Called after every evaluation; a search ends where the answer is ``True``."""
+
+
+class NotFiniteError(ArithmeticError):
+    """An objective returned a value or a gradient that is not finite."""
+
+
+def evaluate(objective: ValueOnly, x: Array) -> Evaluation:
+    """Call an objective once, timed.
+
+    Args:
+        objective: Of points (n,).
+        x: The point, (n,); the objective gets a copy of its own.
+
+    Raises:
+        NotFiniteError: the value or the gradient is NaN or infinite.
+        ValueError: the gradient has another shape than the point.
+    """
+    wall, cpu = time.perf_counter(), time.process_time()
+    returned = objective(x.copy())
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    sample = Sample(*returned) if isinstance(returned, tuple) else Sample(returned)
+    value = float(sample.value)
+    gradient = None
+    if sample.gradient is not None:
+        gradient = np.array(sample.gradient, dtype=np.float64)
+        if gradient.shape != x.shape:
+            raise ValueError(f"gradient must have shape {x.shape}, got {gradient.shape}")
+    if not np.isfinite(value):
+        raise NotFiniteError(f"value is not finite: {value}")
+    if gradient is not None and not np.isfinite(gradient).all():
+        raise NotFiniteError("gradient is not finite")
+    return Evaluation(
+        x=x.copy(), value=value, gradient=gradient, wall_s=wall, cpu_s=cpu, notes=sample.notes
+    )
+
+
+def failed(x: Array, error: Exception) -> Evaluation:
+    """The record of an evaluation that raised ``error`` at the point x, (n,)."""
+    return Evaluation(x=x.copy(), value=np.inf, failure=" ".join(str(error).split()) or repr(error))

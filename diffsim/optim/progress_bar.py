@@ -1,0 +1,32 @@
+"""A bar on the terminal for a search."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from tqdm import tqdm
+
+from diffsim.optim.evaluation import Callback, Progress
+
+
+@contextmanager
+def progress_bar(
+    label: str, total: int | None, *, unit: float = 1.0, show: bool = True, leave: bool = True
+) -> Iterator[Callback]:
+    """A bar that counts evaluations and shows the least value; gives the callback that moves it.
+
+    Args:
+        label: Before the bar.
+        total: Evaluations at most; None: not known.
+        unit: The least value is shown over this.
+        show: Whether to draw it at all.
+        leave: Whether it stays when the search is over.
+    """
+    with tqdm(desc=label, total=total, leave=leave, disable=not show) as bar:
+
+        def advance(progress: Progress) -> None:
+            bar.set_postfix(best=f"{progress.best / unit:.4g}", refresh=False)
+            bar.update()
+
+        yield advance

@@ -1,0 +1,65 @@
+"""What a search found, and why it ended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from diffsim.optim.evaluation import Array, Evaluation
+
+Ended = Literal["converged", "budget", "callback", "failed"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Result:
+    """What a search found.
+
+    Attributes:
+        history: All evaluations in the order in which L-BFGS asked for them.
+        final: The iterate that L-BFGS accepted last. It may be worse than the best evaluation:
+            a line search can pass that by.
+        ended: "converged": a tolerance is met. "budget": evaluations or iterations are spent.
+            "callback": the callback said so. "failed": a line search found no lower value.
+        message: The same in words, scipy's where scipy ended.
+    """
+
+    history: tuple[Evaluation, ...]
+    final: Evaluation
+    ended: Ended
+    message: str
+
+    @property
+    def best(self) -> Evaluation:
+        """The evaluation of the least value, the first where several share it."""
+        return min(self.history, key=lambda e: e.value)
+
+    @property
+    def x(self) -> Array:
+        """Point of the least value, (n,)."""
+        return self.best.x
+
+    @property
+    def value(self) -> float:
+        """The least value."""
+        return self.best.value
+
+    @property
+    def gradient(self) -> Array:
+        """Gradient at ``x``, (n,)."""
+        assert self.best.gradient is not None  # the best has not failed: the start had not
+        return self.best.gradient
+
+    @property
+    def num_evaluations(self) -> int:
+        """Of value and gradient, failed ones included."""
+        return len(self.history)
+
+    @property
+    def num_failed(self) -> int:
+        """Evaluations that met the wall."""
+        return sum(bool(e.failure) for e in self.history)
+
+    @property
+    def converged(self) -> bool:
+        """Whether a tolerance is met."""
+        return self.ended == "converged"

@@ -1,0 +1,225 @@
+"""What a soft body is: mesh, material, actuators, boundary conditions and its prepared solver."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+import torch
+from torch import Tensor, nn
+
+from diffsim.core.check import require, require_choice, require_indices, require_number
+from diffsim.mesh import (
+    HexMesh,
+    TetMesh,
+    nodal_shares,
+    nodal_volume,
+    shape_gradients,
+    surface_vertices,
+)
+from diffsim.soft._context import SoftContext
+from diffsim.soft.chambers import ChamberSet, PressureChamber
+from diffsim.soft.integrators import INTEGRATORS
+from diffsim.soft.materials import Material
+from diffsim.soft.muscles import Muscle, MuscleSet
+from diffsim.soft.options import ContactOptions, Damping, Masses, SolverOptions
+from diffsim.soft.parameters import Value, as_tensor, hold
+from diffsim.soft.physics import (
+    PARAMETERS,
+    LumpedVolume,
+    PhysicalValues,
+    Physics,
+    make_physics,
+)
+from diffsim.soft.state import State
+
+
+class Solid(nn.Module):
+    """What a :class:`~diffsim.soft.SoftBody` is, without what can be done with it.
+
+    Functions of bodies (``step``, ``static_equilibrium``, ...) take this; arguments as there.
+    """
+
+    x_rest: Tensor
+    fixed: Tensor
+    contact_nodes: Tensor
+    nodal_volume: Tensor
+    nodal_shares: Tensor
+
+    def __init__(
+        self,
+        mesh: HexMesh | TetMesh,
+        *,
+        dt: float,
+        youngs_modulus: Value,
+        poissons_ratio: Value,
+        density: Value = 1000.0,
+        material: str | Material = "pd",
+        gravity: Value = (0.0, 0.0, -9.81),
+        fixed: Tensor | None = None,
+        muscles: Sequence[Muscle] = (),
+        chambers: Sequence[PressureChamber] = (),
+        damping: Damping | None = None,
+        masses: Masses | None = None,
+        contact: ContactOptions | None = None,
+        integrator: str = "implicit_euler",
+        solver: SolverOptions | None = None,
+    ):
+        super().__init__()
+        if not isinstance(mesh, (HexMesh, TetMesh)):
+            raise TypeError(f"mesh must be a HexMesh or TetMesh, got {type(mesh).__name__}")
+        damping = _options("damping", damping, Damping)
+        masses = _options("masses", masses, Masses)
+        contact = _options("contact", contact, ContactOptions)
+        self.mesh = mesh
+        self.dt = require_number("dt", dt, above=0.0, hint="unit is s")
+        self.integrator = require_choice("integrator", integrator, INTEGRATORS)
+        self.material = material if isinstance(material, Material) else Material(material)
+        self.solver = _options("solver", solver, SolverOptions)
+        self.muscles = MuscleSet(muscles, mesh.num_elements)
+        self.chambers = ChamberSet(chambers, mesh)
+        # Not in the state_dict: loading one would change them behind the prepared solver's back.
+        self.register_buffer("x_rest", mesh.x_rest, persistent=False)
+        self.register_buffer("fixed", _dirichlet_mask(fixed, mesh.num_vertices), persistent=False)
+        nodes = _contact_nodes(contact.contact_nodes, mesh, self.fixed)
+        self.register_buffer("contact_nodes", nodes, persistent=False)
+        self.max_depenetration_speed = contact.max_depenetration_speed
+        self.register_buffer("nodal_volume", nodal_volume(mesh), persistent=False)
+        self.register_buffer("nodal_shares", nodal_shares(mesh), persistent=False)
+        beta = damping.rayleigh_beta
+        given = {
+            "youngs_modulus": youngs_modulus,
+            "poissons_ratio": poissons_ratio,
+            "density": density,
+            "gravity": gravity,
+            "rayleigh_alpha": damping.rayleigh_alpha,
+            # A plain zero means "no damping", which needs no damping terms at all.
+            "rayleigh_beta": None if _is_zero(beta) else beta,
+            "attached_mass": masses.attached_mass,
+            "added_mass": masses.added_mass,
+            "node_mass": masses.node_mass,
+            "fiber_stiffness": self.muscles.stiffness,
+        }
+        for name in PARAMETERS:
+            hold(self, name, given[name])
+        self.physics()  # refuse bad parameters now, not at the first step
+        self._context = self._make_context()
+
+    def _make_context(self) -> SoftContext:
+        shape = shape_gradients(self.mesh)
+        return SoftContext(
+            is_hex=self.mesh.kind == "hex",
+            material=self.material.law,
+            elements=self.mesh.elements,
+            grad=shape.grad,
+            weight=shape.weight,
+            class_idx=shape.class_idx,
+            x_rest=self.mesh.x_rest,
+            fiber_elements=self.muscles.elements,
+            fiber_directions=self.muscles.directions,
+            fiber_pull_only=self.muscles.pull_only,
+            chambers=self.chambers,
+            fixed=self.fixed,
+        )
+
+    def __getstate__(self) -> dict:
+        return {k: v for k, v in self.__dict__.items() if k != "_context"}
+
+    def __setstate__(self, state: dict) -> None:
+        super().__setstate__(state)
+        self._context = self._make_context()  # compiled objects are made anew in this process
+
+    @property
+    def handle(self) -> int:
+        """Handle of the prepared solver, as the ops take it."""
+        return self._context.handle
+
+    def physics(self, **overrides: Value) -> Physics:
+        """The body's parameters, some replaced; give the result to :meth:`forward` or ``rollout``.
+
+        Args:
+            **overrides: Any of youngs_modulus, poissons_ratio, density, gravity, rayleigh_alpha,
+                rayleigh_beta, attached_mass, added_mass, node_mass, fiber_stiffness, as in the
+                constructor (fiber_stiffness: (num_muscles,) [Pa], see :class:`Muscle`).
+
+        Returns:
+            :class:`~diffsim.soft.Physics`. Gradients: all overrides.
+        """
+        values = {name: getattr(self, name) for name in PARAMETERS}
+        for name, value in overrides.items():
+            require_choice("physics override", name, PARAMETERS)
+            values[name] = None if value is None else as_tensor(name, value)
+        volume = LumpedVolume(
+            elements=self.mesh.elements, shares=self.nodal_shares, nodal=self.nodal_volume
+        )
+        return make_physics(
+            PhysicalValues(**values), volume, self.material, self.muscles.num_muscles
+        )
+
+    def rest_state(self, batch: int | None = None) -> State:
+        """The rest shape without motion; ``batch`` adds a leading axis."""
+        x = self.x_rest.clone()
+        if batch is not None:
+            x = x.expand(batch, -1, -1).contiguous()
+        return State(x, torch.zeros_like(x))
+
+    def extra_repr(self) -> str:
+        """What ``print(body)`` shows."""
+        return (
+            f"{self.mesh.kind} mesh, {self.mesh.num_elements} elements, "
+            f"{3 * self.mesh.num_vertices} DoF ({int(self.fixed.sum())} fixed), "
+            f"material {self.material.law}, "
+            f"{self.muscles.num_muscles} muscles, {self.chambers.num_chambers} chambers, "
+            f"{self.integrator}, dt = {self.dt:g} s, "
+            f"solver {self.solver.method}"
+        )
+
+
+_Options = TypeVar("_Options")
+
+
+def _options(name: str, given: _Options | None, kind: type[_Options]) -> _Options:
+    """Options of a kind, or its defaults."""
+    if given is None:
+        return kind()
+    if not isinstance(given, kind):
+        raise TypeError(f"{name} must be a {kind.__name__}, got {type(given).__name__}")
+    return given
+
+
+def _is_zero(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and value == 0
+
+
+def _dirichlet_mask(fixed: Tensor | None, num_vertices: int) -> Tensor:
+    """(num_vertices, 3) bool from the accepted forms of ``fixed``."""
+    mask = torch.zeros(num_vertices, 3, dtype=torch.bool)
+    if fixed is None:
+        return mask
+    if not isinstance(fixed, Tensor):
+        raise TypeError(f"fixed must be a torch.Tensor, got {type(fixed).__name__}")
+    if fixed.dtype == torch.bool:
+        if fixed.ndim == 1:
+            return mask | require("fixed", fixed, (num_vertices,), torch.bool)[:, None]
+        return mask | require("fixed", fixed, (num_vertices, 3), torch.bool)
+    nodes = require("fixed", fixed, ("k",), torch.int64)
+    mask[require_indices("fixed", nodes, num_vertices, "vertices")] = True
+    return mask
+
+
+def _contact_nodes(given: Tensor | None, mesh: HexMesh | TetMesh, fixed: Tensor) -> Tensor:
+    """(k,) int64; nodes with Dirichlet conditions follow these, not obstacles."""
+    held = fixed.any(1)
+    if given is None:
+        surface = surface_vertices(mesh)
+        return surface[~held[surface]]
+    nodes = require("contact_nodes", given, ("k",), torch.int64)
+    require_indices("contact_nodes", nodes, mesh.num_vertices, "vertices")
+    if len(nodes.unique()) < len(nodes):
+        raise ValueError("contact_nodes must not name a node twice; use contact_nodes.unique()")
+    if bool(held[nodes].any()):
+        raise ValueError(
+            f"contact_nodes must have no Dirichlet condition, got {int(held[nodes].sum())} fixed "
+            f"ones, first node {int(nodes[held[nodes]][0])}; leave them out"
+        )
+    return nodes

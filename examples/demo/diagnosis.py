@@ -1,0 +1,112 @@
+"""The demo's last stage: what the simulated beam gets wrong, named, added, and the gain measured.
+
+A quick look at the bar without weight: a short window, few candidates.
+``docs/measured/silicone_beam.md`` has the diagnosis with all of them.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict
+from typing import Any
+
+from diffsim.core.files import to_plain
+from diffsim.data import BeamStudy
+from diffsim.data.importers import import_silicone_beam
+from diffsim.diagnose import Report, diagnose
+from diffsim.identify import SearchSettings
+from diffsim.systems.published import silicone_beam
+from examples.demo.plan import Plan
+
+SKIPPED = (
+    "These recordings were computed by the virtual laboratory: a cause found in them would say "
+    "nothing of a real beam. The diagnosis runs on the measured ones (DIFFSIM_DATA)."
+)
+
+NOT_RUN = "The diagnosis of these recordings was switched off: Plan(diagnosis_effects=...) runs it."
+
+
+def describe(study: BeamStudy, plan: Plan) -> dict[str, Any]:
+    """Diagnose the recordings; finished figures and tables, so that the page can be made again.
+
+    Args:
+        study: Measured recordings; of virtual ones only why they are skipped is said.
+        plan: Its sizes.
+    """
+    if study.is_virtual:
+        return {"skipped": SKIPPED}
+    if not plan.diagnosis_effects:
+        return {"skipped": NOT_RUN}
+    began = time.process_time()
+    made = silicone_beam.setup(
+        import_silicone_beam(study.folder),
+        cells=plan.diagnosis_cells,
+        dt_s=plan.diagnosis_dt_s,
+        until_s=plan.diagnosis_until_s,
+        search=SearchSettings(max_effects=2, num_refits=1, max_rounds=3),
+    )
+    assert made.study is not None  # this setup cuts its own window
+    effects = [e for e in made.effects if e.name in plan.diagnosis_effects]
+    found = diagnose(
+        made.study, made.model, effects, seed=0, unknowns=made.unknowns, settings=made.settings
+    )
+    return {
+        "verdict": found.verdict,
+        "sentences": list(found.sentences),
+        "named": list(found.named),
+        "gain": None if found.gain is None else to_plain(asdict(found.gain)),
+        "num_candidates": len(effects),
+        "table": _table(found),
+        "gates": [to_plain(asdict(gate)) for gate in found.gates],
+        "noise": to_plain(found.noise),
+        "pictures": _pictures(found),
+        "cpu_s": time.process_time() - began,
+    }
+
+
+def _table(found: Report) -> list[list[str]]:
+    """Rows of the page: effect, status, size, nats, held-out gain, aliases."""
+    rows = []
+    for row in found.table:
+        unit = "" if row.unit == "-" else f" {row.unit}"
+        sizes = [f"{v:.3g} ± {1.645 * row.sd[c]:.2g}{unit}" for c, v in row.size.items()]
+        gain = row.gain
+        rows.append(
+            [
+                row.effect,
+                f"{row.status}, {row.note}" if row.note else row.status,
+                "; ".join(sizes),
+                "–" if row.nats is None else f"{row.nats:.1f}",
+                "–" if gain is None else f"{gain.value:.2f} ({gain.low:.2f} to {gain.high:.2f})",
+                ", ".join(row.aliases),
+            ]
+        )
+    return rows
+
+
+def _pictures(found: Report) -> list[dict[str, str]]:
+    """Before and after on the run that no fit has seen, residuals, and what mimics what."""
+    from diffsim.viz import diagnosis_figures as draw
+    from diffsim.viz.figures import data_uri
+
+    channels = draw.with_noise(found.study.channels, found.noise["sd"])
+    runs = draw.predicted_runs(found.study, found.null, found.best if found.named else None)
+    held_out = [run for run in runs if run.use == "holdout"]
+    drawn = [
+        (
+            draw.before_after(held_out, channels),
+            "The run that no fit has seen. Dots: measured; dashed: the fitted model before; line: "
+            "the extended model. Its own start was fitted to it, for both alike; what its clamp "
+            "did is an input.",
+        ),
+        (
+            draw.residual_views(runs, channels),
+            "What is left, in standard deviations of the noise; grey: 95 % of noise alone.",
+        ),
+        (
+            draw.confounding_matrix(found.confounding_names, found.confounding),
+            "Cosines between what the causes do to the record, after refitting everything else: "
+            "near ±1 these recordings cannot part them.",
+        ),
+    ]
+    return [{"uri": data_uri(figure, png=True), "caption": text} for figure, text in drawn]

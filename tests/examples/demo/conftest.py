@@ -1,0 +1,35 @@
+"""A demo small enough for tests, run once per session on the virtual laboratory's recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from examples.demo.plan import Plan
+
+#: Coarse and short: two fits in a few seconds. Its mesh is 30-40 % too stiff, by the locking that
+#: the mesh study measures and the tests below take out again.
+TINY = Plan(
+    cells=(6, 2, 2),
+    dt_s=5e-3,
+    fit_s=0.6,
+    max_evaluations=8,
+    mesh_cells=((6, 2, 2), (10, 4, 4)),
+    mesh_poissons_ratios=(0.499, 0.45),
+    damping_dt_s=(1e-2, 5e-3),
+)
+
+
+@pytest.fixture(scope="session")
+def virtual_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    pytest.importorskip("matplotlib", reason="the demo's page needs diffsim-robot[viz]")
+    pytest.importorskip("jinja2", reason="the demo's page needs diffsim-robot[viz]")
+    from examples import demo
+
+    out = tmp_path_factory.mktemp("demo") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("examples.demo.story.find_dataset", lambda *_: None)
+        results = demo.run(out=out, plan=TINY, threads=2)
+    return out, results

@@ -1,0 +1,209 @@
+"""Density per element: mass, weight and frequencies of composite bars, and exact gradients."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from scipy.linalg import eigh
+from scipy.optimize import brentq
+
+from diffsim import mesh, soft
+from tests.soft.cases import SHARP, deformed, irregular_mesh, leaf, noise, rail_mask, soft_body
+
+KINDS = ["hex", "tet"]
+INTEGRATORS = ["implicit_euler", "bdf2", "implicit_midpoint", "semi_implicit_euler"]
+TOLERANCE = {"eps": 1e-6, "atol": 2e-5, "rtol": 2e-5}
+YOUNGS_MODULUS, LENGTH = 1e6, 1.0  # [Pa], [m]
+NEAR, FAR = 2400.0, 800.0  # density of the half that is held, and of the other [kg/m^3]
+
+
+def two_density_bar(kind: str, cells: int, **changes) -> soft.SoftBody:
+    """A bar along x that is held at x = 0, without lateral contraction, of two halves."""
+    make = mesh.hex_box if kind == "hex" else mesh.tet_box
+    m = make((cells, 1, 1), (LENGTH, 0.1, 0.1))
+    middle = m.x_rest[m.elements].mean(1)[:, 0]
+    options = {
+        "dt": 1e-3,
+        "youngs_modulus": YOUNGS_MODULUS,
+        "poissons_ratio": 0.0,
+        "density": torch.where(middle < 0.5 * LENGTH, NEAR, FAR).double(),
+        "fixed": m.nodes_near_plane("x", 0.0),
+        "solver": soft.SolverOptions(rtol=1e-12),
+    }
+    return soft.SoftBody(m, **{**options, **changes})
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_element_gives_its_mass_to_its_own_nodes(kind):
+    m = irregular_mesh(kind, (3, 2, 1))
+    body = soft_body(m)
+    volume = mesh.element_volumes(m)
+    for e in (0, m.num_elements - 1):
+        density = torch.full((m.num_elements,), 1e-9, dtype=torch.float64)
+        density[e] = 2.0
+        mass = body.physics(density=density).mass
+        assert float(mass.sum()) == pytest.approx(float((density * volume).sum()), rel=1e-14)
+        own = torch.zeros(m.num_vertices, dtype=torch.bool)
+        own[m.elements[e]] = True
+        assert bool((mass[own] > 1e-2 * volume[e]).all()) and bool((mass[~own] < 1e-8).all())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_equal_densities_are_the_scalar(kind):
+    body = soft_body(irregular_mesh(kind, (3, 2, 1)))
+    same = torch.full((body.mesh.num_elements,), 1.5, dtype=torch.float64)
+    close = {"rtol": 1e-14, "atol": 0.0}
+    torch.testing.assert_close(body.physics(density=same).mass, body.physics().mass, **close)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_total_mass_has_the_volumes_as_gradient(kind):
+    m = irregular_mesh(kind, (3, 2, 1))
+    density = leaf(1.0 + 0.2 * noise(m.num_elements).tanh())
+    (grad,) = torch.autograd.grad(soft_body(m).physics(density=density).mass.sum(), density)
+    torch.testing.assert_close(grad, mesh.element_volumes(m), rtol=1e-14, atol=0.0)
+
+
+def end_shares(m) -> torch.Tensor:
+    """Share of each node in a uniform traction on the end at x = l, (num_vertices,) [-]."""
+    faces = mesh.surface_triangles(m).faces
+    at_end = (m.x_rest[faces][..., 0] == LENGTH).all(1)
+    corners = faces[at_end].flatten()  # triangles of equal area
+    return torch.bincount(corners, minlength=m.num_vertices).double() / len(corners)
+
+
+@pytest.mark.parametrize(("kind", "accuracy"), [("hex", 1e-7), ("tet", 1e-5)])
+def test_sag_of_a_hanging_bar(kind, accuracy):
+    """End of a bar under its weight: u = g l^2 / (8 E) (rho_near + 3 rho_far).
+
+    By reciprocity exact on any mesh of a linear solid; nodes of a tetrahedral bar weigh unequally,
+    so its sections warp and its corotated solid is linear to the second order only.
+    """
+    solver = soft.SolverOptions(rtol=1e-9)
+    body = two_density_bar(kind, 8, gravity=(0.1, 0.0, 0.0), solver=solver)
+    sag = end_shares(body.mesh) @ (body.static_equilibrium().x - body.x_rest)[:, 0]
+    expected = 0.1 * LENGTH**2 / (8.0 * YOUNGS_MODULUS) * (NEAR + 3.0 * FAR)
+    assert float(sag) == pytest.approx(expected, rel=accuracy)
+
+
+def first_axial_frequency(kind: str, cells: int) -> float:
+    """Lowest axial mode of the discrete bar, from its tangent and its masses [rad/s]."""
+    body = two_density_bar(kind, cells)
+    x = body.x_rest
+    stiffness = -torch.autograd.functional.jacobian(body.elastic_force, x)
+    plane = (x[:, 0] * cells / LENGTH).round().long()
+    sections = torch.nn.functional.one_hot(plane, cells + 1).double()[:, 1:]  # the first is held
+    reduced = sections.T @ stiffness[:, 0, :, 0] @ sections
+    mass = sections.T @ (body.physics().mass[:, None] * sections)
+    return math.sqrt(eigh(reduced.numpy(), mass.numpy(), eigvals_only=True)[0])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_frequency_of_a_two_density_bar(kind):
+    """Axial waves in a rod of two halves, held at the near end, free at the far one:
+
+    tan(k_1 l / 2) tan(k_2 l / 2) = k_1 / k_2,  k_i = w sqrt(rho_i / E)
+
+    (displacement and force agree at the joint). Lumped masses converge with the second order.
+    """
+
+    def mismatch(w: float) -> float:
+        near, far = (w * math.sqrt(rho / YOUNGS_MODULUS) for rho in (NEAR, FAR))
+        return math.tan(0.5 * near * LENGTH) * math.tan(0.5 * far * LENGTH) - near / far
+
+    end = math.pi / LENGTH * math.sqrt(YOUNGS_MODULUS / NEAR)  # where the near half has its pole
+    exact = brentq(mismatch, 1e-3 * end, 0.999 * end, xtol=1e-12)
+    errors = [first_axial_frequency(kind, cells) / exact - 1.0 for cells in (8, 16)]
+    assert abs(errors[1]) < 1.1e-3
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.05)
+
+
+@pytest.mark.grad
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_gradient_through_steps(integrator, kind):
+    m = irregular_mesh(kind, (2, 1, 1) if kind == "hex" else (1, 1, 1), (1.0, 1.0, 1.0))
+    dt = 0.02 if integrator == "semi_implicit_euler" else 0.1
+    body = soft_body(m, fixed=rail_mask(m), integrator=integrator, dt=dt)
+    x = torch.where(rail_mask(m), m.x_rest, deformed(m))
+    density = leaf(1.5 + 0.3 * noise(m.num_elements, seed=6).tanh())
+
+    def layer(x, v, density):
+        state, physics = soft.State(x, v), body.physics(density=density)
+        for _ in range(3):
+            state = body(state, physics=physics)
+        return torch.cat([state.x.flatten(), 0.1 * state.v.flatten()])
+
+    args = (leaf(x), leaf(0.3 * noise(m.num_vertices, 3, seed=2)), density)
+    assert float(torch.autograd.grad(layer(*args).sum(), density)[0].abs().min()) > 1e-6
+    assert torch.autograd.gradcheck(layer, args, **TOLERANCE)
+
+
+@pytest.mark.grad
+@pytest.mark.parametrize("kind", KINDS)
+def test_gradient_through_statics(kind):
+    m = irregular_mesh(kind, (2, 1, 1) if kind == "hex" else (1, 1, 1), (1.0, 1.0, 1.0), 0.02)
+    body = soft_body(m, fixed=m.nodes_near_plane("x", 0.0, tol=0.1), youngs_modulus=300.0)
+    density = leaf(1.5 + 0.3 * noise(m.num_elements, seed=6).tanh())
+
+    def layer(density):
+        return body.static_equilibrium(physics=body.physics(density=density)).x
+
+    assert torch.autograd.gradcheck(layer, (density,), **TOLERANCE)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_forward_mode_agrees_with_the_adjoint(kind):
+    """<w, J p> = <J'w, p>."""
+    m = irregular_mesh(kind, (3, 1, 1))
+    body = soft_body(m, fixed=torch.tensor([0, 1, 2]), integrator="bdf2")
+    density = leaf(1.5 + 0.3 * noise(m.num_elements, seed=6).tanh())
+    direction, weight = noise(1, m.num_elements, seed=1), noise(m.num_vertices, 3, seed=2)
+    end = soft.rollout(body, body.rest_state(), 4, physics=body.physics(density=density)).x[-1]
+    (grad,) = torch.autograd.grad((weight * end).sum(), density)
+    value = {"density": density.detach()}
+    rates = soft.physics_directions(body, value, {"density": direction})
+    found = soft.rollout_tangents(
+        body,
+        body.rest_state(),
+        4,
+        1,
+        soft.Directions(physics=rates),
+        physics=body.physics(**value),
+    )
+    forward = float((weight * found.tangent[-1, 0]).sum())
+    assert forward == pytest.approx(float((grad * direction[0]).sum()), rel=1e-9)
+
+
+def test_compiles():
+    m = irregular_mesh("hex", (2, 1, 1))
+    body = soft_body(m, solver=soft.SolverOptions(**SHARP))
+    density = leaf(1.5 + 0.3 * noise(m.num_elements, seed=6).tanh())
+
+    def layer(density):
+        return body(body.rest_state(), physics=body.physics(density=density)).v
+
+    compiled = torch.compile(layer, fullgraph=True, backend="aot_eager")
+    torch.testing.assert_close(compiled(density), layer(density))
+
+
+def test_as_many_elements_as_vertices_are_refused():
+    """A vector could then mean either."""
+    m = mesh.tet_box((2, 1, 1))
+    assert m.num_elements == m.num_vertices
+    body = soft_body(m)
+    with pytest.raises(ValueError, match="may be of elements or of vertices"):
+        body.physics(density=torch.ones(m.num_elements, dtype=torch.float64))
+    body.physics(density=2.0)
+
+
+def test_bad_densities_are_refused():
+    body = soft_body(mesh.hex_box((2, 1, 1)))
+    with pytest.raises(ValueError, match=r"density must lie in \(0, inf\), got -1; unit is kg/m"):
+        body.physics(density=torch.tensor([1.0, -1.0], dtype=torch.float64))
+    with pytest.raises(ValueError, match=r"\(num_vertices,\) = \(12,\) or \(num_elements,\) = \(2"):
+        body.physics(density=torch.ones(3, dtype=torch.float64))
+    with pytest.raises(TypeError, match=r"density must be a torch\.Tensor, got NoneType"):
+        body.physics(density=None)

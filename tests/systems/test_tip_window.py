@@ -1,0 +1,79 @@
+"""Markers on a face, common times, release shift: each with an answer known beforehand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from diffsim.systems.soft_body.markers import marker_weights
+from diffsim.systems.soft_body.tip_window import Window, rms, sampling_matrix, window
+
+MARKERS = np.array([[0.0, 0.015, 0.036], [0.0, -0.006, 0.024], [0.0, 0.036, 0.006]])
+
+
+def face(n: int = 4) -> np.ndarray:
+    y, z = np.meshgrid(np.linspace(0, 0.03, n), np.linspace(0, 0.03, n))
+    return np.column_stack([0 * y.ravel(), y.ravel(), z.ravel()])
+
+
+@pytest.mark.property
+def test_markers_follow_any_rigid_motion_of_the_face():
+    points = face()
+    w = marker_weights(points, MARKERS)
+    rot = Rotation.from_rotvec([0.1, 0.35, -0.2]).as_matrix()
+    move = np.array([0.001, -0.002, -0.017])
+    np.testing.assert_allclose(w @ (points @ rot.T + move), MARKERS @ rot.T + move, atol=1e-15)
+
+
+def test_faces_and_markers_that_do_not_fit_are_refused():
+    tilted = face() + np.column_stack([face()[:, 1], np.zeros((16, 2))])
+    with pytest.raises(ValueError, match=r"must share one x"):
+        marker_weights(tilted, MARKERS)
+    with pytest.raises(ValueError, match=r"within 1 mm of the face x = 0 m, got 0.094 m"):
+        marker_weights(face(), np.array([[-0.094, 0.0, 0.0]]))
+    with pytest.raises(ValueError, match=r"not on one line"):
+        marker_weights(face()[:4], MARKERS)
+
+
+def motion(t, release=0.0):
+    s = np.clip(t - release, 0, None)
+    z = -6e-3 * (1 - np.exp(-2.6 * s) * np.cos(48.6 * s))
+    return np.column_stack([0 * z, 0 * z, z])
+
+
+@pytest.mark.parametrize("release", [-0.0073, 0.0, 0.0042])
+def test_best_shift_finds_when_the_hand_let_go(release):
+    time_s = np.arange(0, 1.0, 0.01) + 0.004
+    measured = window(time_s, motion(time_s, release), until_s=1.0)
+    model_time = np.arange(0, 1.0 + 1e-9, 0.002)
+    model = torch.from_numpy(motion(model_time))
+    shift = measured.best_shift(model_time, model)
+    assert shift == pytest.approx(release, abs=1e-5)
+    total, per_axis = rms(measured.residual(model_time, model, shift))
+    assert total == pytest.approx(per_axis[2]) and total < 2e-5  # kink at release, step 2 ms
+    if release:
+        assert rms(measured.residual(model_time, model))[0] > 10 * total
+
+
+def test_interpolation_does_not_add_damping():
+    coarse = np.arange(0, 1.0 + 1e-9, 0.01)
+    fine = np.arange(0.1, 0.9, 0.0037)
+    x = np.cos(48.6 * coarse)
+    # at 13 steps per cycle a straight line between steps would be off by (w h)^2 / 8 = 3 %
+    np.testing.assert_allclose(sampling_matrix(coarse, fine) @ x, np.cos(48.6 * fine), atol=2e-3)
+
+
+def test_nothing_is_extrapolated():
+    with pytest.raises(ValueError, match=r"exceed the simulated \[0, 0.5\] s; simulate longer"):
+        sampling_matrix(np.linspace(0, 0.5, 50), np.linspace(0, 0.6, 60))
+
+
+@pytest.mark.grad
+def test_gradient_passes_to_the_model():
+    time_s = np.arange(0.001, 0.2, 0.01)
+    measured = Window(time_s, motion(time_s))
+    model_time = np.arange(0, 0.25, 0.01)
+    model = torch.from_numpy(motion(model_time)).requires_grad_()
+    assert torch.autograd.gradcheck(lambda x: measured.residual(model_time, x, 0.003), model)
