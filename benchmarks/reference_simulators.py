@@ -201,7 +201,7 @@ def _muscled(material: str, integrator: str = "implicit_euler") -> Any:
         density=1070.0,
         material=material,
         integrator=integrator,
-        rayleigh_beta=1e-3,
+        damping=soft.Damping(rayleigh_beta=1e-3),
         fixed=box.nodes_near_plane("x", 0.0),
         muscles=[
             soft.Muscle(elements=top, direction=(1.0, 0.0, 0.1), stiffness=1e5),
@@ -218,7 +218,7 @@ def _parameters(body: Any) -> tuple[dict[str, Tensor], Any]:
         "poissons_ratio": leaf(0.45),
         "density": leaf(1070.0),
         "gravity": leaf((0.3, -0.2, -9.7)),
-        "fibre_stiffness": leaf((1e5, 8e4)),
+        "fiber_stiffness": leaf((1e5, 8e4)),
     }
     return leaves, body.physics(**leaves)
 
@@ -292,7 +292,7 @@ def swimming() -> Mapping[str, Any]:
         youngs_modulus=1e5,
         poissons_ratio=0.4,
         gravity=(0.0, 0.0, 0.0),
-        added_mass=soft.added_mass(block, 0.5, 1e3),
+        masses=soft.Masses(added_mass=soft.added_mass(block, 0.5, 1e3)),
         solver=soft.SolverOptions(rtol=1e-8, num_threads=1),
     )
     drag = leaf((0.1, 0.2, 1.8, 2.0))

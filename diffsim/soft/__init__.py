@@ -17,7 +17,6 @@ from diffsim.soft.options import ContactOptions, Damping, Masses, SolverOptions
 from diffsim.soft.physics import Physics
 from diffsim.soft.physics_tangent import physics_directions
 from diffsim.soft.rollout import rollout
-from diffsim.soft.solid import Solid
 from diffsim.soft.state import State, Trajectory
 from diffsim.soft.statics import static_equilibrium
 from diffsim.soft.stats import SolveStats, record_stats
@@ -42,7 +41,6 @@ __all__ = [
     "PressureChamber",
     "RateLimit",
     "SoftBody",
-    "Solid",
     "SolveStats",
     "SolverOptions",
     "State",
