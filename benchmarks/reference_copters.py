@@ -116,19 +116,23 @@ def flight_simulator() -> Mapping[str, Any]:
 def pentacopter_payload() -> Mapping[str, Any]:
     """The pentacopter's largest payload: jointly, with torque kept, and by the thesis's method."""
     from diffsim.copter import load_design
-    from diffsim.copter.codesign import codesign
+    from diffsim.copter.codesign import Demands, Limits, SearchOptions, codesign
 
     design = load_design("pentacopter")
-    kept = {"authority": (0.5, 0.5, 0.05), "extent": 0.3}
+    apart, two = Limits(clearance=0.01), SearchOptions(num_starts=2)
     cases: dict[str, dict[str, Any]] = {
-        "joint": {"num_starts": 2, "clearance": 0.01},
-        "torque_kept": {"num_starts": 2, "clearance": 0.01, **kept},
-        "slsqp": {"num_starts": 2, "clearance": 0.01, "solver": "slsqp"},
-        "alternating": {"num_starts": 1, "method": "alternating"},
+        "joint": {"limits": apart, "search": two},
+        "torque_kept": {
+            "limits": Limits(clearance=0.01, extent=0.3),
+            "demands": Demands(authority=(0.5, 0.5, 0.05)),
+            "search": two,
+        },
+        "slsqp": {"limits": apart, "search": SearchOptions(num_starts=2, solver="slsqp")},
+        "alternating": {"search": SearchOptions(num_starts=1), "method": "alternating"},
     }
     found = {}
     for name, options in cases.items():
-        best = codesign(design, "payload", seed=0, **options)
+        best = codesign(design, "payload", **options)
         found[name] = {
             "max_payload": best.max_payload,
             "max_weight": best.max_weight,

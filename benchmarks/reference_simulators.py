@@ -342,28 +342,28 @@ def _of_flow(flow: Any, level: Callable[[Tensor], Tensor]) -> dict[str, Any]:
 def stokes_thesis() -> Mapping[str, Any]:
     """A bent pipe in the thesis's published formulation."""
     from benchmarks.stokes_worker import bent_pipe
-    from diffsim.stokes import Inlet, Open, StokesFlow
+    from benchmarks.thesis_stokes import ThesisFlow
+    from diffsim.stokes import Inlet, Open
 
     grid, level = bent_pipe(12)
-    flow = StokesFlow(grid, [Inlet("x-"), Open("x+")], formulation="thesis", num_threads=1)
-    return _of_flow(flow, level)
+    return _of_flow(ThesisFlow(grid, [Inlet("x-"), Open("x+")]), level)
 
 
 def stokes_flow() -> Mapping[str, Any]:
     """A bent pipe by every solver, and the cells that its wall cuts."""
     from benchmarks.stokes_worker import bent_pipe
-    from diffsim.stokes import Inlet, Open, StokesFlow, cut_cells
+    from diffsim.stokes import Inlet, Open, SolverOptions, StokesFlow, cut_cells
 
     grid, level = bent_pipe(12)
     cases: dict[str, dict[str, Any]] = {
-        "direct": {"solver": "direct"},
-        "iterative": {"solver": "iterative"},
+        "direct": {"solver": SolverOptions(method="direct")},
+        "iterative": {"solver": SolverOptions(method="iterative")},
         "incompressible": {"incompressible": True},
         "no_separation": {"wall": "no_separation"},
     }
     found: dict[str, Any] = {}
     for name, options in cases.items():
-        flow = StokesFlow(grid, [Inlet("x-"), Open("x+")], num_threads=1, **options)
+        flow = StokesFlow(grid, [Inlet("x-"), Open("x+")], **options)
         found[name] = _of_flow(flow, level)
     found["cut_cells"] = cut_cells(grid, level(torch.tensor(0.2, dtype=F64)))._asdict()
     return found
@@ -378,7 +378,7 @@ def stokes_export() -> Mapping[str, Any]:
 
     grid, level = bent_pipe(12)
     phi = level(torch.tensor(0.2, dtype=F64))
-    flow = StokesFlow(grid, [Inlet("x-"), Open("x+")], num_threads=1)
+    flow = StokesFlow(grid, [Inlet("x-"), Open("x+")])
     lines = streamlines(flow(phi, torch.tensor([1.0, 0.0, 0.0], dtype=F64)), 6)
     axes = [np.linspace(0.0, size, n) for size, n in zip((1.0, 1.0, 0.5), phi.shape, strict=True)]
     vertices, triangles = negative_part(axes, phi.numpy())

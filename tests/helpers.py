@@ -40,3 +40,8 @@ def check_layer(
     torch.testing.assert_close(compiled, out)
     compiled_grads = torch.autograd.grad(compiled, inputs, cotangent)
     torch.testing.assert_close(compiled_grads, grads)
+
+
+def op_arguments(op) -> tuple[str, ...]:
+    """Names of a custom op's arguments, in its order."""
+    return tuple(argument.name for argument in op._opoverload._schema.arguments)

@@ -29,24 +29,9 @@ from diffsim.identify.model import Numerics, SimModel
 TWIN = "{}_again"
 
 
-class Twin(Effect):
-    """An effect under a second name: no data can tell the two apart.
-
-    Args:
-        of: The effect.
-    """
-
-    def __init__(self, of: Effect):
-        self.of = of
-        self.name = TWIN.format(of.name)  # type: ignore[misc]
-        for field in ("family", "kind", "unit", "typical", "signed", "components", "smooth"):
-            setattr(self, field, getattr(of, field))
-
-    def needs(self, study: Any) -> str | None:
-        return self.of.needs(study)
-
-    def apply(self, scene: Any, size: Tensor, run: Any) -> Any:
-        return self.of.apply(scene, size, run)
+def twin(of: Effect) -> Effect:
+    """An effect under a second name: no data can tell the two apart."""
+    return replace(of, name=TWIN.format(of.name), also_looks_like=())
 
 
 class CoarseModel(SimModel):
@@ -95,7 +80,7 @@ def case_inputs(
     # names of a laboratory's effect with several components: "weak_rotor" is weak_rotor_1, ...
     left_out = tuple(options.get("without", ()))
     effects = [e for e in setup.effects if not _is_or_part(e.name, left_out)]
-    effects += [Twin(e) for e in effects if e.name in options.get("twins", ())]
+    effects += [twin(e) for e in effects if e.name in options.get("twins", ())]
     model = CoarseModel(setup.model, options["coarse"]) if "coarse" in options else setup.model
     return replace(inputs, setup=replace(setup, effects=tuple(effects), model=model))
 

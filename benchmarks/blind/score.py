@@ -14,10 +14,10 @@ from diffsim.cli.diagnose_inputs import inputs_of
 from diffsim.data.labs.sealed import Bench, study_of
 from diffsim.data.study import Study
 from diffsim.data.study_file import load_study
+from diffsim.diagnose.fit import residual_of
 from diffsim.diagnose.gain import gain
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.refit import NullFit, fit_null, refit
-from diffsim.diagnose.stages import left_of
 from diffsim.identify import Fit
 from diffsim.identify import fit as fit_runs
 from diffsim.identify.effect import Effect
@@ -215,5 +215,5 @@ def _fit_clean(null: NullFit, clean: Study, effects: Sequence[Effect], inputs: I
 def _delta(null: NullFit, clean: Study, left: Fit) -> float:
     """Rms of the misfit over one sample's noise sd."""
     sd = null.noise.sd
-    parts = [(left_of(left, run) / sd).ravel() for run in clean.fit_runs]
+    parts = [(residual_of(left, run) / sd).ravel() for run in clean.fit_runs]
     return float(np.sqrt(np.nanmean(np.concatenate(parts) ** 2)))

@@ -45,12 +45,10 @@ def command(args: argparse.Namespace) -> None:
     """Design the device that the arguments name.
 
     Raises:
-        ValueError: options that exclude each other.
+        ValueError: options that exclude each other, or ``--out`` holds another run.
     """
-    if args.export and not args.out:
-        raise ValueError("--export needs --out, the folder to write to")
-    if args.no_slip and args.name != "twister":
-        raise ValueError("--no-slip is for the twister; the other devices have the thesis's walls")
+    if wrong := _conflict(args):
+        raise ValueError(wrong)
     import torch
 
     from diffsim.cli.device_design import run
@@ -77,19 +75,31 @@ def command(args: argparse.Namespace) -> None:
     )
 
 
+def _conflict(args: argparse.Namespace) -> str:
+    """What is wrong with the options taken together; empty: nothing."""
+    if args.export and not args.out:
+        return "--export needs --out, the folder to write to"
+    if args.no_slip and args.name != "twister":
+        return "--no-slip is for the twister; the other devices have the thesis's walls"
+    return ""
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """``python -m diffsim.cli.devices``: the same as ``diffsim devices``."""
     parser = argparse.ArgumentParser(description=HELP)
     add_arguments(parser)
     args = parser.parse_args(argv)
+    if wrong := _conflict(args):
+        parser.error(wrong)
     try:
         command(args)
-    except ValueError as error:
-        parser.error(str(error))
     except KeyboardInterrupt:
         again = ", the same command goes on" if args.out else ""
         print(f"interrupted{again}", file=sys.stderr)
         return 130
+    except ValueError as error:  # such as a record of another run in --out
+        print(error, file=sys.stderr)
+        return 2
     return 0
 
 

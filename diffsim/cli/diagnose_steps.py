@@ -143,10 +143,9 @@ def _write(report: Report, inputs: Inputs, out: Path) -> None:
     print(f"wrote {out / REPORT_FILE} and {out / MODEL_FILE}")
 
     def page() -> Path:
-        from diffsim.viz.diagnosis_content import figures_of
         from diffsim.viz.diagnosis_report import write_diagnosis
 
-        return write_diagnosis(figures_of(report), out / "report.html")
+        return write_diagnosis(report, out / "report.html")
 
     def recording() -> Path:
         from diffsim.viz.diagnosis_recording import write_recording_of

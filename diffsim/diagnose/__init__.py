@@ -1,11 +1,33 @@
-"""Show what a simulator gets wrong, name the cause, extend the model, measure the gain."""
+"""Show what a simulator gets wrong, name the cause, extend the model, measure the gain.
+
+From ``study.yaml`` to the verdict one channel passes through 25 files, to be read in this order:
+
+1. Recordings: ``data/study_file``, ``data/table``, ``data/study``, ``core/check``; the chosen model
+   and causes: ``cli/diagnose_inputs``.
+2. What is fitted: ``identify/model``, ``effect``, ``problem``, ``jacobian``, ``linearization``,
+   ``fitting``, ``unknown``.
+3. The pipeline, in the order of its steps: ``diagnose/diagnosis``.
+4. ``gates``: data, gradients, numerical settings, repeatability.
+5. ``noise``: the noise floor and its whitening.
+6. ``fit``: the plain model, by Gauss-Newton in a trust region with Broyden updates.
+7. ``screen``: scores of all candidates at the null fit.
+8. ``evidence``, ``simulations``, ``search``: Laplace evidence of sets of effects, and what was
+   simulated for it.
+9. ``judge``, ``gain``: one verdict; unknown causes face the repeats (``crosscheck``), names face
+   held-out runs.
+10. ``tables``, ``report``, ``force_map``: the evidence as it is read and saved.
+
+One record passes on to the next, and none is changed: ``Case`` (what is given), ``Null`` (noise
+floor and null fit), ``Search`` (what was weighed), ``Judgement`` (what may be said), ``Report``.
+"""
 
 from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.force_map import ForceMap, force_map
 from diffsim.diagnose.gain import Gain, gain
-from diffsim.diagnose.gate_result import GateResult
+from diffsim.diagnose.gates import GateResult
 from diffsim.diagnose.next_run import NextRun, next_run
-from diffsim.diagnose.report import EffectRow, HypothesisRow, Report
+from diffsim.diagnose.report import Report
+from diffsim.diagnose.tables import EffectRow, HypothesisRow
 
 __all__ = [
     "EffectRow",

@@ -31,13 +31,13 @@ def swap_probability(
     taken large: b' (H'H + 1)^-1 b with b = H'r.
 
     Args:
-        problem: Of the fit that left the residual.
-        residual: (num_valid,) whitened.
-        responses: (num_valid, m) whitened, of the cause in question.
-        seed: Of the draws.
+        problem: Fitted problem that left the residual.
+        residual: Whitened residual of the fit, (num_valid,).
+        responses: Whitened responses of the cause in question, (num_valid, m).
+        seed: Seed of the draws.
 
     Returns:
-        (hits + 1) / (draws + 1), or None where repeats are missing or too short to tell.
+        (hits + 1) / (draws + 1), or None where repeats are missing or too short for a test.
     """
     pairs = _pairs(problem.runs)
     labels = [_blocks(problem.runs[a]) for a, _ in pairs]
@@ -55,7 +55,7 @@ def swap_probability(
         b = h.T @ np.concatenate([r.ravel() for r in records])
         return float(b @ linalg.cho_solve(factor, b))
 
-    rng, found = np.random.default_rng(seed), statistic(mean)
+    rng, observed = np.random.default_rng(seed), statistic(mean)
     hits = 0
     for _ in range(DRAWS):
         drawn = []
@@ -64,7 +64,7 @@ def swap_probability(
             take = rng.integers(2, size=count)[label][:, None]
             sign = rng.choice([-1.0, 1.0], count)[label][:, None]
             drawn.append(sign * np.where(take, m, d))
-        hits += statistic(drawn) >= found
+        hits += statistic(drawn) >= observed
     return (hits + 1) / (DRAWS + 1)
 
 

@@ -6,6 +6,7 @@ import platform
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy
@@ -14,43 +15,36 @@ from numpy.typing import NDArray
 
 from diffsim.core.version import __version__
 from diffsim.data.study import Run, Study
-from diffsim.diagnose import decide as rules
-from diffsim.diagnose.decide import Decision
-from diffsim.diagnose.evidence import Hypothesis
+from diffsim.diagnose.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
+from diffsim.diagnose.fit import Case, Null, Progress, null_fit, silent
 from diffsim.diagnose.force_map import ForceMap, force_map
-from diffsim.diagnose.gate_result import GateResult
 from diffsim.diagnose.gates import (
+    NUMERICS_GATES,
+    GateResult,
     data_gate,
     gradient_gate,
     numerical_effects,
     numerics_changes,
     numerics_gate,
+    repeatability_gate,
 )
-from diffsim.diagnose.judge import NAMES, Judgement, decision_of, judge
+from diffsim.diagnose.judge import EXPLAINED, NAMES, Decision, Judgement, decision_of, judge
 from diffsim.diagnose.next_run import next_run
-from diffsim.diagnose.noise import UNREPEATABLE, NoiseFloor
-from diffsim.diagnose.points import Points
-from diffsim.diagnose.repeatability import repeatability_gate
-from diffsim.diagnose.report import Report
+from diffsim.diagnose.noise import UNREPEATABLE, noise_floor
+from diffsim.diagnose.report import Report, sentences
 from diffsim.diagnose.screen import Screen, screen
-from diffsim.diagnose.search import NONE, Search
-from diffsim.diagnose.stages import (
-    Case,
-    DiagnosisSettings,
-    Progress,
-    null_fit,
-    search_rounds,
-    silent,
-)
+from diffsim.diagnose.search import Search, begin, search_sets
+from diffsim.diagnose.simulations import NONE, Center, Simulations
 from diffsim.diagnose.store import Store, key_of
 from diffsim.diagnose.tables import cannot_see, effect_rows, hypothesis_rows, set_names
-from diffsim.diagnose.words import sentences
-from diffsim.identify import Fit
 from diffsim.identify.effect import Effect
+from diffsim.identify.effort import DiagnosisSettings
+from diffsim.identify.linearization import residuals_by_run
 from diffsim.identify.model import SimModel
 from diffsim.identify.unknown import Unknown, UnknownForce, drifts
 
 Array = NDArray[np.float64]
+NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
 
 
 def diagnose(
@@ -69,169 +63,234 @@ def diagnose(
 
     Args:
         study: Recorded runs, some of them held out.
-        model: With everything imperfectly known as base parameters, nuisances of the set-up too: a
-            forgotten one becomes an invented effect.
-        effects: Candidates.
+        model: Simulator with everything imperfectly known as base parameters, nuisances of the
+            set-up too: a forgotten one becomes an invented effect.
+        effects: Candidate causes.
         seed: Of the bootstrap.
-        unknowns: Generic causes that the bed supplies (``UnknownForce``); a smooth drift of each
+        unknowns: Generic causes that the system supplies (``UnknownForce``); a smooth drift of each
             channel is always among them.
         bank: Runs that could be recorded next.
-        settings: Effort.
-        progress: Told stage, share done and message as it goes.
+        settings: Effort and choices.
+        progress: Receives stage, share done and message.
         cache: Folder for what was simulated: after an interruption, the same call goes on from
             there. The model's name stands for its code; empty the folder after changing that.
 
     Returns:
-        ``Report``.
+        The verdict with its evidence.
 
     Raises:
         ValueError: the study cannot be judged at all, or effects share a name.
     """
-    settings = settings or DiagnosisSettings()
     gates = data_gate(study)
-    _require_distinct(effects)
-    unmet = {e.name: why for e in effects if (why := e.needs(study)) is not None}
-    judged = tuple(e for e in effects if e.name not in unmet)
-    generic = (*unknowns, *drifts([c.name for c in study.channels]))
-    show = progress or silent
-    case = Case(study, model, judged, generic, settings, show)
-    show("null fit", 0.0, "the model without effects")
-    before = model.simulations.count
-    case, noise, null, num_spikes = null_fit(case)
-    show("checks", 0.15, "numerical settings, gradients")
-    changes = numerics_changes(null.fit.problem, null.local)
-    gates += numerics_gate(null.fit, changes)
-    if settings.accept_numerics:
-        case = replace(case, effects=(*case.effects, *numerical_effects(null.fit, changes)))
-    if cache is not None:
-        case = replace(case, store=Store(cache, _key(case)))
-    points = Points(case.wide(null.fit), store=case.store)
-    points.keep(NONE, null.local)
-    screened = points.linear(NONE, points.screen(NONE, None), (), 1)
-    gates += gradient_gate(screened)
-    found = _Found(case, null.fit, noise, gates, unmet, num_spikes, changes, before)
-    if not settings.accept_numerics and any(
-        not g.passed for g in gates if g.name in ("time_step", "mesh", "tolerance")
-    ):
-        seen = screen(screened.problem, screened.residual, screened.jacobian, screened.x0)
+    case = _case(study, model, effects, unknowns, settings, progress)
+    case.progress("null fit", 0.0, "the model without effects")
+    null = null_fit(case)
+    null.case.progress("checks", 0.15, "numerical settings, gradients")
+    null, checks, simulations = _checked(null, gates, cache)
+    if checks.numerics_failed and not null.case.settings.accept_numerics:
         decision = Decision("numerical", frozenset(), (), None, 0.0)
-        return _report(found, Judgement(decision, None, {}, frozenset()), None, seen, seed, bank)
-
-    search, noise, null = search_rounds(case, noise, null, points)
-    linear = search.null_linear
-    seen = screen(search.wide, linear.residual, linear.jacobian, linear.x0)
-    show("gain", 0.88, "runs held out")
-    evident = decision_of(search)
-    best = search.entries[Hypothesis(evident.best)].fit
-    assert best is not None  # sets without an unknown cause are fitted
-    repeats = repeatability_gate(best)
-    gates += repeats
-    if noise.is_repeatable and all(g.passed for g in repeats):
-        judgement = judge(search, case.study.holdout_runs, gates, seed)
-    else:
-        decision = replace(evident, verdict="unrepeatable", rivals=())
-        judgement = Judgement(decision, None, {}, frozenset())
-    return _report(replace(found, null=null.fit, noise=noise), judgement, search, seen, seed, bank)
+        screened = _screened(checks.center)
+        return _report(null, checks, Judgement(decision), screened, seed, bank)
+    search = search_rounds(null, simulations)
+    screened = _screened(search.plain)
+    case.progress("gain", 0.88, "runs held out")
+    checks, judgement = _judged(search, checks, seed)
+    return _report(search.null, checks, judgement, screened, seed, bank)
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
-    """What the steps before the search left for the report."""
+class Checks:
+    """Gates before any physics is blamed, and what they simulated.
 
-    case: Case
-    null: Fit
-    noise: NoiseFloor
-    gates: list[GateResult]
-    unmet: dict[str, str]
-    num_spikes: int
+    Attributes:
+        gates: Data, numerical settings, gradients; then repeatability and the judgement's.
+        changes: Of the record by refining each numerical setting, (N,) [unit of the channel].
+        center: The plain model with everything linearized there.
+    """
+
+    gates: tuple[GateResult, ...]
     changes: dict[str, Array]
-    simulations_before: int
+    center: Center
+
+    @property
+    def numerics_failed(self) -> bool:
+        """Whether numerical settings move the record by more than their limit."""
+        return any(not g.passed for g in self.gates if g.name in NUMERICS_GATES)
+
+    def joined(self, more: Sequence[GateResult]) -> Checks:
+        """With further gates."""
+        return replace(self, gates=(*self.gates, *more))
+
+
+def search_rounds(null: Null, simulations: Simulations) -> Search:
+    """Search; estimate the noise from what the best set leaves; again if it has changed, from what
+    was simulated before."""
+    case = null.case
+    for round_ in range(case.settings.noise_rounds):
+        search = search_sets(begin(null, simulations))
+        simulations = search.simulations
+        best = simulations.fitted[decision_of(search).best]
+        residuals = residuals_by_run(case.study.fit_runs, best.record)
+        after = noise_floor(case.study.fit_runs, case.study.channels, residuals)
+        is_same = after.source == null.noise.source and bool(
+            (np.abs(after.sd / null.noise.sd - 1.0) < NOISE_CHANGED).all()
+        )
+        if is_same or round_ == case.settings.noise_rounds - 1:
+            break
+        null = null.under(after)
+    # the report shows the floor that the best set leaves
+    return replace(search, null=replace(null, noise=after))
+
+
+def _case(
+    study: Study,
+    model: SimModel,
+    effects: Sequence[Effect],
+    unknowns: Sequence[Unknown],
+    settings: DiagnosisSettings | None,
+    progress: Progress | None,
+) -> Case:
+    """Candidates that these data allow to be judged, and a drift of each channel."""
+    names = [e.name for e in effects]
+    if repeated := sorted({n for n in names if names.count(n) > 1}):
+        raise ValueError(f"effects share names: {repeated}; a report could not distinguish them")
+    unmet = {e.name: why for e in effects if (why := e.needs(study)) is not None}
+    return Case(
+        study=study,
+        model=model,
+        effects=tuple(e for e in effects if e.name not in unmet),
+        unknowns=(*unknowns, *drifts([c.name for c in study.channels])),
+        settings=settings or DiagnosisSettings(),
+        progress=progress or silent,
+        unmet=unmet,
+        num_simulated=model.simulations.count,
+    )
+
+
+def _checked(
+    null: Null, gates: tuple[GateResult, ...], cache: str | Path | None
+) -> tuple[Null, Checks, Simulations]:
+    """Numerical settings and gradients at the null fit, everything linearized there."""
+    changes = numerics_changes(null.fit.problem, null.at)
+    gates = (*gates, *numerics_gate(null.fit, changes))
+    case = null.case
+    if case.settings.accept_numerics:
+        case = replace(case, effects=(*case.effects, *numerical_effects(null.fit, changes)))
+    if cache is not None:
+        case = replace(case, store=Store(cache, _key(case)))
+    null = replace(null, case=case)
+    simulations = Simulations(null.wide, case.store).under(null)
+    at, simulations = simulations.screen(NONE, None)
+    center = simulations.center(NONE, at, 1)
+    gates = (*gates, *gradient_gate(center.evidence))
+    return null, Checks(gates, changes, center), simulations
+
+
+def _screened(center: Center) -> Screen:
+    e = center.evidence
+    return screen(e.problem, e.residual, e.jacobian, e.x0)
+
+
+def _judged(search: Search, checks: Checks, seed: int) -> tuple[Checks, Judgement]:
+    """Repeatability with the effects that the evidence asks for; then names and unknown causes."""
+    evident = decision_of(search)
+    repeats = repeatability_gate(search.fit_of(evident.best))
+    checks = checks.joined(repeats)
+    if search.null.noise.is_repeatable and all(g.passed for g in repeats):
+        judgement = judge(search, search.null.case.study.holdout_runs, seed)
+        return checks.joined(judgement.gates), judgement
+    decision = replace(evident, verdict="unrepeatable", rivals=())
+    return checks, Judgement(decision, search)
 
 
 def _report(
-    found: _Found,
+    null: Null,
+    checks: Checks,
     judgement: Judgement,
-    search: Search | None,
-    seen: Screen,
+    screened: Screen,
     seed: int,
     bank: Sequence[Run],
 ) -> Report:
-    case, null, noise, gates = found.case, found.null, found.noise, found.gates
-    decision, total, gains = judgement.decision, judgement.gain, judgement.gains
-    is_named = decision.verdict in NAMES
-    best = null
+    case, noise, gates = null.case, null.noise, checks.gates
+    decision, search = judgement.decision, judgement.search
+    is_named = search is not None and decision.verdict in NAMES
+    best = null.fit
     if search is not None and is_named:
-        kept = search.entries[Hypothesis(decision.best)].fit
-        assert kept is not None  # sets without an unknown cause are fitted
-        best = kept
+        best = search.fit_of(decision.best)
         if not best.converged:
             why = f"of the named set: its sizes are not to be trusted ({best.message})"
-            gates.append(GateResult("fit_converged", False, 0.0, 1.0, why))
+            gates = (*gates, GateResult("fit_converged", False, 0.0, 1.0, why))
     effects = case.effects
     rivals = tuple(set_names(h, effects, case.unknowns) for h in decision.rivals)
-    rival_fits = [best] + [
-        search.entries[h].fit for h in decision.rivals if search and h.unknown is None
-    ]
-    fits = [f for f in rival_fits if f is not None]
-    advice = next_run(fits, bank) if bank and len(fits) > 1 else None
-    rows = effect_rows(effects, decision, search, seen, gains, judgement.withdrawn, found.changes)
+    rival_fits = [best]
+    if search is not None:
+        rival_fits += [search.fit_of(h.effects) for h in decision.rivals if h.unknown is None]
+    advice = next_run(rival_fits, bank) if bank and len(rival_fits) > 1 else None
+    rows = effect_rows(effects, judgement, screened, checks.changes)
     case.progress("done", 1.0, decision.verdict)
     return Report(
         verdict=decision.verdict,
-        sentences=sentences(decision, rows, rivals, total, gates, noise, effects, case.unknowns),
+        sentences=sentences(
+            decision, rows, rivals, judgement.gain, gates, noise, effects, case.unknowns
+        ),
         named=tuple(effects[i].name for i in sorted(decision.best)) if is_named else (),
         rivals=rivals,
         hypotheses=hypothesis_rows(search, effects, case.unknowns),
         table=rows,
-        confounding_names=seen.names,
-        confounding=seen.confounding,
-        cannot_see=cannot_see(case.study, effects, seen, found.unmet),
-        gates=tuple(gates),
+        confounding_names=screened.names,
+        confounding=screened.confounding,
+        cannot_see=cannot_see(effects, screened, case.unmet),
+        gates=gates,
         noise={
             "sd": dict(zip([c.name for c in case.study.channels], noise.sd.tolist(), strict=True)),
             "source": noise.source,
             "scatter_ratio": noise.scatter_ratio,
-            "num_spikes": found.num_spikes,
+            "num_spikes": null.num_spikes,
         },
-        gain=total,
-        chi2_null=null.chi2,
+        gain=judgement.gain,
+        chi2_null=null.fit.chi2,
         chi2_best=best.chi2,
-        num_samples=null.num_samples,
-        settings={
-            "seed": seed,
-            "keep_nats": rules.KEEP_NATS,
-            "alone_nats": rules.ALONE_NATS,
-            "explained": rules.EXPLAINED,
-            "unrepeatable": UNREPEATABLE,
-            "num_simulations": case.model.simulations.count - found.simulations_before,
-            "search": asdict(case.settings.search),
-            **({} if search is None else _trouble(search)),
-            "versions": {
-                "python": platform.python_version(),
-                "numpy": np.__version__,
-                "scipy": scipy.__version__,
-                "torch": torch.__version__,
-            },
-        },
-        null=null,
+        num_samples=null.fit.num_samples,
+        settings=_settings(case, search, seed),
+        null=null.fit,
         best=best,
         study=case.study,
         model=case.model,
-        next_run=None if advice is None else asdict(advice),
+        next_run=advice,
         force_map=None if search is None else _force_map(search),
     )
 
 
+def _settings(case: Case, search: Search | None, seed: int) -> dict[str, Any]:
+    """Thresholds, seed, effort, versions."""
+    return {
+        "seed": seed,
+        "keep_nats": KEEP_NATS,
+        "alone_nats": ALONE_NATS,
+        "explained": EXPLAINED,
+        "unrepeatable": UNREPEATABLE,
+        "num_simulations": case.model.simulations.count - case.num_simulated,
+        "search": asdict(case.settings.search),
+        **({} if search is None else _trouble(search)),
+        "versions": {
+            "python": platform.python_version(),
+            "numpy": np.__version__,
+            "scipy": scipy.__version__,
+            "torch": torch.__version__,
+        },
+    }
+
+
 def _trouble(search: Search) -> dict[str, list[str]]:
-    """Sets that did not go as they should."""
+    """Sets that failed, did not converge, or borrowed slopes."""
 
     def name(h: Hypothesis) -> str:
         return " + ".join(set_names(h, search.wide.effects, search.unknowns)) or "no effect"
 
-    entries = search.entries.items()
+    weighed = search.weighed.items()
     return {
         "could_not_be_simulated": [name(h) for h in search.failed],
-        "not_converged": [name(h) for h, e in entries if e.fit and not e.fit.converged],
+        "not_converged": [name(h) for h, w in weighed if w.fit and not w.fit.converged],
         "slopes_borrowed_at": [name(Hypothesis(m)) for m in search.borrowed],
     }
 
@@ -239,20 +298,14 @@ def _trouble(search: Search) -> dict[str, list[str]]:
 def _force_map(search: Search) -> ForceMap | None:
     """Of the first unknown force, at the plain model; its slopes were simulated for the search."""
     for u, cause in enumerate(search.unknowns):
-        slopes = search.points.forces.get((NONE, u))
+        slopes = search.simulations.unknown_slopes.get((NONE, u))
         if isinstance(cause, UnknownForce) and slopes is not None:
-            return force_map(search.wide, cause, slopes, search.null_linear.residual)
+            return force_map(search.wide, cause, slopes, search.plain.evidence.residual)
     return None
 
 
 def _key(case: Case) -> str:
     """Of everything that changes a simulation."""
-    causes = [(e.name, type(e).__qualname__, e.typical, e.components) for e in case.effects]
+    causes = [(e.name, e.kind, e.unit, e.typical, e.components) for e in case.effects]
     generic = [(u.name, type(u).__qualname__) for u in case.unknowns]
     return key_of(case.study, case.model, causes, generic, case.settings.jacobian, __version__)
-
-
-def _require_distinct(effects: Sequence[Effect]) -> None:
-    names = [e.name for e in effects]
-    if repeated := sorted({n for n in names if names.count(n) > 1}):
-        raise ValueError(f"effects share names: {repeated}; a report could not tell them apart")

@@ -1,4 +1,4 @@
-"""Laplace evidence of hypotheses, in nats, from one linearisation of everything.
+"""Laplace evidence of hypotheses, in nats, from one linearization of everything.
 
 With W S ~ W S(x0) + A (x - x0), coordinates of prior N(0, 1), and an unknown cause H z with
 z ~ N(0, a^2), columns B = [A_base, A_effects, a H] and r = W (y - S(x0)) + A x0:
@@ -31,6 +31,8 @@ from diffsim.identify.unknown import Unknown
 Array = NDArray[np.float64]
 # root mean square of the unknown's part of the record, in noise standard deviations
 AMPLITUDES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+KEEP_NATS = 4.0  # evidence that a member of a set, or an unknown cause, must add
+ALONE_NATS = 3.0  # lead over every rival that a set needs to be named alone
 
 
 @dataclass(frozen=True)
@@ -46,11 +48,14 @@ class Weighed:
     """Evidence of a hypothesis and where its posterior lies.
 
     Attributes:
-        nats: Evidence.
-        x: (n,) coordinates of the optimum within the bounds, zero for effects not in the set.
-        sd: (n,) of the coordinates, zero for effects not in the set.
+        nats: Laplace evidence [nats].
+        x: Standardized coordinates of the optimum within the bounds, (n,); zero for effects not in
+            the set.
+        sd: Posterior standard deviation of the coordinates, (n,); zero for effects not in the set.
         chi2: |r - B x|^2, after the unknown cause's part.
-        amplitude: Of the unknown cause that is most probable; 0 without.
+        amplitude: Most probable amplitude of the unknown cause [noise sd]; 0 without.
+        fit: Of a set that was refitted; None where linear evidence stands, as it does for sets
+            with an unknown cause.
     """
 
     nats: float
@@ -58,19 +63,20 @@ class Weighed:
     sd: Array
     chi2: float
     amplitude: float
+    fit: Fit | None = None
 
 
-class Linearisation:
-    """Gram matrix of all columns at a point; weighs any hypothesis without a simulation.
+class LaplaceEvidence:
+    """Evidence of any hypothesis from the Gram matrix of all columns at a point; no simulation.
 
     Args:
-        problem: With the effects that may be members.
-        x: (n,) where it was linearised.
-        residual: (num_valid,) whitened, at x.
-        jacobian: (num_valid, n) d(W S)/dx at x.
-        responses: (num_valid, m) whitened, of each unknown cause.
-        num_families: Of effects and unknown causes, for the price of a choice.
-        num_unknowns: To choose from, where not all are in ``responses``.
+        problem: Fitted problem with the effects that may be members.
+        x: Standardized coordinates where it was linearized, (n,).
+        residual: Whitened residual at x, (num_valid,).
+        jacobian: Whitened slopes d(W S)/dx at x, (num_valid, n).
+        responses: Whitened responses of each unknown cause, (num_valid, m).
+        num_families: Families of effects and unknown causes, for the price of a choice.
+        num_unknowns: Unknown causes to choose from, where not all are in ``responses``.
     """
 
     def __init__(
@@ -98,7 +104,7 @@ class Linearisation:
         self.bounds = problem.bounds
 
     def weigh(self, hypothesis: Hypothesis) -> Weighed:
-        """Evidence of a hypothesis."""
+        """Evidence of a hypothesis and its optimum."""
         price = np.log(max(self.num_families, 1))
         members = sorted(hypothesis.effects)
         free = list(range(self.problem.num_base)) + [c for i in members for c in self.columns[i]]
@@ -160,15 +166,15 @@ def _within(mean: Array, sd: Array, root: Array, low: Array, high: Array) -> tup
     return x, lost - float((shares + 0.5 * ((mean - inside) / sd) ** 2).sum())
 
 
-def unrealised(fit: Fit, weighed: Weighed) -> float:
-    """Nats that a Gauss-Newton step from a fit promises but the fit did not find.
+def unrealized(fit: Fit, weighed: Weighed) -> float:
+    """Nats that a Gauss-Newton step from a fit promises but the fit did not reach.
 
-    The evidence from a linearisation holds at its optimum; a fit that stopped elsewhere (a kink, a
-    fold, too few steps) must not be credited with an optimum that nobody has seen.
+    The evidence from a linearization holds at its optimum; a fit that stopped elsewhere (a kink, a
+    fold, too few steps) must not be credited with an optimum that was not simulated.
 
     Args:
-        fit: Where it was linearised.
-        weighed: What that linearisation says.
+        fit: Where it was linearized.
+        weighed: Evidence from that linearization.
     """
     return 0.5 * (fit.chi2 + fit.prior - weighed.chi2 - float(weighed.x @ weighed.x))
 

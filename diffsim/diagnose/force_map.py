@@ -28,11 +28,11 @@ class ForceMap:
     """Scores of a generic force.
 
     Attributes:
-        name: Of the force.
-        groups: Commands.
-        components: Of the force.
-        values: (num_groups, num_components) scores [nats per standardised component].
-        noise: (num_groups, num_components) their standard deviation under noise alone.
+        name: Name of the generic force.
+        groups: Commands, one row each.
+        components: Components of the force, one column each.
+        values: Scores, (num_groups, num_components) [nats per standardized component].
+        noise: Standard deviation of the scores under noise alone, same shape.
     """
 
     name: str
@@ -53,10 +53,10 @@ def force_map(problem: Problem, force: UnknownForce, slopes: Array, residual: Ar
     """Scores of a force at the plain model.
 
     Args:
-        problem: Of the fit that left the residual.
-        force: Whose components are mapped.
-        slopes: (N, num_components) of ``force.slopes`` there; nothing is simulated.
-        residual: (num_valid,) whitened.
+        problem: Fitted problem that left the residual.
+        force: Generic force whose components are mapped.
+        slopes: Response to each component at the fit, (N, num_components) [unit of the channel].
+        residual: Whitened residual of the fit, (num_valid,).
     """
     scores, lengths = _by_run(problem, slopes, residual)
     members: dict[str, list[int]] = defaultdict(list)

@@ -14,6 +14,7 @@ from diffsim.identify import Fit
 
 Array = NDArray[np.float64]
 MIN_BLOCKS = 4  # per run
+BLOCK_S = 0.3  # longer than the memory of what the models leave
 
 
 @dataclass(frozen=True)
@@ -43,46 +44,63 @@ class Gain:
 
 
 def gain(
-    runs: Sequence[Run],
-    null: Fit,
-    extended: Fit,
-    *,
-    seed: int,
-    block_s: float = 0.3,
-    draws: int = 1000,
-    known: dict[Fit, list[Array]] | None = None,
+    runs: Sequence[Run], null: Fit, extended: Fit, *, seed: int, block_s: float = BLOCK_S
 ) -> Gain:
     """Compare two fits on held-out runs.
 
     Nuisances of a held-out run ("offset@run") are fitted to it, for both alike; nothing else is.
 
     Args:
-        runs: Held out.
-        null, extended: Fits of the same model, with and without effects.
-        seed: Of the bootstrap.
-        block_s: Length of a block; longer than the memory of what the models leave.
-        draws: Of the bootstrap.
-        known: Residuals of these runs by fit, filled as they are computed.
+        runs: Held-out runs.
+        null: Fit without effects.
+        extended: Fit of the same model with effects.
+        seed: Seed of the bootstrap.
+        block_s: Length of a resampled block [s].
     """
     if not runs:
         raise ValueError("runs is empty; the gain needs at least one held-out run")
-    known = {} if known is None else known
-    for fit in (null, extended):
-        if fit not in known:
-            known[fit] = [held_out_residual(fit, run) for run in runs]
+    before, after = held_out_residuals(null, runs), held_out_residuals(extended, runs)
+    return compared(runs, null, before, after, seed=seed, block_s=block_s)
+
+
+def compared(
+    runs: Sequence[Run],
+    null: Fit,
+    before: Sequence[Array],
+    after: Sequence[Array],
+    *,
+    seed: int,
+    block_s: float = BLOCK_S,
+    draws: int = 1000,
+) -> Gain:
+    """Gain from whitened residuals of held-out runs.
+
+    Args:
+        runs: Held-out runs.
+        null: A fit whose noise floor whitened the residuals.
+        before: Residuals without the effects, (num_valid,) by run.
+        after: Residuals with the effects, (num_valid,) by run.
+        seed: Seed of the bootstrap.
+        block_s: Length of a resampled block [s].
+        draws: Resamples of the bootstrap.
+    """
     pairs = [
-        _blocks(run, block_s, before, after, null)
-        for run, before, after in zip(runs, known[null], known[extended], strict=True)
+        _blocks(run, block_s, a, b, null) for run, a, b in zip(runs, before, after, strict=True)
     ]
     return share_removed(np.concatenate(pairs), seed=seed, draws=draws)
+
+
+def held_out_residuals(fit: Fit, runs: Sequence[Run]) -> list[Array]:
+    """``held_out_residual`` of every run."""
+    return [held_out_residual(fit, run) for run in runs]
 
 
 def share_removed(blocks: Array, *, seed: int, draws: int = 1000) -> Gain:
     """The share and its interval from blocks.
 
     Args:
-        blocks: (num_blocks, 3): samples, sum of squares of the null model, of the extended one,
-            in noise variances.
+        blocks: Samples, sum of squares of the null model, and of the extended one, (num_blocks, 3)
+            [noise variances].
     """
     rng = np.random.default_rng(seed)
     picks = rng.integers(len(blocks), size=(draws, len(blocks)))
@@ -116,15 +134,15 @@ def held_out_point(fit: Fit, run: Run) -> Array:
         return x
 
     # nuisances act almost linearly: slopes of their start serve for all steps
-    slopes = -problem.linearise(full(np.zeros(len(own))), only=own)[1][:, own]
-    found = optimize.least_squares(
+    slopes = -problem.linearize(full(np.zeros(len(own))), only=own)[1][:, own]
+    solution = optimize.least_squares(
         lambda part: np.concatenate([problem.residual(full(part)), part]),
         np.zeros(len(own)),
         jac=lambda part: np.vstack([slopes, np.eye(len(own))]),
         method="trf",
         max_nfev=20,
     )
-    return full(found.x)
+    return full(solution.x)
 
 
 def _blocks(run: Run, block_s: float, null: Array, extended: Array, fit: Fit) -> Array:

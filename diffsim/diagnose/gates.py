@@ -1,32 +1,56 @@
-"""Checks before any physics is blamed: data, gradients, numerics."""
+"""Checks before any physics is blamed: data, gradients, numerical settings, repeatability."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from diffsim.data.study import Study
-from diffsim.diagnose.evidence import Linearisation
-from diffsim.diagnose.gate_result import GateResult
+from diffsim.diagnose.evidence import LaplaceEvidence
+from diffsim.diagnose.noise import UNREPEATABLE
 from diffsim.identify import Fit, Jacobian, Problem
 from diffsim.identify.effect import Effect
 from diffsim.identify.fitting import posterior_covariance
-from diffsim.identify.local import Local, record_at, whitened
+from diffsim.identify.linearization import Linearization, record_at, whitened
 from diffsim.identify.model import has_tangents
-from diffsim.identify.numerical import NumericalEffect
+from diffsim.identify.numerical import NumericalEffect, coarse
 from diffsim.identify.numerics import REFINEMENTS
 
 Array = NDArray[np.float64]
 GRADIENT_RTOL = 1e-4
 NUMERICS_LAMBDA = 2.0
-UNFELT = 1e-6  # noise sd that a change moves the whole record: rounding
+ROUNDING = 1e-6  # noise sd: a change of the whole record below it is rounding
+NUMERICS_GATES = ("time_step", "mesh", "tolerance")
+REPEATS = "repeats:"
+SCATTER_CHANCE = 1e-3  # of so large a scatter where the priors hold: repeats are few
 
 
-def data_gate(study: Study) -> list[GateResult]:
+@dataclass(frozen=True)
+class GateResult:
+    """One check before any physics is blamed.
+
+    Attributes:
+        name: Such as "time_step".
+        passed: Whether.
+        value: Measured, such as lambda.
+        limit: What it is held against.
+        note: In words.
+    """
+
+    name: str
+    passed: bool
+    value: float
+    limit: float
+    note: str = ""
+
+
+def data_gate(study: Study) -> tuple[GateResult, ...]:
     """Clocks increasing, shapes, at least two commands, at least one held-out run.
 
     Raises:
@@ -50,17 +74,17 @@ def data_gate(study: Study) -> list[GateResult]:
     commands = len({r.group for r in study.fit_runs})
     held_out = len(study.holdout_runs)
     repeats = len(study.fit_runs) - commands
-    return [
+    return (
         GateResult("commands", commands >= 2, commands, 2, "different commands among the fit runs"),
         GateResult("held_out", held_out >= 1, held_out, 1, "runs never used for fitting"),
         GateResult("repeats", repeats >= 1, repeats, 1, "without them repeatability is not judged"),
-    ]
+    )
 
 
-def gradient_gate(linear: Linearisation) -> list[GateResult]:
+def gradient_gate(linear: LaplaceEvidence) -> list[GateResult]:
     """Adjoint score of every effect against differences; skipped where the scene has no gradient.
 
-    The slopes of the linearisation cost nothing here. Central differences are good to the second
+    The slopes of the linearization cost nothing here. Central differences are good to the second
     order; slopes of another method are first held against differences along one direction that
     moves all effects alike. Only where something disagrees, effects are differenced again one by
     one, at the usual step and half of it, extrapolated (Richardson): good to the fourth (third,
@@ -82,7 +106,7 @@ def gradient_gate(linear: Linearisation) -> list[GateResult]:
         # relative to the largest score a residual of this length could have
         moved = np.linalg.norm(linear.jacobian[:, c])
         size = np.linalg.norm(residual) * moved
-        if moved <= UNFELT:
+        if moved <= ROUNDING:
             continue
         error = float(np.linalg.norm(adjoint[c] - score[c]) / size)
         if error >= GRADIENT_RTOL or not is_sound:
@@ -104,7 +128,7 @@ def _are_differences(problem: Problem) -> bool:
     return method == "differences" or (method == "auto" and not has_tangents(problem.model))
 
 
-def _agrees_along(linear: Linearisation, effects: Sequence[Effect]) -> bool:
+def _agrees_along(linear: LaplaceEvidence, effects: Sequence[Effect]) -> bool:
     """Whether slopes are the differences along a direction in which every component moves the
     record alike, so that one wrong column among n shows by at least 1 / sqrt(n) of its error.
 
@@ -120,10 +144,12 @@ def _agrees_along(linear: Linearisation, effects: Sequence[Effect]) -> bool:
     direction[idx] = np.minimum(np.median(lengths) / lengths, 1.0) if len(idx) else 0.0
     h = 0.5 * problem.jacobian.step
     records = [problem.residual(x + k * h * direction) for k in (1, 2, 3)]
-    found = -(-11 * linear.residual + 18 * records[0] - 9 * records[1] + 2 * records[2]) / (6 * h)
-    said = linear.jacobian @ direction
-    off = float(np.linalg.norm(found - said))
-    return off <= GRADIENT_RTOL / np.sqrt(max(len(idx), 1)) * float(np.linalg.norm(said))
+    differences = -(-11 * linear.residual + 18 * records[0] - 9 * records[1] + 2 * records[2]) / (
+        6 * h
+    )
+    predicted = linear.jacobian @ direction
+    off = float(np.linalg.norm(differences - predicted))
+    return off <= GRADIENT_RTOL / np.sqrt(max(len(idx), 1)) * float(np.linalg.norm(predicted))
 
 
 def _extrapolated(problem: Problem, x: Array, only: list[int]) -> Array:
@@ -132,20 +158,20 @@ def _extrapolated(problem: Problem, x: Array, only: list[int]) -> Array:
     for h in (step, step / 2):
         residual, jacobian = replace(
             problem, jacobian=Jacobian(method="differences", step=h)
-        ).linearise(x, only=only)
+        ).linearize(x, only=only)
         scores.append(-jacobian[:, only].T @ residual)
     return np.asarray((4.0 * scores[1] - scores[0]) / 3.0)
 
 
-def numerics_changes(problem: Problem, local: Local) -> dict[str, Array]:
+def numerics_changes(problem: Problem, at: Linearization) -> dict[str, Array]:
     """(N,) change of the record by refining each setting; zero where the model has no such one.
 
     Args:
         problem: Whose runs are simulated again.
-        local: Point and record with the settings in use.
+        at: Record with the settings in use, and where.
     """
     return {
-        name: record_at(replace(problem, numerics=finer), local.x) - local.record
+        name: record_at(replace(problem, numerics=finer), at.x) - at.record
         for name, finer in REFINEMENTS.items()
     }
 
@@ -178,9 +204,9 @@ def numerics_gate(fit: Fit, changes: Mapping[str, Array]) -> list[GateResult]:
 def numerical_effects(fit: Fit, changes: Mapping[str, Array]) -> tuple[NumericalEffect, ...]:
     """One candidate per setting that the model knows; rounding is none."""
     return tuple(
-        NumericalEffect(name, REFINEMENTS[name])
+        coarse(name, REFINEMENTS[name])
         for name, change in changes.items()
-        if np.linalg.norm(whitened(fit.problem, change)) > UNFELT
+        if np.linalg.norm(whitened(fit.problem, change)) > ROUNDING
     )
 
 
@@ -197,3 +223,37 @@ def numerical_shift(fit: Fit, changes: Mapping[str, Array]) -> Array:
 def _has_gradient(problem: Problem, x: Array) -> bool:
     leaf = torch.tensor(x, requires_grad=True)
     return bool(problem.predict(problem.runs[0], leaf).requires_grad)
+
+
+def repeatability_gate(fit: Fit) -> list[GateResult]:
+    """One check for each kind of nuisance that every run has for itself (``name@run``).
+
+    A gain that jitters from run to run by more than was stated leaves no scatter in the channels:
+    the gain of each run, a base parameter, takes it up, and the scatter is in these parameters.
+
+    The deviation of its standardized values from their mean over a group of repeats is N(0, 1)
+    after scaling, or less, as fits shrink it. Failed: the rms over all groups is above the limit of
+    the channels' scatter, and so large that chance does not make it.
+
+    Args:
+        fit: With the effects that the evidence asks for, so that a drift over runs that has a name
+            is not scatter.
+    """
+    known = {run.name: run.group for run in fit.problem.runs}
+    values: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+    for i, parameter in enumerate(fit.problem.model.base):
+        stem, _, run = parameter.name.partition("@")
+        if run in known:
+            values[stem][known[run]].append(float(fit.x[i]))
+    out = []
+    for stem, groups in values.items():
+        repeats = [np.array(g) for g in groups.values() if len(g) > 1]
+        freedom = sum(len(g) - 1 for g in repeats)
+        if not freedom:
+            continue
+        total = sum(float(((g - g.mean()) ** 2).sum()) for g in repeats)
+        ratio = float(np.sqrt(total / freedom))
+        passed = ratio <= UNREPEATABLE or float(chi2.sf(total, freedom)) > SCATTER_CHANCE
+        note = f"scatter of {stem} between repeats over what its prior allows"
+        out.append(GateResult(f"{REPEATS}{stem}", passed, ratio, UNREPEATABLE, note))
+    return out

@@ -1,28 +1,110 @@
-"""From evidence to a judgement: unknown causes face the repeats, names face held-out runs."""
+"""From evidence to one verdict; unknown causes face the repeats, names face held-out runs."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.data.study import Run
 from diffsim.diagnose.crosscheck import swap_probability
-from diffsim.diagnose.decide import Decision, decide
-from diffsim.diagnose.evidence import Hypothesis
-from diffsim.diagnose.gain import Gain, gain
-from diffsim.diagnose.gate_result import GateResult
-from diffsim.diagnose.search import Search
+from diffsim.diagnose.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
+from diffsim.diagnose.gain import Gain, compared, held_out_residuals
+from diffsim.diagnose.gates import GateResult
+from diffsim.diagnose.search import Search, refit, weigh_unknowns_beside
+from diffsim.diagnose.simulations import Members
 from diffsim.identify import Fit
 
 Array = NDArray[np.float64]
+EXPLAINED = 0.8  # share of the misfit that a named set explains
 SWAP_LIMIT = 0.02  # of noise alone: about three of 200 swapped draws may reach the statistic
-# between: repeats may be too few to tell (what two causes outside the library looked like, 0.03 and
-# 0.05 in six blocks); above, their scatter explains what the best set leaves
+# between: repeats may be too few to decide (what two causes outside the library looked like,
+# 0.03 and 0.05 in six blocks); above, their scatter explains what the best set leaves
 SWAP_OPEN = 0.1
 NAMES = ("named", "ambiguous")
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What the evidence allows to say.
+
+    Attributes:
+        verdict: "none", "named", "ambiguous" or "unknown"; the gates speak before.
+        best: The set behind the verdict, without an unknown cause.
+        rivals: Other hypotheses within 3 nats, best first.
+        unknown: The unknown cause's hypothesis if the verdict is "unknown".
+        share: Of chi2_null - N that the best set explains.
+        beside: The strongest hypothesis with an unknown cause, where evidence puts it 4 nats or
+            more before the best set although that explains enough; its lead is ``lead`` [nats].
+    """
+
+    verdict: str
+    best: frozenset[int]
+    rivals: tuple[Hypothesis, ...]
+    unknown: Hypothesis | None
+    share: float
+    beside: Hypothesis | None = None
+    lead: float = 0.0
+
+
+def decide(
+    nats: Mapping[Hypothesis, float], chi2: Mapping[Hypothesis, float], num_free: float
+) -> Decision:
+    """Verdict from the evidence of all refitted hypotheses.
+
+    Args:
+        nats: Evidence; must hold the empty hypothesis.
+        chi2: Of the hypotheses without unknown cause.
+        num_free: Expected chi2 of a right model: samples less fitted parameters.
+    """
+    named_only = {h: e for h, e in nats.items() if h.unknown is None}
+    best = prune(named_only, max(named_only, key=lambda h: named_only[h]))
+    missing = chi2[Hypothesis()] - num_free
+    explained = (chi2[Hypothesis()] - chi2[best]) / missing if missing > 0.0 else 1.0
+    blind = [h for h in nats if h.unknown is not None]
+    strongest = max(blind, key=lambda h: nats[h], default=None)
+    if strongest is not None and _unknown_wins(nats, best, strongest, explained):
+        return Decision("unknown", best.effects, (), strongest, explained)
+    if not best.effects:
+        return Decision("none", frozenset(), (), None, 0.0)
+    rivals = [
+        h
+        for h, e in nats.items()
+        if nats[best] - e < ALONE_NATS and not h.effects >= best.effects and h != best
+    ]
+    rivals = sorted((h for h in rivals if _is_kept(nats, h)), key=lambda h: -nats[h])
+    verdict = "ambiguous" if rivals else "named"
+    lead = -float("inf") if strongest is None else nats[strongest] - nats[best]
+    beside = (strongest, lead) if lead >= KEEP_NATS else (None, 0.0)
+    return Decision(verdict, best.effects, tuple(rivals), None, explained, *beside)
+
+
+def prune(nats: Mapping[Hypothesis, float], best: Hypothesis) -> Hypothesis:
+    """Drop members whose removal costs less than 4 nats, the cheapest first."""
+    while best.effects:
+        less = {i: Hypothesis(best.effects - {i}, best.unknown) for i in best.effects}
+        cost = {i: nats[best] - nats[h] for i, h in less.items() if h in nats}
+        if not cost or min(cost.values()) >= KEEP_NATS:
+            break
+        best = less[min(cost, key=lambda i: cost[i])]
+    return best
+
+
+def _unknown_wins(
+    nats: Mapping[Hypothesis, float], best: Hypothesis, strongest: Hypothesis, explained: float
+) -> bool:
+    """Significant beside the best set, and the set explains too little (or there is none)."""
+    if nats[strongest] - nats[best] < KEEP_NATS:
+        return False
+    return not best.effects or explained < EXPLAINED
+
+
+def _is_kept(nats: Mapping[Hypothesis, float], h: Hypothesis) -> bool:
+    """Whether a rival is more than the plain model with ballast."""
+    return nats[h] - nats[Hypothesis()] >= KEEP_NATS
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,97 +113,109 @@ class Judgement:
 
     Attributes:
         decision: After all checks.
-        gain: Of its best set on held-out runs; None without such runs, or without a name.
+        search: Behind it, with what was refitted for the checks; None if nothing was searched.
+        gain: Of the best set on held-out runs; None without such runs, or without a name.
         gains: Of members of the sets that were considered, by effect.
         withdrawn: Effects that the evidence asked for and held-out runs refuted.
+        gates: Checks of unknown causes against repeats.
     """
 
     decision: Decision
-    gain: Gain | None
-    gains: dict[int, Gain]
-    withdrawn: frozenset[int]
+    search: Search | None = None
+    gain: Gain | None = None
+    gains: Mapping[int, Gain] = field(default_factory=dict)
+    withdrawn: frozenset[int] = frozenset()
+    gates: tuple[GateResult, ...] = ()
 
 
-def judge(search: Search, held_out: Sequence[Run], gates: list[GateResult], seed: int) -> Judgement:
+def judge(search: Search, held_out: Sequence[Run], seed: int) -> Judgement:
     """Decide; while a name of the best set makes held-out runs worse, withdraw the worst one.
 
     One at a time: members that share a misfit look bad together, and the rest may be good once one
     of them is gone. What is withdrawn takes all sets with it, so evidence decides anew.
 
     Args:
-        search: Finished.
+        search: All sets weighed.
         held_out: Runs that no fit has seen.
-        gates: Joined by the check against repeats.
         seed: Of the bootstraps.
     """
+    residuals = cache(lambda fit: held_out_residuals(fit, held_out))
     gains: dict[int, Gain] = {}
-    known: dict[Fit, list[Array]] = {}
+    gates: tuple[GateResult, ...] = ()
     withdrawn: frozenset[int] = frozenset()
+
+    def gain_over(without: Fit, best: Fit) -> Gain:
+        return compared(held_out, without, residuals(without), residuals(best), seed=seed)
+
     while True:
-        decision = confirmed(decision_of(search, withdrawn), search, gates, seed)
+        decision, checks = confirmed(decision_of(search, withdrawn), search, seed)
+        gates = (*gates, *(g for g in checks if g not in gates))
         if withdrawn and decision.verdict == "none":
             decision = replace(decision, verdict="unknown")
         if not held_out or decision.verdict not in NAMES:
-            return Judgement(decision, None, gains, withdrawn)
-        best = search.entries[Hypothesis(decision.best)].fit
-        assert best is not None
-        now = {}
+            return Judgement(decision, search, None, gains, withdrawn, gates)
+        best = search.fit_of(decision.best)
+        now: dict[int, Gain] = {}
         for i in decision.best:
-            without = search.refit(decision.best - {i})
+            search = refit(search, decision.best - {i})
+            without = search.weighed.get(Hypothesis(decision.best - {i}))
             if without is not None and without.fit is not None:
-                now[i] = gain(held_out, without.fit, best, seed=seed, known=known)
-        gains |= now
+                now[i] = gain_over(without.fit, best)
+        gains = gains | now
         harmful = [i for i, g in now.items() if g.status == "withdrawn"]
         if not harmful:
-            null = search.entries[Hypothesis()].fit
-            assert null is not None
-            total = gain(held_out, null, best, seed=seed, known=known)
-            return Judgement(decision, total, gains, withdrawn)
+            total = gain_over(search.fit_of(frozenset()), best)
+            return Judgement(decision, search, total, gains, withdrawn, gates)
         withdrawn |= {min(harmful, key=lambda i: now[i].value)}
-        for i in decision.best - withdrawn:  # what is left of the set must be among the candidates
-            search.refit(decision.best - withdrawn - {i})
-        if search.refit(decision.best - withdrawn) is not None:
-            search.face_unknowns(decision.best - withdrawn)
+        search = _ready_without(search, decision.best - withdrawn)
+
+
+def _ready_without(search: Search, rest: Members) -> Search:
+    """What is left of a set, and its subsets, among the candidates, with unknown causes beside."""
+    for i in rest:
+        search = refit(search, rest - {i})
+    search = refit(search, rest)
+    if Hypothesis(rest) in search.weighed:
+        search = weigh_unknowns_beside(search, rest)
+    return search
 
 
 def decision_of(search: Search, withdrawn: frozenset[int] = frozenset()) -> Decision:
     """What the evidence says, sets with withdrawn effects left out."""
-    entries = {h: e for h, e in search.entries.items() if not h.effects & withdrawn}
-    null = entries[Hypothesis()].fit
-    assert null is not None
+    weighed = {h: w for h, w in search.weighed.items() if not h.effects & withdrawn}
+    null = search.fit_of(frozenset())
     # samples less effectively fitted parameters: tr (J'J) (J'J + 1)^-1
     fitted = null.problem.num_base - float(np.trace(null.covariance))
     return decide(
-        {h: e.nats for h, e in entries.items()},
-        {h: e.weighed.chi2 for h, e in entries.items() if h.unknown is None},
+        {h: w.nats for h, w in weighed.items()},
+        {h: w.chi2 for h, w in weighed.items() if h.unknown is None},
         null.num_samples - fitted,
     )
 
 
-def confirmed(decision: Decision, search: Search, gates: list[GateResult], seed: int) -> Decision:
-    """An unknown cause faces the repeats; the check joins the gates.
+def confirmed(
+    decision: Decision, search: Search, seed: int
+) -> tuple[Decision, tuple[GateResult, ...]]:
+    """An unknown cause against the repeats: the decision after it, and the check.
 
     Confirmed it stands, clearly refuted it is withdrawn. In between it stays as a rival of the best
     set, which explains too little to be named alone.
     """
     if decision.unknown is None or decision.unknown.unknown is None:
-        return decision
-    best = search.entries[Hypothesis(decision.best)].fit
-    assert best is not None
-    cause = search.unknowns[decision.unknown.unknown]
-    moved = search.responses(decision.best, decision.unknown.unknown)
+        return decision, ()
+    best, u = search.fit_of(decision.best), decision.unknown.unknown
+    cause, made = search.unknowns[u], search.simulations
+    moved, _ = made.responses(cause, u, decision.best, made.fitted[decision.best])
     p = swap_probability(best.problem, best.residual, moved, seed=seed)
     if p is None:
-        return decision
-    result = GateResult(
-        "swap", p <= SWAP_LIMIT, p, SWAP_LIMIT, f"{cause.name}: repeats as noise scale"
-    )
-    if result not in gates:
-        gates.append(result)
+        return decision, ()
+    note = f"{cause.name}: repeats as noise scale"
+    gates = (GateResult("swap", p <= SWAP_LIMIT, p, SWAP_LIMIT, note),)
     if p <= SWAP_LIMIT:
-        return decision
+        return decision, gates
     if not decision.best:
-        return replace(decision, verdict="none", unknown=None)
+        return replace(decision, verdict="none", unknown=None), gates
     if p <= SWAP_OPEN:
-        return replace(decision, verdict="ambiguous", rivals=(decision.unknown,), unknown=None)
-    return replace(decision, verdict="named", unknown=None)
+        rivals = (decision.unknown,)
+        return replace(decision, verdict="ambiguous", rivals=rivals, unknown=None), gates
+    return replace(decision, verdict="named", unknown=None), gates

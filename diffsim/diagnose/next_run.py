@@ -37,7 +37,7 @@ def next_run(rivals: Sequence[Fit], bank: Sequence[Run]) -> NextRun:
     both rivals: what refitting either could absorb does not count.
 
     Args:
-        rivals: Fits of the rival sets (two or more).
+        rivals: Fits of the rival sets, two or more.
         bank: Runs that could be recorded; ``measured`` only gives the shape (any finite values).
     """
     if len(rivals) < 2:
@@ -53,7 +53,7 @@ def next_run(rivals: Sequence[Fit], bank: Sequence[Run]) -> NextRun:
 def _nearest_pair(rivals: Sequence[Fit], run: Run) -> float:
     linear = []
     for fit in rivals:
-        residual, jacobian = replace(fit.problem, runs=(run,)).linearise(fit.x)
+        residual, jacobian = replace(fit.problem, runs=(run,)).linearize(fit.x)
         linear.append(
             (residual, jacobian @ linalg.cholesky(_symmetric(fit.covariance), lower=True))
         )

@@ -1,4 +1,4 @@
-"""The noise floor: how large, what colour, and whether repeats scatter more than the sensor."""
+"""The noise floor: how large, what color, and whether repeats scatter more than the sensor."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from diffsim.data.study import Channel, Run
 Array = NDArray[np.float64]
 MAX_ORDER = 4
 UNREPEATABLE = 1.4  # clean data of the prototypes: at most 1.38
-SPIKE = 6.0  # robust standard deviations from the neighbours' median
+SPIKE = 6.0  # robust standard deviations from the neighbors' median
 MAX_SPIKES = 0.03  # a larger share is no spikes, but a heavy-tailed sensor
 
 
@@ -28,8 +28,8 @@ class ArWhitener:
     stationary covariance stands for the missing past, so that |W x|^2 is the exact Gaussian form.
 
     Args:
-        sd: (num_channels,) of the noise itself [unit of the channel].
-        coefficients: a_1, a_2, ... by channel.
+        sd: Standard deviation of the noise itself, (num_channels,) [unit of the channel].
+        coefficients: Autoregressive coefficients a_1, a_2, ... by channel.
     """
 
     def __init__(self, sd: Array, coefficients: Sequence[Array]):
@@ -64,10 +64,10 @@ class NoiseFloor:
     """What the sensor cannot know.
 
     Attributes:
-        whitener: Of the noise.
-        sd: (num_channels,) [unit of the channel].
+        whitener: Makes residuals white with standard deviation one.
+        sd: Standard deviation of the noise, (num_channels,) [unit of the channel].
         source: "repeats", "stated sd" or "second differences", by channel.
-        scatter_ratio: (num_channels,) scatter of repeats over the stated sensor noise; NaN where
+        scatter_ratio: Scatter of repeats over the stated sensor noise, (num_channels,); NaN where
             either is missing: repeatability cannot be judged then.
     """
 
@@ -88,10 +88,10 @@ def noise_floor(
     """Noise from repeats, else from the stated sd, else from second differences.
 
     Args:
-        runs: To be fitted.
-        channels: Of the runs.
-        left: (num_samples, num_channels) measured minus predicted, by run; set-up nuisances of
-            each run must have been fitted, or they would pass as scatter.
+        runs: Runs to be fitted.
+        channels: Columns of their ``measured``.
+        left: Measured minus predicted by run, (num_samples, num_channels) [unit of the channel];
+            set-up nuisances of each run must have been fitted, or they would pass as scatter.
 
     Raises:
         ValueError: a channel without noise at all.
@@ -173,7 +173,7 @@ def without_spikes(run: Run, left: Array) -> tuple[Run, int]:
     """The run with isolated spikes marked as missing, and how many there were.
 
     A spike is a sample of the residual ``left`` (num_samples, num_channels) far from the median of
-    itself and its four neighbours; what lasts longer than two samples is not one.
+    itself and its four neighbors; what lasts longer than two samples is not one.
     """
     away = np.abs(left - median_filter(left, size=(5, 1), mode="nearest"))
     # a channel that was never measured, or never five samples in a row, has no scale

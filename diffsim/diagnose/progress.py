@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 from tqdm import tqdm
 
-from diffsim.diagnose.stages import Progress
+from diffsim.diagnose.fit import Progress
 
 
 @contextmanager

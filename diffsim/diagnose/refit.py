@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from diffsim.core.check import require_choice
 from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.data.study import Study
+from diffsim.diagnose.fit import Case, null_fit
 from diffsim.diagnose.gain import Gain, gain
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.next_run import NextRun, next_run
 from diffsim.diagnose.noise import NoiseFloor
 from diffsim.diagnose.report import fit_to_dict
-from diffsim.diagnose.stages import Case, null_fit
 from diffsim.identify import Fit
 from diffsim.identify import fit as fit_runs
 from diffsim.identify.effect import Effect
@@ -75,8 +75,8 @@ class NullFit:
 
 def fit_null(inputs: Inputs) -> NullFit:
     """Noise floor and fit of the plain model."""
-    case, noise, found, num_spikes = null_fit(_case(inputs))
-    return NullFit(case.study, noise, found.fit, num_spikes)
+    null = null_fit(_case(inputs))
+    return NullFit(null.case.study, null.noise, null.fit, null.num_spikes)
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,13 +28,15 @@ class Screen:
     """Scores of all components, in the order of ``names``.
 
     Attributes:
-        names: Components, "wind.x" for vectors.
-        z: (m,) score over its standard deviation.
-        size: (m,) expected size, [unit].
-        smallest_visible: (m,) [unit]; infinite where the data do not move at all.
-        block_z: (num_effects,) sqrt(s' I^-1 s); |z| for effects of one component.
-        confounding: (m, m) cosines.
-        information: (m, m) G'G~ in standardised sizes.
+        names: Components of the effects, "wind.x" for vectors.
+        z: Score of each component over its standard deviation, (m,).
+        size: Expected size of each component, (m,) [unit].
+        smallest_visible: Six standard deviations of the size, (m,) [unit]; infinite where the data
+            do not move at all.
+        block_z: Length of an effect's score, sqrt(s' I^-1 s), (num_effects,); |z| for one
+            component.
+        confounding: Cosines between what the base parameters cannot absorb, (m, m).
+        information: G'G~ in standardized sizes, (m, m).
     """
 
     names: tuple[str, ...]
@@ -47,13 +49,13 @@ class Screen:
 
 
 def screen(problem: Problem, residual: Array, jacobian: Array, x: Array) -> Screen:
-    """Scores from a linearisation at the null fit.
+    """Scores from a linearization at the null fit.
 
     Args:
-        problem: With all candidate effects, in this order.
-        residual: (N,) whitened.
-        jacobian: (N, num_base + m).
-        x: (num_base + m,) the null fit: zero sizes.
+        problem: Fitted problem with all candidate effects, in this order.
+        residual: Whitened residual at the null fit, (N,).
+        jacobian: Whitened slopes of base parameters and components, (N, num_base + m).
+        x: Standardized coordinates of the null fit, sizes zero, (num_base + m,).
     """
     n = problem.num_base
     j, g = jacobian[:, :n], jacobian[:, n:]

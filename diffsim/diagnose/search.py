@@ -1,116 +1,93 @@
-"""Refit and weigh: which set of effects, with or without an unknown cause, the runs ask for.
+"""Search over sets of effects, with or without an unknown cause, by Laplace evidence.
 
-From the best set so far its neighbours (one more, one less, one swapped) are ranked by linear
-evidence, those that could matter are refitted, and the best refit becomes the next centre, until
-none is better. What is not refitted keeps its linear evidence, and cannot win.
+From the best set so far its neighbors (one more, one less, one swapped) are ranked by linear
+evidence, those that could win are refitted, and the best refit becomes the next center, until none
+is better. A set that is not refitted keeps its linear evidence, and cannot win.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.errors import DiffsimError
-from diffsim.diagnose.decide import ALONE_NATS, KEEP_NATS
-from diffsim.diagnose.descend import Descended
-from diffsim.diagnose.evidence import Hypothesis, Linearisation, Weighed, families, unrealised
-from diffsim.diagnose.points import Members, Points
+from diffsim.diagnose.evidence import (
+    ALONE_NATS,
+    KEEP_NATS,
+    Hypothesis,
+    LaplaceEvidence,
+    Weighed,
+    families,
+    unrealized,
+)
+from diffsim.diagnose.fit import Null
+from diffsim.diagnose.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effort import SearchSettings
-from diffsim.identify.local import Local, local_at, measured_of, whitened
+from diffsim.identify.linearization import linearization_at, measured_of, whitened
 from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
-NONE: Members = frozenset()
+STEP_ATOL = 0.05  # prior sd: a smaller step needs no new linearization
 
 
 @dataclass(frozen=True, eq=False)
-class Entry:
-    """A hypothesis that was weighed where it lies.
+class Search:
+    """What was weighed so far; every step returns a copy with what it adds.
 
     Attributes:
-        hypothesis: Which.
-        weighed: Its evidence, at its own linearisation; with an unknown cause that is far from
-            deciding, at that of its effects.
-        fit: Of its effects; None with an unknown cause (``weighed.x`` says where it lies).
+        null: The plain model under its noise floor.
+        simulations: Fits and slopes behind the evidence.
+        plain: The plain model as a center.
+        weighed: Refitted sets, and sets with an unknown cause, at their own linearization where
+            the verdict hangs on it.
+        linear: Sets that have linear evidence only.
+        failed: Why a set could not be simulated.
+        borrowed: Why slopes of an earlier center serve at a set.
     """
 
-    hypothesis: Hypothesis
-    weighed: Weighed
-    fit: Fit | None
+    null: Null
+    simulations: Simulations
+    plain: Center
+    weighed: Mapping[Hypothesis, Weighed] = field(default_factory=dict)
+    linear: Mapping[Hypothesis, Weighed] = field(default_factory=dict)
+    failed: Mapping[Hypothesis, str] = field(default_factory=dict)
+    borrowed: Mapping[Members, str] = field(default_factory=dict)
 
     @property
-    def nats(self) -> float:
-        """Evidence."""
-        return self.weighed.nats
-
-
-@dataclass(frozen=True, eq=False)
-class Centre:
-    """A fitted set with everything linearised there."""
-
-    members: Members
-    local: Local
-    linear: Linearisation
-
-
-class Search:
-    """Holds what was refitted (``entries``), what was only weighed linearly (``linear_only``), what
-    could not be simulated (``failed``), and where slopes of an earlier centre had to serve
-    (``borrowed``).
-
-    Args:
-        wide: Problem with all candidate effects.
-        unknowns: Generic causes.
-        null: Fit without effects.
-        settings: Effort.
-        before: Simulated in an earlier round with another noise floor.
-        tell: Told the number of refits and the set that is next.
-    """
-
-    def __init__(
-        self,
-        wide: Problem,
-        unknowns: Sequence[Unknown],
-        null: Descended,
-        settings: SearchSettings | None = None,
-        before: Points | None = None,
-        tell: Callable[[int, str], None] | None = None,
-    ):
-        self.wide, self.unknowns = wide, tuple(unknowns)
-        self.settings = settings or SearchSettings()
-        self.num_families = families(wide.effects, unknowns)
-        self.points, self.tell = Points(wide, before), tell
-        self.points.keep(NONE, null.local)
-        self.entries: dict[Hypothesis, Entry] = {}
-        self.linear_only: dict[Hypothesis, Weighed] = {}
-        self.failed: dict[Hypothesis, str] = {}
-        self.borrowed: dict[Members, str] = {}
-        self._enter(NONE, null.fit)
-        self._null = self._centre(NONE, None)
+    def wide(self) -> Problem:
+        """Problem with all candidate effects."""
+        return self.simulations.wide
 
     @property
-    def null_linear(self) -> Linearisation:
-        """Everything linearised at the plain model."""
-        return self._null.linear
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """Generic causes."""
+        return self.null.case.unknowns
 
-    def run(self) -> None:
-        """Fill ``entries``."""
-        centre = self._null
-        for _ in range(self.settings.max_rounds):
-            for members in self._promising(centre)[: self.settings.num_refits]:
-                self.refit(members, centre)
-            best = max((h for h in self.entries if h.unknown is None), key=self._nats).effects
-            if best == centre.members:
-                break
-            centre = self._centre(best, centre)
-        self._rivals(centre)
-        self._unknowns(centre)
+    @property
+    def settings(self) -> SearchSettings:
+        """Effort."""
+        return self.null.case.settings.search
 
-    def neighbours(self, members: Members) -> list[Members]:
+    @property
+    def num_families(self) -> int:
+        """Families of effects and unknown causes to choose from."""
+        return families(self.wide.effects, self.unknowns)
+
+    def nats(self, key: Hypothesis) -> float:
+        """Evidence of a set that was weighed."""
+        return self.weighed[key].nats
+
+    def fit_of(self, members: Members) -> Fit:
+        """Fit of a set that was refitted."""
+        fit = self.weighed[Hypothesis(members)].fit
+        assert fit is not None  # sets without an unknown cause are fitted
+        return fit
+
+    def neighbors(self, members: Members) -> list[Members]:
         """Sets with one effect more, one less, or one swapped."""
         others = [i for i in range(len(self.wide.effects)) if i not in members]
         more = [members | {i} for i in others] if len(members) < self.settings.max_effects else []
@@ -118,153 +95,194 @@ class Search:
         swapped = [(members - {i}) | {j} for i in members for j in others]
         return [*more, *less, *swapped]
 
-    def refit(self, members: Members, near: Centre | None = None) -> Entry | None:
-        """Fit a set, weigh it there; once. None where it cannot be simulated.
-
-        Args:
-            members: The set.
-            near: Where to begin; the plain model if None, or if it cannot be simulated from there.
-        """
-        key = Hypothesis(members)
-        if key in self.entries or key in self.failed:
-            return self.entries.get(key)
-        if self.tell is not None:
-            names = " + ".join(self.wide.effects[i].name for i in sorted(members))
-            self.tell(len(self.entries), names or "no effect")
-        message = ""
-        for centre in dict.fromkeys((near or self._null, self._null)):
-            try:
-                start = self.points.start(members, centre.local, centre.linear.weigh(key).x)
-                found = self.points.descend(members, start, self._half_cost)
-            except DiffsimError as error:
-                message = str(error)
-                continue
-            self.linear_only.pop(key, None)
-            return self._enter(members, found.fit)
-        self.failed[key] = message
-        return None
-
-    def face_unknowns(self, members: Members) -> None:
-        """Weigh a fitted set with every unknown cause, if that was not done."""
-        if self.unknowns and Hypothesis(members, 0) not in self.entries:
-            self._unknowns(self._centre(members, self._null))
-
-    def responses(self, members: Members, unknown: int) -> Array:
-        """Whitened responses of an unknown cause at the fit of a set."""
-        local = self.points.fitted[members]
-        return self.points.responses(self.unknowns[unknown], unknown, members, local)
-
-    def _enter(self, members: Members, fit: Fit) -> Entry:
-        """The Laplace evidence needs the set's own columns only."""
-        own = Linearisation(fit.problem, fit.x, fit.residual, fit.jacobian, [], self.num_families)
-        weighed = own.weigh(Hypothesis(frozenset(range(len(members)))))
-        key = Hypothesis(members)
-        nats = weighed.nats - unrealised(fit, weighed)
-        self.entries[key] = Entry(key, replace(weighed, nats=nats, chi2=fit.chi2), fit)
-        return self.entries[key]
-
-    def _centre(self, members: Members, last: Centre | None) -> Centre:
-        if last is None:
-            local = self.points.screen(members, None)
-        else:
-            try:
-                local = self.points.screen(members, last.local)
-            except DiffsimError as error:  # some effect cannot be moved there: slopes of before
-                local = self.points.fitted[members].joined(last.local)
-                self.borrowed[members] = str(error)
-        return Centre(members, local, self._linear(members, local, ()))
-
-    def _linear(self, members: Members, local: Local, unknowns: Sequence[Unknown]) -> Linearisation:
-        return self.points.linear(members, local, unknowns, self.num_families)
-
-    def _weigh(self, centre: Centre, members: Members) -> float:
-        """Linear evidence, noted for the table."""
-        key = Hypothesis(members)
-        weighed = centre.linear.weigh(key)
-        if key not in self.entries:
-            self.linear_only[key] = weighed
-        return weighed.nats
-
-    def _promising(self, centre: Centre) -> list[Members]:
-        """Neighbours that could be better than the centre, best first."""
-        enough = self._nats(Hypothesis(centre.members)) + KEEP_NATS - self._slack(centre.members)
-        nats = {s: self._weigh(centre, s) for s in self.neighbours(centre.members)}
-        return sorted((s for s in nats if nats[s] > enough), key=lambda s: -nats[s])
-
-    def _rivals(self, centre: Centre) -> None:
-        """Refit what could be a rival of the best set, or show that a member is not needed."""
-        slack = self._slack(centre.members)
-        plain, best = self._nats(Hypothesis()), self._nats(Hypothesis(centre.members))
-        for members in self.neighbours(centre.members):
-            enough = best + KEEP_NATS if members > centre.members else best - ALONE_NATS
-            if members < centre.members:
-                enough = best - KEEP_NATS
-            elif not members > centre.members:
-                enough = max(enough, plain + KEEP_NATS)
-            if self._weigh(centre, members) > enough - slack:
-                self.refit(members, centre)
-
-    def _unknowns(self, centre: Centre) -> None:
-        """The best set and its subsets, each with every unknown cause, where the set was fitted."""
-        places = {self._null: [NONE]}
-        places[centre] = [centre.members, *(centre.members - {i} for i in centre.members)]
-        lies: dict[Hypothesis, Linearisation] = {}
-        for place, sets in places.items():
-            linear = self._linear(place.members, place.local, self.unknowns)
-            keys = [Hypothesis(s, u) for s in sets for u in range(len(self.unknowns))]
-            for key in keys:
-                if key not in lies:  # the plain model's own place comes first
-                    lies[key] = linear
-                    self.entries[key] = Entry(key, linear.weigh(key), None)
-        for key in sorted(lies, key=lambda h: -self._nats(h)):
-            if self._could_decide(key, centre.members):
-                self._refine(key, lies[key])
-
-    def _could_decide(self, key: Hypothesis, best: Members) -> bool:
-        """Whether the verdict hangs on how exact this evidence is."""
-        ahead, slack = self._nats(key) - self._nats(Hypothesis(best)), self.settings.rival_nats
-        if key.effects >= best:
-            return abs(ahead - KEEP_NATS) < slack
-        return ahead > -ALONE_NATS
-
-    def _refine(self, key: Hypothesis, linear: Linearisation) -> None:
-        """Linearise a set with an unknown cause again where it lies."""
-        assert key.unknown is not None
-        problem, cause = self.points.narrow(key.effects), self.unknowns[key.unknown]
-        own = self.points.coordinates(key.effects)
-        weighed, x0 = self.entries[key].weighed, linear.x0
-        everything = Hypothesis(frozenset(range(len(key.effects))), 0)
-        for _ in range(self.settings.unknown_steps - 1):
-            x = weighed.x[own]
-            if np.abs(weighed.x - x0).max(initial=0.0) < 0.05:
-                break
-            try:
-                local = local_at(problem, x)
-                response = cause.responses(problem, x)
-            except DiffsimError as error:  # the step left what can be simulated: keep the last
-                self.failed[key] = str(error)
-                break
-            residual = whitened(problem, measured_of(problem) - local.record)
-            jacobian = whitened(problem, local.columns)
-            again = Linearisation(
-                problem, x, residual, jacobian, [response], self.num_families, len(self.unknowns)
-            )
-            found = again.weigh(everything)
-            x0, wide = weighed.x, np.zeros((2, len(self.wide.names)))
-            wide[:, own] = found.x, found.sd
-            weighed = replace(found, x=wide[0], sd=wide[1])
-        self.entries[key] = Entry(key, weighed, None)
-
-    def _slack(self, members: Members) -> float:
+    def linear_slack(self, members: Members) -> float:
         """By how many nats linear evidence at a set may be wrong."""
-        fit = self.entries[Hypothesis(members)].fit
-        assert fit is not None
+        fit = self.fit_of(members)
         misfit = 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
-        return self.settings.rival_nats + self.settings.misled * misfit
+        return self.settings.rival_nats + self.settings.linear_error * misfit
 
-    def _half_cost(self) -> float:
-        fits = [e.fit for e in self.entries.values() if e.fit is not None]
+    def best_cost(self) -> float:
+        """Half the lowest cost of all fits [nats]."""
+        fits = [w.fit for w in self.weighed.values() if w.fit is not None]
         return 0.5 * min(f.chi2 + f.prior for f in fits)
 
-    def _nats(self, key: Hypothesis) -> float:
-        return self.entries[key].nats
+    def with_fit(self, members: Members, fit: Fit) -> Search:
+        """With the evidence of a fit, which needs the set's own columns only."""
+        own = LaplaceEvidence(fit.problem, fit.x, fit.residual, fit.jacobian, [], self.num_families)
+        weighed = own.weigh(Hypothesis(frozenset(range(len(members)))))
+        nats, key = weighed.nats - unrealized(fit, weighed), Hypothesis(members)
+        entry = replace(weighed, nats=nats, chi2=fit.chi2, fit=fit)
+        linear = {h: w for h, w in self.linear.items() if h != key}
+        return replace(self, weighed={**self.weighed, key: entry}, linear=linear)
+
+
+def begin(null: Null, simulations: Simulations) -> Search:
+    """The plain model weighed, everything linearized there.
+
+    Args:
+        null: The plain model under its noise floor.
+        simulations: What is simulated already, of an earlier noise floor too.
+    """
+    at, made = simulations.under(null).screen(NONE, None)
+    num_families = families(null.wide.effects, null.case.unknowns)
+    return Search(null, made, made.center(NONE, at, num_families)).with_fit(NONE, null.fit)
+
+
+def search_sets(search: Search) -> Search:
+    """Weigh sets of effects until none of the best set's neighbors is better; then its rivals, and
+    unknown causes beside it."""
+    center = search.plain
+    for _ in range(search.settings.max_rounds):
+        ranked, search = _promising(search, center)
+        for members in ranked[: search.settings.num_refits]:
+            search = refit(search, members, center)
+        best = max((h for h in search.weighed if h.unknown is None), key=search.nats).effects
+        if best == center.members:
+            break
+        center, search = _center(search, best, center)
+    return _weigh_unknowns(_refit_rivals(search, center), center)
+
+
+def refit(search: Search, members: Members, near: Center | None = None) -> Search:
+    """Fit a set and weigh it there, once; noted under ``failed`` where it cannot be simulated.
+
+    Args:
+        search: What was weighed so far.
+        members: Effects of the set, by index.
+        near: Center to start from; the plain model if None, or if it cannot be simulated from
+            there.
+    """
+    key = Hypothesis(members)
+    if key in search.weighed or key in search.failed:
+        return search
+    names = " + ".join(search.wide.effects[i].name for i in sorted(members))
+    # how many refits it will take is not known before: each takes a tenth of what is left
+    share = 0.85 - 0.6 * 0.9 ** len(search.weighed)
+    search.null.case.progress("search", share, names or "no effect")
+    message, made = "", search.simulations
+    for center in dict.fromkeys((near or search.plain, search.plain)):
+        try:
+            start = made.start(members, center.at, center.evidence.weigh(key).x)
+            fit, made = made.fit(members, start, search.best_cost())
+        except DiffsimError as error:
+            message = str(error)
+            continue
+        return replace(search, simulations=made).with_fit(members, fit)
+    return replace(search, failed={**search.failed, key: message})
+
+
+def weigh_unknowns_beside(search: Search, members: Members) -> Search:
+    """Weigh a fitted set with every unknown cause, if that was not done."""
+    if not search.unknowns or Hypothesis(members, 0) in search.weighed:
+        return search
+    center, search = _center(search, members, search.plain)
+    return _weigh_unknowns(search, center)
+
+
+def _center(search: Search, members: Members, last: Center) -> tuple[Center, Search]:
+    borrowed = search.borrowed
+    try:
+        at, made = search.simulations.screen(members, last.at)
+    except DiffsimError as error:  # some effect cannot be moved there: slopes of before
+        made = search.simulations
+        at = made.fitted[members].joined(last.at)
+        borrowed = {**borrowed, members: str(error)}
+    center = made.center(members, at, search.num_families)
+    return center, replace(search, simulations=made, borrowed=borrowed)
+
+
+def _with_linear(
+    search: Search, center: Center, sets: Sequence[Members]
+) -> tuple[dict[Members, float], Search]:
+    """Linear evidence of sets at a center [nats], noted for the table."""
+    entries = {s: center.evidence.weigh(Hypothesis(s)) for s in sets}
+    new = {Hypothesis(s): w for s, w in entries.items() if Hypothesis(s) not in search.weighed}
+    nats = {s: w.nats for s, w in entries.items()}
+    return nats, replace(search, linear={**search.linear, **new})
+
+
+def _promising(search: Search, center: Center) -> tuple[list[Members], Search]:
+    """Neighbors that could be better than the center, best first."""
+    slack = search.linear_slack(center.members)
+    enough = search.nats(Hypothesis(center.members)) + KEEP_NATS - slack
+    nats, search = _with_linear(search, center, search.neighbors(center.members))
+    return sorted((s for s in nats if nats[s] > enough), key=lambda s: -nats[s]), search
+
+
+def _refit_rivals(search: Search, center: Center) -> Search:
+    """Refit what could be a rival of the best set, or show that a member is not needed."""
+    slack = search.linear_slack(center.members)
+    plain, best = search.nats(Hypothesis()), search.nats(Hypothesis(center.members))
+    for members in search.neighbors(center.members):
+        enough = best + KEEP_NATS if members > center.members else best - ALONE_NATS
+        if members < center.members:
+            enough = best - KEEP_NATS
+        elif not members > center.members:
+            enough = max(enough, plain + KEEP_NATS)
+        nats, search = _with_linear(search, center, [members])
+        if nats[members] > enough - slack:
+            search = refit(search, members, center)
+    return search
+
+
+def _weigh_unknowns(search: Search, center: Center) -> Search:
+    """The best set and its subsets, each with every unknown cause, where the set was fitted."""
+    places = {search.plain: [NONE]}
+    places[center] = [center.members, *(center.members - {i} for i in center.members)]
+    lies: dict[Hypothesis, LaplaceEvidence] = {}
+    for place, sets in places.items():
+        evidence, made = search.simulations.with_unknowns(
+            place, search.unknowns, search.num_families
+        )
+        keys = [Hypothesis(s, u) for s in sets for u in range(len(search.unknowns))]
+        new = {key: evidence for key in keys if key not in lies}  # the plain model comes first
+        lies |= new
+        weighed = {key: evidence.weigh(key) for key in new}
+        search = replace(search, simulations=made, weighed={**search.weighed, **weighed})
+    for key in sorted(lies, key=lambda h: -search.nats(h)):
+        if _could_decide(search, key, center.members):
+            search = _relinearized(search, key, lies[key])
+    return search
+
+
+def _could_decide(search: Search, key: Hypothesis, best: Members) -> bool:
+    """Whether the verdict hangs on how exact this evidence is."""
+    ahead, slack = search.nats(key) - search.nats(Hypothesis(best)), search.settings.rival_nats
+    if key.effects >= best:
+        return abs(ahead - KEEP_NATS) < slack
+    return ahead > -ALONE_NATS
+
+
+def _relinearized(search: Search, key: Hypothesis, evidence: LaplaceEvidence) -> Search:
+    """A set with an unknown cause, linearized again at its own optimum."""
+    assert key.unknown is not None
+    problem, cause = search.simulations.narrow(key.effects), search.unknowns[key.unknown]
+    own = search.simulations.coordinates(key.effects)
+    weighed, x0 = search.weighed[key], evidence.x0
+    everything = Hypothesis(frozenset(range(len(key.effects))), 0)
+    for _ in range(search.settings.unknown_steps - 1):
+        x = weighed.x[own]
+        if np.abs(weighed.x - x0).max(initial=0.0) < STEP_ATOL:
+            break
+        try:
+            at = linearization_at(problem, x)
+            response = cause.responses(problem, x)
+        except DiffsimError as error:  # the step left what can be simulated: keep the last
+            search = replace(search, failed={**search.failed, key: str(error)})
+            break
+        residual = whitened(problem, measured_of(problem) - at.record)
+        jacobian = whitened(problem, at.columns)
+        again = LaplaceEvidence(
+            problem,
+            x,
+            residual,
+            jacobian,
+            [response],
+            search.num_families,
+            len(search.unknowns),
+        )
+        narrow = again.weigh(everything)
+        x0, wide = weighed.x, np.zeros((2, len(search.wide.names)))
+        wide[:, own] = narrow.x, narrow.sd
+        weighed = replace(narrow, x=wide[0], sd=wide[1])
+    return replace(search, weighed={**search.weighed, key: weighed})

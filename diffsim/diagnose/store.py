@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from diffsim.core.files import write_bytes_atomic
 from diffsim.data.study import Study
-from diffsim.identify.local import Local
+from diffsim.identify.linearization import Linearization
 from diffsim.identify.model import SimModel
 
 Array = NDArray[np.float64]
@@ -32,24 +32,25 @@ class Store:
     def __init__(self, folder: str | Path, key: str):
         self.folder = Path(folder) / key
 
-    def save(self, name: str, local: Local) -> None:
-        """Write a point."""
+    def save(self, name: str, at: Linearization) -> None:
+        """Write a linearization."""
         self._write(
             name,
-            x=local.x,
-            record=local.record,
-            idx=np.array(local.idx, dtype=np.int64),
-            columns=local.columns,
-            stray=np.array(local.stray),
+            x=at.x,
+            record=at.record,
+            idx=np.array(at.idx, dtype=np.int64),
+            columns=at.columns,
+            slope_error=np.array(at.slope_error),
         )
 
-    def load(self, name: str) -> Local | None:
-        """A point; None if there is none that can be read."""
-        found = self._read(name)
-        if found is None:
+    def load(self, name: str) -> Linearization | None:
+        """A linearization; None if there is none that can be read."""
+        kept = self._read(name)
+        if kept is None:
             return None
-        idx = tuple(int(i) for i in found["idx"])
-        return Local(found["x"], found["record"], idx, found["columns"], float(found["stray"]))
+        idx = tuple(int(i) for i in kept["idx"])
+        error = float(kept["slope_error"])
+        return Linearization(kept["x"], kept["record"], idx, kept["columns"], error)
 
     def save_array(self, name: str, array: Array) -> None:
         """Write an array."""
@@ -57,8 +58,8 @@ class Store:
 
     def load_array(self, name: str) -> Array | None:
         """An array; None if there is none that can be read."""
-        found = self._read(name)
-        return None if found is None else found["array"]
+        kept = self._read(name)
+        return None if kept is None else kept["array"]
 
     def _write(self, name: str, **arrays: NDArray) -> None:
         buffer = BytesIO()

@@ -1,18 +1,17 @@
-"""Rows of the report from the search and the screen."""
+"""Rows of the report's tables: candidates by evidence, weighed sets, and what cannot be seen."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.data.study import Study
-from diffsim.diagnose.decide import Decision
 from diffsim.diagnose.evidence import Hypothesis, Weighed
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.gates import numerical_shift
-from diffsim.diagnose.report import EffectRow, HypothesisRow
+from diffsim.diagnose.judge import Decision, Judgement
 from diffsim.diagnose.screen import Screen
 from diffsim.diagnose.search import Search
 from diffsim.identify.effect import Effect
@@ -25,54 +24,107 @@ BLIND = 3.0  # smallest visible size over the typical one
 TWINS = 0.995  # confounding from which two effects are the same to these data
 
 
+@dataclass(frozen=True)
+class EffectRow:
+    """One candidate cause in the table.
+
+    Attributes:
+        effect, family, kind, unit: Of the effect.
+        status: "named", "rival", "mimic" (explains part of an unknown cause), "withdrawn" (the
+            evidence asked for it, held-out runs refuted it), "screened", or "not judged".
+        size: By component, [unit]; from the refit where there was one, else from the screen.
+        sd: Of the sizes: statistical, numerical (shift under refined settings) and 1 % model form.
+        nats: Evidence of the best hypothesis with this effect minus that of the best without it.
+        z: Score over its standard deviation at the null fit, the length for a vector.
+        smallest_visible: By component, [unit]: 6 / sqrt(information).
+        gain: On held-out runs, of having this effect in the best set; None if not computed.
+        share: Of chi2_null - N that this effect alone explains; None if it was not refitted alone.
+        aliases: What these data may not distinguish from it.
+        note: Why it was not judged, or that its gain is not confirmed.
+    """
+
+    effect: str
+    family: str
+    kind: str
+    unit: str
+    status: str
+    size: Mapping[str, float]
+    sd: Mapping[str, float]
+    nats: float | None
+    z: float
+    smallest_visible: Mapping[str, float]
+    gain: Gain | None
+    share: float | None
+    aliases: tuple[str, ...]
+    note: str = ""
+
+    def label(self, component: str) -> str:
+        """Name of a component: the effect's own where it has only one."""
+        return self.effect if len(self.size) == 1 else f"{self.effect}.{component}"
+
+
+@dataclass(frozen=True)
+class HypothesisRow:
+    """A set of effects, with or without a generic unknown cause.
+
+    Attributes:
+        effects: Names.
+        unknown: Name of the generic cause, or None.
+        nats: Evidence relative to the plain model.
+        chi2: |W (y - S)|^2, after the unknown cause's part.
+        refitted: False: linear evidence of a set that is too far behind to be refitted.
+    """
+
+    effects: tuple[str, ...]
+    unknown: str | None
+    nats: float
+    chi2: float
+    refitted: bool = True
+
+
 def effect_rows(
     effects: Sequence[Effect],
-    decision: Decision,
-    search: Search | None,
-    seen: Screen,
-    gains: Mapping[int, Gain],
-    withdrawn: Set[int],
+    judgement: Judgement,
+    screened: Screen,
     changes: Mapping[str, Array],
 ) -> tuple[EffectRow, ...]:
     """One row per effect, by evidence.
 
     Args:
         effects: Candidates that were judged.
-        decision: The verdict.
-        search: What was weighed; None if only screened.
-        seen: At the plain model.
-        gains: On held-out runs, by member of the sets that were considered.
-        withdrawn: Effects that held-out runs refuted.
+        judgement: The verdict and the search behind it; no search: effects were only screened.
+        screened: Scores at the plain model.
         changes: Of the record by refining numerical settings, (N,) each; they widen the intervals.
     """
+    decision, search = judgement.decision, judgement.search
     in_rivals = {i for h in decision.rivals for i in h.effects}
     rows, k = [], 0
     for i, effect in enumerate(effects):
         c = slice(k, k + len(effect.components))
         k = c.stop
-        size, sd = seen.size[c], np.full(len(effect.components), np.nan)
+        size, sd = screened.size[c], np.full(len(effect.components), np.nan)
         nats = share = None
         if search is not None:
             nats = evidence_for(search, i)
             share = _share_alone(search, i)
             size, sd = _refitted(search, decision, i, size, sd, changes)
-        gained = gains.get(i)
+        gained = judgement.gains.get(i)
         rows.append(
             EffectRow(
                 effect=effect.name,
                 family=effect.family,
                 kind=effect.kind,
                 unit=effect.unit,
-                status=_status(i, decision, in_rivals, withdrawn),
+                status=_status(i, decision, in_rivals, judgement.withdrawn),
                 size=_by_component(effect, size),
                 sd=_by_component(effect, np.hypot(sd, MODEL_FORM * size)),
                 nats=nats,
-                z=float(seen.block_z[i]),
-                smallest_visible=_by_component(effect, seen.smallest_visible[c]),
+                z=float(screened.block_z[i]),
+                smallest_visible=_by_component(effect, screened.smallest_visible[c]),
                 gain=gained,
                 share=share,
-                aliases=(*effect.also_looks_like, *_twins(effects, seen, i)),
-                note=_note(i, gained, withdrawn),
+                aliases=(*effect.also_looks_like, *_twins(effects, screened, i)),
+                note=_note(i, gained, judgement.withdrawn),
             )
         )
     return tuple(sorted(rows, key=lambda r: -(r.nats if r.nats is not None else r.z)))
@@ -83,8 +135,8 @@ def evidence_for(search: Search, i: int) -> float:
 
     Linear evidence stands for an effect that no refitted set holds.
     """
-    plain = {h: e.nats for h, e in search.entries.items() if h.unknown is None}
-    linear = {h: w.nats for h, w in search.linear_only.items() if i in h.effects}
+    plain = {h: w.nats for h, w in search.weighed.items() if h.unknown is None}
+    linear = {h: w.nats for h, w in search.linear.items() if i in h.effects}
     with_it = [n for h, n in plain.items() if i in h.effects] or list(linear.values())
     return max(with_it) - max(n for h, n in plain.items() if i not in h.effects)
 
@@ -95,7 +147,7 @@ def hypothesis_rows(
     """Everything that was weighed: what was refitted best first, then the rest."""
     if search is None:
         return ()
-    base = search.entries[Hypothesis()].nats
+    base = search.nats(Hypothesis())
 
     def row(h: Hypothesis, weighed: Weighed, refitted: bool) -> HypothesisRow:
         return HypothesisRow(
@@ -106,19 +158,21 @@ def hypothesis_rows(
             refitted=refitted,
         )
 
-    rows = [row(h, e.weighed, True) for h, e in search.entries.items()]
-    rows += [row(h, w, False) for h, w in search.linear_only.items()]
+    rows = [row(h, w, True) for h, w in search.weighed.items()]
+    rows += [row(h, w, False) for h, w in search.linear.items()]
     return tuple(sorted(rows, key=lambda r: (not r.refitted, -r.nats)))
 
 
 def cannot_see(
-    study: Study, effects: Sequence[Effect], seen: Screen, unmet: Mapping[str, str]
+    effects: Sequence[Effect], screened: Screen, unmet: Mapping[str, str]
 ) -> dict[str, str]:
     """What these data could not show, and why."""
     out = {name: f"not judged: {why}" for name, why in unmet.items()}
     names = effect_coordinates(effects)
     units = [(e.unit, e.typical) for e in effects for _ in e.components]
-    for name, (unit, typical), smallest in zip(names, units, seen.smallest_visible, strict=True):
+    for name, (unit, typical), smallest in zip(
+        names, units, screened.smallest_visible, strict=True
+    ):
         if not np.isfinite(smallest):
             out[name] = "leaves no trace that the base parameters could not absorb"
         elif smallest > BLIND * typical:
@@ -143,28 +197,26 @@ def _refitted(
     changes: Mapping[str, Array],
 ) -> tuple[Array, Array]:
     """Size and sd from the best refit that holds the effect; the decision's set comes first."""
-    holding = [h for h in search.entries if h.unknown is None and i in h.effects]
+    holding = [h for h in search.weighed if h.unknown is None and i in h.effects]
     if not holding:
         return size, sd
-    best = max(holding, key=lambda h: (h.effects == decision.best, search.entries[h].nats))
-    fit = search.entries[best].fit
-    assert fit is not None
+    best = max(holding, key=lambda h: (h.effects == decision.best, search.nats(h)))
+    fit = search.fit_of(best.effects)
     effect = search.wide.effects[i]
     names = effect_coordinates([effect])
     shift = numerical_shift(fit, changes)[fit.problem.columns_of(effect)]
     statistical = np.array([fit.sd[n] for n in names])
-    found = np.array([fit.values[n] for n in names])
-    return found, np.hypot(statistical, PRIOR_WIDTH * effect.typical * shift)
+    fitted = np.array([fit.values[n] for n in names])
+    return fitted, np.hypot(statistical, PRIOR_WIDTH * effect.typical * shift)
 
 
 def _share_alone(search: Search, i: int) -> float | None:
-    alone = search.entries.get(Hypothesis(frozenset({i})))
-    null = search.entries[Hypothesis()]
-    assert null.fit is not None
-    missing = null.weighed.chi2 - null.fit.num_samples
+    alone = search.weighed.get(Hypothesis(frozenset({i})))
+    null = search.weighed[Hypothesis()]
+    missing = null.chi2 - search.fit_of(frozenset()).num_samples
     if alone is None or missing <= 0.0:
         return None
-    return (null.weighed.chi2 - alone.weighed.chi2) / missing
+    return (null.chi2 - alone.chi2) / missing
 
 
 def _note(i: int, gained: Gain | None, withdrawn: Set[int]) -> str:
@@ -181,11 +233,11 @@ def _status(i: int, decision: Decision, in_rivals: set[int], withdrawn: Set[int]
     return "rival" if i in in_rivals else "screened"
 
 
-def _twins(effects: Sequence[Effect], seen: Screen, i: int) -> tuple[str, ...]:
-    """Other effects of the library that these data cannot tell from this one."""
+def _twins(effects: Sequence[Effect], screened: Screen, i: int) -> tuple[str, ...]:
+    """Other effects of the library that these data cannot distinguish from this one."""
     owner = [k for k, e in enumerate(effects) for _ in e.components]
     own = [c for c, k in enumerate(owner) if k == i]
-    close = np.abs(seen.confounding[own]).max(axis=0) > TWINS
+    close = np.abs(screened.confounding[own]).max(axis=0) > TWINS
     return tuple(
         dict.fromkeys(effects[owner[c]].name for c in np.flatnonzero(close) if owner[c] != i)
     )

@@ -5,14 +5,12 @@ from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.identify.extended import ExtendedModel, extended_model
 from diffsim.identify.fitting import Fit, fit
 from diffsim.identify.jacobian import Jacobian
-from diffsim.identify.model import Scene, SimModel
+from diffsim.identify.model import Parameter, Scene, SimModel
 from diffsim.identify.model_file import save_extended
 from diffsim.identify.multi_start import descend, random_starts
-from diffsim.identify.noise_model import Whitener, WhiteNoise
-from diffsim.identify.numerical import NumericalEffect
+from diffsim.identify.numerical import NumericalEffect, coarse
 from diffsim.identify.numerics import Numerics
-from diffsim.identify.parameter import Parameter
-from diffsim.identify.problem import Problem
+from diffsim.identify.problem import Problem, Whitener, WhiteNoise
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.identify.unknown import Unknown, UnknownDrift, UnknownForce, smooth_covariance
 
@@ -35,6 +33,7 @@ __all__ = [
     "UnknownForce",
     "WhiteNoise",
     "Whitener",
+    "coarse",
     "descend",
     "extended_model",
     "fit",

@@ -2,54 +2,62 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 from torch import Tensor
 
-if TYPE_CHECKING:
-    from diffsim.data.study import Run, Study
+from diffsim.core.check import require_choice
+from diffsim.data.study import Run, Study
 
 KINDS = ("force", "actuator", "sensor", "material", "environment", "numerical")
+Apply = Callable[[Any, Tensor, Run], Any]
+Needs = Callable[[Study], "str | None"]
 
 
-class Effect(ABC):
+def needs_nothing(study: Study) -> str | None:
+    """Every study serves."""
+    return None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Effect:
     """One cause, named by its form; physical causes that share the form are its aliases.
 
-    Class attributes:
-        name: Such as "linear_drag".
+    Attributes:
+        name: Field-standard name, such as "linear_drag"; it has one unit in all libraries.
         family: Effects of one family are alternatives of each other, such as "damping".
         kind: One of ``KINDS``.
-        unit: Of every component.
-        typical: A size that would be no surprise, in ``unit``; the prior of a component is
+        unit: SI unit of every component, "-" if none.
+        typical: Size that would be no surprise [unit]; the prior of a component is
             N(0, (1.5 typical)^2), half-normal unless ``signed``.
+        apply: Function (scene, size, run) -> scene with the effect at this size. The scene is what
+            the model's ``build`` made for the run; size has the shape (..., num_components)
+            [unit]; at zero it must be the scene itself.
+        form: What it does at a given size, in a sentence.
         signed: Whether components may be negative.
         components: Names of the amplitudes, one or more (a vector enters as one block).
         smooth: False where the response has a kink at zero: then a secant at a tenth of the typical
             size stands for the derivative.
-        also_looks_like: Physical causes and other forms that these data may not tell from it.
+        also_looks_like: Physical causes and other forms that data may not distinguish from it.
+        needs: Function of a study: what it lacks for the effect to be judged; None if nothing.
     """
 
-    name: ClassVar[str]
-    family: ClassVar[str]
-    kind: ClassVar[str]
-    unit: ClassVar[str]
-    typical: ClassVar[float]
-    signed: ClassVar[bool] = True
-    components: ClassVar[tuple[str, ...]] = ("size",)
-    smooth: ClassVar[bool] = True
-    also_looks_like: ClassVar[tuple[str, ...]] = ()
+    name: str
+    family: str
+    kind: str
+    unit: str
+    typical: float
+    apply: Apply
+    form: str = ""
+    signed: bool = True
+    components: tuple[str, ...] = ("size",)
+    smooth: bool = True
+    also_looks_like: tuple[str, ...] = ()
+    needs: Needs = needs_nothing
 
-    def needs(self, study: Study) -> str | None:
-        """What the study lacks for this effect to be judged at all; None if nothing."""
-        return None
-
-    @abstractmethod
-    def apply(self, scene: Any, size: Tensor, run: Run) -> Any:
-        """The scene with the effect at this size; at zero it must be the scene itself.
-
-        Args:
-            scene: What the model's ``build`` made for this run.
-            size: (num_components,) [unit].
-            run: The run that is simulated.
-        """
+    def __post_init__(self) -> None:
+        require_choice(f"effect {self.name}: kind", self.kind, KINDS)
+        if not self.typical > 0.0:
+            raise ValueError(f"effect {self.name}: typical must be above 0, got {self.typical:g}")

@@ -9,14 +9,14 @@ from diffsim.identify.jacobian import Jacobian
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """Effort.
+    """Effort of the search.
 
     Attributes:
-        max_effects: In one set.
-        num_refits: Neighbours refitted per round.
-        max_rounds: Of moving to a better set.
-        rival_nats: What linear evidence puts further behind the best set is not refitted.
-        misled: Share of the misfit [nats] by which linear evidence may be wrong beyond that.
+        max_effects: Effects in one set, at most.
+        num_refits: Neighbors refitted per round.
+        max_rounds: Moves to a better set, at most.
+        rival_nats: Distance from the best set, by linear evidence, from which no set is refitted.
+        linear_error: Error of linear evidence beyond that, as a share of the misfit [nats].
         unknown_steps: Gauss-Newton steps of a set together with an unknown cause.
     """
 
@@ -24,20 +24,20 @@ class SearchSettings:
     num_refits: int = 4
     max_rounds: int = 8
     rival_nats: float = 6.0
-    misled: float = 0.1
+    linear_error: float = 0.1
     unknown_steps: int = 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class DiagnosisSettings:
-    """Effort and choices; the thresholds of the verdict are constants of ``decide``.
+    """Effort and choices; the thresholds of the verdict are constants of ``diagnose.judge``.
 
     Attributes:
         search: Effort of the search.
-        jacobian: How to differentiate.
+        jacobian: Method and step of the derivatives.
         workers: Threads over runs.
-        accept_numerics: Go on although the numerics gate fails.
-        noise_rounds: At most; the floor is estimated again after each.
+        accept_numerics: Whether to go on although the numerics gate fails.
+        noise_rounds: Searches at most; the noise floor is estimated again after each.
     """
 
     search: SearchSettings = field(default_factory=SearchSettings)

@@ -11,9 +11,8 @@ from torch import Tensor
 
 from diffsim.identify.effect import Effect
 from diffsim.identify.fitting import Fit
-from diffsim.identify.model import Scene, SimModel
+from diffsim.identify.model import Parameter, Scene, SimModel
 from diffsim.identify.numerics import Numerics
-from diffsim.identify.parameter import Parameter
 from diffsim.identify.problem import effect_coordinates
 
 if TYPE_CHECKING:
@@ -64,7 +63,7 @@ class ExtendedModel(SimModel):
         return self.inner.predict_many(run, self._inner_q(q), self._sizes(q, sizes), numerics)
 
     def _inner_q(self, q: Tensor) -> Tensor:
-        """Standardised coordinates of the plain model, (..., num_base): the same values."""
+        """Standardized coordinates of the plain model, (..., num_base): the same values."""
         columns = []
         for i, (own, plain) in enumerate(zip(self.base, self.inner.base, strict=False)):
             offset = plain.coordinate_of(own.value)
@@ -105,7 +104,7 @@ def extended_at(
     Args:
         inner: The plain model.
         effects: To build in.
-        values, sd: By name of base parameter or component, [unit]: centre and width of the new
+        values, sd: By name of base parameter or component, [unit]: center and width of the new
             priors.
     """
     base = [

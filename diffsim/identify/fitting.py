@@ -15,9 +15,8 @@ from diffsim import optim
 from diffsim.core.check import require_choice
 from diffsim.core.errors import DiffsimError
 from diffsim.identify.jacobian import Jacobian
-from diffsim.identify.noise_model import Whitener, WhiteNoise
-from diffsim.identify.parameter import Parameter
-from diffsim.identify.problem import PRIOR_WIDTH, Problem
+from diffsim.identify.model import Parameter
+from diffsim.identify.problem import PRIOR_WIDTH, Problem, Whitener, WhiteNoise
 
 if TYPE_CHECKING:
     from diffsim.data.study import Channel, Run
@@ -35,7 +34,7 @@ class Fit:
 
     Attributes:
         problem: What was fitted.
-        x: (n,) standardised coordinates.
+        x: (n,) standardized coordinates.
         values: By name, [unit].
         sd: Posterior standard deviation by name, [unit], from (A'A + 1)^-1 with prior.
         correlation: (n, n) posterior, in the order of ``values``.
@@ -69,7 +68,7 @@ class Fit:
 
     @property
     def covariance(self) -> Array:
-        """(n, n) posterior covariance of the standardised coordinates."""
+        """(n, n) posterior covariance of the standardized coordinates."""
         return posterior_covariance(self.jacobian)
 
 
@@ -95,8 +94,8 @@ def fit(
         channels: Of the runs; their ``sd`` is the noise unless ``whitener`` is given.
         effects: Whose sizes are fitted too.
         method: "gauss_newton" (scipy's dogleg within bounds) or "lbfgs".
-        start: (n,) standardised coordinates; the prior's centre if None.
-        whitener: Of coloured noise.
+        start: (n,) standardized coordinates; the prior's center if None.
+        whitener: Of colored noise.
         jacobian: How to differentiate.
         gradient: For "lbfgs": "differences", or "autograd" where the scene is differentiable.
         workers: Threads over runs.
@@ -124,7 +123,7 @@ def fit(
     solve = _gauss_newton if method == "gauss_newton" else _lbfgs
     latest = _Latest(problem)
     found = solve(latest, x0, max_evaluations, gradient)
-    residual, slopes = latest.linearise(found.x)
+    residual, slopes = latest.linearize(found.x)
     message = found.message
     if latest.num_failed:
         message += f"; {latest.num_failed} trial points could not be simulated"
@@ -185,22 +184,22 @@ def posterior_covariance(jacobian: Array) -> Array:
 
 
 class _Latest:
-    """Linearisations of a problem, the latest kept: solvers ask for the same point twice."""
+    """Linearizations of a problem, the latest kept: solvers ask for the same point twice."""
 
     def __init__(self, problem: Problem):
         self.problem, self.at = problem, np.zeros(0)
         self.kept: tuple[Array, Array] | None = None
         self.num_failed = 0
 
-    def linearise(self, x: Array) -> tuple[Array, Array]:
+    def linearize(self, x: Array) -> tuple[Array, Array]:
         if self.kept is None or not np.array_equal(x, self.at):
-            self.at, self.kept = x.copy(), self.problem.linearise(x)
+            self.at, self.kept = x.copy(), self.problem.linearize(x)
         return self.kept
 
     def residual(self, x: Array) -> Array:
         """Where the simulation of a trial point fails: so large that the solver turns back."""
         if self.kept is None:
-            return self.linearise(x)[0]  # the start must be possible
+            return self.linearize(x)[0]  # the start must be possible
         try:
             return self._residual(x)
         except DiffsimError:
@@ -210,7 +209,7 @@ class _Latest:
     def _residual(self, x: Array) -> Array:
         # a batched model makes the whole stencil at about the price of one point
         if self.problem.model.batched or (self.kept is not None and np.array_equal(x, self.at)):
-            return self.linearise(x)[0]
+            return self.linearize(x)[0]
         return self.problem.residual(x)
 
 
@@ -222,7 +221,7 @@ def _gauss_newton(latest: _Latest, x0: Array, max_evaluations: int, _: str) -> _
     found = optimize.least_squares(
         lambda x: np.concatenate([latest.residual(x), x]),
         np.clip(x0, low, high),
-        jac=lambda x: np.vstack([-latest.linearise(x)[1], np.eye(n)]),
+        jac=lambda x: np.vstack([-latest.linearize(x)[1], np.eye(n)]),
         bounds=(low, high),
         method="dogbox",  # may rest on a bound, where trf only creeps towards it
         ftol=1e-7,  # of a cost of about N / 2 nats: far below the 0.1 nat that would matter
@@ -242,7 +241,7 @@ def _lbfgs(latest: _Latest, x0: Array, max_evaluations: int, gradient: str) -> _
         if gradient == "autograd":
             value, slope = problem.gradient(x)
         else:
-            r, a = problem.linearise(x)
+            r, a = problem.linearize(x)
             value, slope = 0.5 * float(r @ r), -a.T @ r
         return value + 0.5 * float(x @ x), slope + x
 

@@ -1,4 +1,4 @@
-"""Derivatives of a predicted record in standardised coordinates.
+"""Derivatives of a predicted record in standardized coordinates.
 
 By the simulator's own tangents, by differences of simulations, or by torch's forward mode.
 """
@@ -90,7 +90,7 @@ class Jacobian:
             inward: (n,) 1 where a coordinate cannot go below its place, -1 where it cannot go
                 above: second-order differences to the other side; 0: central ones.
             secant: (n,) above 0: the slope of the chord from here to here + secant.
-            smooth: (n,) False where only simulations tell the slope; None: all are smooth.
+            smooth: (n,) False where the slope needs simulations; None: all are smooth.
             tangents: The model's own: stencils by coordinate -> the flattened prediction and one
                 column each, or None where it has none.
 
@@ -101,12 +101,12 @@ class Jacobian:
             return _forward_mode(many, at, idx)
         stencils = {i: self._stencil(inward[i], secant[i]) for i in idx}
         quick = [i for i in idx if secant[i] == 0.0 and (smooth is None or smooth[i])]
-        found = None
+        given = None
         if self.method == "auto" and tangents is not None and quick:
-            found = tangents({i: stencils[i] for i in quick})
-        if found is None:
+            given = tangents({i: stencils[i] for i in quick})
+        if given is None:
             return _differences(many, at, stencils)
-        here, columns = found
+        here, columns = given
         slow = {i: s for i, s in stencils.items() if i not in quick}
         if not slow:
             return here, columns

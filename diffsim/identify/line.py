@@ -16,7 +16,7 @@ class Point:
     """Where a model is simulated.
 
     Attributes:
-        q: Standardised base parameters, (num_base,).
+        q: Standardized base parameters, (num_base,).
         sizes: Of the effects [unit], (num_components,) each.
     """
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -12,11 +14,58 @@ from torch import Tensor
 from diffsim.identify.effect import Effect
 from diffsim.identify.numerical import NumericalEffect
 from diffsim.identify.numerics import Numerics
-from diffsim.identify.parameter import Parameter
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
     from diffsim.identify.line import Line, Point
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number with a prior.
+
+    Fits work in the standardized coordinate q, prior q ~ N(0, 1): the value is value + sd q, or
+    value exp(sd q) where ``log``, cut at the bounds.
+
+    Attributes:
+        name: Field-standard name, such as "youngs_modulus"; nuisances of one run are called
+            "offset_x@run_3".
+        value: Best guess beforehand, in ``unit``.
+        sd: Standard deviation of the prior, in ``unit``; relative where ``log``.
+        unit: SI unit, "-" if none.
+        log: The logarithm is what is normally distributed; for positive quantities.
+        lower, upper: Bounds, in ``unit``.
+    """
+
+    name: str
+    value: float
+    sd: float
+    unit: str = "-"
+    log: bool = False
+    lower: float = -math.inf
+    upper: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.value) or not self.lower <= self.value <= self.upper:
+            raise ValueError(
+                f"parameter {self.name}: value {self.value:g} {self.unit} must be finite and "
+                f"within [{self.lower:g}, {self.upper:g}]"
+            )
+        if not (math.isfinite(self.sd) and self.sd > 0.0):
+            raise ValueError(f"parameter {self.name}: sd must be above 0, got {self.sd:g}")
+        if self.log and self.value <= 0.0:
+            raise ValueError(f"parameter {self.name} is logarithmic; its value must be above 0")
+
+    def value_at(self, q: Tensor) -> Tensor:
+        """Value [unit] at the standardized coordinate q."""
+        raw = self.value * torch.exp(self.sd * q) if self.log else self.value + self.sd * q
+        return raw.clamp(self.lower, self.upper)
+
+    def coordinate_of(self, value: float) -> float:
+        """Standardized coordinate of a value [unit]."""
+        if self.log:
+            return math.log(value / self.value) / self.sd
+        return (value - self.value) / self.sd
 
 
 class Scene(Protocol):
@@ -83,7 +132,7 @@ class SimModel:
 
         Args:
             run: The run.
-            q: Standardised base parameters, (num_base,) float64.
+            q: Standardized base parameters, (num_base,) float64.
             sizes: Effects with their sizes [unit], (num_components,) each, applied in this order.
             numerics: Settings; the model's own if None.
         """
@@ -184,7 +233,7 @@ class SimModel:
         """The model with whatever it prepares once prepared again at these base coordinates.
 
         Args:
-            q: (num_base,) standardised.
+            q: (num_base,) standardized.
 
         Returns:
             The model itself where nothing is prepared.
@@ -192,7 +241,7 @@ class SimModel:
         return self
 
     def at_prior(self) -> Tensor:
-        """Standardised coordinates of the best guess, (num_base,)."""
+        """Standardized coordinates of the best guess, (num_base,)."""
         return torch.zeros(len(self.base), dtype=torch.float64)
 
 

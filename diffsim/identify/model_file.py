@@ -6,7 +6,7 @@
     study: lab_flights
     setup: lab_copter            # which model and effects the names below belong to
     verdict: named
-    prepared_at: null            # where the model prepared what it prepares once (standardised)
+    prepared_at: null            # where the model prepared what it prepares once (standardized)
     parameters:                  # of the plain model, nuisances too
       mass: {value: 1.41, sd: 0.004, unit: kg}
     effects:                     # sizes; components of vector effects as "wind.north"
@@ -30,7 +30,7 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.extended import ExtendedModel, extended_at
 from diffsim.identify.fitting import Fit
 from diffsim.identify.model import SimModel
-from diffsim.identify.numerical import NumericalEffect
+from diffsim.identify.numerical import coarse
 from diffsim.identify.numerics import REFINEMENTS
 from diffsim.identify.problem import effect_coordinates
 from diffsim.identify.setup import DiagnosisSetup
@@ -51,7 +51,7 @@ class SavedModel:
         verdict: Of the diagnosis behind it.
         setup: What the study named.
         units: By name.
-        prepared_at: Standardised parameters at which the model prepared what it prepares once.
+        prepared_at: Standardized parameters at which the model prepared what it prepares once.
     """
 
     path: Path
@@ -169,12 +169,12 @@ def effects_of(saved: SavedModel, candidates: Sequence[Effect]) -> tuple[Effect,
     Raises:
         ValueError: an effect that is not among the candidates, or lacks a component.
     """
-    numerical = [NumericalEffect(name, finer) for name, finer in REFINEMENTS.items()]
+    numerical = [coarse(name, finer) for name, finer in REFINEMENTS.items()]
     by_name: dict[str, Effect] = {e.name: e for e in (*numerical, *candidates)}
     names = dict.fromkeys(
         c if c in by_name else c.rsplit(".", 1)[0] for c in saved.components
     )  # a component is "wind.north", an effect with one component its own name
-    found = []
+    chosen = []
     for name in names:
         require_choice(f"{saved.path}: effect", name, by_name)
         wanted = effect_coordinates([by_name[name]])
@@ -183,8 +183,8 @@ def effects_of(saved: SavedModel, candidates: Sequence[Effect]) -> tuple[Effect,
             raise ValueError(
                 f"{saved.path}: effect {name} must have {', '.join(wanted)}, got {', '.join(given)}"
             )
-        found.append(by_name[name])
-    return tuple(found)
+        chosen.append(by_name[name])
+    return tuple(chosen)
 
 
 def _prepared(model: SimModel, saved: SavedModel) -> SimModel:

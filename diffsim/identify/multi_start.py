@@ -108,7 +108,7 @@ def descend(
         report: Called with each cost as it is known.
     """
     require_number("max_evaluations", max_evaluations, at_least=1)
-    _, a = problem.linearise(start)
+    _, a = problem.linearize(start)
     root = linalg.inv(linalg.cholesky(a.T @ a + np.eye(len(start)), lower=True)).T
     low, high = problem.bounds
 

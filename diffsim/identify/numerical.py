@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NoReturn
 
 from torch import Tensor
 
@@ -11,29 +12,41 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.numerics import Numerics
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
 class NumericalEffect(Effect):
     """S + phi (S(refined) - S): phi near 1 says that the setting is too coarse.
 
-    The model blends the two predictions itself (:meth:`~diffsim.diagnose.SimModel.predict`), as
+    The model blends the two predictions itself (:meth:`~diffsim.identify.SimModel.predict`), as
     other effects act in both.
 
-    Args:
-        setting: Such as "time_step".
+    Attributes:
         refined: The finer settings.
     """
 
-    family, kind, unit, typical, signed = "numerical", "numerical", "-", 1.0, False
-    smooth = False  # linear, so that a secant is exact; no model has tangents of it
-    also_looks_like = ("damping or stiffness of the material",)
+    refined: Numerics
 
-    def __init__(self, setting: str, refined: Numerics):
-        vars(self)["name"] = f"coarse_{setting}"  # of the class elsewhere
-        self.refined = refined
 
-    def apply(self, scene: Any, size: Tensor, run: Run) -> Any:
-        """No scene holds two predictions.
+def coarse(setting: str, refined: Numerics) -> NumericalEffect:
+    """The candidate "coarse_SETTING".
 
-        Raises:
-            TypeError: always; ``SimModel.predict`` blends them.
-        """
-        raise TypeError(f"{self.name} acts on predictions; call SimModel.predict with it")
+    Args:
+        setting: Name of the numerical setting, such as "time_step".
+        refined: The finer settings.
+    """
+    return NumericalEffect(
+        name=f"coarse_{setting}",
+        form=f"The {setting} is too coarse: 1 asks for the refined one.",
+        family="numerical",
+        kind="numerical",
+        unit="-",
+        typical=1.0,
+        signed=False,
+        smooth=False,  # linear, so that a secant is exact; no model has tangents of it
+        also_looks_like=("damping or stiffness of the material",),
+        apply=_refuse,
+        refined=refined,
+    )
+
+
+def _refuse(scene: Any, size: Tensor, run: Run) -> NoReturn:
+    raise TypeError("a numerical effect acts on predictions; call SimModel.predict with it")

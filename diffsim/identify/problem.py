@@ -1,4 +1,4 @@
-"""Model, runs and noise as one least-squares problem in standardised coordinates.
+"""Model, runs and noise as one least-squares problem in standardized coordinates.
 
 Coordinates x: first the base parameters, then the components of the effects. All have the prior
 N(0, 1); a component has the size 1.5 typical x, and x >= 0 unless the effect is signed.
@@ -9,19 +9,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy import sparse
 from torch import Tensor
 
 from diffsim.core.errors import DiffsimError
-from diffsim.data.study import Run
+from diffsim.data.study import Channel, Run
 from diffsim.identify.effect import Effect
 from diffsim.identify.jacobian import Jacobian, Stencil
 from diffsim.identify.line import Line, Point
 from diffsim.identify.model import SimModel
-from diffsim.identify.noise_model import Whitener
 from diffsim.identify.numerics import Numerics
 
 Array = NDArray[np.float64]
@@ -33,17 +34,48 @@ class PredictionError(DiffsimError):
     """A simulation left the range of numbers."""
 
 
+class Whitener(Protocol):
+    """Makes the noise of a run white with standard deviation one."""
+
+    def matrix(self, run: Run) -> sparse.csr_array:
+        """(num_valid, num_samples * num_channels); missing samples have no row."""
+        ...
+
+
+class WhiteNoise:
+    """Independent noise of known standard deviation in every channel.
+
+    Args:
+        channels: With ``sd``.
+    """
+
+    def __init__(self, channels: Sequence[Channel]):
+        missing = [c.name for c in channels if c.sd is None]
+        if missing:
+            raise ValueError(
+                f"channels {missing} have no sd; state it, or estimate it from repeats with "
+                "diffsim.diagnose.noise.noise_floor"
+            )
+        self.sd = np.array([c.sd for c in channels], dtype=np.float64)
+
+    def matrix(self, run: Run) -> sparse.csr_array:
+        """Rows of the measured samples of ``diag(1 / sd)``."""
+        valid = np.isfinite(run.measured).ravel()
+        weight = np.tile(1.0 / self.sd, len(run.time_s))
+        return sparse.csr_array(sparse.diags_array(weight).tocsr()[np.flatnonzero(valid)])
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """Residuals r = W (y - S(x)) of several runs and their derivatives.
 
     Attributes:
-        model: The simulator.
+        model: Simulator with base parameters.
         runs: Recorded runs.
-        whitener: Of the noise.
-        effects: Whose components are coordinates after the base parameters.
-        jacobian: How to differentiate.
-        numerics: Settings; the model's own if None.
+        whitener: Makes the noise of a run white with standard deviation one.
+        effects: Effects whose components are coordinates after the base parameters.
+        jacobian: Method and step of the derivatives.
+        numerics: Factors on the numerical settings; the model's own settings if None.
         workers: Threads over runs; the compiled kernels release the interpreter.
     """
 
@@ -129,13 +161,13 @@ class Problem:
 
         return np.concatenate(self._each(one))
 
-    def linearise(
+    def linearize(
         self, x: Array, *, screen: bool = False, only: Sequence[int] | None = None
     ) -> tuple[Array, Array]:
         """Residual and A = d(W S)/dx at x.
 
         Args:
-            x: (n,).
+            x: Standardized coordinates, (n,).
             screen: Non-smooth effects by their secant from here to a tenth of the typical size.
             only: Coordinates to differentiate; the other columns are zero.
 
@@ -178,15 +210,15 @@ class Problem:
     ) -> tuple[Array, Array] | None:
         """Prediction and columns by the model's own tangents; None where it has none."""
         with torch.no_grad():
-            found = self.model.tangents(
+            given = self.model.tangents(
                 run,
                 self._point(at),
                 [self._line(at, i, stencil) for i, stencil in stencils.items()],
                 self.numerics,
             )
-        if found is None:
+        if given is None:
             return None
-        here, columns = found
+        here, columns = given
         shape = run.measured.shape
         columns = self._of_shape(run, columns, (len(stencils), *shape))
         here = self._of_shape(run, here, shape)

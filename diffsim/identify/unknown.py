@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from diffsim.identify.effect import Effect
-from diffsim.identify.local import local_at
+from diffsim.identify.linearization import linearization_at
 from diffsim.identify.model import has_tangents
 from diffsim.identify.problem import Problem
 
@@ -66,25 +65,25 @@ class UnknownForce(Unknown):
             raise ValueError(f"covariance must have shape ({m}, {m}), got {covariance.shape}")
         self.effect, self.name = effect, name
         self._root = _root(covariance)
-        # by a secant, one simulation each, where simulations must tell: only the shape matters
-        self._secant = copy(effect)
-        vars(self._secant)["smooth"] = False
+        # by a secant, one simulation each, where slopes need simulations: only the shape matters
+        self._secant = replace(effect, smooth=False)
 
     def mix(self, slopes: Array) -> Array:
         """Components drawn from their covariance."""
         return slopes @ self._root
 
     def slopes(self, problem: Problem, x: Array) -> Array:
-        """Per standardised component of the effect; simulated for one run of each command, as
+        """Per standardized component of the effect; simulated for one run of each command, as
         repeats differ by their nuisances only."""
         first: dict[object, Run] = {}
         twins = [first.setdefault(_sampling(run), run) for run in problem.runs]
         effect = self.effect if has_tangents(problem.model) else self._secant
         wide = replace(problem, runs=tuple(first.values()), effects=(*problem.effects, effect))
         own = wide.columns_of(effect)
-        found = local_at(wide, np.concatenate([x, np.zeros(len(own))]), own, screen=True).columns
+        at = np.concatenate([x, np.zeros(len(own))])
+        columns = linearization_at(wide, at, own, screen=True).columns
         edges = np.cumsum([run.measured.size for run in wide.runs])[:-1]
-        of_run = dict(zip((run.name for run in wide.runs), np.split(found, edges), strict=True))
+        of_run = dict(zip((run.name for run in wide.runs), np.split(columns, edges), strict=True))
         return np.concatenate([of_run[run.name] for run in twins])
 
 

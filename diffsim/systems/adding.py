@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 from torch import Tensor
 
 from diffsim.data.study import Run
-from diffsim.identify.effect import Effect
 
 
-class AddingEffect(Effect):
-    """Adds its sizes to numbers of the scene, which has ``with_added(name, size)``.
+def adding(*numbers: str) -> Callable[[Any, Tensor, Run], Any]:
+    """An effect's ``apply`` that adds its sizes to numbers of the scene.
 
-    Class attributes:
-        adds_to: Names of the numbers, equally many per component, which share its size.
+    Args:
+        numbers: Names that the scene's ``with_added(name, size)`` knows, equally many per
+            component, which share its size.
     """
+    return partial(_added, numbers=numbers)
 
-    adds_to: ClassVar[tuple[str, ...]]
 
-    def apply(self, scene: Any, size: Tensor, run: Run) -> Any:
-        """Each number larger by the size (...,) of its component."""
-        each = len(self.adds_to) // len(self.components)
-        for i, name in enumerate(self.adds_to):
-            scene = scene.with_added(name, size[..., i // each])
-        return scene
+def _added(scene: Any, size: Tensor, run: Run, *, numbers: tuple[str, ...]) -> Any:
+    """Each number larger by the size (...,) of its component."""
+    each = len(numbers) // size.shape[-1]
+    for i, name in enumerate(numbers):
+        scene = scene.with_added(name, size[..., i // each])
+    return scene

@@ -43,7 +43,7 @@ def simulated(name: str, model: SoftBallModel, x: Array, seen: Array) -> Shown:
     """What a model shows at coordinates x, titled with its misfit to ``seen`` (as below)."""
     view = view_of(model, x)
     with torch.no_grad():
-        motion = model.balls.centres(model.values_at(x), len(seen)).numpy()
+        motion = model.balls.centers(model.values_at(x), len(seen)).numpy()
     edges = [[outline(view, c, model.balls.radius) for c in pair] for pair in motion]
     centres = view.project(motion)
     off = float(np.sqrt(np.nanmean(((centres - seen) ** 2).sum(-1))))

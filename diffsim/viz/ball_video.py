@@ -52,8 +52,8 @@ def view_of(model: SoftBallModel, x: Array) -> View:
     return View(
         lambda places: projected(values, model.rotation, torch.from_numpy(places)).numpy(),
         eye(values, model.rotation).numpy(),
-        round(WIDTH_PX + 2.0 * float(model.plain["centre_u"])),
-        round(HEIGHT_PX + 2.0 * float(model.plain["centre_v"])),
+        round(WIDTH_PX + 2.0 * float(model.plain["center_u"])),
+        round(HEIGHT_PX + 2.0 * float(model.plain["center_v"])),
     )
 
 

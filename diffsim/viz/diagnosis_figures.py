@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy import stats
 from scipy.sparse.csgraph import connected_components
 
+from diffsim.data.study import Channel, Run, Study
+from diffsim.diagnose.gain import held_out_point
+from diffsim.identify import Fit
 from diffsim.viz.figures import COLOURS, INK, LINE, SOFT, new_figure
 
 if TYPE_CHECKING:
@@ -25,36 +29,54 @@ NULL, EXTENDED = COLOURS["published"], COLOURS["fitted"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RunComparison:
-    """A run with what was measured and predicted.
+class PredictedRun(Run):
+    """A recorded run with what the models predict for it.
 
     Attributes:
-        name: Of the run.
-        use: "fit" or "holdout".
-        time_s: (num_samples,) [s].
-        command: By name, (num_samples,) each.
-        measured: (num_samples, num_channels); NaN where nothing was recorded.
-        null: Prediction of the fitted model without effects, same shape.
-        extended: Prediction with the named effects; None where nothing was named.
+        null: Prediction of the fitted model without effects, (num_samples, num_channels).
+        extended: Prediction with the named effects, same shape; None where nothing was named.
     """
 
-    name: str
-    use: str
-    time_s: Array
-    command: Mapping[str, Array]
-    measured: Array
     null: Array
     extended: Array | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class MeasuredChannel:
-    """A channel of the study: its name, unit, the sd of its noise in that unit, its kind."""
+def predicted_runs(study: Study, null: Fit, extended: Fit | None = None) -> list[PredictedRun]:
+    """Measured and predicted, runs for fitting first.
 
-    name: str
-    unit: str
-    sd: float
-    kind: str = ""
+    Args:
+        study: Recorded runs.
+        null: Fit without effects.
+        extended: Fit with effects; None where nothing was named.
+    """
+    return [
+        PredictedRun(
+            **vars(run),
+            null=predicted(null, run),
+            extended=None if extended is None else predicted(extended, run),
+        )
+        for run in (*study.fit_runs, *study.holdout_runs)
+    ]
+
+
+def predicted(fit: Fit, run: Run) -> Array:
+    """Prediction of a fit at its parameters, (num_samples, num_channels) [unit of the channel].
+
+    Nuisances of a held-out run are fitted to it, as the gain does.
+    """
+    x = held_out_point(fit, run) if run.use == "holdout" else fit.x
+    with torch.no_grad():
+        return fit.problem.predict(run, torch.as_tensor(x)).numpy()
+
+
+def with_noise(channels: Sequence[Channel], sd: Mapping[str, float]) -> list[Channel]:
+    """Channels with the noise that was estimated.
+
+    Args:
+        channels: Of a study.
+        sd: Standard deviation by name of the channel [unit of the channel].
+    """
+    return [replace(c, sd=float(sd[c.name])) for c in channels]
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +84,8 @@ class _Residuals:
     """Residuals of several runs in noise standard deviations, and how to draw them."""
 
     label: str
-    colour: str
-    runs: Sequence[tuple[RunComparison, Array]] = field(default_factory=tuple)
+    color: str
+    runs: Sequence[tuple[PredictedRun, Array]] = field(default_factory=tuple)
 
     @property
     def stacked(self) -> Array:
@@ -71,7 +93,7 @@ class _Residuals:
 
 
 def before_after(
-    runs: Sequence[RunComparison], channels: Sequence[MeasuredChannel], most: int = 3
+    runs: Sequence[PredictedRun], channels: Sequence[Channel], most: int = 3
 ) -> Figure:
     """Measured and predicted channels over time, a row per run, worst channels first.
 
@@ -99,7 +121,7 @@ def before_after(
 
 
 def residual_views(
-    runs: Sequence[RunComparison], channels: Sequence[MeasuredChannel], command: str | None = None
+    runs: Sequence[PredictedRun], channels: Sequence[Channel], command: str | None = None
 ) -> Figure:
     """Residuals in noise standard deviations over time, command, frequency and channel; the grey
     band is what noise alone does (95 %).
@@ -124,7 +146,7 @@ def residual_views(
 
 
 def over_position(
-    runs: Sequence[RunComparison], channels: Sequence[MeasuredChannel], most: int = 3
+    runs: Sequence[PredictedRun], channels: Sequence[Channel], most: int = 3
 ) -> Figure | None:
     """Residuals of all channels over where the system is: a panel per position channel, those of
     the largest range first.
@@ -155,9 +177,9 @@ def over_position(
             x = np.concatenate([run.null[:, i] for run, _ in kind.runs])
             left = kind.stacked
             wide = np.repeat(x[:, None], left.shape[1], 1)
-            ax.plot(wide.ravel(), left.ravel(), ".", ms=2, alpha=0.25, color=kind.colour)
+            ax.plot(wide.ravel(), left.ravel(), ".", ms=2, alpha=0.25, color=kind.color)
             middle, rms = _binned_rms(x, left)
-            ax.plot(middle, rms, "o-", ms=3.5, lw=1.4, color=kind.colour, label=kind.label)
+            ax.plot(middle, rms, "o-", ms=3.5, lw=1.4, color=kind.color, label=kind.label)
         ax.set_xlabel(f"{channels[i].name} as predicted", color=SOFT)
     _shared_legend(figure, axes[0, 0])
     return figure
@@ -170,7 +192,7 @@ def _binned_rms(x: Array, left: Array, bins: int = 10) -> tuple[Array, Array]:
     return middle, np.array([np.sqrt(np.nanmean(left[p] ** 2)) for p in parts])
 
 
-def worst_channels(runs: Sequence[RunComparison], channels: Sequence[MeasuredChannel]) -> list[int]:
+def worst_channels(runs: Sequence[PredictedRun], channels: Sequence[Channel]) -> list[int]:
     """Channels by the misfit of the model before, in noise standard deviations, worst first."""
     left = _residuals("", "", runs, channels, extended=False).stacked
     return [int(i) for i in np.argsort(-_rms(left))]
@@ -199,7 +221,7 @@ def confounding_matrix(
     Args:
         names: Components.
         confounding: (n, n), in their order.
-        bar: What the colours mean.
+        bar: What the colors mean.
     """
     blocks = blocks_of(confounding)
     grouped = [i for block in blocks for i in block]
@@ -261,8 +283,8 @@ def next_run_bars(chi2_gain: Mapping[str, float], best: str) -> Figure:
     """
     names = sorted(chi2_gain, key=lambda name: chi2_gain[name])
     figure, ax = new_figure(height=0.6 + 0.3 * len(names))
-    colours = [EXTENDED if name == best else COLOURS["measured_2"] for name in names]
-    drawn = ax.barh(names, [chi2_gain[name] for name in names], 0.7, color=colours)
+    colors = [EXTENDED if name == best else COLOURS["measured_2"] for name in names]
+    drawn = ax.barh(names, [chi2_gain[name] for name in names], 0.7, color=colors)
     ax.bar_label(drawn, [f"{chi2_gain[n]:.3g}" for n in names], padding=4, fontsize=8, color=SOFT)
     ax.set_xlabel("expected chi2 between the nearest rivals [-]", color=SOFT)
     ax.margins(x=0.1)
@@ -272,19 +294,19 @@ def next_run_bars(chi2_gain: Mapping[str, float], best: str) -> Figure:
 
 def _residuals(
     label: str,
-    colour: str,
-    runs: Sequence[RunComparison],
-    channels: Sequence[MeasuredChannel],
+    color: str,
+    runs: Sequence[PredictedRun],
+    channels: Sequence[Channel],
     *,
     extended: bool,
 ) -> _Residuals:
     sd = np.array([c.sd for c in channels])
     pairs = []
     for run in runs:
-        predicted = run.extended if extended else run.null
-        assert predicted is not None  # the caller looked
-        pairs.append((run, (run.measured - predicted) / sd))
-    return _Residuals(label, colour, pairs)
+        shown = run.extended if extended else run.null
+        assert shown is not None  # the caller looked
+        pairs.append((run, (run.measured - shown) / sd))
+    return _Residuals(label, color, pairs)
 
 
 def _rms(left: Array) -> Array:
@@ -305,9 +327,7 @@ def _over_time(ax: Axes, kinds: Sequence[_Residuals]) -> None:
         for k, (run, left) in enumerate(kind.runs):
             label = kind.label if k == 0 else "_"
             time = np.repeat(run.time_s[:, None], left.shape[1], 1)
-            ax.plot(
-                time.ravel(), left.ravel(), ".", ms=3, alpha=0.5, color=kind.colour, label=label
-            )
+            ax.plot(time.ravel(), left.ravel(), ".", ms=3, alpha=0.5, color=kind.color, label=label)
     ax.set_title("over time", loc="left", fontsize=10, color=INK)
     ax.set_xlabel("time [s]", color=SOFT)
 
@@ -329,7 +349,7 @@ def _over_phase(ax: Axes, kinds: Sequence[_Residuals], command: str | None) -> N
         for (run, left), phase in zip(kind.runs, phases, strict=True):
             x = phase if turning and phase is not None else run.command[command]
             x = np.repeat(x[:, None], left.shape[1], 1)
-            ax.plot(x.ravel(), left.ravel(), ".", ms=3, alpha=0.5, color=kind.colour)
+            ax.plot(x.ravel(), left.ravel(), ".", ms=3, alpha=0.5, color=kind.color)
 
 
 def command_phase(time_s: Array, command: Array) -> Array | None:
@@ -353,7 +373,7 @@ def _over_frequency(ax: Axes, kinds: Sequence[_Residuals]) -> None:
     ax.axhspan(low, high, color=LINE, lw=0, alpha=0.7)
     for kind in kinds:
         frequency, power = mean_periodogram([(r.time_s, left) for r, left in kind.runs])
-        ax.plot(frequency, power, lw=1.2, color=kind.colour)
+        ax.plot(frequency, power, lw=1.2, color=kind.color)
     ax.axhline(1.0, color=SOFT, lw=0.8, ls=":")
     ax.set_yscale("log")
     ax.set_title("spectrum (1: white noise)", loc="left", fontsize=10, color=INK)
@@ -378,14 +398,12 @@ def mean_periodogram(runs: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]
     return frequency, np.nanmean(np.stack(curves), 0)
 
 
-def _over_channels(
-    ax: Axes, kinds: Sequence[_Residuals], channels: Sequence[MeasuredChannel]
-) -> None:
+def _over_channels(ax: Axes, kinds: Sequence[_Residuals], channels: Sequence[Channel]) -> None:
     at = np.arange(len(channels))
     width = 0.8 / len(kinds)
     for k, kind in enumerate(kinds):
         x = at + (k - (len(kinds) - 1) / 2) * width
-        ax.bar(x, _rms(kind.stacked), 0.92 * width, color=kind.colour)
+        ax.bar(x, _rms(kind.stacked), 0.92 * width, color=kind.color)
     ax.axhline(1.0, color=SOFT, lw=0.8, ls=":")
     ax.set_xticks(at, [c.name for c in channels], rotation=60, ha="right", fontsize=7.5)
     ax.set_title("over the channels (1: noise)", loc="left", fontsize=10, color=INK)

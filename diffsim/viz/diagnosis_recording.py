@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from diffsim.viz.diagnosis_content import predicted
+from diffsim.viz.diagnosis_figures import predicted
 from diffsim.viz.figures import COLOURS, INK
 from diffsim.viz.scene import rgb, write_recording
 
@@ -48,20 +48,20 @@ def _run(rr: Any, stream: Any, report: Report, run: Run) -> None:
     if report.named:
         curves["extended"] = (predicted(report.best, run), COLOURS["fitted"])
     for i, channel in enumerate(report.study.channels):
-        for label, (record, colour) in curves.items():
+        for label, (record, color) in curves.items():
             name = f"{label} [{channel.unit}]"
             path = f"{run.name}/{channel.name}/{label}"
-            _curve(rr, stream, path, run.time_s, record[:, i], name, colour)
+            _curve(rr, stream, path, run.time_s, record[:, i], name, color)
     for name, values in run.command.items():
         path = f"{run.name}/command/{name}"
         _curve(rr, stream, path, run.time_s, values, name, COLOURS["measured_2"])
 
 
 def _curve(
-    rr: Any, stream: Any, path: str, time_s: Any, values: Any, name: str, colour: str
+    rr: Any, stream: Any, path: str, time_s: Any, values: Any, name: str, color: str
 ) -> None:
     valid = np.isfinite(values)
-    stream.log(path, rr.SeriesLines(colors=[rgb(colour)], names=[name]), static=True)
+    stream.log(path, rr.SeriesLines(colors=[rgb(color)], names=[name]), static=True)
     if valid.any():
         stream.send_columns(
             path,

@@ -7,22 +7,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from diffsim.diagnose.refit import NullFit
 from diffsim.viz import diagnosis_figures as draw
 from diffsim.viz import report as page
-from diffsim.viz.diagnosis_content import comparisons, measured_channels
 from diffsim.viz.figures import data_uri
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from diffsim.diagnose.refit import NullFit
 
-
-def write_fit(found: NullFit, path: str | Path) -> Path:
+def write_fit(null: NullFit, path: str | Path) -> Path:
     """Write the page, one static HTML file."""
-    fit, study = found.fit, found.study
-    sd = dict(zip([c.name for c in study.channels], found.noise.sd.tolist(), strict=True))
-    channels, runs = measured_channels(study, sd), comparisons(study, fit)
+    fit, study = null.fit, null.study
+    sd = dict(zip([c.name for c in study.channels], null.noise.sd.tolist(), strict=True))
+    channels, runs = draw.with_noise(study.channels, sd), draw.predicted_runs(study, fit)
     per_sample = fit.chi2 / fit.num_samples
     held = [run for run in runs if run.use == "holdout"][:4]
     worst = [page.Picture(uri=_png(draw.before_after(held or runs[:4], channels)), caption=_RUNS)]
@@ -41,7 +39,7 @@ def write_fit(found: NullFit, path: str | Path) -> Path:
                 page.Number(label="chi2 per sample", value=f"{per_sample:.3g}", note="1: noise")
             ],
             sections=[
-                page.Section(title="Parameters", content=[_parameters(found)]),
+                page.Section(title="Parameters", content=[_parameters(null)]),
                 page.Section(title="Measured and predicted", content=worst),
                 page.Section(title="Where and when the model is off", content=left),
                 page.Section(
@@ -50,8 +48,8 @@ def write_fit(found: NullFit, path: str | Path) -> Path:
                 ),
             ],
             held_fixed=[
-                ("noise floor from", ", ".join(dict.fromkeys(found.noise.source))),
-                ("spikes taken out", str(found.num_spikes)),
+                ("noise floor from", ", ".join(dict.fromkeys(null.noise.source))),
+                ("spikes taken out", str(null.num_spikes)),
                 ("converged", f"{fit.converged}: {fit.message}"),
             ],
         ),
@@ -67,8 +65,8 @@ _LEFT = (
 _CORRELATION = "Posterior correlations of the parameters, priors included; beyond ±0.95 boxed."
 
 
-def _parameters(found: NullFit) -> page.Table:
-    fit = found.fit
+def _parameters(null: NullFit) -> page.Table:
+    fit = null.fit
     rows = []
     for p, name in zip(fit.problem.model.base, fit.problem.names, strict=True):
         notes = [

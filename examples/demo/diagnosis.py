@@ -87,24 +87,24 @@ def _table(found: Report) -> list[list[str]]:
 def _pictures(found: Report) -> list[dict[str, str]]:
     """Before and after on the run that no fit has seen, residuals, and what mimics what."""
     from diffsim.viz import diagnosis_figures as draw
-    from diffsim.viz.diagnosis_content import figures_of
     from diffsim.viz.figures import data_uri
 
-    shown = figures_of(found)
-    held_out = [run for run in shown.runs if run.use == "holdout"]
+    channels = draw.with_noise(found.study.channels, found.noise["sd"])
+    runs = draw.predicted_runs(found.study, found.null, found.best if found.named else None)
+    held_out = [run for run in runs if run.use == "holdout"]
     drawn = [
         (
-            draw.before_after(held_out, shown.channels),
+            draw.before_after(held_out, channels),
             "The run that no fit has seen. Dots: measured; dashed: the fitted model before; line: "
             "the extended model. Its own start was fitted to it, for both alike; what its clamp "
             "did is an input.",
         ),
         (
-            draw.residual_views(shown.runs, shown.channels),
+            draw.residual_views(runs, channels),
             "What is left, in standard deviations of the noise; grey: 95 % of noise alone.",
         ),
         (
-            draw.confounding_matrix(shown.confounding_names, shown.confounding),
+            draw.confounding_matrix(found.confounding_names, found.confounding),
             "Cosines between what the causes do to the record, after refitting everything else: "
             "near ±1 these recordings cannot part them.",
         ),

@@ -40,10 +40,10 @@ from diffsim.core.paths import data_folder
 from diffsim.data import Channel, Run, Study, ball_video_study, import_study
 from diffsim.identify import Jacobian, Problem, WhiteNoise, descend, fit, random_starts
 from diffsim.systems.balls import (
+    BALL_FRICTION,
     MOTION,
-    BallFriction,
-    RollingResistance,
-    SlidingFriction,
+    ROLLING_RESISTANCE,
+    SLIDING_FRICTION,
     SoftBallModel,
 )
 from diffsim.systems.published.tennis_balls import setup, soft_model
@@ -170,7 +170,7 @@ def rms(values: Array) -> float:
 def rigid(study: Study) -> dict[str, dict[str, float]]:
     """The diagnosis's rigid balls on the same pixels: as published there, plain and extended."""
     model = setup(study).model
-    causes = [SlidingFriction(), BallFriction(), RollingResistance()]
+    causes = [SLIDING_FRICTION, BALL_FRICTION, ROLLING_RESISTANCE]
     out = {}
     for name, effects in (("rigid, frictionless", []), ("rigid, three causes", causes)):
         found = fit(model, study.fit_runs, equal(study), effects=effects)

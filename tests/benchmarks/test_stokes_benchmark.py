@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("matplotlib", reason="the benchmark draws figures")
 
-from benchmarks import stokes, stokes_tables, stokes_worker
+from benchmarks import stokes, stokes_tables
 
 TINY = stokes.Plan(
     devices=stokes.DevicePlan(
@@ -41,7 +41,7 @@ def test_all_stages_report(out, results):
         assert row["both_cpu_s"]["median"] > 0.0
         assert row["num_nodes"] > 0
     (iterative,) = results["iterative"]
-    assert ("failed" in iterative) != stokes_worker.has_solver()
+    assert "failed" not in iterative
     report = (out / "report.md").read_text()
     assert report.count("| amplifier |") == 1
     assert "![scaling](scaling.png)" in report

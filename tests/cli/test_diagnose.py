@@ -196,7 +196,7 @@ def test_loaded_model_predicts_what_the_diagnosed_one_does(study_folder, tmp_pat
 
 def test_loading_an_effect_that_is_gone_names_the_closest(explained, study_folder):
     study = load_study(study_folder)
-    fewer = replace(toy_setup.setup(study), effects=(toy.Delay(), toy.Warming()))
+    fewer = replace(toy_setup.setup(study), effects=(toy.DELAY, toy.WARMING))
     with pytest.raises(ValueError, match=r"effect must be one of .*got 'drag'"):
         load_extended(explained, study, setup=fewer)
 
@@ -234,13 +234,13 @@ def test_rivals_of_a_saved_report():
 
 
 def test_loaded_model_is_differentiable_in_parameters_and_sizes(tmp_path):
-    effects = (linear.Line("leak"), linear.Line("wind", components=("x", "y")))
+    effects = (linear.line("leak"), linear.line("wind", components=("x", "y")))
     runs = (linear.run("r1", 1), linear.run("r2", 2))
     study = Study("lines", "rigid_body", linear.CHANNELS, runs)
     found = fit(linear.model(), runs, linear.CHANNELS, effects=effects)
     save_extended(found, tmp_path / "extended_model.yaml", study=study, verdict="named")
     # effects come back by name, in whatever order the library has them, with others beside them
-    library = (linear.Line("other"), effects[1], effects[0])
+    library = (linear.line("other"), effects[1], effects[0])
     setup = DiagnosisSetup(model=linear.model(), effects=library)
     loaded = load_extended(tmp_path, study, setup=setup)
     assert [p.name for p in loaded.base] == ["mass", "gain", "leak", "wind.x", "wind.y"]
@@ -272,7 +272,7 @@ def test_loaded_model_is_prepared_where_the_fitted_one_was(tmp_path):
     at = torch.tensor([0.3, -0.7], dtype=torch.float64)
     model = PreparedLines().prepared_at(at)
     model.prepared_q = at  # as the null fit of a diagnosis notes it
-    runs, leak = (linear.run("r1", 1),), linear.Line("leak")
+    runs, leak = (linear.run("r1", 1),), linear.line("leak")
     study = Study("lines", "rigid_body", linear.CHANNELS, runs)
     found = fit(model, runs, linear.CHANNELS, effects=[leak])
     save_extended(found, tmp_path / "extended_model.yaml", study=study, verdict="named")

@@ -138,3 +138,35 @@ def test_diagnose_check_of_a_good_and_a_bad_study(capsys, tmp_path):
     assert cli.main(["diagnose", "check", str(file)]) == 2
     said = capsys.readouterr()
     assert "held" in said.out and "keep" in said.err
+
+
+def test_demo_elsewhere_says_where_it_is(capsys, monkeypatch, tmp_path):
+    from diffsim.cli import demo
+
+    monkeypatch.setattr(demo, "STORY", tmp_path / "examples" / "demo")
+    assert cli.main(["demo"]) == 2
+    assert "the demo is part of the source checkout" in capsys.readouterr().err
+
+
+def test_help_of_the_demo_says_what_it_is(capsys):
+    with pytest.raises(SystemExit):
+        cli.main(["demo", "--help"])
+    assert "silicone beam" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("argv", "message"),
+    [
+        (["devices", "gate", "--no-slip"], "--no-slip is for the twister"),
+        (["devices", "gate", "--export"], "--export needs --out"),
+    ],
+)
+def test_options_of_devices_that_exclude_each_other(argv, message, capsys):
+    assert cli.main(argv) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_fit_rotors_needs_data(capsys, monkeypatch, tmp_path):
+    monkeypatch.setenv("DIFFSIM_DATA", str(tmp_path / "absent"))
+    assert cli.main(["fit-rotors"]) == 2
+    assert "--data" in capsys.readouterr().err

@@ -45,7 +45,7 @@ def cases(seed: int, scale: int = 1) -> Iterator[Case]:
         for option in (
             {"tails": True},
             {"spikes": True},
-            {"colour": 0.7},
+            {"color": 0.7},
             {"far_base": 1.5},
             {"lost_repeat": True},
         ):
@@ -74,7 +74,7 @@ def solve(case: Case) -> Case:
     started = time.process_time()
     study = toy.generate(case["seed"], case["hidden"], **case["options"])
     step = 0.02 if case["kind"] == "numerical" else None
-    library = toy.LIBRARY + ((toy.ClockOffset(),) if case["kind"] == "twins" else ())
+    library = toy.LIBRARY + ((toy.CLOCK_OFFSET,) if case["kind"] == "twins" else ())
     model = toy.model(study.runs, step)
     report = diagnose(study, model, library, seed=0, unknowns=[toy.unknown_force()])
     out = {

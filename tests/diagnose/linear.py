@@ -29,18 +29,23 @@ def shapes(name: str, run: Run, count: int = 1) -> torch.Tensor:
     return torch.from_numpy(rng.normal(size=(NUM_SAMPLES, 2, count)))
 
 
-class Line(Effect):
-    """Adds its shapes times its sizes."""
+def line(name, *, signed=True, typical=0.4, components=("size",), family=""):
+    """An effect that adds the shapes of its name times its sizes."""
 
-    kind, unit = "force", "N"
-
-    def __init__(self, name, *, signed=True, typical=0.4, components=("size",), family=""):
-        self.name, self.signed, self.typical = name, signed, typical
-        self.components, self.family = components, family or name
-
-    def apply(self, scene, size, run):
-        moved = shapes(self.name, run, len(self.components)) @ size
+    def apply(scene, size, run):
+        moved = shapes(name, run, len(components)) @ size
         return replace(scene, record=scene.record + moved)
+
+    return Effect(
+        name=name,
+        family=family or name,
+        kind="force",
+        unit="N",
+        typical=typical,
+        signed=signed,
+        components=components,
+        apply=apply,
+    )
 
 
 def run(name: str, seed: int, **changes) -> Run:
@@ -65,7 +70,7 @@ def problem(effects=(), runs=None) -> Problem:
 
 
 def matrices(effects=(), runs=None) -> tuple[np.ndarray, np.ndarray]:
-    """Whitened data y - S(0), (N,), and columns per standardised coordinate, (N, n)."""
+    """Whitened data y - S(0), (N,), and columns per standardized coordinate, (N, n)."""
     runs = runs or (run("r1", 1), run("r2", 2))
     sd = np.array([c.sd for c in CHANNELS])
     rights, columns = [], []

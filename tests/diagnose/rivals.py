@@ -71,7 +71,7 @@ class Fits:
         x[: p.num_base] = at.x[: p.num_base]
         for effect in p.effects:
             x[wide.columns_of(effect)] = at.x[p.columns_of(effect)]
-        _, jacobian = wide.linearise(x, screen=True)
+        _, jacobian = wide.linearize(x, screen=True)
         q, _ = np.linalg.qr(at.jacobian)
         slopes = jacobian[:, p.num_base :]
         return at.residual - q @ (q.T @ at.residual), slopes - q @ (q.T @ slopes)
@@ -171,7 +171,7 @@ def main() -> None:
         for case in done:
             study = toy.generate(case["seed"], case["hidden"], **case["options"])
             step = 0.02 if case["kind"] == "numerical" else None
-            extra = (toy.ClockOffset(),) if case["kind"] == "twins" else ()
+            extra = (toy.CLOCK_OFFSET,) if case["kind"] == "twins" else ()
             model = toy.model(study.runs, step)
             case["others"] = rival_names(study, model, toy.LIBRARY + extra)
             file.write(json.dumps(case) + "\n")

@@ -1,7 +1,7 @@
 import pytest
 
-from diffsim.diagnose.decide import decide
 from diffsim.diagnose.evidence import Hypothesis as H
+from diffsim.diagnose.judge import decide
 
 NULL, A, B, AB = H(), H(frozenset({0})), H(frozenset({1})), H(frozenset({0, 1}))
 U, AU = H(frozenset(), 0), H(frozenset({0}), 0)

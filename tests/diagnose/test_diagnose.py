@@ -11,7 +11,7 @@ import yaml
 from diffsim.data.study import Study
 from diffsim.diagnose import diagnose, next_run
 from diffsim.diagnose.crosscheck import swap_probability
-from diffsim.diagnose.evidence import Linearisation
+from diffsim.diagnose.evidence import LaplaceEvidence
 from diffsim.diagnose.gates import (
     data_gate,
     gradient_gate,
@@ -22,18 +22,18 @@ from diffsim.diagnose.gates import (
 from diffsim.identify import (
     DiagnosisSettings,
     Jacobian,
-    NumericalEffect,
     Numerics,
     Problem,
     SearchSettings,
     WhiteNoise,
+    coarse,
     extended_model,
     fit,
 )
 from diffsim.identify.unknown import UnknownDrift
 from tests.diagnose import linear, toy
 
-FEW = (toy.Drag(), toy.Delay(), toy.Bias(), toy.Scale())
+FEW = (toy.DRAG, toy.DELAY, toy.BIAS, toy.SCALE)
 QUICK = DiagnosisSettings(search=SearchSettings(num_refits=2))
 
 
@@ -96,7 +96,7 @@ def test_coarse_time_step_is_numerical():
 
 
 def test_exact_twins_are_ambiguous():
-    twins = (toy.Drag(), toy.Delay(), toy.ClockOffset())
+    twins = (toy.DRAG, toy.DELAY, toy.CLOCK_OFFSET)
     report = solve(13, {"delay": 0.02}, library=twins)
     assert report.verdict == "ambiguous"
     assert {report.named, *report.rivals} == {("delay",), ("clock_offset",)}
@@ -113,7 +113,7 @@ def test_exact_twins_are_ambiguous():
         ({}, {"scatter": 0.2}, "unrepeatable"),
         ({}, {"tails": True}, "none"),
         ({}, {"spikes": True}, "none"),
-        ({}, {"colour": 0.7}, "none"),
+        ({}, {"color": 0.7}, "none"),
         ({}, {"lost_repeat": True}, "none"),
     ],
 )
@@ -162,20 +162,19 @@ def test_repeats_confirm_a_repeatable_cause_and_not_noise():
 @pytest.mark.grad
 @pytest.mark.parametrize("method", ["differences", "forward_mode"])
 def test_gradient_gate_passes_and_sees_a_wrong_gradient(method):
-    class Wrong(linear.Line):
-        def apply(self, scene, size, run):
-            scene = super().apply(scene, size, run)
-            # same value, 1 % more slope
-            return replace(
-                scene,
-                record=scene.record
-                + 0.01 * (linear.shapes(self.name, run) @ (size - size.detach())),
-            )
+    pull = linear.line("pull")
 
-    effects = (linear.Line("push"), *(linear.Line(f"more {i}") for i in range(8)), Wrong("pull"))
+    def wrong(scene, size, run):
+        scene = pull.apply(scene, size, run)
+        # same value, 1 % more slope
+        more = 0.01 * (linear.shapes("pull", run) @ (size - size.detach()))
+        return replace(scene, record=scene.record + more)
+
+    right = (linear.line("push"), *(linear.line(f"more {i}") for i in range(8)))
+    effects = (*right, replace(pull, apply=wrong))
     problem, x = linear.problem(effects), np.zeros(12)
     problem = replace(problem, jacobian=Jacobian(method=method))
-    at = Linearisation(problem, x, *problem.linearise(x), [], 1)
+    at = LaplaceEvidence(problem, x, *problem.linearize(x), [], 1)
     gates = {g.name: g for g in gradient_gate(at)}
     assert not gates.pop("gradient:pull").passed
     assert all(g.passed for g in gates.values()) and len(gates) == 9
@@ -183,9 +182,9 @@ def test_gradient_gate_passes_and_sees_a_wrong_gradient(method):
 
 @pytest.mark.grad
 def test_sound_gradients_are_checked_by_three_simulations_of_a_run():
-    effects = tuple(linear.Line(f"push {i}") for i in range(8))
+    effects = tuple(linear.line(f"push {i}") for i in range(8))
     problem = replace(linear.problem(effects), jacobian=Jacobian(method="forward_mode"))
-    at = Linearisation(problem, np.zeros(10), *problem.linearise(np.zeros(10)), [], 1)
+    at = LaplaceEvidence(problem, np.zeros(10), *problem.linearize(np.zeros(10)), [], 1)
     before = problem.model.simulations.count
     assert all(g.passed for g in gradient_gate(at))
     # one to see whether there is a gradient, one for the adjoint, three for the direction
@@ -201,12 +200,12 @@ def test_data_gate_refuses_what_cannot_be_judged():
     with pytest.raises(ValueError, match=r"chirp_a: time_s must increase, .* sample 1"):
         data_gate(replace(study, runs=(back,)))
     with pytest.raises(ValueError, match=r"share names: \['drag'\]"):
-        diagnose(study, toy.model(study.runs), (toy.Drag(), toy.Drag()), seed=0)
+        diagnose(study, toy.model(study.runs), (toy.DRAG, toy.DRAG), seed=0)
 
 
 @pytest.mark.reference
 def test_next_run_distance_is_what_a_refit_leaves():
-    effects = (linear.Line("push"), linear.Line("pull"))
+    effects = (linear.line("push"), linear.line("pull"))
     fits = [
         fit(linear.model(), [linear.run("r1", 1)], linear.CHANNELS, effects=(e,)) for e in effects
     ]
@@ -235,7 +234,7 @@ def test_threads_change_nothing():
     runs = (linear.run("r1", 1), linear.run("r2", 2))
     one = Problem(linear.model(), runs, WhiteNoise(linear.CHANNELS))
     two = replace(one, workers=2)
-    for a, b in zip(one.linearise(np.ones(2)), two.linearise(np.ones(2)), strict=True):
+    for a, b in zip(one.linearize(np.ones(2)), two.linearize(np.ones(2)), strict=True):
         np.testing.assert_array_equal(a, b)
 
 
@@ -250,7 +249,7 @@ def test_numerical_cause_is_named_where_accepted():
 @pytest.mark.reference
 def test_numerical_shift_is_what_a_refit_to_the_refined_record_moves():
     runs = [linear.run("r1", 1), linear.run("r2", 2)]
-    effect = linear.Line("push")
+    effect = linear.line("push")
     rng = np.random.default_rng(0)
     changes = [rng.normal(size=(2, *runs[0].measured.shape)) for _ in range(2)]
     before = fit(linear.model(), runs, linear.CHANNELS, effects=(effect,))
@@ -285,11 +284,11 @@ def test_numerics_gate_is_the_distance_under_the_marginal_normal():
 def test_numerical_cause_blends_predictions_one_by_one_and_many():
     run = toy.generate(1).runs[0]
     model = toy.model([run], 0.02)
-    cause, q = NumericalEffect("time_step", Numerics(time_step=0.5)), torch.zeros(5)
+    cause, q = coarse("time_step", Numerics(time_step=0.5)), torch.zeros(5)
     q = q.double()
-    coarse, fine = (model.predict(run, q, None, Numerics(time_step=h)) for h in (1.0, 0.5))
+    rough, fine = (model.predict(run, q, None, Numerics(time_step=h)) for h in (1.0, 0.5))
     sizes = torch.tensor([[0.0], [0.4], [1.0]], dtype=torch.float64)
-    expected = torch.stack([coarse, 0.6 * coarse + 0.4 * fine, fine])
+    expected = torch.stack([rough, 0.6 * rough + 0.4 * fine, fine])
     many = model.predict_many(run, q.expand(3, 5), {cause: sizes})
     np.testing.assert_allclose(many, expected, atol=1e-12)
     for size, want in zip(sizes, expected, strict=True):
@@ -340,21 +339,21 @@ def test_model_is_prepared_at_the_null_fit():
 
 def test_force_map_finds_where_a_push_acts():
     report = solve(
-        21, {"pulse": 0.3}, library=(toy.Bias(),), unknowns=[toy.unknown_force()], settings=QUICK
+        21, {"pulse": 0.3}, library=(toy.BIAS,), unknowns=[toy.unknown_force()], settings=QUICK
     )
     found = report.force_map
     assert found.values.shape == found.noise.shape == (3, 21)
     # generated at 1.7 s; knots every 0.2 s
     at = 0.2 * np.abs(found.z).argmax(axis=1)
     assert np.abs(at - 1.7).max() < 0.5
-    quiet = solve(11, library=(toy.Bias(),), unknowns=[toy.unknown_force()]).force_map
+    quiet = solve(11, library=(toy.BIAS,), unknowns=[toy.unknown_force()]).force_map
     assert np.abs(quiet.z).max() < 5.0 < np.abs(found.z).max()
     json.dumps(report.to_dict())
 
 
 def test_what_held_out_runs_refute_is_withdrawn_and_says_so():
     """A push that every fitted run asks for and that is opposite in the run held out."""
-    push, other = linear.Line("push"), linear.Line("other")
+    push, other = linear.line("push"), linear.line("other")
 
     def recorded(name, seed, size, **changes):
         run = linear.run(name, seed, **changes)

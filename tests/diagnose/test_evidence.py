@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 from scipy import integrate, optimize, stats
 
-from diffsim.diagnose.descend import Descended
-from diffsim.diagnose.evidence import AMPLITUDES, Hypothesis, Linearisation, unrealised
-from diffsim.diagnose.search import Search
-from diffsim.identify import SimModel, Unknown, UnknownDrift, fit
-from diffsim.identify.local import local_at
+from diffsim.data.study import Study
+from diffsim.diagnose.evidence import AMPLITUDES, Hypothesis, LaplaceEvidence, unrealized
+from diffsim.diagnose.fit import Case, Null
+from diffsim.diagnose.noise import noise_floor
+from diffsim.diagnose.search import begin
+from diffsim.diagnose.simulations import Simulations
+from diffsim.identify import DiagnosisSettings, SimModel, Unknown, UnknownDrift, fit
+from diffsim.identify.linearization import linearization_at
 from tests.diagnose import linear
 
 
@@ -17,16 +20,16 @@ def constant(y):
     return -0.5 * len(y) * np.log(2 * np.pi)
 
 
-def linearised(problem, x, unknowns, num_families):
+def linearized(problem, x, unknowns, num_families):
     """At x, with the responses of unknown causes."""
     responses = [u.responses(problem, x) for u in unknowns]
-    return Linearisation(problem, x, *problem.linearise(x), responses, num_families)
+    return LaplaceEvidence(problem, x, *problem.linearize(x), responses, num_families)
 
 
 @pytest.mark.reference
 def test_signed_effects_against_the_marginal_normal():
-    effects = (linear.Line("push"), linear.Line("wind", components=("x", "y")))
-    lin = linearised(linear.problem(effects), np.zeros(5), (), 1)
+    effects = (linear.line("push"), linear.line("wind", components=("x", "y")))
+    lin = linearized(linear.problem(effects), np.zeros(5), (), 1)
     y, a = linear.matrices(effects)
     for members, columns in [
         ((), [0, 1]),
@@ -44,7 +47,7 @@ def test_signed_effects_against_the_marginal_normal():
 @pytest.mark.parametrize("push", [-0.8, -0.1, 0.0, 0.3, 1.5])
 def test_half_normal_against_a_brute_force_integral(push):
     """Over both base parameters analytically, over the size by quadrature."""
-    effect = linear.Line("push", signed=False)
+    effect = linear.line("push", signed=False)
     y, a = linear.matrices((effect,))
     runs = []
     from dataclasses import replace
@@ -65,14 +68,14 @@ def test_half_normal_against_a_brute_force_integral(push):
         limit=400,
         points=[0.01, 0.1, 0.5, 1.0, 2.0],
     )
-    # linearised away from the answer: in a linear problem it must not matter
-    lin = linearised(linear.problem((effect,), runs), np.array([0.3, -0.2, 0.7]), (), 1)
+    # linearized away from the answer: in a linear problem it must not matter
+    lin = linearized(linear.problem((effect,), runs), np.array([0.3, -0.2, 0.7]), (), 1)
     found = lin.weigh(Hypothesis(frozenset({0}))).nats + constant(y)
     np.testing.assert_allclose(found, peak + np.log(area), rtol=1e-6)
 
 
 def bounded(problem, low, high):
-    """With bounds of the base parameters, in coordinates; they must hold the prior's centre."""
+    """With bounds of the base parameters, in coordinates; they must hold the prior's center."""
     base = [
         replace(p, lower=p.value + p.sd * a, upper=p.value + p.sd * b)
         for p, a, b in zip(problem.model.base, low, high, strict=True)
@@ -81,7 +84,7 @@ def bounded(problem, low, high):
 
 
 def moved(mass=0.0, gain=0.0):
-    """Runs whose base parameters lie off the prior's centre, coordinates."""
+    """Runs whose base parameters lie off the prior's center, coordinates."""
     return [
         replace(
             r,
@@ -99,7 +102,7 @@ def moved(mass=0.0, gain=0.0):
 def test_a_bound_against_a_brute_force_integral(beyond, side):
     """Over mass by quadrature, over the others analytically; the optimum lies ``beyond`` posterior
     standard deviations beyond the bound."""
-    effect = linear.Line("push")
+    effect = linear.line("push")
     runs = moved(mass=4.0 * side)
     y, a = linear.matrices((effect,), runs)
     inverse = np.linalg.inv(a.T @ a + np.eye(3))
@@ -120,7 +123,7 @@ def test_a_bound_against_a_brute_force_integral(beyond, side):
     low, high = np.full(2, -np.inf), np.full(2, np.inf)
     (high if side > 0.0 else low)[0] = bound
     problem = bounded(linear.problem((effect,), runs), low, high)
-    weighed = linearised(problem, np.array([0.3, -0.2, 0.7]), (), 1).weigh(
+    weighed = linearized(problem, np.array([0.3, -0.2, 0.7]), (), 1).weigh(
         Hypothesis(frozenset({0}))
     )
     np.testing.assert_allclose(weighed.nats + constant(y), peak + np.log(area), rtol=1e-6)
@@ -133,7 +136,7 @@ def test_the_optimum_within_several_bounds(limits):
     runs = moved(4.0, 4.0)
     y, a = linear.matrices((), runs)
     problem = bounded(linear.problem((), runs), np.full(2, -np.inf), limits)
-    weighed = linearised(problem, np.zeros(2), (), 1).weigh(Hypothesis())
+    weighed = linearized(problem, np.zeros(2), (), 1).weigh(Hypothesis())
     stacked, right = np.vstack([a, np.eye(2)]), np.concatenate([y, np.zeros(2)])
     truth = optimize.lsq_linear(stacked, right, (-np.inf, limits), method="bvls", tol=1e-12)
     np.testing.assert_allclose(weighed.x, truth.x, atol=1e-9)
@@ -150,9 +153,9 @@ def test_two_bounds_against_the_normal_beyond_them(beyond):
     mean, sd = inverse @ a.T @ y, np.sqrt(np.diag(inverse))
     high = mean - beyond * sd
     problem = linear.problem((), runs)
-    free = linearised(problem, np.zeros(2), (), 1).weigh(Hypothesis()).nats
+    free = linearized(problem, np.zeros(2), (), 1).weigh(Hypothesis()).nats
     within = bounded(problem, np.full(2, -np.inf), high)
-    held = linearised(within, np.zeros(2), (), 1).weigh(Hypothesis()).nats
+    held = linearized(within, np.zeros(2), (), 1).weigh(Hypothesis()).nats
     share = stats.multivariate_normal(mean=mean, cov=inverse).logcdf(high)
     np.testing.assert_allclose(held - free, share, atol=0.25)
 
@@ -172,11 +175,11 @@ class Given(Unknown):
 
 @pytest.mark.reference
 def test_unknown_against_the_marginal_normal_averaged_over_amplitudes():
-    effects = (linear.Line("push"),)
+    effects = (linear.line("push"),)
     y, a = linear.matrices(effects)
     h = np.random.default_rng(0).normal(size=(len(y), 7))
     unit = h / np.sqrt(np.sum(h**2) / len(y))
-    lin = linearised(linear.problem(effects), np.zeros(3), (Given(h),), 1)
+    lin = linearized(linear.problem(effects), np.zeros(3), (Given(h),), 1)
     for members, columns in [((), [0, 1]), ((0,), [0, 1, 2])]:
         b = a[:, columns]
         logs = [
@@ -191,9 +194,9 @@ def test_unknown_against_the_marginal_normal_averaged_over_amplitudes():
 
 
 def test_every_effect_and_unknown_pays_for_being_chosen():
-    effects = (linear.Line("push"), linear.Line("pull"))
+    effects = (linear.line("push"), linear.line("pull"))
     h = np.random.default_rng(0).normal(size=(60, 3))
-    cheap, dear = (linearised(linear.problem(effects), np.zeros(4), (Given(h),), n) for n in (1, 5))
+    cheap, dear = (linearized(linear.problem(effects), np.zeros(4), (Given(h),), n) for n in (1, 5))
     key = Hypothesis(frozenset({0, 1}), 0)
     np.testing.assert_allclose(cheap.weigh(key).nats - dear.weigh(key).nats, 3 * np.log(5))
 
@@ -215,24 +218,24 @@ def test_drift_moves_its_channel_only_and_alike_in_repeats():
 
 
 def stopped_at(best, x):
-    """A fit that ended at x, and what its linearisation says."""
+    """A fit that ended at x, and what its linearization says."""
     residual = best.problem.residual(x)
     fit = replace(best, x=x, residual=residual, chi2=residual @ residual, prior=x @ x)
-    own = Linearisation(best.problem, x, residual, best.jacobian, [], 1)
+    own = LaplaceEvidence(best.problem, x, residual, best.jacobian, [], 1)
     return fit, own.weigh(Hypothesis())
 
 
 @pytest.mark.reference
-def test_what_a_fit_left_unrealised_is_what_its_cost_lies_above_the_optimum():
+def test_what_a_fit_left_unrealized_is_what_its_cost_lies_above_the_optimum():
     runs = (linear.run("r1", 1), linear.run("r2", 2))
     best = fit(linear.model(), runs, linear.CHANNELS)
-    assert unrealised(*stopped_at(best, best.x)) == pytest.approx(0.0, abs=1e-6)
+    assert unrealized(*stopped_at(best, best.x)) == pytest.approx(0.0, abs=1e-6)
 
     def cost(x):
         return 0.5 * float(np.sum(best.problem.residual(x) ** 2) + x @ x)
 
     x = best.x + np.array([0.4, -0.3])
-    assert unrealised(*stopped_at(best, x)) == pytest.approx(cost(x) - cost(best.x), rel=1e-6)
+    assert unrealized(*stopped_at(best, x)) == pytest.approx(cost(x) - cost(best.x), rel=1e-6)
 
 
 @pytest.mark.reference
@@ -247,19 +250,27 @@ def test_a_fit_on_its_bound_is_credited_with_what_lies_within(at):
     x = best.x.copy()
     x[0] = at
     ended, weighed = stopped_at(best, x)
-    assert unrealised(ended, weighed) == pytest.approx(
+    assert unrealized(ended, weighed) == pytest.approx(
         0.5 * (ended.chi2 + ended.prior - best.chi2 - best.prior), rel=1e-6, abs=1e-6
     )
 
 
-def test_the_search_does_not_credit_an_optimum_that_a_fit_has_not_found():
-    effects = (linear.Line("push"),)
-    problem = linear.problem(effects)
+def null_at(fit, at):
+    """A plain model that is fitted, one candidate, no unknown cause."""
+    runs = fit.problem.runs
+    study = Study("linear", "soft_body", linear.CHANNELS, runs)
+    case = Case(study, fit.problem.model, (linear.line("push"),), (), DiagnosisSettings())
+    noise = noise_floor(runs, study.channels, {run.name: run.measured for run in runs})
+    return Null(case, noise, fit, at, 0)
+
+
+def test_the_search_does_not_credit_an_optimum_that_a_fit_has_not_reached():
+    problem = linear.problem(())
     found = fit(problem.model, problem.runs, linear.CHANNELS)
     moved = found.x + np.array([0.4, -0.3])
     nats = []
     for x in (found.x, moved):
         stopped, weighed = stopped_at(found, x)
-        null = Descended(stopped, local_at(found.problem, x))
-        nats.append(Search(problem, (), null).entries[Hypothesis()].nats)
-    assert nats[0] - nats[1] == pytest.approx(unrealised(stopped, weighed), rel=1e-6)
+        null = null_at(stopped, linearization_at(found.problem, x))
+        nats.append(begin(null, Simulations(null.wide)).nats(Hypothesis()))
+    assert nats[0] - nats[1] == pytest.approx(unrealized(stopped, weighed), rel=1e-6)

@@ -6,24 +6,26 @@ from typing import Any, cast
 import pytest
 
 from diffsim.diagnose import judge
-from diffsim.diagnose.decide import Decision
 from diffsim.diagnose.evidence import Hypothesis
+from diffsim.diagnose.judge import Decision
 
 A, AU, U = frozenset({0}), Hypothesis(frozenset({0}), 0), Hypothesis(frozenset(), 0)
 FIT = SimpleNamespace(problem=None, residual=None)
 SEARCH = cast(
     Any,
     SimpleNamespace(
-        entries={Hypothesis(A): SimpleNamespace(fit=FIT), Hypothesis(): SimpleNamespace(fit=FIT)},
+        fit_of=lambda members: FIT,
         unknowns=[SimpleNamespace(name="unknown force")],
-        responses=lambda members, unknown: None,
+        simulations=SimpleNamespace(
+            responses=lambda *a: (None, None), fitted={A: None, frozenset(): None}
+        ),
     ),
 )
 
 
 def confirmed(decision: Decision, p: float | None, monkeypatch: pytest.MonkeyPatch) -> Decision:
     monkeypatch.setattr(judge, "swap_probability", lambda *a, **k: p)
-    return judge.confirmed(decision, SEARCH, [], seed=0)
+    return judge.confirmed(decision, SEARCH, seed=0)[0]
 
 
 @pytest.mark.parametrize(

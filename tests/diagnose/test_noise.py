@@ -19,7 +19,7 @@ def make_run(measured, name="r", group="g"):
 
 
 def covariance(a, n, sd):
-    """From the impulse response of x_t = a1 x_{t-1} + ... + e_t, normalised to sd."""
+    """From the impulse response of x_t = a1 x_{t-1} + ... + e_t, normalized to sd."""
     response = lfilter([1.0], [1.0, *-a], np.eye(1, 2000)[0])
     rho = np.array([response[: 2000 - k] @ response[k:] for k in range(n)])
     idx = np.abs(np.arange(n)[:, None] - np.arange(n)[None, :])
@@ -48,13 +48,13 @@ def test_gaps_start_afresh():
     assert not w[:, [7, 8, 20, 22]].any()
 
 
-def coloured(seed, n, a=A):
+def colored(seed, n, a=A):
     rng = np.random.default_rng(seed)
     return lfilter([1.0], [1.0, *-a], rng.normal(size=n + 200))[200:]
 
 
 def test_coefficients_of_synthetic_noise():
-    found = fit_ar([coloured(s, 4000) for s in range(3)])
+    found = fit_ar([colored(s, 4000) for s in range(3)])
     assert len(found) >= 2
     # sd of a Yule-Walker estimate: about sqrt((1 - a2^2) / 12000) = 0.009
     np.testing.assert_allclose(found[:2], A, atol=0.04)
@@ -64,9 +64,9 @@ def test_coefficients_of_synthetic_noise():
 
 def test_whitened_noise_has_unit_power_and_no_memory():
     channel = Channel("x_m", "m", "position")
-    runs = [make_run(0.03 * coloured(s, 2000)[:, None], f"r{s}") for s in range(4)]
+    runs = [make_run(0.03 * colored(s, 2000)[:, None], f"r{s}") for s in range(4)]
     noise = noise_floor(runs, [channel], {r.name: r.measured for r in runs})
-    fresh = make_run(0.03 * coloured(99, 5000)[:, None])
+    fresh = make_run(0.03 * colored(99, 5000)[:, None])
     white = noise.whitener.matrix(fresh) @ fresh.measured.ravel()
     assert noise.source == ("repeats",)
     np.testing.assert_allclose(np.mean(white**2), 1.0, atol=0.1)  # 5 sd of 5000 + 6000 samples

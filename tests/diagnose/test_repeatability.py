@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from diffsim.data.study import Channel, Run
+from diffsim.diagnose.gates import repeatability_gate
 from diffsim.diagnose.noise import UNREPEATABLE
-from diffsim.diagnose.repeatability import repeatability_gate
 from diffsim.identify import Parameter, SimModel, fit
 from tests.diagnose.linear import LinearScene
 

@@ -5,14 +5,14 @@ from diffsim.diagnose.screen import VISIBLE, screen
 from diffsim.identify import fit
 from tests.diagnose import linear
 
-EFFECTS = (linear.Line("push"), linear.Line("wind", components=("x", "y")), linear.Line("pull"))
+EFFECTS = (linear.line("push"), linear.line("wind", components=("x", "y")), linear.line("pull"))
 
 
 def at_null():
     null = fit(linear.model(), [linear.run("r1", 1), linear.run("r2", 2)], linear.CHANNELS)
     problem = linear.problem(EFFECTS)
     x = np.concatenate([null.x, np.zeros(4)])
-    return null, screen(problem, *problem.linearise(x), x)
+    return null, screen(problem, *problem.linearize(x), x)
 
 
 def refit_cost(columns):
@@ -52,11 +52,11 @@ def test_smallest_visible_size_has_a_score_of_six():
 
 
 def test_confounding_is_one_for_twins_and_blind_for_a_base_parameter():
-    twins = (linear.Line("push"), linear.Line("push", typical=4.0))
+    twins = (linear.line("push"), linear.line("push", typical=4.0))
     problem = linear.problem(twins)
-    seen = screen(problem, *problem.linearise(np.zeros(4)), np.zeros(4))
+    seen = screen(problem, *problem.linearize(np.zeros(4)), np.zeros(4))
     np.testing.assert_allclose(np.abs(seen.confounding), 1.0, atol=1e-9)
     # an effect shaped like a base parameter is absorbed up to that one's prior
-    absorbed = linear.problem((linear.Line("mass"), linear.Line("pull")))
-    seen = screen(absorbed, *absorbed.linearise(np.zeros(4)), np.zeros(4))
+    absorbed = linear.problem((linear.line("mass"), linear.line("pull")))
+    seen = screen(absorbed, *absorbed.linearize(np.zeros(4)), np.zeros(4))
     assert seen.smallest_visible[0] > 4 * seen.smallest_visible[1]

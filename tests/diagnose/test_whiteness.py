@@ -1,4 +1,4 @@
-"""The whiteness test against noise of known colour."""
+"""The whiteness test against noise of known color."""
 
 import types
 
@@ -23,7 +23,7 @@ def fit_of(records):
     return types.SimpleNamespace(problem=problem, residual=np.concatenate(residual))
 
 
-def test_white_noise_gives_uniform_probabilities_and_coloured_noise_none():
+def test_white_noise_gives_uniform_probabilities_and_colored_noise_none():
     rng = np.random.default_rng(0)
     found = np.array(
         [

@@ -1,7 +1,7 @@
 """A toy bed: a driven oscillator with two sensors, and a generator that shares no code with it.
 
 Model: x'' = w^2 (g u(t) - x) - 2 zeta w x' + terms, RK4 at the sample times, many points at once,
-smoothed friction. Generator: scipy's DOP853 at rtol 1e-7, sharp nonlinearities, coloured noise,
+smoothed friction. Generator: scipy's DOP853 at rtol 1e-7, sharp nonlinearities, colored noise,
 0.5 % gain jitter, placement errors.
 """
 
@@ -157,71 +157,55 @@ def lagged(u, h, tau):
     return out
 
 
-class _Term(Effect):
-    kind = "force"
-    unit = "-"
-    term = ""
+def term(name: str, family: str, typical: float, term: str = "", **more: Any) -> Effect:
+    """An effect that adds its size to a term of the scene, by default the one of its name."""
 
-    def apply(self, scene, size, run):
-        before = scene.terms.get(self.term or self.name, 0.0)
-        return replace(scene, terms={**scene.terms, self.term or self.name: before + size[..., 0]})
+    def apply(scene, size, run):
+        before = scene.terms.get(term or name, 0.0)
+        return replace(scene, terms={**scene.terms, term or name: before + size[..., 0]})
 
-
-class Drag(_Term):
-    name, family, typical, signed = "drag", "damping", 0.3, False
-    also_looks_like = ("turbulent drag of the surroundings",)
+    settings = {"kind": "force", "unit": "-", **more}
+    return Effect(name=name, family=family, typical=typical, apply=apply, **settings)
 
 
-class Friction(_Term):
-    name, family, typical, signed, smooth = "friction", "friction", 1.0, False, False
+DRAG = term(
+    "drag",
+    "damping",
+    0.3,
+    signed=False,
+    also_looks_like=("turbulent drag of the surroundings",),
+)
+FRICTION = term("friction", "friction", 1.0, signed=False, smooth=False)
+STIFFENING = term("stiffening", "stiffness", 0.1)
+DELAY = term("delay", "timing", 0.03, signed=False, kind="actuator")
+LAG = term("lag", "timing", 0.03, signed=False, kind="actuator")
+BIAS = term("bias", "load", 0.1)
+SCALE = term("scale", "sensor", 0.1, kind="sensor")
+WARMING = term("warming", "temperature", 0.01, kind="environment")
+CLOCK_OFFSET = term("clock_offset", "timing", 0.03, "delay", signed=False, kind="actuator")
+"""Exactly the delay under another name."""
 
 
-class Stiffening(_Term):
-    name, family, typical = "stiffening", "stiffness", 0.1
+def _with_knots(scene, size, run):
+    return replace(scene, terms={**scene.terms, "knots": size})
 
 
-class Delay(_Term):
-    name, family, typical, signed, kind = "delay", "timing", 0.03, False, "actuator"
-
-
-class Lag(_Term):
-    name, family, typical, signed, kind = "lag", "timing", 0.03, False, "actuator"
-
-
-class Bias(_Term):
-    name, family, typical = "bias", "load", 0.1
-
-
-class Scale(_Term):
-    name, family, typical, kind = "scale", "sensor", 0.1, "sensor"
-
-
-class Warming(_Term):
-    name, family, typical, kind = "warming", "temperature", 0.01, "environment"
-
-
-class ClockOffset(Delay):
-    """Exactly the delay under another name."""
-
-    name, term = "clock_offset", "delay"
-
-
-class Knots(Effect):
-    """The unknown force's coefficients, in units of the command."""
-
-    name, family, kind, unit, typical = "knots", "unknown", "force", "-", 0.1
-    components = tuple(f"t{i}" for i in range(21))
-
-    def apply(self, scene, size, run):
-        return replace(scene, terms={**scene.terms, "knots": size})
-
-
-LIBRARY = (Drag(), Friction(), Stiffening(), Delay(), Lag(), Bias(), Scale(), Warming())
+KNOTS = Effect(
+    name="knots",
+    form="The unknown force's coefficients, in units of the command.",
+    family="unknown",
+    kind="force",
+    unit="-",
+    typical=0.1,
+    components=tuple(f"t{i}" for i in range(21)),
+    apply=_with_knots,
+)
+LIBRARY = (DRAG, FRICTION, STIFFENING, DELAY, LAG, BIAS, SCALE, WARMING)
 
 
 def unknown_force() -> UnknownForce:
     knots = np.linspace(0.0, TIME[-1], 21)
-    return UnknownForce(Knots(), smooth_covariance(knots, 0.3))
+    return UnknownForce(KNOTS, smooth_covariance(knots, 0.3))
 
 
 def model(runs, implicit_step: float | None = None) -> SimModel:
@@ -244,7 +228,7 @@ def generate(
     seed: int,
     hidden: dict[str, float] | None = None,
     *,
-    colour: float = 0.4,
+    color: float = 0.4,
     tails: bool = False,
     spikes: bool = False,
     scatter: float = 0.0,
@@ -253,7 +237,7 @@ def generate(
     noise: float = 1.0,
 ) -> Study:
     """Recordings of a hidden truth: 3 commands x 2 repeats to fit, one command held out."""
-    options = (colour, tails, spikes, scatter, lost_repeat, far_base)
+    options = (color, tails, spikes, scatter, lost_repeat, far_base)
     runs = [
         Run(
             f"{command}_{repeat}",
@@ -272,7 +256,7 @@ def generate(
 
 
 @lru_cache(maxsize=1)  # with and without noise, one after the other
-def _recordings(seed, hidden, colour, tails, spikes, scatter, lost_repeat, far_base):
+def _recordings(seed, hidden, color, tails, spikes, scatter, lost_repeat, far_base):
     """Command, repeat, order, clean record, noise, placement and spikes of every run."""
     rng, hidden = np.random.default_rng(seed), dict(hidden)
     truth = {
@@ -286,7 +270,7 @@ def _recordings(seed, hidden, colour, tails, spikes, scatter, lost_repeat, far_b
         if lost_repeat and (command, repeat) == ("steps", "b"):
             continue
         clean = _integrate(truth, COMMANDS[command], hidden, order, rng, scatter)
-        disturbed = _noise(rng, colour, tails) * [c.sd for c in CHANNELS]
+        disturbed = _noise(rng, color, tails) * [c.sd for c in CHANNELS]
         nuisance = np.array([rng.normal(0.0, 0.01), 0.0])
         if spikes:
             hit = rng.random(clean.shape) < 0.005
@@ -299,13 +283,13 @@ def _prior(rng) -> float:
     return float(np.clip(rng.normal(), -2, 2))
 
 
-def _noise(rng, colour, tails):
+def _noise(rng, color, tails):
     white = (
         rng.standard_t(3, (len(TIME) + 50, 2)) / np.sqrt(3)
         if tails
         else rng.normal(size=(len(TIME) + 50, 2))
     )
-    return lfilter([np.sqrt(1 - colour**2)], [1, -colour], white, axis=0)[50:]
+    return lfilter([np.sqrt(1 - color**2)], [1, -color], white, axis=0)[50:]
 
 
 def _integrate(truth, command, hidden, order, rng, scatter):

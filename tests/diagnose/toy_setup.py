@@ -9,7 +9,7 @@ from diffsim.identify import DiagnosisSettings, SearchSettings
 from diffsim.identify.setup import DiagnosisSetup
 from tests.diagnose import toy
 
-EFFECTS = (toy.Drag(), toy.Delay(), toy.Bias(), toy.Scale())
+EFFECTS = (toy.DRAG, toy.DELAY, toy.BIAS, toy.SCALE)
 
 
 def setup(study: Study, **_options: object) -> DiagnosisSetup:

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.blind import __main__ as command
 from benchmarks.blind import sessions as blind_module
-from benchmarks.blind.case import CoarseModel, Twin
+from benchmarks.blind.case import CoarseModel, twin
 from benchmarks.blind.score import score_answer, true_sizes, with_strength
 from benchmarks.blind.sessions import Blind
 from benchmarks.blind.table import confusion, figures, markdown
@@ -76,7 +76,7 @@ def test_a_class_counts_as_given_only_whole():
 
 
 def test_places_of_a_laboratory_are_effects_of_a_library():
-    known = {name: toy.Drag() for name in ("weak_rotor_1", "weak_rotor_2", "drag")}
+    known = {name: toy.DRAG for name in ("weak_rotor_1", "weak_rotor_2", "drag")}
     hidden = label("single", {"weak_rotor": [0.0, 0.1]})
     assert true_sizes(hidden, known) == {"weak_rotor_2": (0.1,)}
     assert true_sizes(label("single", {"drag": [0.2]}), known) == {"drag": (0.2,)}
@@ -115,12 +115,12 @@ def test_twins_predict_the_same_and_coarse_models_are_coarser():
     run = toy.generate(0).runs[0]
     model = toy.model([run], implicit_step=0.01)
     q = model.at_prior()
-    delay = toy.Delay()
-    twin = Twin(delay)
-    assert twin.name == "delay_again" and twin.family == delay.family
+    delay = toy.DELAY
+    again = twin(delay)
+    assert again.name == "delay_again" and again.family == delay.family
     size = q.new_tensor([0.02])
     np.testing.assert_array_equal(
-        model.predict(run, q, {delay: size}), model.predict(run, q, {twin: size})
+        model.predict(run, q, {delay: size}), model.predict(run, q, {again: size})
     )
     rough = CoarseModel(model, {"time_step": 2.0})
     expected = SimModel.predict(model, run, q, None, Numerics(time_step=2.0))

@@ -43,7 +43,7 @@ def decay_runs(rate=0.8, omega=6.5, offsets=(0.05, -0.08), seed=0, noise=0.02):
 
 @pytest.mark.reference
 def test_linear_posterior_is_the_closed_form():
-    effects = (linear.Line("push"),)
+    effects = (linear.line("push"),)
     found = fit(
         linear.model(), [linear.run("r1", 1), linear.run("r2", 2)], linear.CHANNELS, effects=effects
     )
@@ -96,8 +96,8 @@ def test_differences_forward_mode_and_reverse_mode_agree():
     exact = Problem(
         problem.model, problem.runs, problem.whitener, jacobian=Jacobian(method="forward_mode")
     )
-    r, a = problem.linearise(x)
-    r2, a2 = exact.linearise(x)
+    r, a = problem.linearize(x)
+    r2, a2 = exact.linearize(x)
     np.testing.assert_allclose(r, r2, atol=1e-12)
     np.testing.assert_allclose(a, a2, rtol=0, atol=1e-4 * np.abs(a2).max())  # step^2 / 6 ~ 2e-5
     cost, slope = problem.gradient(x)
@@ -107,7 +107,7 @@ def test_differences_forward_mode_and_reverse_mode_agree():
 
 def test_nuisance_of_a_run_acts_in_that_run_only():
     problem = Problem(decay_model(), tuple(decay_runs()), WhiteNoise(CHANNEL))
-    _, a = problem.linearise(np.zeros(4))
+    _, a = problem.linearize(np.zeros(4))
     half = len(a) // 2
     assert not a[half:, 2].any() and not a[:half, 3].any()
     assert a[:half, 2].all() and a[half:, 3].all()
@@ -126,7 +126,7 @@ def test_slopes_at_a_bound_are_those_within(method, side):
         model = SimModel(plain.build, base, batched=True)
         jacobian = Jacobian(method=method, step=1e-3)
         problem = Problem(model, decay_runs(), WhiteNoise(CHANNEL), (), jacobian)
-        return problem.linearise(x)[1][:, 0]
+        return problem.linearize(x)[1][:, 0]
 
     free, edge = slope(), 0.5 * np.exp(0.5 * at)
     near = edge + (1e-5 if side == "upper" else -1e-5)  # less than a step away
@@ -141,7 +141,7 @@ def test_bound_is_kept_and_stated():
 
 
 def test_unsigned_size_stays_at_zero_where_the_data_ask_for_less():
-    push = linear.Line("push", signed=False)
+    push = linear.line("push", signed=False)
     runs = [linear.run("r1", 1)]
 
     shape = linear.shapes("push", runs[0]).numpy()[..., 0]

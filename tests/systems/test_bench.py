@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from diffsim.data.importers.common import physical, scaled
 from diffsim.data.importers.rotor_bench import SCATTER
 from diffsim.data.study import Run
-from diffsim.systems.bench.effects import BENCH, CurrentLimit, ThrustExponent
+from diffsim.systems.bench.effects import BENCH, CURRENT_LIMIT, THRUST_EXPONENT
 from diffsim.systems.bench.model import bench_model
 
 SIGNAL = np.array([1200.0, 1500.0, 1800.0, 2000.0])
@@ -65,7 +65,7 @@ def test_scaled_readings_have_unit_scatter_and_come_back():
 def test_thrust_exponent_is_one():
     size = torch.tensor([0.12, 0, 0, 0, 0, 0], dtype=torch.float64)
     _, plain = predicted(sweep())
-    _, changed = predicted(sweep(), {ThrustExponent(): size})
+    _, changed = predicted(sweep(), {THRUST_EXPONENT: size})
     slope = np.polyfit(np.log(SPEED), np.log(changed[0] / plain[0]), 1)[0]
     assert slope == pytest.approx(0.12)
     np.testing.assert_allclose(changed[1] / plain[1], changed[0] / plain[0])  # torque follows
@@ -75,7 +75,7 @@ def test_current_limit_limits_current_and_speed():
     run = sweep("a1_11", 0.127)
     _, plain = predicted(run)
     limit = 0.5 * plain[3].max()
-    _, limited = predicted(run, {CurrentLimit(): torch.tensor([1.0 / limit]).double()})
+    _, limited = predicted(run, {CURRENT_LIMIT: torch.tensor([1.0 / limit]).double()})
     assert limited[3].max() == pytest.approx(limit)
     assert limited[2].max() <= plain[2].max()
 
@@ -83,8 +83,7 @@ def test_current_limit_limits_current_and_speed():
 def test_effects_are_nothing_at_zero():
     for run in (sweep(), sweep("a1_11", 0.127)):
         _, plain = predicted(run)
-        for kind in BENCH:
-            effect = kind()
+        for effect in BENCH:
             size = torch.zeros(len(effect.components), dtype=torch.float64)
             _, same = predicted(run, {effect: size})
             np.testing.assert_allclose(same, plain, rtol=1e-12)

@@ -8,7 +8,7 @@ import torch
 from scipy.integrate import solve_ivp
 
 from diffsim.data.study import Run
-from diffsim.systems.bending.effects import Creep, SecondMode, StiffnessLoss
+from diffsim.systems.bending.effects import PRESSURE_SOFTENING, SECOND_MODE, SLOW_COMPLIANCE
 from diffsim.systems.bending.response import VALVE
 from diffsim.systems.bending.scene import SECOND, Layout, bending_scene
 from diffsim.systems.bending.unknown import unknown_moment
@@ -23,7 +23,7 @@ VALUES = {
     "shape": 0.5,
     "direction": 0.0,
     "neutral_axis": 0.0,
-    "centre_toward": 0.0,
+    "center_toward": 0.0,
     "onset": 0.0,
     "release": 0.0,
 }
@@ -64,15 +64,15 @@ def test_step_and_release_follow_the_oscillator():
 
 def test_a_creeping_softened_body_stays_bounded():
     """Softening acts on both springs: 1 / (1 - k p) of the instant and of the crept compliance."""
-    soft = StiffnessLoss().apply(scene(slow_time=0.1), size(0.8), None)
-    q = angles(Creep().apply(soft, size(1.0), None))
+    soft = PRESSURE_SOFTENING.apply(scene(slow_time=0.1), size(0.8), None)
+    q = angles(SLOW_COMPLIANCE.apply(soft, size(1.0), None))
     assert q[TIME < 1.99][-1] == pytest.approx(0.3 * 2.0 / (1.0 - 0.8), rel=0.02)
     assert abs(q[-1]) < 0.02
 
 
 def test_second_mode_rings_at_its_frequency():
     plain = angles(scene())
-    more = angles(SecondMode().apply(scene(), size(0.2), None)) - plain
+    more = angles(SECOND_MODE.apply(scene(), size(0.2), None)) - plain
     part = more[(TIME > 0.02) & (TIME < 0.5)]
     part = part - part[-1]
     spectrum = np.abs(np.fft.rfft(part * np.hanning(len(part))))

@@ -80,7 +80,7 @@ def test_size_zero_is_the_scene_itself(name, effect):
 )  # fmt: skip
 def test_scores_against_differences(name, effect):
     device = DEVICES[name]
-    if name == "regulator" and effect.name in ("leak", "skewed_inlet"):
+    if name == "regulator" and effect.name in ("leak_per_depth", "skewed_inlet"):
         assert effect.needs(study_of(device)) is not None  # no response at all
         return
     model, run = device_model(device), run_of(device, [0.5, 1.0], repeats=1)
@@ -201,21 +201,24 @@ def test_thinning_blunts_the_profile():
 
 
 def test_inertia_grows_with_the_drive_and_turns_with_it():
-    shares = change(DEVICES["pumps"], "inertia", 300.0, [-0.1, 0.1, 0.2])[:, :3]
+    shares = change(DEVICES["pumps"], "fluid_inertia", 300.0, [-0.1, 0.1, 0.2])[:, :3]
     np.testing.assert_allclose(shares[2], 2.0 * shares[1], rtol=0.03)  # next order
     np.testing.assert_allclose(shares[0], -shares[1], rtol=0.03)
     assert np.abs(shares[1]).max() > 1e-4
 
 
 def test_inertia_leaves_a_developed_profile():
-    moved = change(SINGLE, "inertia", 1000.0, [1.0])[0]
+    moved = change(SINGLE, "fluid_inertia", 1000.0, [1.0])[0]
     assert np.abs(moved[2:]).max() < 1e-3 < 2e-3 < abs(moved[1])  # the tap sees the widening
 
 
 def test_leak_follows_the_pressure():
     k, device = 3e-8, DEVICES["pumps"]
     model, run = device_model(device), run_of(device, [1.0, 2.0], 1)
-    plain, leaking = predict(model, run), predict(model, run, effect_of(device, "leak"), k)
+    plain, leaking = (
+        predict(model, run),
+        predict(model, run, effect_of(device, "leak_per_depth"), k),
+    )
     lost = (plain - leaking)[:, :3].sum(1) / (plain[:, :3].sum(1) / run.command["flow_in_1_m2_s"])
     np.testing.assert_allclose(lost, k * leaking[:, 3], rtol=1e-5)
 
@@ -275,7 +278,7 @@ def test_needs():
     assert unmet["slip"] is None
     assert all(e.needs(study_of(device)) is None for e in stokes_library(device))
     regulated = study_of(DEVICES["regulator"])
-    assert "driven by flow" in (effect_of(device, "leak").needs(regulated) or "")
+    assert "driven by flow" in (effect_of(device, "leak_per_depth").needs(regulated) or "")
 
 
 def test_names_are_unique_and_texts_complete():

@@ -12,11 +12,12 @@ from diffsim.copter import GRAVITY
 from diffsim.copter.fleet import Fleet
 from diffsim.copter.sensors import finite_acceleration
 from diffsim.data.study import Channel, Run, Study
-from diffsim.identify import NumericalEffect, Numerics, Parameter
+from diffsim.identify import Numerics, Parameter, coarse
 from diffsim.systems import actuator, library
 from diffsim.systems.multicopter import effects as causes
 from diffsim.systems.multicopter import flight_model, unknown_wrench
-from diffsim.systems.multicopter.flying import Flyer, Motion
+from diffsim.systems.multicopter.flying import Flyer
+from diffsim.systems.multicopter.motion import Motion
 from diffsim.systems.multicopter.shooting import Windows
 from tests.diagnose.gate import score_error, typical
 
@@ -125,9 +126,9 @@ def test_many_points_are_as_one_by_one(model, flown):
     run, _ = flown
     q = 0.01 * torch.tensor([[0.0, 0.0], [1.0, -1.0], [-0.5, 2.0]], dtype=torch.float64)
     sizes = {
-        causes.Wind(): tensor([[0.0, 0.0], [0.01, 0.02], [0.0, -0.01]]),
-        causes.RotorDragEffect(): tensor([[0.0], [0.001], [0.002]]),
-        causes.Wake(): tensor([[0.002], [0.0], [0.001]]),
+        causes.WIND: tensor([[0.0, 0.0], [0.01, 0.02], [0.0, -0.01]]),
+        causes.ROTOR_DRAG: tensor([[0.0], [0.001], [0.002]]),
+        causes.WAKE: tensor([[0.002], [0.0], [0.001]]),
     }
     many = model.predict_many(run, q, sizes)
     alone = [
@@ -135,7 +136,7 @@ def test_many_points_are_as_one_by_one(model, flown):
     ]
     torch.testing.assert_close(many[0], alone[0], atol=1e-6, rtol=0)
     for k in (1, 2):
-        # a stencil: initial states follow by the tangents of its centre, which change with the
+        # a stencil: initial states follow by the tangents of its center, which change with the
         # point; that change times the misfit is left out, as ever in Gauss-Newton
         moved, wrong = (
             ((a - b) / SD).norm() for a, b in ((alone[k], alone[0]), (many[k], alone[k]))
@@ -160,7 +161,7 @@ def test_scores(effect, model, flown):
     def at(amount):
         if amount.requires_grad:
             return model.predict(run, model.at_prior(), {effect: amount})
-        # about size zero, as in a linearisation
+        # about size zero, as in a linearization
         q = model.at_prior().expand(2, -1)
         return model.predict_many(run, q, {effect: torch.stack([0 * amount, amount])})[1]
 
@@ -183,16 +184,16 @@ def test_base_parameters_and_numerics(flown):
 def test_a_numerical_cause_blends_flights_beside_others(flown):
     run, _ = flown
     model = flight_model(quadcopter(), commands=NAMES, substeps=1)
-    cause, wind = NumericalEffect("time_step", Numerics(time_step=0.25)), causes.Wind()
+    cause, wind = coarse("time_step", Numerics(time_step=0.25)), causes.WIND
     q = model.at_prior().expand(3, -1)
     # the kernel is of fourth order: only large multiples of what refining changes can be seen
     sizes = {cause: tensor([[0.0], [4e5], [1e6]]), wind: tensor([[0.01, 0.0]] * 3)}
     many = model.predict_many(run, q, sizes)
     at = {wind: sizes[wind]}
-    coarse = model.predict_many(run, q, at)[0]
+    rough = model.predict_many(run, q, at)[0]
     fine = model.predict_many(run, q, at, cause.refined)[0]
     assert float(((many[2] - many[0]) / SD).abs().max()) > 0.01
-    expected = coarse + sizes[cause][..., None] * (fine - coarse)
+    expected = rough + sizes[cause][..., None] * (fine - rough)
     torch.testing.assert_close(many, expected, atol=1e-7, rtol=0)
 
 
@@ -222,12 +223,12 @@ def straight_up(effect, at, thrust=1.2 * HOVER, steps=50, velocity=(0.0, 0.0, 0.
 def test_wind_with_drag_is_the_closed_form():
     """m v' = F - k T v: exact but for the drag's wind, held over a step."""
 
-    class Both(causes.Wind):
-        def apply(self, scene, amount, run):
-            scene = causes.RotorDragEffect().apply(scene, size(0.1), run)
-            return super().apply(scene, amount, run)
+    def both(scene, amount, run):
+        scene = causes.ROTOR_DRAG.apply(scene, size(0.1), run)
+        return causes.WIND.apply(scene, amount, run)
 
-    channels, t = straight_up(Both(), size(0.5, 0.0), thrust=HOVER)
+    wind = replace(causes.WIND, apply=both)
+    channels, t = straight_up(wind, size(0.5, 0.0), thrust=HOVER)
     rate = 0.1 * GRAVITY  # k T / m
     want = 0.5 / rate * (t - (1 - np.exp(-rate * t)) / rate)
     # the wind of the mid of a step is held over it: (k T / m) a dt^3 / 12 of place in each step
@@ -240,15 +241,15 @@ def test_unknown_wrench_of_constant_knots_is_wind_and_a_torque():
     knots = torch.zeros(6, 3, dtype=torch.float64)
     knots[0], knots[5] = 0.5, 0.1  # north, and yaw in 0.02 N m
     found, t = straight_up(unknown, knots.flatten(), thrust=HOVER)
-    want, _ = straight_up(causes.Wind(), size(0.5, 0.0), thrust=HOVER)
+    want, _ = straight_up(causes.WIND, size(0.5, 0.0), thrust=HOVER)
     torch.testing.assert_close(found[:, :3], want[:, :3], atol=1e-9, rtol=0)
     np.testing.assert_allclose(found[:, 8], 0.1 * 0.02 / 0.02 * t, atol=1e-9)
 
 
 def test_wind_stays_and_body_tilt_turns():
-    pushed, t = straight_up(causes.Wind(), size(0.5, 0.0), thrust=HOVER, yaw=np.pi / 2)
+    pushed, t = straight_up(causes.WIND, size(0.5, 0.0), thrust=HOVER, yaw=np.pi / 2)
     np.testing.assert_allclose(pushed[:, 0], 0.25 * t**2, atol=1e-12)
-    leaning, _ = straight_up(causes.BodyTilt(), size(0.0, 0.02), thrust=HOVER, yaw=np.pi / 2)
+    leaning, _ = straight_up(causes.BODY_TILT, size(0.0, 0.02), thrust=HOVER, yaw=np.pi / 2)
     # pitched by 0.02: thrust leans to the body's -x, which is west with the nose east
     np.testing.assert_allclose(leaning[:, 0], 0.0, atol=1e-9)
     np.testing.assert_allclose(leaning[:, 1], -0.5 * GRAVITY * 0.02 * t**2, rtol=1e-3, atol=1e-9)
@@ -257,29 +258,29 @@ def test_wind_stays_and_body_tilt_turns():
 def test_inflow_ends_at_a_climb_speed():
     """m v' = T (1 - k v) - m g, v upwards."""
     k, lift = 0.2, 1.2 * GRAVITY
-    channels, t = straight_up(causes.Inflow(), size(k))
+    channels, t = straight_up(causes.INFLOW, size(k))
     rate, final = k * lift, (1 - 1 / 1.2) / k
     want = -final * (t - (1 - np.exp(-rate * t)) / rate)
     # loss at the mean speed of a step: an error of second order
     np.testing.assert_allclose(channels[:, 2], want, atol=(rate * DT) ** 2 / 12 * abs(want[-1]))
 
 
-def test_weak_rotor_centre_of_mass_and_curvature_push_as_levers_do():
+def test_weak_rotor_center_of_mass_and_curvature_push_as_levers_do():
     arm, thrust = 0.2, HOVER
     weak, _ = straight_up(causes.weak_rotor(0), size(0.05), thrust=thrust, steps=5)
     # the front right rotor lacks 5 %: roll to the right, nose down, and yaw
     want = 0.05 * thrust * np.array([arm / 0.01, -arm / 0.012, -0.015 * 1.0 / 0.02 * -1.0])
     np.testing.assert_allclose(weak[0, 6:9] / DT, want, rtol=1e-3)
-    heavy, _ = straight_up(causes.CentreOfMass(), size(0.003, 0.0), thrust=thrust, steps=5)
+    heavy, _ = straight_up(causes.CENTER_OF_MASS, size(0.003, 0.0), thrust=thrust, steps=5)
     np.testing.assert_allclose(heavy[0, 7] / DT, -0.003 * GRAVITY / 0.012, rtol=1e-6)
-    curved, _ = straight_up(causes.ThrustCurvature(), size(0.1), thrust=HOVER, steps=5)
+    curved, _ = straight_up(causes.THRUST_CURVATURE, size(0.1), thrust=HOVER, steps=5)
     np.testing.assert_allclose(curved[:, 11], -GRAVITY, rtol=1e-12)  # in hover it is not there
-    loaded, _ = straight_up(causes.ThrustCurvature(), size(0.1), thrust=2 * HOVER, steps=5)
+    loaded, _ = straight_up(causes.THRUST_CURVATURE, size(0.1), thrust=2 * HOVER, steps=5)
     np.testing.assert_allclose(loaded[:, 11], -2 * GRAVITY * (1 + 0.1 * HOVER / 8.0), rtol=1e-12)
 
 
 def test_voltage_exponent_is_the_power_of_the_voltage():
-    channels, t = straight_up(causes.VoltageExponent(), size(2.0), thrust=HOVER)
+    channels, t = straight_up(causes.VOLTAGE_EXPONENT, size(2.0), thrust=HOVER)
     voltage = np.linspace(12.0, 9.0, len(t))
     held = GRAVITY * (1.0 - (voltage / 12.0) ** 2)
     velocity = np.cumsum(held * DT)
@@ -291,20 +292,20 @@ def test_voltage_exponent_is_the_power_of_the_voltage():
 
 def test_drags_slow_down():
     fast = {"thrust": HOVER, "velocity": (5.0, 0.0, 0.0)}
-    parasitic, t = straight_up(causes.ParasiticDrag(), size(0.1), **fast)
+    parasitic, t = straight_up(causes.PARASITIC_DRAG, size(0.1), **fast)
     # m v' = -c v^2: x = m / c ln(1 + c v_0 t / m), held over a step at its mean speed: dt^2
     np.testing.assert_allclose(parasitic[:, 0], 10.0 * np.log(1 + 0.5 * t), atol=0.25 * DT**2)
-    linear, _ = straight_up(causes.LinearDrag(), size(0.3), **fast)
+    linear, _ = straight_up(causes.BODY_DRAG, size(0.3), **fast)
     np.testing.assert_allclose(linear[:, 0], 5.0 * (1 - np.exp(-0.3 * t)) / 0.3, atol=1e-8)
-    rotor, _ = straight_up(causes.RotorDragEffect(), size(0.05), **fast)
+    rotor, _ = straight_up(causes.ROTOR_DRAG, size(0.05), **fast)
     rate = 0.05 * GRAVITY
     np.testing.assert_allclose(rotor[:, 0], 5.0 * (1 - np.exp(-rate * t)) / rate, atol=1e-8)
 
 
 def test_wake_takes_thrust_from_the_rear_only_in_fast_flight():
-    rest, _ = straight_up(causes.Wake(), size(0.1), thrust=HOVER, steps=5)
+    rest, _ = straight_up(causes.WAKE, size(0.1), thrust=HOVER, steps=5)
     np.testing.assert_allclose(rest[:, 6:9], 0.0, atol=1e-9)
-    fast, _ = straight_up(causes.Wake(), size(0.1), thrust=HOVER, steps=5, velocity=(3.0, 0, 0))
+    fast, _ = straight_up(causes.WAKE, size(0.1), thrust=HOVER, steps=5, velocity=(3.0, 0, 0))
     # at v_h half the loss, times the rear rotors' share a / (a sqrt 2) of the largest arm
     lost = 0.1 * 0.5 / np.sqrt(2) * HOVER
     np.testing.assert_allclose(fast[0, 7] / DT, 2 * lost * 0.2 / 0.012, rtol=0.01)
@@ -322,7 +323,7 @@ def test_gyroscopic_torque_is_minus_rates_cross_spin():
         def with_schedule(self, change):
             return change
 
-    change = causes.Gyroscopic().apply(Scene(), size(amount), None)
+    change = causes.GYROSCOPIC.apply(Scene(), size(amount), None)
     still = torch.zeros(1, 1, 1, 3)
     motion = Motion(Scene.vehicle, still, still, torch.eye(3)[None, None, None], rates + still)
     more = (change(motion, thrusts[None, None, None]) - thrusts)[0, 0, 0]
@@ -334,26 +335,26 @@ def test_gyroscopic_torque_is_minus_rates_cross_spin():
 
 
 def test_sensors_by_their_formulas():
-    plain, _ = straight_up(causes.PositionScale(), size(0.0), r=1.0, velocity=(1.0, 0, 0))
+    plain, _ = straight_up(causes.POSITION_SCALE, size(0.0), r=1.0, velocity=(1.0, 0, 0))
     still = {"r": 1.0, "velocity": (1.0, 0.0, 0.0)}
-    larger, _ = straight_up(causes.PositionScale(), size(0.1), **still)
+    larger, _ = straight_up(causes.POSITION_SCALE, size(0.1), **still)
     torch.testing.assert_close(larger[:, :3], 1.1 * plain[:, :3])
     torch.testing.assert_close(larger[:, 3:], plain[:, 3:])
-    moved, t = straight_up(causes.MarkerPlacement(), size(0.01, 0.0, 0.0), **still)
+    moved, t = straight_up(causes.MARKER_PLACEMENT, size(0.01, 0.0, 0.0), **still)
     np.testing.assert_allclose((moved - plain)[:, 0], 0.01 * np.cos(t), atol=1e-12)
     np.testing.assert_allclose((moved - plain)[:, 1], 0.01 * np.sin(t), atol=1e-12)
     # turned about its x by e, the unit's y sees z times e, its z minus y times e
-    tilted, _ = straight_up(causes.ImuTilt(), size(0.02, 0.0, 0.0), **still)
+    tilted, _ = straight_up(causes.IMU_TILT, size(0.02, 0.0, 0.0), **still)
     np.testing.assert_allclose(tilted[:, 7], plain[:, 7] + 0.02 * plain[:, 8], atol=1e-12)
     np.testing.assert_allclose(tilted[:, 10], plain[:, 10] + 0.02 * plain[:, 11], atol=1e-12)
 
 
 def test_ground_effect_falls_with_the_square_of_the_height():
-    class Near(causes.GroundEffectCause):
-        def apply(self, scene, amount, run):
-            return super().apply(scene.changed(terrain_height=-0.3), amount, run)
+    def near(scene, amount, run):
+        return causes.GROUND_EFFECT.apply(scene.changed(terrain_height=-0.3), amount, run)
 
-    channels, _ = straight_up(Near(), size(1.0), thrust=HOVER, steps=6)
+    effect = replace(causes.GROUND_EFFECT, apply=near)
+    channels, _ = straight_up(effect, size(1.0), thrust=HOVER, steps=6)
     gain = 1 + (0.12 / (4 * 0.3)) ** 2
     np.testing.assert_allclose(channels[0, 11], -GRAVITY * gain, rtol=1e-4)
 
@@ -363,8 +364,8 @@ def test_needs_and_errors(flown):
     channels = tuple(Channel(f"c{i}", "-", "any") for i in range(12))
     bare = replace(run, command={n: run.command[n] for n in NAMES}, setup={})
     study = Study("s", "copter", channels, (bare,))
-    assert "voltage_V" in causes.VoltageExponent().needs(study)
-    assert actuator.Lag().needs(study) is None
+    assert "voltage_V" in causes.VOLTAGE_EXPONENT.needs(study)
+    assert actuator.LAG.needs(study) is None
     with pytest.raises(ValueError, match="did you mean 'position'"):
         flight_model(quadcopter(), commands=NAMES, sensors=["positon", "attitude"])
     with pytest.raises(ValueError, match="one column per rotor"):
@@ -381,7 +382,7 @@ def test_needs_and_errors(flown):
 
 def test_weak_rotors_travel_between_processes():
     again = pickle.loads(pickle.dumps(causes.weak_rotor(2)))
-    assert (again.name, again.index) == ("weak_rotor_3", 2)
+    assert (again.name, again.apply.keywords) == ("weak_rotor_3", {"index": 2})
 
 
 def test_profile_of_a_linear_model_is_ridge_regression():

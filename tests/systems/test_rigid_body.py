@@ -28,7 +28,7 @@ def kick(velocity, arm, restitution=E, friction=MU, rebound=0.0):
     ).numpy()
 
 
-def test_corner_below_the_centre():
+def test_corner_below_the_center():
     straight = kick([0, 0, -2.0], [0, 0, -0.09])
     np.testing.assert_allclose(straight, [0, 0, 2.0 * (1 + E)], atol=1e-12)
     sliding = kick([3.0, 0, -2.0], [0, 0, -0.09])

@@ -15,12 +15,12 @@ from diffsim.systems.soft_body import beam_model, tendon_model, unknown_force
 from diffsim.systems.soft_body import forces as soft_forces
 from diffsim.systems.soft_body import material as soft_material
 from diffsim.systems.soft_body import sensor as soft_sensor
-from diffsim.systems.soft_body.hanging import SlackString
+from diffsim.systems.soft_body.hanging import SLACK_STRING
 from diffsim.systems.soft_body.history import History
 from diffsim.systems.soft_body.models import BEAM_BASE
 from diffsim.systems.soft_body.released import released_beam
 from diffsim.systems.soft_body.scene import Moment
-from diffsim.systems.soft_body.support import SupportMotion
+from diffsim.systems.soft_body.support import SUPPORT_MOTION
 from tests.diagnose.gate import score_error, typical
 
 CELLS = (6, 2, 2)
@@ -96,7 +96,7 @@ def in_air():
 def test_nothing_at_size_zero_and_something_at_typical(effect, plain):
     model, base = plain
     none = predict(model, PULLED, effect, 0 * typical(effect))
-    # roundings of a step's solution, rtol 1e-11, on centimetres
+    # roundings of a step's solution, rtol 1e-11, on centimeters
     torch.testing.assert_close(none, base, atol=1e-10, rtol=0)
     assert float((predict(model, PULLED, effect, typical(effect)) - base).abs().max()) > 1e-5
 
@@ -117,7 +117,7 @@ def test_scores(effect, in_air):
 @pytest.mark.grad
 def test_score_of_a_current_that_a_smooth_drag_feels(in_air):
     model, base = in_air
-    drag, current = soft_forces.QuadraticDrag(), soft_forces.Current()
+    drag, current = soft_forces.QUADRATIC_DRAG, soft_forces.CURRENT
     rng = np.random.default_rng(0)
     measured = base + torch.as_tensor(1e-3 * rng.standard_normal(base.shape))
 
@@ -131,10 +131,10 @@ def test_score_of_a_current_that_a_smooth_drag_feels(in_air):
 def test_needs():
     run = make_run()
     study = Study("s", "soft_body", (Channel("tip_z_m", "m", "position"),), (run,))
-    assert "command" in actuator.Lag().needs(study)
-    assert "three runs" in soft_material.TemperatureDrift().needs(study)
-    assert "water" in soft_forces.Current().needs(study)
-    assert soft_forces.LinearDrag().needs(study) is None
+    assert "command" in actuator.LAG.needs(study)
+    assert "three runs" in soft_material.TEMPERATURE_DRIFT.needs(study)
+    assert "water" in soft_forces.CURRENT.needs(study)
+    assert soft_forces.LINEAR_DRAG.needs(study) is None
 
 
 def swing(model, effect=None, at=None, until_s=1.2, run=None):
@@ -160,14 +160,14 @@ def undamped(modulus=2.6e5):
 def test_stiffness_damping_has_ratio_beta_omega_over_two():
     frequency, none, _ = swing(undamped())
     assert none < 0.002  # what BDF2 adds at this step
-    _, ratio, _ = swing(undamped(), soft_material.StiffnessDamping(), size(2e-3))
+    _, ratio, _ = swing(undamped(), soft_material.STIFFNESS_DAMPING, size(2e-3))
     # the fit takes turning points at 2 ms, and the second mode decays in the first swings
     assert ratio == pytest.approx(none + 2e-3 * np.pi * frequency, rel=0.05)
 
 
 def test_loss_factor_is_flat_in_frequency():
     """Twice the frequency (four times E): the same damping ratio, half the loss factor."""
-    loss = soft_material.LossFactor()
+    loss = soft_material.LOSS_FACTOR
     slow_hz, slow, _ = swing(undamped(), loss, size(0.1), until_s=0.9)
     fast_hz, fast, _ = swing(undamped(4 * 2.6e5), loss, size(0.1), until_s=0.5)
     assert fast_hz / slow_hz == pytest.approx(2.0, rel=0.1)
@@ -180,7 +180,7 @@ def test_linear_drag_decays_as_work_over_energy():
     """Rate = drag power / kinetic energy with the cantilever's mean square shape of 1/4."""
     drag = 40.0
     frequency, none, _ = swing(undamped())
-    _, ratio, _ = swing(undamped(), soft_forces.LinearDrag(), size(drag))
+    _, ratio, _ = swing(undamped(), soft_forces.LINEAR_DRAG, size(drag))
     section, around, length = 0.03**2, 4 * 0.03, 0.1
     rate = drag * (around * length / 4 + section) / (2 * 1070 * section * length / 4)
     # stubby bar: shear makes its shape straighter than Bernoulli's
@@ -193,7 +193,7 @@ def test_quadratic_drag_grows_with_amplitude_and_linear_does_not():
         model = beam_model(bar, cells=CELLS, dt_s=2e-3, base=young(2.6e5))
         return swing(model, effect, at)[1] - swing(model)[1]
 
-    quadratic, linear = soft_forces.QuadraticDrag(), soft_forces.LinearDrag()
+    quadratic, linear = soft_forces.QUADRATIC_DRAG, soft_forces.LINEAR_DRAG
     ratio = loss(quadratic, size(10.0), 2.0) / loss(quadratic, size(10.0), 1.0)
     # the larger swing also decays faster, which evens them out
     assert ratio == pytest.approx(0.5, abs=0.04)
@@ -216,13 +216,13 @@ def scene_of(model, run):
 def test_drags_and_friction_of_a_body_that_moves_as_a_whole():
     scene, v = scene_of(beam(), RUN), size(0.3, -0.4, 0.0)
     area = 2 * 0.03**2 + 4 * 0.03 * 0.1
-    linear = soft_forces.LinearDrag().apply(scene, size(7.0), RUN)
+    linear = soft_forces.LINEAR_DRAG.apply(scene, size(7.0), RUN)
     torch.testing.assert_close(forces(linear, v), -7.0 * area * v)
-    quadratic = soft_forces.QuadraticDrag().apply(scene, size(7.0), RUN)
+    quadratic = soft_forces.QUADRATIC_DRAG.apply(scene, size(7.0), RUN)
     torch.testing.assert_close(forces(quadratic, v), -7.0 * area * 0.5 * v)
-    moving = soft_forces.Current().apply(linear, v, RUN)
+    moving = soft_forces.CURRENT.apply(linear, v, RUN)
     torch.testing.assert_close(forces(moving, v), 0 * v)
-    friction = soft_forces.DryFriction().apply(scene, size(0.02), RUN)
+    friction = soft_forces.DRY_FRICTION.apply(scene, size(0.02), RUN)
     torch.testing.assert_close(forces(friction, v), size(-0.02, 0.02, 0.0))
 
 
@@ -231,7 +231,7 @@ def test_stiffening_force_is_that_of_its_energy():
     rng = np.random.default_rng(0)
     x = scene.body.x_rest * 1.05 + torch.as_tensor(1e-3 * rng.standard_normal((63, 3)))
     way = torch.as_tensor(rng.standard_normal((63, 3)))
-    stiff = soft_material.Stiffening().apply(scene, size(20.0), RUN)
+    stiff = soft_material.STIFFENING.apply(scene, size(20.0), RUN)
     force = stiff.forces[0]()(stiff, Moment(x, 0 * x, 0.0, 1e-3))
 
     def energy(at):
@@ -247,8 +247,8 @@ def test_support_that_moves_as_a_whole():
     """Constant acceleration of the support is gravity; what is seen moves with it."""
     model = beam()
     rise = make_run(0.2, support_x_m=lambda t: 0.0 * t, support_z_m=lambda t: 0.25 * t**2)
-    found = predict(model, rise, SupportMotion(), size(1.0, 0.0))
-    heavy = predict(model, rise, soft_forces.Weight(), size(0.5))
+    found = predict(model, rise, SUPPORT_MOTION, size(1.0, 0.0))
+    heavy = predict(model, rise, soft_forces.WEIGHT, size(0.5))
     heavy[:, 2] += torch.as_tensor(0.25 * rise.time_s**2)
     torch.testing.assert_close(found, heavy, atol=1e-8, rtol=0)
 
@@ -269,30 +269,30 @@ def test_added_mass_only_slows_time_down():
     plain = undamped()
     wide = replace(RUN, time_s=RUN.time_s * np.sqrt(2.0))
     slow = predict(
-        plain, wide, soft_forces.AddedMass(), size(1.07), Numerics(time_step=np.sqrt(2.0))
+        plain, wide, soft_forces.ADDED_MASS, size(1.07), Numerics(time_step=np.sqrt(2.0))
     )
     torch.testing.assert_close(slow, predict(plain, RUN), atol=1e-8, rtol=0)
 
 
 def test_weight_tilt_and_drift_are_what_other_settings_give():
     model = beam()
-    heavy = predict(model, RUN, soft_forces.Weight(), size(0.5))
+    heavy = predict(model, RUN, soft_forces.WEIGHT, size(0.5))
     other = beam_model(replace(BAR, gravity_m_s2=10.31), cells=CELLS, rtol=1e-11)
     torch.testing.assert_close(heavy, predict(other, RUN), atol=1e-9, rtol=0)
-    leaning = predict(model, RUN, soft_forces.Tilt(), size(0.0, 0.5))
+    leaning = predict(model, RUN, soft_forces.TILT, size(0.0, 0.5))
     assert float(leaning[-1, 1].abs()) > 1e-4 and float(predict(model, RUN)[-1, 1].abs()) < 1e-9
-    drifted = predict(model, RUN, soft_material.TemperatureDrift(), size(0.05))
+    drifted = predict(model, RUN, soft_material.TEMPERATURE_DRIFT, size(0.05))
     stiffer = beam(base=(*young(1.1 * 2.6e5), BEAM_BASE[1]))
     torch.testing.assert_close(drifted, predict(stiffer, RUN), atol=1e-9, rtol=0)
-    lost = predict(model, RUN, soft_material.StiffnessLoss(), size(-0.1, -0.1, -0.1))
+    lost = predict(model, RUN, soft_material.STIFFNESS_LOSS, size(-0.1, -0.1, -0.1))
     torch.testing.assert_close(lost, drifted, atol=1e-9, rtol=0)
 
 
 @pytest.mark.parametrize(
     ("effect", "at"),
     [
-        (soft_material.TemperatureDrift(), size(-0.6)),  # RUN is third of its series
-        (soft_material.StiffnessLoss(), size(0.0, 0.0, 1.2)),
+        (soft_material.TEMPERATURE_DRIFT, size(-0.6)),  # RUN is third of its series
+        (soft_material.STIFFNESS_LOSS, size(0.0, 0.0, 1.2)),
     ],
 )
 def test_size_that_leaves_no_stiffness_is_a_step_too_far_for_a_search(effect, at):
@@ -302,14 +302,14 @@ def test_size_that_leaves_no_stiffness_is_a_step_too_far_for_a_search(effect, at
 
 def test_current_bends_the_bar_downstream(plain):
     model, base = plain
-    flowing = predict(model, PULLED, soft_forces.Current(), size(0.0, 0.1, 0.0))
+    flowing = predict(model, PULLED, soft_forces.CURRENT, size(0.0, 0.1, 0.0))
     assert float((flowing - base)[:, 1].mean()) > 1e-5
 
 
 def test_delay_of_command_and_late_clock_are_the_same():
     model = tendon_model(cells=CELLS)
-    late = predict(model, PULLED, soft_sensor.ClockOffset(), size(0.03))
-    slow = predict(model, PULLED, actuator.CommandDelay(), size(0.03))
+    late = predict(model, PULLED, soft_sensor.CLOCK_OFFSET, size(0.03))
+    slow = predict(model, PULLED, actuator.COMMAND_DELAY, size(0.03))
     # the command is straight between samples of 10 ms, steps are 4 ms: both see it at other places
     assert float((late - slow).abs().max()) < 0.01 * float(late.abs().max())
     early = predict(model, PULLED)
@@ -322,17 +322,15 @@ def test_sensors_by_their_formulas(plain):
     def seen(effect, at):
         return predict(model, PULLED, effect, at)
 
-    torch.testing.assert_close(seen(soft_sensor.SensorScale(), size(0.1)), 1.1 * y)
-    torch.testing.assert_close(
-        seen(soft_sensor.Placement(), size(1.0, 2.0, 3.0)), y + size(1, 2, 3)
-    )
-    tilted = seen(soft_sensor.SensorTilt(), size(0.0, 0.01, 0.0))  # x gains z, z loses x
+    torch.testing.assert_close(seen(soft_sensor.SENSOR_SCALE, size(0.1)), 1.1 * y)
+    torch.testing.assert_close(seen(soft_sensor.PLACEMENT, size(1.0, 2.0, 3.0)), y + size(1, 2, 3))
+    tilted = seen(soft_sensor.SENSOR_TILT, size(0.0, 0.01, 0.0))  # x gains z, z loses x
     torch.testing.assert_close(tilted[:, 0], y[:, 0] + 0.01 * y[:, 2])
     radius = y.norm(dim=1, keepdim=True)
-    torch.testing.assert_close(seen(soft_sensor.Lens(), size(20.0)), y * (1 + 20 * radius**2))
+    torch.testing.assert_close(seen(soft_sensor.LENS, size(20.0)), y * (1 + 20 * radius**2))
     free = beam()  # without a command, whose samples have the record's times
     fast = replace(RUN, time_s=1.01 * RUN.time_s)
-    rate = predict(free, RUN, soft_sensor.ClockRate(), size(0.01))
+    rate = predict(free, RUN, soft_sensor.CLOCK_RATE, size(0.01))
     torch.testing.assert_close(rate, predict(free, fast), atol=1e-12, rtol=0)
 
 
@@ -351,7 +349,7 @@ def test_unknown_force_of_even_knots_is_weight():
     knots = torch.zeros(3, 2, 3, dtype=torch.float64)
     knots[2, 0] = -1070.0 * 0.5
     found = predict(model, RUN, unknown, knots.flatten())
-    want = predict(model, RUN, soft_forces.Weight(), size(0.5))
+    want = predict(model, RUN, soft_forces.WEIGHT, size(0.5))
     torch.testing.assert_close(found, want, atol=1e-9, rtol=0)
 
 
@@ -390,7 +388,7 @@ def test_hand_holds_the_bar_where_it_would_be_straight():
 
 
 def test_slack_string_lets_the_bar_go_alone_first():
-    model, slack = held_beam(), SlackString()
+    model, slack = held_beam(), SLACK_STRING
     loaded, light = held_run(0.05), held_run(0.0)
     alone, late = predict(model, light), predict(model, loaded, slack, size(0.5 * 9.81 * 0.05**2))
     before = loaded.time_s < 0.045
@@ -405,7 +403,7 @@ def test_slack_string_lets_the_bar_go_alone_first():
 
 def test_catch_of_the_string_keeps_momentum():
     model, run = held_beam(), held_run(0.05)
-    scene = SlackString().apply(model.scene(run, model.at_prior()), size(0.5 * 9.81 * 0.03**2), run)
+    scene = SLACK_STRING.apply(model.scene(run, model.at_prior()), size(0.5 * 9.81 * 0.03**2), run)
     load = scene.parameter("attached_mass")
     own = scene.parameter("density") * scene.body.nodal_volume
     falling = scene.falling(scene.last_fall_step())
@@ -423,7 +421,7 @@ def test_catch_of_the_string_keeps_momentum():
 
 def test_creep_takes_the_stiffness_of_motion_away_in_time():
     scene = scene_of(beam(), RUN)
-    crept = soft_material.Creep().apply(scene, size(0.04), RUN)
+    crept = soft_material.CREEP.apply(scene, size(0.04), RUN)
     hook = crept.forces[0]()
     rest = scene.body.x_rest
     bent = rest + torch.stack([0 * rest[:, 0], 0 * rest[:, 0], 0.05 * rest[:, 0]], 1)

@@ -51,9 +51,9 @@ def problem_of(model, run, *effects):
 
 
 def assert_alike(problem, x, rtol=1e-4):
-    residual, found = problem.linearise(x)
+    residual, found = problem.linearize(x)
     simulated = replace(problem, jacobian=Jacobian(method="differences", step=2e-3))
-    expected_residual, expected = simulated.linearise(x)
+    expected_residual, expected = simulated.linearize(x)
     np.testing.assert_allclose(residual, expected_residual, atol=1e-6)
     for k, name in enumerate(problem.names):
         error = np.linalg.norm(found[:, k] - expected[:, k])
@@ -79,7 +79,7 @@ def test_every_effect_at_zero(integrator, monkeypatch):
     effects = AIR if integrator == "bdf2" else AIR[:3]
     problem = problem_of(beam(integrator=integrator), FREE, *effects)
     x = np.zeros(len(problem.names))
-    problem.linearise(x)
+    problem.linearize(x)
     assert not count  # no column is simulated
     assert_alike(problem, x)
 
@@ -105,7 +105,7 @@ ACTING = (
 def test_tendon_from_equilibrium():
     """A command on its way through a lag, a start that depends on the material, no forces."""
     effects = tuple(e for e in SMOOTH if e.name in ("lag", "weight", "sensor_scale", "delay"))
-    late = actuator.CommandDelay()
+    late = actuator.COMMAND_DELAY
     for delay in (effects, (*(e for e in effects if e.name != "delay"), late)):
         problem = problem_of(tendon(), PULLED, *delay)
         x = np.zeros(len(problem.names))
@@ -114,7 +114,7 @@ def test_tendon_from_equilibrium():
 
 def test_tendon_in_water():
     """Drag, in a start that is sought with the forces and in the motion."""
-    problem = problem_of(tendon(water=True), PULLED, soft_forces.LinearDrag())
+    problem = problem_of(tendon(water=True), PULLED, soft_forces.LINEAR_DRAG)
     x = np.zeros(len(problem.names))
     x[-1] = 0.2
     assert_alike(problem, x)
@@ -122,21 +122,21 @@ def test_tendon_in_water():
 
 def test_unknown_force():
     effect = unknown_force(3, 0.2)
-    problem = problem_of(beam(), FREE, soft_forces.LinearDrag(), effect)
+    problem = problem_of(beam(), FREE, soft_forces.LINEAR_DRAG, effect)
     x = np.zeros(len(problem.names))
     x[3] = 0.3
     assert_alike(problem, x)
 
 
 def test_non_smooth_effects_are_simulated(monkeypatch):
-    band = actuator.DeadBand()
+    band = actuator.DEAD_BAND
     problem = problem_of(tendon(), PULLED, band)
     x = np.zeros(len(problem.names))
     count = simulations(monkeypatch)
-    _, found = problem.linearise(x, screen=True)
+    _, found = problem.linearize(x, screen=True)
     assert len(count) == 2  # here, and where the secant ends
     by_differences = replace(problem, jacobian=Jacobian(method="differences"))
-    _, expected = by_differences.linearise(x, screen=True)
+    _, expected = by_differences.linearize(x, screen=True)
     np.testing.assert_allclose(found[:, -1], expected[:, -1], atol=1e-9)
 
 
@@ -153,11 +153,8 @@ class OldHook(Force):
         return force
 
 
-class Remembering(soft_forces.LinearDrag):
-    typical = 2e-3
-
-    def apply(self, scene, size, run):
-        return scene.with_force(lambda: OldHook(size[0]))
+def remembering(scene, size, run):
+    return scene.with_force(lambda: OldHook(size[0]))
 
 
 def test_hooks_and_observers_without_leading_axes():
@@ -169,7 +166,8 @@ def test_hooks_and_observers_without_leading_axes():
         return scene.changed(observe=lambda x: x[nodes].mean(0) + values["place"])
 
     model = SoftModel(build, (*plain.base, Parameter("place", 0.0, 1e-3, "m")))
-    problem = problem_of(model, FREE, Remembering(), soft_forces.LinearDrag())
+    old = replace(soft_forces.LINEAR_DRAG, typical=2e-3, apply=remembering)
+    problem = problem_of(model, FREE, old, soft_forces.LINEAR_DRAG)
     x = np.zeros(len(problem.names))
     x[-2:] = 0.3
     assert_alike(problem, x)
@@ -179,5 +177,5 @@ def test_explicit_steps_fall_back_to_differences(monkeypatch):
     model = beam(integrator="semi_implicit_euler", dt_s=5e-5, cells=(2, 1, 1))
     problem = problem_of(model, record(0.02))
     count = simulations(monkeypatch)
-    problem.linearise(np.zeros(len(problem.names)))
+    problem.linearize(np.zeros(len(problem.names)))
     assert len(count) == 1 + 2 * len(problem.names)

@@ -23,7 +23,7 @@ from diffsim.systems.starfish.body import (
     tendons,
     water,
 )
-from diffsim.systems.starfish.effects import FASTEST, RateLimit, rate_limited
+from diffsim.systems.starfish.effects import FASTEST, RATE_LIMIT, rate_limited
 from diffsim.systems.starfish.record import SPACING, symmetric
 
 CLOSED = [[4e-3, 2e-3], [1e-3, 0.5e-3], [1e-3, -0.5e-3], [4e-3, -2e-3]]  # of m1 to m4
@@ -156,7 +156,7 @@ def test_derivatives_of_water_and_servo_are_those_of_simulations(tiny):
     x[-1] = 0.5
     _, score = problem.gradient(x)
     checked = [names.index("drag_scale"), names.index("axial_stiffness"), len(x) - 1]
-    residual, columns = problem.linearise(x, only=checked)
+    residual, columns = problem.linearize(x, only=checked)
     for i in checked:
         up, down = x.copy(), x.copy()
         up[i] += 1e-4
@@ -172,15 +172,15 @@ def test_a_pull_bends_legs_alike_on_every_mesh():
     moved = {}
     for refine in (1, 2):
         made = quarter(refine, 1e-2, 1e-7, "bdf2", 0.4)
-        centre = made.body.fixed.clone()
-        centre[(made.body.x_rest[:, 1:] < 1e-9).all(1), 0] = True
+        center = made.body.fixed.clone()
+        center[(made.body.x_rest[:, 1:] < 1e-9).all(1), 0] = True
         held = soft.SoftBody(
             made.body.mesh,
             dt=1e-2,
             youngs_modulus=6e5 * bending_softness(made),
             poissons_ratio=0.4,
             gravity=(0.0, 0.0, 0.0),
-            fixed=centre,
+            fixed=center,
             muscles=[t.muscle for t in tendons(made.body.mesh)],
             solver=soft.SolverOptions(rtol=1e-7),
         )
@@ -204,7 +204,7 @@ def test_setup_refuses_some_of_the_markers(tiny):
 
 def test_rate_limit_is_a_cause_that_slows_the_legs(tiny):
     made = setup_of(tiny)
-    limit = next(e for e in made.effects if isinstance(e, RateLimit))
+    limit = next(e for e in made.effects if e is RATE_LIMIT)
     run, q = tiny.runs[0], made.model.at_prior()
     with torch.no_grad():
         free = made.model.predict(run, q)
@@ -218,5 +218,5 @@ def test_nuisances_alone_have_slopes_in_water(tiny):
     settings = made.settings.jacobian
     problem = Problem(made.model, tiny.runs, WhiteNoise(tiny.channels), (), settings)
     own = [i for i, name in enumerate(problem.names) if name.endswith("@a")]
-    _, columns = problem.linearise(np.zeros(problem.num_base), only=own)
+    _, columns = problem.linearize(np.zeros(problem.num_base), only=own)
     assert (np.linalg.norm(columns[:, own], axis=0) > 0.0).all()

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.descend import descend
+from diffsim.diagnose.fit import gauss_newton
 from diffsim.identify import Jacobian, Problem, SearchSettings, WhiteNoise
 from diffsim.identify.effort import DiagnosisSettings
-from diffsim.identify.local import local_at
+from diffsim.identify.linearization import linearization_at
 from diffsim.systems.soft_body import forces, material
-from diffsim.systems.soft_body.support import SupportMotion
+from diffsim.systems.soft_body.support import SUPPORT_MOTION
 from diffsim.systems.soft_body.swinging import swinging_beam
 from tests.systems.swaying_lab import GRAVITY, SHIFT, TURN, beam_matrices, recorded
 from tests.systems.test_swinging_beam import BAR
@@ -26,7 +26,7 @@ def model_of(study, cells=(4, 2, 2)):
 def fitted(study, *effects):
     noise = WhiteNoise(study.channels)
     problem = Problem(model_of(study), study.fit_runs, noise, effects, Jacobian())
-    return descend(problem, local_at(problem, np.zeros(len(problem.names)))).fit
+    return gauss_newton(problem, linearization_at(problem, np.zeros(len(problem.names))))[0]
 
 
 def test_a_beam_of_the_laboratory_is_a_cantilever():
@@ -43,7 +43,7 @@ def test_a_beam_of_the_laboratory_is_a_cantilever():
 def test_sizes_are_those_that_were_hidden():
     """What the clamp's record shows explains the swing, with the shift and turn that it has."""
     study = recorded()
-    plain, moved = fitted(study), fitted(study, SupportMotion())
+    plain, moved = fitted(study), fitted(study, SUPPORT_MOTION)
     assert plain.chi2 > 10.0 * plain.num_samples
     assert moved.chi2 < 2.0 * moved.num_samples
     shift, turn = (moved.values[f"support_motion.{n}"] for n in ("shift", "turn"))
@@ -57,21 +57,21 @@ def test_a_support_at_rest_is_left_alone():
     still = {n: np.full_like(v, 1e-3) for n, v in study.runs[0].command.items()}
     run = replace(study.runs[0], command=still)
     scene = model.scene(run, model.at_prior())
-    assert SupportMotion().apply(scene, model.at_prior()[:2] + 1.0, run) is scene
+    assert SUPPORT_MOTION.apply(scene, model.at_prior()[:2] + 1.0, run) is scene
 
 
 def test_it_needs_the_record_of_the_support():
     study = recorded()
-    assert SupportMotion().needs(study) is None
+    assert SUPPORT_MOTION.needs(study) is None
     bare = replace(study, runs=tuple(replace(r, command={}) for r in study.runs))
-    assert "support_x_m" in SupportMotion().needs(bare)
+    assert "support_x_m" in SUPPORT_MOTION.needs(bare)
 
 
 @pytest.mark.slow
 def test_it_is_named_where_it_was_hidden():
     """Among other causes of damping and drift, by a diagnosis that sees recordings only."""
     study = recorded()
-    causes = (material.LossFactor(), material.Creep(), forces.LinearDrag(), SupportMotion())
+    causes = (material.LOSS_FACTOR, material.CREEP, forces.LINEAR_DRAG, SUPPORT_MOTION)
     found = diagnose(
         study,
         model_of(study, (8, 3, 3)),

@@ -52,13 +52,13 @@ class CopterLab(Lab):
         "torque_ratio": Base(TORQUE_RATIO_M, 0.05, "m"),
     }
     effects: ClassVar[dict[str, LabEffect]] = {
-        "linear_drag": LabEffect("N s/m", 0.25, "-D v across the rotor axis, in the body frame"),
+        "body_drag": LabEffect("N s/m", 0.25, "-D v across the rotor axis, in the body frame"),
         "parasitic_drag": LabEffect("N s^2/m^2", 0.06, "-c |v| v"),
         "wind": LabEffect("N", 0.3, "constant force in the world, north and east", 2),
         "body_tilt": LabEffect("rad", 0.02, "thrust axis turned about body x and y", 2),
         "voltage_exponent": LabEffect("-", 1.0, "thrust times (voltage / 12.4 V)^size"),
         "weak_rotor": LabEffect("-", 0.05, "thrust of one rotor times 1 - size", 4),
-        "centre_of_mass": LabEffect("m", 0.005, "forward and right of where it should be", 2),
+        "center_of_mass": LabEffect("m", 0.005, "forward and right of where it should be", 2),
         "ground_effect": LabEffect("-", 1.0, "thrust of a rotor times 1 + size (R / 4 z)^2"),
         "inflow": LabEffect("s/m", 0.03, "thrust times 1 - size (climb speed along the axis)"),
         "thrust_curvature": LabEffect("-", 0.1, "thrust u times 1 + size (u - 3.4 N) / 8 N"),
@@ -144,7 +144,7 @@ class _Flight:
         self.torque_ratio = base["torque_ratio"]
         weak = 1.0 - vector_of(truth, "weak_rotor", 4)
         self.gains = base["thrust_gain"] * truth["gain"] * weak
-        forward, right = vector_of(truth, "centre_of_mass", 2)
+        forward, right = vector_of(truth, "center_of_mass", 2)
         self.arms = ROTORS_M - np.array([forward, right, 0.0])
         self.axis = _thrust_axis(vector_of(truth, "body_tilt", 2))
         self.wind = np.array([*vector_of(truth, "wind", 2), 0.0])
@@ -234,7 +234,7 @@ class _Flight:
         truth = self.truth
         force = self.wind - size_of(truth, "parasitic_drag") * np.linalg.norm(v) * v
         body = rot.T @ v
-        force = force - size_of(truth, "linear_drag") * (rot @ np.array([body[0], body[1], 0.0]))
+        force = force - size_of(truth, "body_drag") * (rot @ np.array([body[0], body[1], 0.0]))
         near = float(np.exp(-0.5 * ((place[0] - 0.8) ** 2 + place[1] ** 2) / 0.5**2))
         return force - np.array([0.0, 0.0, size_of(truth, "updraught") * near])
 

@@ -112,10 +112,10 @@ BENCHES: dict[str, Bench] = {
     "beam": Bench(
         SoftBeamLab,
         # one frequency cannot tell how a loss depends on it
-        confounded=((("linear_drag", "loss_factor"), Blindfold(without_runs=("chirp", "steps"))),),
+        confounded=((("volume_drag", "loss_factor"), Blindfold(without_runs=("chirp", "steps"))),),
         # the chirp stays below the tension that saturates
         invisible=(("saturation", Blindfold(without_runs=("release", "steps"))),),
-        look_alike=("loss_factor", "linear_drag", "lag", "delay"),
+        look_alike=("loss_factor", "volume_drag", "lag", "delay"),
         coarse={"time_step": 8.0},
     ),
     "copter": Bench(
@@ -128,7 +128,7 @@ BENCHES: dict[str, Bench] = {
             ),
             ("gyro_offset", Blindfold(blank=tuple(f"rate_{a}_rad_s" for a in "xyz"))),
         ),
-        look_alike=("linear_drag", "parasitic_drag", "lag", "delay"),
+        look_alike=("body_drag", "parasitic_drag", "lag", "delay"),
         coarse={"time_step": 8.0},
         # no flight is repeated, so none can be lost and scatter cannot be judged
         decoys=tuple(d for d in DECOYS if d not in ("lost_repeat", "scatter")),

@@ -49,8 +49,8 @@ class SoftBeamLab(Lab):
     effects: ClassVar[dict[str, LabEffect]] = {
         "stiffness_damping": LabEffect("s", 1e-3, "-eta K v on top of rayleigh_beta"),
         "loss_factor": LabEffect("-", 0.03, "the same loss from 0.3 to 100 Hz, 2 zeta"),
-        "linear_drag": LabEffect("N s/m^4", 1e3, "-c v per volume"),
-        "quadratic_drag": LabEffect("N s^2/m^5", 1.5e4, "-c |v| v per volume"),
+        "volume_drag": LabEffect("N s/m^4", 1e3, "-c v per volume"),
+        "quadratic_volume_drag": LabEffect("N s^2/m^5", 1.5e4, "-c |v| v per volume"),
         "current": LabEffect("m/s", 0.03, "drag 2e4 N s^2/m^5 |v - U| (v - U)", outside=True),
         "added_mass": LabEffect("-", 0.05, "C_a times the mass of displaced water"),
         "tilt": LabEffect("m/s^2", 0.1, "constant acceleration sideways, before the start, too"),
@@ -59,8 +59,8 @@ class SoftBeamLab(Lab):
         "temperature_drift": LabEffect("-", 0.003, "E (1 + alpha order)"),
         "delay": LabEffect("s", 0.006, "tension late by a dead time"),
         "lag": LabEffect("s", 0.006, "first-order lag of the tension"),
-        "dead_band": LabEffect("N", 0.04, "the first newtons are slack"),
-        "backlash": LabEffect("N", 0.05, "play when the tension reverses, full width"),
+        "tension_dead_band": LabEffect("N", 0.04, "the first newtons are slack"),
+        "tension_backlash": LabEffect("N", 0.05, "play when the tension reverses, full width"),
         "saturation": LabEffect("-", 0.1, "tension ends at (1 - size) of 1.6 N"),
         "quantisation": LabEffect("N", 0.1, "tension in steps"),
         "sensor_scale": LabEffect("-", 0.06, "all places times 1 + size"),
@@ -145,8 +145,8 @@ class _Motion:
         self.tip = modes.deflection[-1]
         depth4 = shape.width * shape.depth**5 / 80.0  # integral of y^4 over the section
         self.stiffening = size_of(truth, "stiffening") * stiffness * depth4 * modes.cell
-        self.linear = size_of(truth, "linear_drag")
-        self.quadratic = size_of(truth, "quadratic_drag")
+        self.linear = size_of(truth, "volume_drag")
+        self.quadratic = size_of(truth, "quadratic_volume_drag")
         self.current = size_of(truth, "current")
         self.friction = size_of(truth, "dry_friction")
         self.tilt = shape.density * size_of(truth, "tilt")  # per volume
@@ -263,8 +263,8 @@ def _actuator(plan: Plan, truth: dict[str, Any]) -> Array:
     u = np.interp(t, plan.time_s, plan.command["tendon_N"])
     if (grain := size_of(truth, "quantisation")) > 0.0:
         u = grain * np.round(u / grain)
-    u = np.sign(u) * np.maximum(np.abs(u) - size_of(truth, "dead_band"), 0.0)
-    if (play := size_of(truth, "backlash")) > 0.0:
+    u = np.sign(u) * np.maximum(np.abs(u) - size_of(truth, "tension_dead_band"), 0.0)
+    if (play := size_of(truth, "tension_backlash")) > 0.0:
         u = _backlash(u, 0.5 * play)
     u = np.minimum(u, MAX_TENSION_N * (1.0 - size_of(truth, "saturation")))
     step = 1.0 / RATE_HZ / substeps

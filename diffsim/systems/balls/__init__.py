@@ -1,6 +1,6 @@
 """Two balls on a table in one camera: closed-form rolling, sliding and impact; soft balls."""
 
-from diffsim.systems.balls.effects import BallFriction, RollingResistance, SlidingFriction
+from diffsim.systems.balls.effects import BALL_FRICTION, ROLLING_RESISTANCE, SLIDING_FRICTION
 from diffsim.systems.balls.soft import MOTION, SoftBallModel
 
-__all__ = ["MOTION", "BallFriction", "RollingResistance", "SlidingFriction", "SoftBallModel"]
+__all__ = ["BALL_FRICTION", "MOTION", "ROLLING_RESISTANCE", "SLIDING_FRICTION", "SoftBallModel"]

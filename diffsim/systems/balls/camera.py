@@ -13,7 +13,7 @@ WIDTH_PX, HEIGHT_PX = 1280.0, 720.0
 
 def plain_camera(size_px: Sequence[float] = (WIDTH_PX, HEIGHT_PX)) -> dict[str, Tensor]:
     """Numbers of an undistorted camera, its axis in the middle of a picture of this size."""
-    middle = {"centre_u": 0.5 * (size_px[0] - WIDTH_PX), "centre_v": 0.5 * (size_px[1] - HEIGHT_PX)}
+    middle = {"center_u": 0.5 * (size_px[0] - WIDTH_PX), "center_v": 0.5 * (size_px[1] - HEIGHT_PX)}
     return {n: torch.tensor(v, dtype=torch.float64) for n, v in {"radial": 0.0, **middle}.items()}
 
 
@@ -21,11 +21,11 @@ def projected(values: Mapping[str, Tensor], rotation: Tensor, place: Tensor) -> 
     """Pixels of places: Y = turn R p + shift, u = u0 + f b Y0 / Y2, v = v0 - f b Y1 / Y2.
 
     b = 1 + radial (Y0^2 + Y1^2) / Y2^2; Y2 is negative in front of the camera. The middle of the
-    picture is that of the measured video, moved by centre_u and centre_v.
+    picture is that of the measured video, moved by center_u and center_v.
 
     Args:
         values: "focal" [px], "turn_x" to "turn_z" [rad], "shift_x" to "shift_z" [m], "radial" [-],
-            "centre_u" and "centre_v" [px], (...,) each.
+            "center_u" and "center_v" [px], (...,) each.
         rotation: R, (3, 3).
         place: (..., T, 3) [m].
 
@@ -37,8 +37,8 @@ def projected(values: Mapping[str, Tensor], rotation: Tensor, place: Tensor) -> 
     flat = camera[..., :2] / camera[..., 2:]
     bent = 1.0 + values["radial"][..., None] * (flat**2).sum(-1)
     flat = values["focal"][..., None, None] * bent[..., None] * flat
-    middle_u = 0.5 * WIDTH_PX + values["centre_u"][..., None]
-    middle_v = 0.5 * HEIGHT_PX + values["centre_v"][..., None]
+    middle_u = 0.5 * WIDTH_PX + values["center_u"][..., None]
+    middle_v = 0.5 * HEIGHT_PX + values["center_v"][..., None]
     return torch.stack([middle_u + flat[..., 0], middle_v - flat[..., 1]], -1)
 
 
@@ -54,8 +54,8 @@ def on_plane(
     """x, y (..., 2) [m] on the plane z = ``height`` of pixels (..., 2); without distortion."""
     turned, _ = _pose(values, rotation)
     at = eye(values, rotation)
-    a = (pixels[..., 0] - 0.5 * WIDTH_PX - values["centre_u"]) / values["focal"]
-    b = (0.5 * HEIGHT_PX + values["centre_v"] - pixels[..., 1]) / values["focal"]
+    a = (pixels[..., 0] - 0.5 * WIDTH_PX - values["center_u"]) / values["focal"]
+    b = (0.5 * HEIGHT_PX + values["center_v"] - pixels[..., 1]) / values["focal"]
     ray = torch.stack([a, b, torch.ones_like(a)], -1) @ turned
     return at[:2] + ray[..., :2] * ((height - at[2]) / ray[..., 2])[..., None]
 

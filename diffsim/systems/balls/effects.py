@@ -2,125 +2,160 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from diffsim.identify.effect import Effect
-from diffsim.systems.adding import AddingEffect
+from diffsim.systems.adding import adding
 
+SLIDING_FRICTION = Effect(
+    name="sliding_friction",
+    form="Coulomb friction with the table while a ball slips, before it rolls.",
+    family="table",
+    kind="force",
+    unit="-",
+    typical=0.25,
+    signed=False,
+    also_looks_like=("felt dragging on the cloth",),
+    apply=adding("table_friction"),
+)
+ROLLING_RESISTANCE = Effect(
+    name="rolling_resistance",
+    form="Constant deceleration along the motion, over gravity.",
+    family="table",
+    kind="force",
+    unit="-",
+    typical=0.02,
+    signed=False,
+    apply=adding("rolling_resistance"),
+)
+TABLE_TILT = Effect(
+    name="table_tilt",
+    form="Slope of the table.",
+    family="table",
+    kind="environment",
+    unit="rad",
+    typical=0.01,
+    components=("x", "y"),
+    apply=adding("tilt_x", "tilt_y"),
+)
+AIR_DRAG = Effect(
+    name="air_drag",
+    form="Deceleration k v^2; a ball's k is about 0.02 1/m.",
+    family="table",
+    kind="environment",
+    unit="1/m",
+    typical=0.02,
+    signed=False,
+    apply=adding("air_drag"),
+)
+BALL_FRICTION = Effect(
+    name="ball_friction",
+    form="Coulomb friction between the balls: turns spin into lift and sideways motion.",
+    family="impact",
+    kind="force",
+    unit="-",
+    typical=0.4,
+    signed=False,
+    apply=adding("ball_friction"),
+)
+UNEQUAL_MASSES = Effect(
+    name="unequal_masses",
+    form="The struck ball is heavier by this share.",
+    family="impact",
+    kind="material",
+    unit="-",
+    typical=0.03,
+    apply=adding("mass_ratio"),
+)
+INERTIA = Effect(
+    name="inertia_ratio",
+    form="Change of I / (m r^2) from 0.52: a solid ball has 0.40, a thin shell 0.67.",
+    family="impact",
+    kind="material",
+    unit="-",
+    typical=0.07,
+    apply=adding("inertia"),
+)
+HOP = Effect(
+    name="hop",
+    form="Upward velocity of the coming ball after the impact.",
+    family="impact",
+    kind="force",
+    unit="m/s",
+    typical=0.15,
+    signed=False,
+    apply=adding("hop"),
+)
+LENS_DISTORTION = Effect(
+    name="lens_distortion",
+    form="Radial distortion k r^2, r in focal lengths.",
+    family="camera",
+    kind="sensor",
+    unit="-",
+    typical=0.1,
+    apply=adding("radial"),
+)
+PRINCIPAL_POINT = Effect(
+    name="principal_point",
+    form="The optical axis misses the middle of the picture.",
+    family="camera",
+    kind="sensor",
+    unit="px",
+    typical=10.0,
+    components=("u", "v"),
+    apply=adding("center_u", "center_v"),
+)
+FRAME_RATE = Effect(
+    name="frame_rate",
+    form="The camera's second is longer by this share.",
+    family="camera",
+    kind="sensor",
+    unit="-",
+    typical=0.01,
+    also_looks_like=("scale of all friction coefficients, exactly",),
+    apply=adding("clock"),
+)
+ROLLING_SHUTTER = Effect(
+    name="rolling_shutter",
+    form="Time from reading the first row of the picture to the last.",
+    family="camera",
+    kind="sensor",
+    unit="s",
+    typical=0.01,
+    signed=False,
+    apply=adding("readout"),
+)
+MERGED_REGIONS = Effect(
+    name="merged_regions",
+    form="Touching regions: each center is pulled towards the other ball while the gap is small.",
+    family="tracker",
+    kind="sensor",
+    unit="px",
+    typical=2.0,
+    apply=adding("merge"),
+)
+LIT_CENTER = Effect(
+    name="lit_center",
+    form="The center of the lit part lies off the ball's center by this share of its radius.",
+    family="tracker",
+    kind="sensor",
+    unit="-",
+    typical=0.1,
+    components=("u", "v"),
+    apply=adding("lit_u", "lit_v"),
+)
 
-class SlidingFriction(AddingEffect):
-    """Coulomb friction with the table while a ball slips, before it rolls."""
-
-    name, family, kind, unit, typical = "sliding_friction", "table", "force", "-", 0.25
-    signed, adds_to = False, ("table_friction",)
-    also_looks_like = ("felt dragging on the cloth",)
-
-
-class RollingResistance(AddingEffect):
-    """Constant deceleration along the motion, over gravity."""
-
-    name, family, kind, unit, typical = "rolling_resistance", "table", "force", "-", 0.02
-    signed, adds_to = False, ("rolling_resistance",)
-
-
-class TableTilt(AddingEffect):
-    """Slope of the table."""
-
-    name, family, kind, unit, typical = "table_tilt", "table", "environment", "rad", 0.01
-    components, adds_to = ("x", "y"), ("tilt_x", "tilt_y")
-
-
-class AirDrag(AddingEffect):
-    """Deceleration k v^2; a ball's k is about 0.02 1/m."""
-
-    name, family, kind, unit, typical = "air_drag", "table", "environment", "1/m", 0.02
-    signed, adds_to = False, ("air_drag",)
-
-
-class BallFriction(AddingEffect):
-    """Coulomb friction between the balls: turns spin into lift and sideways motion."""
-
-    name, family, kind, unit, typical = "ball_friction", "impact", "force", "-", 0.4
-    signed, adds_to = False, ("ball_friction",)
-
-
-class UnequalMasses(AddingEffect):
-    """The struck ball is heavier by this share."""
-
-    name, family, kind, unit, typical = "unequal_masses", "impact", "material", "-", 0.03
-    adds_to = ("mass_ratio",)
-
-
-class Inertia(AddingEffect):
-    """Change of I / (m r^2) from 0.52: a solid ball has 0.40, a thin shell 0.67."""
-
-    name, family, kind, unit, typical = "inertia_ratio", "impact", "material", "-", 0.07
-    adds_to = ("inertia",)
-
-
-class Hop(AddingEffect):
-    """Upward velocity of the coming ball after the impact."""
-
-    name, family, kind, unit, typical = "hop", "impact", "force", "m/s", 0.15
-    signed, adds_to = False, ("hop",)
-
-
-class LensDistortion(AddingEffect):
-    """Radial distortion k r^2, r in focal lengths."""
-
-    name, family, kind, unit, typical = "lens_distortion", "camera", "sensor", "-", 0.1
-    adds_to = ("radial",)
-
-
-class PrincipalPoint(AddingEffect):
-    """The optical axis misses the middle of the picture."""
-
-    name, family, kind, unit, typical = "principal_point", "camera", "sensor", "px", 10.0
-    components, adds_to = ("u", "v"), ("centre_u", "centre_v")
-
-
-class FrameRate(AddingEffect):
-    """The camera's second is longer by this share."""
-
-    name, family, kind, unit, typical = "frame_rate", "camera", "sensor", "-", 0.01
-    adds_to = ("clock",)
-    also_looks_like = ("scale of all friction coefficients, exactly",)
-
-
-class RollingShutter(AddingEffect):
-    """Time from reading the first row of the picture to the last."""
-
-    name, family, kind, unit, typical = "rolling_shutter", "camera", "sensor", "s", 0.01
-    signed, adds_to = False, ("readout",)
-
-
-class MergedRegions(AddingEffect):
-    """Touching regions: each centre is pulled towards the other ball while the gap is small."""
-
-    name, family, kind, unit, typical = "merged_regions", "tracker", "sensor", "px", 2.0
-    adds_to = ("merge",)
-
-
-class LitCentre(AddingEffect):
-    """The centre of the lit part lies off the ball's centre by this share of its radius."""
-
-    name, family, kind, unit, typical = "lit_centre", "tracker", "sensor", "-", 0.1
-    components, adds_to = ("u", "v"), ("lit_u", "lit_v")
-
-
-BALL_EFFECTS: tuple[Callable[[], Effect], ...] = (
-    SlidingFriction,
-    RollingResistance,
-    TableTilt,
-    AirDrag,
-    BallFriction,
-    UnequalMasses,
-    Inertia,
-    Hop,
-    LensDistortion,
-    PrincipalPoint,
-    FrameRate,
-    RollingShutter,
-    MergedRegions,
-    LitCentre,
+BALL_EFFECTS: tuple[Effect, ...] = (
+    SLIDING_FRICTION,
+    ROLLING_RESISTANCE,
+    TABLE_TILT,
+    AIR_DRAG,
+    BALL_FRICTION,
+    UNEQUAL_MASSES,
+    INERTIA,
+    HOP,
+    LENS_DISTORTION,
+    PRINCIPAL_POINT,
+    FRAME_RATE,
+    ROLLING_SHUTTER,
+    MERGED_REGIONS,
+    LIT_CENTER,
 )

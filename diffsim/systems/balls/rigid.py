@@ -24,7 +24,7 @@ _TINY = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Ball:
-    """One ball: place and velocity of its centre, spin as the velocity of rolling [m, m/s]."""
+    """One ball: place and velocity of its center, spin as the velocity of rolling [m, m/s]."""
 
     place: Tensor
     velocity: Tensor
@@ -71,7 +71,7 @@ def moved(ball: Ball, time: Tensor, laws: Laws) -> Ball:
 
 
 def time_of_impact(resting: Ball, coming: Ball, diameter: Tensor, laws: Laws) -> Tensor:
-    """When the centres are one diameter apart [s], by Newton's method."""
+    """When the centers are one diameter apart [s], by Newton's method."""
     time = torch.zeros_like(diameter)
     for _ in range(NEWTON_STEPS):
         a, b = moved(resting, time, laws), moved(coming, time, laws)

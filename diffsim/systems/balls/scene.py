@@ -26,8 +26,8 @@ PLAIN = {
     "mass_ratio": 1.0,
     "hop": 0.0,
     "radial": 0.0,
-    "centre_u": 0.0,
-    "centre_v": 0.0,
+    "center_u": 0.0,
+    "center_v": 0.0,
     "clock": 0.0,
     "readout": 0.0,
     "merge": 0.0,
@@ -75,7 +75,7 @@ class BallScene:
         return tuple(self.values["focal"].shape)
 
     def _seen(self, time: Tensor) -> tuple[Tensor, Tensor]:
-        """(..., T, 4) pixels of the centres as tracked."""
+        """(..., T, 4) pixels of the centers as tracked."""
         resting, coming, height = self._motion(time)
         radius = 0.5 * self._of("diameter")
         pixels, towards = [], coming - resting
@@ -89,9 +89,9 @@ class BallScene:
         lit = torch.stack([self._of("lit_u"), self._of("lit_v")], -1)
         out = []
         for place, sign in ((resting, 1.0), (coming, -1.0)):
-            centre = pixels[0 if sign > 0 else 1]
+            center = pixels[0 if sign > 0 else 1]
             size = self._of("focal") * radius / self._depth(place, radius)
-            out.append(centre + sign * pull + size[..., None] * lit)
+            out.append(center + sign * pull + size[..., None] * lit)
         return torch.cat(out, -1), gap
 
     def _motion(self, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:

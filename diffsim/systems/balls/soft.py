@@ -1,8 +1,8 @@
 """The same two balls as soft bodies: thesis 4.1.6, "A Real-to-Sim Experiment".
 
-Each ball is an icosphere of 320 facets joined to its centre by 320 tetrahedra (489 degrees of
+Each ball is an icosphere of 320 facets joined to its center by 320 tetrahedra (489 degrees of
 freedom, Table 4.2). The table is exact complementarity contact with Coulomb friction; the balls
-push and rub each other through their centres (:func:`diffsim.contact.ball_force`).
+push and rub each other through their centers (:func:`diffsim.contact.ball_force`).
 """
 
 from __future__ import annotations
@@ -17,9 +17,8 @@ from torch import Tensor
 
 from diffsim import contact, mesh, soft
 from diffsim.data.study import Run
-from diffsim.identify.model import SimModel
+from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import Numerics
-from diffsim.identify.parameter import Parameter
 from diffsim.systems.balls.camera import HEIGHT_PX, WIDTH_PX, plain_camera, projected
 
 #: What the motion depends on; the other parameters are the camera's.
@@ -67,11 +66,11 @@ class SoftBalls:
             density=mass / volume,
             solver=soft.SolverOptions(method="newton_cholesky"),  # quickest at this size
         )
-        # tetrahedra from the facets to the centre leave three quarters of the mass on the surface:
+        # tetrahedra from the facets to the center leave three quarters of the mass on the surface:
         # I / (m r^2) = 0.5, near a tennis ball's 0.52
         self.lowest = float(self.ball.x_rest[:, 2].min())
 
-    def centres(self, values: Mapping[str, Tensor], num_frames: int) -> Tensor:
+    def centers(self, values: Mapping[str, Tensor], num_frames: int) -> Tensor:
         """Mean places of both balls' nodes at every frame, (num_frames, 2, 3) [m]."""
         return self.rollout(values, num_frames)[:, self.nodes].mean(2)
 
@@ -124,13 +123,13 @@ class SoftBalls:
 
 
 def ball_mesh(radius: float, subdivisions: int) -> mesh.TetMesh:
-    """An icosphere and its centre, one tetrahedron per facet."""
+    """An icosphere and its center, one tetrahedron per facet."""
     sphere = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
     points = torch.from_numpy(np.array(sphere.vertices))
     faces = torch.from_numpy(np.array(sphere.faces, dtype=np.int64))
-    centre = torch.full((len(faces), 1), len(points))
+    center = torch.full((len(faces), 1), len(points))
     points = torch.cat([points, torch.zeros(1, 3, dtype=torch.float64)])
-    return mesh.TetMesh(points, torch.cat([faces[:, [0, 2, 1]], centre], 1))
+    return mesh.TetMesh(points, torch.cat([faces[:, [0, 2, 1]], center], 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,8 +159,8 @@ class SoftBallScene:
         return self.seen(self.motion())
 
     def motion(self) -> Tensor:
-        """Centres at every frame up to the last sample, (num_frames, 2, 3) [m]."""
-        return self.balls.centres(self.values, int(self.frames.max()) + 1)
+        """Centers at every frame up to the last sample, (num_frames, 2, 3) [m]."""
+        return self.balls.centers(self.values, int(self.frames.max()) + 1)
 
     def seen(self, motion: Tensor) -> Tensor:
         """What the camera makes of a motion, (T, 6) [px]."""
@@ -207,12 +206,12 @@ class SoftBallModel(SimModel):
         return out
 
     def values_at(self, x: np.ndarray) -> dict[str, Tensor]:
-        """All numbers of a scene at standardised coordinates (n,)."""
-        found = {
+        """All numbers of a scene at standardized coordinates (n,)."""
+        fitted_values = {
             p.name: p.value_at(torch.tensor(float(q), dtype=torch.float64))
             for p, q in zip(self.base, x, strict=True)
         }
-        return {**self.plain, **found}
+        return {**self.plain, **fitted_values}
 
     def _scene(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> SoftBallScene:
         if numerics != Numerics():

@@ -84,10 +84,10 @@ class BenchScene:
 
     def simulate(self) -> Tensor:
         """(..., num_samples, num_channels) in units of their scatter."""
-        found = [self.of(name.split("_")[0]) for name in self.columns]
-        shape = torch.broadcast_shapes(*(x.shape for x in found))
+        shown_quantities = [self.of(name.split("_")[0]) for name in self.columns]
+        shape = torch.broadcast_shapes(*(x.shape for x in shown_quantities))
         out = []
-        for name, x in zip(self.columns, found, strict=True):
+        for name, x in zip(self.columns, shown_quantities, strict=True):
             floor, share = SCATTER[name]
             out.append(torch.asinh(share / floor * x.expand(shape)) / share)
         return torch.stack(out, -1)

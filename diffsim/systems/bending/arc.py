@@ -16,7 +16,7 @@ SEEN = 0.02  # [rad] of bend, from which a sample says something
 
 
 def calibrated_arc(
-    runs: Sequence[Run], axes: tuple[int, int, int], length: float, centre_toward: float
+    runs: Sequence[Run], axes: tuple[int, int, int], length: float, center_toward: float
 ) -> dict[str, float]:
     """Shape, neutral axis and direction from the turn and the shift of a face of three markers.
 
@@ -26,7 +26,7 @@ def calibrated_arc(
         runs: To fit; three markers each.
         axes: Of the laboratory, along and across the body.
         length: Of the arc [m].
-        centre_toward: Of the markers' mean from the face's centre towards the bend [m].
+        center_toward: Of the markers' mean from the face's center towards the bend [m].
 
     Returns:
         The kinematic parameters of the scene, and "misfit", rms [m].
@@ -46,19 +46,19 @@ def calibrated_arc(
 
     def residual(p: Array) -> Array:
         shape, neutral = p
-        dx = length * (np.sin(q) / q - 1.0) + neutral * q - centre_toward * np.sin(q)
-        dy = 2.0 * length * shape * (1.0 - np.cos(q)) / q + centre_toward * (np.cos(q) - 1.0)
+        dx = length * (np.sin(q) / q - 1.0) + neutral * q - center_toward * np.sin(q)
+        dy = 2.0 * length * shape * (1.0 - np.cos(q)) / q + center_toward * (np.cos(q) - 1.0)
         return np.concatenate([dx - x, dy - y])
 
-    found = optimize.least_squares(residual, [0.5, 0.01])
+    solution = optimize.least_squares(residual, [0.5, 0.01])
     way = np.sum(ways, axis=0)
     return {
         "length": length,
-        "centre_toward": centre_toward,
-        "shape": float(found.x[0]),
-        "neutral_axis": float(found.x[1]),
+        "center_toward": center_toward,
+        "shape": float(solution.x[0]),
+        "neutral_axis": float(solution.x[1]),
         "direction": float(np.arctan2(way[1], way[0])),
-        "misfit": float(np.sqrt(np.mean(found.fun**2))),
+        "misfit": float(np.sqrt(np.mean(solution.fun**2))),
     }
 
 

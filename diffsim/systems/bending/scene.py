@@ -167,7 +167,7 @@ class BendingScene:
         return linear_mode(w, v["damping_ratio"], moment, np.diff(grid))
 
     def _angle(self, grid: Array, pressure: Array, held_angle: Array) -> Array:
-        """(T, K) bending angle: trapezoidal rule, each step linearised at its start.
+        """(T, K) bending angle: trapezoidal rule, each step linearized at its start.
 
         Args:
             grid: (T,) times [s].
@@ -221,14 +221,14 @@ class BendingScene:
         away = get["length"] * 2.0 * get["shape"] * versine
         way = get["direction"] + get["direction_drift"] * q
         offset = moving - moving.mean(axis=0) if len(moving) > 1 else np.zeros_like(moving)
-        # the centre of the face is not the markers' mean; both move with the rigid face
+        # the center of the face is not the markers' mean; both move with the rigid face
         o_a, o_b, o_c = (offset[:, i] for i in (a, b, c))
         turn = get["twist"] * q
         o_b, o_c = o_b * np.cos(turn) - o_c * np.sin(turn), o_b * np.sin(turn) + o_c * np.cos(turn)
-        toward = o_b * np.cos(way) + o_c * np.sin(way) + get["centre_toward"]
+        toward = o_b * np.cos(way) + o_c * np.sin(way) + get["center_toward"]
         beside = -o_b * np.sin(way) + o_c * np.cos(way)
         d_a = along + o_a * (np.cos(q) - 1.0) - toward * np.sin(q)
-        d_t = away + o_a * np.sin(q) + toward * np.cos(q) - get["centre_toward"]
+        d_t = away + o_a * np.sin(q) + toward * np.cos(q) - get["center_toward"]
         d_b = d_t * np.cos(way) - beside * np.sin(way) - offset[:, b]
         d_c = d_t * np.sin(way) + beside * np.cos(way) - offset[:, c]
         d_a, d_b, d_c = (
@@ -256,7 +256,7 @@ def bending_scene(
         values: Base parameters, nuisances of runs as "name@run"; they win over the arc's.
         run: With ``layout.command``.
         layout: Of the set-up.
-        arc: "length", "shape", "direction", "neutral_axis", "centre_toward" [m, rad].
+        arc: "length", "shape", "direction", "neutral_axis", "center_toward" [m, rad].
         step: Of the integrator [s].
     """
     single = values["frequency"].ndim == 0

@@ -26,7 +26,7 @@ class FlowDerivatives:
 
     def __init__(self, grid: Grid, phi: Tensor, fluid: Tensor, inside: Tensor):
         self.grid, self.cells = grid, fluid.reshape(-1).nonzero()[:, 0]
-        # a node belongs to a cell with fluid if it or one of its eight neighbours is in the fluid
+        # a node belongs to a cell with fluid if it or one of its eight neighbors is in the fluid
         wet = (phi > 0.0).to(torch.float64)[None, None]
         touched = torch.nn.functional.max_pool2d(wet, 3, stride=1, padding=1)[0, 0] > 0.0
         self.nodes = touched.reshape(-1).nonzero()[:, 0]
@@ -42,7 +42,7 @@ class FlowDerivatives:
         self.fit_inside = MovingFit(sources.numpy(), targets.numpy(), spacing)
 
     def gradient(self, velocity: Tensor) -> Tensor:
-        """d v_i / d x_j at the centres of fluid cells, (cases, 2, 2, num_fluid_cells) [1/s].
+        """d v_i / d x_j at the centers of fluid cells, (cases, 2, 2, num_fluid_cells) [1/s].
 
         Args:
             velocity: (cases, *node_shape, 2) [m/s].

@@ -36,7 +36,7 @@ class MovingFit:
         arms = (sources[nearest] - targets[:, None]) / spacing
         basis = np.concatenate([np.ones((*arms.shape[:2], 1)), arms], -1)
         root = np.exp(-0.25 * (distance / spacing) ** 2)[..., None]
-        fit = np.linalg.pinv(root * basis) * root[..., 0][:, None]  # (targets, 3, neighbours)
+        fit = np.linalg.pinv(root * basis) * root[..., 0][:, None]  # (targets, 3, neighbors)
         rows = np.repeat(np.arange(len(targets)), NUM_NEIGHBOURS)
         index = torch.from_numpy(np.stack([rows, nearest.reshape(-1)]))
         size = (len(targets), len(sources))

@@ -14,18 +14,13 @@ error is of second order in the profile's change; 0.1 % of it for a power law of
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import torch
 from torch import Tensor
 
 from diffsim.core.errors import ConvergenceError
+from diffsim.systems.flow_network.network_conditions import NetworkConditions
 from diffsim.systems.flow_network.unit_flows import Shape
 
-if TYPE_CHECKING:
-    from diffsim.systems.flow_network.network_model import NetworkScene
-
-RTOL = 1e-10
 MAX_ITERS = 40
 
 
@@ -36,7 +31,7 @@ class Balance:
         scene: Whose effects hold.
     """
 
-    def __init__(self, scene: NetworkScene):
+    def __init__(self, scene: NetworkConditions):
         self.scene, table = scene, scene.table
         self.device = table.device
         shape = Shape(scene.wall_offset, scene.slip_length, scene.narrowing)

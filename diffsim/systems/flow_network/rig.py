@@ -60,7 +60,7 @@ class Rig:
 
     def derivatives(self, phi: Tensor) -> FlowDerivatives:
         """Derivative stencils of a shape; the last ones are kept. Their sources are cells whose
-        centre is in the fluid: velocities beyond the wall are held by little."""
+        center is in the fluid: velocities beyond the wall are held by little."""
         phi = phi.detach()
         level = _mean_of_corners(phi) / max(self.grid.spacing)
         fluid, inside = level > 0.0, level > DEEP

@@ -25,9 +25,9 @@ from diffsim.systems.soft_body.unknown import unknown_force
 
 KNOTS_PER_S = 5.0
 # Causes act almost in proportion to their sizes here (docs/measured/lab_beam.md): linear evidence
-# misleads by less than elsewhere, and most sets need no refit.
+# is wrong by less than elsewhere, and most sets need no refit.
 EFFORT = SearchSettings(
-    max_effects=2, num_refits=2, max_rounds=3, rival_nats=4.0, misled=0.02, unknown_steps=2
+    max_effects=2, num_refits=2, max_rounds=3, rival_nats=4.0, linear_error=0.02, unknown_steps=2
 )
 
 
@@ -76,18 +76,18 @@ def lab_beam(
     Young's modulus and density are multiplied by what this mesh and time step are known to miss
     (:class:`TendonBar`), so that they mean the same on every mesh.
     """
-    told = {name: study.metadata[name] for name in ("geometry", "tendon", "markers")}
+    facts = {name: study.metadata[name] for name in ("geometry", "tendon", "markers")}
     young, beta = (study.metadata["base_priors"][n] for n in ("youngs_modulus", "rayleigh_beta"))
-    told_shape = {n: float(v) for n, v in told["geometry"].items() if n != "num_cells"}
-    shape = BarShape(**told_shape, youngs_modulus=float(young["value"]))
-    places = {name: float(x) for name, x in told["markers"]["place_m"].items()}
-    arm = float(told["tendon"]["offset_m"])
+    dimensions = {n: float(v) for n, v in facts["geometry"].items() if n != "num_cells"}
+    shape = BarShape(**dimensions, youngs_modulus=float(young["value"]))
+    places = {name: float(x) for name, x in facts["markers"]["place_m"].items()}
+    arm = float(facts["tendon"]["offset_m"])
 
     base = [
         Parameter("youngs_modulus", young["value"], young["relative_sd"], "Pa", log=True),
         Parameter("rayleigh_beta", beta["value"], beta["relative_sd"], "s", log=True),
     ]
-    place_sd, zero_sd = told["markers"]["place_sd_m"], told["markers"]["zero_sd_m"]
+    place_sd, zero_sd = facts["markers"]["place_sd_m"], facts["markers"]["zero_sd_m"]
     base += [Parameter(f"place_{name}", 0.0, float(place_sd), "m") for name in places]
     runs = [run.name for run in study.runs] + [run.name for run in _bank(study)]
     jitter = float(study.metadata["gain_jitter"])

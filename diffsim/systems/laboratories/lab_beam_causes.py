@@ -7,7 +7,8 @@ counted as wrong.
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -20,139 +21,150 @@ from diffsim.systems.soft_body.scene import SoftScene
 
 # Bending: the mean of strain^4 over the section is 9/5 of the square of the mean of strain^2.
 STRAIN4 = 9.0 / 5.0
+TYPICAL_LOSS = 0.1  # of the largest tension
+SLIP_SPEED = 2e-3  # a twentieth of what the tip does [m/s]
 
 
-class _PerVolume:
-    """Drag of every node by its volume."""
-
-    def shares(self, scene: SoftScene) -> Tensor:
-        """(num_vertices,) [m^3]."""
-        return scene.body.nodal_volume
+def _volumes(scene: SoftScene) -> Tensor:
+    return scene.body.nodal_volume
 
 
-class LinearDrag(_PerVolume, forces.LinearDrag):
-    """Force per volume -size v."""
-
-    unit, typical = "N s/m^4", 1e3
+def _stiffening(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    return material.stiffening(scene, STRAIN4 * size, run)
 
 
-class QuadraticDrag(_PerVolume, forces.QuadraticDrag):
-    """Force per volume -size |v| v."""
-
-    unit, typical = "N s^2/m^5", 1.5e4
+def _backlash(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    return actuator.backlash(scene, 0.5 * size, run)
 
 
-class Stiffening(material.Stiffening):
-    """Stress E (1 + size strain^2) strain, under bending of one curvature."""
-
-    typical = 400.0
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        return super().apply(scene, STRAIN4 * size, run)
+def _sideways_tilt(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    sideways = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
+    return scene.with_parameter("gravity", scene.parameter("gravity") + size[0] * sideways)
 
 
-class SidewaysTilt(Effect):
-    """A constant acceleration sideways."""
-
-    name, family, kind, unit, typical = "tilt", "gravity", "environment", "m/s^2", 0.1
-    also_looks_like = ("a bent rest shape",)
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        sideways = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
-        return scene.with_parameter("gravity", scene.parameter("gravity") + size[0] * sideways)
+def _tip_scale(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    first = torch.eye(len(scene.axes), dtype=torch.float64)[0]
+    return scene.with_output(lambda y, t: y * (1.0 + size[0] * first))
 
 
-class DryFriction(forces.DryFriction):
-    """At the tip."""
-
-    typical = 5e-4
-    slip_speed = 2e-3  # a twentieth of what the tip does
-
-
-class AddedMass(forces.AddedMass):
-    """Of water, per displaced mass."""
-
-    typical = 0.05
+def _tension_limit(scene: SoftScene, size: Tensor, run: Run, *, largest_N: float) -> SoftScene:
+    return scene.with_command(
+        lambda u, dt: torch.minimum(u, (1.0 - size[0]) * largest_N * torch.ones_like(u))
+    )
 
 
-class LossFactor(material.LossFactor):
-    """As for the foam."""
-
-    typical = 0.03
-
-
-class Delay(actuator.CommandDelay):
-    """Of the tension; it cannot be early."""
-
-    typical, signed = 0.006, False
+def _needs_tension(study: Study, *, largest_N: float) -> str | None:
+    top = max(float(run.command["tendon_N"].max()) for run in study.fit_runs)
+    if top < (1.0 - TYPICAL_LOSS) * largest_N:
+        return f"a tension near {largest_N:g} N; the largest that was commanded is {top:g} N"
+    return actuator.needs_command(study)
 
 
-class Lag(actuator.Lag):
-    """Of the tension."""
+VOLUME_DRAG = replace(
+    forces.LINEAR_DRAG,
+    name="volume_drag",
+    form="Force per volume -size v.",
+    unit="N s/m^4",
+    typical=1e3,
+    apply=forces.drag(_volumes, quadratic=False),
+)
+QUADRATIC_VOLUME_DRAG = replace(
+    forces.QUADRATIC_DRAG,
+    name="quadratic_volume_drag",
+    form="Force per volume -size |v| v.",
+    unit="N s^2/m^5",
+    typical=1.5e4,
+    apply=forces.drag(_volumes, quadratic=True),
+)
+STIFFENING = replace(
+    material.STIFFENING,
+    form="Stress E (1 + size strain^2) strain, under bending of one curvature.",
+    typical=400.0,
+    apply=_stiffening,
+)
+SIDEWAYS_TILT = Effect(
+    name="tilt",
+    form="A constant acceleration sideways.",
+    family="gravity",
+    kind="environment",
+    unit="m/s^2",
+    typical=0.1,
+    also_looks_like=("a bent rest shape",),
+    apply=_sideways_tilt,
+)
+DRY_FRICTION = replace(
+    forces.DRY_FRICTION,
+    form="Coulomb friction -size tanh(v / v_s) at the tip.",
+    typical=5e-4,
+    apply=forces.dry_friction(SLIP_SPEED),
+)
+ADDED_MASS = replace(
+    forces.ADDED_MASS,
+    typical=0.05,
+)
+LOSS_FACTOR = replace(
+    material.LOSS_FACTOR,
+    typical=0.03,
+)
+DELAY = replace(
+    actuator.COMMAND_DELAY,
+    form="The tension comes size later; it cannot be early.",
+    typical=0.006,
+    signed=False,
+)
+LAG = replace(
+    actuator.LAG,
+    typical=0.006,
+)
+TENSION_DEAD_BAND = replace(
+    actuator.DEAD_BAND,
+    name="tension_dead_band",
+    unit="N",
+    typical=0.04,
+)
+TENSION_BACKLASH = replace(
+    actuator.BACKLASH,
+    name="tension_backlash",
+    form="Play of the tension, full width size.",
+    unit="N",
+    typical=0.05,
+    apply=_backlash,
+)
+TEMPERATURE_DRIFT = replace(
+    material.TEMPERATURE_DRIFT,
+    typical=0.003,
+)
+SENSOR_SCALE = replace(
+    sensor.SENSOR_SCALE,
+    typical=0.06,
+)
+TIP_SCALE = Effect(
+    name="tip_scale",
+    form="The tip's channel is larger by the share size; the other is not.",
+    family="sensor",
+    kind="sensor",
+    unit="-",
+    typical=0.06,
+    also_looks_like=("lens", "slipped marker", "mode shape"),
+    apply=_tip_scale,
+)
 
-    typical = 0.006
 
-
-class DeadBand(actuator.DeadBand):
-    """Of the tension."""
-
-    unit, typical = "N", 0.04
-
-
-class Backlash(actuator.Backlash):
-    """Of the tension, full width."""
-
-    unit, typical = "N", 0.05
-
-    def apply(self, scene: actuator.Commanded, size: Tensor, run: Run) -> Any:
-        return super().apply(scene, 0.5 * size, run)
-
-
-class TemperatureDrift(material.TemperatureDrift):
-    """As of a room over an afternoon."""
-
-    typical = 0.003
-
-
-class TensionLimit(actuator.ActuatorEffect):
-    """The drive gives (1 - size) of its largest tension, and no more."""
-
-    name, family, unit, typical, signed = "saturation", "shape", "-", 0.1, False
-    smooth = False
-    also_looks_like = ("gain, if all commands reach as high", "stiffening")
-
-    def __init__(self, largest_N: float):
-        self._largest = largest_N
-
-    def needs(self, study: Study) -> str | None:
-        top = max(float(run.command["tendon_N"].max()) for run in study.fit_runs)
-        if top < (1.0 - self.typical) * self._largest:
-            return (
-                f"a tension near {self._largest:g} N; the largest that was commanded is {top:g} N"
-            )
-        return super().needs(study)
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        return scene.with_command(
-            lambda u, dt: torch.minimum(u, (1.0 - size[0]) * self._largest * torch.ones_like(u))
-        )
-
-
-class SensorScale(sensor.SensorScale):
-    """As of a camera at a distance that is known to a few per cent."""
-
-    typical = 0.06
-
-
-class TipScale(Effect):
-    """The tip's channel is larger by the share size; the other is not."""
-
-    name, family, kind, unit, typical = "tip_scale", "sensor", "sensor", "-", 0.06
-    also_looks_like = ("lens", "slipped marker", "mode shape")
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        first = torch.eye(len(scene.axes), dtype=torch.float64)[0]
-        return scene.with_output(lambda y, t: y * (1.0 + size[0] * first))
+def tension_limit(largest_N: float) -> Effect:
+    """The effect of a drive that can pull ``largest_N`` [N]."""
+    return Effect(
+        name="saturation",
+        form="The drive gives (1 - size) of its largest tension, and no more.",
+        family="shape",
+        kind="actuator",
+        unit="-",
+        typical=TYPICAL_LOSS,
+        signed=False,
+        smooth=False,
+        also_looks_like=("gain, if all commands reach as high", "stiffening"),
+        needs=partial(_needs_tension, largest_N=largest_N),
+        apply=partial(_tension_limit, largest_N=largest_N),
+    )
 
 
 def causes(largest_N: float) -> tuple[Effect, ...]:
@@ -160,26 +172,26 @@ def causes(largest_N: float) -> tuple[Effect, ...]:
 
     Left out: what is a base parameter (stiffness-proportional damping, placement), what the
     laboratory has no channels for (tilt and lens of cameras), a current without known drag, and
-    steps of the tension (quantisation), for which there is no term.
+    steps of the tension (quantization), for which there is no term.
 
     Args:
         largest_N: What the drive can pull.
     """
     return (
-        LossFactor(),
-        Stiffening(),
-        material.StiffnessLoss(),
-        TemperatureDrift(),
-        LinearDrag(),
-        QuadraticDrag(),
-        AddedMass(),
-        SidewaysTilt(),
-        DryFriction(),
-        Delay(),
-        Lag(),
-        DeadBand(),
-        Backlash(),
-        TensionLimit(largest_N),
-        SensorScale(),
-        TipScale(),
+        LOSS_FACTOR,
+        STIFFENING,
+        material.STIFFNESS_LOSS,
+        TEMPERATURE_DRIFT,
+        VOLUME_DRAG,
+        QUADRATIC_VOLUME_DRAG,
+        ADDED_MASS,
+        SIDEWAYS_TILT,
+        DRY_FRICTION,
+        DELAY,
+        LAG,
+        TENSION_DEAD_BAND,
+        TENSION_BACKLASH,
+        tension_limit(largest_N),
+        SENSOR_SCALE,
+        TIP_SCALE,
     )

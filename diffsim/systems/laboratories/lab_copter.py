@@ -166,8 +166,8 @@ def _flown(
     ).state
     assert state.thrusts is not None
     rotation = 0.5 * (state.rotation[0, 1:] + state.rotation[0, :-1])
-    felt = state.velocity[0].diff(dim=0) / dt - _f64([0.0, 0.0, GRAVITY])
-    specific = (rotation.mT @ felt[..., None])[..., 0]
+    proper = state.velocity[0].diff(dim=0) / dt - _f64([0.0, 0.0, GRAVITY])
+    specific = (rotation.mT @ proper[..., None])[..., 0]
     specific = torch.cat([_f64([[0.0, 0.0, -GRAVITY]]), specific])[:count]
     seen = [state.position, state.rpy, state.body_rates]
     measured = torch.cat([*(value[0, :count] for value in seen), specific], -1).numpy()

@@ -1,7 +1,7 @@
 """Multicopters under recorded commands, and what real ones add to the model."""
 
 from diffsim.identify.effect import Effect
-from diffsim.systems.actuator import HeldDelay, HeldLag
+from diffsim.systems.actuator import HELD_DELAY, HELD_LAG
 from diffsim.systems.multicopter.effects import COPTER, weak_rotor
 from diffsim.systems.multicopter.model import CopterModel, flight_model, flight_nuisances
 from diffsim.systems.multicopter.scene import CopterScene
@@ -10,8 +10,7 @@ from diffsim.systems.multicopter.unknown import unknown_wrench
 
 def copter_library(num_rotors: int = 4) -> tuple[Effect, ...]:
     """Causes in flights; one weak-rotor effect per rotor."""
-    effects = tuple(make() for make in (*COPTER, HeldLag, HeldDelay))
-    return (*effects, *(weak_rotor(i) for i in range(num_rotors)))
+    return (*COPTER, HELD_LAG, HELD_DELAY, *(weak_rotor(i) for i in range(num_rotors)))
 
 
 __all__ = [

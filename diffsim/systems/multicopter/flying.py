@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,10 +13,9 @@ from diffsim.copter.fleet import Fleet
 from diffsim.copter.vehicle import GRAVITY
 from diffsim.core.errors import ConvergenceError
 from diffsim.core.rotation import rpy_from_matrix
+from diffsim.systems.multicopter.flight import CopterFlight
+from diffsim.systems.multicopter.motion import Motion, turned_back
 from diffsim.systems.multicopter.shooting import RIGID, flight_state
-
-if TYPE_CHECKING:
-    from diffsim.systems.multicopter.scene import CopterScene
 
 _MAX_PASSES = 40  # over causes that depend on the motion
 _NO_LIMIT_N = 1e6
@@ -24,56 +23,22 @@ _SETTLED = 1e-8  # change of forces from pass to pass [N]
 _MORE_FOR_GRADIENTS = 2  # passes: derivatives settle after the values
 
 
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """What a cause may depend on, in the middle of every control step.
-
-    Attributes:
-        vehicle: That flies.
-        position: World frame, (points, num_windows, length, 3) [m].
-        velocity: World frame, of the same shape [m/s].
-        rotation: World from body, (points, num_windows, length, 3, 3).
-        body_rates: (points, num_windows, length, 3) [rad/s].
-    """
-
-    vehicle: Fleet
-    position: Tensor
-    velocity: Tensor
-    rotation: Tensor
-    body_rates: Tensor
-
-    @property
-    def body_velocity(self) -> Tensor:
-        """(points, num_windows, length, 3) [m/s]."""
-        return turned_back(self.rotation, self.velocity)
-
-
-def turned_back(rotation: Tensor, value: Tensor) -> Tensor:
-    """R' v without a product of many small matrices, which is slow."""
-    return (rotation * value[..., None]).sum(-2)
-
-
-def by_rotor(vectors: Tensor, rotors: Tensor) -> Tensor:
-    """Products of vectors (points, windows, length, k) with rows (points, n_rotors, k)."""
-    return vectors @ rotors.mT[:, None]
-
-
 class Flyer:
-    """Flies all windows of a scene at all its points; keeps the forces that it found last.
+    """Flies all windows of a scene at all its points; keeps the last forces.
 
     Forces follow from the motion, and it from them: repeated until they stay. Without gradients the
     last forces are the first guess of the next flight. (With them they must not be: values would
     settle at once, but derivatives would not.)
 
     A force in the world is exact without a term of its own in the dynamics: seen from a frame that
-    accelerates with a = F / m it is absent, and the drags feel a wind, less the frame's velocity.
+    accelerates with a = F / m it is absent, and the drags act on a wind, less the frame's velocity.
 
     Args:
         scene: One run.
         points: How many its leading axes stand for.
     """
 
-    def __init__(self, scene: CopterScene, points: int):
+    def __init__(self, scene: CopterFlight, points: int):
         self.scene, self.points = scene, points
         # limits hold for commands; what a gain or a cause makes of them may lie beyond
         free = torch.full_like(scene.vehicle.max_thrusts, _NO_LIMIT_N)
@@ -92,8 +57,8 @@ class Flyer:
         """
         windows, length = self.scene.windows.measured.shape[:2]
         start = start.expand(self.points, -1, -1)
-        heard = self.scene.heard(start[:, 0, RIGID:])
-        return self.fly_thrusts(start[..., :RIGID], windowed(heard, windows, length))
+        thrusts = self.scene.delivered(start[:, 0, RIGID:])
+        return self.fly_thrusts(start[..., :RIGID], windowed(thrusts, windows, length))
 
     def fly_thrusts(self, start: Tensor, thrusts: Tensor) -> Tensor:
         """Channels as above.
@@ -236,7 +201,7 @@ class _Frame:
         return cls(torch.cat([zero, steps.cumsum(-2)], -2), velocity)
 
 
-def _read(scene: CopterScene, record: _Record) -> Tensor:
+def _read(scene: CopterFlight, record: _Record) -> Tensor:
     """What the sensors show, (points, num_windows, length, num_channels)."""
 
     def wide(value: Tensor) -> Tensor:

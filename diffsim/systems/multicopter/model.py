@@ -76,7 +76,7 @@ class CopterModel(SimModel):
     ) -> Tensor:
         """Points with the same effects in one batch: what is absent costs nothing.
 
-        Best initial states are found with the tangents of the first point, the centre of a stencil.
+        Best initial states follow by the tangents of the first point, the center of a stencil.
         """
         present = torch.stack(
             [torch.zeros(len(q), dtype=torch.bool), *((s != 0.0).any(1) for s in sizes.values())], 1
@@ -121,7 +121,7 @@ def flight_model(
     A run is cut into windows; the initial state of each is fitted away, so no parameter is needed
     for it (:class:`~diffsim.systems.multicopter.shooting.Shooting`). Channels must come in the
     groups of ``sensors``, three columns each, NED; yaw must be free of jumps. A run's set-up may
-    have a ``payload_kg`` at the centre of mass and a ``terrain_height_m``.
+    have a ``payload_kg`` at the center of mass and a ``terrain_height_m``.
 
     Args:
         vehicle: As designed.

@@ -75,7 +75,7 @@ class Windows:
         guess: Of the initial states from the record, (num_windows, 12 + n_rotors).
         measured: (num_windows, length, num_channels), NaN where nothing was recorded.
         sd: Noise of the channels, (num_channels,).
-        latest: The best states that were found last (or none): where the next search starts.
+        latest: The best states of the last search (or none): where the next search starts.
     """
 
     guess: Tensor
@@ -138,7 +138,7 @@ class Windows:
 class Shooting:
     """How the best initial states of one run follow from all other parameters.
 
-    Departures d from the guess minimise |W (measured - predicted(d))|^2 + |d / spread|^2, here by
+    Departures d from the guess minimize |W (measured - predicted(d))|^2 + |d / spread|^2, here by
     Gauss-Newton with the tangents of one model: the prediction is the profile over d. Misfit that
     an initial state can explain is no evidence for anything.
 

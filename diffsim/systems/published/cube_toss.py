@@ -18,7 +18,7 @@ def setup(study: Study, *, max_effects: int = 4) -> DiagnosisSetup:
     """
     return DiagnosisSetup(
         TossModel(study.runs, study.channels),
-        tuple(effect() for effect in TOSS),
+        TOSS,
         settings=DiagnosisSettings(
             search=SearchSettings(
                 max_effects=max_effects,

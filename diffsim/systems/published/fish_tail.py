@@ -38,7 +38,7 @@ def setup(study: Study, *, max_effects: int = 3) -> DiagnosisSetup:
         *(Parameter(f"onset@{run.name}", 0.0, 0.015, "s") for run in study.runs),
     ]
     # a single marker has no face to sit off
-    known = {"centre_toward": 0.0, "release": 0.0}
+    known = {"center_toward": 0.0, "release": 0.0}
     model = SimModel(
         lambda values, run, numerics: bending_scene(
             values, run, LAYOUT, known, STEP * numerics.time_step
@@ -47,10 +47,9 @@ def setup(study: Study, *, max_effects: int = 3) -> DiagnosisSetup:
         "tail of one bending mode, pressure at once",
         batched=True,
     )
-    effects = tuple(make() for make in BENDING_EFFECTS)
     settings = DiagnosisSettings(search=SearchSettings(max_effects=max_effects))
     unknown = unknown_moment(study.runs, KNOTS_PER_S)
-    return DiagnosisSetup(model, effects, (unknown,), settings=settings)
+    return DiagnosisSetup(model, BENDING_EFFECTS, (unknown,), settings=settings)
 
 
 __all__ = ["setup"]

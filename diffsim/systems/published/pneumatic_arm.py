@@ -29,7 +29,7 @@ def setup(study: Study, *, max_effects: int = 4) -> DiagnosisSetup:
         study: One of the two campaigns.
         max_effects: In one set.
     """
-    arc = calibrated_arc(study.fit_runs, LAYOUT.axes, length=LENGTH, centre_toward=CENTRE_TOWARD)
+    arc = calibrated_arc(study.fit_runs, LAYOUT.axes, length=LENGTH, center_toward=CENTRE_TOWARD)
     base = [
         # seen after the release, without any model: 8.3 Hz, each period 0.62 of the last
         Parameter("frequency", 8.3, 0.03, "Hz", log=True, lower=7.9, upper=8.7),
@@ -51,10 +51,9 @@ def setup(study: Study, *, max_effects: int = 4) -> DiagnosisSetup:
         "arm of one bending mode, moment in proportion to the pressure",
         batched=True,
     )
-    effects = tuple(make() for make in BENDING_EFFECTS)
     settings = DiagnosisSettings(search=SearchSettings(max_effects=max_effects, num_refits=3))
     unknown = unknown_moment(study.runs, KNOTS_PER_S)
-    return DiagnosisSetup(model, effects, (unknown,), settings=settings)
+    return DiagnosisSetup(model, BENDING_EFFECTS, (unknown,), settings=settings)
 
 
 __all__ = ["setup"]

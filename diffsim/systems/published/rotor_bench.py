@@ -18,7 +18,7 @@ def setup(study: Study, *, max_effects: int = 6) -> DiagnosisSetup:
     """
     return DiagnosisSetup(
         bench_model(study.runs, [c.name.removeprefix("scaled_") for c in study.channels]),
-        tuple(effect() for effect in BENCH),
+        BENCH,
         settings=DiagnosisSettings(
             search=SearchSettings(
                 max_effects=max_effects,

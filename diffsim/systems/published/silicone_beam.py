@@ -16,7 +16,7 @@ from diffsim.identify.setup import DiagnosisSetup
 from diffsim.identify.unknown import UnknownForce, smooth_covariance
 from diffsim.systems.soft_body import forces, material
 from diffsim.systems.soft_body.released import pitch_weights
-from diffsim.systems.soft_body.support import COMMANDS, SupportMotion
+from diffsim.systems.soft_body.support import COMMANDS, SUPPORT_MOTION
 from diffsim.systems.soft_body.swinging import swinging_beam
 from diffsim.systems.soft_body.unknown import unknown_force
 
@@ -35,18 +35,19 @@ REPEAT = "_b"  # ends the name of a case's second recording
 
 def causes() -> tuple[Effect, ...]:
     """Candidates. Left out is what base parameters are already: stiffness-proportional damping
-    (rayleigh_beta), tilt (inclination), where the held tip is; and what a height alone cannot tell
-    from them: scale of the sensor (with the swings), rate of its clock (with Young's modulus).
+    (rayleigh_beta), tilt (inclination), where the held tip is; and what a height alone cannot
+    separate from them: scale of the sensor (with the swings), rate of its clock (with Young's
+    modulus).
     """
     return (
-        material.LossFactor(),
-        material.Creep(),
-        material.Stiffening(),
-        forces.LinearDrag(),
-        forces.QuadraticDrag(),
-        forces.DryFriction(),
-        forces.Weight(),
-        SupportMotion(),
+        material.LOSS_FACTOR,
+        material.CREEP,
+        material.STIFFENING,
+        forces.LINEAR_DRAG,
+        forces.QUADRATIC_DRAG,
+        forces.DRY_FRICTION,
+        forces.WEIGHT,
+        SUPPORT_MOTION,
     )
 
 
@@ -69,7 +70,7 @@ def setup(
         dt_s: Time step [s].
         from_s, until_s: What is judged, after release [s]. Before, hand and string act: no two
             releases by hand are alike (docs/measured/silicone_beam.md).
-        with_weight: Whether the runs with the weight are judged, too. How it hangs is not modelled.
+        with_weight: Whether the runs with the weight are judged, too. How it hangs is not modeled.
         search: Effort.
         accept_numerics: Go on although time step or mesh move the record by more than the noise.
     """

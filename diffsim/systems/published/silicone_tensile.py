@@ -18,6 +18,6 @@ def setup(study: Study, *, max_effects: int = 4) -> DiagnosisSetup:
     """
     return DiagnosisSetup(
         pull_model(study.runs),
-        tuple(effect() for effect in TENSILE),
+        TENSILE,
         settings=DiagnosisSettings(search=SearchSettings(max_effects=max_effects)),
     )

@@ -21,7 +21,7 @@ from diffsim.identify.model import Numerics
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.identify.unknown import UnknownForce, smooth_covariance
 from diffsim.systems.soft_body import SoftModel, SoftScene
-from diffsim.systems.soft_body.material import LossFactor, Stiffening
+from diffsim.systems.soft_body.material import LOSS_FACTOR, STIFFENING
 from diffsim.systems.starfish.body import LEAD, TENDON, Quarter, bending_softness, quarter, water
 from diffsim.systems.starfish.effects import STARFISH_EFFECTS, unknown_pull, unknown_push
 from diffsim.systems.starfish.record import AS_IMPORTED, FIRST, LEGS, MODES, modes
@@ -101,7 +101,7 @@ def setup(
     wet = study.metadata.get("medium") == "water"
     options = (refine, dt_s, integrator, poissons_ratio)
     model = _model([c.name for c in study.channels], [r.name for r in study.runs], wet, options)
-    effects = tuple(make() for make in (*STARFISH_EFFECTS, LossFactor, Stiffening))
+    effects = (*STARFISH_EFFECTS, LOSS_FACTOR, STIFFENING)
     until_s = LEAD + max(float(r.time_s[-1]) for r in study.runs)
     settings = DiagnosisSettings(
         search=SearchSettings(max_effects=max_effects, num_refits=2, max_rounds=4),

@@ -55,15 +55,14 @@ def setup(study: Study, *, max_effects: int = 6) -> DiagnosisSetup:
         "two balls without friction, pinhole camera",
         batched=True,
     )
-    effects = tuple(make() for make in BALL_EFFECTS)
     settings = DiagnosisSettings(search=SearchSettings(max_effects=max_effects))
-    return DiagnosisSetup(model, effects, settings=settings)
+    return DiagnosisSetup(model, BALL_EFFECTS, settings=settings)
 
 
 def soft_model(
     study: Study, *, steps: int = 3, subdivisions: int = 2, radial: bool = False
 ) -> SoftBallModel:
-    """The thesis's balls: soft, on an exact table, pushing each other through their centres.
+    """The thesis's balls: soft, on an exact table, pushing each other through their centers.
 
     Args:
         study: As imported, or read from a video.
@@ -125,8 +124,8 @@ def calibrated(study: Study, camera: list[Parameter], rotation: Array) -> list[P
         seen = projected({**plain, **values_at(q)}, turned, places).numpy()
         return np.concatenate([(seen - clicks[clicked]).ravel(), q])
 
-    found = least_squares(misfit, np.zeros(len(camera))).x
-    return [replace(p, value=float(values_at(found)[p.name])) for p in camera]
+    solution = least_squares(misfit, np.zeros(len(camera))).x
+    return [replace(p, value=float(values_at(solution)[p.name])) for p in camera]
 
 
 def motion_prior(study: Study, camera: list[Parameter], rotation: Array) -> list[Parameter]:

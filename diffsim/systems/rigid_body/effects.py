@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from collections.abc import Callable
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -15,180 +16,224 @@ _UP = torch.tensor([0.0, 0.0, 1.0])
 _LEVEL = torch.eye(3)[:2]
 
 
-class TossEffect(Effect):
+def _growing(term: str) -> Callable[[TossScene, Tensor, Run], TossScene]:
     """Grows one term of ``model.TERMS``."""
-
-    unit, kind = "-", "environment"
-    term: ClassVar[str]
-    needs_impact: ClassVar[bool] = False
-
-    def needs(self, study: Study) -> str | None:
-        if self.needs_impact and not any(run.setup["hits"] for run in study.runs):
-            return "tosses recorded through their impact"
-        return None
-
-    def apply(self, scene: TossScene, size: Tensor, run: Run) -> Any:
-        return scene.with_term(self.term, size)
+    return partial(_grown, term=term)
 
 
-class LengthScale(TossEffect):
-    """All tracked positions are (1 + size) times the true ones."""
-
-    name = term = "length_scale"
-    family, typical, kind = "scale", 0.01, "sensor"
-    also_looks_like = ("size of the tags", "focal length of the cameras")
+def _grown(scene: TossScene, size: Tensor, run: Run, *, term: str) -> TossScene:
+    return scene.with_term(term, size)
 
 
-class ClockScale(TossEffect):
-    """Frames are (1 + size) times as far apart as stated."""
-
-    name = term = "clock_scale"
-    family, typical, kind = "scale", 0.01, "sensor"
+def _weaker_gravity(scene: TossScene, size: Tensor, run: Run) -> TossScene:
+    return scene.with_term("gravity", size[..., :1] * _UP.to(size))
 
 
-class Gravity(TossEffect):
-    """Gravity is weaker by size: buoyancy of air would be 0.037 m/s^2."""
-
-    name, term = "weaker_gravity", "gravity"
-    family, typical, unit = "gravity", 0.05, "m/s2"
-    also_looks_like = ("buoyancy and added mass of air",)
-
-    def apply(self, scene: TossScene, size: Tensor, run: Run) -> Any:
-        return scene.with_term(self.term, size[..., :1] * _UP.to(size))
+def _tilted(scene: TossScene, size: Tensor, run: Run) -> TossScene:
+    return scene.with_term("gravity", size @ _LEVEL.to(size))
 
 
-class Tilt(TossEffect):
-    """The board is not level: gravity has components along it."""
-
-    name, term, components = "board_tilt", "gravity", ("x", "y")
-    family, typical, unit = "gravity", 0.05, "m/s2"
-    also_looks_like = ("cameras that do not know where down is",)
-
-    def apply(self, scene: TossScene, size: Tensor, run: Run) -> Any:
-        return scene.with_term(self.term, size @ _LEVEL.to(size))
+def _impact(study: Study) -> str | None:
+    if not any(run.setup["hits"] for run in study.runs):
+        return "tosses recorded through their impact"
+    return None
 
 
-class LinearDrag(TossEffect):
-    """Deceleration size times the velocity."""
+LENGTH_SCALE = Effect(
+    name="length_scale",
+    form="All tracked positions are (1 + size) times the true ones.",
+    family="scale",
+    kind="sensor",
+    unit="-",
+    typical=0.01,
+    also_looks_like=("size of the tags", "focal length of the cameras"),
+    apply=_growing("length_scale"),
+)
+CLOCK_SCALE = Effect(
+    name="clock_scale",
+    form="Frames are (1 + size) times as far apart as stated.",
+    family="scale",
+    kind="sensor",
+    unit="-",
+    typical=0.01,
+    apply=_growing("clock_scale"),
+)
+GRAVITY = Effect(
+    name="weaker_gravity",
+    form="Gravity is weaker by size: buoyancy of air would be 0.037 m/s^2.",
+    family="gravity",
+    kind="environment",
+    unit="m/s^2",
+    typical=0.05,
+    also_looks_like=("buoyancy and added mass of air",),
+    apply=_weaker_gravity,
+)
+TILT = Effect(
+    name="board_tilt",
+    form="The board is not level: gravity has components along it.",
+    family="gravity",
+    kind="environment",
+    unit="m/s^2",
+    typical=0.05,
+    components=("x", "y"),
+    also_looks_like=("cameras that do not know where down is",),
+    apply=_tilted,
+)
+SPECIFIC_LINEAR_DRAG = Effect(
+    name="specific_linear_drag",
+    form="Deceleration size times the velocity.",
+    family="drag",
+    kind="force",
+    unit="1/s",
+    typical=0.03,
+    signed=False,
+    apply=_growing("drag"),
+)
+SPECIFIC_QUADRATIC_DRAG = Effect(
+    name="specific_quadratic_drag",
+    form="Deceleration size |v| v, |v| that of mid flight; a cube of C_d = 1: about 0.02 1/m.",
+    family="drag",
+    kind="force",
+    unit="1/m",
+    typical=0.02,
+    signed=False,
+    apply=_growing("quadratic_drag"),
+)
+SPIN_DRAG = Effect(
+    name="spin_drag",
+    form="The spin decays at the rate size.",
+    family="drag",
+    kind="force",
+    unit="1/s",
+    typical=0.1,
+    signed=False,
+    apply=_growing("spin_drag"),
+)
+GROUND_HEIGHT = Effect(
+    name="ground_height",
+    form="The board lies at z = size.",
+    family="ground",
+    kind="environment",
+    unit="m",
+    typical=0.001,
+    also_looks_like=("height of the tags on the cube", "half width of the cube"),
+    apply=_growing("ground_height"),
+)
+GROUND_SLOPE = Effect(
+    name="ground_slope",
+    form="The board rises by size per meter along x and y.",
+    family="ground",
+    kind="environment",
+    unit="-",
+    typical=0.005,
+    components=("x", "y"),
+    needs=_impact,
+    apply=_growing("ground_slope"),
+)
+HALF_WIDTH = Effect(
+    name="half_width",
+    form="The cube is larger by the share size.",
+    family="ground",
+    kind="environment",
+    unit="-",
+    typical=0.01,
+    apply=_growing("half_width"),
+)
+CENTER_OFFSET = Effect(
+    name="center_offset",
+    form="The tracked point lies off the center of mass, in the body.",
+    family="center",
+    kind="sensor",
+    unit="m",
+    typical=0.0005,
+    components=("x", "y", "z"),
+    also_looks_like=("tags that are not where they are believed to be",),
+    apply=_growing("center"),
+)
+CONTACT_TIME = Effect(
+    name="contact_time",
+    form="The impulse takes size: a board that gives way.",
+    family="contact",
+    kind="force",
+    unit="s",
+    typical=0.005,
+    signed=False,
+    smooth=False,
+    also_looks_like=("compliance of the board", "lagging filter of the tracking"),
+    needs=_impact,
+    apply=_growing("contact_time"),
+)
+SMOOTHING = Effect(
+    name="tracking_smoothing",
+    form="The tracked motion is averaged over size, half before and half after.",
+    family="contact",
+    kind="sensor",
+    unit="s",
+    typical=0.005,
+    signed=False,
+    smooth=False,
+    also_looks_like=("exposure of the cameras",),
+    needs=_impact,
+    apply=_growing("smoothing"),
+)
+RESTITUTION_SLOPE = Effect(
+    name="restitution_slope",
+    form="Restitution grows by exp(size) per m/s of the corner.",
+    family="impact",
+    kind="material",
+    unit="s/m",
+    typical=1.0,
+    needs=_impact,
+    apply=_growing("restitution_slope"),
+)
+REBOUND = Effect(
+    name="tangential_rebound",
+    form="A sticking corner leaves at -size times its tangential velocity.",
+    family="impact",
+    kind="material",
+    unit="-",
+    typical=0.2,
+    needs=_impact,
+    apply=_growing("rebound"),
+)
+FRICTION_SLOPE = Effect(
+    name="friction_slope",
+    form="Friction grows by exp(size) per m/s of slip.",
+    family="impact",
+    kind="material",
+    unit="s/m",
+    typical=0.5,
+    needs=_impact,
+    apply=_growing("friction_slope"),
+)
+MOMENT_OF_INERTIA = Effect(
+    name="moment_of_inertia",
+    form="Moment of inertia larger by the share size: a hollow cube would be 0.67 times larger.",
+    family="inertia",
+    kind="material",
+    unit="-",
+    typical=0.1,
+    also_looks_like=("mass that is not spread evenly",),
+    needs=_impact,
+    apply=_growing("inertia"),
+)
 
-    name, term = "linear_drag", "drag"
-    family, typical, unit, signed, kind = "drag", 0.03, "1/s", False, "force"
-
-
-class QuadraticDrag(TossEffect):
-    """Deceleration size |v| v, |v| that of mid flight; a cube of C_d = 1: about 0.02 1/m."""
-
-    name = term = "quadratic_drag"
-    family, typical, unit, signed, kind = "drag", 0.02, "1/m", False, "force"
-
-
-class SpinDrag(TossEffect):
-    """The spin decays at the rate size."""
-
-    name = term = "spin_drag"
-    family, typical, unit, signed, kind = "drag", 0.1, "1/s", False, "force"
-
-
-class GroundHeight(TossEffect):
-    """The board lies at z = size."""
-
-    name = term = "ground_height"
-    family, typical, unit = "ground", 1e-3, "m"
-    also_looks_like = ("height of the tags on the cube", "half width of the cube")
-
-
-class GroundSlope(TossEffect):
-    """The board rises by size per metre along x and y."""
-
-    needs_impact = True
-    name, term, components = "ground_slope", "ground_slope", ("x", "y")
-    family, typical = "ground", 0.005
-
-
-class HalfWidth(TossEffect):
-    """The cube is larger by the share size."""
-
-    name = term = "half_width"
-    family, typical = "ground", 0.01
-
-
-class CentreOffset(TossEffect):
-    """The tracked point lies off the centre of mass, in the body."""
-
-    name, term, components = "centre_offset", "centre", ("x", "y", "z")
-    family, typical, unit, kind = "centre", 5e-4, "m", "sensor"
-    also_looks_like = ("tags that are not where they are believed to be",)
-
-
-class ContactTime(TossEffect):
-    """The impulse takes size: a board that gives way."""
-
-    needs_impact = True
-    name, term = "contact_time", "contact_time"
-    family, typical, unit, signed, kind = "contact", 5e-3, "s", False, "force"
-    smooth = False  # nothing but the frame at the impact feels a small one
-    also_looks_like = ("compliance of the board", "lagging filter of the tracking")
-
-
-class Smoothing(TossEffect):
-    """The tracked motion is averaged over size, half before and half after."""
-
-    needs_impact = True
-    name, term = "tracking_smoothing", "smoothing"
-    family, typical, unit, signed, kind = "contact", 5e-3, "s", False, "sensor"
-    smooth = False
-    also_looks_like = ("exposure of the cameras",)
-
-
-class RestitutionSlope(TossEffect):
-    """Restitution grows by exp(size) per m/s of the corner."""
-
-    needs_impact = True
-    name, term = "restitution_slope", "restitution_slope"
-    family, typical, unit, kind = "impact", 1.0, "s/m", "material"
-
-
-class Rebound(TossEffect):
-    """A sticking corner leaves at -size times its tangential velocity."""
-
-    needs_impact = True
-    name, term = "tangential_rebound", "rebound"
-    family, typical, kind = "impact", 0.2, "material"
-
-
-class FrictionSlope(TossEffect):
-    """Friction grows by exp(size) per m/s of slip."""
-
-    needs_impact = True
-    name, term = "friction_slope", "friction_slope"
-    family, typical, unit, kind = "impact", 0.5, "s/m", "material"
-
-
-class Inertia(TossEffect):
-    """Moment of inertia larger by the share size: a hollow cube would be 0.67 times larger."""
-
-    needs_impact = True
-    name = term = "inertia"
-    family, typical, kind = "inertia", 0.1, "material"
-    also_looks_like = ("mass that is not spread evenly",)
-
-
-TOSS: tuple[type[TossEffect], ...] = (
-    LengthScale,
-    ClockScale,
-    Gravity,
-    Tilt,
-    LinearDrag,
-    QuadraticDrag,
-    SpinDrag,
-    GroundHeight,
-    GroundSlope,
-    HalfWidth,
-    CentreOffset,
-    ContactTime,
-    Smoothing,
-    RestitutionSlope,
-    Rebound,
-    FrictionSlope,
-    Inertia,
+TOSS: tuple[Effect, ...] = (
+    LENGTH_SCALE,
+    CLOCK_SCALE,
+    GRAVITY,
+    TILT,
+    SPECIFIC_LINEAR_DRAG,
+    SPECIFIC_QUADRATIC_DRAG,
+    SPIN_DRAG,
+    GROUND_HEIGHT,
+    GROUND_SLOPE,
+    HALF_WIDTH,
+    CENTER_OFFSET,
+    CONTACT_TIME,
+    SMOOTHING,
+    RESTITUTION_SLOPE,
+    REBOUND,
+    FRICTION_SLOPE,
+    MOMENT_OF_INERTIA,
 )

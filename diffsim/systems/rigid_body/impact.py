@@ -24,7 +24,7 @@ def impulse(
 
     Args:
         velocity: Of the corner before, (..., 3) [m/s].
-        arm: From the centre of mass to the corner, (..., 3) [m].
+        arm: From the center of mass to the corner, (..., 3) [m].
         inertia: Moment of inertia per mass, about any axis, (...) [m^2].
         restitution: e, (...).
         friction: mu, (...).

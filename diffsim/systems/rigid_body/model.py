@@ -42,7 +42,7 @@ TERMS = {
     "ground_height": 1,
     "ground_slope": 2,
     "half_width": 1,
-    "centre": 3,
+    "center": 3,
     "contact_time": 1,
     "smoothing": 1,
     "restitution_slope": 1,
@@ -123,7 +123,7 @@ class Tosses:
         middle = v0 + 0.5 * gravity * time[..., -1:]
         drag = get["drag"] + get["quadratic_drag"] * middle.norm(dim=-1, keepdim=True)
         spin = get["spin_drag"]
-        arm_body = self.corner * HALF_WIDTH * (1.0 + get["half_width"]) - get["centre"]
+        arm_body = self.corner * HALF_WIDTH * (1.0 + get["half_width"]) - get["center"]
         slope = get["ground_slope"]
 
         def at(t: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -167,7 +167,7 @@ class Tosses:
         q = quaternion_product(q, quaternion_from_rotation_vector(torch.where(is_after, rest, 0.0)))
         # at rest on a face, wherever that is: the slope of the board is left out
         rest = HALF_WIDTH * (1.0 + get["half_width"]) + get["ground_height"]
-        x = x + rotate_by_quaternion(q, get["centre"][..., None, :])
+        x = x + rotate_by_quaternion(q, get["center"][..., None, :])
         scale = 1.0 + get["length_scale"][..., None]
         return torch.cat([scale * x, q, (scale * rest[..., None]).expand_as(q[..., :1])], -1)
 
@@ -241,7 +241,7 @@ class TossModel(SimModel):
     Args:
         runs: Tosses of the study.
         channels: Of the study.
-        at: Restitution and friction where start states are linearised; the prior if None.
+        at: Restitution and friction where start states are linearized; the prior if None.
     """
 
     def __init__(
@@ -264,7 +264,7 @@ class TossModel(SimModel):
         super().__init__(build, base, "tossed cube", batched=True)
 
     def prepared_at(self, q: Tensor) -> SimModel:
-        """Start states linearised at the values of these coordinates."""
+        """Start states linearized at the values of these coordinates."""
         values = {p.name: p.value_at(q[i]) for i, p in enumerate(self.base)}
         return TossModel(self.runs, self.channels, values)
 
@@ -281,9 +281,9 @@ def _prepared(
 
     start = tosses.start
     for _ in range(2):  # once more from better start states
-        found = Shooting.prepare(flown, start, tosses.measured, sd)
+        prepared = Shooting.prepare(flown, start, tosses.measured, sd)
         left = (tosses.measured - flown(start)).nan_to_num(0.0)
-        start = start + (found.gain @ left.reshape(count, -1, 1))[..., 0]
+        start = start + (prepared.gain @ left.reshape(count, -1, 1))[..., 0]
     shooting = Shooting.prepare(flown, start, tosses.measured, sd)
     return Table(tosses, shooting, {r.name: i for i, r in enumerate(runs)})
 

@@ -21,7 +21,7 @@ _CORRECTIONS = 2
 class Shooting:
     """Windows of one run, and how their initial states follow from what was measured.
 
-    The initial states d (departures from the first guess) minimise
+    The initial states d (departures from the first guess) minimize
     |W (measured - predicted(d))|^2 + |d / spread|^2 by Gauss-Newton with the tangents of the model
     at its prior; they are then a smooth function of all other parameters. The prediction is the
     profile over d: misfit that an initial state can explain is no evidence for anything.

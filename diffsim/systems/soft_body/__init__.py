@@ -8,19 +8,19 @@ from diffsim.systems.soft_body.model import SoftModel
 from diffsim.systems.soft_body.models import beam_model, tendon_model
 from diffsim.systems.soft_body.scene import SoftScene
 from diffsim.systems.soft_body.sensor import SENSOR
-from diffsim.systems.soft_body.support import SupportMotion
+from diffsim.systems.soft_body.support import SUPPORT_MOTION
 from diffsim.systems.soft_body.unknown import unknown_force
 
 
 def soft_body_library() -> tuple[Effect, ...]:
     """Causes in soft bodies, around them, in their actuators and in the cameras."""
-    return tuple(make() for make in (*MATERIAL, *FORCES, SupportMotion, *ACTUATOR, *SENSOR))
+    return (*MATERIAL, *FORCES, SUPPORT_MOTION, *ACTUATOR, *SENSOR)
 
 
 __all__ = [
+    "SUPPORT_MOTION",
     "SoftModel",
     "SoftScene",
-    "SupportMotion",
     "beam_model",
     "soft_body_library",
     "tendon_model",

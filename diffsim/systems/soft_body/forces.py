@@ -3,46 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ClassVar
+from functools import partial
 
 import torch
 from torch import Tensor
 
 from diffsim.data.study import Run, Study
-from diffsim.identify.effect import Effect
+from diffsim.identify.effect import Apply, Effect
 from diffsim.mesh import HexMesh, TetMesh, surface_triangles
 from diffsim.soft import added_mass
 from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
 
 
-class _DragEffect(Effect):
-    """Drag of every node by what of the surface it stands for."""
+def drag(shares: Callable[[SoftScene], Tensor], *, quadratic: bool) -> Apply:
+    """An effect's ``apply`` that drags every node by its share of the body.
 
-    quadratic: ClassVar[bool]
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        shares = self.shares(scene)
-        return scene.with_force(lambda: _Drag(shares, size[0], quadratic=self.quadratic))
-
-    def shares(self, scene: SoftScene) -> Tensor:
-        """(num_vertices,) areas [m^2]."""
-        return node_areas(scene.body.mesh)
+    Args:
+        shares: Area or volume of each node of a scene, (num_vertices,) [m^2] or [m^3].
+        quadratic: Whether drag grows with the square of the speed.
+    """
+    return partial(_dragged, shares=shares, quadratic=quadratic)
 
 
-class LinearDrag(_DragEffect):
-    """Force per surface area -size (v - current)."""
+def _dragged(
+    scene: SoftScene,
+    size: Tensor,
+    run: Run,
+    *,
+    shares: Callable[[SoftScene], Tensor],
+    quadratic: bool,
+) -> SoftScene:
+    own = shares(scene)
+    return scene.with_force(lambda: _Drag(own, size[0], quadratic=quadratic))
 
-    name, family, kind, unit, typical = "linear_drag", "damping", "force", "N s/m^3", 5.0
-    signed, quadratic = False, False
-    also_looks_like = ("mass-proportional damping", "quadratic drag at one amplitude")
 
-
-class QuadraticDrag(_DragEffect):
-    """Force per surface area -size |v - current| (v - current); size is density C_d / 2."""
-
-    name, family, kind, unit, typical = "quadratic_drag", "damping", "force", "kg/m^3", 50.0
-    signed, quadratic = False, True
-    also_looks_like = ("linear drag at one amplitude",)
+def _areas(scene: SoftScene) -> Tensor:
+    return node_areas(scene.body.mesh)
 
 
 class _Drag(Force):
@@ -71,44 +67,21 @@ def node_areas(mesh: HexMesh | TetMesh) -> Tensor:
     return areas.index_add(0, faces.flatten(), (area / 3.0).repeat_interleave(3))
 
 
-class AddedMass(Effect):
-    """Inertia of size times the displaced fluid, the same in all directions."""
-
-    name, family, kind, unit, typical = "added_mass", "inertia", "force", "-", 0.5
-    signed = False
-    also_looks_like = ("density", "Young's modulus with weight and drag jointly")
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        mass = added_mass(scene.body.mesh, size[0], scene.fluid_density)
-        return scene.with_parameter("added_mass", scene.parameter("added_mass") + mass)
+def _added_mass(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    mass = added_mass(scene.body.mesh, size[0], scene.fluid_density)
+    return scene.with_parameter("added_mass", scene.parameter("added_mass") + mass)
 
 
-class Weight(Effect):
-    """More or less gravity along gravity, as buoyancy is; inertia unchanged."""
-
-    name, family, kind, unit, typical = "weight", "gravity", "environment", "m/s^2", 0.5
-    also_looks_like = ("buoyancy", "density", "sag of the clamp")
-
-    def needs(self, study: Study) -> str | None:
-        return None
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        gravity = scene.parameter("gravity")
-        down, _, _ = _gravity_axes(gravity)
-        return scene.with_parameter("gravity", gravity + size[0] * down)
+def _weight(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    gravity = scene.parameter("gravity")
+    down, _, _ = _gravity_axes(gravity)
+    return scene.with_parameter("gravity", gravity + size[0] * down)
 
 
-class Tilt(Effect):
-    """Gravity across its nominal direction, along the world axes nearest to horizontal."""
-
-    name, family, kind, unit, typical = "tilt", "gravity", "environment", "m/s^2", 0.3
-    components = ("first", "second")
-    also_looks_like = ("current", "a bent rest shape")
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        gravity = scene.parameter("gravity")
-        _, first, second = _gravity_axes(gravity)
-        return scene.with_parameter("gravity", gravity + size[0] * first + size[1] * second)
+def _tilt(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    gravity = scene.parameter("gravity")
+    _, first, second = _gravity_axes(gravity)
+    return scene.with_parameter("gravity", gravity + size[0] * first + size[1] * second)
 
 
 def _gravity_axes(gravity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -124,41 +97,32 @@ def _gravity_axes(gravity: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return down, first, torch.linalg.cross(down, first)
 
 
-class Current(Effect):
+def _current(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     """The fluid moves: every drag acts on v - size.
 
     Not smooth: the drag of :class:`diffsim.soft.Hydrodynamics` jumps where a face turns edge-on,
     as faces along the motion do as soon as there is a current across.
     """
-
-    name, family, kind, unit, typical = "current", "flow", "environment", "m/s", 0.05
-    components = ("x", "y", "z")
-    smooth = False
-    also_looks_like = ("tilt",)
-
-    def needs(self, study: Study) -> str | None:
-        if str(study.metadata.get("medium", "")) != "water":
-            return 'a fluid that drags (metadata "medium: water")'
-        return None
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        return scene.changed(current=scene.current + size)
+    return scene.changed(current=scene.current + size)
 
 
-class DryFriction(Effect):
-    """Coulomb friction -size tanh(v / v_s) where the body slides, per axis.
+def _needs_water(study: Study) -> str | None:
+    if str(study.metadata.get("medium", "")) != "water":
+        return 'a fluid that drags (metadata "medium: water")'
+    return None
 
-    Class attributes:
-        slip_speed: v_s [m/s].
+
+def dry_friction(slip_speed: float) -> Apply:
+    """An effect's ``apply`` with Coulomb friction -size tanh(v / slip_speed) per axis.
+
+    Args:
+        slip_speed: Speed of slip below which friction grows linearly [m/s].
     """
+    return partial(_rubbed, slip_speed=slip_speed)
 
-    name, family, kind, unit, typical = "dry_friction", "damping", "force", "N", 0.01
-    signed = False
-    slip_speed: ClassVar[float] = 1e-2
-    also_looks_like = ("linear drag at small speed", "friction where a weight hangs")
 
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        return scene.with_force(lambda: _DryFriction(size[0], self.slip_speed))
+def _rubbed(scene: SoftScene, size: Tensor, run: Run, *, slip_speed: float) -> SoftScene:
+    return scene.with_force(lambda: _DryFriction(size[0], slip_speed))
 
 
 class _DryFriction(Force):
@@ -175,12 +139,91 @@ class _DryFriction(Force):
         return -self._size * shares[:, None] * torch.tanh(speed / self._slip_speed)[..., None, :]
 
 
-FORCES: tuple[Callable[[], Effect], ...] = (
-    LinearDrag,
-    QuadraticDrag,
-    AddedMass,
-    Weight,
-    Tilt,
-    Current,
-    DryFriction,
+LINEAR_DRAG = Effect(
+    name="linear_drag",
+    form="Force per surface area -size (v - current).",
+    family="damping",
+    kind="force",
+    unit="N s/m^3",
+    typical=5.0,
+    signed=False,
+    also_looks_like=("mass-proportional damping", "quadratic drag at one amplitude"),
+    apply=drag(_areas, quadratic=False),
+)
+QUADRATIC_DRAG = Effect(
+    name="quadratic_drag",
+    form="Force per surface area -size |v - current| (v - current); size is density C_d / 2.",
+    family="damping",
+    kind="force",
+    unit="kg/m^3",
+    typical=50.0,
+    signed=False,
+    also_looks_like=("linear drag at one amplitude",),
+    apply=drag(_areas, quadratic=True),
+)
+ADDED_MASS = Effect(
+    name="added_mass",
+    form="Inertia of size times the displaced fluid, the same in all directions.",
+    family="inertia",
+    kind="force",
+    unit="-",
+    typical=0.5,
+    signed=False,
+    also_looks_like=("density", "Young's modulus with weight and drag jointly"),
+    apply=_added_mass,
+)
+WEIGHT = Effect(
+    name="weight",
+    form="More or less gravity along gravity, as buoyancy is; inertia unchanged.",
+    family="gravity",
+    kind="environment",
+    unit="m/s^2",
+    typical=0.5,
+    also_looks_like=("buoyancy", "density", "sag of the clamp"),
+    apply=_weight,
+)
+TILT = Effect(
+    name="tilt",
+    form="Gravity across its nominal direction, along the world axes nearest to horizontal.",
+    family="gravity",
+    kind="environment",
+    unit="m/s^2",
+    typical=0.3,
+    components=("first", "second"),
+    also_looks_like=("current", "a bent rest shape"),
+    apply=_tilt,
+)
+CURRENT = Effect(
+    name="current",
+    form="The fluid moves: every drag acts on v - size.",
+    family="flow",
+    kind="environment",
+    unit="m/s",
+    typical=0.05,
+    components=("x", "y", "z"),
+    smooth=False,
+    also_looks_like=("tilt",),
+    needs=_needs_water,
+    apply=_current,
+)
+DRY_FRICTION = Effect(
+    name="dry_friction",
+    form="Coulomb friction -size tanh(v / v_s) where the body slides, per axis.",
+    family="damping",
+    kind="force",
+    unit="N",
+    typical=0.01,
+    signed=False,
+    also_looks_like=("linear drag at small speed", "friction where a weight hangs"),
+    apply=dry_friction(1e-2),
+)
+
+FORCES: tuple[Effect, ...] = (
+    LINEAR_DRAG,
+    QUADRATIC_DRAG,
+    ADDED_MASS,
+    WEIGHT,
+    TILT,
+    CURRENT,
+    DRY_FRICTION,
 )

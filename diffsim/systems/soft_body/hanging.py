@@ -19,7 +19,7 @@ from diffsim.systems.soft_body.scene import SoftScene
 from diffsim.systems.soft_body.tangents import motion_tangents
 
 
-class SlackString(Effect):
+def _slack_string(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     """The weight falls freely by the height size after release, then the string catches it.
 
     Until then the body moves without it; the catch is plastic (momentum is kept). Size 0 is the
@@ -28,25 +28,34 @@ class SlackString(Effect):
 
     Not smooth: the time of the fall, sqrt(2 size / g), has no derivative at 0.
     """
+    if not run.setup.get("tip_load_mass_kg", 0.0) > 0.0:
+        return scene
+    if not float(size[0].detach()) > 0.0:
+        return scene
+    kept = {f.name: getattr(scene, f.name) for f in fields(scene)}
+    g = scene.parameter("gravity").norm()
+    return SlackScene(**kept, slack_s=(2.0 * size[0] / g).sqrt())
 
-    name, family, kind, unit, typical = "slack_string", "load", "force", "m", 0.01
-    signed = False
-    smooth = False
-    also_looks_like = ("a hand that goes down with the tip at first", "weight let go later")
 
-    def needs(self, study: Study) -> str | None:
-        if not any(run.setup.get("tip_load_mass_kg", 0.0) > 0.0 for run in study.fit_runs):
-            return "a run with a weight (setup tip_load_mass_kg)"
-        return None
+def _needs_weight(study: Study) -> str | None:
+    if not any(run.setup.get("tip_load_mass_kg", 0.0) > 0.0 for run in study.fit_runs):
+        return "a run with a weight (setup tip_load_mass_kg)"
+    return None
 
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        if not run.setup.get("tip_load_mass_kg", 0.0) > 0.0:
-            return scene
-        if not float(size[0].detach()) > 0.0:
-            return scene
-        kept = {f.name: getattr(scene, f.name) for f in fields(scene)}
-        g = scene.parameter("gravity").norm()
-        return SlackScene(**kept, slack_s=(2.0 * size[0] / g).sqrt())
+
+SLACK_STRING = Effect(
+    name="slack_string",
+    form="The weight falls freely by the height size after release, then the string catches it.",
+    family="load",
+    kind="force",
+    unit="m",
+    typical=0.01,
+    signed=False,
+    smooth=False,
+    also_looks_like=("a hand that goes down with the tip at first", "weight let go later"),
+    needs=_needs_weight,
+    apply=_slack_string,
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,7 +63,7 @@ class SlackScene(SoftScene):
     """A scene whose ``attached_mass`` joins the body only after ``slack_s`` [s].
 
     Two motions, one after the other: the body alone, then with the weight from the state at the
-    catch, which lies between steps and is found by cubics in the places. Hooks with memory start
+    catch, which lies between steps and is computed by cubics in the places. Hooks with memory start
     anew at the catch.
     """
 

@@ -23,19 +23,12 @@ _SOLID = ("youngs_modulus", "poissons_ratio")
 _WEIGHT = ("density", "attached_mass", "gravity")
 
 
-class StiffnessDamping(Effect):
-    """Force -size K v: damping ratio size w / 2, growing with the frequency w."""
-
-    name, family, kind, unit, typical = "stiffness_damping", "damping", "material", "s", 2e-3
-    signed = False
-    also_looks_like = ("numerical damping of implicit steps", "viscosity of the solid")
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        beta = scene.parameter("rayleigh_beta") + size[0]
-        return scene.with_parameter("rayleigh_beta", beta)
+def _stiffness_damping(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    beta = scene.parameter("rayleigh_beta") + size[0]
+    return scene.with_parameter("rayleigh_beta", beta)
 
 
-class LossFactor(Effect):
+def _loss_factor(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     """Loss factor that does not depend on the frequency: damping ratio size / 2.
 
     Maxwell branches of equal strength, half a decade apart: the solid's force f is joined by
@@ -43,32 +36,16 @@ class LossFactor(Effect):
     the stiffness is E at rest and E (1 + size (2 / pi) ln(...)) in fast motion. Memory is kept in
     world axes, so rotations of the body must stay small (a bending bar, not a tumbling one).
     """
-
-    name, family, kind, unit, typical = "loss_factor", "damping", "material", "-", 0.1
-    signed = False
-    also_looks_like = ("friction inside filled rubber", "damping at a clamp")
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        return _relaxing(scene, _BRANCH_HZ, _STRENGTH * size[0])
+    return _relaxing(scene, _BRANCH_HZ, _STRENGTH * size[0])
 
 
-class Creep(Effect):
+def _creep(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     """Compliance that grows by the share size per decade of time, from half a second to minutes.
 
     Slow Maxwell branches, one per decade, of strength size: slower than any swing, so that no
     damping comes with them. The stiffness is E for loads that last, E (1 + 3 size) in motion.
     """
-
-    name, family, kind, unit, typical = "creep", "creep", "material", "1/decade", 0.04
-    signed = False
-    also_looks_like = (
-        "slow sinking of the clamp",
-        "drift of the held state",
-        "lower end of a loss",
-    )
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        return _relaxing(scene, _CREEP_HZ, size[0])
+    return _relaxing(scene, _CREEP_HZ, size[0])
 
 
 def _relaxing(scene: SoftScene, branch_hz: tuple[float, ...], strength: Tensor) -> SoftScene:
@@ -116,14 +93,9 @@ class _Relaxation(Force):
         return scene.history.memory(force, weight, self._tau)
 
 
-class Stiffening(Effect):
+def stiffening(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     """E (1 + size e^2), e^2 the body's mean square strain 2 U / (E V)."""
-
-    name, family, kind, unit, typical = "stiffening", "stiffness", "material", "-", 20.0
-    also_looks_like = ("strain softening (negative)", "saturating drive")
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        return scene.with_force(lambda: _Stiffening(size[0]))
+    return scene.with_force(lambda: _Stiffening(size[0]))
 
 
 class _Stiffening(Force):
@@ -141,40 +113,29 @@ class _Stiffening(Force):
         return self._size * strain_squared[..., None, None] * force
 
 
-class StiffnessLoss(Effect):
+def _stiffness_loss(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     """E (1 - sum_i size_i hat_i) with straight-sided hats at the ends and the middle of the body.
 
     Places are shares of its length along its longest axis.
     """
-
-    name, family, kind, unit, typical = "stiffness_loss", "stiffness_field", "material", "-", 0.2
-    components = ("root", "middle", "tip")
-    also_looks_like = ("loose clamp", "tear", "uneven cure", "Young's modulus, all three alike")
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        mesh = scene.body.mesh
-        spread = mesh.x_rest.amax(0) - mesh.x_rest.amin(0)
-        axis = int(spread.argmax())
-        centre = mesh.x_rest[mesh.elements][:, :, axis].mean(1)
-        share = (centre - mesh.x_rest[:, axis].min()) / spread[axis]
-        places = torch.tensor([0.0, 0.5, 1.0], dtype=share.dtype)
-        hats = (1.0 - 2.0 * (share[:, None] - places).abs()).clamp(min=0.0)
-        return _stiffness_times(scene, 1.0 - hats @ size)
+    mesh = scene.body.mesh
+    spread = mesh.x_rest.amax(0) - mesh.x_rest.amin(0)
+    axis = int(spread.argmax())
+    center = mesh.x_rest[mesh.elements][:, :, axis].mean(1)
+    share = (center - mesh.x_rest[:, axis].min()) / spread[axis]
+    places = torch.tensor([0.0, 0.5, 1.0], dtype=share.dtype)
+    hats = (1.0 - 2.0 * (share[:, None] - places).abs()).clamp(min=0.0)
+    return _stiffness_times(scene, 1.0 - hats @ size)
 
 
-class TemperatureDrift(Effect):
-    """E (1 + size order), order the place of the run in the series."""
+def _temperature_drift(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    return _stiffness_times(scene, 1.0 + size[0] * run.order)
 
-    name, family, kind, unit, typical = "temperature_drift", "drift", "environment", "1/run", 0.01
-    also_looks_like = ("ageing", "softening by repeated strain (Mullins)", "drying")
 
-    def needs(self, study: Study) -> str | None:
-        if len({run.order for run in study.fit_runs}) < 3:
-            return "three runs or more of known order"
-        return None
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        return _stiffness_times(scene, 1.0 + size[0] * run.order)
+def _needs_order(study: Study) -> str | None:
+    if len({run.order for run in study.fit_runs}) < 3:
+        return "three runs or more of known order"
+    return None
 
 
 def _stiffness_times(scene: SoftScene, factor: Tensor) -> SoftScene:
@@ -188,11 +149,77 @@ def _stiffness_times(scene: SoftScene, factor: Tensor) -> SoftScene:
     return scene.with_parameter("youngs_modulus", scene.parameter("youngs_modulus") * factor)
 
 
-MATERIAL: tuple[Callable[[], Effect], ...] = (
-    StiffnessDamping,
-    LossFactor,
-    Creep,
-    Stiffening,
-    StiffnessLoss,
-    TemperatureDrift,
+STIFFNESS_DAMPING = Effect(
+    name="stiffness_damping",
+    form="Force -size K v: damping ratio size w / 2, growing with the frequency w.",
+    family="damping",
+    kind="material",
+    unit="s",
+    typical=0.002,
+    signed=False,
+    also_looks_like=("numerical damping of implicit steps", "viscosity of the solid"),
+    apply=_stiffness_damping,
+)
+LOSS_FACTOR = Effect(
+    name="loss_factor",
+    form="Loss factor that does not depend on the frequency: damping ratio size / 2.",
+    family="damping",
+    kind="material",
+    unit="-",
+    typical=0.1,
+    signed=False,
+    also_looks_like=("friction inside filled rubber", "damping at a clamp"),
+    apply=_loss_factor,
+)
+CREEP = Effect(
+    name="creep",
+    form="Compliance grows by the share size per decade of time, half a second to minutes.",
+    family="creep",
+    kind="material",
+    unit="1/decade",
+    typical=0.04,
+    signed=False,
+    also_looks_like=("slow sinking of the clamp", "drift of the held state", "lower end of a loss"),
+    apply=_creep,
+)
+STIFFENING = Effect(
+    name="stiffening",
+    form="E (1 + size e^2), e^2 the body's mean square strain 2 U / (E V).",
+    family="stiffness",
+    kind="material",
+    unit="-",
+    typical=20.0,
+    also_looks_like=("strain softening (negative)", "saturating drive"),
+    apply=stiffening,
+)
+STIFFNESS_LOSS = Effect(
+    name="stiffness_loss",
+    form="E (1 - sum_i size_i hat_i), straight-sided hats at the ends and the middle.",
+    family="stiffness_field",
+    kind="material",
+    unit="-",
+    typical=0.2,
+    components=("root", "middle", "tip"),
+    also_looks_like=("loose clamp", "tear", "uneven cure", "Young's modulus, all three alike"),
+    apply=_stiffness_loss,
+)
+TEMPERATURE_DRIFT = Effect(
+    name="temperature_drift",
+    form="E (1 + size order), order the place of the run in the series.",
+    family="drift",
+    kind="environment",
+    unit="1/run",
+    typical=0.01,
+    also_looks_like=("aging", "softening by repeated strain (Mullins)", "drying"),
+    needs=_needs_order,
+    apply=_temperature_drift,
+)
+
+MATERIAL: tuple[Effect, ...] = (
+    STIFFNESS_DAMPING,
+    LOSS_FACTOR,
+    CREEP,
+    STIFFENING,
+    STIFFNESS_LOSS,
+    TEMPERATURE_DRIFT,
 )

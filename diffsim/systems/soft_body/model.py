@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 class SoftModel(SimModel):
     """A simulator whose ``build`` makes :class:`SoftScene`; arguments as for ``SimModel``.
 
-    All smooth columns of a linearisation come from one rollout with its tangents. Effects of size
+    All smooth columns of a linearization come from one rollout with its tangents. Effects of size
     zero are left out wherever they are not what is differentiated: at zero they are the scene
     itself.
     """
@@ -45,16 +45,16 @@ class SoftModel(SimModel):
         if base is None:
             return None
         physical = [n for n in lines if not isinstance(n.effect, NumericalEffect)]
-        found = []
+        scene_lines = []
         for line in physical:
             present = acting if line.effect is None else acting | {line.effect}
             points = [self._owned(run, p, present, numerics) for p in line.points]
             scenes = tuple(p for p in points if p is not None)
             if len(scenes) < len(points):
                 return None
-            found.append(SceneLine(line.stencil, scenes, line.effect))
+            scene_lines.append(SceneLine(line.stencil, scenes, line.effect))
         slack = isinstance(base.scene, SlackScene)
-        moved = slack_tangents(base, found) if slack else scene_tangents(base, found)
+        moved = slack_tangents(base, scene_lines) if slack else scene_tangents(base, scene_lines)
         if moved is None or len(physical) == len(lines):
             return moved
         here, columns = moved[0], iter(moved[1])

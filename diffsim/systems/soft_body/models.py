@@ -105,7 +105,7 @@ def tendon_model(
 ) -> SoftModel:
     """A bar clamped at x = 0 with a tendon along it, a quarter of the height from the top.
 
-    Channels: displacement of the tip's centre from rest, x, y, z [m]. It starts in equilibrium
+    Channels: displacement of the tip's center from rest, x, y, z [m]. It starts in equilibrium
     under the run's first command.
 
     Args:
@@ -113,7 +113,7 @@ def tendon_model(
         density: [kg/m^3].
         poissons_ratio: [-].
         cells, dt_s, integrator, rtol: As in :func:`beam_model`; an even number of cells up puts the
-            tendon into element centres.
+            tendon into element centers.
         gravity: [m/s^2].
         command: Name of the run's command: share by which the tendon is shortened [-], evenly
             sampled.

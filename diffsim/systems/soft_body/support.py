@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 COMMANDS = ("support_x_m", "support_z_m")  # recorded places of the support: along the bar, up
 
 
-class SupportMotion(Effect):
+def _support_motion(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     """What holds the body moves: shift times what its markers show, and turns as it goes.
 
     ``shift``: 1 if the markers show it all. ``turn``: rotation about y per forward displacement,
@@ -28,32 +28,41 @@ class SupportMotion(Effect):
 
     The record of the support is an input, as a command is: on runs held out, too.
     """
+    path = _Path(run, scene, size)
+    if not path.moves:
+        return scene
+    rest = scene.body.x_rest
+    # channels are linear in the places
+    shown = torch.stack([scene.observe(rest + m) for m in path.modes]) - scene.observe(rest)
 
-    name, family, kind, unit, typical = "support_motion", "support", "environment", "-", 1.0
-    components = ("shift", "turn")
-    also_looks_like = (
+    def seen(y: Tensor, times: Tensor) -> Tensor:
+        return y + path.amplitudes(times.detach().numpy(), 0) @ shown
+
+    return scene.with_force(lambda: _Inertia(path)).with_output(seen)
+
+
+def _needs_record(study: Study) -> str | None:
+    if not all(set(COMMANDS) <= set(run.command) for run in study.runs):
+        return f"the support's recorded motion in every run (commands {', '.join(COMMANDS)})"
+    return None
+
+
+SUPPORT_MOTION = Effect(
+    name="support_motion",
+    form="What holds the body moves: shift times what its markers show, and turns as it goes.",
+    family="support",
+    kind="environment",
+    unit="-",
+    typical=1.0,
+    components=("shift", "turn"),
+    also_looks_like=(
         "a stand that resonates with the body",
         "floor vibration",
         "cameras that sway",
-    )
-
-    def needs(self, study: Study) -> str | None:
-        if not all(set(COMMANDS) <= set(run.command) for run in study.runs):
-            return f"the support's recorded motion in every run (commands {', '.join(COMMANDS)})"
-        return None
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        path = _Path(run, scene, size)
-        if not path.moves:
-            return scene
-        rest = scene.body.x_rest
-        # channels are linear in the places
-        shown = torch.stack([scene.observe(rest + m) for m in path.modes]) - scene.observe(rest)
-
-        def seen(y: Tensor, times: Tensor) -> Tensor:
-            return y + path.amplitudes(times.detach().numpy(), 0) @ shown
-
-        return scene.with_force(lambda: _Inertia(path)).with_output(seen)
+    ),
+    needs=_needs_record,
+    apply=_support_motion,
+)
 
 
 class _Path:

@@ -33,15 +33,15 @@ def scene_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor
         return None
     alike = [n for n in lines if _alike(scene, n)]
     observed, tangents = motion_tangents(base, alike)
-    found = {
+    computed = {
         line: line.difference(partial(_shown, observed, tangent))
         for line, tangent in zip(alike, tangents, strict=True)
     }
     for line in lines:
-        if line not in found:
-            found[line] = line.difference(lambda o, s: s.simulate())
+        if line not in computed:
+            computed[line] = line.difference(lambda o, s: s.simulate())
     here = scene.channels(observed)
-    columns = [found[n] for n in lines]
+    columns = [computed[n] for n in lines]
     return here, torch.stack(columns) if columns else here.new_zeros(0, *here.shape)
 
 
@@ -117,15 +117,15 @@ class _Motion:
             physics=changing,
         )
         observer = _Observer(scene, self._lines)
-        found = soft.rollout_tangents(
+        computed = soft.rollout_tangents(
             body, start, steps, count, directions, keep=observer, **signals
         )
-        return found.x, found.tangent
+        return computed.x, computed.tangent
 
     def _activation_rate(self, line: SceneLine) -> Tensor | None:
         """(num_steps, num_muscles), or None where the commands stay as they are."""
-        found = [p.scene.activations(self._num_steps) for p in line.points]
-        given = [a for a in found if a is not None]
+        computed = [p.scene.activations(self._num_steps) for p in line.points]
+        given = [a for a in computed if a is not None]
         if not given:
             return None
         rate = torch.tensordot(
@@ -222,7 +222,7 @@ class _Observer:
     def _takes_leading_axes(self, x: Tensor) -> bool:
         expected = self._one_by_one(x + torch.arange(len(x))[:, None, None])
         try:
-            found = self._observe(x + torch.arange(len(x))[:, None, None])
+            computed = self._observe(x + torch.arange(len(x))[:, None, None])
         except (IndexError, RuntimeError):
             return False  # it understands single states only
-        return found.shape == expected.shape and torch.allclose(found, expected, rtol=1e-12)
+        return computed.shape == expected.shape and torch.allclose(computed, expected, rtol=1e-12)

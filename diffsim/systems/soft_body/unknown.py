@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import torch
 from torch import Tensor
 
@@ -13,29 +15,28 @@ from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
 _SHAPES = ("even", "growing")
 
 
-class _UnknownForce(Effect):
+def _pushed(
+    scene: SoftScene,
+    size: Tensor,
+    run: Run,
+    *,
+    num_knots: int,
+    spacing: float,
+    axes: tuple[int, ...],
+) -> SoftScene:
     """Force per volume: per axis evenly spread, and growing along the body's length.
 
     Components: knots of time fastest, then shapes, then axes; straight lines between knots.
     """
-
-    name, family, kind, unit, typical = "unknown_force", "unknown", "force", "N/m^3", 100.0
-    also_looks_like = ("anything",)
-
-    def __init__(self, num_knots: int, until_s: float, axes: str):
-        self._num_knots, self._spacing = num_knots, until_s / (num_knots - 1)
-        self._axes = ["xyz".index(axis) for axis in axes]
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        x = scene.body.mesh.x_rest
-        spread = x.amax(0) - x.amin(0)
-        axis = int(spread.argmax())
-        along = (x[:, axis] - x[:, axis].min()) / spread[axis]
-        shapes = torch.stack([torch.ones_like(along), along]) * scene.body.nodal_volume
-        knots = torch.zeros(3, len(_SHAPES), self._num_knots, dtype=size.dtype)
-        own = size.reshape(len(self._axes), len(_SHAPES), self._num_knots)
-        knots = knots.index_copy(0, torch.tensor(self._axes), own)
-        return scene.with_force(lambda: _Knots(knots, shapes, self._spacing))
+    x = scene.body.mesh.x_rest
+    spread = x.amax(0) - x.amin(0)
+    axis = int(spread.argmax())
+    along = (x[:, axis] - x[:, axis].min()) / spread[axis]
+    shapes = torch.stack([torch.ones_like(along), along]) * scene.body.nodal_volume
+    knots = torch.zeros(3, len(_SHAPES), num_knots, dtype=size.dtype)
+    own = size.reshape(len(axes), len(_SHAPES), num_knots)
+    knots = knots.index_copy(0, torch.tensor(axes), own)
+    return scene.with_force(lambda: _Knots(knots, shapes, spacing))
 
 
 class _Knots(Force):
@@ -53,5 +54,15 @@ class _Knots(Force):
 
 def unknown_force(num_knots: int, until_s: float, axes: str = "xyz") -> Effect:
     """The effect with ``num_knots`` >= 2 knots from 0 to ``until_s`` [s], along ``axes``."""
-    names = tuple(f"{a}_{s}_{k}" for a in axes for s in _SHAPES for k in range(num_knots))
-    return type("UnknownForce", (_UnknownForce,), {"components": names})(num_knots, until_s, axes)
+    idx, spacing = tuple("xyz".index(axis) for axis in axes), until_s / (num_knots - 1)
+    return Effect(
+        name="unknown_force",
+        form="Force per volume: per axis evenly spread, and growing along the body's length.",
+        family="unknown",
+        kind="force",
+        unit="N/m^3",
+        typical=100.0,
+        also_looks_like=("anything",),
+        apply=partial(_pushed, num_knots=num_knots, spacing=spacing, axes=idx),
+        components=tuple(f"{a}_{s}_{k}" for a in axes for s in _SHAPES for k in range(num_knots)),
+    )

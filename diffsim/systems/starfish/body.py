@@ -18,14 +18,14 @@ from diffsim import mesh, soft
 from diffsim.soft.hydrodynamics import DRAG_COEFFICIENTS, THRUST_COEFFICIENTS
 
 Array = NDArray[np.float64]
-REACH, WIDTH, CORE, THICK = 0.070, 0.015, 0.018, 0.0175  # tip, leg, half centre, at centre [m]
+REACH, WIDTH, CORE, THICK = 0.070, 0.015, 0.018, 0.0175  # tip, leg, half center, at center [m]
 TENDON = 0.065  # full length, ends at the tip [m]
 LEAD = 0.5  # the simulation tightens the tendons this long before the record begins [s]
 FADE_ANGLE = 0.1  # of attack, below which the force of the water fades [rad]
 COMPLIANCE = 2.32e4  # E times displacement of the tips per force, extrapolated over meshes [1/m]
 DEPTH = 1.5e-3  # of the tendon under the flat side [m]
 TENDON_LAYER = 2.0 * DEPTH
-# thickness over distance from the centre, read off starfish_half_simplified.obj [m]
+# thickness over distance from the center, read off starfish_half_simplified.obj [m]
 FAR, THICKNESS = (0.0, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07), (17.5, 17.0, 15.6, 13.3, 11.0, 9.1, 6.3)
 MIDDLE, TIP = 0.0381, 0.0666  # places of the markers, mean of the upper and the lower leg [m]
 
@@ -136,15 +136,15 @@ def bending_softness(made: Quarter) -> float:
     it means the same on every mesh.
     """
     body, x = made.body, made.body.x_rest
-    centre = body.fixed.clone()
-    centre[(x[:, 1:] < 1e-9).all(1), 0] = True
+    center = body.fixed.clone()
+    center[(x[:, 1:] < 1e-9).all(1), 0] = True
     bare = soft.SoftBody(
         body.mesh,
         dt=body.dt,
         youngs_modulus=(young := 6e5),
         poissons_ratio=cast(Tensor, body.poissons_ratio),
         gravity=(0.0, 0.0, 0.0),
-        fixed=centre,
+        fixed=center,
         solver=soft.SolverOptions(rtol=1e-6),
     )
     tips = (x[:, 1:] > REACH - 1e-9).any(1)
@@ -163,12 +163,12 @@ def water(m: mesh.HexMesh | mesh.TetMesh, drag: Tensor, thrust: Tensor) -> soft.
 
     Faces on the planes of symmetry meet no water; there the flow along them would be edge-on.
     """
-    found = soft.Hydrodynamics(
+    hydrodynamics = soft.Hydrodynamics(
         m,
         drag_coefficients=drag * torch.tensor(DRAG_COEFFICIENTS).double(),
         thrust_coefficients=thrust * torch.tensor(THRUST_COEFFICIENTS).double(),
         fade_angle=FADE_ANGLE,
     )
-    inside = (m.x_rest[found.faces][..., 1:] < 1e-9).all(1).any(1)
-    found.faces = found.faces[~inside]
-    return found
+    inside = (m.x_rest[hydrodynamics.faces][..., 1:] < 1e-9).all(1).any(1)
+    hydrodynamics.faces = hydrodynamics.faces[~inside]
+    return hydrodynamics

@@ -5,16 +5,17 @@ Commands are contractions as shares of the full tendon (65 mm).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 
 import torch
 from torch import Tensor
 
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
-from diffsim.systems.actuator import ActuatorEffect, Backlash, DeadBand, Lag, Saturation
+from diffsim.systems.actuator import BACKLASH, DEAD_BAND, LAG, SATURATION, needs_command
 from diffsim.systems.signals import straight
-from diffsim.systems.soft_body.forces import DryFriction
+from diffsim.systems.soft_body.forces import DRY_FRICTION
 from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
 from diffsim.systems.starfish.body import LEAD, TENDON
 
@@ -22,15 +23,8 @@ QUARTERS = 4.0
 FASTEST = 0.8 / TENDON  # what the commands ask for at most [1/s]
 
 
-class RateLimit(ActuatorEffect):
-    """The servo moves no faster than (1 - size) times 0.8 m/s, the fastest that is commanded."""
-
-    name, family, unit, typical, signed = "rate_limit", "timing", "-", 0.5, False
-    smooth = False
-    also_looks_like = ("lag of the servo, at one amplitude", "weak battery")
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        return scene.with_command(lambda u, dt: rate_limited(u, dt, size[0]))
+def _rate_limit(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    return scene.with_command(lambda u, dt: rate_limited(u, dt, size[0]))
 
 
 def rate_limited(u: Tensor, dt: float, loss: Tensor) -> Tensor:
@@ -46,40 +40,16 @@ def rate_limited(u: Tensor, dt: float, loss: Tensor) -> Tensor:
     return torch.where(loss > 0.0, torch.stack(out), u)
 
 
-class CommandGain(ActuatorEffect):
-    """The tendons are pulled (1 + size) times as far."""
-
-    name, family, unit, typical = "command_gain", "gain", "-", 0.2
-    also_looks_like = ("radius of the pulley", "scale of the camera", "stretch of the tendons")
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        return scene.with_command(lambda u, dt: u * (1.0 + size[0]))
+def _command_gain(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    return scene.with_command(lambda u, dt: u * (1.0 + size[0]))
 
 
-class RailFriction(DryFriction):
-    """Coulomb friction of the whole robot on its rail."""
-
-    name, also_looks_like = "rail_friction", ("sticking on the twine", "drag at small speed")
-
-    def needs(self, study: Study) -> str | None:
-        return _travels(study)
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        return super().apply(scene, size / QUARTERS, run)
+def _rail_friction(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    return DRY_FRICTION.apply(scene, size / QUARTERS, run)
 
 
-class RailDrag(Effect):
-    """Force -size v of the rail on the centre."""
-
-    name, family, kind, unit, typical = "rail_drag", "damping", "force", "N s/m", 0.3
-    signed = False
-    also_looks_like = ("drag of the core", "cable that is towed along")
-
-    def needs(self, study: Study) -> str | None:
-        return _travels(study)
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        return scene.with_force(lambda: _RailDrag(size[0] / QUARTERS))
+def _rail_drag(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    return scene.with_force(lambda: _RailDrag(size[0] / QUARTERS))
 
 
 class _RailDrag(Force):
@@ -95,25 +65,12 @@ class _RailDrag(Force):
         return force * torch.tensor([1.0, 0.0, 0.0], dtype=force.dtype)
 
 
-class RailTilt(Effect):
-    """Constant force along the rail, from where the record begins."""
-
-    name, family, kind, unit, typical = "rail_tilt", "gravity", "environment", "N", 0.01
-    also_looks_like = (
-        "pull of the cable",
-        "current",
-        "a tilted rail of a robot that is not quite buoyant",
-    )
-
-    def needs(self, study: Study) -> str | None:
-        return _travels(study)
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        return scene.with_force(lambda: _Push(size[None, :] / QUARTERS, 1e9))
+def _rail_tilt(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    return scene.with_force(lambda: _Push(size[None, :] / QUARTERS, 1e9))
 
 
 class _Push(Force):
-    """Along x, knots in time (n, 1 or 2): evenly by volume, and growing from the centre [N].
+    """Along x, knots in time (n, 1 or 2): evenly by volume, and growing from the center [N].
 
     None before the record begins.
     """
@@ -135,58 +92,119 @@ class _Push(Force):
         return (along[:, None] * unit).expand(moment.x.shape)
 
 
-class _UnknownPush(Effect):
-    name, family, kind, unit, typical = "unknown_force", "unknown", "force", "N", 0.01
-
-    def __init__(self, num_knots: int, spacing: float):
-        vars(self)["components"] = tuple(
-            f"{s}_{k}" for s in ("even", "out") for k in range(num_knots)
-        )
-        self._spacing = spacing
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        return scene.with_force(lambda: _Push(size.reshape(2, -1).T, self._spacing))
-
-
-class _UnknownPull(Effect):
-    name, family, kind, unit, typical = "unknown_pull", "unknown", "actuator", "-", 0.01
-
-    def __init__(self, num_knots: int, spacing: float):
-        vars(self)["components"] = tuple(f"knot_{k}" for k in range(num_knots))
-        self._spacing = spacing
-
-    def apply(self, scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-        def changed(u: Tensor, dt: float) -> Tensor:
-            times = dt * torch.arange(len(u), dtype=u.dtype)
-            return u + straight(size[:, None], self._spacing, times)
-
-        return scene.with_command(changed)
-
-
-def unknown_push(num_knots: int, spacing: float) -> Effect:
-    """A force along the rail, on the whole quarter and more towards the tips, knots in time."""
-    return _UnknownPush(num_knots, spacing)
-
-
-def unknown_pull(num_knots: int, spacing: float) -> Effect:
-    """What the tendons do and the command does not say, knots in time."""
-    return _UnknownPull(num_knots, spacing)
-
-
 def _travels(study: Study) -> str | None:
     if not any(c.name == "travel_x_m" for c in study.channels):
         return "the travel along the rail among the channels"
     return None
 
 
-STARFISH_EFFECTS: tuple[Callable[[], Effect], ...] = (
-    Lag,
-    RateLimit,
-    DeadBand,
-    Backlash,
-    Saturation,
-    CommandGain,
-    RailFriction,
-    RailDrag,
-    RailTilt,
+def _unknown_push(scene: SoftScene, size: Tensor, run: Run, *, spacing: float) -> SoftScene:
+    return scene.with_force(lambda: _Push(size.reshape(2, -1).T, spacing))
+
+
+def _unknown_pull(scene: SoftScene, size: Tensor, run: Run, *, spacing: float) -> SoftScene:
+    def changed(u: Tensor, dt: float) -> Tensor:
+        times = dt * torch.arange(len(u), dtype=u.dtype)
+        return u + straight(size[:, None], spacing, times)
+
+    return scene.with_command(changed)
+
+
+RATE_LIMIT = Effect(
+    name="rate_limit",
+    form="The servo moves no faster than (1 - size) times 0.8 m/s, the fastest that is commanded.",
+    family="timing",
+    kind="actuator",
+    unit="-",
+    typical=0.5,
+    signed=False,
+    smooth=False,
+    also_looks_like=("lag of the servo, at one amplitude", "weak battery"),
+    needs=needs_command,
+    apply=_rate_limit,
+)
+COMMAND_GAIN = Effect(
+    name="command_gain",
+    form="The tendons are pulled (1 + size) times as far.",
+    family="gain",
+    kind="actuator",
+    unit="-",
+    typical=0.2,
+    also_looks_like=("radius of the pulley", "scale of the camera", "stretch of the tendons"),
+    needs=needs_command,
+    apply=_command_gain,
+)
+RAIL_FRICTION = replace(
+    DRY_FRICTION,
+    name="rail_friction",
+    form="Coulomb friction of the whole robot on its rail.",
+    also_looks_like=("sticking on the twine", "drag at small speed"),
+    needs=_travels,
+    apply=_rail_friction,
+)
+RAIL_DRAG = Effect(
+    name="rail_drag",
+    form="Force -size v of the rail on the center.",
+    family="damping",
+    kind="force",
+    unit="N s/m",
+    typical=0.3,
+    signed=False,
+    also_looks_like=("drag of the core", "cable that is towed along"),
+    needs=_travels,
+    apply=_rail_drag,
+)
+RAIL_TILT = Effect(
+    name="rail_tilt",
+    form="Constant force along the rail, from where the record begins.",
+    family="gravity",
+    kind="environment",
+    unit="N",
+    typical=0.01,
+    also_looks_like=(
+        "pull of the cable",
+        "current",
+        "a tilted rail of a robot that is not quite buoyant",
+    ),
+    needs=_travels,
+    apply=_rail_tilt,
+)
+
+
+def unknown_push(num_knots: int, spacing: float) -> Effect:
+    """A force along the rail, on the whole quarter and more towards the tips, knots in time."""
+    return Effect(
+        name="unknown_push",
+        family="unknown",
+        kind="force",
+        unit="N",
+        typical=0.01,
+        apply=partial(_unknown_push, spacing=spacing),
+        components=tuple(f"{s}_{k}" for s in ("even", "out") for k in range(num_knots)),
+    )
+
+
+def unknown_pull(num_knots: int, spacing: float) -> Effect:
+    """What the tendons do and the command does not say, knots in time."""
+    return Effect(
+        name="unknown_pull",
+        family="unknown",
+        kind="actuator",
+        unit="-",
+        typical=0.01,
+        apply=partial(_unknown_pull, spacing=spacing),
+        components=tuple(f"knot_{k}" for k in range(num_knots)),
+    )
+
+
+STARFISH_EFFECTS: tuple[Effect, ...] = (
+    LAG,
+    RATE_LIMIT,
+    DEAD_BAND,
+    BACKLASH,
+    SATURATION,
+    COMMAND_GAIN,
+    RAIL_FRICTION,
+    RAIL_DRAG,
+    RAIL_TILT,
 )

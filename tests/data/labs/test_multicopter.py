@@ -47,7 +47,7 @@ def test_hover_is_an_equilibrium(lab):
     ("effects", "state", "linear", "angular"),
     [
         ({"wind": (0.3, -0.2)}, {}, [0.3 / 1.4, -0.2 / 1.4, 0], [0, 0, 0]),
-        ({"linear_drag": 0.25}, {"velocity": (2, 1, 3)}, [-0.5 / 1.4, -0.25 / 1.4, 0], [0, 0, 0]),
+        ({"body_drag": 0.25}, {"velocity": (2, 1, 3)}, [-0.5 / 1.4, -0.25 / 1.4, 0], [0, 0, 0]),
         (
             {"parasitic_drag": 0.06},
             {"velocity": (3, 0, 4)},
@@ -60,7 +60,7 @@ def test_hover_is_an_equilibrium(lab):
         ({"body_tilt": (0.02, 0.0)}, {}, [0, GRAVITY * 0.02, GRAVITY * 2e-4], [0, 0, 0]),
         # mass forward: the nose drops, m g dx / J_y
         (
-            {"centre_of_mass": (0.005, 0.0)},
+            {"center_of_mass": (0.005, 0.0)},
             {},
             [0, 0, 0],
             [0, -1.4 * GRAVITY * 0.005 / 0.016, 0],
@@ -180,7 +180,7 @@ def test_a_delay_is_a_shift_of_the_command(lab):
 def test_finer_steps_change_less_than_a_tenth_of_the_noise(lab, monkeypatch):
     """Feedback and all, so that the commands differ, too."""
     sd = np.array([c.sd for c in lab.channels])
-    effects = {"linear_drag": 0.25, "lag": 0.03, "ground_effect": 1.0, "gyroscopic": 4e-5}
+    effects = {"body_drag": 0.25, "lag": 0.03, "ground_effect": 1.0, "gyroscopic": 4e-5}
     coarse, _ = flight(lab, "climb", **effects).run(TIME_S)
     monkeypatch.setattr(lab_module, "SUBSTEPS", 20)
     fine, _ = flight(lab, "climb", **effects).run(TIME_S)

@@ -91,7 +91,7 @@ def test_frequencies_converge_in_second_order():
     [
         ({"beta": 1.5e-3}, lambda w, share: 0.5 * 1.5e-3 * w**2),
         ({"beta": 0.0, "stiffness_damping": 1e-3}, lambda w, share: 0.5 * 1e-3 * w**2),
-        ({"beta": 0.0, "linear_drag": 2e3}, lambda w, share: 0.5 * 2e3 / 1070.0 * share),
+        ({"beta": 0.0, "volume_drag": 2e3}, lambda w, share: 0.5 * 2e3 / 1070.0 * share),
     ],
 )
 def test_decay_rate(lab, effects, rate):
@@ -146,7 +146,7 @@ def test_dry_friction_against_the_coulomb_oscillator(lab, one_mode):
 
 def test_quadratic_drag_against_the_energy_balance(lab, one_mode):
     """1 / amplitude grows by 8 / 3 times drag / mass per swing (equivalent linearisation)."""
-    high = peaks(measure(lab, released(), beta=0.0, quadratic_drag=5e4))
+    high = peaks(measure(lab, released(), beta=0.0, quadratic_volume_drag=5e4))
     shape = one_mode.deflection[:, 0] / one_mode.deflection[-1, 0]
     drag = 5e4 * (shape**3 * one_mode.node_volume).sum()
     mass = 1.0 / one_mode.deflection[-1, 0] ** 2
@@ -191,22 +191,24 @@ def test_stiffening_against_the_moment_curvature_law(lab):
 @pytest.mark.parametrize(
     ("effect", "size", "given", "expected"),
     [
-        ("dead_band", 0.1, [0.05, 0.3], [0.0, 0.2]),
+        ("tension_dead_band", 0.1, [0.05, 0.3], [0.0, 0.2]),
         ("saturation", 0.2, [1.0, 1.5], [1.0, 1.28]),
         ("quantisation", 0.1, [0.44, 0.46], [0.4, 0.5]),
-        ("backlash", 0.2, [0.5, 0.45], [0.5, 0.5]),
+        ("tension_backlash", 0.2, [0.5, 0.45], [0.5, 0.5]),
     ],
 )
 def test_static_actuator_laws(lab, effect, size, given, expected):
     for u, out in zip(given, expected, strict=True):
-        command = np.full(20, u) if effect != "backlash" else np.linspace(0.5, u, 20)
+        command = np.full(20, u) if effect != "tension_backlash" else np.linspace(0.5, u, 20)
         t = np.arange(20) / 100.0
         plan = Plan("r", "g", "fit", t, {"tendon_N": command})
         tension = soft_beam._actuator(plan, exact(lab, STILL, **{effect: size}))
         assert tension[-1] == pytest.approx(out, abs=1e-12)
 
 
-@pytest.mark.parametrize("name", ["quadratic_drag", "stiffening", "dry_friction", "stop", "lag"])
+@pytest.mark.parametrize(
+    "name", ["quadratic_volume_drag", "stiffening", "dry_friction", "stop", "lag"]
+)
 def test_finer_steps_change_less_than_a_tenth_of_the_noise(lab, name, monkeypatch):
     command = lab.plans(np.random.default_rng(0))[1].command["tendon_N"]
     coarse = measure(lab, command, **{name: lab.effects[name].typical})

@@ -36,7 +36,7 @@ def test_a_ball_hidden_while_it_rolls_is_found_again(tmp_path, film):
 
     story = load_story("sim_to_real/film_tennis_balls.py")
     model, x = story.known_model(8, (640, 360))
-    centres = model.balls.centres(model.values_at(x), 8).detach().numpy()
+    centres = model.balls.centers(model.values_at(x), 8).detach().numpy()
     path = film_balls(
         tmp_path / "hidden.avi",
         view_of(model, x),

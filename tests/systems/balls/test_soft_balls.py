@@ -48,7 +48,7 @@ def test_mass_and_inertia_are_nearly_a_tennis_balls():
 
 def test_one_ball_waits_until_the_other_comes(balls):
     with torch.no_grad():
-        centres = balls.centres({**START, **LAWS}, 5)
+        centres = balls.centers({**START, **LAWS}, 5)
     still, coming = centres[:2, 0, :2], centres[:, 1, 0]
     assert float((still - still[0]).abs().max()) < 1e-4  # [m]: it settles on its facet
     assert bool((coming.diff() < 0).all())
@@ -59,7 +59,7 @@ def test_places_carry_over_the_table(balls):
     """Moving both balls moves everything by as much: the table is the same everywhere."""
     moved = {**START, **{n: START[n] + 0.1 for n in ("x0", "x1")}}
     with torch.no_grad():
-        a, b = (balls.centres({**s, **LAWS}, 4) for s in (START, moved))
+        a, b = (balls.centers({**s, **LAWS}, 4) for s in (START, moved))
     torch.testing.assert_close(b[..., 0] - 0.1, a[..., 0], atol=1e-6, rtol=0.0)
     torch.testing.assert_close(b[..., 1:], a[..., 1:], atol=1e-6, rtol=0.0)
 
@@ -67,7 +67,7 @@ def test_places_carry_over_the_table(balls):
 @pytest.mark.parametrize("name", ["vx1", "wx1", "y1", "pair_stiffness", "table_friction"])
 def test_gradient_through_the_impact_equals_differences(balls, name):
     def travel(value: torch.Tensor) -> torch.Tensor:
-        centres = balls.centres({**START, **LAWS, name: value}, 5)
+        centres = balls.centers({**START, **LAWS, name: value}, 5)
         return centres[-1, 0, :2].sum() + 2.0 * centres[-1, 1, 1]
 
     at = ({**START, **LAWS})[name].clone().requires_grad_()

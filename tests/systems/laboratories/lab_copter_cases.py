@@ -18,11 +18,11 @@ from diffsim.diagnose import diagnose
 from diffsim.systems.registry import setup_of
 
 Case = dict[str, Any]
-HALF = {"linear_drag": 0.12, "lag": 0.015}
+HALF = {"body_drag": 0.12, "lag": 0.015}
 SINGLES: dict[str, Any] = {
-    "linear_drag": None,
+    "body_drag": None,
     "wind": [0.2, -0.2],
-    "centre_of_mass": [0.003, -0.004],
+    "center_of_mass": [0.003, -0.004],
     "lag": None,
     "body_tilt": [0.015, -0.01],
     "gyroscopic": None,
@@ -108,8 +108,8 @@ def solve(case: Case) -> Case:
         "top": [(h.effects, h.unknown, round(float(h.nats), 1)) for h in report.hypotheses[:5]],
         "gates": {g.name: g.value for g in report.gates if not g.name.startswith("gradient")},
         "failed_gates": [g.name for g in report.gates if not g.passed],
-        "next_run": None if report.next_run is None else report.next_run["best"],
-        "next_over_median": None if report.next_run is None else report.next_run["over_median"],
+        "next_run": None if report.next_run is None else report.next_run.best,
+        "next_over_median": None if report.next_run is None else report.next_run.over_median,
         "scatter": float(np.nanmax(report.noise["scatter_ratio"])),
         "cpu_s": time.process_time() - begin,
     }

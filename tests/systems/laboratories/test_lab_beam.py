@@ -125,7 +125,7 @@ def test_few_runs_and_causes_end_to_end(lab):
     kept = [r for r in study.runs if r.name in ("release_a", "chirp_a", "two_tones")]
     study = replace(study, runs=tuple(first_second(r) for r in kept))
     s = setup_of(study)
-    chosen = [e for e in s.effects if e.name in ("lag", "linear_drag", "tip_scale")]
+    chosen = [e for e in s.effects if e.name in ("lag", "volume_drag", "tip_scale")]
     report = diagnose(study, s.model, chosen, seed=0, settings=s.settings)
     assert report.verdict == "named" and report.named == ("lag",)
     (row,) = (r for r in report.table if r.effect == "lag")

@@ -20,12 +20,12 @@ SAME_SIZE = {
     **{
         name: name
         for name in (
-            "linear_drag",
+            "body_drag",
             "parasitic_drag",
             "wind",
             "body_tilt",
             "voltage_exponent",
-            "centre_of_mass",
+            "center_of_mass",
             "ground_effect",
             "inflow",
             "thrust_curvature",
@@ -78,7 +78,7 @@ class ShortQuietLab(ShortLab, QuietLab):
     """Both."""
 
 
-@pytest.mark.parametrize("name", ["lag", "gyroscopic", "ground_effect", "centre_of_mass"])
+@pytest.mark.parametrize("name", ["lag", "gyroscopic", "ground_effect", "center_of_mass"])
 def test_the_library_term_at_the_true_size_is_the_laboratorys(name):
     """What is left of noise-free data, in noise sd per sample."""
     found = fit_at_true_size(name, ShortQuietLab())
@@ -92,12 +92,12 @@ def test_every_library_term_at_the_true_size_is_the_laboratorys(name):
     assert np.sqrt(found.chi2 / found.num_samples) < 0.1
 
 
-@pytest.mark.parametrize("name", ["linear_drag", "lag"])
+@pytest.mark.parametrize("name", ["body_drag", "lag"])
 def test_a_hidden_cause_is_named(name):
     """Among a few candidates, from two short flights."""
     case = ShortLab().case(5, {name: None})
     setup = setup_of(case.study)
-    few = ("linear_drag", "lag", "wind", "inflow", "thrust_curvature")
+    few = ("body_drag", "lag", "wind", "inflow", "thrust_curvature")
     candidates = [e for e in setup.effects if e.name in few]
     report = diagnose(case.study, setup.model, candidates, seed=0)
     assert (report.verdict, report.named) == ("named", (name,))

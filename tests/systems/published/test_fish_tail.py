@@ -30,7 +30,7 @@ def test_slow_pressure_explains_most_of_the_misfit(given):
 
     null = chi2()
     assert chi2("slow_fill") < 0.1 * null
-    assert chi2("creep") < 0.1 * null  # the twin
+    assert chi2("slow_compliance") < 0.1 * null  # the twin
 
 
 @pytest.mark.slow
@@ -43,7 +43,7 @@ def test_verdict(given):
     gates = {g.name: g.passed for g in report.gates}
     assert gates["time_step"] and not gates["held_out"]
     assert report.verdict == "named"
-    assert set(report.named) == {"slow_fill", "stiffness_loss"}
+    assert set(report.named) == {"slow_fill", "pressure_softening"}
     assert report.gain is None
     # at a second mode it stopped with 330 and the damping ratio on its bound
     assert report.chi2_best < 0.7 * report.num_samples

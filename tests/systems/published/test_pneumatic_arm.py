@@ -27,7 +27,7 @@ def study():
 
 
 def test_the_arm_bends_as_an_arc(study):
-    arc = calibrated_arc(study.fit_runs, (0, 1, 2), length=0.104, centre_toward=0.0158)
+    arc = calibrated_arc(study.fit_runs, (0, 1, 2), length=0.104, center_toward=0.0158)
     assert arc["misfit"] < 0.4e-3
     assert arc["shape"] == pytest.approx(0.5, abs=0.05)  # of a constant curvature
 
@@ -47,7 +47,7 @@ def test_bend_grows_faster_than_the_pressure(study):
         return found.chi2, out
 
     null_chi2, null = errors()
-    chi2, mended = errors("creep", "stiffness_loss")
+    chi2, mended = errors("slow_compliance", "pressure_softening")
     assert chi2 < 0.2 * null_chi2
     for name in ("step_250mbar", "step_450mbar"):
         assert mended[name] < 0.6 * null[name]
@@ -89,7 +89,7 @@ def test_verdict():
     s = setup_of(study)
     report = diagnose(study, s.model, s.effects, seed=0, unknowns=s.unknowns, settings=s.settings)
     assert report.verdict == "ambiguous"
-    assert set(report.named) == {"ballooning", "quadratic_drag", "creep", "slow_fill"}
+    assert set(report.named) == {"ballooning", "bending_drag", "slow_compliance", "slow_fill"}
     assert all("ballooning" in rival and "unknown moment" in rival for rival in report.rivals)
     row = next(r for r in report.table if r.effect == "ballooning")
     assert abs(row.size["size"] - 1.81) < 0.06  # 1.81 in the campaign p25

@@ -14,9 +14,13 @@ from diffsim.data.recording import find_dataset
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.gates import numerics_changes, numerics_gate
 from diffsim.diagnose.noise import noise_floor
-from diffsim.diagnose.stages import left_in
 from diffsim.identify import Problem, WhiteNoise
-from diffsim.identify.local import local_at, measured_of, whitened
+from diffsim.identify.linearization import (
+    linearization_at,
+    measured_of,
+    residuals_by_run,
+    whitened,
+)
 from diffsim.systems.registry import setup_of
 from diffsim.systems.starfish.record import modes
 
@@ -98,28 +102,28 @@ def plain_fit(study):
     runs, channels = s.study.fit_runs, s.study.channels
     rough = WhiteNoise([replace(c, sd=5e-4) for c in channels])
     problem = Problem(s.model, runs, rough, (), s.settings.jacobian)
-    local = local_at(problem, np.array([PLAIN_FIT.get(p.name, 0.0) for p in s.model.base]))
-    noise = noise_floor(runs, channels, left_in(runs, local))
-    return replace(problem, whitener=noise.whitener), local, noise
+    at = linearization_at(problem, np.array([PLAIN_FIT.get(p.name, 0.0) for p in s.model.base]))
+    noise = noise_floor(runs, channels, residuals_by_run(runs, at.record))
+    return replace(problem, whitener=noise.whitener), at, noise
 
 
 @pytest.mark.slow
 def test_plain_model_in_water_leaves_little_and_pays_with_damping(plain_fit):
-    problem, local, noise = plain_fit
+    problem, at, noise = plain_fit
     assert noise.source == ("repeats", "repeats")
-    left = whitened(problem, measured_of(problem) - local.record)
+    left = whitened(problem, measured_of(problem) - at.record)
     assert left @ left < 1.2 * len(left)
     names = [p.name for p in problem.model.base]
     beta = problem.model.base[names.index("rayleigh_beta")]
-    assert float(beta.value_at(torch.tensor(5.73))) > 0.2  # s; the prior's centre is 0.005 s
+    assert float(beta.value_at(torch.tensor(5.73))) > 0.2  # s; the prior's center is 0.005 s
 
 
 @pytest.mark.slow
 def test_step_and_mesh_are_fine_enough_in_water(plain_fit):
     """At the thesis' step and with tendons as deep as the cells both failed: 4.4 and 6.2."""
-    problem, local, _ = plain_fit
-    fit = SimpleNamespace(problem=problem, jacobian=whitened(problem, local.columns))
-    gates = numerics_gate(fit, numerics_changes(problem, local))
+    problem, at, _ = plain_fit
+    fit = SimpleNamespace(problem=problem, jacobian=whitened(problem, at.columns))
+    gates = numerics_gate(fit, numerics_changes(problem, at))
     assert {g.name: g.passed for g in gates} == {"time_step": True, "mesh": True, "tolerance": True}
 
 

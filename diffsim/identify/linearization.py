@@ -1,7 +1,7 @@
-"""A record and its slopes at one point, before any whitening.
+"""Predicted records and their derivatives at one point, before any whitening.
 
-Simulations are what a diagnosis pays for. Their results do not depend on the noise, so they are
-kept as they come, and a new estimate of the noise weighs them afresh without simulating again.
+Simulations are what a diagnosis pays for. Their results do not depend on the noise: a new estimate
+of the noise weighs them again without another simulation.
 """
 
 from __future__ import annotations
@@ -28,52 +28,52 @@ class Unwhitened:
 
 
 @dataclass(frozen=True, eq=False)
-class Local:
-    """S(x) and dS/dx at x; all samples of all runs of a problem in a row, N of them.
+class Linearization:
+    """S(x) and dS/dx at x, with the N samples of all runs of a problem in a row.
 
     Attributes:
-        x: (n,) coordinates of the problem.
-        record: (N,) predicted.
+        x: Standardized coordinates of the problem, (n,).
+        record: Predicted samples of all channels, (N,) [unit of the channel].
         idx: Coordinates whose slopes are known.
-        columns: (N, len(idx)) slopes.
-        stray: By what share of its movement the record strayed from the slopes since they were
-            simulated; 0: they belong to this point.
+        columns: Slopes along these coordinates, (N, len(idx)).
+        slope_error: Summed relative error of the linear prediction over the steps taken since the
+            slopes were simulated [-]; 0: they were simulated at this x.
     """
 
     x: Array
     record: Array
     idx: tuple[int, ...]
     columns: Array
-    stray: float = 0.0
+    slope_error: float = 0.0
 
     def slopes(self, wanted: Sequence[int]) -> Array:
-        """(N, len(wanted)) slopes; all must be known."""
+        """Slopes along some coordinates, (N, len(wanted)); all must be known."""
         place = {i: k for k, i in enumerate(self.idx)}
         return self.columns[:, [place[i] for i in wanted]]
 
-    def joined(self, other: Local) -> Local:
-        """Slopes of ``other`` beside those known here, which win."""
+    def joined(self, other: Linearization) -> Linearization:
+        """With slopes of another point along coordinates that are not known here."""
         more = [i for i in other.idx if i not in set(self.idx)]
         columns = np.hstack([self.columns, other.slopes(more)])
         return replace(self, idx=(*self.idx, *more), columns=columns)
 
 
-def local_at(
+def linearization_at(
     problem: Problem, x: Array, only: Sequence[int] | None = None, *, screen: bool = False
-) -> Local:
-    """Simulate a problem's runs at x.
+) -> Linearization:
+    """Simulate a problem's runs at x and differentiate them.
 
     Args:
-        problem: Its whitener plays no role.
-        x: (n,).
+        problem: Model and runs; the whitener is not used.
+        x: Standardized coordinates, (n,).
         only: Coordinates to differentiate; all if None.
-        screen: Non-smooth effects by a secant from here.
+        screen: Differentiate non-smooth effects by a secant from here.
 
     Raises:
         PredictionError: a simulation left the range of numbers.
     """
     idx = tuple(range(len(x))) if only is None else tuple(only)
-    left, slopes = _raw(problem).linearise(x, screen=screen, only=idx)
+    left, slopes = _raw(problem).linearize(x, screen=screen, only=idx)
     slopes = slopes[:, list(idx)]
     if not np.isfinite(slopes).all():
         bad = [problem.names[i] for i, c in zip(idx, slopes.T, strict=True) if not _is_finite(c)]
@@ -81,21 +81,35 @@ def local_at(
             f"the prediction is not finite a small step along {', '.join(bad)}; narrow their "
             "bounds, priors or typical sizes, or mend the scene"
         )
-    return Local(x, measured_of(problem) - left, idx, slopes)
+    return Linearization(x, measured_of(problem) - left, idx, slopes)
 
 
 def record_at(problem: Problem, x: Array) -> Array:
-    """(N,) predicted."""
+    """Predicted samples of all runs at x, (N,) [unit of the channel]."""
     return measured_of(problem) - _raw(problem).residual(x)
 
 
 def measured_of(problem: Problem) -> Array:
-    """(N,) of all runs; zero where nothing was recorded."""
+    """Measured samples of all runs, (N,) [unit of the channel]; 0 where nothing was recorded."""
     return np.concatenate([np.nan_to_num(run.measured).ravel() for run in problem.runs])
 
 
+def residuals_by_run(runs: Sequence[Run], record: Array) -> dict[str, Array]:
+    """Measured minus predicted by name of the run, (num_samples, num_channels) each.
+
+    Args:
+        runs: Whose samples the record holds, in this order.
+        record: Predicted samples of all runs, (N,) [unit of the channel].
+    """
+    edges = np.cumsum([run.measured.size for run in runs])[:-1]
+    parts = np.split(record, edges)
+    return {
+        r.name: r.measured - p.reshape(r.measured.shape) for r, p in zip(runs, parts, strict=True)
+    }
+
+
 def whitened(problem: Problem, rows: Array) -> Array:
-    """(num_valid, ...) of (N, ...)."""
+    """Rows (N, ...) of all runs, whitened: (num_valid, ...)."""
     edges = np.cumsum([run.measured.size for run in problem.runs])[:-1]
     parts = np.split(rows, edges)
     return np.concatenate([problem.whiten(r, p) for r, p in zip(problem.runs, parts, strict=True)])

@@ -1,0 +1,299 @@
+"""Noise floor and fit of the plain model; Gauss-Newton with as few simulations as it can.
+
+Steps are Gauss-Newton within a trust region. Each costs one simulation of every run: the slopes are
+kept by Broyden updates (Broyden 1965, "A class of methods for solving nonlinear simultaneous
+equations") and simulated again only where the linear prediction was too far off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy import linalg, optimize
+
+from diffsim.core.errors import DiffsimError
+from diffsim.data.study import Run, Study
+from diffsim.diagnose.noise import NoiseFloor, noise_floor, without_spikes
+from diffsim.diagnose.store import Store
+from diffsim.identify import Fit, Problem, Whitener, WhiteNoise
+from diffsim.identify.effect import Effect
+from diffsim.identify.effort import DiagnosisSettings
+from diffsim.identify.fitting import summary
+from diffsim.identify.linearization import (
+    Linearization,
+    linearization_at,
+    measured_of,
+    record_at,
+    residuals_by_run,
+    whitened,
+)
+from diffsim.identify.model import SimModel
+from diffsim.identify.unknown import Unknown
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float, str], None]
+"""Stage, share of the whole that is done, message."""
+TOLERANCE_NATS = 0.02  # gain of a further step, far below the 3 nats that separate two names
+MISFIT_RTOL = 3e-4  # the tolerance as a share of the misfit, which no name explains then
+GAP_RTOL = 0.05  # the tolerance as a share of the distance from the best set
+OUTRANKED_NATS = 100.0  # behind the best set: slopes need not be exact
+SLOPE_RTOL = 0.05  # relative error of the linear prediction up to which slopes count as exact
+SLOPE_ATOL = 0.5  # the same in noise standard deviations of the misfit
+REFRESH_RTOL = 0.3  # relative error from which slopes are simulated again
+MAX_RADIUS, MIN_RADIUS = 4.0, 1e-3  # of the trust region [prior standard deviations]
+MAX_STEPS = 200  # valleys are curved: after 30 the fish tail's fit was not at its end
+
+
+def silent(stage: str, fraction: float, message: str) -> None:
+    """Show no progress."""
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """What a diagnosis is given.
+
+    Attributes:
+        study: Recorded runs.
+        model: Simulator with base parameters.
+        effects: Candidate causes that these data allow to be judged.
+        unknowns: Generic causes.
+        settings: Effort and choices.
+        progress: Receives stage, share done and message.
+        store: Keeps simulations on disk; None: keep none.
+        unmet: What the study lacks for the candidates that were left out, by name.
+        num_simulated: Simulations that the model had made before.
+    """
+
+    study: Study
+    model: SimModel
+    effects: tuple[Effect, ...]
+    unknowns: tuple[Unknown, ...]
+    settings: DiagnosisSettings
+    progress: Progress = silent
+    store: Store | None = None
+    unmet: Mapping[str, str] = field(default_factory=dict)
+    num_simulated: int = 0
+
+    def problem(self, whitener: Whitener) -> Problem:
+        """The plain model on the runs to be fitted."""
+        s = self.settings
+        return Problem(self.model, self.study.fit_runs, whitener, (), s.jacobian, workers=s.workers)
+
+
+@dataclass(frozen=True, eq=False)
+class Null:
+    """The fitted plain model under a noise floor.
+
+    Attributes:
+        case: Spikes removed from its study, its model prepared at the fit.
+        noise: Noise floor of the residuals.
+        fit: Of the base parameters, without effects.
+        at: Linearization where the fit ended.
+        num_spikes: Samples that were removed.
+    """
+
+    case: Case
+    noise: NoiseFloor
+    fit: Fit
+    at: Linearization
+    num_spikes: int
+
+    @property
+    def wide(self) -> Problem:
+        """The fitted problem with all candidate effects."""
+        return replace(self.fit.problem, effects=self.case.effects)
+
+    def under(self, noise: NoiseFloor) -> Null:
+        """Fitted again under another noise floor, from here."""
+        fit, at = gauss_newton(self.case.problem(noise.whitener), self.at)
+        return replace(self, noise=noise, fit=fit, at=at)
+
+
+def null_fit(case: Case) -> Null:
+    """Fit the plain model, remove spikes, estimate the noise of the residuals, fit again.
+
+    The first fit uses a rough noise floor; the model prepares at its end what it prepares once.
+    """
+    study = case.study
+    raw = {r.name: r.measured for r in study.runs}
+    channels = [
+        c
+        if c.sd is not None
+        else replace(
+            c, sd=noise_floor(study.fit_runs, (c,), {n: m[:, [i]] for n, m in raw.items()}).sd[0]
+        )
+        for i, c in enumerate(study.channels)
+    ]
+    problem = case.problem(WhiteNoise(channels))
+    fit, at = gauss_newton(problem, linearization_at(problem, np.zeros(problem.num_base)))
+    prepared = case.model.prepared_at(torch.from_numpy(fit.x))
+    if prepared is not case.model:
+        prepared.prepared_q = torch.from_numpy(fit.x)
+        prepared.simulations = case.model.simulations  # goes on counting
+        case = replace(case, model=prepared)
+        problem = case.problem(WhiteNoise(channels))
+        fit, at = gauss_newton(problem, linearization_at(problem, fit.x))
+    cleaned = [without_spikes(r, residual_of(fit, r)) for r in study.runs]
+    num_spikes = sum(count for _, count in cleaned)
+    study = replace(study, runs=tuple(run for run, _ in cleaned))
+    case = replace(case, study=study)
+    residuals = residuals_by_run(study.fit_runs, at.record)
+    noise = noise_floor(study.fit_runs, study.channels, residuals)
+    problem = case.problem(noise.whitener)
+    if num_spikes:  # a model that fits initial states to the record predicts otherwise without them
+        at = linearization_at(problem, fit.x)
+    return Null(case, noise, *gauss_newton(problem, at), num_spikes)
+
+
+def residual_of(fit: Fit, run: Run) -> Array:
+    """Measured minus predicted in a run, (num_samples, num_channels) [unit of the channel]."""
+    with torch.no_grad():
+        return run.measured - fit.problem.predict(run, torch.from_numpy(fit.x)).numpy()
+
+
+@dataclass(frozen=True, eq=False)
+class _Iterate:
+    """An iterate of the minimization.
+
+    Attributes:
+        problem: What is fitted.
+        at: Linearization with the slopes of all coordinates.
+        residual: Whitened, (num_valid,).
+        jacobian: Whitened slopes, (num_valid, n).
+        radius: Of the trust region [prior standard deviations].
+    """
+
+    problem: Problem
+    at: Linearization
+    residual: Array
+    jacobian: Array
+    radius: float = MAX_RADIUS
+
+    @property
+    def misfit(self) -> float:
+        """chi2 above what noise alone leaves."""
+        return max(float(self.residual @ self.residual) - len(self.residual), 0.0)
+
+    @property
+    def cost(self) -> float:
+        """chi2 and prior."""
+        return float(self.residual @ self.residual + self.at.x @ self.at.x)
+
+    @property
+    def has_exact_slopes(self) -> bool:
+        """Whether the error of the slopes is below tolerance, relative and for this misfit."""
+        error = self.at.slope_error
+        return error < SLOPE_RTOL and error * np.sqrt(self.misfit) < SLOPE_ATOL
+
+    def refreshed(self) -> _Iterate:
+        """With slopes simulated here."""
+        at = linearization_at(self.problem, self.at.x)
+        return replace(self, at=at, jacobian=whitened(self.problem, at.columns))
+
+    def tried(self, step: Array) -> tuple[_Iterate, bool]:
+        """Take a step if it lowers the cost; the radius follows the error of the linear prediction.
+
+        Returns:
+            The next iterate, and whether the cost is lower there.
+        """
+        x, longest = self.at.x + step, float(np.abs(step).max())
+        shorter = replace(self, radius=0.25 * longest)
+        try:
+            record = record_at(self.problem, x)
+        except DiffsimError:  # too far to be simulated
+            return shorter, False
+        r = whitened(self.problem, measured_of(self.problem) - record)
+        if float(r @ r + x @ x) >= self.cost:
+            return shorter, False
+        after = self._updated(step, record, r)
+        if after.at.slope_error - self.at.slope_error > REFRESH_RTOL:
+            return replace(after, radius=max(0.5 * longest, 0.5 * self.radius)), True
+        if longest > 0.9 * self.radius:
+            return replace(after, radius=2.0 * longest), True
+        return after, True
+
+    def _updated(self, step: Array, record: Array, residual: Array) -> _Iterate:
+        """At the end of a step; Broyden's update of the slopes."""
+        here = self.at
+        off = record - here.record - here.columns @ step
+        white_off = whitened(self.problem, off)
+        moved = float(linalg.norm(self.jacobian @ step))
+        along = step / float(step @ step)
+        at = Linearization(
+            here.x + step,
+            record,
+            here.idx,
+            here.columns + np.outer(off, along),
+            here.slope_error + float(linalg.norm(white_off)) / max(moved, 1.0),
+        )
+        jacobian = self.jacobian + np.outer(white_off, along)
+        return replace(self, at=at, residual=residual, jacobian=jacobian)
+
+
+def gauss_newton(
+    problem: Problem, start: Linearization, *, best_cost: float | None = None
+) -> tuple[Fit, Linearization]:
+    """The minimum of |W (y - S(x))|^2 + |x|^2 within the bounds.
+
+    Args:
+        problem: Model, runs, noise and effects that are fitted.
+        start: Where to begin, with the slopes of all coordinates.
+        best_cost: Half the cost of the best set so far [nats]: the further behind it, the larger
+            the tolerance; None: nothing to compare with.
+
+    Returns:
+        The fit, and the linearization where it ended.
+
+    Raises:
+        DiffsimError: the slopes cannot be simulated.
+    """
+    low, high = problem.bounds
+    s = _first(problem, start)
+    evaluations, converged, message = 0, False, f"no end after {MAX_STEPS} steps"
+    for _ in range(MAX_STEPS):
+        behind = 0.0 if best_cost is None else max(0.5 * s.cost - best_cost, 0.0)
+        step = _step(s.jacobian, s.residual, s.at.x, low, high, s.radius)
+        linear, there = s.residual - s.jacobian @ step, s.at.x + step
+        promised = 0.5 * (s.cost - float(linear @ linear + there @ there))
+        if promised < max(TOLERANCE_NATS, MISFIT_RTOL * 0.5 * s.misfit, GAP_RTOL * behind):
+            if s.at.slope_error == 0.0 or s.has_exact_slopes or behind > OUTRANKED_NATS:
+                converged, message = True, f"a further step promises {promised:.1g} nats"
+                break
+            s = s.refreshed()
+            continue
+        evaluations += 1
+        s, is_lower = s.tried(step)
+        if not is_lower and s.radius < MIN_RADIUS:
+            message = "no step along the slopes lowers the cost"
+            break
+        if s.at.slope_error > (REFRESH_RTOL if is_lower else 0.0):
+            s = s.refreshed()
+    fit = summary(problem, s.at.x, s.residual, s.jacobian, converged, message, evaluations)
+    return fit, s.at
+
+
+def _first(problem: Problem, start: Linearization) -> _Iterate:
+    coordinates = tuple(range(len(start.x)))
+    slopes = start.slopes(coordinates)
+    at = replace(start, idx=coordinates, columns=slopes)
+    residual = whitened(problem, measured_of(problem) - at.record)
+    return _Iterate(problem, at, residual, whitened(problem, slopes))
+
+
+def _step(
+    jacobian: Array, residual: Array, x: Array, low: Array, high: Array, radius: float
+) -> Array:
+    """argmin |r - J d|^2 + |x + d|^2 within the bounds and the trust region |d_i| <= radius."""
+    if not len(x):
+        return np.zeros(0)
+    root = linalg.cholesky(jacobian.T @ jacobian + np.eye(len(x)))
+    right = linalg.solve_triangular(root, jacobian.T @ residual - x, trans="T")
+    step = linalg.solve_triangular(root, right)
+    least, most = np.maximum(low - x, -radius), np.minimum(high - x, radius)
+    if (step < least).any() or (step > most).any():
+        step = optimize.lsq_linear(root, right, (least, most), method="bvls").x
+    return np.asarray(step)

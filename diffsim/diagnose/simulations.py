@@ -1,0 +1,237 @@
+"""What was simulated for sets of effects, kept between rounds and processes.
+
+Coordinates are those of the wide problem, with all candidates: base parameters, then components of
+all effects, zero for those not in the set. Nothing here depends on the noise floor but the slopes
+that a fit's Broyden updates have changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from diffsim.diagnose.evidence import LaplaceEvidence
+from diffsim.diagnose.fit import Null, gauss_newton
+from diffsim.diagnose.store import Store
+from diffsim.identify import Fit, Problem
+from diffsim.identify.linearization import (
+    Linearization,
+    linearization_at,
+    measured_of,
+    record_at,
+    whitened,
+)
+from diffsim.identify.unknown import Unknown, by_group
+
+Array = NDArray[np.float64]
+Members = frozenset[int]
+NONE: Members = frozenset()
+SIGNIFICANT = 1.0  # z above which an effect is differentiated again at a new center
+ALIKE = 0.9  # cosine with a member above which it is, too
+
+
+@dataclass(frozen=True, eq=False)
+class Center:
+    """A fitted set with every candidate linearized there.
+
+    Attributes:
+        members: Effects of the set, by index.
+        at: Linearization in wide coordinates, with all slopes.
+        evidence: Linear evidence of all neighbors, without unknown causes.
+    """
+
+    members: Members
+    at: Linearization
+    evidence: LaplaceEvidence
+
+
+@dataclass(frozen=True, eq=False)
+class Simulations:
+    """Fits and slopes of sets of effects; methods return a copy with what they simulated.
+
+    Attributes:
+        wide: Problem with all candidate effects.
+        store: On disk, of this and earlier processes; None: none.
+        fitted: By set, where its fit ended.
+        screened: By set, all slopes there.
+        unknown_slopes: By set and unknown cause, its slopes there, (N, k).
+    """
+
+    wide: Problem
+    store: Store | None = None
+    fitted: Mapping[Members, Linearization] = field(default_factory=dict)
+    screened: Mapping[Members, Linearization] = field(default_factory=dict)
+    unknown_slopes: Mapping[tuple[Members, int], Array] = field(default_factory=dict)
+
+    def under(self, null: Null) -> Simulations:
+        """The same simulations for another fit of the plain model or another noise floor."""
+        return replace(self, wide=null.wide).kept(NONE, null.at)
+
+    def coordinates(self, members: Members) -> list[int]:
+        """Wide coordinates of the base parameters and of a set."""
+        own = list(range(self.wide.num_base))
+        for i in sorted(members):
+            own += self.wide.columns_of(self.wide.effects[i])
+        return own
+
+    def narrow(self, members: Members) -> Problem:
+        """Problem with the effects of a set only."""
+        return replace(self.wide, effects=tuple(self.wide.effects[i] for i in sorted(members)))
+
+    def kept(self, members: Members, at: Linearization) -> Simulations:
+        """With the fit of a set, given in the coordinates of ``narrow``."""
+        own = self.coordinates(members)
+        x = np.zeros(len(self.wide.names))
+        x[own] = at.x
+        wide = replace(at, x=x, idx=tuple(own))
+        if self.store is not None and members:
+            self.store.save(f"fitted {self._label(members)}", wide)
+        return replace(self, fitted={**self.fitted, members: wide})
+
+    def fit(
+        self, members: Members, start: Linearization, best_cost: float
+    ) -> tuple[Fit, Simulations]:
+        """Fit a set.
+
+        Args:
+            members: Effects of the set, by index.
+            start: In wide coordinates, zero outside the set.
+            best_cost: As for ``gauss_newton`` [nats].
+        """
+        own = self.coordinates(members)
+        at = Linearization(
+            start.x[own], start.record, tuple(range(len(own))), start.slopes(own), start.slope_error
+        )
+        fit, at = gauss_newton(self.narrow(members), at, best_cost=best_cost)
+        return fit, self.kept(members, at)
+
+    def start(self, members: Members, center: Linearization, x: Array) -> Linearization:
+        """Warm start of a set.
+
+        An earlier fit of it; the center itself where the set only adds to it; else the optimum
+        ``x`` of the linear evidence, with the center's slopes.
+        """
+        if (before := self._known(members)) is not None:
+            return before
+        own = self.coordinates(members)
+        outside = np.ones(len(center.x), dtype=bool)
+        outside[own] = False
+        if not center.x[outside].any():
+            return center
+        narrow = self.narrow(members)
+        x = x.copy()
+        x[own] = np.clip(x[own], *narrow.bounds)  # a linear optimum knows no bounds
+        record = record_at(narrow, x[own])
+        step = x - center.x
+        predicted = center.slopes(range(len(x))) @ step
+        off = linalg.norm(whitened(self.wide, record - center.record - predicted))
+        moved = linalg.norm(whitened(self.wide, predicted))
+        return replace(center, x=x, record=record, slope_error=float(off / max(moved, 1.0)))
+
+    def screen(
+        self, members: Members, last: Linearization | None
+    ) -> tuple[Linearization, Simulations]:
+        """All slopes at the fit of a set.
+
+        Args:
+            members: A fitted set.
+            last: All slopes at another set: they serve for effects that are neither significant
+                with them nor like a member; None: all are simulated.
+        """
+        here, label = self.fitted[members], f"screened {self._label(members)}"
+        before = self.screened.get(members)
+        if before is None and self.store is not None:
+            before = self.store.load(label)
+        if before is not None:
+            return here.joined(before), self._screened(members, before)
+        if last is None:
+            others = [i for i in range(len(here.x)) if i not in here.idx]
+            here = here.joined(linearization_at(self.wide, here.x, others, screen=True))
+        else:
+            again = [i for i in self._significant(here.joined(last)) if i not in here.idx]
+            if again:
+                here = here.joined(linearization_at(self.wide, here.x, again, screen=True))
+            here = here.joined(last)
+        if self.store is not None:
+            self.store.save(label, here)
+        return here, self._screened(members, here)
+
+    def center(self, members: Members, at: Linearization, num_families: int) -> Center:
+        """A fitted set with the linear evidence of its neighbors; nothing is simulated."""
+        return Center(members, at, self._evidence(at, [], num_families))
+
+    def with_unknowns(
+        self, center: Center, unknowns: Sequence[Unknown], num_families: int
+    ) -> tuple[LaplaceEvidence, Simulations]:
+        """Linear evidence at a set together with every unknown cause."""
+        made, blocks = self, []
+        for u, unknown in enumerate(unknowns):
+            block, made = made.responses(unknown, u, center.members, center.at)
+            blocks.append(block)
+        return made._evidence(center.at, blocks, num_families), made
+
+    def responses(
+        self, unknown: Unknown, u: int, members: Members, at: Linearization
+    ) -> tuple[Array, Simulations]:
+        """Whitened responses of an unknown cause, number ``u``, at a set; simulated once."""
+        made = self
+        if (members, u) not in self.unknown_slopes:
+            slopes = self._slopes_of(unknown, members, at)
+            made = replace(self, unknown_slopes={**self.unknown_slopes, (members, u): slopes})
+        return by_group(self.wide, unknown.mix(made.unknown_slopes[members, u])), made
+
+    def _evidence(
+        self, at: Linearization, blocks: Sequence[Array], num_families: int
+    ) -> LaplaceEvidence:
+        wide = self.wide
+        residual = whitened(wide, measured_of(wide) - at.record)
+        jacobian = whitened(wide, at.slopes(range(len(at.x))))
+        return LaplaceEvidence(wide, at.x, residual, jacobian, blocks, num_families)
+
+    def _known(self, members: Members) -> Linearization | None:
+        """The fit of a set, from this process or an earlier one."""
+        if members in self.fitted or self.store is None:
+            return self.fitted.get(members)
+        return self.store.load(f"fitted {self._label(members)}")
+
+    def _screened(self, members: Members, at: Linearization) -> Simulations:
+        return replace(self, screened={**self.screened, members: at})
+
+    def _label(self, members: Members) -> str:
+        return " + ".join(self.wide.effects[i].name for i in sorted(members))
+
+    def _slopes_of(self, unknown: Unknown, members: Members, at: Linearization) -> Array:
+        label = f"{unknown.name} at {self._label(members)}"
+        if self.store is not None and (kept := self.store.load_array(label)) is not None:
+            return kept
+        slopes = unknown.slopes(self.narrow(members), at.x[self.coordinates(members)])
+        if self.store is not None:
+            self.store.save_array(label, slopes)
+        return slopes
+
+    def _significant(self, at: Linearization) -> list[int]:
+        """Coordinates of effects that stand out of the noise with borrowed slopes, or that are
+        nearly collinear with a member."""
+        wide = self.wide
+        own = [i for i in range(len(at.x)) if i < wide.num_base or at.x[i] != 0.0]
+        residual = whitened(wide, measured_of(wide) - at.record)
+        slopes = whitened(wide, at.slopes(range(len(at.x))))
+        j = slopes[:, own]
+        inner = linalg.inv(j.T @ j + np.eye(len(own)))
+        tilde = slopes - j @ (inner @ (j.T @ slopes))
+        information = np.clip(np.sum(slopes * tilde, axis=0), 1e-12, None)
+        z = np.abs(slopes.T @ residual - (j.T @ slopes).T @ (inner @ (j.T @ residual)))
+        z /= np.sqrt(information)
+        members = slopes[:, [i for i in own if i >= wide.num_base]]
+        lengths = np.outer(linalg.norm(slopes, axis=0), linalg.norm(members, axis=0))
+        alike = np.any(np.abs(slopes.T @ members) > ALIKE * lengths, axis=1, keepdims=True)[:, 0]
+        chosen: list[int] = []
+        for effect in wide.effects:
+            c = wide.columns_of(effect)
+            if linalg.norm(z[c]) > SIGNIFICANT * np.sqrt(len(c)) or alike[c].any():
+                chosen += c
+        return chosen

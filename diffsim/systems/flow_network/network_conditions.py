@@ -1,0 +1,69 @@
+"""The conditions of a channel network in one run, with the hooks of its effects."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from diffsim.systems.flow_network.unit_flows import UnitFlowTable
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+RTOL = 1e-10
+_ZERO = torch.zeros((), dtype=torch.float64)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NetworkConditions:
+    """Drive, walls and fluid of one run; an effect whose number is zero is absent.
+
+    Attributes:
+        table: Unit flows of the device on its grid.
+        drive: What the pump gives at each level, (num_levels, 1) [m^3/s].
+        back_pressure: Commanded beyond each outlet, (num_levels, num_outlets) [Pa].
+        level: Which level holds at each sample, (num_samples,).
+        viscosity: [Pa s].
+        width_gain: Of each channel's width, (num_segments,) [-]; small: by the cube law of slits.
+        outlet_pressure: Beyond each outlet, on top of the commanded one, (num_outlets,) [Pa].
+        channel_gain, channel_offset: Of every channel, (num_channels,): flows, then pressures.
+        wall_offset: All walls outwards [m].
+        slip_length: Navier [m].
+        narrowing: Of the middle of each branch, relative to its width, (num_outlets,) [-].
+        viscosity_gradient: Relative viscosity across the box in y, from -g/2 to g/2 [-].
+        thinning: s of viscosity (1 + (rate / shear_rate)^2)^(-s / 2) [-].
+        compliance: c of w (1 + c p) [1/Pa].
+        entrance_loss: K of a loss K rho u^2 / 2 at each branch's entrance [-].
+        leak: Flow lost at the pump over the pressure there [m^3/(s Pa)].
+        columns: Channels that were measured, by index; all if None.
+        rtol: Of the balance of pressures.
+    """
+
+    table: UnitFlowTable
+    drive: Tensor
+    back_pressure: Tensor
+    level: Tensor
+    viscosity: Tensor
+    width_gain: Tensor
+    outlet_pressure: Tensor
+    channel_gain: Tensor
+    channel_offset: Tensor
+    narrowing: Tensor
+    wall_offset: Tensor = _ZERO
+    slip_length: Tensor = _ZERO
+    viscosity_gradient: Tensor = _ZERO
+    thinning: Tensor = _ZERO
+    compliance: Tensor = _ZERO
+    entrance_loss: Tensor = _ZERO
+    leak: Tensor = _ZERO
+    columns: tuple[int, ...] | None = None
+    rtol: float = RTOL
+
+    def narrowed(self, outlet: int, size: Tensor) -> Self:
+        """The middle of a branch narrower by ``size`` of its width."""
+        one = torch.eye(len(self.narrowing), dtype=torch.float64)[outlet]
+        return dataclasses.replace(self, narrowing=self.narrowing + size * one)

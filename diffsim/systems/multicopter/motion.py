@@ -1,0 +1,43 @@
+"""The motion of a multicopter in the middle of every control step, on which causes may depend."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from diffsim.copter.fleet import Fleet
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What a cause may depend on, in the middle of every control step.
+
+    Attributes:
+        vehicle: That flies.
+        position: World frame, (points, num_windows, length, 3) [m].
+        velocity: World frame, of the same shape [m/s].
+        rotation: World from body, (points, num_windows, length, 3, 3).
+        body_rates: (points, num_windows, length, 3) [rad/s].
+    """
+
+    vehicle: Fleet
+    position: Tensor
+    velocity: Tensor
+    rotation: Tensor
+    body_rates: Tensor
+
+    @property
+    def body_velocity(self) -> Tensor:
+        """(points, num_windows, length, 3) [m/s]."""
+        return turned_back(self.rotation, self.velocity)
+
+
+def turned_back(rotation: Tensor, value: Tensor) -> Tensor:
+    """R' v without a product of many small matrices, which is slow."""
+    return (rotation * value[..., None]).sum(-2)
+
+
+def by_rotor(vectors: Tensor, rotors: Tensor) -> Tensor:
+    """Products of vectors (points, windows, length, k) with rows (points, n_rotors, k)."""
+    return vectors @ rotors.mT[:, None]

@@ -1,0 +1,81 @@
+"""One unit and one family per name of an effect, in all libraries."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+
+import pytest
+
+from diffsim.data.labs import NetworkLab
+from diffsim.identify import Effect, coarse
+from diffsim.identify.numerics import REFINEMENTS
+from diffsim.systems.balls.effects import BALL_EFFECTS
+from diffsim.systems.bench.effects import BENCH
+from diffsim.systems.bending.effects import BENDING_EFFECTS
+from diffsim.systems.flow_network.effects import stokes_library
+from diffsim.systems.laboratories.lab_beam_causes import causes
+from diffsim.systems.libraries import library
+from diffsim.systems.multicopter import unknown_wrench
+from diffsim.systems.registry import setup_of
+from diffsim.systems.rigid_body.effects import TOSS
+from diffsim.systems.soft_body import unknown_force
+from diffsim.systems.soft_body.hanging import SLACK_STRING
+from diffsim.systems.starfish.effects import STARFISH_EFFECTS, unknown_pull, unknown_push
+from diffsim.systems.tensile.effects import TENSILE
+
+
+@pytest.fixture(scope="module")
+def libraries() -> dict[str, tuple[Effect, ...]]:
+    return {
+        "soft_body": (*library("soft_body"), SLACK_STRING),
+        "multicopter": tuple(library("copter", num_rotors=6)),
+        "flow_device": stokes_library(),
+        "flow_network": setup_of(NetworkLab()(1)).effects,
+        "laboratory beam": causes(1.0),
+        "balls": BALL_EFFECTS,
+        "bench": BENCH,
+        "bending": BENDING_EFFECTS,
+        "rigid_body": TOSS,
+        "starfish": STARFISH_EFFECTS,
+        "tensile": TENSILE,
+        "unknown": (
+            unknown_wrench(3, 1.0),
+            unknown_force(3, 1.0),
+            unknown_push(3, 1.0),
+            unknown_pull(3, 1.0),
+        ),
+        "numerical": tuple(coarse(name, finer) for name, finer in REFINEMENTS.items()),
+    }
+
+
+def test_a_name_has_one_unit_and_one_family(libraries):
+    known = defaultdict(set)
+    for effects in libraries.values():
+        for effect in effects:
+            known[effect.name].add((effect.unit, effect.family))
+    assert len(known) > 100
+    assert {name: found for name, found in known.items() if len(found) > 1} == {}
+
+
+def test_names_are_distinct_within_a_library(libraries):
+    for effects in libraries.values():
+        assert len({e.name for e in effects}) == len(effects)
+
+
+def test_names_families_and_units_are_spelled_one_way(libraries):
+    for effects in libraries.values():
+        for e in effects:
+            assert re.fullmatch(r"[a-z][a-z0-9_]*", e.name), e.name
+            assert re.fullmatch(r"[a-z][a-z0-9_]*", e.family), e.family
+            assert "centre" not in e.name + e.family
+            # powers with ^, as in m/s^2
+            assert not re.search(r"[a-z][0-9]", e.unit), (e.name, e.unit)
+            assert len(set(e.components)) == len(e.components) > 0
+
+
+def test_effects_cannot_be_changed(libraries):
+    with pytest.raises(AttributeError):
+        libraries["balls"][0].typical = 2.0  # type: ignore[misc]
+    with pytest.raises(ValueError, match="kind must be one of"):
+        Effect(name="a", family="a", kind="forces", unit="-", typical=1.0, apply=lambda *_: None)
