@@ -69,15 +69,15 @@ void bind_prepared(nb::module_& m) {
         t.num_nodes = num_nodes;
         t.num_elements = num_elements;
         t.num_classes = num_classes;
-        t.num_fibres = num_fibers;
+        t.num_fibers = num_fibers;
         t.elements = in_index(elements);
         t.grad = in(grad);
         t.weight = in(weight);
         t.class_idx = in_index(class_idx);
         t.coords = in(coords);
-        t.fibre_elements = in_index(fiber_elements);
-        t.fibre_directions = in(fiber_directions);
-        t.fibre_pull_only = in(fiber_pull_only);
+        t.fiber_elements = in_index(fiber_elements);
+        t.fiber_directions = in(fiber_directions);
+        t.fiber_pull_only = in(fiber_pull_only);
         t.chambers = {num_chambers,
                       num_lids,
                       in_index(chamber_start),

@@ -17,7 +17,7 @@ struct SoftArrays {
     StepInputs step;
     step.parameters.w_mu = in(w_mu);
     step.parameters.w_vol = in(w_vol);
-    step.parameters.fibre_stiffness = in(fiber_stiffness);
+    step.parameters.fiber_stiffness = in(fiber_stiffness);
     step.parameters.activation = in(activation);
     step.parameters.damp_mu = in(damp_mu);
     step.parameters.damp_lambda = in(damp_lambda);
@@ -39,7 +39,7 @@ struct SoftArrays {
     grads.inertia = out(inertia);
     grads.parameters.w_mu = out(w_mu);
     grads.parameters.w_vol = out(w_vol);
-    grads.parameters.fibre_stiffness = out(fiber_stiffness);
+    grads.parameters.fiber_stiffness = out(fiber_stiffness);
     grads.parameters.activation = out(activation);
     grads.parameters.damp_mu = out(damp_mu);
     grads.parameters.damp_lambda = out(damp_lambda);
@@ -58,7 +58,7 @@ struct SoftArrays {
     rates.inertia = in(inertia);
     rates.parameters.w_mu = in(w_mu);
     rates.parameters.w_vol = in(w_vol);
-    rates.parameters.fibre_stiffness = in(fiber_stiffness);
+    rates.parameters.fiber_stiffness = in(fiber_stiffness);
     rates.parameters.activation = in(activation);
     rates.parameters.damp_mu = in(damp_mu);
     rates.parameters.damp_lambda = in(damp_lambda);

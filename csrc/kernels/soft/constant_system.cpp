@@ -8,7 +8,7 @@ namespace {
 using Index = std::int64_t;
 std::size_t at(Index i) { return static_cast<std::size_t>(i); }
 
-/// Adds kappa_e grad_a . grad_b [N/m] of the samples of group g; `direction` restricts to a fibre.
+/// Adds kappa_e grad_a . grad_b [N/m] of the samples of group g; `direction` restricts to a fiber.
 template <typename Group>
 void add_group(const SoftModel& model, const ElementBlock& block,
                const std::vector<std::int32_t>& slots, Index g, const double* kappa,
@@ -48,9 +48,9 @@ Vector scalar_matrix(const SoftModel& model, const ConstantSystemInputs& in) {
     using Group = decltype(group);
     for (Index g = 0; g < model.solid.num_groups; ++g)
       add_group<Group>(model, model.solid, model.solid_slot, g, in.kappa, nullptr, values);
-    for (Index g = 0; g < model.fibre.num_groups; ++g)
-      add_group<Group>(model, model.fibre, model.fibre_slot, g, in.fibre_kappa,
-                       model.fibre_directions.data(), values);
+    for (Index g = 0; g < model.fiber.num_groups; ++g)
+      add_group<Group>(model, model.fiber, model.fiber_slot, g, in.fiber_kappa,
+                       model.fiber_directions.data(), values);
   };
   model.solid.is_hex ? add(HexGroup{}) : add(TetGroup{});
   for (Index i = 0; i < model.num_nodes; ++i) values[at(model.diagonal[at(i)])] += in.inertia[i];

@@ -1,5 +1,5 @@
 // The constant system of projective dynamics, A = diag(inertia) + sum of kappa G^T G (eq. 4.15),
-// factorised once and used by the forward step and by its adjoint.
+// factorized once and used by the forward step and by its adjoint.
 //
 // A acts on each coordinate alone, so one scalar factor (n x n) serves three right-hand sides. An
 // axis with its own Dirichlet set needs its own factor; axes with equal sets share one.
@@ -16,7 +16,7 @@
 
 namespace diffsim {
 
-/// A model with the symbolic factorisations of its scalar and 3x3-block patterns, made when needed.
+/// A model with the symbolic factorizations of its scalar and 3x3-block patterns, made when needed.
 class SoftPattern {
  public:
   SoftPattern(SoftModel model, const double* coords);
@@ -37,7 +37,7 @@ struct ConstantSystemInputs {
   const std::uint8_t* fixed = nullptr;  // (num_nodes, 3), 1 where Dirichlet
   const double* inertia = nullptr;      // (num_nodes,) [N/m]
   const double* kappa = nullptr;        // (num_elements,) [Pa]
-  const double* fibre_kappa = nullptr;  // (num_fibres,) [Pa]
+  const double* fiber_kappa = nullptr;  // (num_fibers,) [Pa]
   SoftParameters parameters;            // of the energy; activation unused
 };
 

@@ -20,19 +20,19 @@ constexpr Index kChunk = 512;
 
 Index num_tasks(Index count, Index size) { return (count + size - 1) / size; }
 
-/// What the fibres of a group pull with: a tendon's stiffness is zero where it is slack.
+/// What the fibers of a group pull with: a tendon's stiffness is zero where it is slack.
 template <typename Group>
-FibrePull fibre_pull(const SoftModel& model, const SoftParameters& p, Index g,
-                     const FibreState& f) {
-  return fibre_pull(f, Group::element_value(model.fibre, g, p.fibre_stiffness),
-                    Group::element_value(model.fibre, g, p.activation),
-                    Group::element_value(model.fibre, g, model.fibre_pull_only.data()));
+FiberPull fiber_pull(const SoftModel& model, const SoftParameters& p, Index g,
+                     const FiberState& f) {
+  return fiber_pull(f, Group::element_value(model.fiber, g, p.fiber_stiffness),
+                    Group::element_value(model.fiber, g, p.activation),
+                    Group::element_value(model.fiber, g, model.fiber_pull_only.data()));
 }
 
 template <typename Group>
-void fibre_directions(const SoftModel& model, Index g, Lane m[3]) {
+void fiber_directions(const SoftModel& model, Index g, Lane m[3]) {
   for (int i = 0; i < 3; ++i)
-    m[i] = Group::element_value(model.fibre, g, model.fibre_directions.data(), 3, i);
+    m[i] = Group::element_value(model.fiber, g, model.fiber_directions.data(), 3, i);
 }
 
 /// Sums the vectors buffer into nodes, in element order whatever the number of threads.
@@ -66,9 +66,9 @@ double energy_gradient_of(const SoftModel& model, const SoftParameters& p,
                           const std::vector<DampingFrame>& frames, const double* x,
                           ElasticityScratch& scratch, ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
-  const ElementBlock& fibre = model.fibre;
+  const ElementBlock& fiber = model.fiber;
   scratch.vectors.resize(at(model.vectors_size));
-  scratch.partial.resize(at(solid.num_groups + fibre.num_groups));
+  scratch.partial.resize(at(solid.num_groups + fiber.num_groups));
   for_groups(solid, pool, [&](Index g) {
     Lane F[9], P[9];
     deformation_gradient<Group>(solid, g, x, F);
@@ -86,15 +86,15 @@ double energy_gradient_of(const SoftModel& model, const SoftParameters& p,
     scatter_stress(shape, P, scratch.vectors.data() + g * solid.vectors_size());
     scratch.partial[at(g)] = sum(shape.weight * psi);
   });
-  for_groups(fibre, pool, [&](Index g) {
+  for_groups(fiber, pool, [&](Index g) {
     Lane F[9], P[9], m[3];
-    deformation_gradient<Group>(fibre, g, x, F);
-    fibre_directions<Group>(model, g, m);
-    const FibreState f = fibre_state(F, m);
-    const Lane psi = fibre_stress(f, fibre_pull<Group>(model, p, g, f), P);
-    const auto& shape = Group::shape(fibre, g);
+    deformation_gradient<Group>(fiber, g, x, F);
+    fiber_directions<Group>(model, g, m);
+    const FiberState f = fiber_state(F, m);
+    const Lane psi = fiber_stress(f, fiber_pull<Group>(model, p, g, f), P);
+    const auto& shape = Group::shape(fiber, g);
     scatter_stress(shape, P,
-                   scratch.vectors.data() + model.fibre_vectors_start + g * fibre.vectors_size());
+                   scratch.vectors.data() + model.fiber_vectors_start + g * fiber.vectors_size());
     scratch.partial[at(solid.num_groups + g)] = sum(shape.weight * psi);
   });
   double energy = 0.0;
@@ -201,7 +201,7 @@ void tangent_of(const SoftModel& model, const SoftParameters& p,
                 const std::vector<DampingFrame>& frames, const double* x, bool clamp,
                 double* values, ElasticityScratch& scratch, ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
-  const ElementBlock& fibre = model.fibre;
+  const ElementBlock& fiber = model.fiber;
   const auto fill_solid = [&](Index g, Lane H[81]) {
     Lane F[9];
     deformation_gradient<Group>(solid, g, x, F);
@@ -214,16 +214,16 @@ void tangent_of(const SoftModel& model, const SoftParameters& p,
       add_viscous_tangent(frames[at(g)].Fn, Group::element_value(solid, g, p.damp_mu),
                           Group::element_value(solid, g, p.damp_lambda), H);
   };
-  const auto fill_fibre = [&](Index g, Lane H[81]) {
+  const auto fill_fiber = [&](Index g, Lane H[81]) {
     Lane F[9], m[3];
-    deformation_gradient<Group>(fibre, g, x, F);
-    fibre_directions<Group>(model, g, m);
-    const FibreState f = fibre_state(F, m);
-    fibre_tangent(f, fibre_pull<Group>(model, p, g, f), clamp, H);
+    deformation_gradient<Group>(fiber, g, x, F);
+    fiber_directions<Group>(model, g, m);
+    const FiberState f = fiber_state(F, m);
+    fiber_tangent(f, fiber_pull<Group>(model, p, g, f), clamp, H);
   };
   std::fill(values, values + model.values_size(), 0.0);
   assemble<Group>(model, solid, model.solid_slot, fill_solid, values, scratch, pool);
-  assemble<Group>(model, fibre, model.fibre_slot, fill_fibre, values, scratch, pool);
+  assemble<Group>(model, fiber, model.fiber_slot, fill_fiber, values, scratch, pool);
 }
 
 Lane contract(const Lane A[9], const Lane B[9]) {
@@ -278,7 +278,7 @@ void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p,
                           const ParameterAdjoint& out, ElasticityScratch& scratch,
                           ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
-  const ElementBlock& fibre = model.fibre;
+  const ElementBlock& fiber = model.fiber;
   for_groups(solid, pool, [&](Index g) {
     Lane F[9], Z[9], P[9];
     deformation_gradient<Group>(solid, g, x, F);
@@ -291,19 +291,19 @@ void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p,
     stress<M>(sample, broadcast(0.0), broadcast(1.0), P);
     Group::add_element_value(solid, g, weight * contract(P, Z), out.w_vol);
   });
-  for_groups(fibre, pool, [&](Index g) {
+  for_groups(fiber, pool, [&](Index g) {
     Lane F[9], Z[9], m[3];
-    deformation_gradient<Group>(fibre, g, x, F);
-    deformation_gradient<Group>(fibre, g, z, Z);
-    fibre_directions<Group>(model, g, m);
-    const FibreState f = fibre_state(F, m);
+    deformation_gradient<Group>(fiber, g, x, F);
+    deformation_gradient<Group>(fiber, g, z, Z);
+    fiber_directions<Group>(model, g, m);
+    const FiberState f = fiber_state(F, m);
     Lane along = broadcast(0.0);  // e . Z m
     for (int i = 0; i < 3; ++i)
       along += f.unit[i] * (Z[3 * i] * m[0] + Z[3 * i + 1] * m[1] + Z[3 * i + 2] * m[2]);
-    const Lane weight = Group::shape(fibre, g).weight;
-    const FibrePull pull = fibre_pull<Group>(model, p, g, f);
-    Group::add_element_value(fibre, g, weight * pull.stretch * along, out.fibre_stiffness);
-    Group::add_element_value(fibre, g, -weight * pull.stiffness * along, out.activation);
+    const Lane weight = Group::shape(fiber, g).weight;
+    const FiberPull pull = fiber_pull<Group>(model, p, g, f);
+    Group::add_element_value(fiber, g, weight * pull.stretch * along, out.fiber_stiffness);
+    Group::add_element_value(fiber, g, -weight * pull.stiffness * along, out.activation);
   });
   if (p.damp_mu) damping_adjoint<Group>(model, p, frames, x, z, out, scratch, pool);
 }
@@ -356,7 +356,7 @@ void parameter_tangent_of(const SoftModel& model, const SoftParameters& p,
                           Index last, const ParameterDirections& d, double* vectors,
                           ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
-  const ElementBlock& fibre = model.fibre;
+  const ElementBlock& fiber = model.fiber;
   for_groups(solid, pool, [&](Index g) {
     Lane F[9], P_mu[9], P_vol[9], delta[9];
     deformation_gradient<Group>(solid, g, x, F);
@@ -382,21 +382,21 @@ void parameter_tangent_of(const SoftModel& model, const SoftParameters& p,
                      vectors + (k - first) * model.vectors_size + g * solid.vectors_size());
     }
   });
-  for_groups(fibre, pool, [&](Index g) {
+  for_groups(fiber, pool, [&](Index g) {
     Lane F[9], m[3];
-    deformation_gradient<Group>(fibre, g, x, F);
-    fibre_directions<Group>(model, g, m);
-    const FibreState f = fibre_state(F, m);
-    const FibrePull pull = fibre_pull<Group>(model, p, g, f);
-    const auto& shape = Group::shape(fibre, g);
+    deformation_gradient<Group>(fiber, g, x, F);
+    fiber_directions<Group>(model, g, m);
+    const FiberState f = fiber_state(F, m);
+    const FiberPull pull = fiber_pull<Group>(model, p, g, f);
+    const auto& shape = Group::shape(fiber, g);
     for (Index k = first; k < last; ++k) {
-      const Lane tension = direction_value<Group>(fibre, g, d.fibre_stiffness, k) * pull.stretch -
-                           direction_value<Group>(fibre, g, d.activation, k) * pull.stiffness;
+      const Lane tension = direction_value<Group>(fiber, g, d.fiber_stiffness, k) * pull.stretch -
+                           direction_value<Group>(fiber, g, d.activation, k) * pull.stiffness;
       Lane P[9];
       for (int i = 0; i < 9; ++i) P[i] = tension * f.unit[i / 3] * f.direction[i % 3];
       scatter_stress(shape, P,
-                     vectors + (k - first) * model.vectors_size + model.fibre_vectors_start +
-                         g * fibre.vectors_size());
+                     vectors + (k - first) * model.vectors_size + model.fiber_vectors_start +
+                         g * fiber.vectors_size());
     }
   });
 }
@@ -451,8 +451,8 @@ void parameter_adjoint(const SoftModel& model, const SoftParameters& p,
   const auto clear = [](double* values, Index size) { std::fill(values, values + size, 0.0); };
   clear(out.w_mu, model.solid.num_elements);
   clear(out.w_vol, model.solid.num_elements);
-  clear(out.fibre_stiffness, model.fibre.num_elements);
-  clear(out.activation, model.fibre.num_elements);
+  clear(out.fiber_stiffness, model.fiber.num_elements);
+  clear(out.activation, model.fiber.num_elements);
   if (p.damp_mu) {
     clear(out.damp_mu, model.solid.num_elements);
     clear(out.damp_lambda, model.solid.num_elements);

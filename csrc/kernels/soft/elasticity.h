@@ -13,8 +13,8 @@ namespace diffsim {
 struct SoftParameters {
   const double* w_mu = nullptr;             // (num_elements,) 2 mu [Pa]
   const double* w_vol = nullptr;            // (num_elements,) PD: volume weight; else lambda [Pa]
-  const double* fibre_stiffness = nullptr;  // (num_fibres,) [Pa]
-  const double* activation = nullptr;       // (num_fibres,) target stretch [-]
+  const double* fiber_stiffness = nullptr;  // (num_fibers,) [Pa]
+  const double* activation = nullptr;       // (num_fibers,) target stretch [-]
   const double* damp_mu = nullptr;          // (num_elements,) beta kappa 2 mu [Pa]; null: undamped
   const double* damp_lambda = nullptr;      // (num_elements,) beta kappa lambda [Pa]
   const double* pressure = nullptr;         // (num_chambers,) gauge pressure [Pa], see pressure.h
@@ -51,7 +51,7 @@ void tangent(const SoftModel& model, const SoftParameters& parameters,
 struct ParameterAdjoint {
   double* w_mu = nullptr;
   double* w_vol = nullptr;
-  double* fibre_stiffness = nullptr;
+  double* fiber_stiffness = nullptr;
   double* activation = nullptr;
   double* damp_mu = nullptr;
   double* damp_lambda = nullptr;
@@ -68,8 +68,8 @@ void parameter_adjoint(const SoftModel& model, const SoftParameters& parameters,
 struct ParameterDirections {
   const double* w_mu = nullptr;             // (count, num_elements)
   const double* w_vol = nullptr;            // (count, num_elements)
-  const double* fibre_stiffness = nullptr;  // (count, num_fibres)
-  const double* activation = nullptr;       // (count, num_fibres)
+  const double* fiber_stiffness = nullptr;  // (count, num_fibers)
+  const double* activation = nullptr;       // (count, num_fibers)
   const double* damp_mu = nullptr;          // (count, num_elements)
   const double* damp_lambda = nullptr;      // (count, num_elements)
   const double* x_frame = nullptr;          // (count, num_nodes, 3)

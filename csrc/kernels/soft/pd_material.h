@@ -1,13 +1,13 @@
-// Projective-dynamics solid and muscle fibre: energy density, first Piola stress and its tangent,
+// Projective-dynamics solid and muscle fiber: energy density, first Piola stress and its tangent,
 // eight samples at a time. Thesis eqs. 4.12-4.17 with closed-form derivatives of the projections.
 //
 // Solid:  psi(F) = w_mu/2 |F - R(F)|^2 + w_vol/2 |F - B(F)|^2                               [J/m^3]
 //   R: nearest rotation; B = U diag(t) V^T: nearest matrix of determinant one.
-//   With F = U diag(s) V^T, minimising |t - s|^2 subject to t0 t1 t2 = 1 gives
+//   With F = U diag(s) V^T, minimizing |t - s|^2 subject to t0 t1 t2 = 1 gives
 //   t_i (t_i - s_i) = -l with one multiplier l for all i, so t_i = (s_i + q_i)/2 and
 //   q_i = +-sqrt(s_i^2 - 4 l). Taking u = t_2 (smallest) as the unknown, l = u (s_2 - u) and
 //   q_2 = 2u - s_2 needs no root: one monotone scalar equation u t0(u) t1(u) = 1 is left.
-// Fibre:  psi(F) = w/2 (|F m| - a)^2, unit direction m, activation a = target stretch.
+// Fiber:  psi(F) = w/2 (|F m| - a)^2, unit direction m, activation a = target stretch.
 #pragma once
 
 #include "kernels/soft/principal.h"
@@ -106,13 +106,13 @@ struct PdMaterial {
   }
 };
 
-/// Fibre of direction m: l = F m, P = w (1 - a/|l|) l m^T; returns psi.
-struct FibreState {
+/// Fiber of direction m: l = F m, P = w (1 - a/|l|) l m^T; returns psi.
+struct FiberState {
   Lane direction[3], unit[3], length;
 };
 
-inline FibreState fibre_state(const Lane F[9], const Lane m[3]) {
-  FibreState f;
+inline FiberState fiber_state(const Lane F[9], const Lane m[3]) {
+  FiberState f;
   Lane l[3];
   for (int i = 0; i < 3; ++i) {
     f.direction[i] = m[i];
@@ -123,16 +123,16 @@ inline FibreState fibre_state(const Lane F[9], const Lane m[3]) {
   return f;
 }
 
-/// psi = w/2 stretch^2 with stretch = |l| - a; a fibre that only pulls (a tendon) has
+/// psi = w/2 stretch^2 with stretch = |l| - a; a fiber that only pulls (a tendon) has
 /// w/2 max(0, stretch)^2, whose slope is continuous and whose curvature jumps at stretch = 0.
-struct FibrePull {
+struct FiberPull {
   Lane stiffness;  // w, and zero where slack
   Lane stretch;    // |l| - a, and zero where slack
 };
 
 /// At the kink the taut side's derivatives are taken, within rounding too: at rest with a = 1 the
 /// sign of |l| - a is noise, and a command there should have a gradient.
-inline FibrePull fibre_pull(const FibreState& f, const Lane& w, const Lane& activation,
+inline FiberPull fiber_pull(const FiberState& f, const Lane& w, const Lane& activation,
                             const Lane& pull_only) {
   const Lane zero = broadcast(0.0), stretch = f.length - activation;
   const LaneMask one_sided = greater(pull_only, zero);
@@ -140,7 +140,7 @@ inline FibrePull fibre_pull(const FibreState& f, const Lane& w, const Lane& acti
   return {select(one_sided, taut, w), select(one_sided, max(stretch, zero), stretch)};
 }
 
-inline Lane fibre_stress(const FibreState& f, const FibrePull& pull, Lane P[9]) {
+inline Lane fiber_stress(const FiberState& f, const FiberPull& pull, Lane P[9]) {
   const Lane tension = pull.stiffness * pull.stretch;
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j) P[3 * i + j] = tension * f.unit[i] * f.direction[j];
@@ -148,7 +148,7 @@ inline Lane fibre_stress(const FibreState& f, const FibrePull& pull, Lane P[9]) 
 }
 
 /// dP_ij/dF_kl = C_ik m_j m_l with C = w (stretch/|l| (I - e e^T) + e e^T), e = l/|l|.
-inline void fibre_tangent(const FibreState& f, const FibrePull& pull, bool clamp, Lane H[81]) {
+inline void fiber_tangent(const FiberState& f, const FiberPull& pull, bool clamp, Lane H[81]) {
   Lane across = pull.stretch / f.length;
   if (clamp) across = max(across, broadcast(0.0));
   Lane C[9];

@@ -114,18 +114,18 @@ std::vector<std::int32_t> make_slots(const SoftModel& model, const ElementBlock&
 /// Lists, per node and in element order, where its contributions lie in the vectors buffer.
 void make_gather(SoftModel& model) {
   model.gather_stride = vector_stride(model.solid);
-  model.fibre_vectors_start = model.solid.num_groups * model.solid.vectors_size();
+  model.fiber_vectors_start = model.solid.num_groups * model.solid.vectors_size();
   model.vectors_size =
-      model.fibre_vectors_start + model.fibre.num_groups * model.fibre.vectors_size();
+      model.fiber_vectors_start + model.fiber.num_groups * model.fiber.vectors_size();
   model.gather_start.assign(at(model.num_nodes + 1), 0);
-  for (const ElementBlock* block : {&model.solid, &model.fibre})
+  for (const ElementBlock* block : {&model.solid, &model.fiber})
     for (Index node : block->nodes) ++model.gather_start[at(node + 1)];
   for (Index i = 0; i < model.num_nodes; ++i)
     model.gather_start[at(i + 1)] += model.gather_start[at(i)];
   model.gather_offset.resize(at(model.gather_start.back()));
   std::vector<Index> fill(model.gather_start.begin(), model.gather_start.end() - 1);
-  for (const ElementBlock* block : {&model.solid, &model.fibre}) {
-    const Index first = block == &model.solid ? 0 : model.fibre_vectors_start;
+  for (const ElementBlock* block : {&model.solid, &model.fiber}) {
+    const Index first = block == &model.solid ? 0 : model.fiber_vectors_start;
     const int n = block->nodes_per_element();
     for (Index e = 0; e < block->num_elements; ++e)
       for (int a = 0; a < n; ++a)
@@ -141,12 +141,12 @@ SoftModel make_soft_model(const MeshTables& t) {
   model.num_nodes = t.num_nodes;
   model.material = t.material;
   model.solid = make_block(t, nullptr, t.num_elements);
-  model.fibre = make_block(t, t.fibre_elements, t.num_fibres);
-  model.fibre_directions.assign(t.fibre_directions, t.fibre_directions + 3 * t.num_fibres);
-  model.fibre_pull_only.assign(t.fibre_pull_only, t.fibre_pull_only + t.num_fibres);
+  model.fiber = make_block(t, t.fiber_elements, t.num_fibers);
+  model.fiber_directions.assign(t.fiber_directions, t.fiber_directions + 3 * t.num_fibers);
+  model.fiber_pull_only.assign(t.fiber_pull_only, t.fiber_pull_only + t.num_fibers);
   make_graph(model, t.chambers);
   model.solid_slot = make_slots(model, model.solid);
-  model.fibre_slot = make_slots(model, model.fibre);
+  model.fiber_slot = make_slots(model, model.fiber);
   make_gather(model);
   model.chambers = make_chambers(t.chambers, model);
   return model;

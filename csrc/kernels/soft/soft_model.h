@@ -1,4 +1,4 @@
-// What never changes about a soft body: elements, material law, muscle fibres, chambers, and the
+// What never changes about a soft body: elements, material law, muscle fibers, chambers, and the
 // sparsity they imply.
 #pragma once
 
@@ -23,10 +23,10 @@ struct MeshTables {
   const double* weight = nullptr;           // (num_classes, Q) [m^3]
   const std::int64_t* class_idx = nullptr;  // (num_elements,)
   const double* coords = nullptr;           // (num_nodes, 3) rest positions [m], for ordering
-  std::int64_t num_fibres = 0;
-  const std::int64_t* fibre_elements = nullptr;  // (num_fibres,)
-  const double* fibre_directions = nullptr;      // (num_fibres, 3), unit
-  const double* fibre_pull_only = nullptr;       // (num_fibres,) 1 where slack below its target
+  std::int64_t num_fibers = 0;
+  const std::int64_t* fiber_elements = nullptr;  // (num_fibers,)
+  const double* fiber_directions = nullptr;      // (num_fibers, 3), unit
+  const double* fiber_pull_only = nullptr;       // (num_fibers,) 1 where slack below its target
   ChamberTables chambers;
 };
 
@@ -36,20 +36,20 @@ struct MeshTables {
 struct SoftModel {
   std::int64_t num_nodes = 0;
   Material material = Material::kPd;
-  ElementBlock solid, fibre;
-  std::vector<double> fibre_directions;  // (num_fibres, 3)
-  std::vector<double> fibre_pull_only;   // (num_fibres,) 1 or 0
+  ElementBlock solid, fiber;
+  std::vector<double> fiber_directions;  // (num_fibers, 3)
+  std::vector<double> fiber_pull_only;   // (num_fibers,) 1 or 0
   Chambers chambers;
 
   std::vector<std::int64_t> row_start, column;  // CSR node graph
   std::vector<std::int64_t> diagonal;           // position of (i, i) in `column`
   std::vector<std::int32_t> solid_slot,
-      fibre_slot;  // (elements, N, N): place of node b in row of a
+      fiber_slot;  // (elements, N, N): place of node b in row of a
 
-  // Node -> its vectors in the buffer [solid vectors | fibre vectors].
+  // Node -> its vectors in the buffer [solid vectors | fiber vectors].
   std::vector<std::int64_t> gather_start, gather_offset;
   std::int64_t gather_stride = 1;
-  std::int64_t fibre_vectors_start = 0, vectors_size = 0;
+  std::int64_t fiber_vectors_start = 0, vectors_size = 0;
 
   std::vector<std::int64_t> strip_start;  // (num_nodes + 1) offsets of the strips
   std::int64_t max_strip_width = 0;

@@ -27,7 +27,7 @@ Probe probe(const ConstantSystem& system, const SoftParameters& parameters, int 
   const std::size_t size = static_cast<std::size_t>(3 * model.num_nodes);
   const Vector rest(system.pattern().coords(), system.pattern().coords() + size);
   const Vector zero(size, 0.0);
-  const Vector one(static_cast<std::size_t>(model.fibre.num_elements), 1.0);
+  const Vector one(static_cast<std::size_t>(model.fiber.num_elements), 1.0);
   StepInputs inputs;
   inputs.parameters = parameters;
   inputs.parameters.activation = one.data();

@@ -41,7 +41,7 @@ double flop_cost(double flops);
 /// Decimal digits that a relative tolerance asks for, at least one.
 double decades(double rtol);
 
-/// @param[in] parameters  the system's; activation is ignored (fibres at rest)
+/// @param[in] parameters  the system's; activation is ignored (fibers at rest)
 SolverPlan make_solver_plan(const ConstantSystem& system, const SoftParameters& parameters,
                             ThreadPool& pool);
 

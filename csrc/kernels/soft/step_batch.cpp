@@ -5,7 +5,7 @@ namespace diffsim {
 StepInputs batch_item(const StepInputs& in, const SoftModel& model, std::int64_t k) {
   const std::int64_t size = 3 * model.num_nodes;
   StepInputs item = in;
-  item.parameters.activation = offset(in.parameters.activation, k, model.fibre.num_elements);
+  item.parameters.activation = offset(in.parameters.activation, k, model.fiber.num_elements);
   item.parameters.pressure = offset(in.parameters.pressure, k, model.chambers.num_chambers);
   item.y = offset(in.y, k, size);
   item.force = offset(in.force, k, size);
@@ -18,7 +18,7 @@ StepInputs batch_item(const StepInputs& in, const SoftModel& model, std::int64_t
 
 StepAdjoint batch_item(const StepAdjoint& out, const SoftModel& model, std::int64_t k) {
   const std::int64_t size = 3 * model.num_nodes;
-  const std::int64_t elements = model.solid.num_elements, fibres = model.fibre.num_elements;
+  const std::int64_t elements = model.solid.num_elements, fibers = model.fiber.num_elements;
   StepAdjoint item;
   item.y = offset(out.y, k, size);
   item.force = offset(out.force, k, size);
@@ -26,8 +26,8 @@ StepAdjoint batch_item(const StepAdjoint& out, const SoftModel& model, std::int6
   item.inertia = offset(out.inertia, k, model.num_nodes);
   item.parameters.w_mu = offset(out.parameters.w_mu, k, elements);
   item.parameters.w_vol = offset(out.parameters.w_vol, k, elements);
-  item.parameters.fibre_stiffness = offset(out.parameters.fibre_stiffness, k, fibres);
-  item.parameters.activation = offset(out.parameters.activation, k, fibres);
+  item.parameters.fiber_stiffness = offset(out.parameters.fiber_stiffness, k, fibers);
+  item.parameters.activation = offset(out.parameters.activation, k, fibers);
   item.parameters.damp_mu = offset(out.parameters.damp_mu, k, elements);
   item.parameters.damp_lambda = offset(out.parameters.damp_lambda, k, elements);
   item.parameters.x_frame = offset(out.parameters.x_frame, k, size);
