@@ -1,6 +1,6 @@
 """Thesis Table 4.4 of ours: forward and backward seconds, evaluations and final losses.
 
-Every application under ``examples/applications`` is optimised by our solver and by both Newton
+Every application under ``examples/applications`` is optimized by our solver and by both Newton
 baselines, from the same first guess with the same criteria. Every evaluation is kept: interrupted,
 the command goes on where it was.
 

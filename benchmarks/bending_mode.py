@@ -1,6 +1,6 @@
 """The reduced bending arm against the soft-body simulator: statics and first frequency, once.
 
-A cantilever of the arm's length, material and cross-sectional area, with one off-centre chamber:
+A cantilever of the arm's length, material and cross-sectional area, with one off-center chamber:
 
     python -m benchmarks.bending_mode
 """

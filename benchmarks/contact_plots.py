@@ -21,7 +21,7 @@ from benchmarks.plot_style import (
 from benchmarks.soft_plots import tolerance_axis
 from diffsim.viz.figures import SOFT
 
-COLOURS = {
+COLORS = {
     "auto": "#1d2433",
     "newton_pcg": "#0b6e75",
     "uncached": "#6fb3b8",
@@ -56,8 +56,8 @@ def draw_figures(results: dict[str, Any], out: Path) -> list[str]:
 def line_of(method: str) -> dict[str, Any]:
     """Line style of a solver; auto is drawn wide and pale, under the one it stands for."""
     if method == "auto":
-        return {"color": COLOURS[method], "linewidth": 6, "alpha": 0.22, "zorder": 1}
-    style = {"color": COLOURS[method], "marker": MARKERS[method]}
+        return {"color": COLORS[method], "linewidth": 6, "alpha": 0.22, "zorder": 1}
+    style = {"color": COLORS[method], "marker": MARKERS[method]}
     return {**style, "linewidth": 1.5, "markersize": 4}
 
 

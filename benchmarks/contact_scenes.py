@@ -27,7 +27,7 @@ def rolling_sphere(spacing: float) -> soft.SoftBody:
 
 
 def voxel_sphere(cells: int = 10) -> soft.SoftBody:
-    """The same of cubes, as in the thesis: those of ``cells``^3 whose centre lies in the ball.
+    """The same of cubes, as in the thesis: those of ``cells``^3 whose center lies in the ball.
 
     10 cells give the thesis's 552 hexahedra.
     """
@@ -54,8 +54,8 @@ def rolling_state(body: soft.SoftBody, *, slide: bool = False) -> tuple[Tensor, 
     """
     x = body.x_rest.clone()
     spin = torch.tensor([0.0, 10.0, 0.0], dtype=x.dtype).expand_as(x)
-    centre = torch.tensor([0.0, 0.0, RADIUS], dtype=x.dtype).expand_as(x)
-    v = torch.linalg.cross(spin, centre if slide else x)
+    center = torch.tensor([0.0, 0.0, RADIUS], dtype=x.dtype).expand_as(x)
+    v = torch.linalg.cross(spin, center if slide else x)
     return x.requires_grad_(), v.requires_grad_()
 
 
@@ -79,7 +79,7 @@ def napkin(cells: int, reach: float, solver: soft.SolverOptions | None = None) -
     It lies 2 mm above the obstacle and has its curvature; its thickness is a cell's width. (The
     thesis drops a flat one; but one cell thick it is too stiff to stay on the obstacle with more
     than its middle.) Nodes of its lower side may touch that lie within ``reach`` half widths of
-    the centre: 0.4, 0.8, 1 and 1.6 are the thesis's 6, 24, 38 and 50 % of all nodes.
+    the center: 0.4, 0.8, 1 and 1.6 are the thesis's 6, 24, 38 and 50 % of all nodes.
     """
     size = WIDTH / cells
     sheet = mesh.hex_box((cells, cells, 1), (WIDTH, WIDTH, size), (-WIDTH / 2, -WIDTH / 2, 0.0))

@@ -1,4 +1,4 @@
-"""Is an optimised gait real? Finer time steps, tighter tolerance, differences, and a line.
+"""Is an optimized gait real? Finer time steps, tighter tolerance, differences, and a line.
 
 Takes the optimum that ``benchmarks.applications`` (or the script itself) has on record and prints:
 how far it comes with the time step halved and with a tolerance 100 times tighter; the
@@ -109,8 +109,8 @@ def main() -> None:
     rtol = load(args.name).RTOL
     usual = build(args.name, rtol, quick=args.quick)
     out: dict[str, Any] = {"machine": machine(), "values": values.tolist(), "rtol": rtol}
-    out["as optimised"] = travel(usual, values)
-    print("as optimised", out["as optimised"], flush=True)
+    out["as optimized"] = travel(usual, values)
+    print("as optimized", out["as optimized"], flush=True)
     if "tolerance" in args.checks:
         out["tolerance / 100"] = travel(build(args.name, rtol / 100, quick=args.quick), values)
         print("tolerance / 100", out["tolerance / 100"], flush=True)

@@ -1,4 +1,4 @@
-"""Sparse Cholesky of hexahedral grids: analysis, factorisation and solve times.
+"""Sparse Cholesky of hexahedral grids: analysis, factorization and solve times.
 
     python benchmarks/linalg.py --nodes 33x9x9 33x18x18 --threads 1 2 --json linalg.json
 
@@ -108,7 +108,7 @@ def main() -> None:
     args = parser.parse_args()
 
     print(
-        f"{'nodes':>10} b {'store':>7} thr | {'nnz(L)':>8} {'MB':>6} | {'analyse':>7} |"
+        f"{'nodes':>10} b {'store':>7} thr | {'nnz(L)':>8} {'MB':>6} | {'analyze':>7} |"
         f" {'factor':>8} {'min':>8} {'cpu':>8} {'GF/s':>5} |"
         f" {'solve':>7} {'min':>7} {'cpu':>7} | {'stream':>6} |  ms; residual"
     )

@@ -60,7 +60,7 @@ def _falling_bar() -> Any:
 
 def application_search() -> Mapping[str, Any]:
     """Applications' L-BFGS: from a guess, from random starts, warmed up, with failures, resumed."""
-    from diffsim.applications import minimise
+    from diffsim.applications import minimize
     from diffsim.core.errors import ConvergenceError
 
     bar = _falling_bar()
@@ -71,16 +71,16 @@ def application_search() -> Mapping[str, Any]:
         return bar.simulate(p)
 
     cases = {
-        "whole": minimise(bar, max_evaluations=40),
-        "budget": minimise(bar, max_evaluations=7),
-        "starts": minimise(replace(bar, num_starts=4), max_evaluations=5, seed=3),
-        "warm_up": minimise(replace(bar, warm_up=bar), max_evaluations=5),
-        "failing": minimise(replace(bar, simulate=fragile), max_evaluations=12),
+        "whole": minimize(bar, max_evaluations=40),
+        "budget": minimize(bar, max_evaluations=7),
+        "starts": minimize(replace(bar, num_starts=4), max_evaluations=5, seed=3),
+        "warm_up": minimize(replace(bar, warm_up=bar), max_evaluations=5),
+        "failing": minimize(replace(bar, simulate=fragile), max_evaluations=12),
     }
     with TemporaryDirectory() as folder:
         record = Path(folder) / "bar.jsonl"
-        minimise(bar, max_evaluations=4, record=record)
-        cases["resumed"] = minimise(bar, max_evaluations=7, record=record)
+        minimize(bar, max_evaluations=4, record=record)
+        cases["resumed"] = minimize(bar, max_evaluations=7, record=record)
     return {
         name: {
             "evaluations": len(outcome.evaluations),

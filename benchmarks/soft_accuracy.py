@@ -109,8 +109,8 @@ def sweep(
 def muscular(kind: str, cells: Sequence[int]) -> soft.SoftBody:
     """The beam with a muscle along its lower half, at its rest length."""
     body = cantilever(kind, cells)
-    centres = body.x_rest[body.mesh.elements].mean(1)
-    lower = torch.nonzero(centres[:, 2] < centres[:, 2].mean()).flatten()
+    centers = body.x_rest[body.mesh.elements].mean(1)
+    lower = torch.nonzero(centers[:, 2] < centers[:, 2].mean()).flatten()
     muscle = soft.Muscle(elements=lower, direction=(1.0, 0.0, 0.0), stiffness=MUSCLE_STIFFNESS)
     return cantilever(kind, cells, muscles=[muscle])
 

@@ -72,7 +72,7 @@ def measure_reference(plan: Plan) -> dict[str, Any]:
     body, prepare = timed(lambda: cantilever("hex", plan.cells))
     body.solver = options("newton_cholesky", plan.reference_rtol)
     still = body.physics(gravity=(0.0, 0.0, 0.0))
-    # A step that starts at its answer costs a factorisation, where that is new, and little else.
+    # A step that starts at its answer costs a factorization, where that is new, and little else.
     _, first = timed(lambda: body(body.rest_state(), physics=still))
     _, second = timed(lambda: body(body.rest_state(), physics=still))
     run = one_pass(body, plan.num_steps)

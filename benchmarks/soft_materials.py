@@ -11,7 +11,7 @@ conjugate gradients on the constant factor, or by whatever `auto` takes, faster 
 solve that the thesis fell back to? The scene is the beam of ``benchmarks.soft``, twisted by 90
 degrees and let go. In every repetition the methods follow each other in turn, so that a disturbance
 meets all of them. Reported are CPU seconds of the one thread used (on a shared machine the clock on
-the wall measures the neighbours), medians, and, per method, the median of its ratios to
+the wall measures the neighbors), medians, and, per method, the median of its ratios to
 `newton_cholesky` within repetitions. Written to ``--out``: report.md, results.json, parts/.
 """
 

@@ -14,7 +14,7 @@ from benchmarks.soft_scenes import cantilever, loss_weights, twisted
 from diffsim import mesh
 from diffsim.core.compiled import core
 
-# Larger factorisations of the 3x3-block tangent are not tried: about ten seconds on one core.
+# Larger factorizations of the 3x3-block tangent are not tried: about ten seconds on one core.
 MAX_BLOCK_FLOPS = 4e11
 
 
@@ -24,7 +24,7 @@ def operations(settings: dict[str, Any]) -> dict[str, Any]:
     ``gradient``: elastic force of all elements. ``hessian_product``: assembly of the tangent, one
     product with it and the parameters' gradients (one call of the force's adjoint). ``scalar_*``:
     the constant matrix, one unknown per node; ``block_*``: the tangent, three per node; each:
-    analysis, factorisation, one solve of three or one right-hand sides. The factors belong to a
+    analysis, factorization, one solve of three or one right-hand sides. The factors belong to a
     matrix of the same pattern with other numbers, which cost the same.
     """
     torch.set_num_threads(1)
@@ -75,7 +75,7 @@ def factor_times(
     threads: int,
     median: Callable[[Callable[[], object]], float],
 ) -> dict[str, float]:
-    """Analysis, factorisation and solve of a matrix with ``block`` unknowns per node."""
+    """Analysis, factorization and solve of a matrix with ``block`` unknowns per node."""
     indptr, indices = (part.astype(np.int64) for part in (graph.indptr, graph.indices))
     factor, analysis = timed(
         lambda: core.SparseFactor(

@@ -24,7 +24,7 @@ from benchmarks.soft_plots_studies import accuracy, compared, explicit
 from benchmarks.soft_scaling import measured
 from diffsim.viz.figures import INK, SOFT
 
-COLOURS = {
+COLORS = {
     "auto": "#1d2433",
     "newton_pcg": "#0b6e75",
     "quasi_newton": "#7a4fa3",
@@ -60,10 +60,10 @@ def draw_figures(results: dict[str, Any], out: Path) -> list[str]:
 
 def line_of(method: str, **more: Any) -> dict[str, Any]:
     """Line style of a method; auto is drawn wide and pale, under the method it stands for."""
-    colour = COLOURS[method]
+    color = COLORS[method]
     if method == "auto":
-        return {"color": colour, "linewidth": 5, "alpha": 0.22, "zorder": 1, **more}
-    return {"color": colour, "linewidth": 1.5, "marker": MARKERS[method], "markersize": 4, **more}
+        return {"color": color, "linewidth": 5, "alpha": 0.22, "zorder": 1, **more}
+    return {"color": color, "linewidth": 1.5, "marker": MARKERS[method], "markersize": 4, **more}
 
 
 def cantilever(stage: dict[str, Any]) -> Figure:
@@ -74,7 +74,7 @@ def cantilever(stage: dict[str, Any]) -> Figure:
     errors = [figure.add_subplot(grid[1, 3 * k : 3 * k + 3]) for k in range(2)]
     rows = stage["rows"]
     threads = sorted({r["threads"] for r in rows})
-    methods = [m for m in COLOURS if any(r["method"] == m for r in rows)]
+    methods = [m for m in COLORS if any(r["method"] == m for r in rows)]
     phases = (("net", "Forward + backward"), ("forward", "Forward"), ("backward", "Backward"))
     for ax, (phase, title) in zip(times, phases, strict=True):
         style(ax, title, "tolerance", "wall time [s]" if phase == "net" else "")
@@ -89,7 +89,7 @@ def cantilever(stage: dict[str, Any]) -> Figure:
                     x,
                     [s["q1"] for s in spreads],
                     [s["q3"] for s in spreads],
-                    color=COLOURS[method],
+                    color=COLORS[method],
                     alpha=0.12,
                     linewidth=0,
                 )
@@ -136,7 +136,7 @@ def scaling(stage: dict[str, Any]) -> Figure:
     figure = new_figure(11.0, 8.0)
     axes = figure.subplots(2, 2)
     rows = measured(stage["rows"])
-    methods = [m for m in COLOURS if any(r["method"] == m for r in rows)]
+    methods = [m for m in COLORS if any(r["method"] == m for r in rows)]
     panels = (
         (axes[0, 0], "Forward", "wall time per step [s]", lambda r: r["forward_wall_s"]["median"]),
         (
@@ -202,7 +202,7 @@ def operations(ax: Axes, rows: Rows) -> None:
         ("block_solve_s", "solve, tangent factor", "#c2571a"),
         ("block_factor_s", "factor, tangent", "#b08a00"),
     )
-    for name, label, colour in shown:
+    for name, label, color in shown:
         found = [r for r in select(rows, kind="hex") if name in r]
         if found:
             ax.plot(
@@ -210,7 +210,7 @@ def operations(ax: Axes, rows: Rows) -> None:
                 [r[name] for r in found],
                 "-o",
                 label=label,
-                color=colour,
+                color=color,
                 linewidth=1.5,
                 markersize=3.5,
             )

@@ -19,9 +19,9 @@ from benchmarks.plot_style import (
 from benchmarks.soft_explicit import COMPARED, EXPLICIT
 from diffsim.viz.figures import INK, SOFT
 
-COLOURS = {"implicit_euler": "#0b6e75", EXPLICIT: "#c2571a"}
+COLORS = {"implicit_euler": "#0b6e75", EXPLICIT: "#c2571a"}
 LABELS = {"implicit_euler": "implicit Euler", EXPLICIT: "explicit"}
-RATIO_COLOURS = ("#b08a00", "#0b6e75", "#c2571a", "#7a4fa3")
+RATIO_COLORS = ("#b08a00", "#0b6e75", "#c2571a", "#7a4fa3")
 
 
 def compared(stage: dict[str, Any]) -> Rows:
@@ -43,13 +43,13 @@ def explicit(stage: dict[str, Any], *, curves: int = 5) -> Figure:
             values = np.array(r[name])
             change = 100 * (values / values[:, values.shape[1] // 2, None] - 1.0)
             alpha = 100 * np.array(r["alpha"])
-            colour = COLOURS[r["integrator"]]
+            color = COLORS[r["integrator"]]
             label = f"{LABELS[r['integrator']]}, dt = {1e3 * r['dt_s']:.2g} ms"
-            few.plot(alpha, change[:curves].T, color=colour, linewidth=1.1, alpha=0.85)
+            few.plot(alpha, change[:curves].T, color=color, linewidth=1.1, alpha=0.85)
             mean, std = change.mean(0), change.std(0)
-            all_of_them.plot(alpha, mean, color=colour, linewidth=1.8, label=label)
+            all_of_them.plot(alpha, mean, color=color, linewidth=1.8, label=label)
             all_of_them.fill_between(
-                alpha, mean - std, mean + std, color=colour, alpha=0.22, linewidth=0
+                alpha, mean - std, mean + std, color=color, alpha=0.22, linewidth=0
             )
     for ax in axes[1]:
         ax.set_xlabel(
@@ -98,17 +98,17 @@ def over_shares(ax: Axes, rows: Rows) -> None:
     lines: dict[tuple[str, str, str], Rows] = {}
     for r in rows:
         if "poissons_ratio" in r:
-            colour = RATIO_COLOURS[ratios.index(r["poissons_ratio"])]
+            color = RATIO_COLORS[ratios.index(r["poissons_ratio"])]
             dash = "-" if r["volume_weight"] == "thesis" else "--"
             label = f"ν = {r['poissons_ratio']}, {r['volume_weight']}"
         else:
-            colour, label = INK, f"muscle, {r['method']}"
+            color, label = INK, f"muscle, {r['method']}"
             dash = "-" if r["method"] == "newton_pcg" else "--"
-        lines.setdefault((label, colour, dash), []).append(r)
-    for (label, colour, dash), line in lines.items():
+        lines.setdefault((label, color, dash), []).append(r)
+    for (label, color, dash), line in lines.items():
         solves = [r["step_solves"] + r["adjoint_solves"] for r in line]
         x = [shares.index(r["share"]) for r in line]
-        ax.plot(x, solves, dash, marker="o", markersize=4, color=colour, label=label)
+        ax.plot(x, solves, dash, marker="o", markersize=4, color=color, label=label)
     ax.set_xticks(range(len(shares)), [f"{s:g}" for s in shares])
     for share in {r["share"] for r in rows if r["chosen"]}:
         ax.axvline(shares.index(share), color=SOFT, linewidth=0.8, linestyle=":")

@@ -114,11 +114,11 @@ class Pass:
 
     @property
     def factorized(self) -> bool:
-        """Some solve factorised its tangent."""
+        """Some solve factorized its tangent."""
         return any(bool((s.num_factorizations > 0).any()) for s in (*self.steps, *self.adjoints))
 
     def counts(self) -> dict[str, float]:
-        """Iterations, solves with the constant factor and factorisations, mean per step."""
+        """Iterations, solves with the constant factor and factorizations, mean per step."""
         names = ("num_iters", "num_solves", "num_factorizations")
         return {
             f"{kind}_{name.removeprefix('num_')}": mean([float(getattr(s, name)) for s in solves])

@@ -66,12 +66,12 @@ def cantilever(stage: dict[str, Any]) -> list[str]:
     lines = [
         f"{reference['num_dof']:,} DoF, {reference['num_elements']:,} hexahedra. Once per body: "
         f"{reference['prepare_mesh_s'] * 1e3:.0f} ms to prepare the mesh, "
-        f"{reference['prepare_factor_s'] * 1e3:.0f} ms to analyse and factor the constant matrix "
+        f"{reference['prepare_factor_s'] * 1e3:.0f} ms to analyze and factor the constant matrix "
         "(not in the times below).",
         "Seconds of the whole rollout, with the interquartile range. Errors are relative to "
         f"Newton-Cholesky at {reference['rtol']:.0e}; that of the gradient is of the whole vector. "
         "Counts are means per step: outer iterations, solves with the constant factor, "
-        "factorisations of the tangent; for the adjoint Krylov iterations.",
+        "factorizations of the tangent; for the adjoint Krylov iterations.",
     ]
     header = (
         "method, rtol",
@@ -145,7 +145,7 @@ def scaling(stage: dict[str, Any]) -> list[str]:
                 f"{r['step_iters']:.1f}",
                 f"{r['step_solves']:.1f}",
                 f"{r['adjoint_iters']:.1f}",
-                number(r["prepare_mesh_s"] + r["analyse_and_factor_s"]),
+                number(r["prepare_mesh_s"] + r["analyze_and_factor_s"]),
                 f"{r['memory_peak_B'] / 2**20:.0f}",
             )
         )
@@ -176,11 +176,11 @@ def operations(rows: Rows) -> list[str]:
     names = {
         "gradient_s": "elastic gradient",
         "hessian_product_s": "tangent + product",
-        "scalar_analysis_s": "analyse",
+        "scalar_analysis_s": "analyze",
         "scalar_factor_s": "factor",
         "scalar_solve_s": "solve",
         "scalar_float32_solve_s": "solve, float32",
-        "block_analysis_s": "3x3 analyse",
+        "block_analysis_s": "3x3 analyze",
         "block_factor_s": "3x3 factor",
         "block_solve_s": "3x3 solve",
     }

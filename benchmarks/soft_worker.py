@@ -33,12 +33,12 @@ def _scaling(settings: dict[str, Any]) -> dict[str, Any]:
     body, prepare = timed(lambda: cantilever(settings["kind"], settings["cells"]))
     still = body.physics(gravity=(0.0, 0.0, 0.0))
     with torch.no_grad():
-        # A step that starts at its answer costs a factorisation where that is new, little else.
+        # A step that starts at its answer costs a factorization where that is new, little else.
         first, second = (timed(lambda: body(body.rest_state(), physics=still))[1] for _ in "12")
     body.solver = options(settings["method"], 0.5, settings["threads"])
     one_pass(
         body, 1, degrees=degrees
-    )  # loose, not counted: the tangent's pattern is analysed when first needed
+    )  # loose, not counted: the tangent's pattern is analyzed when first needed
     body.solver = options(settings["method"], settings["rtol"], settings["threads"])
     passes = [one_pass(body, num_steps, degrees=degrees)]
     peak = memory("VmHWM") - start
@@ -55,7 +55,7 @@ def _scaling(settings: dict[str, Any]) -> dict[str, Any]:
         "factorized": passes[-1].factorized,
         **passes[-1].counts(),
         "prepare_mesh_s": prepare.wall,
-        "analyse_and_factor_s": first.wall - second.wall,
+        "analyze_and_factor_s": first.wall - second.wall,
         "factor_s": other.wall - second.wall,
         "memory_start_B": start,
         "memory_peak_B": peak,

@@ -34,7 +34,7 @@ from diffsim.stokes import devices
 from diffsim.stokes.devices.optimize import search_settings
 from diffsim.stokes.devices.sampling import draw
 from diffsim.stokes.devices.search import descend
-from diffsim.viz.figures import COLOURS, INK
+from diffsim.viz.figures import COLORS, INK
 
 NAMES = ("amplifier", "averager", "gate")
 STUCK, PERFECT = 2.0, 1e-3  # stuck: ends above STUCK times the best end, and above PERFECT
@@ -136,7 +136,7 @@ def draw_figure(results: Rows, path: Path) -> None:
             ax.plot(
                 1 + np.arange(len(best)),
                 best,
-                color=COLOURS["published"] if chosen else "#0b7f86",
+                color=COLORS["published"] if chosen else "#0b7f86",
                 lw=2.2 if chosen else 1.0,
                 alpha=1.0 if chosen else 0.6,
                 zorder=3 if chosen else 2,

@@ -33,7 +33,7 @@ def report(task: str, plan: Plan, folder: Path, figure: Path, *, quality: bool) 
         return None
     comparison.keep_record(runs, folder)
     scale = comparison.scale_of(plan, folder, runs)
-    summary = comparison.summarise(runs, scale)
+    summary = comparison.summarize(runs, scale)
     write_json_atomic(folder / "summary.json", {"task": task, "methods": summary})
     comparison_figure(figure, task, runs, scale)
     tables = [comparison.table(task, summary)]

@@ -1,4 +1,4 @@
-"""Train a controller with soft analytic policy optimisation (SAPO, Xing et al. 2025).
+"""Train a controller with soft analytic policy optimization (SAPO, Xing et al. 2025).
 
 python rl/train_sapo.py --task CopterHover --seed 0
 python rl/train_sapo.py --quick

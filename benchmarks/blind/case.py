@@ -38,7 +38,7 @@ class CoarseModel(SimModel):
     """A model with coarser numerical settings as its own.
 
     Args:
-        inner: The model; must honour ``Numerics``.
+        inner: The model; must honor ``Numerics``.
         factors: By field of ``Numerics``.
     """
 

@@ -1,4 +1,4 @@
-// Sparse Cholesky factorisation; opened to Python by diffsim/linalg/_ops_cholesky.py.
+// Sparse Cholesky factorization; opened to Python by diffsim/linalg/_ops_cholesky.py.
 #include "kernels/linalg/cholesky.h"
 
 #include <memory>

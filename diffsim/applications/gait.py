@@ -27,7 +27,7 @@ def gait(
 ) -> Application:
     """The application of a robot that should come far along +x from rest.
 
-    The loss is minus the centre's x at the end, and minus ``rise_weight`` times its z (thesis
+    The loss is minus the center's x at the end, and minus ``rise_weight`` times its z (thesis
     4.1.6: 0.3 for the cow), both from where they were at the start [m].
 
     Args:
@@ -41,7 +41,7 @@ def gait(
     """
     body = robot.body
     body.solver = solver
-    start = robot.centre(body.x_rest)
+    start = robot.center(body.x_rest)
     length = float(body.x_rest[:, 0].max() - body.x_rest[:, 0].min())
 
     def simulate(values: Tensor) -> Tensor:
@@ -55,11 +55,11 @@ def gait(
         ).x
 
     def loss(_values: Tensor, x: Tensor) -> Tensor:
-        moved = robot.centre(x[-1]) - start
+        moved = robot.center(x[-1]) - start
         return -moved[0] - rise_weight * moved[2]
 
     def numbers(_values: Array, x: Tensor) -> Mapping[str, float]:
-        moved = robot.centre(x[-1]) - start
+        moved = robot.center(x[-1]) - start
         axis = robot.upright_axis
         upright = robot.attitude(x)[:, axis, axis].clamp(-1.0, 1.0)
         return {

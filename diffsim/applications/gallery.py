@@ -26,7 +26,7 @@ from typing import Any
 import yaml
 from tqdm import tqdm
 
-from diffsim.applications.catalogue import FOLDER, examples
+from diffsim.applications.catalog import FOLDER, examples
 from diffsim.core.check import require_choice
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_json_atomic, write_text_atomic

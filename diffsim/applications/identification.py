@@ -103,7 +103,7 @@ def identification(
 
 @dataclass(frozen=True, kw_only=True)
 class Visibility:
-    """What a motion shows of log E and log nu, linearised.
+    """What a motion shows of log E and log nu, linearized.
 
     Attributes:
         metric: (2, 2) [m^2]; ``p @ metric @ p`` is the mean square displacement of the nodes over

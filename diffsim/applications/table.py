@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from diffsim.applications.application import SOLVERS, Application, solver_options
-from diffsim.applications.catalogue import FOLDER
+from diffsim.applications.catalog import FOLDER
 from diffsim.applications.minimize import minimize
 from diffsim.applications.normalize import normalized, random_losses
 from diffsim.core.errors import DiffsimError

@@ -28,10 +28,10 @@ def add_arguments(parser: argparse.ArgumentParser, common: argparse.ArgumentPars
 
 def command(args: argparse.Namespace) -> int:
     """List, run, or make the gallery; returns the exit status."""
-    from diffsim.applications import catalogue
+    from diffsim.applications import catalog
 
     if args.step == "list":
-        print(catalogue.listing(catalogue.examples()))
+        print(catalog.listing(catalog.examples()))
         return 0
     if args.step == "gallery":
         from diffsim.applications import gallery
@@ -39,4 +39,4 @@ def command(args: argparse.Namespace) -> int:
         gallery.require_success(gallery.make(args.out, args.names, args.docs))
         print(f"page: {args.out / 'gallery.md'}")
         return 0
-    return catalogue.run(args.name, quick=args.quick, options=args.options)
+    return catalog.run(args.name, quick=args.quick, options=args.options)

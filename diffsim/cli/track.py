@@ -42,13 +42,13 @@ def command(args: argparse.Namespace) -> None:
 
     from diffsim.data.study_file import save_study
     from diffsim.data.track import noise_px, tracks_study, without_merged
-    from diffsim.data.video import TENNIS_BALL, ColourBounds, track_video
+    from diffsim.data.video import TENNIS_BALL, ColorBounds, track_video
 
     low, high = args.low or TENNIS_BALL.low, args.high or TENNIS_BALL.high
     tracks = track_video(
         args.video,
         args.balls,
-        ColourBounds(tuple(low), tuple(high)),
+        ColorBounds(tuple(low), tuple(high)),
         first=args.first,
         last=args.last,
         min_area=args.min_area,
@@ -60,7 +60,7 @@ def command(args: argparse.Namespace) -> None:
         path = tracks.save(args.out)
     else:
         path = save_study(tracks_study(tracks, args.video.stem), args.out)
-    lost = np.isnan(tracks.centres[..., 0]).sum(0)
+    lost = np.isnan(tracks.centers[..., 0]).sum(0)
     seen = ", ".join(
         f"ball {k} missing in {n}" + ("" if np.isnan(sd).any() else f", noise {sd.max():.2f} px")
         for k, (n, sd) in enumerate(zip(lost, noise_px(tracks), strict=True))

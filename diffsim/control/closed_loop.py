@@ -11,14 +11,14 @@ from torch import Tensor, nn
 from diffsim.core.check import require_number
 
 
-class Normaliser(nn.Module):
+class Normalizer(nn.Module):
     """Observations to zero mean and unit variance, from running moments (Chan et al. 1983).
 
     Moments change in ``update`` only, so that a rollout is differentiable and repeatable.
 
     Args:
         size: Number of observations.
-        clip: Normalised observations are cut at plus and minus this.
+        clip: Normalized observations are cut at plus and minus this.
     """
 
     mean: Tensor
@@ -49,7 +49,7 @@ class Normaliser(nn.Module):
         self.count.copy_(total)
 
     def forward(self, observation: Tensor) -> Tensor:
-        """Normalised, (..., size)."""
+        """Normalized, (..., size)."""
         scaled = (observation - self.mean) / (self.variance + 1e-8).sqrt()
         return scaled.clamp(-self.clip, self.clip)
 
@@ -64,7 +64,7 @@ class MLPController(nn.Module):
     Args:
         num_observations, num_commands: Width of input and output.
         hidden: Units of the hidden layers.
-        normalise: Whether observations pass a ``Normaliser``.
+        normalize: Whether observations pass a ``Normalizer``.
         seed: Of the weights.
         output_gain: Of the last layer's weights.
     """
@@ -75,12 +75,12 @@ class MLPController(nn.Module):
         num_commands: int,
         *,
         hidden: Sequence[int] = (64, 64),
-        normalise: bool = True,
+        normalize: bool = True,
         seed: int = 0,
         output_gain: float = 0.01,
     ):
         super().__init__()
-        self.normaliser = Normaliser(num_observations) if normalise else None
+        self.normalizer = Normalizer(num_observations) if normalize else None
         sizes = [num_observations, *hidden, num_commands]
         generator = torch.Generator().manual_seed(seed)
         layers: list[nn.Module] = []
@@ -100,6 +100,6 @@ class MLPController(nn.Module):
 
     def forward(self, observation: Tensor, step: int | Tensor = 0) -> Tensor:
         """Commands (..., num_commands)."""
-        x = observation if self.normaliser is None else self.normaliser(observation)
+        x = observation if self.normalizer is None else self.normalizer(observation)
         out: Tensor = self.layers(x)
         return out

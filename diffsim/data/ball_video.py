@@ -12,9 +12,9 @@ from diffsim.data.importers.common import read_columns
 from diffsim.data.importers.tennis_balls import CHANNELS, two_parts
 from diffsim.data.study import Channel, Study
 from diffsim.data.track import noise_px, without_merged
-from diffsim.data.video import TENNIS_BALL, ColourBounds, Tracks, frame_size, track_video
+from diffsim.data.video import TENNIS_BALL, ColorBounds, Tracks, frame_size, track_video
 
-LEAST_NOISE = 0.2  # [px] of a centre: what the pixel grid and the lossy colours leave
+LEAST_NOISE = 0.2  # [px] of a center: what the pixel grid and the lossy colors leave
 
 
 def ball_video_study(
@@ -23,7 +23,7 @@ def ball_video_study(
     *,
     diameter_m: float,
     mass_kg: float,
-    colour: ColourBounds = TENNIS_BALL,
+    color: ColorBounds = TENNIS_BALL,
     first: int = 0,
     last: int | None = None,
     held_out: float = 1.0 / 3.0,
@@ -38,7 +38,7 @@ def ball_video_study(
         corners: CSV with columns u_px, v_px, x_m, y_m, z_m: at least six points, clicked in the
             first picture, not all in one plane.
         diameter_m, mass_kg: Of both balls.
-        colour: Of their pixels.
+        color: Of their pixels.
         first, last: Frames to read; in the first, one ball rests and the other comes.
         held_out: Share of the frames, the last ones, that judge and are not fitted.
 
@@ -50,7 +50,7 @@ def ball_video_study(
     """
     require_number("held_out", held_out, at_least=0.0, below=1.0)
     points, _ = read_columns(Path(corners), ["u_px", "v_px", "x_m", "y_m", "z_m"])
-    tracks = _coming_last(without_merged(track_video(video, 2, colour, first=first, last=last)))
+    tracks = _coming_last(without_merged(track_video(video, 2, color, first=first, last=last)))
     cut = round((1.0 - held_out) * len(tracks.frames))
     if cut < max(10, len(points["u_px"])):
         raise ValueError(
@@ -64,7 +64,7 @@ def ball_video_study(
     )
     noise = np.maximum(noise_px(tracks).ravel(), LEAST_NOISE)
     sds = [*np.nan_to_num(noise, nan=1.0), 1.0, 1.0]
-    balls = tracks.centres.reshape(len(tracks.frames), 4)
+    balls = tracks.centers.reshape(len(tracks.frames), 4)
     setup = {"ball_diameter_m": diameter_m, "ball_mass_kg": mass_kg}
     runs = two_parts(tracks.time_s, balls, points, setup, cut)
     return Study(
@@ -80,6 +80,6 @@ def ball_video_study(
 
 def _coming_last(tracks: Tracks) -> Tracks:
     """The ball that moves in the first frames becomes ball 1."""
-    moved = np.nanmax(np.linalg.norm(tracks.centres[:6] - tracks.centres[0], axis=-1), axis=0)
+    moved = np.nanmax(np.linalg.norm(tracks.centers[:6] - tracks.centers[0], axis=-1), axis=0)
     order = np.argsort(moved)
-    return Tracks(tracks.frames, tracks.time_s, tracks.centres[:, order], tracks.merged)
+    return Tracks(tracks.frames, tracks.time_s, tracks.centers[:, order], tracks.merged)

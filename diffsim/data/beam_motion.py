@@ -17,7 +17,7 @@ def describe(study: BeamStudy) -> dict[str, Any]:
     """Numbers of every trial, and how far its repeat is away.
 
     Returns:
-        ``trials``: by name; ``repeats``: by case; lengths in metres.
+        ``trials``: by name; ``repeats``: by case; lengths in meters.
     """
     return {
         "trials": {trial.name: _trial(trial) for trial in study.trials},

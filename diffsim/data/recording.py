@@ -1,4 +1,4 @@
-"""Marker recordings in the tidy CSV format: one row per frame, metres and seconds, gaps marked.
+"""Marker recordings in the tidy CSV format: one row per frame, meters and seconds, gaps marked.
 
 Columns: ``time_s``, then ``<marker>_x_m, <marker>_y_m, <marker>_z_m`` for each marker; ``frame``
 and other columns are allowed and ignored. An empty cell or ``nan`` is a gap (the marker was not
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 _COORDINATE = re.compile(r"^(?P<marker>.+)_(?P<axis>[xyz])_m$")
 _OTHER_UNIT = re.compile(r"^(?P<marker>.+)_(?P<axis>[xyz])_(?P<unit>mm|cm|um|in|ft)$")
-#: Largest coordinate accepted [m]: no marker system sees further, and millimetres read as metres
+#: Largest coordinate accepted [m]: no marker system sees further, and millimeters read as meters
 #: are nearly always beyond it.
 MAX_COORDINATE_M = 100.0
 
@@ -155,7 +155,7 @@ def load_csv(
 
 
 def format_csv(recording: Recording) -> str:
-    """The recording in the tidy format, micrometres and microseconds kept; gaps are empty."""
+    """The recording in the tidy format, micrometers and microseconds kept; gaps are empty."""
     columns = [f"{m}_{axis}_m" for m in recording.markers for axis in "xyz"]
     lines = [",".join(["frame", "time_s", *columns])]
     flat = recording.position_m.reshape(len(recording.time_s), -1)
@@ -206,7 +206,7 @@ def _columns(
     for name in header:
         if wrong := _OTHER_UNIT.match(name):
             raise ValueError(
-                f"{path}: column {name} is in {wrong['unit']}; positions must be in metres: "
+                f"{path}: column {name} is in {wrong['unit']}; positions must be in meters: "
                 f"convert it and name it {wrong['marker']}_{wrong['axis']}_m"
             )
     found = [m["marker"] for name in header if (m := _COORDINATE.match(name))]
@@ -234,6 +234,6 @@ def _coordinate(path: Path, line: int, column: str, cell: str) -> float:
     if abs(value) > MAX_COORDINATE_M:
         raise ValueError(
             f"{path}, row {line}, column {column}: {value:g} m is not a marker position "
-            f"(limit {MAX_COORDINATE_M:g} m); are these millimetres?"
+            f"(limit {MAX_COORDINATE_M:g} m); are these millimeters?"
         )
     return value

@@ -176,7 +176,7 @@ class Swings:
     Attributes:
         time_s: (N,) times of the turning points [s].
         value: (N,) x there.
-        height: (N-1,) |difference| of neighbours: free of the level the oscillation settles to.
+        height: (N-1,) |difference| of neighbors: free of the level the oscillation settles to.
         frequency_Hz: From the mean time between turning points.
         damping_ratio: From the slope of log(height) over turning points (logarithmic decrement).
     """
@@ -189,7 +189,7 @@ class Swings:
 
 
 def swings(time_s: Array, x: Array, *, smallest: float = 0.02) -> Swings:
-    """Logarithmic decrement from neighbouring turning points.
+    """Logarithmic decrement from neighboring turning points.
 
     Args:
         time_s: (T,) [s].

@@ -11,9 +11,9 @@ from diffsim.data.video import Tracks
 
 
 def without_merged(tracks: Tracks) -> Tracks:
-    """The same with NaN where balls touch in the picture, and their centres are biased."""
-    centres = np.where(tracks.merged[:, None, None], np.nan, tracks.centres)
-    return replace(tracks, centres=centres)
+    """The same with NaN where balls touch in the picture, and their centers are biased."""
+    centers = np.where(tracks.merged[:, None, None], np.nan, tracks.centers)
+    return replace(tracks, centers=centers)
 
 
 def noise_px(tracks: Tracks) -> np.ndarray:
@@ -22,8 +22,8 @@ def noise_px(tracks: Tracks) -> np.ndarray:
     Smooth motion leaves little in a third difference; the median passes over the impacts. NaN
     where fewer than four frames in a row were seen.
     """
-    third = np.abs(np.diff(tracks.centres, n=3, axis=0))
-    out = np.full(tracks.centres.shape[1:], np.nan)
+    third = np.abs(np.diff(tracks.centers, n=3, axis=0))
+    out = np.full(tracks.centers.shape[1:], np.nan)
     seen = np.isfinite(third).any(0) if len(third) else np.zeros_like(out, dtype=bool)
     out[seen] = np.nanmedian(third[:, seen], axis=0) / 0.6745 / np.sqrt(20.0)
     return out
@@ -31,7 +31,7 @@ def noise_px(tracks: Tracks) -> np.ndarray:
 
 def tracks_study(tracks: Tracks, name: str) -> Study:
     """A study of one run, channels ball0_u_px, ball0_v_px, ... with the noise of ``noise_px``."""
-    count = tracks.centres.shape[1]
+    count = tracks.centers.shape[1]
     noise = noise_px(tracks)
     channels = tuple(
         Channel(f"ball{k}_{c}_px", "px", "image", float(sd) if sd > 0.0 else None)
@@ -41,7 +41,7 @@ def tracks_study(tracks: Tracks, name: str) -> Study:
     run = Run(
         name="tracks",
         time_s=tracks.time_s,
-        measured=tracks.centres.reshape(len(tracks.frames), -1),
+        measured=tracks.centers.reshape(len(tracks.frames), -1),
         command={},
         group="tracks",
         setup={"first_frame": float(tracks.frames[0])},

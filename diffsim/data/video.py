@@ -1,7 +1,7 @@
-"""From a video file to tracks of round things of one colour, in pixels.
+"""From a video file to tracks of round things of one color, in pixels.
 
 OpenCV reads the frames (extra ``video``). A pixel belongs to a ball if its hue, saturation and
-value lie within bounds; pixels that touch are one region, whose centre is the mean of its pixels.
+value lie within bounds; pixels that touch are one region, whose center is the mean of its pixels.
 Balls that touch in the picture make one region, which is cut in two by k-means, started from where
 the balls were going: right for discs side by side, off where one hides part of the other. Tracks
 are joined by least total distance from the places that constant velocity predicts.
@@ -34,7 +34,7 @@ class TrackingError(DiffsimError):
 
 
 @dataclass(frozen=True)
-class ColourBounds:
+class ColorBounds:
     """Which pixels belong to a ball, in OpenCV's HSV.
 
     Attributes:
@@ -71,33 +71,33 @@ class ColourBounds:
         return np.asarray(inside & (rest <= np.array(self.high[1:])).all(-1))
 
 
-TENNIS_BALL = ColourBounds((25, 60, 70), (50, 255, 255))
+TENNIS_BALL = ColorBounds((25, 60, 70), (50, 255, 255))
 """Optic yellow under room light."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Centres in a video.
+    """Centers in a video.
 
     Attributes:
         frames: (num_frames,) numbers of the video's frames.
         time_s: (num_frames,) since the first of them [s].
-        centres: (num_frames, num_balls, 2) u to the right, v down [px]; NaN where a ball was not
+        centers: (num_frames, num_balls, 2) u to the right, v down [px]; NaN where a ball was not
             seen.
-        merged: (num_frames,) whether balls touched in the picture: centres are then less sure.
+        merged: (num_frames,) whether balls touched in the picture: centers are then less sure.
     """
 
     frames: NDArray[np.int64]
     time_s: Array
-    centres: Array
+    centers: Array
     merged: Mask
 
     def save(self, path: str | Path) -> Path:
         """Write CSV with the columns of the tennis balls' data set; empty cells are missing."""
-        count = self.centres.shape[1]
+        count = self.centers.shape[1]
         names = [f"ball{k}_{c}_px" for k in range(count) for c in "uv"]
         lines = [",".join(["frame", "time_s", *names])]
-        for frame, time, row in zip(self.frames, self.time_s, self.centres, strict=True):
+        for frame, time, row in zip(self.frames, self.time_s, self.centers, strict=True):
             cells = ["" if np.isnan(v) else f"{v:.3f}" for v in row.reshape(-1)]
             lines.append(",".join([str(frame), f"{time:.6f}", *cells]))
         return write_text_atomic(Path(path), "\n".join(lines) + "\n")
@@ -106,18 +106,18 @@ class Tracks:
 def track_video(
     path: str | Path,
     num_balls: int,
-    colour: ColourBounds = TENNIS_BALL,
+    color: ColorBounds = TENNIS_BALL,
     *,
     first: int = 0,
     last: int | None = None,
     min_area: int = 20,
 ) -> Tracks:
-    """Centres of balls of one colour.
+    """Centers of balls of one color.
 
     Args:
         path: Video that OpenCV can read.
         num_balls: How many to follow; ball 0 is the leftmost in the first frame.
-        colour: Of their pixels.
+        color: Of their pixels.
         first, last: Frames to read, both included; None: to the end.
         min_area: Smaller regions are noise [px].
 
@@ -128,8 +128,8 @@ def track_video(
     require_number("num_balls", num_balls, at_least=1)
     require_number("min_area", min_area, at_least=1)
     follower: _Follower | None = None
-    frames, centres, merged, rates = [], [], [], []
-    for number, mask, rate in _masks(Path(path), colour, first, last):
+    frames, centers, merged, rates = [], [], [], []
+    for number, mask, rate in _masks(Path(path), color, first, last):
         regions = _regions(mask, min_area)
         if follower is None:
             follower = _Follower.first(regions, num_balls, path, number)
@@ -138,13 +138,13 @@ def track_video(
             row, touching = follower.follow(regions)
         frames.append(number)
         rates.append(rate)
-        centres.append(row.copy())
+        centers.append(row.copy())
         merged.append(touching)
     if follower is None:
         raise TrackingError(f"{path}: no frame from {first} on; the video is shorter")
     number_of = np.array(frames)
     return Tracks(
-        number_of, (number_of - number_of[0]) / rates[0], np.stack(centres), np.array(merged)
+        number_of, (number_of - number_of[0]) / rates[0], np.stack(centers), np.array(merged)
     )
 
 
@@ -170,7 +170,7 @@ class _Region:
     pixels: Array
 
     @property
-    def centre(self) -> Array:
+    def center(self) -> Array:
         return np.asarray(self.pixels.mean(0))
 
 
@@ -187,17 +187,17 @@ class _Follower:
         """From the largest regions of the first frame."""
         if len(regions) < count:
             raise TrackingError(
-                f"{path}, frame {number}: {len(regions)} regions of the given colour, expected "
-                f"{count} balls; widen the colour bounds, lower min_area, or start at a frame "
+                f"{path}, frame {number}: {len(regions)} regions of the given color, expected "
+                f"{count} balls; widen the color bounds, lower min_area, or start at a frame "
                 "where all balls are seen apart"
             )
         largest = sorted(regions, key=lambda r: -len(r.pixels))[:count]
-        largest.sort(key=lambda r: float(r.centre[0]))
+        largest.sort(key=lambda r: float(r.center[0]))
         area = float(np.median([len(r.pixels) for r in largest]))
-        return cls(np.stack([r.centre for r in largest]), area)
+        return cls(np.stack([r.center for r in largest]), area)
 
     def follow(self, regions: Sequence[_Region]) -> tuple[Array, bool]:
-        """Centres in the next frame, and whether balls touch."""
+        """Centers in the next frame, and whether balls touch."""
         expected = np.where(np.isnan(self.places), self.before, 2.0 * self.places - self.before)
         expected = np.where(np.isnan(expected), self.before, expected)
         points, touching = self._points(regions, expected)
@@ -212,17 +212,17 @@ class _Follower:
         return row, touching
 
     def _points(self, regions: Sequence[_Region], expected: Array) -> tuple[Array, bool]:
-        """One point per ball: centres of regions, those of two balls cut in two."""
+        """One point per ball: centers of regions, those of two balls cut in two."""
         large = [r for r in regions if len(r.pixels) >= _FULL * self.area]
         missing = len(expected) - len(large)
         if missing <= 0 or not large:
-            return np.array([r.centre for r in large]).reshape(-1, 2), False
+            return np.array([r.center for r in large]).reshape(-1, 2), False
         widest = max(large, key=lambda r: len(r.pixels))
         if len(widest.pixels) < (1.0 + _FULL) * self.area:
-            return np.array([r.centre for r in large]), False
-        near = np.linalg.norm(expected - widest.centre, axis=1).argsort()[: missing + 1]
+            return np.array([r.center for r in large]), False
+        near = np.linalg.norm(expected - widest.center, axis=1).argsort()[: missing + 1]
         cut, _ = kmeans2(widest.pixels, expected[near], minit="matrix", missing="raise")
-        others = [r.centre for r in large if r is not widest]
+        others = [r.center for r in large if r is not widest]
         return np.array([*others, *cut]), True
 
 
@@ -236,7 +236,7 @@ def _regions(mask: Mask, min_area: int) -> list[_Region]:
 
 
 def _masks(
-    path: Path, colour: ColourBounds, first: int, last: int | None
+    path: Path, color: ColorBounds, first: int, last: int | None
 ) -> Iterator[tuple[int, Mask, float]]:
     """Number, mask and frame rate of every frame asked for."""
     cv2 = opencv()
@@ -253,7 +253,7 @@ def _masks(
             if not read:
                 return
             if number >= first:
-                yield number, colour.mask(cv2.cvtColor(picture, cv2.COLOR_BGR2HSV)), rate
+                yield number, color.mask(cv2.cvtColor(picture, cv2.COLOR_BGR2HSV)), rate
             number += 1
     finally:
         video.release()

@@ -8,7 +8,7 @@ What it models
     - Bar: Timoshenko beam (shear, rotary inertia; interdependent-interpolation elements,
       Przemieniecki 1968 eq. 5.116), clamped, reduced to its lowest ``num_modes`` bending modes,
       once for the vertical and once for the lateral plane.
-    - Rubber: generalised Maxwell solid, log-spaced relaxation times. It creeps by a few per cent
+    - Rubber: generalized Maxwell solid, log-spaced relaxation times. It creeps by a few per cent
       per decade and has a nearly constant loss factor: stiffer in vibration than in its settled
       sag, by no one Young's modulus. A viscous share per mode stands for all other losses.
     - Weight: a mass under gravity on a string that can pull, not push. At release the tip falls
@@ -93,7 +93,7 @@ class VirtualBeam:
 
 @dataclass(frozen=True)
 class _Modes:
-    """Mass-normalised clamped-free bending modes."""
+    """Mass-normalized clamped-free bending modes."""
 
     omega: Array  # (n,) [rad/s], relaxed modulus
     tip_height: Array  # (n,) deflection of the tip per modal coordinate
@@ -259,12 +259,12 @@ def record(
     height, pitch = vertical.tip(down)
     swing, yaw = lateral.tip(sideways)
     markers = {name: np.array(place) for name, place in NOMINAL_PLACE_M.items()}
-    centre = np.array([0.0, beam.width / 2, beam.height / 2])
+    center = np.array([0.0, beam.width / 2, beam.height / 2])
     place = np.empty((num_frames, len(markers), 3))
     for i, (name, nominal) in enumerate(markers.items()):
         at = nominal + rng.normal(0.0, 0.4e-3, 3)  # nobody glues a marker to 0.1 mm
         if name.startswith("tip"):
-            arm = at - centre
+            arm = at - center
             # slope > 0 lifts the nose: points above the axis move back; chord shortens by
             # about 0.6 d^2 / L for a cantilever's shape
             back = -0.6 * (height**2 + swing**2) / beam.length

@@ -18,7 +18,7 @@ From ``study.yaml`` to the verdict one channel passes through 25 files, to be re
 10. ``tables``, ``report``, ``force_map``: the evidence as it is read and saved.
 
 One record passes on to the next, and none is changed: ``Case`` (what is given), ``Null`` (noise
-floor and null fit), ``Search`` (what was weighed), ``Judgement`` (what may be said), ``Report``.
+floor and null fit), ``Search`` (what was weighed), ``Judgment`` (what may be said), ``Report``.
 """
 
 from diffsim.diagnose.diagnosis import diagnose

@@ -28,7 +28,7 @@ from diffsim.diagnose.gates import (
     numerics_gate,
     repeatability_gate,
 )
-from diffsim.diagnose.judge import EXPLAINED, NAMES, Decision, Judgement, decision_of, judge
+from diffsim.diagnose.judge import EXPLAINED, NAMES, Decision, Judgment, decision_of, judge
 from diffsim.diagnose.next_run import next_run
 from diffsim.diagnose.noise import UNREPEATABLE, noise_floor
 from diffsim.diagnose.report import Report, sentences
@@ -90,12 +90,12 @@ def diagnose(
     if checks.numerics_failed and not null.case.settings.accept_numerics:
         decision = Decision("numerical", frozenset(), (), None, 0.0)
         screened = _screened(checks.center)
-        return _report(null, checks, Judgement(decision), screened, seed, bank)
+        return _report(null, checks, Judgment(decision), screened, seed, bank)
     search = search_rounds(null, simulations)
     screened = _screened(search.plain)
     case.progress("gain", 0.88, "runs held out")
-    checks, judgement = _judged(search, checks, seed)
-    return _report(search.null, checks, judgement, screened, seed, bank)
+    checks, judgment = _judged(search, checks, seed)
+    return _report(search.null, checks, judgment, screened, seed, bank)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ class Checks:
     """Gates before any physics is blamed, and what they simulated.
 
     Attributes:
-        gates: Data, numerical settings, gradients; then repeatability and the judgement's.
+        gates: Data, numerical settings, gradients; then repeatability and the judgment's.
         changes: Of the record by refining each numerical setting, (N,) [unit of the channel].
         center: The plain model with everything linearized there.
     """
@@ -191,28 +191,28 @@ def _screened(center: Center) -> Screen:
     return screen(e.problem, e.residual, e.jacobian, e.x0)
 
 
-def _judged(search: Search, checks: Checks, seed: int) -> tuple[Checks, Judgement]:
+def _judged(search: Search, checks: Checks, seed: int) -> tuple[Checks, Judgment]:
     """Repeatability with the effects that the evidence asks for; then names and unknown causes."""
     evident = decision_of(search)
     repeats = repeatability_gate(search.fit_of(evident.best))
     checks = checks.joined(repeats)
     if search.null.noise.is_repeatable and all(g.passed for g in repeats):
-        judgement = judge(search, search.null.case.study.holdout_runs, seed)
-        return checks.joined(judgement.gates), judgement
+        judgment = judge(search, search.null.case.study.holdout_runs, seed)
+        return checks.joined(judgment.gates), judgment
     decision = replace(evident, verdict="unrepeatable", rivals=())
-    return checks, Judgement(decision, search)
+    return checks, Judgment(decision, search)
 
 
 def _report(
     null: Null,
     checks: Checks,
-    judgement: Judgement,
+    judgment: Judgment,
     screened: Screen,
     seed: int,
     bank: Sequence[Run],
 ) -> Report:
     case, noise, gates = null.case, null.noise, checks.gates
-    decision, search = judgement.decision, judgement.search
+    decision, search = judgment.decision, judgment.search
     is_named = search is not None and decision.verdict in NAMES
     best = null.fit
     if search is not None and is_named:
@@ -226,12 +226,12 @@ def _report(
     if search is not None:
         rival_fits += [search.fit_of(h.effects) for h in decision.rivals if h.unknown is None]
     advice = next_run(rival_fits, bank) if bank and len(rival_fits) > 1 else None
-    rows = effect_rows(effects, judgement, screened, checks.changes)
+    rows = effect_rows(effects, judgment, screened, checks.changes)
     case.progress("done", 1.0, decision.verdict)
     return Report(
         verdict=decision.verdict,
         sentences=sentences(
-            decision, rows, rivals, judgement.gain, gates, noise, effects, case.unknowns
+            decision, rows, rivals, judgment.gain, gates, noise, effects, case.unknowns
         ),
         named=tuple(effects[i].name for i in sorted(decision.best)) if is_named else (),
         rivals=rivals,
@@ -247,7 +247,7 @@ def _report(
             "scatter_ratio": noise.scatter_ratio,
             "num_spikes": null.num_spikes,
         },
-        gain=judgement.gain,
+        gain=judgment.gain,
         chi2_null=null.fit.chi2,
         chi2_best=best.chi2,
         num_samples=null.fit.num_samples,

@@ -108,7 +108,7 @@ def _is_kept(nats: Mapping[Hypothesis, float], h: Hypothesis) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement:
+class Judgment:
     """What may be said.
 
     Attributes:
@@ -128,7 +128,7 @@ class Judgement:
     gates: tuple[GateResult, ...] = ()
 
 
-def judge(search: Search, held_out: Sequence[Run], seed: int) -> Judgement:
+def judge(search: Search, held_out: Sequence[Run], seed: int) -> Judgment:
     """Decide; while a name of the best set makes held-out runs worse, withdraw the worst one.
 
     One at a time: members that share a misfit look bad together, and the rest may be good once one
@@ -153,7 +153,7 @@ def judge(search: Search, held_out: Sequence[Run], seed: int) -> Judgement:
         if withdrawn and decision.verdict == "none":
             decision = replace(decision, verdict="unknown")
         if not held_out or decision.verdict not in NAMES:
-            return Judgement(decision, search, None, gains, withdrawn, gates)
+            return Judgment(decision, search, None, gains, withdrawn, gates)
         best = search.fit_of(decision.best)
         now: dict[int, Gain] = {}
         for i in decision.best:
@@ -165,7 +165,7 @@ def judge(search: Search, held_out: Sequence[Run], seed: int) -> Judgement:
         harmful = [i for i, g in now.items() if g.status == "withdrawn"]
         if not harmful:
             total = gain_over(search.fit_of(frozenset()), best)
-            return Judgement(decision, search, total, gains, withdrawn, gates)
+            return Judgment(decision, search, total, gains, withdrawn, gates)
         withdrawn |= {min(harmful, key=lambda i: now[i].value)}
         search = _ready_without(search, decision.best - withdrawn)
 

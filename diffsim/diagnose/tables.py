@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from diffsim.diagnose.evidence import Hypothesis, Weighed
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.gates import numerical_shift
-from diffsim.diagnose.judge import Decision, Judgement
+from diffsim.diagnose.judge import Decision, Judgment
 from diffsim.diagnose.screen import Screen
 from diffsim.diagnose.search import Search
 from diffsim.identify.effect import Effect
@@ -84,7 +84,7 @@ class HypothesisRow:
 
 def effect_rows(
     effects: Sequence[Effect],
-    judgement: Judgement,
+    judgment: Judgment,
     screened: Screen,
     changes: Mapping[str, Array],
 ) -> tuple[EffectRow, ...]:
@@ -92,11 +92,11 @@ def effect_rows(
 
     Args:
         effects: Candidates that were judged.
-        judgement: The verdict and the search behind it; no search: effects were only screened.
+        judgment: The verdict and the search behind it; no search: effects were only screened.
         screened: Scores at the plain model.
         changes: Of the record by refining numerical settings, (N,) each; they widen the intervals.
     """
-    decision, search = judgement.decision, judgement.search
+    decision, search = judgment.decision, judgment.search
     in_rivals = {i for h in decision.rivals for i in h.effects}
     rows, k = [], 0
     for i, effect in enumerate(effects):
@@ -108,14 +108,14 @@ def effect_rows(
             nats = evidence_for(search, i)
             share = _share_alone(search, i)
             size, sd = _refitted(search, decision, i, size, sd, changes)
-        gained = judgement.gains.get(i)
+        gained = judgment.gains.get(i)
         rows.append(
             EffectRow(
                 effect=effect.name,
                 family=effect.family,
                 kind=effect.kind,
                 unit=effect.unit,
-                status=_status(i, decision, in_rivals, judgement.withdrawn),
+                status=_status(i, decision, in_rivals, judgment.withdrawn),
                 size=_by_component(effect, size),
                 sd=_by_component(effect, np.hypot(sd, MODEL_FORM * size)),
                 nats=nats,
@@ -124,7 +124,7 @@ def effect_rows(
                 gain=gained,
                 share=share,
                 aliases=(*effect.also_looks_like, *_twins(effects, screened, i)),
-                note=_note(i, gained, judgement.withdrawn),
+                note=_note(i, gained, judgment.withdrawn),
             )
         )
     return tuple(sorted(rows, key=lambda r: -(r.nats if r.nats is not None else r.z)))

@@ -18,7 +18,7 @@ except ImportError as error:
 
 from diffsim.envs.env import TaskEnv
 from diffsim.envs.registry import ENV_IDS, make_task, make_vector
-from diffsim.envs.task import Entry, Randomisation, Task, TaskState
+from diffsim.envs.task import Entry, Randomization, Task, TaskState
 from diffsim.envs.vector_env import TaskVectorEnv
 
 
@@ -47,7 +47,7 @@ def __getattr__(name: str) -> Any:
 __all__ = [
     "ENV_IDS",
     "Entry",
-    "Randomisation",
+    "Randomization",
     "Sb3VecEnv",
     "Task",
     "TaskEnv",

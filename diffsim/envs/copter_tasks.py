@@ -21,7 +21,7 @@ from diffsim.copter import (
 from diffsim.copter.effects import BodyDrag, MotorLag
 from diffsim.core.check import require_number
 from diffsim.envs.pictures import copter_picture
-from diffsim.envs.task import Entry, Randomisation, Task, TaskState
+from diffsim.envs.task import Entry, Randomization, Task, TaskState
 
 _STATE = ("position", "quaternion", "velocity", "body_rates", "thrusts")
 REACH = 3.0  # from the reference [m], beyond which an episode ends
@@ -48,11 +48,11 @@ class CopterHover(Task):
         motor_time_constant: Lag of the thrust behind its command [s].
         drag: Linear drag of the body [N s/m].
         wind_speed: Standard deviation of each horizontal component of the episode's wind [m/s].
-        action_delay, randomisation: As for every task; ``thrust`` may be randomised.
+        action_delay, randomization: As for every task; ``thrust`` may be randomized.
     """
 
     name = "CopterHover"
-    randomisable = ("thrust",)
+    randomizable = ("thrust",)
 
     def __init__(
         self,
@@ -65,9 +65,9 @@ class CopterHover(Task):
         drag: float = 0.1,
         wind_speed: float = 0.0,
         action_delay: int = 0,
-        randomisation: Randomisation | None = None,
+        randomization: Randomization | None = None,
     ):
-        super().__init__(action_delay=action_delay, randomisation=randomisation)
+        super().__init__(action_delay=action_delay, randomization=randomization)
         if not isinstance(design, Multicopter):
             design = load_design(design).multicopter()
         self.vehicle = design

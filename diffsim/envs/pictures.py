@@ -38,7 +38,7 @@ def body_picture(
     x: Tensor,
     faces: Tensor,
     *,
-    centre: Tensor,
+    center: Tensor,
     reach: float,
     ground: float | None = None,
     goal: Tensor | None = None,
@@ -49,7 +49,7 @@ def body_picture(
     Args:
         x: Nodes, (num_vertices, 3) [m], z up.
         faces: (num_faces, 3 or 4).
-        centre: What the camera looks at, (3,) [m].
+        center: What the camera looks at, (3,) [m].
         reach: Half width of what is seen [m].
         ground: Height of the floor [m]; None: there is none. Its tiles do not move.
         goal: A point to be marked, (3,) [m].
@@ -59,7 +59,7 @@ def body_picture(
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     figure, axes = _scene()
-    cx, cy, cz = (float(c) for c in centre)
+    cx, cy, cz = (float(c) for c in center)
     if ground is not None:
         tiles, shades = _tiles(cx, cy, reach, ground)
         axes.add_collection3d(Poly3DCollection(tiles, facecolors=shades, edgecolors="none"))
@@ -87,7 +87,7 @@ def body_picture(
 def _tiles(
     cx: float, cy: float, reach: float, height: float
 ) -> tuple[NDArray[np.float64], list[str]]:
-    """Squares (n, 4, 3) of a chessboard fixed in the world, those in reach; and colours."""
+    """Squares (n, 4, 3) of a chessboard fixed in the world, those in reach; and colors."""
     size = 0.4 * reach
     first = np.ceil((np.array([cx, cy]) - reach) / size).astype(int)
     i, j = (g.ravel() for g in np.meshgrid(first[0] + np.arange(4), first[1] + np.arange(4)))

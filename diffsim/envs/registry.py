@@ -70,7 +70,7 @@ class NamedEnv(TaskEnv):
     Args:
         render_mode: "rgb_array" or None.
         sensor_noise: Standard deviation of white noise on observations.
-        **options: Of the task, such as ``randomisation`` and ``action_delay``.
+        **options: Of the task, such as ``randomization`` and ``action_delay``.
     """
 
     task_name: ClassVar[str]
@@ -102,7 +102,7 @@ at hover thrust |
     | termination | farther than 3 m, upside down, turning faster than 30 rad/s |
     | truncation | 200 steps of 20 ms |
     | options | design (shipped name, file, vehicle), dt, seconds, start_spread, \
-motor_time_constant, drag, wind_speed, action_delay, randomisation (thrust), sensor_noise |
+motor_time_constant, drag, wind_speed, action_delay, randomization (thrust), sensor_noise |
     | versions | v0: first |
     """
 
@@ -133,14 +133,14 @@ class StarfishSwimEnv(NamedEnv):
     | actions | 0-3: bend an arm (+x, +y, -x, -y) down (1) or up (-1); +-1 is the muscles' stroke |
     | observations | velocities x, y, z of 137 nodes spread over the body: 411 numbers, unbounded \
 [m/s] |
-    | reward | per step, speeds of the centre over 0.1 m/s: 1.0 upward - 0.5 sideways |
+    | reward | per step, speeds of the center over 0.1 m/s: 1.0 upward - 0.5 sideways |
     | start | shape of rest, still water; velocities linear in place, at random, up to about \
-0.1 m/s at the arms' ends, centre at rest |
+0.1 m/s at the arms' ends, center at rest |
     | termination | none |
     | truncation | 200 steps of 33.3 ms |
     | options | robot (arguments of ``diffsim.systems.robots.starfish``, ``coarse`` for quick \
 trials), num_steps, substeps, start_speed, current, drift_weight, rise_weight, speed_scale, \
-action_delay, randomisation (muscles, water), sensor_noise |
+action_delay, randomization (muscles, water), sensor_noise |
     | versions | v0: first |
     """
 
@@ -155,7 +155,7 @@ class SharkSwimEnv(NamedEnv):
     | actions | 0: bend the tail to +y (1) or -y (-1) |
     | observations | velocities x, y, z of 95 nodes spread over the body: 285 numbers, unbounded \
 [m/s] |
-    | reward | per step, speeds of the centre over 0.1 m/s: 1.0 along +x - 0.5 across |
+    | reward | per step, speeds of the center over 0.1 m/s: 1.0 along +x - 0.5 across |
     | start, termination, truncation | as ``StarfishSwimEnv`` |
     | options | robot: arguments of ``diffsim.systems.robots.shark``; others as \
 ``StarfishSwimEnv`` |
@@ -172,15 +172,15 @@ class QuadrupedWalkEnv(NamedEnv):
     |---|---|
     | actions | 0-7: shorten (1) or lengthen (-1) the muscle along the front (even) or back (odd) \
 of a leg: hind left, hind right, front left, front right |
-    | observations | 0-35 velocities x, y, z of 12 nodes [m/s], 36 height of the centre [m], 37-45 \
+    | observations | 0-35 velocities x, y, z of 12 nodes [m/s], 36 height of the center [m], 37-45 \
 mean deformation gradient by rows [-]: where the robot's axes point; all unbounded |
-    | reward | per step, speeds of the centre over 0.1 m/s: 1.0 along +x - 0.5 along y |
+    | reward | per step, speeds of the center over 0.1 m/s: 1.0 along +x - 0.5 along y |
     | start | shape of rest, on the floor, at rest; it settles under its weight |
     | termination | tipped over: its z axis has turned by more than about 60 degrees |
     | truncation | 100 steps of 10 ms |
     | options | robot (arguments of ``diffsim.systems.robots.quadruped``: coarse, friction, \
 per_muscle, ...), num_steps, substeps, start_speed, drift_weight, rise_weight, speed_scale, \
-action_delay, randomisation (muscles), sensor_noise |
+action_delay, randomization (muscles), sensor_noise |
     | versions | v0: first |
     """
 
@@ -209,9 +209,9 @@ class TorusRollEnv(NamedEnv):
     |---|---|
     | actions | 0-7: shorten (1) or lengthen (-1) an eighth of the rim, from the lowest point \
 towards +x and up |
-    | observations | 0-23 velocities x, y, z of 8 nodes [m/s], 24 height of the centre [m], 25-33 \
+    | observations | 0-23 velocities x, y, z of 8 nodes [m/s], 24 height of the center [m], 25-33 \
 mean deformation gradient by rows [-]: how far it has rolled; all unbounded |
-    | reward | per step, speeds of the centre over 0.1 m/s: 1.0 along +x - 0.5 along y |
+    | reward | per step, speeds of the center over 0.1 m/s: 1.0 along +x - 0.5 along y |
     | start | shape of rest, on the floor, at rest; it settles under its weight |
     | termination | fallen: its y axis has turned by more than about 60 degrees |
     | truncation | 100 steps of 16 ms, each 4 time steps of the body |
@@ -240,7 +240,7 @@ zero) - 0.001 mean squared action |
     | truncation | 100 steps of 10 ms |
     | options | robot (arguments of ``diffsim.systems.robots.tendon_arm``: coarse, gravity, ...), \
 num_steps, substeps, goal_low, goal_high, node, effort_weight, start_speed, action_delay, \
-randomisation (muscles), sensor_noise |
+randomization (muscles), sensor_noise |
     | versions | v0: first |
     """
 

@@ -13,7 +13,7 @@ from torch import Tensor
 from diffsim import mesh, soft
 from diffsim.core.check import require_number
 from diffsim.envs.pictures import body_picture
-from diffsim.envs.task import Entry, Randomisation, Task, TaskState
+from diffsim.envs.task import Entry, Randomization, Task, TaskState
 from diffsim.systems.robots import SoftRobot
 
 _BODY = ("x", "v", "x_prev", "v_prev", "contact_force")
@@ -23,7 +23,7 @@ MIN_UPRIGHT = 0.5  # of the upright axis's share along its old direction: a tilt
 class SoftTask(Task):
     """A soft robot under commands to its muscles; what is rewarded, subclasses say.
 
-    Observed are the velocities of the sensors' nodes; on a floor also the height of the centre and
+    Observed are the velocities of the sensors' nodes; on a floor also the height of the center and
     the mean deformation gradient (``SoftRobot.attitude``): how the robot lies and is stretched.
 
     Args:
@@ -31,10 +31,10 @@ class SoftTask(Task):
         num_steps: Length of an episode in control steps.
         substeps: Time steps of the body per control step.
         start_speed: The episode begins with velocities linear in place, at random, as large as
-            this at the farthest nodes; the centre is at rest [m/s].
+            this at the farthest nodes; the center is at rest [m/s].
         current: Standard deviation of each component of the episode's current [m/s]; in water.
-        action_delay, randomisation: As for every task; ``muscles`` (their stroke) and, in water,
-            ``water`` (drag and thrust) may be randomised, per member of a batch.
+        action_delay, randomization: As for every task; ``muscles`` (their stroke) and, in water,
+            ``water`` (drag and thrust) may be randomized, per member of a batch.
 
     An episode fails when the robot has an upright axis and tips over.
     """
@@ -50,10 +50,10 @@ class SoftTask(Task):
         start_speed: float = 0.0,
         current: float = 0.0,
         action_delay: int = 0,
-        randomisation: Randomisation | None = None,
+        randomization: Randomization | None = None,
     ):
-        self.randomisable = ("muscles",) if robot.water is None else ("muscles", "water")
-        super().__init__(action_delay=action_delay, randomisation=randomisation)
+        self.randomizable = ("muscles",) if robot.water is None else ("muscles", "water")
+        super().__init__(action_delay=action_delay, randomization=randomization)
         self.robot = robot
         self.substeps = _count("substeps", substeps)
         self.dt = robot.body.dt * self.substeps
@@ -79,7 +79,7 @@ class SoftTask(Task):
         x = body.x_rest.expand(batch, -1, -1).clone()
         state = {"x": x, "v": torch.zeros_like(x)}
         if self.start_speed:
-            away = body.x_rest - self.robot.centre(body.x_rest)
+            away = body.x_rest - self.robot.center(body.x_rest)
             slope = torch.from_numpy(rng.standard_normal((batch, 3, 3)))
             v = away @ slope * (self.start_speed / float(away.norm(dim=1).max()))
             state["v"] = torch.where(body.fixed, torch.zeros_like(v), v)
@@ -108,7 +108,7 @@ class SoftTask(Task):
         seen = state["v"][:, self.robot.sensors].flatten(1)
         if not self.robot.obstacles:
             return seen
-        height = self.robot.centre(state["x"])[:, 2:]
+        height = self.robot.center(state["x"])[:, 2:]
         return torch.cat([seen, height, self.robot.attitude(state["x"]).flatten(1)], 1)
 
     def failed(self, state: TaskState) -> Tensor:
@@ -119,13 +119,13 @@ class SoftTask(Task):
         return self.robot.attitude(state["x"])[:, axis, axis] < MIN_UPRIGHT
 
     def picture(self, state: TaskState, index: int) -> NDArray[np.uint8]:
-        """The skin; the camera follows the centre, or stands still before a robot that is fixed."""
+        """The skin; the camera follows the center, or stands still before a robot that is fixed."""
         x, body = state["x"][index].detach(), self.robot.body
         fixed = bool(body.fixed.any())
         return body_picture(
             x,
             self._faces,
-            centre=self.robot.centre(body.x_rest if fixed else x),
+            center=self.robot.center(body.x_rest if fixed else x),
             reach=(0.8 if fixed else 0.55) * self._extent,
             ground=0.0 if self.robot.obstacles or fixed else None,
             goal=state["goal"][index] if "goal" in state else None,
@@ -139,7 +139,7 @@ class SoftTask(Task):
             for axis in "xyz"
         ]
         if self.robot.obstacles:
-            out.append(Entry("height of the centre", -inf, inf, "m"))
+            out.append(Entry("height of the center", -inf, inf, "m"))
             out += [Entry(f"deformation {r}{c}", -inf, inf) for r in "xyz" for c in "xyz"]
         return out
 
@@ -147,9 +147,9 @@ class SoftTask(Task):
 class Advance(SoftTask):
     """Move forward without drifting sideways: swim, walk or roll.
 
-    Reward per control step: the centre's mean forward speed minus ``drift_weight`` times its speed
+    Reward per control step: the center's mean forward speed minus ``drift_weight`` times its speed
     across, plus ``rise_weight`` times its upward speed, all over ``speed_scale`` (thesis 4.1.6: a
-    weighted sum of forward and lateral velocities). Forward terms sum to the distance travelled.
+    weighted sum of forward and lateral velocities). Forward terms sum to the distance traveled.
     On a floor, across is horizontal.
 
     Args:
@@ -178,7 +178,7 @@ class Advance(SoftTask):
 
     def reward_terms(self, before: TaskState, action: Tensor, after: TaskState) -> TaskState:
         """Forward, drift and, if it counts, rise."""
-        moved = self.robot.centre(after["x"]) - self.robot.centre(before["x"])
+        moved = self.robot.center(after["x"]) - self.robot.center(before["x"])
         velocity = moved / (self.dt * self.speed_scale)
         ahead = velocity @ self.robot.forward
         across = velocity - ahead[:, None] * self.robot.forward

@@ -39,7 +39,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Randomisation:
+class Randomization:
     """What differs from episode to episode: factors drawn uniformly at every start.
 
     Attributes:
@@ -61,14 +61,14 @@ class Task(ABC):
 
     Args:
         action_delay: Control steps between a command and its effect.
-        randomisation: Of physical quantities, per episode; None: none.
+        randomization: Of physical quantities, per episode; None: none.
 
     Attributes:
         name: Such as "StarfishSwim".
         dt: Control period [s].
         max_steps: Length of an episode, after which it is truncated.
         actions, observations: Data sheets; actions lie in [-1, 1].
-        randomisable: Quantities that ``randomisation`` may name.
+        randomizable: Quantities that ``randomization`` may name.
     """
 
     name: str
@@ -76,17 +76,17 @@ class Task(ABC):
     max_steps: int
     actions: tuple[Entry, ...]
     observations: tuple[Entry, ...]
-    randomisable: tuple[str, ...] = ()
+    randomizable: tuple[str, ...] = ()
 
-    def __init__(self, *, action_delay: int = 0, randomisation: Randomisation | None = None):
+    def __init__(self, *, action_delay: int = 0, randomization: Randomization | None = None):
         if isinstance(action_delay, bool) or action_delay != int(action_delay) or action_delay < 0:
             raise ValueError(f"action_delay must be a whole number >= 0, got {action_delay!r}")
-        self.action_delay, self.randomisation = int(action_delay), randomisation
-        for name, bounds in ({} if randomisation is None else randomisation.factors).items():
-            require_choice("randomisation", name, self.randomisable)
+        self.action_delay, self.randomization = int(action_delay), randomization
+        for name, bounds in ({} if randomization is None else randomization.factors).items():
+            require_choice("randomization", name, self.randomizable)
             if len(bounds) != 2 or not 0.0 < bounds[0] <= bounds[1]:
                 raise ValueError(
-                    f"randomisation[{name!r}] must be (low, high), 0 < low <= high, got {bounds}"
+                    f"randomization[{name!r}] must be (low, high), 0 < low <= high, got {bounds}"
                 )
 
     # what a task defines
@@ -100,7 +100,7 @@ class Task(ABC):
         """Physical states one control period later; differentiable in state and action.
 
         Args:
-            state: As ``rest`` makes it, with ``random.NAME`` (batch,) where randomised.
+            state: As ``rest`` makes it, with ``random.NAME`` (batch,) where randomized.
             action: (batch, num_actions) in [-1, 1], already delayed.
         """
 
@@ -139,8 +139,8 @@ class Task(ABC):
         if self.action_delay:
             width = (batch, self.action_delay, self.num_actions)
             state["commands"] = torch.zeros(width, dtype=torch.float64)
-        if self.randomisation is not None:
-            state |= self.randomisation.draw(batch, rng)
+        if self.randomization is not None:
+            state |= self.randomization.draw(batch, rng)
         return state
 
     def step(self, state: TaskState, action: Tensor) -> tuple[TaskState, Tensor]:
@@ -174,7 +174,7 @@ class Task(ABC):
         return after, self.reward_terms(state, action, after)
 
     def factor(self, state: TaskState, name: str) -> Tensor:
-        """Random factor of a quantity, (batch,); ones where it is not randomised."""
+        """Random factor of a quantity, (batch,); ones where it is not randomized."""
         batch = state["step"].shape[0] if "step" in state else len(next(iter(state.values())))
         return state.get(f"random.{name}", torch.ones(batch, dtype=torch.float64))
 

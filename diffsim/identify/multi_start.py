@@ -23,7 +23,7 @@ class Starts:
     """Random points, best first.
 
     Attributes:
-        x: (count, n) standardised coordinates.
+        x: (count, n) standardized coordinates.
         cost: (count,) ½ |r|² + ½ |x|²; infinite where the simulation failed.
     """
 
@@ -40,14 +40,14 @@ def random_starts(
     fixed: tuple[str, ...] = (),
     report: Callable[[float], object] = lambda cost: None,
 ) -> Starts:
-    """Simulate points drawn from the prior, the prior's centre first.
+    """Simulate points drawn from the prior, the prior's center first.
 
     Args:
-        problem: Without effects, or with effects of size zero at the centre.
+        problem: Without effects, or with effects of size zero at the center.
         count: How many points.
         seed: Of the draws.
         spread: Of the draws, in prior standard deviations.
-        fixed: Names of coordinates that stay at the prior's centre.
+        fixed: Names of coordinates that stay at the prior's center.
         report: Called with each cost as it is known.
     """
     require_number("count", count, at_least=1)
@@ -102,7 +102,7 @@ def descend(
 
     Args:
         problem: Whose scene is differentiable.
-        start: (n,) standardised coordinates.
+        start: (n,) standardized coordinates.
         max_evaluations: Of cost and gradient.
         first_step: Share of the metric's Newton step that is tried first.
         report: Called with each cost as it is known.

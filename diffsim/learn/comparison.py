@@ -98,8 +98,8 @@ def scale_of(plan: Plan, folder: Path, runs: Runs) -> Scale:
     return Scale(zero, float(interquartile_mean(finals)))
 
 
-def summarise(runs: Runs, scale: Scale) -> list[Row]:
-    """Per method: final normalised reward, and where runs reach 90 % of the gradient's.
+def summarize(runs: Runs, scale: Scale) -> list[Row]:
+    """Per method: final normalized reward, and where runs reach 90 % of the gradient's.
 
     Also where the gradient's runs first reach what the method ends with (medians).
     """

@@ -1,4 +1,4 @@
-"""Critics of short-horizon methods: what an observation is worth, learnt from windows."""
+"""Critics of short-horizon methods: what an observation is worth, learned from windows."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Critic(nn.Module):
     values of tens of rewards would outweigh the rewards of a window.
 
     Args:
-        num_observations: Width of normalised observations.
+        num_observations: Width of normalized observations.
         discount: Per step; values are up to 1 / (1 - discount) times a reward.
         seed: Of the weights.
     """
@@ -28,12 +28,12 @@ class Critic(nn.Module):
     def __init__(self, num_observations: int, discount: float, seed: int):
         super().__init__()
         self.scale = 1.0 / (1.0 - discount)
-        net = MLPController(num_observations, 1, normalise=False, seed=seed)
+        net = MLPController(num_observations, 1, normalize=False, seed=seed)
         self.layers = net.layers[:-1]  # a value is not bounded: no tanh at the end
 
-    def forward(self, normalised: Tensor) -> Tensor:
+    def forward(self, normalized: Tensor) -> Tensor:
         """(..., num_observations) -> (...)."""
-        value: Tensor = self.layers(normalised)[..., 0]
+        value: Tensor = self.layers(normalized)[..., 0]
         return self.scale * value
 
 
@@ -52,12 +52,12 @@ class Critics(nn.Module):
         )
         self.targets = copy.deepcopy(self.members).requires_grad_(False)
 
-    def values(self, normalised: Tensor) -> tuple[Tensor, Tensor]:
+    def values(self, normalized: Tensor) -> tuple[Tensor, Tensor]:
         """Mean of the copies' values, (...), and the lowest of them, without gradient.
 
         The actor climbs the mean, critics learn from the lowest (Xing et al. 2025).
         """
-        values = torch.stack([target(normalised) for target in self.targets])
+        values = torch.stack([target(normalized) for target in self.targets])
         return values.mean(0), values.detach().amin(0)
 
     def fit(
@@ -75,7 +75,7 @@ class Critics(nn.Module):
 
         Args:
             adam: Of ``members``.
-            rows: (n, num_observations), normalised.
+            rows: (n, num_observations), normalized.
             goals: (n,).
             rng: Of the order of rows.
             passes, parts: Over all rows, each in so many parts.

@@ -75,9 +75,9 @@ def cosine_rate(first: float, progress: float, last: float = 0.1) -> float:
     return first * (last + (1.0 - last) * 0.5 * (1.0 + math.cos(math.pi * min(progress, 1.0))))
 
 
-def set_rate(optimiser: torch.optim.Optimizer, rate: float) -> None:
+def set_rate(optimizer: torch.optim.Optimizer, rate: float) -> None:
     """Learning rate of all groups."""
-    for group in optimiser.param_groups:
+    for group in optimizer.param_groups:
         group["lr"] = rate
 
 
@@ -132,8 +132,8 @@ class GradientLearner:
                 raise
         if self.guard.good(None if batch is None else batch.reward, norm):
             self.adam.step()
-            assert self.net.normaliser is not None and batch is not None  # of good updates
-            self.net.normaliser.update(batch.seen)
+            assert self.net.normalizer is not None and batch is not None  # of good updates
+            self.net.normalizer.update(batch.seen)
         steps = horizon * o.batch
         scalars = {
             "train/reward": math.nan if batch is None else float(batch.reward),

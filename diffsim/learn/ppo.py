@@ -1,7 +1,7 @@
 """PPO of stable-baselines3, from the same first controller as the gradient methods.
 
-With the code-level optimisations of Engstrom et al. ("Implementation matters in deep policy
-gradients", ICLR 2020): value clipping, scaled rewards, normalised and clipped observations and
+With the code-level optimizations of Engstrom et al. ("Implementation matters in deep policy
+gradients", ICLR 2020): value clipping, scaled rewards, normalized and clipped observations and
 rewards, orthogonal first weights, annealed learning rate, clipped gradients, tanh units.
 """
 
@@ -43,10 +43,10 @@ class PpoOptions:
         minibatch: Rows per step of Adam.
         epochs: Passes over a rollout.
         learning_rate: At the start; falls to zero linearly.
-        discount, trace: Of generalised advantage estimation.
+        discount, trace: Of generalized advantage estimation.
         clip: Of the policy's ratio and of the value.
         entropy: Weight of the bonus.
-        exploration: First standard deviation of commands; learnt.
+        exploration: First standard deviation of commands; learned.
         hold_noise: Steps for which noise stays one function of the state (gSDE, Raffin et al.
             2021), so that it moves slow bodies; 0: white noise.
     """
@@ -69,7 +69,7 @@ class TanhMeanPolicy(ActorCriticPolicy):
 
     def _build(self, lr_schedule: Any) -> None:
         super()._build(lr_schedule)
-        # the optimiser made there keeps its parameters: a tanh has none
+        # the optimizer made there keeps its parameters: a tanh has none
         self.action_net = nn.Sequential(self.action_net, nn.Tanh())
 
 

@@ -1,6 +1,6 @@
-"""Soft analytic policy optimisation (Xing, Luk and Oh, "Stabilizing reinforcement learning in
+"""Soft analytic policy optimization (Xing, Luk and Oh, "Stabilizing reinforcement learning in
 differentiable multiphysics simulation", ICLR 2025, arXiv:2412.12089): a short-horizon actor-critic
-that is paid for reward and entropy, with a spread that depends on the state, a learnt price of
+that is paid for reward and entropy, with a spread that depends on the state, a learned price of
 entropy and two critics.
 
 Ours are the controller (tanh units, as for every method), Adam, and the temperature's first value
@@ -114,7 +114,7 @@ class SoftExplorer(Explorer):
 
     def __init__(self, task: Task, options: SapoOptions, seed: int):
         super().__init__()
-        net = MLPController(task.num_observations, task.num_actions, normalise=False, seed=seed)
+        net = MLPController(task.num_observations, task.num_actions, normalize=False, seed=seed)
         self.log_spread = net.layers[:-1]  # no tanh at the end
         last = net.layers[-2]
         assert isinstance(last, nn.Linear)  # of MLPController
@@ -128,10 +128,10 @@ class SoftExplorer(Explorer):
 
         H[tanh(u)] = H[u] + E[sum ln(1 - tanh(u)^2)] (Haarnoja et al. 2018, appendix C).
         """
-        assert net.normaliser is not None  # of first_controller
-        normalised = net.normaliser(observation)
-        log_spread = self.log_spread(normalised).clamp(*LOG_SPREAD_BOUNDS)
-        free = net.layers[:-1](normalised) + noise * log_spread.exp()
+        assert net.normalizer is not None  # of first_controller
+        normalized = net.normalizer(observation)
+        log_spread = self.log_spread(normalized).clamp(*LOG_SPREAD_BOUNDS)
+        free = net.layers[:-1](normalized) + noise * log_spread.exp()
         return torch.tanh(free), normal_entropy(log_spread) + log_slope(free).sum(-1)
 
     def bonus(self, entropy: Tensor) -> Tensor:

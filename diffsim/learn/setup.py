@@ -34,7 +34,7 @@ class Setup:
         evaluate_every: Simulation steps between two ratings.
         evaluation_episodes: Whose mean reward is the rating; the same ones for every method.
         step_cost: What a step with its gradient costs, in steps without (``gradient_step_cost``).
-        warm_up: Control steps of random commands from which observations are first normalised.
+        warm_up: Control steps of random commands from which observations are first normalized.
     """
 
     task: str
@@ -52,7 +52,7 @@ class Setup:
 
 
 def first_controller(task: Task, seed: int, warm_up: int = 50) -> MLPController:
-    """The controller that all methods start from: seeded weights, observations normalised.
+    """The controller that all methods start from: seeded weights, observations normalized.
 
     The moments come from episodes under random commands, held for a few steps each; training
     methods go on to update them.
@@ -63,7 +63,7 @@ def first_controller(task: Task, seed: int, warm_up: int = 50) -> MLPController:
         warm_up: Steps of each of eight episodes.
     """
     controller = MLPController(task.num_observations, task.num_actions, seed=seed)
-    assert controller.normaliser is not None  # asked for by default
+    assert controller.normalizer is not None  # asked for by default
     rng = np.random.default_rng([seed, 1])
     env = TaskVectorEnv(task, WARM_UP_ENVS)
     observations, _ = env.reset(seed=int(rng.integers(2**31)))
@@ -71,7 +71,7 @@ def first_controller(task: Task, seed: int, warm_up: int = 50) -> MLPController:
         if k % WARM_UP_HOLD == 0:
             commands = rng.uniform(-1.0, 1.0, (WARM_UP_ENVS, task.num_actions)).astype(np.float32)
         observations, *_ = env.step(commands)
-        controller.normaliser.update(torch.from_numpy(observations).double())
+        controller.normalizer.update(torch.from_numpy(observations).double())
     return controller
 
 
@@ -106,7 +106,7 @@ def broke_down(error: BaseException) -> bool:
 
 
 def untrained_reward(setup: Setup, networks: int = 16) -> float:
-    """Mean rating of untrained networks: the zero of normalised rewards (thesis Fig. 4-17)."""
+    """Mean rating of untrained networks: the zero of normalized rewards (thesis Fig. 4-17)."""
     task = setup.make_task()
     ratings = [
         evaluate(task, first_controller(task, 1000 + k, setup.warm_up), setup.evaluation_episodes)

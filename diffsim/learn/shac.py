@@ -21,7 +21,7 @@ class ShacOptions(WindowOptions):
 
 
 class FixedSpread(Explorer):
-    """Normal noise before the bounds, of one learnt spread per command whatever is observed.
+    """Normal noise before the bounds, of one learned spread per command whatever is observed.
 
     Args:
         num_actions: Width of a command.

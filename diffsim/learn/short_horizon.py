@@ -33,7 +33,7 @@ class WindowOptions:
         target_keep: Share of a target critic that stays at an update.
         critic_passes, critic_parts: Over the window's data, each in so many parts.
         warm_up: Windows at the start that train the critics alone: the actor follows their slope.
-        exploration: First standard deviation of commands; learnt.
+        exploration: First standard deviation of commands; learned.
         clip: Largest norm of a gradient.
         max_bad: As for ``GradientOptions``.
     """
@@ -57,7 +57,7 @@ class WindowOptions:
 class Window:
     """What one window saw, without gradient: (steps, batch, ...)."""
 
-    normalised: Tensor
+    normalized: Tensor
     rewards: Tensor
     entropy: Tensor
     next_values: Tensor
@@ -85,8 +85,8 @@ class ShortHorizonLearner:
         self.options = o = options
         self.task: Task = setup.make_task()
         self.net = first_controller(self.task, setup.seed, setup.warm_up)
-        assert self.net.normaliser is not None  # of first_controller
-        self.normaliser = self.net.normaliser
+        assert self.net.normalizer is not None  # of first_controller
+        self.normalizer = self.net.normalizer
         self.explorer = explorer(self.task)
         self.actor_parameters = [*self.net.parameters(), *self.explorer.parameters()]
         self.critics = Critics(self.task.num_observations, o.discount, setup.seed, num_critics)
@@ -151,7 +151,7 @@ class ShortHorizonLearner:
             state, reward = self.task.step(state, command)
             total = total + weight * (reward + self.explorer.bonus(entropy))
             weight = weight * o.discount
-            value, lowest = self.critics.values(self.normaliser(self.task.observe(state)))
+            value, lowest = self.critics.values(self.normalizer(self.task.observe(state)))
             failed = self.task.failed(detached(state))
             ended = failed | (state["step"] >= self.task.max_steps)
             stop = ended if k < o.window - 1 else torch.ones_like(ended)
@@ -162,10 +162,10 @@ class ShortHorizonLearner:
         self.state = detached(state)
         rows = torch.stack(seen)
         with torch.no_grad():
-            normalised = self.normaliser(rows)
-        self.normaliser.update(rows)
+            normalized = self.normalizer(rows)
+        self.normalizer.update(rows)
         columns = [torch.stack(list(c)) for c in zip(*record, strict=True)]
-        return -total.mean() / o.window, Window(normalised, *columns)
+        return -total.mean() / o.window, Window(normalized, *columns)
 
     def _restart(self, state: TaskState, weight: Tensor, ended: Tensor) -> tuple[TaskState, Tensor]:
         """Ended episodes start anew; their later rewards count in full."""
@@ -182,7 +182,7 @@ class ShortHorizonLearner:
             self.explorer.adapt(window.entropy)
         self.critics.fit(
             self.critic_adam,
-            window.normalised.flatten(0, 1),
+            window.normalized.flatten(0, 1),
             goals.flatten(),
             self.rng,
             passes=o.critic_passes,

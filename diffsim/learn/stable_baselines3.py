@@ -1,4 +1,4 @@
-"""What methods of stable-baselines3 share: the same first controller, normalised observations."""
+"""What methods of stable-baselines3 share: the same first controller, normalized observations."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ def linear_layers(*modules: nn.Module) -> list[nn.Linear]:
 
 def start_from(first: MLPController, layers: Sequence[nn.Linear], venv: VecNormalize) -> None:
     """Give a policy's layers the weights, and its environment the moments, of a controller."""
-    assert first.normaliser is not None  # of first_controller
+    assert first.normalizer is not None  # of first_controller
     with torch.no_grad():
         for ours, theirs in zip(linear_layers(first.layers), layers, strict=True):
             theirs.weight.copy_(ours.weight)
             theirs.bias.copy_(ours.bias)
     moments: Any = venv.obs_rms
-    moments.mean = first.normaliser.mean.numpy().copy()
-    moments.var = first.normaliser.variance.numpy().copy()
-    moments.count = float(first.normaliser.count)
+    moments.mean = first.normalizer.mean.numpy().copy()
+    moments.var = first.normalizer.variance.numpy().copy()
+    moments.count = float(first.normalizer.count)
 
 
 def as_controller(task: Task, layers: Sequence[nn.Linear], venv: VecNormalize) -> MLPController:
-    """A policy's mean as a controller in double precision, observations normalised alike."""
+    """A policy's mean as a controller in double precision, observations normalized alike."""
     net = MLPController(task.num_observations, task.num_actions)
     moments: Any = venv.obs_rms
-    assert net.normaliser is not None  # asked for by default
+    assert net.normalizer is not None  # asked for by default
     with torch.no_grad():
         for ours, theirs in zip(linear_layers(net.layers), layers, strict=True):
             ours.weight.copy_(theirs.weight)
             ours.bias.copy_(theirs.bias)
-        net.normaliser.mean.copy_(torch.as_tensor(moments.mean))
-        net.normaliser.variance.copy_(torch.as_tensor(moments.var))
-        net.normaliser.count.copy_(torch.as_tensor(moments.count))
+        net.normalizer.mean.copy_(torch.as_tensor(moments.mean))
+        net.normalizer.variance.copy_(torch.as_tensor(moments.var))
+        net.normalizer.count.copy_(torch.as_tensor(moments.count))
     return net
 
 

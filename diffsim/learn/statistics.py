@@ -56,7 +56,7 @@ def bootstrap_interval(
 def held(rows: Sequence[Row], axis: str, at: Array) -> Array:
     """Reward of a run at places of an axis: that of the last rating before, held.
 
-    Ratings that broke down (NaN) count as the run's first one: as if nothing had been learnt.
+    Ratings that broke down (NaN) count as the run's first one: as if nothing had been learned.
 
     Args:
         rows: Ratings, in order.
@@ -77,7 +77,7 @@ def first_reach(rows: Sequence[Row], axis: str, goal: float) -> float:
 
 @dataclass(frozen=True)
 class Scale:
-    """Normalised reward (thesis Fig. 4-17).
+    """Normalized reward (thesis Fig. 4-17).
 
     Attributes:
         zero: Mean reward of untrained networks.

@@ -15,11 +15,11 @@ _SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry: assembly in two or
 
 
 class SparseCholesky:
-    """Cholesky factorisation A = L L' of a sparse symmetric positive definite matrix.
+    """Cholesky factorization A = L L' of a sparse symmetric positive definite matrix.
 
-    The pattern is analysed once (nested dissection, supernodes); ``refactor`` takes new values on
+    The pattern is analyzed once (nested dissection, supernodes); ``refactor`` takes new values on
     the same pattern and ``solve`` any number of right-hand sides. Results do not depend on the
-    number of threads. Not modelled: indefinite or unsymmetric matrices, gradients through ``solve``
+    number of threads. Not modeled: indefinite or unsymmetric matrices, gradients through ``solve``
     (build a layer on two solves). Solves of one object from several threads at once are not safe.
 
     Args:
@@ -91,7 +91,7 @@ class SparseCholesky:
 
     @property
     def flops(self) -> float:
-        """Floating-point operations of one factorisation."""
+        """Floating-point operations of one factorization."""
         return self._factor.flops
 
     def refactor(self, matrix: sp.spmatrix | sp.sparray | Tensor) -> None:
@@ -110,7 +110,7 @@ class SparseCholesky:
             raise ValueError(f"matrix must have shape {self.shape}, got {csr.shape}")
         if not self._pattern.matches(csr):
             raise ValueError(
-                "matrix must have the sparsity pattern it was analysed with "
+                "matrix must have the sparsity pattern it was analyzed with "
                 f"({len(self._pattern.columns)} entries), got another one ({csr.nnz} entries); "
                 "store explicit zeros to keep a pattern, or make a new SparseCholesky"
             )

@@ -46,7 +46,7 @@ class Command:
         values = self.contraction_m
         if values.ndim != 1 or len(values) < 2 or not np.isfinite(values).all():
             raise ValueError(
-                "contraction_m must be (num_samples,), at least two finite numbers in metres, got "
+                "contraction_m must be (num_samples,), at least two finite numbers in meters, got "
                 f"shape {values.shape}"
             )
 

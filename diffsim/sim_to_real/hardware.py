@@ -51,7 +51,7 @@ class Hardware(Protocol):
             The recording in the study format: ``measured`` holds ``CHANNELS`` (x and z of four
             markers in the camera's plane [m], the robot swims towards -x, NaN where not seen), at
             60 Hz from the command's start; ``command`` the contraction that was executed, which
-            differs from the command where the servo quantises.
+            differs from the command where the servo quantizes.
         """
         ...
 

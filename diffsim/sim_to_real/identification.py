@@ -25,7 +25,7 @@ class FitSettings:
     Attributes:
         duration_s: Of every recording, from its start [s].
         sd_m: What a sample is trusted to [m]: far above the camera's noise, for what the model
-            lacks is millimetres, and alike from sample to sample.
+            lacks is millimeters, and alike from sample to sample.
         method: "lbfgs" (as in the thesis, gradients by the simulator's adjoint) or "gauss_newton"
             (by its tangents).
         max_evaluations: Of the misfit, with its gradient.

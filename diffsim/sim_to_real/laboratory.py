@@ -87,10 +87,10 @@ class VirtualLaboratory:
         )
         robot = RodSwimmer(truth)
         wish = command.during(self.duration_s)
-        quantised = np.round(wish / self.rig.step_m) * self.rig.step_m
-        wait = np.full(round(SETTLE_S * RATE_HZ), quantised[0])
+        quantized = np.round(wish / self.rig.step_m) * self.rig.step_m
+        wait = np.full(round(SETTLE_S * RATE_HZ), quantized[0])
         ramp = np.clip(np.arange(len(wait)) / (0.25 * len(wait)), 0.0, 1.0)
-        servo = self._servo(np.repeat(np.concatenate([ramp * wait, quantised]), STEPS_PER_SAMPLE))
+        servo = self._servo(np.repeat(np.concatenate([ramp * wait, quantized]), STEPS_PER_SAMPLE))
         places = robot.run(servo)[len(wait) :]
         offset = 0.01 * draw[4]
         time = np.arange(len(wish)) / RATE_HZ
@@ -103,7 +103,7 @@ class VirtualLaboratory:
             name=f"run_{order}",
             time_s=time,
             measured=np.where(gone, np.nan, seen),
-            command={COMMAND: quantised},
+            command={COMMAND: quantized},
             group=f"run_{order}",
             order=order,
         )

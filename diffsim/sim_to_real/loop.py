@@ -160,7 +160,7 @@ def _row(
         loss_action_before=planned.loss_action_before,
         command=planned.command,
         run=run,
-        centre_m=motion[:, -1],
+        center_m=motion[:, -1],
         markers_m=motion[:, :-1],
         speed_simulated=speed(times, motion[:, :-1:2], period_s),
         speed_measured=speed(run.time_s, run.measured[:, ::2], period_s),

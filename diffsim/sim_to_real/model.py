@@ -95,22 +95,22 @@ class Starfish:
         return torch.tensor(rows, dtype=torch.float64), torch.tensor(PLACES_M).sign().double()
 
     def observe(self, x: Tensor) -> Tensor:
-        """Places of the markers and of the centre of mass.
+        """Places of the markers and of the center of mass.
 
         Args:
             x: (..., num_vertices, 3) [m].
 
         Returns:
-            (..., 9): x and z of four markers, and x of the centre of mass (thesis eq. 5.11; by
+            (..., 9): x and z of four markers, and x of the center of mass (thesis eq. 5.11; by
             volume, not by vertex) [m].
         """
         made = self.quarter
         rows, side = self._rows
         places = rows @ x[..., made.nodes, :]
         volume = made.body.nodal_volume
-        centre = (volume * x[..., 0]).sum(-1, keepdim=True) / volume.sum()
+        center = (volume * x[..., 0]).sum(-1, keepdim=True) / volume.sum()
         seen = torch.stack([places[..., 0], side * places[..., 2]], -1).flatten(-2)
-        return torch.cat([seen, centre], -1)
+        return torch.cat([seen, center], -1)
 
     def scene(
         self,

@@ -62,9 +62,9 @@ class Iteration:
         loss_action_before: L_a of the command before, with theta [m].
         command: Executed in this iteration.
         run: Its recording.
-        centre_m: (num_samples,) x of the centre of mass, simulated with theta for ``command``, from
+        center_m: (num_samples,) x of the center of mass, simulated with theta for ``command``, from
             its start [m].
-        markers_m: (num_samples, 8) displacements of the markers, simulated, as ``centre_m``.
+        markers_m: (num_samples, 8) displacements of the markers, simulated, as ``center_m``.
         speed_simulated: v_s, predicted before the experiment [m/s].
         speed_measured: v_r [m/s].
     """
@@ -77,7 +77,7 @@ class Iteration:
     loss_action_before: float
     command: Command
     run: Run
-    centre_m: Array
+    center_m: Array
     markers_m: Array
     speed_simulated: float
     speed_measured: float

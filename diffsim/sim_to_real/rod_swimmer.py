@@ -12,7 +12,7 @@ explicitly (symplectic Euler) at ``DT``, where the simulator has hexahedra and i
   the legs only), with other drag laws: crossflow and skin friction of a rod;
 - Coulomb friction on the rail, a current.
 
-Not modelled: twist, bending out of a leg's plane, pitch and heave of the robot, wakes that meet.
+Not modeled: twist, bending out of a leg's plane, pitch and heave of the robot, wakes that meet.
 """
 
 from __future__ import annotations
@@ -219,7 +219,7 @@ class RodSwimmer:
         at += DT * velocity
 
     def flat_side(self, places: Array, leg: int, r: float) -> Array:
-        """Places (num_samples, 2) of a marker on the flat side of a leg, ``r`` from the centre."""
+        """Places (num_samples, 2) of a marker on the flat side of a leg, ``r`` from the center."""
         i = int(np.clip(np.searchsorted(self.rest[:, 1], r) - 1, 0, NUM_EDGES - 1))
         from_node = np.array([0.0, r]) - self.rest[i]
         edge = self.rest[i + 1] - self.rest[i]

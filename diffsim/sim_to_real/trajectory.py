@@ -77,8 +77,8 @@ def travel_loss(
     """
     # one sample more: N is the end of the last period
     contraction = torch.cat([period.repeat(periods), period[:1]])
-    centre = model.motion(values, contraction)[:, -1]
-    return centre[-1] - centre[0]
+    center = model.motion(values, contraction)[:, -1]
+    return center[-1] - center[0]
 
 
 def optimize(

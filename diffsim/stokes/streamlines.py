@@ -126,7 +126,7 @@ def streamlines(
 def inlet_seeds(field: FlowField, count: int, *, case: int = 0) -> Tensor:
     """Points on the faces of the box where fluid enters, each for an equal share of the inflow.
 
-    In 2D, neighbouring streamlines then bound equal flows. In 3D the inflow of a face is cut into
+    In 2D, neighboring streamlines then bound equal flows. In 3D the inflow of a face is cut into
     strips, and those into pieces.
 
     Args:
@@ -229,7 +229,7 @@ class _Sampler:
         return np.stack(found[:-1], -1), found[-1]
 
     def along(self, at: Array, sign: float) -> Array:
-        """Unit steps along the flow in metres, as cells per metre; zero where it rests."""
+        """Unit steps along the flow in meters, as cells per meter; zero where it rests."""
         v, _ = self(at)
         speed = np.linalg.norm(v, axis=-1, keepdims=True)
         unit = np.divide(sign * v, speed, out=np.zeros_like(v), where=speed > self.slowest)

@@ -16,7 +16,7 @@ from diffsim.viz.palette import save
 from diffsim.viz.scene import MovingPoints, MovingSurface, Scene, write
 
 INK, FLOOR, TARGET = "#1d2433", "#e4e8ee", "#b3362a"
-COLOURS = ("#c2571a", "#0b6e75", "#8a93a3")  # before, after, target motion
+COLORS = ("#c2571a", "#0b6e75", "#8a93a3")  # before, after, target motion
 RECORDING_FRAMES = 120
 
 
@@ -56,7 +56,7 @@ def motion_strip(
     for m, (caption, x) in enumerate(motions.items()):
         for f, step in enumerate(_steps(x, frames)):
             r, c = (f, m) if wide else (m, f)
-            # axes in 3D are square: those of a flat row overlap their neighbours', unseen
+            # axes in 3D are square: those of a flat row overlap their neighbors', unseen
             bottom = 1.0 - ((r + 0.5) * height + 0.5 * side) / (height * rows)
             place = (c / columns, bottom, 1.0 / columns, side / (height * rows))
             axes: Any = figure.add_axes(place, projection="3d", computed_zorder=False)
@@ -67,7 +67,7 @@ def motion_strip(
             axes.set_axis_off()
             if application.obstacles:
                 _floor(axes, low, high)
-            _surface(axes, x[step].numpy()[faces], COLOURS[m % len(COLOURS)])
+            _surface(axes, x[step].numpy()[faces], COLORS[m % len(COLORS)])
             if application.follow is not None:
                 trail = application.follow(x[: step + 1]).numpy().T
                 axes.plot(*trail, ".", color=INK, ms=2, zorder=20)
@@ -97,7 +97,7 @@ def recording(application: Application, motions: Mapping[str, Tensor], path: Pat
                 time_s=time_s,
                 nodes_m=x[steps].numpy().astype(np.float32),
                 triangles=triangles,
-                colour=COLOURS[k % len(COLOURS)],
+                color=COLORS[k % len(COLORS)],
             )
         )
     size = float(
@@ -109,7 +109,7 @@ def recording(application: Application, motions: Mapping[str, Tensor], path: Pat
                 path=f"{application.name}/{name.replace(' ', '_')}",
                 time_s=np.zeros(1),
                 points_m=np.asarray(place, float)[None, None],
-                colour=TARGET,
+                color=TARGET,
                 radius_m=0.02 * size,
             )
         )
@@ -134,14 +134,14 @@ def _steps(x: Tensor, frames: int) -> list[int]:
     return np.linspace(0, len(x) - 1, frames).round().astype(int).tolist()
 
 
-def _surface(axes, polygons: np.ndarray, colour: str) -> None:
+def _surface(axes, polygons: np.ndarray, color: str) -> None:
     from matplotlib.colors import LightSource
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     axes.add_collection3d(
         Poly3DCollection(
             polygons,
-            facecolors=colour,
+            facecolors=color,
             edgecolors=INK,
             linewidths=0.1,
             shade=True,

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from diffsim.systems.balls.soft import SoftBallModel
 
 Array = NDArray[np.float64]
-COLOURS = ("#1f6f9f", "#c8502b")  # ball 0, ball 1
+COLORS = ("#1f6f9f", "#c8502b")  # ball 0, ball 1
 SEEN = "#e8b800"
 
 
@@ -31,12 +31,12 @@ class Shown:
     Attributes:
         title: What it is.
         outlines: (num_frames, num_balls, n, 2) of the balls [px]; None: only what was seen.
-        centres: (num_frames, num_balls, 2) [px].
+        centers: (num_frames, num_balls, 2) [px].
     """
 
     title: str
     outlines: Array | None
-    centres: Array
+    centers: Array
 
 
 def simulated(name: str, model: SoftBallModel, x: Array, seen: Array) -> Shown:
@@ -45,9 +45,9 @@ def simulated(name: str, model: SoftBallModel, x: Array, seen: Array) -> Shown:
     with torch.no_grad():
         motion = model.balls.centers(model.values_at(x), len(seen)).numpy()
     edges = [[outline(view, c, model.balls.radius) for c in pair] for pair in motion]
-    centres = view.project(motion)
-    off = float(np.sqrt(np.nanmean(((centres - seen) ** 2).sum(-1))))
-    return Shown(f"{name}: {off:.1f} px", np.array(edges), centres)
+    centers = view.project(motion)
+    off = float(np.sqrt(np.nanmean(((centers - seen) ** 2).sum(-1))))
+    return Shown(f"{name}: {off:.1f} px", np.array(edges), centers)
 
 
 def recording(
@@ -55,7 +55,7 @@ def recording(
 ) -> Path:
     """A rerun recording of the deforming balls at some coordinates, by name."""
     balls, surfaces = model.balls, []
-    faces = balls.ball.elements[:, [0, 2, 1]].numpy()  # a tetrahedron's last corner is the centre
+    faces = balls.ball.elements[:, [0, 2, 1]].numpy()  # a tetrahedron's last corner is the center
     for name, x in points.items():
         with torch.no_grad():
             nodes = balls.rollout(model.values_at(x), num_frames)[:, balls.nodes].numpy()
@@ -65,7 +65,7 @@ def recording(
                 time_s=np.arange(num_frames) * np.float64(balls.frame_s),
                 nodes_m=nodes[:, k].astype(np.float32),
                 triangles=faces,
-                colour=COLOURS[k],
+                color=COLORS[k],
             )
             for k in (0, 1)
         ]
@@ -81,7 +81,7 @@ def overlay(
     *,
     every: int = 4,
 ) -> Figure:
-    """Motion sequences side by side; yellow squares are the centres in the video.
+    """Motion sequences side by side; yellow squares are the centers in the video.
 
     Args:
         rows: From left to right.
@@ -97,7 +97,7 @@ def overlay(
             if row.outlines is not None:
                 for i in range(0, len(row.outlines), every):
                     _ball(ax, row.outlines[i, k], k, 0.15 + 0.5 * i / len(row.outlines))
-            ax.plot(*row.centres[:, k].T, "-", color=COLOURS[k], lw=1.2)
+            ax.plot(*row.centers[:, k].T, "-", color=COLORS[k], lw=1.2)
             for part, fill in ((slice(0, held_out_from), SEEN), (slice(held_out_from, None), "w")):
                 ax.plot(*seen[part, k].T, "s", ms=3.2, mfc=fill, mec="0.25", mew=0.5)
         ax.set_title(row.title, fontsize=9)
@@ -111,7 +111,7 @@ def strip(
     frames: Sequence[int],
     first: int,
 ) -> Figure:
-    """Some frames, one row per motion; yellow squares are the centres in the video.
+    """Some frames, one row per motion; yellow squares are the centers in the video.
 
     Args:
         rows: From top to bottom.
@@ -136,14 +136,14 @@ def strip(
 
 
 def misfits(rows: Sequence[Shown], seen: Array, first: int, held_out_from: int) -> Figure:
-    """Distance of simulated from tracked centres over the frames; arguments as above."""
+    """Distance of simulated from tracked centers over the frames; arguments as above."""
     figure = Figure(figsize=(8, 3), layout="constrained")
     ax = figure.subplots()
     frames = first + np.arange(len(seen))
     for row, style in zip(rows, (":", "-", "--", "-."), strict=False):
-        distance = np.linalg.norm(row.centres - seen, axis=-1)
+        distance = np.linalg.norm(row.centers - seen, axis=-1)
         for k in range(seen.shape[1]):
-            ax.plot(frames, distance[:, k], style, color=COLOURS[k], label=f"{row.title}, ball {k}")
+            ax.plot(frames, distance[:, k], style, color=COLORS[k], label=f"{row.title}, ball {k}")
     if first + held_out_from <= frames[-1]:
         ax.axvspan(first + held_out_from - 0.5, frames[-1] + 0.5, color="0.92", label="held out")
     ax.set(xlabel="video frame", ylabel="error [px]", ylim=(0, None))
@@ -168,4 +168,4 @@ def _frame(ax, size_px: tuple[float, float], window: tuple[Array, Array]) -> Non
 
 
 def _ball(ax, edge: Array, k: int, alpha: float) -> None:
-    ax.add_patch(Polygon(edge, facecolor=COLOURS[k], edgecolor="none", alpha=alpha * 0.5))
+    ax.add_patch(Polygon(edge, facecolor=COLORS[k], edgecolor="none", alpha=alpha * 0.5))

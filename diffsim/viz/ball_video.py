@@ -1,7 +1,7 @@
 """A video of balls on a table as a camera would film them, to test what reads videos.
 
 Balls hide what lies behind them; their outlines are those of spheres in perspective, whose middle
-is not quite the image of the ball's centre, and they are lit from one side. OpenCV writes the file
+is not quite the image of the ball's center, and they are lit from one side. OpenCV writes the file
 (extra ``video``).
 """
 
@@ -47,7 +47,7 @@ class View:
 
 
 def view_of(model: SoftBallModel, x: Array) -> View:
-    """The camera of a model at standardised coordinates x (n,)."""
+    """The camera of a model at standardized coordinates x (n,)."""
     values = model.values_at(x)
     return View(
         lambda places: projected(values, model.rotation, torch.from_numpy(places)).numpy(),
@@ -60,7 +60,7 @@ def view_of(model: SoftBallModel, x: Array) -> View:
 def film_balls(
     path: str | Path,
     view: View,
-    centres: Array,
+    centers: Array,
     radius: float,
     *,
     table: Array,
@@ -74,11 +74,11 @@ def film_balls(
     Args:
         path: Ends with ".avi".
         view: The camera.
-        centres: (num_frames, num_balls, 3) [m].
+        centers: (num_frames, num_balls, 3) [m].
         radius: Of all balls [m].
         table: (n, 3) outline of a flat table [m].
         rate: Frames per second.
-        noise: Standard deviation of every colour value, of 255.
+        noise: Standard deviation of every color value, of 255.
         seed: Of the noise.
         hidden: Pairs (frame, ball) where a ball is left out, as if something passed before it.
 
@@ -98,7 +98,7 @@ def film_balls(
     ground = np.full((view.height_px, view.width_px, 3), FLOOR, np.uint8)
     cv2.fillPoly(ground, _fixed(view.project(table)), CLOTH, cv2.LINE_AA, _BITS)
     try:
-        for frame, places in enumerate(centres):
+        for frame, places in enumerate(centers):
             picture = ground.copy()
             far_first = np.argsort(-np.linalg.norm(places - view.eye, axis=1))
             for ball in far_first:
@@ -111,9 +111,9 @@ def film_balls(
     return path
 
 
-def outline(view: View, centre: Array, radius: float) -> Array:
+def outline(view: View, center: Array, radius: float) -> Array:
     """The edge of a sphere as seen, (n, 2) [px]: the circle where rays from the eye touch it."""
-    away = centre - view.eye
+    away = center - view.eye
     distance = float(np.linalg.norm(away))
     normal = away / distance
     across = np.cross(normal, [0.0, 0.0, 1.0])
@@ -122,18 +122,18 @@ def outline(view: View, centre: Array, radius: float) -> Array:
     share = radius / distance
     wide = radius * np.sqrt(1.0 - share**2)
     circle = np.cos(_OUTLINE)[:, None] * across + np.sin(_OUTLINE)[:, None] * up
-    return view.project(centre - share * radius * normal + wide * circle)
+    return view.project(center - share * radius * normal + wide * circle)
 
 
-def _draw_ball(cv2, picture: NDArray[np.uint8], view: View, centre: Array, radius: float) -> None:
+def _draw_ball(cv2, picture: NDArray[np.uint8], view: View, center: Array, radius: float) -> None:
     """Darker at the edge, brightest off the middle, as under a lamp at the upper left."""
-    edge = outline(view, centre, radius)
+    edge = outline(view, center, radius)
     middle = edge.mean(0)
     light = middle - 0.15 * np.ptp(edge, axis=0)
     for share in np.linspace(0.0, 1.0, 8):
-        colour = tuple(float(c * (0.75 + 0.25 * share)) for c in FELT)
+        color = tuple(float(c * (0.75 + 0.25 * share)) for c in FELT)
         ring = middle + share * (light - middle) + (1.0 - 0.85 * share) * (edge - middle)
-        cv2.fillPoly(picture, _fixed(ring), colour, cv2.LINE_AA, _BITS)
+        cv2.fillPoly(picture, _fixed(ring), color, cv2.LINE_AA, _BITS)
 
 
 def _fixed(points: Array) -> list[NDArray[np.int32]]:

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose.gain import held_out_point
 from diffsim.identify import Fit
-from diffsim.viz.figures import COLOURS, INK, LINE, SOFT, new_figure
+from diffsim.viz.figures import COLORS, INK, LINE, SOFT, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 _KNOT = re.compile(r"(?P<shape>.*?)(?P<knot>\d+)")
 CONFOUNDED = 0.95
-NULL, EXTENDED = COLOURS["published"], COLOURS["fitted"]
+NULL, EXTENDED = COLORS["published"], COLORS["fitted"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -283,7 +283,7 @@ def next_run_bars(chi2_gain: Mapping[str, float], best: str) -> Figure:
     """
     names = sorted(chi2_gain, key=lambda name: chi2_gain[name])
     figure, ax = new_figure(height=0.6 + 0.3 * len(names))
-    colors = [EXTENDED if name == best else COLOURS["measured_2"] for name in names]
+    colors = [EXTENDED if name == best else COLORS["measured_2"] for name in names]
     drawn = ax.barh(names, [chi2_gain[name] for name in names], 0.7, color=colors)
     ax.bar_label(drawn, [f"{chi2_gain[n]:.3g}" for n in names], padding=4, fontsize=8, color=SOFT)
     ax.set_xlabel("expected chi2 between the nearest rivals [-]", color=SOFT)

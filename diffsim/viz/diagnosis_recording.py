@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from diffsim.viz.diagnosis_figures import predicted
-from diffsim.viz.figures import COLOURS, INK
+from diffsim.viz.figures import COLORS, INK
 from diffsim.viz.scene import rgb, write_recording
 
 if TYPE_CHECKING:
@@ -43,10 +43,10 @@ def write_recording_of(report: Report, path: str | Path) -> Path:
 def _run(rr: Any, stream: Any, report: Report, run: Run) -> None:
     curves = {
         "measured": (run.measured, INK),
-        "null": (predicted(report.null, run), COLOURS["published"]),
+        "null": (predicted(report.null, run), COLORS["published"]),
     }
     if report.named:
-        curves["extended"] = (predicted(report.best, run), COLOURS["fitted"])
+        curves["extended"] = (predicted(report.best, run), COLORS["fitted"])
     for i, channel in enumerate(report.study.channels):
         for label, (record, color) in curves.items():
             name = f"{label} [{channel.unit}]"
@@ -54,7 +54,7 @@ def _run(rr: Any, stream: Any, report: Report, run: Run) -> None:
             _curve(rr, stream, path, run.time_s, record[:, i], name, color)
     for name, values in run.command.items():
         path = f"{run.name}/command/{name}"
-        _curve(rr, stream, path, run.time_s, values, name, COLOURS["measured_2"])
+        _curve(rr, stream, path, run.time_s, values, name, COLORS["measured_2"])
 
 
 def _curve(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from diffsim.viz._require import optional
-from diffsim.viz.figures import COLOURS, CYCLE, INK, LINE, SOFT, Array, new_figure
+from diffsim.viz.figures import COLORS, CYCLE, INK, LINE, SOFT, Array, new_figure
 
 if TYPE_CHECKING:
     import trimesh
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from diffsim.copter.fabrication.planner import PrintedPart
     from diffsim.copter.fabrication.rods import StockBar
 
-_CLOCKWISE, _COUNTER = COLOURS["fitted"], COLOURS["published"]
+_CLOCKWISE, _COUNTER = COLORS["fitted"], COLORS["published"]
 _MATERIALS = {
     "rod": "#3a3f4a",
     "plate": "#93a7b8",

@@ -1,7 +1,7 @@
 """Figures for reports: matplotlib objects made without pyplot, so no global state is touched.
 
 Every function returns a ``matplotlib.figure.Figure``; ``data_uri`` turns it into text for a page.
-Curves are given in SI units and drawn in millimetres.
+Curves are given in SI units and drawn in millimeters.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 INK, SOFT, LINE = "#1d2433", "#5b6475", "#d9dde4"
-#: Colours by role; readable for colour-blind readers and in grey (Okabe and Ito, darkened).
-COLOURS = {
+#: Colors by role; readable for color-blind readers and in grey (Okabe and Ito, darkened).
+COLORS = {
     "measured": "#1d2433",
     "measured_2": "#8a93a3",
     "published": "#c2571a",
@@ -39,12 +39,12 @@ CYCLE = ("#0b6e75", "#c2571a", "#7a4fa3", "#b08a00", "#1d2433", "#8a93a3", "#4f8
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """One labelled line.
+    """One labeled line.
 
     Attributes:
         x, y: (N,) in SI units.
         label: For the legend; empty for none.
-        role: Key of ``COLOURS``, or a colour.
+        role: Key of ``COLORS``, or a color.
         dashed: Dashed line.
         points: Draw the samples as dots, too.
     """
@@ -57,8 +57,8 @@ class Curve:
     points: bool = False
 
     @property
-    def colour(self) -> str:
-        return COLOURS.get(self.role, self.role)
+    def color(self) -> str:
+        return COLORS.get(self.role, self.role)
 
 
 def new_figure(
@@ -75,7 +75,7 @@ def new_figure(
 
 
 def trajectories(panels: Sequence[tuple[str, Sequence[Curve]]], *, ylabel: str) -> Figure:
-    """Curves over time since release [s], one panel per trial, millimetres."""
+    """Curves over time since release [s], one panel per trial, millimeters."""
     figure, axes = new_figure(
         len(panels), 1, height=2.5 * len(panels) + 0.4, sharex=True, squeeze=False
     )
@@ -161,7 +161,7 @@ def bars(
 
     Args:
         groups: Names on the axis.
-        series: (label, one value per group, role or colour); NaN leaves a gap.
+        series: (label, one value per group, role or color); NaN leaves a gap.
         log: Logarithmic axis.
     """
     figure, ax = new_figure(height=3.4)
@@ -169,7 +169,7 @@ def bars(
     at = np.arange(len(groups))
     for i, (label, values, role) in enumerate(series):
         x = at + (i - (len(series) - 1) / 2) * width
-        drawn = ax.bar(x, values, width * 0.92, label=label, color=COLOURS.get(role, role))
+        drawn = ax.bar(x, values, width * 0.92, label=label, color=COLORS.get(role, role))
         texts = ["" if np.isnan(v) else f"{v:.2g}" for v in values]
         ax.bar_label(drawn, texts, padding=2, fontsize=7.5, color=SOFT)
     if reference is not None:
@@ -220,7 +220,7 @@ def _draw(ax: Axes, curve: Curve, *, scale: float) -> None:
     ax.plot(
         curve.x,
         scale * np.asarray(curve.y),
-        color=curve.colour,
+        color=curve.color,
         lw=1.3,
         ls="--" if curve.dashed else "-",
         marker="o" if curve.points else None,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from diffsim.copter.simulator import FlightLog
 from diffsim.core.files import write_bytes_atomic
-from diffsim.viz.figures import COLOURS, CYCLE, INK, SOFT, new_figure
+from diffsim.viz.figures import COLORS, CYCLE, INK, SOFT, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,7 +55,7 @@ def _motor_panel(ax: Axes, title: str, log: FlightLog) -> None:
         ax.plot(time, values, color=color, lw=0.9, label=f"motor {k + 1}")
         at = saturated[:, k]
         ax.plot(time[at], np.full(at.sum(), clamp + 10.0 + 9.0 * k), "|", color=color, ms=4)
-    ax.axhline(clamp, color=COLOURS["bad"], lw=0.8, ls="--")
+    ax.axhline(clamp, color=COLORS["bad"], lw=0.8, ls="--")
     ax.set_ylim(1250.0, clamp + 70.0)
     ax.set_title(title, loc="left", fontsize=10, color=INK)
 

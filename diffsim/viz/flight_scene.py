@@ -16,7 +16,7 @@ from diffsim.copter.design import Design
 from diffsim.copter.rotor import RotorModel
 from diffsim.copter.simulator import FlightLog, FlightSample, flight_rotors
 from diffsim.viz._require import optional
-from diffsim.viz.figures import COLOURS
+from diffsim.viz.figures import COLORS
 from diffsim.viz.scene import rgb, write_recording
 
 Array = NDArray[np.float64]
@@ -73,10 +73,10 @@ class FlightScene:
         )
         stream.log(
             "world/target",
-            rr.Points3D([_UP @ sample.target], radii=[0.03], colors=[rgb(COLOURS["published"])]),
+            rr.Points3D([_UP @ sample.target], radii=[0.03], colors=[rgb(COLORS["published"])]),
         )
         arrows = self._axes * (_METERS_PER_NEWTON * sample.thrusts)[:, None]
-        colors = [rgb(COLOURS["bad" if s else "fitted"]) for s in sample.saturated]
+        colors = [rgb(COLORS["bad" if s else "fitted"]) for s in sample.saturated]
         stream.log(
             "world/copter/thrust", rr.Arrows3D(origins=self._hubs, vectors=arrows, colors=colors)
         )
@@ -91,7 +91,7 @@ class FlightScene:
             origin = self._center
             if propeller:  # about its own hub, so that it can turn
                 origin = self._center + self._hubs[self._names.index(motor)]
-            color = COLOURS["third" if propeller else "measured_2"]
+            color = COLORS["third" if propeller else "measured_2"]
             self._stream.log(
                 f"world/copter/{name}",
                 rr.Mesh3D(
@@ -106,7 +106,7 @@ class FlightScene:
         box = self._rr.Boxes3D(
             centers=[[0.0, 0.0, below + 0.03]],
             sizes=[[0.1, 0.1, 0.06]],
-            colors=[rgb(COLOURS["fourth"])],
+            colors=[rgb(COLORS["fourth"])],
         )
         self._stream.log("world/copter/payload", box, static=True)
 
@@ -153,7 +153,7 @@ def write_flight(path: str | Path, log: FlightLog, design: Design, *, payload: f
 
     def write(rr: Any, stream: Any) -> None:
         scene = FlightScene(stream, design, payload=payload)
-        line = rr.LineStrips3D([track], colors=[rgb(COLOURS["fitted"])], radii=[0.005])
+        line = rr.LineStrips3D([track], colors=[rgb(COLORS["fitted"])], radii=[0.005])
         stream.log("world/track", line, static=True)
         for sample in log.samples:
             scene.frame(sample)

@@ -20,7 +20,7 @@ from diffsim.stokes.field import FlowField
 from diffsim.stokes.streamlines import Streamline, streamlines
 from diffsim.viz._flow_cut import FINE, Cut, Plane, cut_through, length_unit
 from diffsim.viz._require import optional
-from diffsim.viz.figures import COLOURS, INK, LINE, SOFT, new_figure
+from diffsim.viz.figures import COLORS, INK, LINE, SOFT, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -303,7 +303,7 @@ def _draw_arrows(ax: Axes, cut: Cut, width: float, top: float, count: int = 18) 
     seen = within > 0.05 * within.max()
     x, y = np.meshgrid(cut.scale * cut.x[i], cut.scale * cut.y[j], indexing="ij")
     ax.quiver(
-        x[seen], y[seen], v[seen][:, 0], v[seen][:, 1], color=COLOURS["published"],
+        x[seen], y[seen], v[seen][:, 0], v[seen][:, 1], color=COLORS["published"],
         angles="xy", scale_units="xy", scale=within.max() / (1.05 * gap * cut.scale), pivot="mid",
         units="inches", width=0.016, headwidth=3.4, headlength=3.8, headaxislength=3.4,
         minlength=0.5,

@@ -30,7 +30,7 @@ NUM_PLACES = 200
 
 
 def comparison_figure(path: Path, title: str, runs: Runs, scale: Scale) -> Path:
-    """Normalised reward against steps, seconds and forward-equivalents; written as PNG.
+    """Normalized reward against steps, seconds and forward-equivalents; written as PNG.
 
     Lines are interquartile means over runs, bands 95 % bootstrap intervals. A line ends where the
     median of its runs does; runs that ended before hold their last reward.
@@ -53,7 +53,7 @@ def comparison_figure(path: Path, title: str, runs: Runs, scale: Scale) -> Path:
         ax.axhline(0.0, color=SOFT, linewidth=0.8, linestyle=":")
         for side in ("top", "right"):
             ax.spines[side].set_visible(False)
-    panels[0].set_ylabel("normalised reward", color=SOFT, fontsize=9)
+    panels[0].set_ylabel("normalized reward", color=SOFT, fontsize=9)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.suptitle(title, x=0.01, ha="left", fontsize=10, color=INK, fontweight="bold")
     columns = len(labels) if len(labels) < 5 else (len(labels) + 1) // 2
@@ -70,11 +70,11 @@ def _plain(value: float, _: object) -> str:
 
 
 def _curve(ax: Axes, axis: str, method: str, runs: list, scale: Scale) -> None:
-    name, colour = LOOK[method]
+    name, color = LOOK[method]
     first = min(rows[1][axis] for rows in runs if len(rows) > 1)
     last = float(np.median([rows[-1][axis] for rows in runs]))
     at = np.geomspace(max(first, 1e-3), max(last, first), NUM_PLACES)
     values = scale(np.stack([held(rows, axis, at) for rows in runs]))
     low, high = bootstrap_interval(values, resamples=500)
-    ax.fill_between(at, low, high, color=colour, alpha=0.2, linewidth=0)
-    ax.plot(at, interquartile_mean(values), color=colour, label=f"{name} ({len(runs)} runs)")
+    ax.fill_between(at, low, high, color=color, alpha=0.2, linewidth=0)
+    ax.plot(at, interquartile_mean(values), color=color, label=f"{name} ({len(runs)} runs)")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from diffsim.sim_to_real.command import RATE_HZ
 from diffsim.sim_to_real.model import CHANNELS, PLACES_M
-from diffsim.viz.figures import COLOURS, CYCLE, INK, LINE, SOFT, new_figure
+from diffsim.viz.figures import COLORS, CYCLE, INK, LINE, SOFT, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -39,9 +39,9 @@ def markers(pairs: Sequence[tuple[str, Array, Array]]) -> Figure:
         ):
             x, z = 1e3 * moved[:, ::2], 1e3 * (moved[:, 1::2] + _MARKER_Z)
             # across the page: along z; up the page: the way it swims
-            ax.plot(z, -x, color=COLOURS[role], lw=0.6, alpha=0.55)
-            ax.scatter(z[-1], -x[-1], s=26, color=COLOURS[role], label=label, zorder=3)
-            ax.scatter(z[0], -x[0], s=26, facecolors="none", edgecolors=COLOURS[role], zorder=3)
+            ax.plot(z, -x, color=COLORS[role], lw=0.6, alpha=0.55)
+            ax.scatter(z[-1], -x[-1], s=26, color=COLORS[role], label=label, zorder=3)
+            ax.scatter(z[0], -x[0], s=26, facecolors="none", edgecolors=COLORS[role], zorder=3)
         left = np.sqrt(np.nanmean((measured - simulated) ** 2))
         ax.set_title(f"{title}: {1e3 * left:.1f} mm rms", loc="left", fontsize=9.5, color=INK)
     for ax in axes.flat[len(pairs) :]:
@@ -60,12 +60,12 @@ def travel(iterations: Sequence[Iteration]) -> Figure:
     titles = ("every iteration, predicted and measured", "the last iteration")
     for ax, chosen, title in zip(axes[0], (iterations, iterations[-1:]), titles, strict=True):
         for it in chosen:
-            colour = CYCLE[it.idx % len(CYCLE)]
+            color = CYCLE[it.idx % len(CYCLE)]
             measured = -1e3 * np.nanmean(it.run.measured[:, ::2] - _start(it.run.measured), axis=1)
             simulated = -1e3 * (it.markers_m[:, ::2] - _start(it.markers_m)).mean(1)
-            ax.plot(it.run.time_s, measured, color=colour, lw=1.1, label=f"{it.idx} measured")
+            ax.plot(it.run.time_s, measured, color=color, lw=1.1, label=f"{it.idx} measured")
             times = np.arange(len(simulated)) / RATE_HZ
-            ax.plot(times, simulated, color=colour, lw=1.0, ls="--", label=f"{it.idx} simulated")
+            ax.plot(times, simulated, color=color, lw=1.0, ls="--", label=f"{it.idx} simulated")
         ax.set_title(title, loc="left", fontsize=10, color=INK)
         ax.set_xlabel("time [s]", color=SOFT)
         ax.legend(frameon=False, fontsize=7.5, labelcolor=INK, ncols=2)
@@ -84,8 +84,8 @@ def commands(iterations: Sequence[Iteration]) -> Figure:
     for ax, it in zip(axes[:, 0], iterations, strict=True):
         if it.idx:
             ax.plot(times, 1e3 * base, color=LINE, lw=1.2)
-        colour = CYCLE[it.idx % len(CYCLE)]
-        ax.plot(times, 1e3 * it.command.contraction_m, color=colour, lw=1.3)
+        color = CYCLE[it.idx % len(CYCLE)]
+        ax.plot(times, 1e3 * it.command.contraction_m, color=color, lw=1.3)
         ax.set_title(name_of(it), loc="left", fontsize=9, color=INK)
     axes[-1, 0].set_xlabel("time in the period [s]", color=SOFT)
     axes[len(iterations) // 2, 0].set_ylabel("contraction [mm]", color=SOFT)
@@ -115,10 +115,10 @@ def strip(
     towards_us = (rest[:, 1] > rest[:, 2]) & (rest[:, 1] > 0.02)
     for line, (title, row) in zip(axes, shots, strict=True):
         for ax, (time, x, seen) in zip(line, row, strict=True):
-            for colour, chosen in (("#f8dcb9", towards_us), ("#f0a95c", ~towards_us)):
+            for color, chosen in (("#f8dcb9", towards_us), ("#f0a95c", ~towards_us)):
                 for side in (-1.0, 1.0):
                     flat = 1e3 * np.stack([side * x[:, 2], -x[:, 0]], 1)[faces[chosen]]
-                    ax.add_collection(PolyCollection(list(flat), facecolors=colour, lw=0))
+                    ax.add_collection(PolyCollection(list(flat), facecolors=color, lw=0))
             ax.scatter(1e3 * seen[:, 1], -1e3 * seen[:, 0], s=12, color=INK, zorder=3)
             ax.set_title(f"{title}, {time:.2f} s", loc="left", fontsize=8, color=INK)
             ax.set(xlim=(-80.0, 80.0), ylim=(low - 6.0, high + 6.0), aspect="equal")
@@ -134,9 +134,9 @@ def progress(iterations: Sequence[Iteration]) -> Figure:
     figure, ax = new_figure(height=3.0)
     k = [i.idx for i in iterations]
     simulated = [1e2 * i.speed_simulated for i in iterations]
-    ax.plot(k, simulated, "o--", color=COLOURS["fitted"], label="predicted before the experiment")
+    ax.plot(k, simulated, "o--", color=COLORS["fitted"], label="predicted before the experiment")
     measured = [1e2 * i.speed_measured for i in iterations]
-    ax.plot(k, measured, "o-", color=COLOURS["published"], label="measured")
+    ax.plot(k, measured, "o-", color=COLORS["published"], label="measured")
     ax.axhline(0.0, color=SOFT, lw=0.6)
     ax.set_xticks(k, [name_of(i) for i in iterations])
     ax.set_ylabel("forward speed [cm/s]", color=SOFT)

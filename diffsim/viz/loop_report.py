@@ -147,7 +147,7 @@ _CAPTIONS = {
     "correlations": "Posterior correlations of the last identification.",
 }
 _TRADE = (
-    "Value ± posterior standard deviation with the prior (misfit taken as coloured). A strong "
+    "Value ± posterior standard deviation with the prior (misfit taken as colored). A strong "
     "correlation of E and w says that the data see a combination of both; a tilde marks what the "
     "data tell little about, an asterisk what lies on its bound, where ± says nothing."
 )

@@ -9,7 +9,7 @@ from diffsim.core.files import write_bytes_atomic
 
 
 def save(figure, path: str | Path, dpi: int = 110) -> Path:
-    """Write a PNG with a palette of 256 colours and close the figure."""
+    """Write a PNG with a palette of 256 colors and close the figure."""
     from matplotlib.pyplot import close
     from PIL import Image
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from diffsim.viz.figures import COLOURS, INK, SOFT, new_figure
+from diffsim.viz.figures import COLORS, INK, SOFT, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -55,6 +55,6 @@ def rotor_fit(fit: RotorFit) -> Figure:
 
 
 def _rows(ax: Any, curve: CurveFit, y: Any, down: Any) -> None:
-    color = COLOURS["measured"]
+    color = COLORS["measured"]
     ax.plot(curve.x[~down], y[~down], "o", color=color, markersize=4)
     ax.plot(curve.x[down], y[down], "v", color=color, markersize=4, markerfacecolor="none")

@@ -26,14 +26,14 @@ class MovingSurface:
         time_s: (T,) [s].
         nodes_m: (T, N, 3) [m].
         triangles: (F, 3).
-        colour: ``#rrggbb``.
+        color: ``#rrggbb``.
     """
 
     path: str
     time_s: Array
     nodes_m: NDArray[np.float32]
     triangles: NDArray[np.int64]
-    colour: str
+    color: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ class MovingPoints:
     path: str
     time_s: Array
     points_m: Array
-    colour: str
+    color: str
     radius_m: float = 0.0015
 
 
@@ -55,7 +55,7 @@ class Plot:
     time_s: Array
     value: Array
     name: str
-    colour: str
+    color: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,13 +115,13 @@ def write_recording(path: str | Path, title: str, log: Callable[[Any, Any], None
     return path
 
 
-def rgb(colour: str) -> list[int]:
+def rgb(color: str) -> list[int]:
     """Red, green and blue, 0 to 255, of ``#rrggbb``."""
-    return [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+    return [int(color[i : i + 2], 16) for i in (1, 3, 5)]
 
 
 def _surface(rr, stream, surface: MovingSurface) -> None:
-    colour = rgb(surface.colour)
+    color = rgb(surface.color)
     for t, nodes in zip(surface.time_s, surface.nodes_m, strict=True):
         stream.set_time("time_since_release", duration=float(t))
         stream.log(
@@ -130,7 +130,7 @@ def _surface(rr, stream, surface: MovingSurface) -> None:
                 vertex_positions=nodes,
                 triangle_indices=surface.triangles,
                 vertex_normals=_normals(nodes, surface.triangles),
-                albedo_factor=[*colour, 255],
+                albedo_factor=[*color, 255],
             ),
         )
 
@@ -149,12 +149,12 @@ def _points(rr, stream, points: MovingPoints) -> None:
         stream.set_time("time_since_release", duration=float(t))
         stream.log(
             points.path,
-            rr.Points3D(places, colors=[rgb(points.colour)], radii=[points.radius_m]),
+            rr.Points3D(places, colors=[rgb(points.color)], radii=[points.radius_m]),
         )
 
 
 def _plot(rr, stream, plot: Plot) -> None:
-    stream.log(plot.path, rr.SeriesLines(colors=[rgb(plot.colour)], names=[plot.name]), static=True)
+    stream.log(plot.path, rr.SeriesLines(colors=[rgb(plot.color)], names=[plot.name]), static=True)
     stream.send_columns(
         plot.path,
         indexes=[rr.TimeColumn("time_since_release", duration=plot.time_s)],

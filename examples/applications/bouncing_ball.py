@@ -4,7 +4,7 @@ Thesis 4.1.6, "Bouncing ball", Fig. 4-10: Young's modulus and Poisson's ratio (t
 from the motion of a ball with three cylindrical holes that is thrown to the ground, 125 steps of
 4 ms. 1,288 hexahedra and 8,280 DoF (thesis: 1,288 and 9,132). Contact is complementarity with a
 friction of 0.5: with the thesis's floor, to which all that touches sticks, the loss jumps between
-neighbouring parameters and fits end beside the truth (docs/applications.md). The data are made with
+neighboring parameters and fits end beside the truth (docs/applications.md). The data are made with
 a tolerance of 1e-8, the fit's steps have 1e-4. The first bounce alone is fitted before the whole
 motion. Expected of --quick: E = 2.09 MPa, nu = 0.34 after 8 evaluations.
 
@@ -68,7 +68,7 @@ def build(
 
 def holed_ball(cells: int) -> mesh.HexMesh:
     """A ball of cubes, so many across, drilled along all axes, its lowest point ``ABOVE`` z = 0."""
-    centre = (0.0, 0.0, ABOVE + RADIUS)
+    center = (0.0, 0.0, ABOVE + RADIUS)
     drill = mesh.sdf.cylinder(HOLE, 4.0 * RADIUS)
     drills = (
         drill,
@@ -76,8 +76,8 @@ def holed_ball(cells: int) -> mesh.HexMesh:
         mesh.sdf.rotate(drill, (0.0, 1.0, 0.0), math.pi / 2),
     )
     solid = mesh.sdf.difference(mesh.sdf.sphere(RADIUS), *drills)
-    bounds = ([c - RADIUS for c in centre], [c + RADIUS for c in centre])
-    return mesh.hex_from_sdf(mesh.sdf.translate(solid, centre), bounds, 2.0 * RADIUS / cells)
+    bounds = ([c - RADIUS for c in center], [c + RADIUS for c in center])
+    return mesh.hex_from_sdf(mesh.sdf.translate(solid, center), bounds, 2.0 * RADIUS / cells)
 
 
 def _body(shape: mesh.HexMesh, solver: soft.SolverOptions, integrator: str) -> soft.SoftBody:

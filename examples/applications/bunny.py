@@ -1,7 +1,7 @@
 """How must a soft bunny be thrown to the floor so that it bounces to a point?
 
 Thesis 4.1.6, "Bunny", Fig. 4-11: orientation, position and velocity at the start (nine numbers
-within bounds) so that the centre of mass is at a target after 100 steps of 1 ms. Contact is
+within bounds) so that the center of mass is at a target after 100 steps of 1 ms. Contact is
 complementarity; what touches, sticks, as in the thesis. Ours is a bunny of ellipsoids, 1,538
 hexahedra and 6,795 DoF (thesis: a Stanford bunny, 1,601 and 7,062). The target was made by no
 known throw: without the floor it lies out of reach, since all throws go down at 3 m/s at least.
@@ -54,14 +54,14 @@ def build(solver: soft.SolverOptions, quick: bool) -> Application:
         start = soft.State(x, throw[6:].expand_as(x).contiguous())
         return soft.rollout(body, start, steps, obstacles=ground).x
 
-    def centre(x: Tensor) -> Tensor:
+    def center(x: Tensor) -> Tensor:
         return share @ x
 
     def loss(_throw: Tensor, x: Tensor) -> Tensor:
-        return (centre(x[-1]) - target).square().sum()
+        return (center(x[-1]) - target).square().sum()
 
     def numbers(_throw: np.ndarray, x: Tensor) -> Mapping[str, float]:
-        return {"distance mm": 1e3 * float((centre(x[-1]) - target).norm())}
+        return {"distance mm": 1e3 * float((center(x[-1]) - target).norm())}
 
     return Application(
         name="bunny",
@@ -75,7 +75,7 @@ def build(solver: soft.SolverOptions, quick: bool) -> Application:
         loss=loss,
         numbers=numbers,
         obstacles=ground,
-        follow=centre,
+        follow=center,
         targets={"target": TARGET},
     )
 

@@ -1,7 +1,7 @@
 """How must a front-heavy cow bend its legs to come far in 0.6 s without falling on its face?
 
 Thesis 4.1.6, "Cow", Fig. 4-15: the muscles and the three parameters of the quadruped; the loss is
-minus the way along x, minus 0.3 times the rise of the centre of mass, which rewards an upright
+minus the way along x, minus 0.3 times the rise of the center of mass, which rewards an upright
 gait. 600 steps of 1 ms, 456 elements of our own cow (the thesis's has 475).
 
     python examples/applications/cow.py  # diffsim examples run cow

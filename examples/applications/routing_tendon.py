@@ -80,12 +80,12 @@ def build(solver: soft.SolverOptions, quick: bool) -> Application:
 
 def _muscles(shape: mesh.HexMesh) -> list[soft.Muscle]:
     """Four columns in the corners by four heights."""
-    centre = shape.x_rest[shape.elements].mean(1)
-    level = torch.clamp((centre[:, 2] / HEIGHT * 4).long(), max=3)
+    center = shape.x_rest[shape.elements].mean(1)
+    level = torch.clamp((center[:, 2] / HEIGHT * 4).long(), max=3)
     return [
         soft.Muscle(
             elements=torch.nonzero(
-                (level == k) & (sx * centre[:, 0] > 0) & (sy * centre[:, 1] > 0)
+                (level == k) & (sx * center[:, 0] > 0) & (sy * center[:, 1] > 0)
             )[:, 0],
             direction=(0.0, 0.0, 1.0),
             stiffness=2e5,

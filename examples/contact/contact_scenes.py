@@ -46,8 +46,8 @@ def tilted(m: mesh.TetMesh, angle: float, place: Triple) -> mesh.TetMesh:
     return mesh.TetMesh(m.x_rest @ turn.T + _vector(place), m.tets)
 
 
-def centre(body: soft.SoftBody, x: Tensor) -> Tensor:
-    """Centre of mass of positions (..., num_vertices, 3) -> (..., 3) [m]."""
+def center(body: soft.SoftBody, x: Tensor) -> Tensor:
+    """Center of mass of positions (..., num_vertices, 3) -> (..., 3) [m]."""
     mass = body.physics().mass
     return (mass[:, None] * x).sum(-2) / mass.sum()
 

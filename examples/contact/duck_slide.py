@@ -2,7 +2,7 @@
 
 The duck of thesis fig. 4-7 starts at rest, high on a curved slide made of three pieces, each with a
 friction coefficient of its own. Gauss-Newton (scipy's ``least_squares``) moves the three
-coefficients, through the derivatives of one second of motion, until the duck's centre is at the
+coefficients, through the derivatives of one second of motion, until the duck's center is at the
 target when the second is over.
 
 Contact is the penalty form of Macklin et al. 2020, as in the thesis: the duck slides all the way,
@@ -11,7 +11,7 @@ simulation costs about a third of one with complementarity (``--complementarity`
 
 Expected: the duck ends 1.8 cm from the target instead of 42 cm, after 12 simulations (52 CPU
 seconds at 1,728 DoF). There it stalls: between nearby coefficients the error jitters by half a
-centimetre (why, is not known yet). At full size (``--full``) a simulation takes about 31 and each
+centimeter (why, is not known yet). At full size (``--full``) a simulation takes about 31 and each
 of its two gradients 16 CPU seconds (from 20 steps of 200).
 
     python examples/contact/duck_slide.py --out runs/duck_slide.png
@@ -31,7 +31,7 @@ from contact_scenes import (
     YELLOW,
     add_body,
     add_patch,
-    centre,
+    center,
     cpu_seconds,
     duck,
     save,
@@ -47,7 +47,7 @@ RADIUS = 0.8  # of the slide [m]
 HIGH, LIP = math.radians(60.0), math.radians(20.0)  # ends of its arc, before and after the bottom
 PIECES, DT, DURATION = 3, 0.005, 1.0
 START = (0.14, 0.14, 0.14)  # first guess of the coefficients
-TARGET = (0.81, 0.0, -1.11)  # of the duck's centre after DURATION; the slide's axis is y [m]
+TARGET = (0.81, 0.0, -1.11)  # of the duck's center after DURATION; the slide's axis is y [m]
 PIECE_COLORS = ("#b8c7d1", "#a3b5c1", "#8ea3b1")
 
 
@@ -117,7 +117,7 @@ def main(
     complementarity: bool = False,
     out: str | None = None,
 ) -> dict[str, float]:
-    """Optimise the three coefficients and draw; returns the numbers of the story."""
+    """Optimize the three coefficients and draw; returns the numbers of the story."""
     torch.set_num_threads(1)
     body = make_duck(spacing)
     print(f"duck: {body.mesh.num_dofs} DoF, {body.mesh.num_elements} tetrahedra")
@@ -127,10 +127,10 @@ def main(
     show = tqdm(desc="simulations with gradient", leave=False)
 
     def miss(values: Sequence[float]) -> list[float]:
-        """How far beyond and above the target the centre ends, and the derivatives, kept aside."""
+        """How far beyond and above the target the center ends, and the derivatives, kept aside."""
         friction = torch.tensor(values, dtype=torch.float64, requires_grad=True)
         x = fly(body, friction, complementarity)
-        error = (centre(body, x[-1]) - target)[[0, 2]]
+        error = (center(body, x[-1]) - target)[[0, 2]]
         rows = [torch.autograd.grad(e, friction, retain_graph=True)[0] for e in error]
         seen.append((float(error.detach().norm()), friction.tolist(), x.detach()))
         slopes[tuple(values)] = torch.stack(rows).tolist()
@@ -187,8 +187,8 @@ def draw(m: mesh.TetMesh, runs: dict[str, tuple[float, list[float], Tensor]], pa
         frames = [round(f * (len(x) - 1)) for f in (0.0, 0.25, 0.5, 0.75, 1.0)]
         for i, step in enumerate(frames):
             add_body(axes, m, x[step], YELLOW, alpha=1.0 if i == 4 else 0.3 + 0.1 * i)
-        path_of_centre = x.mean(1)
-        axes.plot(*path_of_centre.T.numpy(), color=INK, lw=0.8, ls=":")
+        path_of_center = x.mean(1)
+        axes.plot(*path_of_center.T.numpy(), color=INK, lw=0.8, ls=":")
         axes.set(xlim=(-0.8, 1.05), ylim=(-0.3, 0.3), zlim=(-1.3, -0.3))
         axes.set_box_aspect((1.85, 0.6, 1.0), zoom=1.45)
         axes.view_init(16, -76)

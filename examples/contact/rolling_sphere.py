@@ -30,7 +30,7 @@ from contact_scenes import (
     TEAL,
     add_body,
     add_patch,
-    centre,
+    center,
     cpu_seconds,
     save,
     tidy,
@@ -58,7 +58,7 @@ def make_ball(spacing: float, rtol: float) -> soft.SoftBody:
 
 
 def first_state(body: soft.SoftBody, spin: Tensor, rolling: bool) -> soft.State:
-    """The ball turning with ``spin`` (3,) [rad/s] about its centre or its lowest point."""
+    """The ball turning with ``spin`` (3,) [rad/s] about its center or its lowest point."""
     pole = torch.tensor([0.0, 0.0, 0.0 if rolling else RADIUS], dtype=torch.float64)
     x = body.x_rest
     return soft.State(x, torch.linalg.cross(spin.expand_as(x), x - pole))
@@ -67,7 +67,7 @@ def first_state(body: soft.SoftBody, spin: Tensor, rolling: bool) -> soft.State:
 def roll(
     body: soft.SoftBody, name: str, spin: Tensor, num_steps: int, progress: bool = False
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Positions at every step, forces on the ball (num_steps, 3) [N], final centre [m]."""
+    """Positions at every step, forces on the ball (num_steps, 3) [N], final center [m]."""
     ground = contact.floor(friction=FLOORS[name])
     state = first_state(body, spin, STARTS_ROLLING[name])
     xs, forces = [state.x.detach()], []
@@ -75,7 +75,7 @@ def roll(
         state = body(state, obstacles=ground)
         xs.append(state.x.detach())
         forces.append(state.contact_force.detach().sum(0))
-    return torch.stack(xs), torch.stack(forces), centre(body, state.x)
+    return torch.stack(xs), torch.stack(forces), center(body, state.x)
 
 
 def main(
@@ -99,7 +99,7 @@ def main(
         adjoints = [s for s in solves if s.kind == "adjoint"]
         touching = torch.tensor([float(s.num_contacts) for s in steps])
         (exact,) = torch.autograd.grad(roll(sharp, name, spin, num_steps)[2][0], spin)
-        speed = (centre(body, x[-1]) - centre(body, x[-6]))[0] / (5 * DT)
+        speed = (center(body, x[-1]) - center(body, x[-6]))[0] / (5 * DT)
         runs[name] = x, force
         numbers |= {
             f"{name}: forward CPU s": forward(),
@@ -153,7 +153,7 @@ def draw(body: soft.SoftBody, runs: dict[str, tuple[Tensor, Tensor]], path: str)
         axes.set_box_aspect((reach + 0.25, 0.6, 0.42), zoom=1.75)
         axes.view_init(12, -80)
         axes.set_axis_off()
-        travel = float(centre(body, x[-1])[0])
+        travel = float(center(body, x[-1])[0])
         axes.set_title(f"{name}: {travel:.2f} m in {num_steps * DT:g} s", fontsize=10.5, y=0.97)
         t = DT * torch.arange(1, num_steps + 1)
         below[k].plot(t, force[:, 2], color=TEAL, lw=1.6, label="normal")

@@ -37,7 +37,7 @@ from contact_scenes import (
     YELLOW,
     add_body,
     add_patch,
-    centre,
+    center,
     cpu_seconds,
     duck,
     save,
@@ -99,7 +99,7 @@ def slide(m: mesh.TetMesh, friction: float, model: str, duration: float) -> tupl
 
     def place(state: soft.State) -> Tensor:
         show.update()
-        return centre(body, state.x)
+        return center(body, state.x)
 
     with torch.no_grad():
         motion = soft.rollout(body, body.rest_state(), steps, keep=place, **inputs)

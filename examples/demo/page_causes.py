@@ -9,7 +9,7 @@ import numpy as np
 from diffsim.data import BeamStudy
 from diffsim.data.beam_motion import COMPARE_S, moving_tip_mass
 from diffsim.viz import figures
-from diffsim.viz.figures import COLOURS, INK, SOFT
+from diffsim.viz.figures import COLORS, INK, SOFT
 from diffsim.viz.report import Picture, Section, Table
 from examples.demo import verdict
 from examples.demo.numerics import euler_damping_ratio
@@ -19,7 +19,7 @@ INTEGRATOR_NAMES = {
     "bdf2": "BDF2",
     "implicit_midpoint": "implicit midpoint",
 }
-_COLOURS = {"implicit_euler": "published", "bdf2": "fourth", "implicit_midpoint": "fitted"}
+_COLORS = {"implicit_euler": "published", "bdf2": "fourth", "implicit_midpoint": "fitted"}
 _SHOWN_AS_ZERO = 2e-4
 
 
@@ -38,7 +38,7 @@ def damping(study: BeamStudy, results: dict[str, Any]) -> Section:
         ax.plot(
             [1e3 * r["dt_s"] for r in mine],
             [max(abs(r["damping_ratio"]), _SHOWN_AS_ZERO) for r in mine],
-            "o-", ms=5, lw=1.3, color=COLOURS[_COLOURS[name]], label=words,
+            "o-", ms=5, lw=1.3, color=COLORS[_COLORS[name]], label=words,
         )  # fmt: skip
     ax.axhline(measured, color=INK, lw=1.6, label="measured")
     ax.set(xscale="log", yscale="log", ylim=(_SHOWN_AS_ZERO / 1.5, 0.6))
@@ -164,7 +164,7 @@ def mesh(study: BeamStudy, results: dict[str, Any]) -> Section:
     for nu, role in zip(ratios, ("published", "fourth", "fitted"), strict=False):
         mine = [r for r in rows if r["poissons_ratio"] == nu]
         ax.plot([r["num_dofs"] for r in mine], [1e3 * r["sag_m"] for r in mine], "o-", ms=4, lw=1.3,
-                color=COLOURS[role], label=f"ν = {nu:g}")  # fmt: skip
+                color=COLORS[role], label=f"ν = {nu:g}")  # fmt: skip
     ax.axhline(1e3 * study_of["timoshenko_sag_m"], color=SOFT, lw=1.0, ls="--",
                label="Timoshenko beam")  # fmt: skip
     ax.axhline(1e3 * measured, color=INK, lw=1.6, label="measured")

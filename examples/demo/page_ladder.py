@@ -216,7 +216,7 @@ def _floor(study: BeamStudy, case: str) -> figures.Curve:
 
 
 def _bars(study: BeamStudy, results: dict[str, Any], models: Sequence[Rung]) -> Any:
-    colours = ("#b08a00", "#c2571a", "#d9a441", "#0b6e75", "#7a4fa3", "#4b2e83")
+    colors = ("#b08a00", "#c2571a", "#d9a441", "#0b6e75", "#7a4fa3", "#4b2e83")
     return figures.bars(
         [trial.name for trial in study.trials],
         [
@@ -228,9 +228,9 @@ def _bars(study: BeamStudy, results: dict[str, Any], models: Sequence[Rung]) -> 
                     else float("nan")
                     for trial in study.trials
                 ],
-                colour,
+                color,
             )
-            for rung, colour in zip(models, colours, strict=True)
+            for rung, color in zip(models, colors, strict=True)
         ],
         ylabel="vertical rms error [mm]",
         reference=[1e3 * verdict.floor(results, trial.case) for trial in study.trials],

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from diffsim.data import TIP_MARKERS, BeamStudy
 from diffsim.data.beam_motion import COMPARE_S
 from diffsim.viz import figures
-from diffsim.viz.figures import COLOURS, INK, SOFT
+from diffsim.viz.figures import COLORS, INK, SOFT
 from examples.demo import verdict
 
 Array = NDArray[np.float64]
@@ -38,13 +38,13 @@ def beam(study: BeamStudy, results: dict[str, Any]) -> bytes:
 
     figures.style(right)
     right.axhline(0.0, color="#d9dde4", lw=0.8)
-    for name, words, colour, width in (
-        ("published", "published practice", COLOURS["published"], 1.5),
-        ("joint", "E and damping identified", COLOURS["fitted"], 2.4),
+    for name, words, color, width in (
+        ("published", "published practice", COLORS["published"], 1.5),
+        ("joint", "E and damping identified", COLORS["fitted"], 2.4),
     ):
         run = results["simulated"][name][case]
         z = 1e3 * np.asarray(run["tip_m"])[:, 2]
-        right.plot(run["time_s"], z, color=colour, lw=width, label=words)
+        right.plot(run["time_s"], z, color=color, lw=width, label=words)
     right.plot(time_s, 1e3 * tip[:, 2], "o", ms=2.6, color=INK, label="virtual" if study.is_virtual
                else "measured (motion capture)", zorder=5)  # fmt: skip
     right.axvline(lowest, color=SOFT, lw=0.7, ls=":")
@@ -66,7 +66,7 @@ def beam(study: BeamStudy, results: dict[str, Any]) -> bytes:
 
 
 def _body(ax: Any, study: BeamStudy, trial: Any, kept: Any, at_s: float) -> None:
-    """The surface at a time, coloured by its vertical displacement, and the tip markers."""
+    """The surface at a time, colored by its vertical displacement, and the tip markers."""
     from matplotlib.colors import LinearSegmentedColormap
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
@@ -108,8 +108,8 @@ def _body(ax: Any, study: BeamStudy, trial: Any, kept: Any, at_s: float) -> None
     path = (trial.time_s >= 0) & (trial.time_s <= at_s)
     for i, place in enumerate(places):
         way = 1e3 * (nominal[i] + trial.marker_displacement_m[path, i])
-        ax.plot(*way.T, color=COLOURS["bad"], lw=1.0, zorder=10)
-        ax.scatter(*place, color=COLOURS["bad"], s=46, zorder=11, edgecolors="white",
+        ax.plot(*way.T, color=COLORS["bad"], lw=1.0, zorder=10)
+        ax.scatter(*place, color=COLORS["bad"], s=46, zorder=11, edgecolors="white",
                    linewidths=0.8, depthshade=False)  # fmt: skip
     ax.computed_zorder = False
     ax.set_proj_type("persp", focal_length=0.6)

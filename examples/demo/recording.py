@@ -11,7 +11,7 @@ import numpy as np
 from diffsim.data import TIP_MARKERS, BeamStudy
 from diffsim.data.beam_motion import COMPARE_S
 from diffsim.viz import scene
-from diffsim.viz.figures import COLOURS
+from diffsim.viz.figures import COLORS
 from diffsim.viz.frames import triangles
 from examples.demo.ladder import Rung, run_of
 
@@ -53,7 +53,7 @@ def write(study: BeamStudy, results: Mapping[str, Any], models: Sequence[Rung], 
                     time_s=kept["time_s"],
                     nodes_m=kept["nodes_m"] + offset.astype(np.float32),
                     triangles=triangles(kept["quads"]),
-                    colour=COLOURS[role],
+                    color=COLORS[role],
                 )
             )
             points.append(
@@ -61,14 +61,14 @@ def write(study: BeamStudy, results: Mapping[str, Any], models: Sequence[Rung], 
                     path=f"{where}/measured_{trial.name}",
                     time_s=time_s,
                     points_m=places + offset,
-                    colour=COLOURS["bad"],
+                    color=COLORS["bad"],
                 )
             )
     kind = "VIRTUAL data, not measured" if study.is_virtual else "measured data"
     note = f"# Silicone beam ({kind})\n\n" + "\n\n".join(
         [
             "Red points: tip markers at their nominal places plus the displacement from the held "
-            "state. Columns: models, rows: cases. Metres; clock: seconds since release.",
+            "state. Columns: models, rows: cases. Meters; clock: seconds since release.",
             *results["verdict"],
         ]
     )
@@ -82,5 +82,5 @@ def write(study: BeamStudy, results: Mapping[str, Any], models: Sequence[Rung], 
 
 def _curve(path: str, time_s: np.ndarray, value_m: np.ndarray, name: str, role: str) -> scene.Plot:
     return scene.Plot(
-        path=path, time_s=time_s, value=1e3 * value_m, name=f"{name} [mm]", colour=COLOURS[role]
+        path=path, time_s=time_s, value=1e3 * value_m, name=f"{name} [mm]", color=COLORS[role]
     )

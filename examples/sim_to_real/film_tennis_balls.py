@@ -60,13 +60,13 @@ def film(path: Path, num_frames: int = 33, size_px: tuple[int, int] = (1280, 720
     model, x = known_model(num_frames, size_px)
     view = view_of(model, x)
     with torch.no_grad():
-        centres = model.balls.centers(model.values_at(x), num_frames).numpy()
-    film_balls(path, view, centres, model.balls.radius, table=np.array(TABLE), rate=RATE)
+        centers = model.balls.centers(model.values_at(x), num_frames).numpy()
+    film_balls(path, view, centers, model.balls.radius, table=np.array(TABLE), rate=RATE)
     rows = np.column_stack([view.project(np.array(CORNERS)), np.array(CORNERS)])
     head = "u_px,v_px,x_m,y_m,z_m"
     np.savetxt(path.with_name(f"{path.stem}_corners.csv"), rows, "%.8g", ",", "\n", head, "", "")
     values = {n: float(v) for n, v in model.values_at(x).items()}
-    truth = {"values": values, "centres_px": view.project(centres)}
+    truth = {"values": values, "centers_px": view.project(centers)}
     write_json_atomic(path.with_name(f"{path.stem}_truth.json"), truth)
     return path
 

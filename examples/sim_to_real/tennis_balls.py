@@ -1,8 +1,8 @@
 """Which camera, throw and contact explain a video of two colliding tennis balls?
 
 The thesis's real-to-sim experiment (4.1.6, Fig. 4-18): two balls of 320 tetrahedra roll on an exact
-table and push each other through their centres. Camera, first places and velocities, spin,
-stiffness and friction are found from the pixels of the balls' centres and of eight clicked corners:
+table and push each other through their centers. Camera, first places and velocities, spin,
+stiffness and friction are found from the pixels of the balls' centers and of eight clicked corners:
 the camera from the clicks, the throw from the first frames, random samples of the rest, then
 Gauss-Newton through the simulation (--adjoint: L-BFGS by its gradient). The last third of the
 frames judges. The rigid balls of the diagnosis are fitted beside.
@@ -10,7 +10,7 @@ frames judges. The rigid balls of the diagnosis are fitted beside.
 With --video the tracks come from a video file (OpenCV), with corners clicked in its first picture
 in a CSV beside it; film_tennis_balls.py makes such a video of the simulation itself.
 
-Expected: centres 4.8 px off at the best sample, 3.6 px after the full fit (79 s of CPU time) and
+Expected: centers 4.8 px off at the best sample, 3.6 px after the full fit (79 s of CPU time) and
 19.6 px on the held-out frames; rigid balls with three more causes 0.7 and 4.1 px. The soft model
 lacks what they have: friction between the balls that feels spin, and losses in rolling that are not
 those of facets.
@@ -51,7 +51,7 @@ from diffsim.viz.ball_figures import Shown, misfits, overlay, recording, simulat
 from diffsim.viz.ball_video import view_of
 
 Array = NDArray[np.float64]
-# Seen before the impact, and so not drawn at random; the numbers are at the priors' centres.
+# Seen before the impact, and so not drawn at random; the numbers are at the priors' centers.
 SEEN = ("focal", *(f"{n}_{a}" for n in ("turn", "shift") for a in "xyz"))
 SEEN += ("x0", "y0", "x1", "y1", "vx1", "vy1")
 PIXEL_SD = 1.0  # one weight for all pixels: the loss is in pixels, as in the thesis
@@ -80,7 +80,7 @@ QUICK, FULL = Effort(8, 1, 6), Effort(24, 3, 5)
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Standardised coordinates before and after, and ½ |r|² + ½ |x|² along the way."""
+    """Standardized coordinates before and after, and ½ |r|² + ½ |x|² along the way."""
 
     before: Array
     after: Array
@@ -149,7 +149,7 @@ def distances(run: Run, seen: Array, columns: Sequence[int]) -> Array:
 
 
 def judge(study: Study, predict: Any) -> dict[str, float]:
-    """Root mean square distances [px] of the balls' centres, and of the corners."""
+    """Root mean square distances [px] of the balls' centers, and of the corners."""
     out = {}
     for run in study.runs:
         with torch.no_grad():

@@ -1,7 +1,7 @@
 """How must four muscles contract so that a soft arm touches a point?
 
 A silicone arm, 20 cm long, hangs from its root; four muscles run along its edges. Starting from no
-activation, L-BFGS finds the four target stretches that bring the centre of the tip to a point 6 cm
+activation, L-BFGS finds the four target stretches that bring the center of the tip to a point 6 cm
 to the side, through the gradient of the static equilibrium. A dynamic rollout from rest then shows
 where the arm goes when the muscles contract at once.
 
@@ -31,11 +31,11 @@ def make_arm(cells: int = 3) -> tuple[mesh.HexMesh, soft.SoftBody]:
         size=(SIDE, SIDE, LENGTH),
         origin=(-SIDE / 2, -SIDE / 2, -LENGTH),
     )
-    centre = m.x_rest[m.elements].mean(1)
+    center = m.x_rest[m.elements].mean(1)
     half = SIDE / 2 - SIDE / cells  # inner border of the edge columns [m]
     muscles = [
         soft.Muscle(
-            elements=torch.nonzero((sx * centre[:, 0] > half) & (sy * centre[:, 1] > half))[:, 0],
+            elements=torch.nonzero((sx * center[:, 0] > half) & (sy * center[:, 1] > half))[:, 0],
             direction=(0.0, 0.0, 1.0),
             stiffness=2e5,
         )

@@ -26,13 +26,13 @@ from torch import Tensor
 
 from diffsim import mesh, soft
 
-REACH, WIDTH, CORE, THICK = 0.070, 0.015, 0.018, 0.0175  # tip, leg, half centre, flat to top [m]
+REACH, WIDTH, CORE, THICK = 0.070, 0.015, 0.018, 0.0175  # tip, leg, half center, flat to top [m]
 PULL = 0.018  # longest pull of the servo [m]
 PERIOD, DT = 0.9, 1.0 / 60.0  # [s]
 
 
 def make_mesh() -> mesh.HexMesh:
-    """Four legs in the y-z plane around a square centre; flat side x = 0, top at x < 0."""
+    """Four legs in the y-z plane around a square center; flat side x = 0, top at x < 0."""
     arm = np.linspace(CORE, REACH, 8)
     ticks = np.concatenate([-arm[::-1], [-WIDTH / 2, WIDTH / 2], arm])
     n = len(ticks) - 1
@@ -111,7 +111,7 @@ def swim(
 def main(
     iterations: int = 8, periods: int = 3, lr: float = 0.8, plot: str | None = None
 ) -> dict[str, float]:
-    """Optimise the gait, and draw; returns the numbers that the story ends with."""
+    """Optimize the gait, and draw; returns the numbers that the story ends with."""
     body, hydro, tendons = make_robot()
     servo = soft.ActuatorDynamics(time_constant=0.03, max_rate=0.25)
     num_steps = round(periods * PERIOD / DT)
@@ -133,7 +133,7 @@ def main(
         if i == 0:
             runs["sine"] = record
         if speeds[-1] == max(speeds):
-            runs["optimised"] = record
+            runs["optimized"] = record
         if i < iterations:
             optimizer.zero_grad()
             (-speed / 0.01).backward()
@@ -144,17 +144,17 @@ def main(
 
 
 def draw(m: mesh.HexMesh, runs: dict[str, dict[str, Tensor]], path: Path) -> None:
-    """One period of the optimised gait, swimming upwards; pull and travel of both gaits."""
+    """One period of the optimized gait, swimming upwards; pull and travel of both gaits."""
     import matplotlib.pyplot as plt
     from matplotlib.colors import LightSource
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     faces = mesh.surface_quads(m).faces
-    colors = {"sine": "#9aa5a5", "optimised": "#c0392b"}
+    colors = {"sine": "#9aa5a5", "optimized": "#c0392b"}
     figure = plt.figure(figsize=(11, 6.2), layout="constrained")
     upper, lower = figure.subfigures(2, 1, height_ratios=(0.9, 1.0))
     upper.set_facecolor("#eaf3f8")
-    best = runs["optimised"]
+    best = runs["optimized"]
     last = len(best["pull"])
     period = round(PERIOD / DT)
     start = period // 2 + int(best["pull"][period // 2 : period // 2 + period].argmin())
@@ -188,7 +188,7 @@ def draw(m: mesh.HexMesh, runs: dict[str, dict[str, Tensor]], path: Path) -> Non
         right.plot(np.append(0.0, t), 1e3 * run["path"], color=colors[name], lw=1.8, label=name)
     left.set(xlabel="time [s]", ylabel="pull of the tendons [mm]", xlim=(0, t[-1]))
     left.set_title("command (dashed), servo (solid)", fontsize=10)
-    right.set(xlabel="time [s]", ylabel="travel of the centre [mm]", xlim=(0, t[-1]))
+    right.set(xlabel="time [s]", ylabel="travel of the center [mm]", xlim=(0, t[-1]))
     right.set_title("swimming along the rail", fontsize=10)
     for axes in (left, right):
         axes.spines[["top", "right"]].set_visible(False)

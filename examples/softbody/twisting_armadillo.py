@@ -8,7 +8,7 @@ this material. There is no contact: limbs may pass through each other.
 
 Expected: `auto` and `newton_cholesky` end in the same shape and gradient. Measured with --compare
 on two busy cores, CPU seconds per step: forward 1.47 against 2.53, backward 0.70 against 0.64. On
-this slender creature `auto` factorises backward, as the direct solve does; docs/benchmarks.md has a
+this slender creature `auto` factorizes backward, as the direct solve does; docs/benchmarks.md has a
 compact beam, where conjugate gradients win. Running time: 3 minutes of CPU with --compare, seconds
 with --small.
 
@@ -80,8 +80,8 @@ def make_mesh(spacing: float, file: str | None) -> mesh.TetMesh:
         m = loaded
     x = m.x_rest - m.x_rest.amin(0)
     x = x * (HEIGHT / x[:, 2].max())
-    centre = 0.5 * x[:, :2].amax(0)  # of the bounding box
-    return mesh.TetMesh(torch.cat([x[:, :2] - centre, x[:, 2:]], 1), m.elements)
+    center = 0.5 * x[:, :2].amax(0)  # of the bounding box
+    return mesh.TetMesh(torch.cat([x[:, :2] - center, x[:, 2:]], 1), m.elements)
 
 
 class Turn:
@@ -209,7 +209,7 @@ def main(
 
 
 def draw(m: mesh.TetMesh, shapes: list[Tensor], turn: Turn, path: Path) -> None:
-    """Four frames, side by side; clamped and turned parts in other colours."""
+    """Four frames, side by side; clamped and turned parts in other colors."""
     import matplotlib.pyplot as plt
     import numpy as np
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
@@ -224,16 +224,16 @@ def draw(m: mesh.TetMesh, shapes: list[Tensor], turn: Turn, path: Path) -> None:
     chosen = [round(k * (len(shapes) - 1) / 3) for k in range(4)]
     for k, frame in enumerate(chosen):
         axes = figure.add_axes((0.245 * k - 0.06, -0.12, 0.385, 1.24), projection="3d")
-        axes.patch.set_alpha(0.0)  # neighbours overlap
+        axes.patch.set_alpha(0.0)  # neighbors overlap
         axes.set_clip_on(False)
         corner = shapes[frame][faces].numpy()
         normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         shade = 0.42 + 0.58 * np.clip(normal @ light, 0.0, 1.0)
-        colours = np.clip(base * shade[:, None], 0.0, 1.0)
+        colors = np.clip(base * shade[:, None], 0.0, 1.0)
         axes.add_collection3d(
             Poly3DCollection(
-                corner, facecolors=colours, edgecolors=colours, linewidths=0.15, clip_on=False
+                corner, facecolors=colors, edgecolors=colors, linewidths=0.15, clip_on=False
             )
         )
         axes.set(xlim=(-0.26, 0.26), ylim=(-0.26, 0.26), zlim=(0.02, HEIGHT - 0.02))

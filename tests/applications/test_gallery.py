@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 
-from diffsim.applications import catalogue, gallery
+from diffsim.applications import catalog, gallery
 from diffsim.core.errors import DiffsimError
 
 SCRIPT = '''"""How far?"""
@@ -36,7 +36,7 @@ def scripts(tmp_path, monkeypatch):
     (folder / "walks").mkdir(parents=True)
     (folder / "walks/walk.py").write_text(SCRIPT.replace("{status}", "0"))
     (folder / "gallery.yaml").write_text(ENTRY)
-    monkeypatch.setattr(gallery, "examples", lambda: catalogue.examples(folder))
+    monkeypatch.setattr(gallery, "examples", lambda: catalog.examples(folder))
     read = gallery.entries
     monkeypatch.setattr(gallery, "entries", lambda: read(folder / "gallery.yaml"))
     return folder
@@ -95,7 +95,7 @@ def test_number_that_is_not_printed_is_a_failure(scripts, tmp_path):
     [
         (("example: walk", "example: wall"), "walk"),
         (("thesis:", "theses:"), "A walk.*theses"),
-        (('thesis: "11 m"', "colour: red"), "colour"),
+        (('thesis: "11 m"', "color: red"), "color"),
     ],
 )
 def test_bad_entries_are_named(scripts, change, message):

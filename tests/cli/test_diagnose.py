@@ -188,7 +188,7 @@ def test_loaded_model_predicts_what_the_diagnosed_one_does(study_folder, tmp_pat
             np.testing.assert_allclose(
                 loaded.predict(r, point), direct.predict(r, point), rtol=0, atol=1e-12
             )
-    # at its centre it is the best fit
+    # at its center it is the best fit
     run_ = study.fit_runs[0]
     best = report.best.problem.predict(run_, torch.from_numpy(report.best.x))
     np.testing.assert_allclose(loaded.predict(run_, loaded.at_prior()), best, atol=1e-9)

@@ -124,8 +124,8 @@ def test_a_ridge_of_terrain_stops_what_flies_through_it():
 
 @pytest.mark.property
 @pytest.mark.parametrize("shape", [contact.Sphere(0.5), contact.Box((1, 1, 1))])
-def test_sliding_and_resting_points_are_linearised_where_they_end(shape):
-    """No false tunnelling: on the surface, moving along it and a little into it."""
+def test_sliding_and_resting_points_are_linearized_where_they_end(shape):
+    """No false tunneling: on the surface, moving along it and a little into it."""
     obstacle = contact.Obstacle(shape)
     x = points(60)
     phi, normal = shape.distance_normal(x)

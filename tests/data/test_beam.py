@@ -92,7 +92,7 @@ def test_the_held_tip_points_up(measured_beam, numbers):
         assert 0.3 < turned - straight < 0.9
 
 
-def test_noise_is_micrometres(numbers):
+def test_noise_is_micrometers(numbers):
     for n in numbers["trials"].values():
         assert max(n["noise_m"]) < 10e-6
 

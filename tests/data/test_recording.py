@@ -42,7 +42,7 @@ def test_empty_cells_and_nan_are_gaps(tmp_path):
     assert not recording.is_gap[:, 1].any()
 
 
-def test_round_trip_keeps_micrometres_and_gaps(tmp_path):
+def test_round_trip_keeps_micrometers_and_gaps(tmp_path):
     rng = np.random.default_rng(0)
     places = np.round(rng.normal(size=(25, 2, 3)), 6)
     places[3, 1] = np.nan
@@ -63,7 +63,7 @@ def test_round_trip_keeps_micrometres_and_gaps(tmp_path):
         (0, HEADER.replace("base_x_m", "tip1_x_m"), r"'tip1_x_m' occurs more than once"),
         (4, "3,0.03,0.1,O.2,0.3,1,2,3", r"row 5, column tip1_y_m: 'O.2' is not a number"),
         (4, "3,0.03,0.1,inf,0.3,1,2,3", r"row 5, column tip1_y_m: 'inf' is not a finite"),
-        (4, "3,0.03,0.1,250,0.3,1,2,3", r"row 5, column tip1_y_m: 250 m .* millimetres\?"),
+        (4, "3,0.03,0.1,250,0.3,1,2,3", r"row 5, column tip1_y_m: 250 m .* millimeters\?"),
         (4, "3,0.02,0.1,0.2,0.3,1,2,3", r"row 5, column time_s: time must increase, got 0.02 s"),
         (4, "3,,0.1,0.2,0.3,1,2,3", r"row 5, column time_s: time is missing"),
         (4, "3,0.03,0.1,0.2,0.3", r"row 5: 5 cells, but the header has 8"),
@@ -90,7 +90,7 @@ def test_refuses_short_empty_and_unseen(tmp_path):
         load_csv(write(tmp_path, ["frame,time_s", "0,0", "1,1"]))
 
 
-def test_missing_file_lists_its_neighbours(tmp_path):
+def test_missing_file_lists_its_neighbors(tmp_path):
     write(tmp_path, table(), "gravity_a.csv")
     with pytest.raises(FileNotFoundError, match=r"has gravity_a.csv; did you mean gravity_a.csv"):
         load_csv(tmp_path / "gravty_a.csv")

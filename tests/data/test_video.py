@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from diffsim.data.video import ColourBounds, TrackingError, track_video
+from diffsim.data.video import ColorBounds, TrackingError, track_video
 
 cv2 = pytest.importorskip("cv2", reason="needs the extra video (OpenCV)")
 
@@ -46,15 +46,15 @@ def collision(gap: float) -> Array:
     return np.stack([moving, struck], 1)
 
 
-# JPEG stores colours at half the resolution: centres are off by up to half a pixel.
+# JPEG stores colors at half the resolution: centers are off by up to half a pixel.
 WORST, TYPICAL = 0.6, 0.25  # [px]
 
 
-def test_centres_are_found_to_a_quarter_of_a_pixel(tmp_path: Path) -> None:
+def test_centers_are_found_to_a_quarter_of_a_pixel(tmp_path: Path) -> None:
     truth = collision(gap=4.0)
     tracks = track_video(film(tmp_path / "a.avi", truth), 2)
-    assert np.abs(tracks.centres - truth).max() < WORST
-    assert np.sqrt(np.mean((tracks.centres - truth) ** 2)) < TYPICAL
+    assert np.abs(tracks.centers - truth).max() < WORST
+    assert np.sqrt(np.mean((tracks.centers - truth) ** 2)) < TYPICAL
     assert not tracks.merged.any()
     np.testing.assert_allclose(np.diff(tracks.time_s), 1.0 / RATE, rtol=1e-6)
 
@@ -64,17 +64,17 @@ def test_touching_discs_are_told_apart(tmp_path: Path) -> None:
     tracks = track_video(film(tmp_path / "a.avi", truth), 2)
     assert tracks.merged[20]
     assert not tracks.merged[:18].any()
-    assert np.abs(tracks.centres - truth).max() < 1.5
+    assert np.abs(tracks.centers - truth).max() < 1.5
     apart = ~tracks.merged
-    assert np.abs(tracks.centres - truth)[apart].max() < WORST
+    assert np.abs(tracks.centers - truth)[apart].max() < WORST
 
 
 def test_a_hidden_ball_is_missing_and_found_again(tmp_path: Path) -> None:
     truth = collision(gap=4.0)
     tracks = track_video(film(tmp_path / "a.avi", truth, hidden={8, 9}), 2)
-    gone = np.isnan(tracks.centres[:, 0, 0])
+    gone = np.isnan(tracks.centers[:, 0, 0])
     assert gone.nonzero()[0].tolist() == [8, 9]
-    assert np.abs(tracks.centres[10:] - truth[10:]).max() < WORST
+    assert np.abs(tracks.centers[10:] - truth[10:]).max() < WORST
 
 
 def test_paths_that_cross_keep_their_names(tmp_path: Path) -> None:
@@ -84,7 +84,7 @@ def test_paths_that_cross_keep_their_names(tmp_path: Path) -> None:
     # they pass the same height in different columns, and are nearest for a moment
     truth = np.stack([down, up + np.array([40.0, 0.0])], 1)
     tracks = track_video(film(tmp_path / "a.avi", truth), 2)
-    assert np.abs(tracks.centres - truth).max() < WORST
+    assert np.abs(tracks.centers - truth).max() < WORST
 
 
 def test_the_file_has_the_columns_of_the_data_set(tmp_path: Path) -> None:
@@ -108,4 +108,4 @@ def test_refusals(tmp_path: Path) -> None:
     with pytest.raises(TrackingError, match="expected 3 balls"):
         track_video(film(tmp_path / "a.avi", truth), 3)
     with pytest.raises(ValueError, match="hue"):
-        ColourBounds((200, 0, 0), (179, 255, 255))
+        ColorBounds((200, 0, 0), (179, 255, 255))

@@ -1,4 +1,4 @@
-"""Delay, randomisation, noise, currents and substeps do what they say; refusals are clear."""
+"""Delay, randomization, noise, currents and substeps do what they say; refusals are clear."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_delay_is_a_shift(delay: int) -> None:
 def test_factors_of_one_are_nominal_and_others_are_not(name: str, quantities: tuple) -> None:
     def end(low: float, high: float) -> envs.TaskState:
         factors = dict.fromkeys(quantities, (low, high))
-        task = envs.make_task(name, randomisation=envs.Randomisation(factors), **OPTIONS[name])
+        task = envs.make_task(name, randomization=envs.Randomization(factors), **OPTIONS[name])
         return run(task, 0.7 * torch.ones(3, task.num_actions).double(), batch=2)
 
     task = envs.make_task(name, **OPTIONS[name])
@@ -72,11 +72,11 @@ def test_substeps_are_steps_under_a_held_command() -> None:
 def test_rewards_sum_to_the_distance() -> None:
     task = Advance(block(on_floor=True), 9, substeps=2, drift_weight=0.0, speed_scale=1.0)
     state = task.start(1, np.random.default_rng(0))
-    first, total = task.robot.centre(state["x"]), 0.0
+    first, total = task.robot.center(state["x"]), 0.0
     for command in COMMANDS:
         state, reward = task.step(state, command[None])
         total += float(reward) * task.dt
-    assert total == pytest.approx(float(task.robot.centre(state["x"])[0, 0] - first[0, 0]))
+    assert total == pytest.approx(float(task.robot.center(state["x"])[0, 0] - first[0, 0]))
 
 
 def test_current_carries_a_swimmer() -> None:
@@ -86,7 +86,7 @@ def test_current_carries_a_swimmer() -> None:
     for _ in range(5):
         state, _ = task.step(state, torch.zeros(3, 1, dtype=torch.float64))
     torch.testing.assert_close(state["current"], current)
-    gained = task.robot.centre(state["v"])
+    gained = task.robot.center(state["v"])
     assert bool(((gained * current).sum(-1) > 0.0).all())
 
 
@@ -94,7 +94,7 @@ def test_start_is_stirred_but_at_rest_as_a_whole() -> None:
     task = Advance(block(water=True), 9, start_speed=0.1)
     state = task.start(4, np.random.default_rng(0))
     torch.testing.assert_close(
-        task.robot.centre(state["v"]), torch.zeros(4, 3, dtype=torch.float64)
+        task.robot.center(state["v"]), torch.zeros(4, 3, dtype=torch.float64)
     )
     assert 0.02 < float(state["v"].norm(dim=-1).max()) < 1.0
 
@@ -156,8 +156,8 @@ def test_where_and_attitude() -> None:
         ({"current": 0.1}, "not in water"),
         ({"start_speed": -1.0}, "start_speed"),
         ({"action_delay": -1}, "action_delay"),
-        ({"randomisation": envs.Randomisation({"water": (0.5, 1.0)})}, "randomisation"),
-        ({"randomisation": envs.Randomisation({"muscles": (1.0, 0.5)})}, "low <= high"),
+        ({"randomization": envs.Randomization({"water": (0.5, 1.0)})}, "randomization"),
+        ({"randomization": envs.Randomization({"muscles": (1.0, 0.5)})}, "low <= high"),
     ],
 )
 def test_refusals(options: dict, words: str) -> None:

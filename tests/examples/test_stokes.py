@@ -10,7 +10,7 @@ pytestmark = pytest.mark.example
 def test_amplifier_triples_the_speed(tmp_path):
     numbers = load_story("stokes/amplifier.py").main(0.5, 4, out=str(tmp_path), with_export=True)
     assert numbers["loss"] < 0.01 * numbers["first loss"]
-    # the loss of a hundredth of a random design's, a few m^2/s^2, is a tenth of a metre per second
+    # the loss of a hundredth of a random design's, a few m^2/s^2, is a tenth of a meter per second
     assert numbers["outlet speed"] == pytest.approx(3.0, abs=0.1)
     assert numbers["outlet width"] == pytest.approx(0.25, abs=0.01)
     assert numbers["error of the gradient"] < 1e-5  # central differences, steps of 1e-5

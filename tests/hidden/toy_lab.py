@@ -11,7 +11,7 @@ from tests.diagnose import toy
 _DECOYS: dict[str, dict[str, Any]] = {
     "heavy_tails": {"tails": True},
     "spikes": {"spikes": True},
-    "coloured_noise": {"color": 0.7},
+    "colored_noise": {"color": 0.7},
     "far_prior": {"far_base": 1.5},
     "lost_repeat": {"lost_repeat": True},
     "gaps": {},

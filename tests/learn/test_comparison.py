@@ -65,7 +65,7 @@ def test_bootstrap_interval_agrees_with_one_resampled_by_hand() -> None:
     assert bootstrap_interval(values[:1]) == (values[0], values[0])
 
 
-def test_rewards_hold_until_the_next_rating_and_breakdowns_count_as_nothing_learnt() -> None:
+def test_rewards_hold_until_the_next_rating_and_breakdowns_count_as_nothing_learned() -> None:
     run = rows([0.1, 0.5, math.nan, 0.9])
     got = held(run, "steps", np.array([0.0, 9.0, 10.0, 25.0, 99.0]))
     np.testing.assert_allclose(got, [0.1, 0.1, 0.5, 0.1, 0.9])
@@ -84,12 +84,12 @@ def test_summary_keeps_runs_that_never_reach_the_goal() -> None:
         "gradient": {0: rows([0.0, 1.0]), 1: rows([0.0, 1.0]), 2: rows([0.0, 0.5, 1.0])},
         "ppo": {0: rows([0.0, 0.1]), 1: rows([0.0, 0.95]), 2: rows([0.0, 0.2])},
     }
-    gradient, ppo = comparison.summarise(runs, Scale(0.0, 1.0))
+    gradient, ppo = comparison.summarize(runs, Scale(0.0, 1.0))
     assert gradient["reached"] == 3 and gradient["steps_to_goal"] == 10.0
     assert ppo["reached"] == 1 and ppo["steps_to_goal"] == math.inf
     # PPO ends at 0.1, 0.95 and 0.2, the gradient is better at its first rating
     assert ppo["gradient_steps_to_final"] == 10.0
-    assert comparison.summarise({"ppo": runs["ppo"]}, Scale(0.0, 1.0))[0]["reached"] == 1
+    assert comparison.summarize({"ppo": runs["ppo"]}, Scale(0.0, 1.0))[0]["reached"] == 1
     assert "| - | - | - |" in comparison.table("X", [ppo])
 
 
@@ -217,14 +217,14 @@ def test_runs_in_progress_are_not_summed_up_but_failed_ones_are(tmp_path: Path) 
     runs = comparison.collect(plan, tmp_path)
     assert sorted(runs["gradient"]) == [1, 2]
     assert runs["gradient"][1][-1]["forward_equivalents"] == 10 * plan.setup.step_cost
-    (row,) = comparison.summarise(runs, Scale(0.0, 1.0))
+    (row,) = comparison.summarize(runs, Scale(0.0, 1.0))
     assert (row["runs"], row["finished"]) == (2, 1)
     assert "(1 failed)" in comparison.table("X", [row])
 
     alone = tmp_path / "record"
     alone.mkdir()
     comparison.keep_record(runs, alone)
-    assert comparison.summarise(comparison.collect(plan, alone), Scale(0.0, 1.0)) == [row]
+    assert comparison.summarize(comparison.collect(plan, alone), Scale(0.0, 1.0)) == [row]
 
     # a method added later joins the record
     folder = alone / "ppo" / "seed_3"

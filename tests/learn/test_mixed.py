@@ -80,7 +80,7 @@ def smooth(limit: float = math.inf) -> Toy:
 
 def small_net(seed: int = 3) -> MLPController:
     """Seven parameters."""
-    return MLPController(1, 1, hidden=(2,), normalise=False, seed=seed, output_gain=0.7)
+    return MLPController(1, 1, hidden=(2,), normalize=False, seed=seed, output_gain=0.7)
 
 
 def sample(task: Toy, net: nn.Module, episodes: int, seed: int) -> tuple[Tensor, Tensor]:
@@ -157,7 +157,7 @@ def test_failures_are_seen_by_the_zeroth_order_gradient_alone() -> None:
 def test_a_step_function_has_no_first_order_gradient_and_gets_no_weight() -> None:
     # P(mu + SPREAD e > 0) = Phi(mu / SPREAD), whose slope is known
     task = Toy(lambda x, a: a, lambda x: (x > 0.0).double() + 0.0 * x, 1)
-    net = MLPController(1, 1, hidden=(), normalise=False, output_gain=0.0)
+    net = MLPController(1, 1, hidden=(), normalize=False, output_gain=0.0)
     with torch.no_grad():
         net.layers[0].bias.fill_(0.1)
     mu = math.tanh(0.1)

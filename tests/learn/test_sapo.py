@@ -1,4 +1,4 @@
-"""Soft analytic policy optimisation: entropy, its price, soft targets, two critics, learning."""
+"""Soft analytic policy optimization: entropy, its price, soft targets, two critics, learning."""
 
 from __future__ import annotations
 
@@ -62,9 +62,9 @@ def test_entropy_of_bounded_commands_is_minus_their_mean_log_density() -> None:
     noise = torch.from_numpy(np.random.default_rng(1).standard_normal((40_000, 4)))
     with torch.no_grad():
         commands, entropy = made_.draw(net, x.expand(len(noise), -1), noise)
-        normalised = net.normaliser(x)  # type: ignore[misc]
+        normalized = net.normalizer(x)  # type: ignore[misc]
         base = torch.distributions.Normal(
-            net.layers[:-1](normalised), made_.log_spread(normalised).exp()
+            net.layers[:-1](normalized), made_.log_spread(normalized).exp()
         )
         squashed = torch.distributions.TransformedDistribution(
             base, torch.distributions.TanhTransform()
@@ -145,7 +145,7 @@ def test_the_price_falls_above_the_wanted_entropy_and_rises_below(
 
 def test_the_price_brings_the_entropy_to_the_wanted_one() -> None:
     # noise of spread sigma costs 3 sigma a command: the best is alpha / (3 * 2 |T|), which the
-    # actor has at once here (two optimisers of equal pace swing)
+    # actor has at once here (two optimizers of equal pace swing)
     price = Temperature(0.3, 2e-3, -1.0)
     for _ in range(2_000):
         log_spread = torch.full((2,), math.log(price.value / 6.0), dtype=torch.float64)
@@ -164,7 +164,7 @@ def test_soft_targets_agree_with_a_hand_computed_case() -> None:
     learner = made(trace=0.5, temperature=0.4)
     # entropies above, at and below the wanted -2 are worth 0.1, 0 and -0.1
     window = Window(
-        normalised=torch.zeros(2, 2, 22).double(),
+        normalized=torch.zeros(2, 2, 22).double(),
         rewards=torch.tensor([[1.0, 1.0], [2.0, 2.0]]).double(),
         entropy=torch.tensor([[-1.0, -3.0], [-2.0, -1.0]]).double(),
         next_values=torch.tensor([[10.0, 10.0], [20.0, 20.0]]).double(),

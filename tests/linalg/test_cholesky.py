@@ -289,7 +289,7 @@ def test_refuses_another_pattern_and_bad_right_hand_sides():
     pattern, coords = grid_graph(4, 4, 4)
     matrix = laplacian(pattern, shift=1.0)
     factor = SparseCholesky(matrix, coords)
-    with pytest.raises(ValueError, match="sparsity pattern it was analysed with"):
+    with pytest.raises(ValueError, match="sparsity pattern it was analyzed with"):
         factor.refactor(sp.identity(64, format="csr"))
     with pytest.raises(ValueError, match=r"shape \(64, 64\), got \(27, 27\)"):
         factor.refactor(laplacian(grid_graph(3, 3, 3)[0], shift=1.0))

@@ -145,7 +145,7 @@ def test_nan_stays_in_its_matrix(bad):
 
 
 @pytest.mark.property
-def test_a_matrix_does_not_feel_its_neighbours():
+def test_a_matrix_does_not_feel_its_neighbors():
     mixed = torch.from_numpy(np.concatenate([f[:3] for f in FAMILIES.values()]))
     for name, function in (("svd3", svd3), ("polar3", lambda F: (polar3(F),))):
         together = function(mixed)
@@ -316,7 +316,7 @@ def test_every_build(isa):
         "import diffsim.core.compiled as c, test_svd as t\n"
         f"assert c.core.instruction_set == {isa!r}\n"
         "for F in t.FAMILIES.values(): t.assert_decomposition(F)\n"
-        "t.test_a_matrix_does_not_feel_its_neighbours()\n"
+        "t.test_a_matrix_does_not_feel_its_neighbors()\n"
         "t.test_threads_do_not_change_a_bit()\n"
         "print('held')\n"
     )

@@ -66,7 +66,7 @@ def test_robot_rests_without_pull_and_without_current():
 
 
 def test_forces_inside_the_robot_do_not_push_it():
-    """Without water's drag, rail and current, the centre of all momentum stays."""
+    """Without water's drag, rail and current, the center of all momentum stays."""
     free = Truth(
         crossflow_flat=0.0, crossflow_top=0.0, skin=0.0, core_drag=0.0, rail_friction=0.0, added=0.0
     )

@@ -92,7 +92,7 @@ def test_books(resumed):
     for it in result.iterations[1:]:
         assert it.identified is not None
         assert it.loss_theta == it.identified.loss_after
-        assert it.loss_action <= it.loss_action_before  # thesis: minimise over a, theta fixed
+        assert it.loss_action <= it.loss_action_before  # thesis: minimize over a, theta fixed
         it.command.check(LIMITS)
     first = result.iterations[1].identified  # later ones weigh a smaller misfit against the prior
     assert first.loss_after < first.loss_before

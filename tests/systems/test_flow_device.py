@@ -309,7 +309,7 @@ def test_base_can_be_chosen():
 
 
 def test_a_prediction_is_fast():
-    """Factorisation once, then one solve whatever the number of samples."""
+    """Factorization once, then one solve whatever the number of samples."""
     device = DEVICES["pumps"]
     model, run = device_model(device), run_of(device, [0.25, 0.5, 1.0, 2.0], repeats=50)
     predict(model, run)

@@ -1,7 +1,7 @@
 // svd3, polar3 and their derivatives over arrays of 3x3 matrices.
 //
 // Matrices are (n, 3, 3) row-major; every output is overwritten. Results do not depend on
-// num_threads, nor those of one matrix on its neighbours.
+// num_threads, nor those of one matrix on its neighbors.
 #pragma once
 
 #include <cstdint>

@@ -1,4 +1,4 @@
-// Sparse supernodal Cholesky factorisation A = L L' of a symmetric positive definite matrix.
+// Sparse supernodal Cholesky factorization A = L L' of a symmetric positive definite matrix.
 //
 // Three steps: analyze_cholesky (pattern only; ordering and storage), CholeskyFactor::refactor
 // (values) and CholeskyFactor::solve. Results are bitwise the same for every number of threads.
@@ -50,11 +50,11 @@ class CholeskyWorkspace {
   AlignedBuffer<double> buffer_;
 };
 
-/// How the factor is stored; the factorisation itself always runs in float64.
+/// How the factor is stored; the factorization itself always runs in float64.
 enum class FactorPrecision { kFloat64, kFloat32 };
 
 /// Memory of a factor. Fresh pages are cleared by the system when they are first written, which for
-/// a large factor takes a fifth of the factorisation: hand them from one factor to the next.
+/// a large factor takes a fifth of the factorization: hand them from one factor to the next.
 struct CholeskyMemory {
   AlignedBuffer<double> factor;
   AlignedBuffer<double> fronts;
@@ -69,7 +69,7 @@ class CholeskyFactor {
                           FactorPrecision precision = FactorPrecision::kFloat64,
                           CholeskyMemory memory = {});
 
-  /// Factors new values on the analysed pattern.
+  /// Factors new values on the analyzed pattern.
   /// @param values (nnz, block, block) row-major blocks in the CSR's order; one triangle is read
   /// @throws NotPositiveDefinite where a pivot is not positive, NaN, or negligible beside its
   ///         diagonal entry; the factor is then unusable until the next refactor

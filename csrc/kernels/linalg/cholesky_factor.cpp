@@ -1,4 +1,4 @@
-// CholeskyFactor: multifrontal factorisation.
+// CholeskyFactor: multifrontal factorization.
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -21,7 +21,7 @@ namespace {
 constexpr int kSplitTiles = 128;  // fronts from here on keep several threads busy
 }
 
-/// One factorisation in progress.
+/// One factorization in progress.
 struct CholeskyFactor::Refactor {
   const CholeskySymbolic& sym;
   const double* values;

@@ -1,4 +1,4 @@
-// One supernode's dense share of a factorisation: its panels of L and its update matrix.
+// One supernode's dense share of a factorization: its panels of L and its update matrix.
 #pragma once
 
 #include <cstdint>

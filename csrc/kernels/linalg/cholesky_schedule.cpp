@@ -10,7 +10,7 @@ namespace {
 constexpr double kTasksWanted = 24;    // enough to balance a handful of threads
 constexpr double kSerialWork = 30000;  // below this much work one task does everything
 
-/// Work of a supernode: entries streamed by a solve plus a share of the factorisation.
+/// Work of a supernode: entries streamed by a solve plus a share of the factorization.
 double work(const CholeskySupernode& s) {
   const double c = s.num_cols, r = s.num_rows;
   const double entries = c * (0.5 * c + r);
@@ -117,7 +117,7 @@ class Scheduler {
     }
   }
 
-  /// Largest subtrees that are small enough become tasks; tiny neighbours share one.
+  /// Largest subtrees that are small enough become tasks; tiny neighbors share one.
   void cut() {
     const double limit = all_ < kSerialWork ? all_ : all_ / kTasksWanted;
     std::vector<std::pair<double, CholeskyTask>> tasks;

@@ -1,4 +1,4 @@
-// How a Cholesky factorisation is split into tasks, and where their intermediate results live.
+// How a Cholesky factorization is split into tasks, and where their intermediate results live.
 #pragma once
 
 #include "kernels/linalg/cholesky_symbolic.h"

@@ -1,4 +1,4 @@
-// What the symbolic analysis of a sparse Cholesky factorisation knows.
+// What the symbolic analysis of a sparse Cholesky factorization knows.
 //
 // Storage. Supernode s has `num_cols` own unknowns and `num_rows` rows below. Locally they are
 // numbered [own, padding to 8][rows below, padding to 8]. Its part of L is cut into panels of 8

@@ -12,7 +12,7 @@ namespace diffsim {
 namespace {
 
 constexpr std::size_t kLeafSize = 32;   // parts up to here are ordered by minimum degree
-constexpr std::size_t kMaskSize = 512;  // leaf nodes and the neighbours around them
+constexpr std::size_t kMaskSize = 512;  // leaf nodes and the neighbors around them
 
 class Dissector {
  public:
@@ -149,7 +149,7 @@ class Dissector {
     return keys;
   }
 
-  /// Averages a key over neighbours a few times, which breaks the ties of integer distances.
+  /// Averages a key over neighbors a few times, which breaks the ties of integer distances.
   void smooth(const Item& item, std::vector<double>& key) {
     value_.resize(graph_.num_nodes);
     for (int sweep = 0; sweep < 12; ++sweep) {

@@ -20,7 +20,7 @@ struct Supernodes {
   int count() const { return static_cast<int>(parent.size()); }
 };
 
-/// Symbolic factorisation of `graph` eliminated in `order`. A child is merged into its parent where
+/// Symbolic factorization of `graph` eliminated in `order`. A child is merged into its parent where
 /// a cost model of the triangular solve (entries streamed + rows gathered + a fixed share) says so.
 /// @param weight (num_nodes) unknowns of every node, which scale the model
 Supernodes find_supernodes(const Graph& graph, std::vector<int> order,

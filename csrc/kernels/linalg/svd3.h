@@ -3,14 +3,14 @@
 //   F = U diag(s) V^T,  det U = det V = +1,  s0 >= s1 >= |s2|,  sign s2 = sign det F
 //
 // 1. Jacobi sweeps on S = F^T F give V as a quaternion. A rotation by theta in the plane (p, q) is
-//    the quaternion (1, x e_k), x = tan(theta/2), left unnormalised: it scales S and the quaternion
+//    the quaternion (1, x e_k), x = tan(theta/2), left unnormalized: it scales S and the quaternion
 //    by a common factor, so it costs one square root and one division, and V is a rotation to
 //    rounding however the angles were computed.
 // 2. Two or three 90-degree rotations sort the columns.
 // 3. Givens QR of B = F V gives U and s. Rounding of S is eps s0^2, so it leaves R_01 and R_02 at
 //    eps s0, but R_12 as large as eps s0^2 / s1: one 2x2 SVD removes it.
 //
-// A lane stops turning once it has converged, so its bits do not depend on its neighbours. NaN or
+// A lane stops turning once it has converged, so its bits do not depend on its neighbors. NaN or
 // infinity in a lane makes every output of that lane NaN.
 #pragma once
 

@@ -1,4 +1,4 @@
-// Dense kernels on 8 x 8 tiles for the Cholesky factorisation.
+// Dense kernels on 8 x 8 tiles for the Cholesky factorization.
 //
 // A tile stores `width` columns of 8 doubles one after the other; rows beyond the matrix are zero.
 #pragma once

@@ -23,12 +23,12 @@ struct ChamberTables {
   const std::int64_t* lid_nodes = nullptr;    // in the order that lid triangles run through them
 };
 
-/// Immutable. *Points* are nodes, then the lids' centres.
+/// Immutable. *Points* are nodes, then the lids' centers.
 struct Chambers {
   /// A node's place in one triangle (node, next, previous).
   struct Corner {
     std::int64_t chamber, next, previous;   // the latter two are points
-    std::int32_t slot_next, slot_previous;  // in the node's matrix row; -1 at a lid's centre
+    std::int32_t slot_next, slot_previous;  // in the node's matrix row; -1 at a lid's center
   };
   /// A node's place on a rim.
   struct RimCorner {

@@ -1,5 +1,5 @@
 // The constant system of projective dynamics, A = diag(inertia) + sum of kappa G^T G (eq. 4.15),
-// factorised once and used by the forward step and by its adjoint.
+// factorized once and used by the forward step and by its adjoint.
 //
 // A acts on each coordinate alone, so one scalar factor (n x n) serves three right-hand sides. An
 // axis with its own Dirichlet set needs its own factor; axes with equal sets share one.
@@ -16,7 +16,7 @@
 
 namespace diffsim {
 
-/// A model with the symbolic factorisations of its scalar and 3x3-block patterns, made when needed.
+/// A model with the symbolic factorizations of its scalar and 3x3-block patterns, made when needed.
 class SoftPattern {
  public:
   SoftPattern(SoftModel model, const double* coords);

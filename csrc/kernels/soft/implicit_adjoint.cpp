@@ -1,4 +1,4 @@
-#include "kernels/soft/linearised_solver.h"
+#include "kernels/soft/linearized_solver.h"
 
 namespace diffsim {
 namespace {
@@ -23,7 +23,7 @@ StepStats implicit_step_adjoint(const ConstantSystem& system, const StepInputs& 
   StepStats stats;
   stats.scale = problem.ops().norm(b);
   stats.tolerance = options.rtol * stats.scale + options.atol;
-  const KrylovResult solve = LinearisedSolver(problem, x)
+  const KrylovResult solve = LinearizedSolver(problem, x)
                                  .solve(options.method, wants_factor(system, options), b,
                                         stats.tolerance, options.max_iters, z);
   stats.residual_norm = solve.residual_norm;

@@ -1,4 +1,4 @@
-#include "kernels/soft/linearised_solver.h"
+#include "kernels/soft/linearized_solver.h"
 #include "kernels/soft/pressure.h"
 
 namespace diffsim {
@@ -65,7 +65,7 @@ StepStats implicit_step_tangent(const ConstantSystem& system, const StepInputs& 
     transpose(size, d.count, columns.data(), dx);
   }
 
-  LinearisedSolver solver(problem, x);
+  LinearizedSolver solver(problem, x);
   Vector b(problem.size()), z(problem.size()), residual;
   StepStats worst;
   worst.converged = 1.0;

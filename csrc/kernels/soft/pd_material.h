@@ -3,7 +3,7 @@
 //
 // Solid:  psi(F) = w_mu/2 |F - R(F)|^2 + w_vol/2 |F - B(F)|^2                               [J/m^3]
 //   R: nearest rotation; B = U diag(t) V^T: nearest matrix of determinant one.
-//   With F = U diag(s) V^T, minimising |t - s|^2 subject to t0 t1 t2 = 1 gives
+//   With F = U diag(s) V^T, minimizing |t - s|^2 subject to t0 t1 t2 = 1 gives
 //   t_i (t_i - s_i) = -l with one multiplier l for all i, so t_i = (s_i + q_i)/2 and
 //   q_i = +-sqrt(s_i^2 - 4 l). Taking u = t_2 (smallest) as the unknown, l = u (s_2 - u) and
 //   q_2 = 2u - s_2 needs no root: one monotone scalar equation u t0(u) t1(u) = 1 is left.

@@ -40,11 +40,11 @@ class Points {
       for (Index k = first; k < last; ++k)
         add(1.0 / static_cast<double>(last - first),
             (*this)(all.lid_chamber[at(lid)], all.lid_nodes[at(k)]), mean.v);
-      centre_.push_back(mean);
+      center_.push_back(mean);
     }
   }
   Vec3 operator()(Index chamber, Index point) const {
-    if (point >= model_.num_nodes) return centre_[at(point - model_.num_nodes)];
+    if (point >= model_.num_nodes) return center_[at(point - model_.num_nodes)];
     return minus(node(point), origin_[at(chamber)]);
   }
   /// The node after (step = 1) or before (-1) place k of a lid's rim.
@@ -59,7 +59,7 @@ class Points {
   Vec3 node(Index i) const { return {{x_[3 * i], x_[3 * i + 1], x_[3 * i + 2]}}; }
   const SoftModel& model_;
   const double* x_;
-  std::vector<Vec3> origin_, centre_;
+  std::vector<Vec3> origin_, center_;
 };
 
 bool absent(const SoftModel& model, const double* pressure) {
@@ -93,16 +93,16 @@ double add_pressure_gradient(const SoftModel& model, const double* pressure, con
   if (absent(model, pressure)) return 0.0;
   const Chambers& all = model.chambers;
   const Points points(model, x);
-  // d/dx_a of p/6 x_a . (x_b x x_c), and the same for the lids' centres.
-  std::vector<Vec3> centre(at(all.num_lids), Vec3{{0.0, 0.0, 0.0}});
+  // d/dx_a of p/6 x_a . (x_b x x_c), and the same for the lids' centers.
+  std::vector<Vec3> center(at(all.num_lids), Vec3{{0.0, 0.0, 0.0}});
   double energy = 0.0;
   for (Index c = 0; c < all.num_chambers; ++c)
     for (Index k = all.start[at(c)]; k < all.start[at(c + 1)]; ++k) {
       const Index* t = all.triangles.data() + 3 * k;
       const Vec3 area = cross(points(c, t[0]), points(c, t[1]));
       energy += pressure[c] / 6.0 * dot(area, points(c, t[2]));
-      if (t[2] >= model.num_nodes)  // a lid: its triangles end at the centre
-        add(pressure[c] / 6.0, area, centre[at(t[2] - model.num_nodes)].v);
+      if (t[2] >= model.num_nodes)  // a lid: its triangles end at the center
+        add(pressure[c] / 6.0, area, center[at(t[2] - model.num_nodes)].v);
     }
   for_chamber_nodes(all, pool, [&](Index k) {
     double* out = gradient + 3 * all.nodes[at(k)];
@@ -113,7 +113,7 @@ double add_pressure_gradient(const SoftModel& model, const double* pressure, con
     }
     for (Index i = all.rim_start[at(k)]; i < all.rim_start[at(k + 1)]; ++i) {
       const Chambers::RimCorner& rim = all.rims[at(i)];
-      add(1.0 / static_cast<double>(rim.slots.size()), centre[at(rim.lid)], out);
+      add(1.0 / static_cast<double>(rim.slots.size()), center[at(rim.lid)], out);
     }
   });
   return energy;
@@ -138,7 +138,7 @@ void add_pressure_tangent(const SoftModel& model, const double* pressure, const 
         add_skew(scale, points(corner.chamber, corner.next), strip + 3 * corner.slot_previous,
                  width);
     }
-    // Through the lid's centre, the mean of n nodes: d^2E/(dx_i dcentre) = p/6 [d_i]x with
+    // Through the lid's center, the mean of n nodes: d^2E/(dx_i dcenter) = p/6 [d_i]x with
     // d_i = x_next - x_previous, so nodes i, j of the rim share p/(6 n) [d_i - d_j]x.
     for (Index i = all.rim_start[at(k)]; i < all.rim_start[at(k + 1)]; ++i) {
       const Chambers::RimCorner& rim = all.rims[at(i)];

@@ -20,7 +20,7 @@ COMMAND = "esc_signal_us"
 RAD_S_PER_RPM = 2.0 * np.pi / 60.0
 #: Floor [unit] and share of the scatter. Floors of thrust and torque: resolution of the stand
 #: (README), the other two assumed. Shares: rms distance of a reading from the cubic through its
-#: four neighbours (log against log, thrust above 0.5 N), of KDE and small motors together.
+#: four neighbors (log against log, thrust above 0.5 N), of KDE and small motors together.
 SCATTER = {
     "thrust_N": (0.005, 0.008),
     "torque_Nm": (0.0005, 0.009),

@@ -1,7 +1,7 @@
 """Timoshenko cantilever by staggered differences, reduced to its lowest modes.
 
 Deflection and rotation at nodes, curvature and shear between them (second order, no locking);
-lumped masses. Not the discretisation of ``virtual_lab``, and no solid.
+lumped masses. Not the discretization of ``virtual_lab``, and no solid.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class BeamShape:
 
 @dataclass(frozen=True)
 class BeamModes:
-    """Mass-normalised modes of a bar.
+    """Mass-normalized modes of a bar.
 
     Attributes:
         x: Nodes without the clamped one, (n,) [m].

@@ -13,7 +13,7 @@ nothing with the Stokes solver.
 
 Every sample is a steady state at one level of the pump. Junctions enter by the hydraulic lengths of
 the channels that meet there, which a network cannot know: they were taken once from a Stokes flow
-on a fine grid. Not modelled: what junctions do beyond that, start-up of the flow.
+on a fine grid. Not modeled: what junctions do beyond that, start-up of the flow.
 """
 
 from __future__ import annotations

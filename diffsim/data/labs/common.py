@@ -24,13 +24,13 @@ Sizes = Mapping[str, float | Sequence[float] | None]
 DECOYS = {
     "heavy_tails": "noise of Student's t with three degrees of freedom, of equal sd",
     "spikes": "one sample in a hundred is off by 5 to 15 sd",
-    "coloured_noise": "noise with autocorrelation 0.7 from sample to sample",
+    "colored_noise": "noise with autocorrelation 0.7 from sample to sample",
     "far_prior": "base parameters three prior sd off",
     "lost_repeat": "one repeat of the first command is missing",
     "gaps": "one sample in twenty was not recorded",
     "scatter": "repeats differ by a gain jitter of 10 %: not a function of the command",
 }
-NOISE_COLOUR = 0.3
+NOISE_COLOR = 0.3
 GAIN_JITTER = 0.005
 SCATTER_GAIN = 0.10
 
@@ -192,14 +192,14 @@ class Lab(ABC):
         return given + (0.0,) * (effect.components - len(given))
 
     def _noise(self, rng: np.random.Generator, n: int, decoys: Sequence[str]) -> Array:
-        colour = 0.7 if "coloured_noise" in decoys else NOISE_COLOUR
+        color = 0.7 if "colored_noise" in decoys else NOISE_COLOR
         columns = []
         for channel in self.channels:
             sd = channel.sd or 0.0
             drive = rng.standard_normal(n + 50)
             if "heavy_tails" in decoys:
                 drive = rng.standard_t(3, n + 50) / np.sqrt(3.0)
-            column = sd * np.sqrt(1.0 - colour**2) * lfilter([1.0], [1.0, -colour], drive)[50:]
+            column = sd * np.sqrt(1.0 - color**2) * lfilter([1.0], [1.0, -color], drive)[50:]
             if "spikes" in decoys:
                 hit = rng.random(n) < 0.01
                 column = column + hit * sd * rng.uniform(5.0, 15.0, n) * rng.choice([-1.0, 1.0], n)

@@ -4,7 +4,7 @@ World frame NED, body frame forward-right-down, quaternion (w, x, y, z) world fr
 by the classical Runge-Kutta method at 2 ms on a plain numpy state; rotor commands are held for
 10 ms. The flight controller sees the true state and knows the nominal vehicle only, so that it
 flies with whatever effect is hidden; the study has the rotor commands that came out. As in any
-flight with feedback, the commands of two flights of one manoeuvre differ a little; they are one
+flight with feedback, the commands of two flights of one maneuver differ a little; they are one
 group all the same, for what a model leaves of them is comparable.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.data.labs.common import Base, Lab, LabEffect, Plan, size_of, vector_of
-from diffsim.data.labs.manoeuvres import MANOEUVRES, Path
+from diffsim.data.labs.maneuvers import MANEUVERS, Path
 from diffsim.data.labs.quaternions import angles, cross, matrix, product
 from diffsim.data.study import Channel
 
@@ -65,7 +65,7 @@ class CopterLab(Lab):
         "gyroscopic": LabEffect("kg m^2", 4e-5, "spin momentum of rotors, speed ~ sqrt(thrust)"),
         "lag": LabEffect("s", 0.03, "first-order lag of the thrust"),
         "delay": LabEffect("s", 0.02, "thrust late by a dead time"),
-        "quantisation": LabEffect("N", 0.5, "commands change the thrust in steps of this size"),
+        "quantization": LabEffect("N", 0.5, "commands change the thrust in steps of this size"),
         "accelerometer_scale": LabEffect("-", 0.02, "accelerometer times 1 + size"),
         "gyro_offset": LabEffect("rad/s", 0.02, "constant reading added, x, y and z", 3),
         "updraught": LabEffect("N", 0.8, "lift above a place, 0.5 m wide", outside=True),
@@ -75,7 +75,7 @@ class CopterLab(Lab):
         """A laboratory.
 
         Args:
-            turns: Whether manoeuvres turn about the yaw axis; without, what is fixed in the world
+            turns: Whether maneuvers turn about the yaw axis; without, what is fixed in the world
                 and what is fixed in the body look alike.
         """
         self.turns = turns
@@ -97,7 +97,7 @@ class CopterLab(Lab):
 
     def measure(self, plan: Plan, truth: dict[str, Any]) -> tuple[Array, dict[str, Array]]:
         """What cameras and inertial sensors read, and the thrusts that were commanded."""
-        name = list(MANOEUVRES)[int(plan.setup["manoeuvre"])]
+        name = list(MANEUVERS)[int(plan.setup["maneuver"])]
         rows, commands = _Flight(truth, self._path(name)).run(plan.time_s)
         rows[:, 3:6] += truth["nuisances"]["camera_to_body_rad"]
         rows[:, 6:9] += vector_of(truth, "gyro_offset", 3)
@@ -107,7 +107,7 @@ class CopterLab(Lab):
         return rows, {**recorded, "voltage_V": _voltage(plan.time_s)}
 
     def _path(self, name: str) -> Path:
-        path = MANOEUVRES[name]
+        path = MANEUVERS[name]
         return path if self.turns else lambda t: (path(t)[0], 0.0)
 
     def facts(self) -> dict[str, Any]:
@@ -126,7 +126,7 @@ class CopterLab(Lab):
             "command": "thrusts held from one sample to the next",
             "accelerometer": "specific force in the body frame, mean over the sample before",
             "nuisances": {"camera_to_body_sd_rad": 3e-3, "accelerometer_offset_sd_m_s2": 0.03},
-            "manoeuvres": list(MANOEUVRES),
+            "maneuvers": list(MANEUVERS),
         }
 
 
@@ -221,7 +221,7 @@ class _Flight:
     def _thrusts(self, x: Array, rot: Array, t: float) -> Array:
         """Thrusts that the rotors really give [N]."""
         truth, u = self.truth, x[13:]
-        if (grain := size_of(truth, "quantisation")) > 0.0:
+        if (grain := size_of(truth, "quantization")) > 0.0:
             u = grain * np.round(u / grain)
         u = self.gains * np.clip(u, 0.0, MAX_THRUST_N)
         u = u * (1.0 + size_of(truth, "thrust_curvature") * (u - 3.4) / MAX_THRUST_N)
@@ -261,7 +261,7 @@ class _Flight:
 
 
 def _setup(name: str) -> dict[str, float]:
-    return {"manoeuvre": float(list(MANOEUVRES).index(name))}
+    return {"maneuver": float(list(MANEUVERS).index(name))}
 
 
 def _voltage(t: Array) -> Array:

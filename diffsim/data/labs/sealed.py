@@ -41,7 +41,7 @@ KINDS: dict[str, float] = {
     "numerical": 0.03,
 }
 SIZE_RANGE = (0.3, 2.0)  # of the typical size, drawn log-uniformly
-SIGNED = {"wind", "body_tilt", "centre_of_mass", "tilt", "current", "temperature_drift",
+SIGNED = {"wind", "body_tilt", "center_of_mass", "tilt", "current", "temperature_drift",
           "sensor_scale", "tip_scale", "viscosity", "temperature_gradient", "pump_gain",
           "meter_gain", "pressure_offset", "pressure_scale", "accelerometer_scale",
           "gyro_offset", "thrust_curvature"}  # fmt: skip

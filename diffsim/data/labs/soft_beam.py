@@ -5,7 +5,7 @@ moment at the tip. Bending in a horizontal plane; no gravity. Beam theory in mod
 propagated by exponentials with a second-order correction for what is not linear (ETD2RK, Cox and
 Matthews 2002); friction, dead band and backlash are sharp.
 
-Not modelled: finite rotations (the tip moves by some per cent of the length), axial
+Not modeled: finite rotations (the tip moves by some per cent of the length), axial
 compression by the tendon.
 """
 
@@ -30,7 +30,7 @@ MAX_TENSION_N = 1.6
 # Branches of the constant loss: four a decade from 0.3 to 100 Hz (the library has other ones).
 LOSS_TAU_S = 1.0 / (2.0 * np.pi * 0.3 * np.logspace(0.0, 2.5, 11))
 STOP_M = 0.003  # where the stop outside the library stands
-SD_M = 100e-6  # of a plain camera half a metre away
+SD_M = 100e-6  # of a plain camera half a meter away
 MARKERS_M = {"tip_y_m": 0.145, "mid_y_m": 0.075}
 
 
@@ -62,7 +62,7 @@ class SoftBeamLab(Lab):
         "tension_dead_band": LabEffect("N", 0.04, "the first newtons are slack"),
         "tension_backlash": LabEffect("N", 0.05, "play when the tension reverses, full width"),
         "saturation": LabEffect("-", 0.1, "tension ends at (1 - size) of 1.6 N"),
-        "quantisation": LabEffect("N", 0.1, "tension in steps"),
+        "quantization": LabEffect("N", 0.1, "tension in steps"),
         "sensor_scale": LabEffect("-", 0.06, "all places times 1 + size"),
         "tip_scale": LabEffect("-", 0.06, "tip places times 1 + size: a lens or a slipped marker"),
         "stop": LabEffect("N/m", 2.0, "a one-sided spring beyond 3 mm at the tip", outside=True),
@@ -261,7 +261,7 @@ def _actuator(plan: Plan, truth: dict[str, Any]) -> Array:
     substeps = _substeps(truth)
     t = np.arange(len(plan.time_s) * substeps) / RATE_HZ / substeps
     u = np.interp(t, plan.time_s, plan.command["tendon_N"])
-    if (grain := size_of(truth, "quantisation")) > 0.0:
+    if (grain := size_of(truth, "quantization")) > 0.0:
         u = grain * np.round(u / grain)
     u = np.sign(u) * np.maximum(np.abs(u) - size_of(truth, "tension_dead_band"), 0.0)
     if (play := size_of(truth, "tension_backlash")) > 0.0:

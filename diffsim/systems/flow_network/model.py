@@ -84,7 +84,7 @@ class StokesScene:
             ConvergenceError: the sweeps over leak, slip, compliance, viscosity or inertia do not
                 settle: the effect is too large for this expansion.
         """
-        # A wall that gives way has its own shape at each level; else one factorisation serves all.
+        # A wall that gives way has its own shape at each level; else one factorization serves all.
         each = 1 if self.compliance is not None else len(self.drive)
         parts = [self._readings(self._steady(levels)) for levels in self.drive.split(each)]
         return (torch.cat(parts) * self.channel_gain + self.channel_offset)[self.level]

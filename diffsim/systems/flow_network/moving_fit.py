@@ -9,7 +9,7 @@ from torch import Tensor
 
 from diffsim.data.study import Array
 
-NUM_NEIGHBOURS = 12
+NUM_NEIGHBORS = 12
 """The stencil of a node inside: its 4 cells and the 8 around them."""
 
 
@@ -30,14 +30,14 @@ class MovingFit:
     """
 
     def __init__(self, sources: Array, targets: Array, spacing: float):
-        if len(sources) < NUM_NEIGHBOURS:
-            raise ValueError(f"{len(sources)} fluid cells are too few, need {NUM_NEIGHBOURS}")
-        distance, nearest = cKDTree(sources).query(targets, k=NUM_NEIGHBOURS)
+        if len(sources) < NUM_NEIGHBORS:
+            raise ValueError(f"{len(sources)} fluid cells are too few, need {NUM_NEIGHBORS}")
+        distance, nearest = cKDTree(sources).query(targets, k=NUM_NEIGHBORS)
         arms = (sources[nearest] - targets[:, None]) / spacing
         basis = np.concatenate([np.ones((*arms.shape[:2], 1)), arms], -1)
         root = np.exp(-0.25 * (distance / spacing) ** 2)[..., None]
         fit = np.linalg.pinv(root * basis) * root[..., 0][:, None]  # (targets, 3, neighbors)
-        rows = np.repeat(np.arange(len(targets)), NUM_NEIGHBOURS)
+        rows = np.repeat(np.arange(len(targets)), NUM_NEIGHBORS)
         index = torch.from_numpy(np.stack([rows, nearest.reshape(-1)]))
         size = (len(targets), len(sources))
 

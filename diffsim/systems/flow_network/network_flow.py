@@ -1,4 +1,4 @@
-"""The flow through a channel network on the embedded grid: one factorisation for each shape."""
+"""The flow through a channel network on the embedded grid: one factorization for each shape."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class NetworkFlow:
     Attributes:
         cells: Those that fluid fills or may come to fill, by flat index.
         centers: Of these cells, (cells, 2) [m].
-        num_solved: Shapes that were factorised.
+        num_solved: Shapes that were factorized.
     """
 
     def __init__(self, device: NetworkDevice, refine: float = 1.0):
@@ -78,7 +78,7 @@ class NetworkFlow:
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Resistance, tap, strain (cells, 3, m) and volume (cells,) of a shape.
 
-        One factorisation: the pump with open outlets, then a pressure at all outlets but one. The
+        One factorization: the pump with open outlets, then a pressure at all outlets but one. The
         components of the strain are scaled so that their sum of squares is the squared shear rate.
         """
         self.num_solved += 1

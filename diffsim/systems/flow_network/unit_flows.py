@@ -1,7 +1,7 @@
 """Flows of unit size through a channel network, kept by the walls' shape.
 
 A steady slow flow is linear in what drives it. For every shape of the walls the Stokes simulator is
-asked once: one factorisation, one solve for each independent way through the network. What drives
+asked once: one factorization, one solve for each independent way through the network. What drives
 the flow, the fluid and the sensors are then changed without another solve.
 """
 

@@ -17,7 +17,7 @@ from diffsim.systems.bending.scene import PRESSURE_UNIT, STEP, Layout, bending_s
 from diffsim.systems.bending.unknown import unknown_moment
 
 LENGTH = 0.104  # [m] clamped end to the plane of the tip markers, at rest
-CENTRE_TOWARD = 0.0158  # [m] nominal places of the tip markers
+CENTER_TOWARD = 0.0158  # [m] nominal places of the tip markers
 KNOTS_PER_S = 8.0  # of the unknown moment
 LAYOUT = Layout(axes=(0, 1, 2), moving=3, command="set_pressure_Pa", unit=PRESSURE_UNIT)
 
@@ -29,7 +29,7 @@ def setup(study: Study, *, max_effects: int = 4) -> DiagnosisSetup:
         study: One of the two campaigns.
         max_effects: In one set.
     """
-    arc = calibrated_arc(study.fit_runs, LAYOUT.axes, length=LENGTH, center_toward=CENTRE_TOWARD)
+    arc = calibrated_arc(study.fit_runs, LAYOUT.axes, length=LENGTH, center_toward=CENTER_TOWARD)
     base = [
         # seen after the release, without any model: 8.3 Hz, each period 0.62 of the last
         Parameter("frequency", 8.3, 0.03, "Hz", log=True, lower=7.9, upper=8.7),

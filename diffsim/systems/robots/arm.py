@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from diffsim import mesh, soft
-from diffsim.systems.robots.robot import SoftRobot, element_centres, fibers
+from diffsim.systems.robots.robot import SoftRobot, element_centers, fibers
 
 
 def tendon_arm(
@@ -37,12 +37,12 @@ def tendon_arm(
     shape = mesh.hex_box(
         (wide, wide, tall), (width, width, length), (-0.5 * width, -0.5 * width, 0.0)
     )
-    centre = element_centres(shape)
-    part = torch.floor(4.0 * centre[:, 2] / length).long()
+    center = element_centers(shape)
+    part = torch.floor(4.0 * center[:, 2] / length).long()
     muscles, names = [], []
     for k in range(4):
         for sx, sy in ((1, 1), (-1, 1), (-1, -1), (1, -1)):
-            corner = (part == k) & (sx * centre[:, 0] > 0.0) & (sy * centre[:, 1] > 0.0)
+            corner = (part == k) & (sx * center[:, 0] > 0.0) & (sy * center[:, 1] > 0.0)
             muscles.append(fibers(corner, (0.0, 0.0, 1.0), 2.0 * youngs_modulus))
             names.append(f"shorten quarter {k} at corner {'-+'[sx > 0]}x{'-+'[sy > 0]}y")
     body = soft.SoftBody(

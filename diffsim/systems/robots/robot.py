@@ -82,8 +82,8 @@ class SoftRobot:
             obstacles=self.obstacles or None,
         )
 
-    def centre(self, x: Tensor) -> Tensor:
-        """Centre of volume at rest weights, (..., 3) [m]."""
+    def center(self, x: Tensor) -> Tensor:
+        """Center of volume at rest weights, (..., 3) [m]."""
         weights = self.body.nodal_volume / self.body.nodal_volume.sum()
         return (weights[:, None] * x).sum(-2)
 
@@ -92,7 +92,7 @@ class SoftRobot:
 
         Its columns are where the robot's axes point, stretched as the body is.
         """
-        rest = self.body.x_rest - self.centre(self.body.x_rest)
+        rest = self.body.x_rest - self.center(self.body.x_rest)
         weighted = (self.body.nodal_volume / self.body.nodal_volume.sum())[:, None] * rest
         return x.mT @ weighted @ torch.linalg.inv(rest.T @ weighted)
 
@@ -128,6 +128,6 @@ def fibers(where: Tensor, direction: Tensor | Sequence[float], stiffness: float)
     )
 
 
-def element_centres(shape: mesh.HexMesh) -> Tensor:
+def element_centers(shape: mesh.HexMesh) -> Tensor:
     """(num_elements, 3) [m]."""
     return shape.x_rest[shape.hexes].mean(1)

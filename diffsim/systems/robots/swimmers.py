@@ -25,7 +25,7 @@ from diffsim.mesh.voxels import hex_from_mask
 from diffsim.systems.robots.robot import (
     SoftRobot,
     antagonists,
-    element_centres,
+    element_centers,
     fibers,
     spread_nodes,
 )
@@ -71,20 +71,20 @@ def starfish(
     inside[:, long : long + wide] = True
     grid = hex_from_mask(inside, np.array([-0.5 * n, -0.5 * n, -0.5 * thick]), 1.0, "largest")
     counts = (wide, long, thick)
-    centre = element_centres(grid)
+    center = element_centers(grid)
     x, _ = _droop(grid.x_rest, counts, droop)
-    _, slope = _droop(centre, counts, droop)
+    _, slope = _droop(center, counts, droop)
     shape = mesh.HexMesh(cell * x, grid.hexes)
     # the coarse layer is twice as thick, its lever two thirds as long
     stiffness = (1.5 if coarse else 2.0) * youngs_modulus
     muscles, names = [], []
     for axis, sign in ((0, 1.0), (1, 1.0), (0, -1.0), (1, -1.0)):
-        along = sign * centre[:, axis] - 0.5 * wide
+        along = sign * center[:, axis] - 0.5 * wide
         root = (along > 0.0) & (along < 0.6 * long)
-        direction = torch.zeros_like(centre)
+        direction = torch.zeros_like(center)
         direction[:, axis], direction[:, 2] = sign * torch.cos(slope), -torch.sin(slope)
         for side in (-1.0, 1.0):
-            layer = root & (side * centre[:, 2] > 0.25 * thick - 1e-9)
+            layer = root & (side * center[:, 2] > 0.25 * thick - 1e-9)
             muscles.append(fibers(layer, direction[layer], stiffness))
         names.append(f"bend arm {'+-'[sign < 0]}{'xy'[axis]} down")
     return _swimmer(
@@ -160,7 +160,7 @@ def shark(
     counts = torch.tensor([n, 0.5 * wide, 0.5 * tall], dtype=torch.float64)
     u = grid.x_rest / counts
     shape = mesh.HexMesh(length * _spindle(u, fin / counts[1:]), grid.hexes)
-    middle = element_centres(grid) / counts
+    middle = element_centers(grid) / counts
     share, side, up = middle.unbind(1)
     tail = (share > 0.4) & (share < 0.8) & (up.abs() < 1.0)
     muscles = []

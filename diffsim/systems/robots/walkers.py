@@ -17,7 +17,7 @@ from torch import Tensor
 from diffsim import mesh, soft
 from diffsim.contact import floor
 from diffsim.mesh.voxels import hex_from_mask
-from diffsim.systems.robots.robot import SoftRobot, element_centres, fibers, spread_nodes
+from diffsim.systems.robots.robot import SoftRobot, element_centers, fibers, spread_nodes
 
 DENSITY = 1000.0  # [kg/m^3]
 _SIDES = ("left", "right")
@@ -128,8 +128,8 @@ def torus(
     sections, width = (24, 2) if coarse else (64, 3)
     x, hexes = _ring(sections, width, radius, 0.4 * radius)
     shape = mesh.HexMesh(x, hexes)
-    centre = element_centres(shape)
-    turn = torch.atan2(centre[:, 0], radius * 1.4 - centre[:, 2])  # from the lowest point to +x
+    center = element_centers(shape)
+    turn = torch.atan2(center[:, 0], radius * 1.4 - center[:, 2])  # from the lowest point to +x
     along = torch.stack([torch.cos(turn), torch.zeros_like(turn), torch.sin(turn)], 1)
     eighth = torch.floor((turn / (2.0 * math.pi)) % 1.0 * 8.0 + 1e-9).long()
     muscles = [fibers(eighth == k, along[eighth == k], 2.0 * youngs_modulus) for k in range(8)]
@@ -200,18 +200,18 @@ def _legged(
 ) -> SoftRobot:
     """A robot of cubes on four legs, a muscle along the front and the back of each."""
     grid = hex_from_mask(inside, np.zeros(3), 1.0, "largest")
-    centre = element_centres(grid)
+    center = element_centers(grid)
     lx, _, lz = leg
-    low = centre[:, 2] < lz
-    middle = centre[low].mean(0)
+    low = center[:, 2] < lz
+    middle = center[low].mean(0)
     muscles, names = [], []
     for where, ahead in (("hind", False), ("front", True)):
         for side in _SIDES:
-            of_leg = low & ((centre[:, 0] > middle[0]) == ahead)
-            of_leg &= (centre[:, 1] > middle[1]) == (side == "left")
-            start = float(centre[of_leg, 0].min()) - 0.5
+            of_leg = low & ((center[:, 0] > middle[0]) == ahead)
+            of_leg &= (center[:, 1] > middle[1]) == (side == "left")
+            start = float(center[of_leg, 0].min()) - 0.5
             for face, place in (("front", lx - 0.5), ("back", 0.5)):
-                layer = of_leg & ((centre[:, 0] - start - place).abs() < 1e-6)
+                layer = of_leg & ((center[:, 0] - start - place).abs() < 1e-6)
                 muscles.append(fibers(layer, (0.0, 0.0, 1.0), 2.0 * youngs_modulus))
                 names.append(f"shorten {face} of {where} {side} leg")
     drive = -amplitude * torch.eye(8, dtype=torch.float64)

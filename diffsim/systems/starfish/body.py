@@ -57,7 +57,7 @@ def make_mesh(refine: int = 1) -> mesh.HexMesh:
     """Flat side x = 0, top at x < 0, legs along +y and +z; ``refine`` splits every cell's edge.
 
     The layer under the flat side is one cell, with the tendons in its middle, on every mesh: a
-    fiber acts along the centre of its cells, so that its arm does not depend on ``refine``.
+    fiber acts along the center of its cells, so that its arm does not depend on ``refine``.
     """
     core = np.linspace(0.0, WIDTH / 2, 1 + refine)
     shoulder = np.linspace(WIDTH / 2, CORE, 1 + refine)[1:]

@@ -7,7 +7,7 @@ import pytest
 
 from diffsim.data import check_study, load_study, save_study
 from diffsim.data.labs import DECOYS, LABS, NetworkLab
-from diffsim.data.labs.common import NOISE_COLOUR, delayed
+from diffsim.data.labs.common import NOISE_COLOR, delayed
 
 
 @pytest.fixture(scope="module")
@@ -54,15 +54,15 @@ def test_the_noise_is_as_stated(lab):
     noise = lab._noise(np.random.default_rng(0), 100_000, ())
     sd = np.array([c.sd for c in lab.channels])
     np.testing.assert_allclose(noise.std(axis=0), sd, rtol=0.02)
-    colour = [np.corrcoef(x[1:], x[:-1])[0, 1] for x in noise.T]
-    np.testing.assert_allclose(colour, NOISE_COLOUR, atol=0.015)  # 1 / sqrt(1e5) = 0.003
+    color = [np.corrcoef(x[1:], x[:-1])[0, 1] for x in noise.T]
+    np.testing.assert_allclose(color, NOISE_COLOR, atol=0.015)  # 1 / sqrt(1e5) = 0.003
 
 
 def test_decoys_of_the_noise(lab):
     def noise(decoy):
         return lab._noise(np.random.default_rng(0), 50_000, (decoy,)) / [c.sd for c in lab.channels]
 
-    assert np.corrcoef(noise("coloured_noise")[1:, 0], noise("coloured_noise")[:-1, 0])[
+    assert np.corrcoef(noise("colored_noise")[1:, 0], noise("colored_noise")[:-1, 0])[
         0, 1
     ] == pytest.approx(0.7, abs=0.02)
     assert np.mean(np.abs(noise("spikes")) > 4.9) == pytest.approx(0.01, rel=0.2)

@@ -12,7 +12,7 @@ from diffsim.copter.flight import fly
 from diffsim.copter.flight_state import FlightState
 from diffsim.copter.vehicle import Multicopter
 from diffsim.data.labs import CopterLab
-from diffsim.data.labs.multicopter import GRAVITY, MANOEUVRES, _Flight
+from diffsim.data.labs.multicopter import GRAVITY, MANEUVERS, _Flight
 from diffsim.data.labs.quaternions import matrix
 from tests.data.labs.truths import exact
 
@@ -27,7 +27,7 @@ def lab():
 
 
 def flight(lab, name="sprint", **effects):
-    return _Flight(exact(lab, NO_ERRORS, **effects), MANOEUVRES[name])
+    return _Flight(exact(lab, NO_ERRORS, **effects), MANEUVERS[name])
 
 
 def hover_rate(lab, velocity=(0, 0, 0), rates=(0, 0, 0), height=5.0, **effects):
@@ -107,7 +107,7 @@ def test_spin_momentum_does_no_work(lab):
     assert abs(change @ np.array(turning["rates"])) < 1e-12
 
 
-@pytest.mark.parametrize("name", list(MANOEUVRES))
+@pytest.mark.parametrize("name", list(MANEUVERS))
 def test_the_recorded_commands_fly_the_same_way_in_the_flight_kernel(lab, name):
     """Open loop for 1.5 s: another integrator, another code, no feedback to hide differences."""
     lab_flight = flight(lab, name)
@@ -116,7 +116,7 @@ def test_the_recorded_commands_fly_the_same_way_in_the_flight_kernel(lab, name):
     start = FlightState(x[:, 0:3], x[:, 3:7], x[:, 7:10], x[:, 10:13])
     ours = fly(_nominal(), start, torch.from_numpy(commands[None, :150]), dt=0.01, substeps=4)
     place = ours.state.position[0].numpy()
-    # commands are clipped by both; Runge-Kutta at 2 and 2.5 ms: micrometres
+    # commands are clipped by both; Runge-Kutta at 2 and 2.5 ms: micrometers
     np.testing.assert_allclose(place, rows[:, 0:3], atol=2e-5)
     np.testing.assert_allclose(ours.state.body_rates[0].numpy(), rows[:, 6:9], atol=2e-4)
 
@@ -138,7 +138,7 @@ def _nominal() -> Multicopter:
 
 
 def test_the_controller_follows_the_path(lab):
-    for name, path in MANOEUVRES.items():
+    for name, path in MANEUVERS.items():
         rows, _ = flight(lab, name).run(np.arange(400) / 100.0)
         wanted = np.array([path(t)[0] for t in np.arange(400) / 100.0])
         assert np.abs(rows[:, 0:3] - wanted).max() < 0.5, name

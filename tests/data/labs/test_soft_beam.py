@@ -1,4 +1,4 @@
-"""The soft-beam laboratory against closed forms, another discretisation and finer steps."""
+"""The soft-beam laboratory against closed forms, another discretization and finer steps."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def test_dry_friction_against_the_coulomb_oscillator(lab, one_mode):
 
 
 def test_quadratic_drag_against_the_energy_balance(lab, one_mode):
-    """1 / amplitude grows by 8 / 3 times drag / mass per swing (equivalent linearisation)."""
+    """1 / amplitude grows by 8 / 3 times drag / mass per swing (equivalent linearization)."""
     high = peaks(measure(lab, released(), beta=0.0, quadratic_volume_drag=5e4))
     shape = one_mode.deflection[:, 0] / one_mode.deflection[-1, 0]
     drag = 5e4 * (shape**3 * one_mode.node_volume).sum()
@@ -193,7 +193,7 @@ def test_stiffening_against_the_moment_curvature_law(lab):
     [
         ("tension_dead_band", 0.1, [0.05, 0.3], [0.0, 0.2]),
         ("saturation", 0.2, [1.0, 1.5], [1.0, 1.28]),
-        ("quantisation", 0.1, [0.44, 0.46], [0.4, 0.5]),
+        ("quantization", 0.1, [0.44, 0.46], [0.4, 0.5]),
         ("tension_backlash", 0.2, [0.5, 0.45], [0.5, 0.5]),
     ],
 )

@@ -23,7 +23,7 @@ def truth_of(film: Path) -> dict:
 
 def test_tracks_of_the_film_are_where_the_balls_were(film):
     tracks = track_video(film, 2)
-    off = np.abs(tracks.centres - np.array(truth_of(film)["centres_px"]))
+    off = np.abs(tracks.centers - np.array(truth_of(film)["centers_px"]))
     assert 1 <= tracks.merged.sum() <= 4  # the balls touch and part again
     assert off[~tracks.merged].max() < WORST_APART
     assert np.sqrt((off[~tracks.merged] ** 2).mean()) < TYPICAL_APART
@@ -36,19 +36,19 @@ def test_a_ball_hidden_while_it_rolls_is_found_again(tmp_path, film):
 
     story = load_story("sim_to_real/film_tennis_balls.py")
     model, x = story.known_model(8, (640, 360))
-    centres = model.balls.centers(model.values_at(x), 8).detach().numpy()
+    centers = model.balls.centers(model.values_at(x), 8).detach().numpy()
     path = film_balls(
         tmp_path / "hidden.avi",
         view_of(model, x),
-        centres,
+        centers,
         model.balls.radius,
         table=np.array(story.TABLE),
         hidden=[(4, 1), (5, 1)],
     )
     tracks = track_video(path, 2)
-    assert np.isnan(tracks.centres[:, 1, 0]).nonzero()[0].tolist() == [4, 5]
-    seen = view_of(model, x).project(centres)
-    assert np.abs(tracks.centres[6:] - seen[6:]).max() < WORST_APART
+    assert np.isnan(tracks.centers[:, 1, 0]).nonzero()[0].tolist() == [4, 5]
+    seen = view_of(model, x).project(centers)
+    assert np.abs(tracks.centers[6:] - seen[6:]).max() < WORST_APART
 
 
 def test_command_writes_a_table(film, tmp_path, capsys):
@@ -90,9 +90,9 @@ def test_command_says_how_to_get_opencv(tmp_path, capsys, monkeypatch):
     assert "pip install 'diffsim-robot[video]'" in capsys.readouterr().err
 
 
-def made(centres: np.ndarray) -> Tracks:
-    frames = np.arange(len(centres))
-    return Tracks(frames, frames / 60.0, centres, np.zeros(len(centres), dtype=bool))
+def made(centers: np.ndarray) -> Tracks:
+    frames = np.arange(len(centers))
+    return Tracks(frames, frames / 60.0, centers, np.zeros(len(centers), dtype=bool))
 
 
 def test_noise_of_a_smooth_track_is_found():
@@ -111,5 +111,5 @@ def test_too_few_frames_leave_the_noise_unknown():
 def test_frames_in_which_balls_touch_become_missing():
     tracks = made(np.ones((4, 2, 2)))
     tracks.merged[2] = True
-    left = without_merged(tracks).centres
+    left = without_merged(tracks).centers
     assert np.isnan(left[2]).all() and np.isfinite(np.delete(left, 2, 0)).all()

@@ -48,11 +48,11 @@ def test_mass_and_inertia_are_nearly_a_tennis_balls():
 
 def test_one_ball_waits_until_the_other_comes(balls):
     with torch.no_grad():
-        centres = balls.centers({**START, **LAWS}, 5)
-    still, coming = centres[:2, 0, :2], centres[:, 1, 0]
+        centers = balls.centers({**START, **LAWS}, 5)
+    still, coming = centers[:2, 0, :2], centers[:, 1, 0]
     assert float((still - still[0]).abs().max()) < 1e-4  # [m]: it settles on its facet
     assert bool((coming.diff() < 0).all())
-    assert float(centres[-1, 0, 0]) < 0.52  # struck
+    assert float(centers[-1, 0, 0]) < 0.52  # struck
 
 
 def test_places_carry_over_the_table(balls):
@@ -67,8 +67,8 @@ def test_places_carry_over_the_table(balls):
 @pytest.mark.parametrize("name", ["vx1", "wx1", "y1", "pair_stiffness", "table_friction"])
 def test_gradient_through_the_impact_equals_differences(balls, name):
     def travel(value: torch.Tensor) -> torch.Tensor:
-        centres = balls.centers({**START, **LAWS, name: value}, 5)
-        return centres[-1, 0, :2].sum() + 2.0 * centres[-1, 1, 1]
+        centers = balls.centers({**START, **LAWS, name: value}, 5)
+        return centers[-1, 0, :2].sum() + 2.0 * centers[-1, 1, 1]
 
     at = ({**START, **LAWS})[name].clone().requires_grad_()
     (slope,) = torch.autograd.grad(travel(at), at)

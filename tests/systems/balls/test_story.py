@@ -33,7 +33,7 @@ def test_all_frames_become_one_run(story):
     assert len(run.command["corner_x_m"]) == 33
 
 
-def test_distances_are_those_of_centres(story):
+def test_distances_are_those_of_centers(story):
     measured = np.array([[0.0, 0.0, 10.0, 10.0, 5.0, 5.0], [0.0, 0.0, np.nan, np.nan, 5.0, 5.0]])
     run = Run("a", np.arange(2.0), measured, {}, "a")
     study = Study("s", "rigid_body", (), (run,))
@@ -51,13 +51,13 @@ def test_says_that_there_is_no_recording(story, tmp_path, monkeypatch, capsys):
 def test_pictures_show_motion_and_misfit(tmp_path):
     model, x = load_story("sim_to_real/film_tennis_balls.py").known_model(5, (1280, 720))
     blank = np.zeros((5, 2, 2))
-    truth = simulated("truth", model, x, blank).centres
+    truth = simulated("truth", model, x, blank).centers
     seen = truth + np.array([3.0, 4.0])
     seen[2, 1] = np.nan
     row = simulated("off", model, x, seen)
     assert row.title == "off: 5.0 px"
-    middle = row.outlines.mean(2)  # of a sphere seen in perspective: nearly the centre's image
-    np.testing.assert_allclose(middle, row.centres, atol=1.0)
+    middle = row.outlines.mean(2)  # of a sphere seen in perspective: nearly the center's image
+    np.testing.assert_allclose(middle, row.centers, atol=1.0)
     rows, size = [row, Shown("tracked", None, seen)], (1280.0, 720.0)
     errors = misfits([row], seen, 7, 3)
     figures = (overlay(rows, seen, size, 3), strip(rows, seen, size, [0, 4], 7), errors)

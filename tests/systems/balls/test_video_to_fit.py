@@ -45,10 +45,10 @@ def test_truth_predicts_the_tracks_and_first_guess_is_near(study, film):
     """The whole way: simulation, film, tracker, calibration, and the same simulation again."""
     model = soft_model(study)
     truth = truth_of(film)
-    centre = {p.name: p.value for p in model.base}
+    center = {p.name: p.value for p in model.base}
     for name in ("x0", "y0", "x1", "y1"):
-        assert centre[name] == pytest.approx(truth[name], abs=0.002)  # [m]
-    assert centre["vx1"] == pytest.approx(truth["vx1"], abs=0.1)  # [m/s], a parabola's
+        assert center[name] == pytest.approx(truth[name], abs=0.002)  # [m]
+    assert center["vx1"] == pytest.approx(truth["vx1"], abs=0.1)  # [m/s], a parabola's
     x = [p.coordinate_of(truth[p.name]) if p.name in MOTION else 0.0 for p in model.base]
     run = study.fit_runs[0]
     with torch.no_grad():

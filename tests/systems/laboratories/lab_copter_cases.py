@@ -35,7 +35,7 @@ SINGLES: dict[str, Any] = {
     "thrust_curvature": None,
     "accelerometer_scale": None,
     "gyro_offset": [0.01, -0.02, 0.01],
-    "quantisation": None,
+    "quantization": None,
 }
 NAMES = {"weak_rotor": "weak_rotor_2"}  # in the library
 
@@ -65,7 +65,7 @@ def cases() -> list[Case]:
     for decoy in DECOYS:
         add("decoy", decoys=[decoy])
     add("null")
-    add("outside", {"quantisation": None})
+    add("outside", {"quantization": None})
     add("outside", {"updraught": 0.4})
     return plan
 

@@ -20,7 +20,7 @@ from tests.systems.laboratories.lab_beam_cases import labels
 
 STILL = {"marker_place_m": np.zeros(2), "zero_seed": 0}
 ORDER = 3  # of the run, for what drifts
-OUT = {"stiffness_damping", "quantisation"}  # a base parameter; no term in the library
+OUT = {"stiffness_damping", "quantization"}  # a base parameter; no term in the library
 SAME = sorted(n for n, e in SoftBeamLab.effects.items() if not e.outside and n not in OUT)
 # Rms of what is left at the true size over that of the change: stiffening by the body's mean strain
 # instead of each place's, and friction that creeps where the laboratory's sticks, are other forms.

@@ -29,11 +29,11 @@ def task_of(name: str) -> envs.Task:
 
 
 def play(task: envs.Task, controller: object, seed: int = 0) -> tuple[torch.Tensor, Episode]:
-    """How far the centre has come, (3,) [m], and the episode."""
+    """How far the center has come, (3,) [m], and the episode."""
     start = task.start(1, np.random.default_rng(seed))
     with torch.no_grad():
         episode = rollout_task(task, controller, start, task.max_steps)
-    return (task.robot.centre(episode.final["x"]) - task.robot.centre(start["x"]))[0], episode
+    return (task.robot.center(episode.final["x"]) - task.robot.center(start["x"]))[0], episode
 
 
 @pytest.mark.parametrize("name", sorted(GAITS))

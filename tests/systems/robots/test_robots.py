@@ -73,7 +73,7 @@ def test_starfish_is_symmetric_and_bends_the_arm_it_is_told(coarse: bool) -> Non
 def test_shark_is_symmetric_and_bends_its_tail_left(coarse: bool) -> None:
     robot = robots.shark(coarse=coarse)
     x = robot.body.x_rest
-    assert float(robot.centre(x)[1]) == pytest.approx(0.0, abs=1e-9)
+    assert float(robot.center(x)[1]) == pytest.approx(0.0, abs=1e-9)
     tail, nose = int(x[:, 0].argmin()), int(x[:, 0].argmax())
     moved = push(robot, 0)
     middle = moved[(x[:, 0] / x[:, 0].amin() - 0.45).abs() < 0.05, 1].mean()
@@ -107,11 +107,11 @@ def test_torus_shortens_the_eighth_it_is_told() -> None:
     robot = robots.torus(coarse=True)
     x = robot.body.x_rest
     assert float(x[:, 2].min()) == pytest.approx(0.0, abs=1e-12)
-    centre = robot.centre(x)
-    turn = torch.atan2(x[:, 0], centre[2] - x[:, 2]) % (2.0 * torch.pi)
+    center = robot.center(x)
+    turn = torch.atan2(x[:, 0], center[2] - x[:, 2]) % (2.0 * torch.pi)
     for k in range(8):
         moved = push(robot, k, steps=6)
-        out = ((x - centre) * moved)[:, [0, 2]].sum(1)  # ends of the eighth come together
+        out = ((x - center) * moved)[:, [0, 2]].sum(1)  # ends of the eighth come together
         near = (turn > (k - 0.01) * torch.pi / 4) & (turn < (k + 1.01) * torch.pi / 4)
         tangent = torch.stack([torch.cos(turn), torch.sin(turn)], 1)
         along = (moved[:, [0, 2]] * tangent).sum(1)

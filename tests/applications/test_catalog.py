@@ -3,18 +3,18 @@
 import pytest
 
 from diffsim import cli
-from diffsim.applications import catalogue
+from diffsim.applications import catalog
 
 
 def test_every_example_opens_with_a_question():
-    found = catalogue.examples()
+    found = catalog.examples()
     assert {"routing_tendon", "muscle_arm", "amplifier"} <= set(found)
     for example in found.values():
         assert example.question.endswith(("?", ".")), example
 
 
 def test_names_are_unique():
-    paths = [p for p in catalogue.FOLDER.glob("*/*.py") if "__main__" in p.read_text()]
+    paths = [p for p in catalog.FOLDER.glob("*/*.py") if "__main__" in p.read_text()]
     assert len({p.stem for p in paths}) == len(paths)
 
 
@@ -30,7 +30,7 @@ def test_unknown_name_gets_the_closest(capsys):
 
 def test_folder_without_examples_says_how_to_mend_it(tmp_path):
     with pytest.raises(FileNotFoundError, match="clone the repository"):
-        catalogue.examples(tmp_path / "none")
+        catalog.examples(tmp_path / "none")
 
 
 @pytest.mark.example

@@ -48,7 +48,7 @@ def examples(folder: Path = FOLDER) -> dict[str, Example]:
     for path in sorted(folder.glob("*/*.py")):
         text = path.read_text(encoding="utf-8")
         if '__name__ == "__main__"' not in text:
-            continue  # a helper module of its neighbours
+            continue  # a helper module of its neighbors
         doc = ast.get_docstring(ast.parse(text)) or ""
         quick = next((flag for flag in sorted(_QUICK) if f'"{flag}"' in text), None)
         if quick is None and "diffsim.cli.application" in text:

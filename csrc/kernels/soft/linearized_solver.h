@@ -6,7 +6,7 @@
 namespace diffsim {
 
 /// Solves H z = b to |H z - b| <= tolerance, H symmetric, perhaps indefinite.
-class LinearisedSolver {
+class LinearizedSolver {
   auto apply() {
     return [this](const Vector& in, Vector& out) { problem_.multiply(in, out); };
   }
@@ -24,7 +24,7 @@ class LinearisedSolver {
   }
 
  public:
-  LinearisedSolver(StepProblem& problem, const Vector& x) : problem_(problem), x_(x) {}
+  LinearizedSolver(StepProblem& problem, const Vector& x) : problem_(problem), x_(x) {}
 
   KrylovResult solve(StepMethod method, bool factorize, const Vector& b, double tolerance,
                      int max_iters, Vector& z) {

@@ -36,7 +36,7 @@ def _figure_eight(t: float) -> tuple[Array, float]:
     return np.array([1.5 * np.sin(s), 0.7 * np.sin(2.0 * s), -0.7 - 0.4 * np.sin(s)]), -0.5 * t
 
 
-MANOEUVRES: dict[str, Path] = {
+MANEUVERS: dict[str, Path] = {
     "hover_yaw": _hover_yaw,
     "sprint": _sprint,
     "climb": _climb,
