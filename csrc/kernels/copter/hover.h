@@ -40,8 +40,9 @@ constexpr int kHoverInfo = 4;  ///< status, rank of dc/du, the same of free roto
 void solve_hover(const HoverProblem& problem, double* u, double* multipliers, std::int64_t* state,
                  std::int64_t* info);
 
-/// dL/d(force, torque, weights, upper), given dL/du and the result of solve_hover. The set of rotors
-/// at a bound is held; where dc/du of the free rotors lacks rank, the least-norm solution counts.
+/// dL/d(force, torque, weights, upper), given dL/du and the result of solve_hover. The set of
+/// rotors at a bound is held; where dc/du of the free rotors lacks rank, the least-norm solution
+/// counts.
 void solve_hover_vjp(const HoverProblem& problem, const double* u, const double* multipliers,
                      const std::int64_t* state, const std::int64_t* info, const double* grad_u,
                      double* grad_force, double* grad_torque, double* grad_weights,
