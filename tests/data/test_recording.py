@@ -92,7 +92,7 @@ def test_refuses_short_empty_and_unseen(tmp_path):
 
 def test_missing_file_lists_its_neighbours(tmp_path):
     write(tmp_path, table(), "gravity_a.csv")
-    with pytest.raises(FileNotFoundError, match=r"has gravity_a.csv; did you mean gravity_a.csv"):
+    with pytest.raises(FileNotFoundError, match=r"has gravity_a.csv; did you mean 'gravity_a.csv'"):
         load_csv(tmp_path / "gravty_a.csv")
 
 
