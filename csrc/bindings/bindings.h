@@ -1,6 +1,6 @@
 // What every binding file shares: the list of them, and views of memory that Python owns.
 //
-// Arguments are raw addresses and sizes that diffsim/core/kernels.py has checked (dtype, contiguity, size),
+// Arguments are raw addresses and sizes that the layer's _ops.py has checked (dtype, contiguity, size),
 // so nothing is converted or copied behind the caller's back.
 #pragma once
 
@@ -18,6 +18,7 @@ void bind_contact(nb::module_& m);
 void bind_copter_flight(nb::module_& m);
 void bind_copter_control(nb::module_& m);
 void bind_cpu(nb::module_& m);
+void bind_ode(nb::module_& m);
 void bind_soft(nb::module_& m);
 void bind_stokes(nb::module_& m);
 void bind_svd(nb::module_& m);

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import ast
 import math
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
 
 import torch
 from torch import Tensor
@@ -18,7 +19,6 @@ from torch import Tensor
 from diffsim.core.check import did_you_mean
 
 Values = Mapping[str, Tensor]
-_Node = Callable[[Values], Tensor]
 
 MAX_LENGTH = 2000  # characters: longer text is a program, not a formula
 MAX_DEPTH = 40  # nested brackets; the parser itself recurses
@@ -26,52 +26,100 @@ MAX_DEPTH = 40  # nested brackets; the parser itself recurses
 CONSTANTS = {"pi": math.pi, "e": math.e}
 
 
+@dataclass(frozen=True)
+class Number:
+    """A constant of a formula."""
+
+    value: float
+
+
+@dataclass(frozen=True)
+class Name:
+    """A quantity that a formula is made of."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class Apply:
+    """An operation of ``OPERATIONS`` on parts of a formula."""
+
+    operation: str
+    parts: tuple[Node, ...]
+
+
+Node: TypeAlias = "Number | Name | Apply"
+
+
+def _less(a: Tensor, b: Tensor) -> Tensor:
+    return (a < b).to(torch.float64)
+
+
+def _less_equal(a: Tensor, b: Tensor) -> Tensor:
+    return (a <= b).to(torch.float64)
+
+
 def _where(condition: Tensor, yes: Tensor, no: Tensor) -> Tensor:
     return torch.where(condition != 0.0, yes, no)
 
 
-def _clip(x: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    return torch.minimum(torch.maximum(x, low), high)
-
-
-FUNCTIONS: dict[str, tuple[int, Callable[..., Tensor]]] = {
-    "abs": (1, torch.abs),
-    "acos": (1, torch.acos),
-    "asin": (1, torch.asin),
-    "asinh": (1, torch.asinh),
-    "atan": (1, torch.atan),
-    "atan2": (2, torch.atan2),
-    "clip": (3, _clip),
-    "cos": (1, torch.cos),
-    "cosh": (1, torch.cosh),
-    "exp": (1, torch.exp),
-    "hypot": (2, torch.hypot),
-    "log": (1, torch.log),
-    "max": (2, torch.maximum),
-    "min": (2, torch.minimum),
-    "sign": (1, torch.sign),
-    "sin": (1, torch.sin),
-    "sinh": (1, torch.sinh),
-    "sqrt": (1, torch.sqrt),
-    "tan": (1, torch.tan),
-    "tanh": (1, torch.tanh),
-    "where": (3, _where),
+OPERATIONS: dict[str, Callable[..., Tensor]] = {
+    "add": torch.add,
+    "sub": torch.sub,
+    "mul": torch.mul,
+    "div": torch.div,
+    "pow": torch.pow,
+    "neg": torch.neg,
+    "less": _less,
+    "less_equal": _less_equal,
+    "min": torch.minimum,
+    "max": torch.maximum,
+    "where": _where,
+    "abs": torch.abs,
+    "sign": torch.sign,
+    "sqrt": torch.sqrt,
+    "exp": torch.exp,
+    "log": torch.log,
+    "sin": torch.sin,
+    "cos": torch.cos,
+    "tan": torch.tan,
+    "asin": torch.asin,
+    "acos": torch.acos,
+    "atan": torch.atan,
+    "sinh": torch.sinh,
+    "cosh": torch.cosh,
+    "tanh": torch.tanh,
+    "asinh": torch.asinh,
+    "atan2": torch.atan2,
+    "hypot": torch.hypot,
 }
-"""Name -> number of arguments, and what it does."""
+"""What parts of formulas are joined by, on tensors."""
 
-_BINARY: dict[type[ast.operator], Callable[[Tensor, Tensor], Tensor]] = {
-    ast.Add: torch.add,
-    ast.Sub: torch.sub,
-    ast.Mult: torch.mul,
-    ast.Div: torch.div,
-    ast.Pow: torch.pow,
+_WITH_TWO = ("min", "max", "atan2", "hypot")
+_WITH_THREE = ("where", "clip")
+_NO_FUNCTIONS = ("add", "sub", "mul", "div", "pow", "neg", "less", "less_equal")
+FUNCTIONS = {
+    name: 2 if name in _WITH_TWO else 3 if name in _WITH_THREE else 1
+    for name in (*OPERATIONS, "clip")
+    if name not in _NO_FUNCTIONS
 }
-_COMPARE: dict[type[ast.cmpop], Callable[[Tensor, Tensor], Tensor]] = {
-    ast.Lt: torch.lt,
-    ast.LtE: torch.le,
-    ast.Gt: torch.gt,
-    ast.GtE: torch.ge,
+"""Functions that a formula may call, and how many arguments each has."""
+
+_BINARY: dict[type[ast.operator], str] = {
+    ast.Add: "add",
+    ast.Sub: "sub",
+    ast.Mult: "mul",
+    ast.Div: "div",
+    ast.Pow: "pow",
 }
+# a > b is b < a
+_COMPARE: dict[type[ast.cmpop], tuple[str, bool]] = {
+    ast.Lt: ("less", False),
+    ast.LtE: ("less_equal", False),
+    ast.Gt: ("less", True),
+    ast.GtE: ("less_equal", True),
+}
+_ZERO, _ONE = Number(0.0), Number(1.0)
 
 
 @dataclass(frozen=True)
@@ -81,11 +129,12 @@ class Expression:
     Attributes:
         text: As it was written.
         names: Quantities that it needs, in order of appearance.
+        root: Its tree.
     """
 
     text: str
     names: tuple[str, ...]
-    _root: _Node = field(repr=False, compare=False)
+    root: Node
 
     def __call__(self, values: Values) -> Tensor:
         """Value of the formula, float64, of the shape that its quantities broadcast to.
@@ -93,7 +142,15 @@ class Expression:
         Args:
             values: Quantities by name, float64 tensors that broadcast; more than needed is allowed.
         """
-        return self._root(values)
+        return _evaluate(self.root, values)
+
+
+def _evaluate(node: Node, values: Values) -> Tensor:
+    if isinstance(node, Number):
+        return torch.tensor(node.value, dtype=torch.float64)
+    if isinstance(node, Name):
+        return values[node.name]
+    return OPERATIONS[node.operation](*(_evaluate(part, values) for part in node.parts))
 
 
 def parse_expression(text: str | float, known: Iterable[str] | None = None) -> Expression:
@@ -107,8 +164,8 @@ def parse_expression(text: str | float, known: Iterable[str] | None = None) -> E
         The formula.
 
     Raises:
-        ValueError: not a formula, or an unknown name; the message shows the column and what was
-            meant by the closest names.
+        ValueError: not a formula, or an unknown name; the message shows the column and offers the
+            closest names.
     """
     text = str(text).strip()
     if len(text) > MAX_LENGTH:
@@ -131,19 +188,18 @@ class _Parser:
         self.text, self.known = text, known
         self.names: dict[str, None] = {}
 
-    def node(self, node: ast.expr, depth: int) -> _Node:
-        """A function of the values for one part of the formula."""
+    def node(self, node: ast.expr, depth: int) -> Node:
+        """One part of the formula."""
         if depth > MAX_DEPTH:
             raise self.error(node, f"is nested more than {MAX_DEPTH} deep")
         below = depth + 1
         if isinstance(node, ast.Constant):
-            return self.constant(node)
+            return self.number(node)
         if isinstance(node, ast.Name):
             return self.name(node)
         if isinstance(node, ast.BinOp) and type(node.op) in _BINARY:
-            apply = _BINARY[type(node.op)]
-            left, right = self.node(node.left, below), self.node(node.right, below)
-            return lambda v: apply(left(v), right(v))
+            parts = (self.node(node.left, below), self.node(node.right, below))
+            return Apply(_BINARY[type(node.op)], parts)
         if isinstance(node, ast.UnaryOp):
             return self.unary(node, below)
         if isinstance(node, ast.Call):
@@ -151,85 +207,70 @@ class _Parser:
         if isinstance(node, ast.Compare):
             return self.compare(node, below)
         if isinstance(node, ast.BoolOp):
-            join = torch.minimum if isinstance(node.op, ast.And) else torch.maximum
-            return self.joined(join, [self.truth(part, below) for part in node.values])
+            join = "min" if isinstance(node.op, ast.And) else "max"
+            return _joined(join, [self.truth(part, below) for part in node.values])
         if isinstance(node, ast.IfExp):
-            condition, yes, no = (self.node(n, below) for n in (node.test, node.body, node.orelse))
-            return lambda v: _where(condition(v), yes(v), no(v))
+            chosen = (node.test, node.body, node.orelse)
+            return Apply("where", tuple(self.node(part, below) for part in chosen))
         raise self.error(node, "is not allowed in a formula")
 
-    def constant(self, node: ast.Constant) -> _Node:
+    def number(self, node: ast.Constant) -> Number:
         if isinstance(node.value, bool) or not isinstance(node.value, (int, float)):
             raise self.error(node, "is no number")
         try:
-            number = torch.tensor(float(node.value), dtype=torch.float64)
+            value = float(node.value)
         except OverflowError:
-            raise self.error(node, "is too large") from None
-        if not bool(torch.isfinite(number)):
+            value = math.inf
+        if not math.isfinite(value):
             raise self.error(node, "is too large")
-        return lambda v: number
+        return Number(value)
 
-    def name(self, node: ast.Name) -> _Node:
-        key = node.id
-        known = self.known
+    def name(self, node: ast.Name) -> Node:
+        key, known = node.id, self.known
         if key in CONSTANTS and (known is None or key not in known):
-            number = torch.tensor(CONSTANTS[key], dtype=torch.float64)
-            return lambda v: number
+            return Number(CONSTANTS[key])
         if known is not None and key not in known:
             raise self.error(node, f"is not known here{did_you_mean(key, (*known, *CONSTANTS))}")
         self.names[key] = None
-        return lambda v: v[key]
+        return Name(key)
 
-    def unary(self, node: ast.UnaryOp, depth: int) -> _Node:
+    def unary(self, node: ast.UnaryOp, depth: int) -> Node:
         if isinstance(node.op, ast.Not):
-            truth = self.truth(node.operand, depth)
-            return lambda v: 1.0 - truth(v)
+            return Apply("sub", (_ONE, self.truth(node.operand, depth)))
         inner = self.node(node.operand, depth)
         if isinstance(node.op, ast.USub):
-            return lambda v: -inner(v)
+            return Apply("neg", (inner,))
         if isinstance(node.op, ast.UAdd):
             return inner
         raise self.error(node, "is not allowed in a formula")
 
-    def call(self, node: ast.Call, depth: int) -> _Node:
+    def call(self, node: ast.Call, depth: int) -> Node:
         if not isinstance(node.func, ast.Name):
             raise self.error(node, "is no function of formulas")
         name = node.func.id
         if name not in FUNCTIONS:
             raise self.error(node, f"calls no known function{did_you_mean(name, FUNCTIONS)}")
-        count, function = FUNCTIONS[name]
+        count = FUNCTIONS[name]
         if node.keywords or len(node.args) != count:
             raise self.error(node, f"must have {count} argument{'s' if count > 1 else ''}")
-        parts = [self.node(argument, depth) for argument in node.args]
-        return lambda v: function(*(part(v) for part in parts))
+        parts = tuple(self.node(argument, depth) for argument in node.args)
+        if name == "clip":
+            return Apply("min", (Apply("max", parts[:2]), parts[2]))
+        return Apply(name, parts)
 
-    def compare(self, node: ast.Compare, depth: int) -> _Node:
+    def compare(self, node: ast.Compare, depth: int) -> Node:
         if any(type(op) not in _COMPARE for op in node.ops):
             raise self.error(node, "may compare by <, <=, > and >= only")
         sides = [self.node(n, depth) for n in (node.left, *node.comparators)]
-        tests = [_COMPARE[type(op)] for op in node.ops]
+        tests = []
+        for op, left, right in zip(node.ops, sides, sides[1:], strict=False):
+            operation, is_swapped = _COMPARE[type(op)]
+            tests.append(Apply(operation, (right, left) if is_swapped else (left, right)))
+        return _joined("min", tests)
 
-        def holds(v: Values) -> Tensor:
-            at = [side(v) for side in sides]
-            out = tests[0](at[0], at[1])
-            for test, a, b in zip(tests[1:], at[1:], at[2:], strict=False):
-                out = out & test(a, b)
-            return out.to(torch.float64)
-
-        return holds
-
-    def truth(self, node: ast.expr, depth: int) -> _Node:
-        inner = self.node(node, depth)
-        return lambda v: (inner(v) != 0.0).to(torch.float64)
-
-    def joined(self, join: Callable[[Tensor, Tensor], Tensor], parts: list[_Node]) -> _Node:
-        def joined(v: Values) -> Tensor:
-            out = parts[0](v)
-            for part in parts[1:]:
-                out = join(out, part(v))
-            return out
-
-        return joined
+    def truth(self, node: ast.expr, depth: int) -> Node:
+        """1 where the part is not 0, else 0."""
+        return Apply("where", (self.node(node, depth), _ONE, _ZERO))
 
     def error(self, node: ast.expr, why: str) -> ValueError:
         part = ast.get_source_segment(self.text, node) or type(node).__name__
@@ -237,3 +278,10 @@ class _Parser:
             f"formula {self.text!r}, column {node.col_offset + 1}: {part!r} {why}; allowed are "
             f"numbers, names, + - * / **, comparisons, and {', '.join(FUNCTIONS)}"
         )
+
+
+def _joined(operation: str, parts: Sequence[Node]) -> Node:
+    out = parts[0]
+    for part in parts[1:]:
+        out = Apply(operation, (out, part))
+    return out

@@ -81,7 +81,7 @@ def change(folder, file, old, new):
             r"key of runs\[0\] must be .* did you mean 'group'",
         ),
         ("study.yaml", "system: soft_body", "system: softbody", "did you mean 'soft_body'"),
-        ("study.yaml", "file: b.csv", "file: bb.csv", r"bb\.csv: no such run.*did you mean 'b\.csv'"),
+        ("study.yaml", "file: b.csv", "file: bb.csv", r"bb\.csv: no such run.*you mean 'b\.csv'"),
         ("study.yaml", "sd: 3.0e-06", "sd: -1", r"channels\[0\]\.sd must be above 0, got -1"),
         (
             "study.yaml",
