@@ -115,9 +115,13 @@ def require_choice(name: str, value: str, choices: Iterable[str]) -> str:
     known = list(choices)
     if value in known:
         return value
-    close = difflib.get_close_matches(str(value), known, n=3, cutoff=0.4)
-    hint = f"; did you mean {' or '.join(map(repr, close))}?" if close else ""
-    raise ValueError(f"{name} must be one of {known}, got {value!r}{hint}")
+    raise ValueError(f"{name} must be one of {known}, got {value!r}{did_you_mean(value, known)}")
+
+
+def did_you_mean(value: str, known: Iterable[str]) -> str:
+    """The known names closest to one that is not known, as the end of a message; may be empty."""
+    close = difflib.get_close_matches(str(value), list(known), n=3, cutoff=0.4)
+    return f"; did you mean {' or '.join(map(repr, close))}?" if close else ""
 
 
 def require_indices(name: str, value: Tensor, size: int, of: str) -> Tensor:

@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.check import did_you_mean
 from diffsim.core.paths import data_candidates
-from diffsim.data.table import did_you_mean, open_table, parse_number, parse_time, time_column
+from diffsim.data.table import open_table, parse_number, parse_time, time_column
 
 Array = NDArray[np.float64]
 

@@ -33,10 +33,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from diffsim.core.check import require_choice
+from diffsim.core.check import did_you_mean, require_choice
 from diffsim.core.files import to_plain, write_text_atomic
 from diffsim.data.study import SYSTEMS, USES, Channel, Run, Study
-from diffsim.data.table import did_you_mean, open_table, parse_number, parse_time, time_column
+from diffsim.data.table import open_table, parse_number, parse_time, time_column
 
 STUDY_FILE = "study.yaml"
 

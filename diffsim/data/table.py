@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import csv
-import difflib
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from diffsim.core.check import did_you_mean
 
 _OTHER_TIME = re.compile(r"^(t|time|timestamp|time_?ms|time_?us|t_s|t_ms|seconds)$", re.IGNORECASE)
 
@@ -99,9 +100,3 @@ def parse_number(
     if not math.isfinite(value):
         raise ValueError(f"{path}, row {line}, column {column}: {text!r} is not a finite number")
     return value
-
-
-def did_you_mean(name: str, known: Sequence[str]) -> str:
-    """A hint with the closest known names; empty if none is close."""
-    close = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
-    return f"; did you mean {' or '.join(close)}?" if close else ""

@@ -92,7 +92,7 @@ def test_refuses_short_empty_and_unseen(tmp_path):
 
 def test_missing_file_lists_its_neighbors(tmp_path):
     write(tmp_path, table(), "gravity_a.csv")
-    with pytest.raises(FileNotFoundError, match=r"has gravity_a.csv; did you mean gravity_a.csv"):
+    with pytest.raises(FileNotFoundError, match=r"has gravity_a.csv; did you mean 'gravity_a.csv'"):
         load_csv(tmp_path / "gravty_a.csv")
 
 
@@ -100,7 +100,7 @@ def test_unknown_marker_offers_the_closest(tmp_path):
     recording = load_csv(write(tmp_path, table()))
     with pytest.raises(ValueError, match=r"has no marker 'tip2'; it has tip1, base; did you mean"):
         recording.select(["tip2"])
-    with pytest.raises(ValueError, match=r"column tip2_x_m is missing; did you mean tip1_x_m"):
+    with pytest.raises(ValueError, match=r"column tip2_x_m is missing; did you mean 'tip1_x_m'"):
         load_csv(recording.source, markers=["tip2"])
 
 
@@ -111,7 +111,7 @@ def test_find_dataset_never_falls_back_when_asked(tmp_path, monkeypatch):
     assert find_dataset("silicone_beam", tmp_path / "silicone_beam") is not None
     monkeypatch.setenv("DIFFSIM_DATA", str(tmp_path))
     assert find_dataset("silicone_beam") == tmp_path / "silicone_beam"
-    with pytest.raises(FileNotFoundError, match=r"holds silicone_beam; did you mean silicone_beam"):
+    with pytest.raises(FileNotFoundError, match=r"silicone_beam; did you mean 'silicone_beam'"):
         find_dataset("silicon_beam")
     monkeypatch.setenv("DIFFSIM_DATA", str(tmp_path / "nowhere"))
     with pytest.raises(FileNotFoundError, match=r"DIFFSIM_DATA=.*nowhere .* does not exist"):

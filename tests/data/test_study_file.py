@@ -70,7 +70,7 @@ def change(folder, file, old, new):
             "a.csv",
             "tip_z_m",
             "tip_z_mm",
-            r"a\.csv: column tip_z_m is missing; did you mean tip_z_mm",
+            r"a\.csv: column tip_z_m is missing; did you mean 'tip_z_mm'",
         ),
         ("a.csv", "time_s", "time_ms", r"a\.csv: column time_s is missing; column 'time_ms' looks"),
         ("study.yaml", "use: fit", "use: fitt", r"runs\[0\]\.use must be one of .* mean 'fit'"),
@@ -81,7 +81,7 @@ def change(folder, file, old, new):
             r"key of runs\[0\] must be .* did you mean 'group'",
         ),
         ("study.yaml", "system: soft_body", "system: softbody", "did you mean 'soft_body'"),
-        ("study.yaml", "file: b.csv", "file: bb.csv", r"bb\.csv: no such run.*did you mean b\.csv"),
+        ("study.yaml", "file: b.csv", "file: bb.csv", r"bb\.csv: no such run.*you mean 'b\.csv'"),
         ("study.yaml", "sd: 3.0e-06", "sd: -1", r"channels\[0\]\.sd must be above 0, got -1"),
         (
             "study.yaml",

@@ -10,7 +10,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from diffsim.data.table import did_you_mean, open_table, parse_number
+from diffsim.core.check import did_you_mean
+from diffsim.data.table import open_table, parse_number
 
 Array = NDArray[np.float64]
 

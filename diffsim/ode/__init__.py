@@ -1,0 +1,5 @@
+"""Ordinary differential equations given by formulas, differentiable in states and parameters."""
+
+from diffsim.ode.integrate import Ode
+
+__all__ = ["Ode"]

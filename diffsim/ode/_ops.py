@@ -1,0 +1,146 @@
+"""Initial value problems as torch custom ops; see ``csrc/kernels/ode/integrate.h``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from diffsim.core.compiled import core
+
+_PROBLEM = (
+    *("rate_code", "reading_code", "rate_out", "reading_out", "constants"),
+    *("times", "lower", "upper", "held"),
+)
+"""Tensors that describe a problem, by the names that the kernel has for them."""
+_FORWARD = (*_PROBLEM, "num_steps", "num_threads", "start", "inputs", "parameters")
+_BACKWARD = (
+    *(*_PROBLEM, "num_steps", "num_threads", "inputs", "parameters", "states"),
+    *("grad_readings", "grad_states"),
+)
+
+
+def _by_name(
+    names: tuple[str, ...], args: tuple[Any, ...], named: dict[str, Any]
+) -> dict[str, Any]:
+    """Arguments of an op as they are called; torch hands them on by place."""
+    return dict(zip(names, args, strict=False)) | named
+
+
+@torch.library.custom_op("diffsim::ode_integrate", mutates_args=())
+def ode_integrate(
+    rate_code: Tensor,
+    reading_code: Tensor,
+    rate_out: Tensor,
+    reading_out: Tensor,
+    constants: Tensor,
+    times: Tensor,
+    lower: Tensor,
+    upper: Tensor,
+    held: Tensor,
+    num_steps: int,
+    num_threads: int,
+    start: Tensor,
+    inputs: Tensor,
+    parameters: Tensor,
+) -> tuple[Tensor, Tensor]:
+    """Readings (batch, num_samples, num_channels) and states (batch, num_samples, num_states)."""
+    given = {k: v for k, v in locals().items() if k in _PROBLEM}
+    problem, kept = _problem(given, num_steps, start, inputs, parameters)
+    start, inputs, parameters = start.contiguous(), inputs.contiguous(), parameters.contiguous()
+    readings = start.new_empty((len(start), len(times), len(reading_out)))
+    states = start.new_empty((len(start), len(times), start.shape[1]))
+    core.ode_integrate(
+        problem,
+        start=start.data_ptr(),
+        inputs=inputs.data_ptr(),
+        parameters=parameters.data_ptr(),
+        readings=readings.data_ptr(),
+        states=states.data_ptr(),
+        num_threads=num_threads,
+    )
+    del kept
+    return readings, states
+
+
+@ode_integrate.register_fake
+def _(*args: Any, **named: Any) -> tuple[Tensor, Tensor]:
+    given = _by_name(_FORWARD, args, named)
+    start, shape = given["start"], (given["start"].shape[0], given["times"].shape[0])
+    return (
+        start.new_empty((*shape, given["reading_out"].shape[0])),
+        start.new_empty((*shape, start.shape[1])),
+    )
+
+
+@torch.library.custom_op("diffsim::ode_integrate_vjp", mutates_args=())
+def ode_integrate_vjp(
+    rate_code: Tensor,
+    reading_code: Tensor,
+    rate_out: Tensor,
+    reading_out: Tensor,
+    constants: Tensor,
+    times: Tensor,
+    lower: Tensor,
+    upper: Tensor,
+    held: Tensor,
+    num_steps: int,
+    num_threads: int,
+    inputs: Tensor,
+    parameters: Tensor,
+    states: Tensor,
+    grad_readings: Tensor,
+    grad_states: Tensor,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """dL/d(start), dL/d(inputs) of every member, dL/d(parameters)."""
+    given = {k: v for k, v in locals().items() if k in _PROBLEM}
+    start = states[:, 0].contiguous()
+    problem, kept = _problem(given, num_steps, start, inputs, parameters)
+    inputs, parameters, states = inputs.contiguous(), parameters.contiguous(), states.contiguous()
+    grad_readings, grad_states = grad_readings.contiguous(), grad_states.contiguous()
+    grad_start = torch.empty_like(start)
+    grad_inputs = start.new_empty((len(start), *inputs.shape[1:]))
+    grad_parameters = torch.empty_like(parameters)
+    core.ode_integrate_vjp(
+        problem,
+        inputs=inputs.data_ptr(),
+        parameters=parameters.data_ptr(),
+        states=states.data_ptr(),
+        grad_readings=grad_readings.data_ptr(),
+        grad_states=grad_states.data_ptr(),
+        grad_start=grad_start.data_ptr(),
+        grad_inputs=grad_inputs.data_ptr(),
+        grad_parameters=grad_parameters.data_ptr(),
+        num_threads=num_threads,
+    )
+    del kept
+    return grad_start, grad_inputs, grad_parameters
+
+
+@ode_integrate_vjp.register_fake
+def _(*args: Any, **named: Any) -> tuple[Tensor, Tensor, Tensor]:
+    given = _by_name(_BACKWARD, args, named)
+    inputs, parameters, states = given["inputs"], given["parameters"], given["states"]
+    return (
+        states.new_empty((states.shape[0], states.shape[2])),
+        states.new_empty((states.shape[0], *inputs.shape[1:])),
+        parameters.new_empty(parameters.shape),
+    )
+
+
+def _problem(
+    given: dict[str, Tensor], num_steps: int, start: Tensor, inputs: Tensor, parameters: Tensor
+) -> tuple[Any, list[Tensor]]:
+    """What the kernel reads, and the tensors that must live as long as it does."""
+    kept = {name: given[name].contiguous() for name in _PROBLEM}
+    p = core.OdeAddresses()
+    for name, tensor in kept.items():
+        setattr(p, name, tensor.data_ptr())
+    p.num_rate_code, p.num_reading_code = len(kept["rate_code"]), len(kept["reading_code"])
+    p.num_states, p.num_inputs = start.shape[1], inputs.shape[2]
+    p.num_parameters, p.num_constants = parameters.shape[1], len(kept["constants"])
+    p.num_channels, p.num_samples = len(kept["reading_out"]), len(kept["times"])
+    p.num_steps, p.batch = num_steps, len(start)
+    p.input_stride = 0 if len(inputs) == 1 else inputs[0].numel()
+    return p, list(kept.values())

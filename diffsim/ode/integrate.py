@@ -1,0 +1,193 @@
+"""Any system of ordinary differential equations, given by formulas, as a PyTorch layer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from diffsim.core.check import require, require_choice
+from diffsim.core.expression import Expression, parse_expression
+from diffsim.ode import _ops
+from diffsim.ode.tape import Tapes, make_tapes
+
+TIME = "t"
+INTERPOLATIONS = ("linear", "held")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Ode:
+    """x' = f(t, x, u, p), y = g(t, x, u, p), with f and g as formulas of named quantities.
+
+    Attributes:
+        rates: Formula of the time derivative of every state, by the state's name.
+        readings: Formula of every channel, by the channel's name; time is ``t``.
+        inputs: Names of the inputs.
+        parameters: Names of the parameters.
+        held: Inputs that keep their value until the next sample; the others are linear in between.
+        limits: Lower and upper limit of states that have some; kept after every step.
+
+    Raises:
+        ValueError: a formula cannot be read or names an unknown quantity, or names repeat.
+    """
+
+    rates: Mapping[str, str]
+    readings: Mapping[str, str]
+    inputs: Sequence[str] = ()
+    parameters: Sequence[str] = ()
+    held: Sequence[str] = ()
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        names = self.names
+        if repeated := sorted({n for n in names if names.count(n) > 1}):
+            raise ValueError(f"names repeat among time, states, inputs, parameters: {repeated}")
+        for name in self.held:
+            require_choice("held", name, self.inputs)
+        for name, (low, high) in self.limits.items():
+            require_choice("limits", name, self.rates)
+            if not low < high:
+                raise ValueError(f"limits of {name} must be (low, high), got ({low:g}, {high:g})")
+        _ = self.tapes  # formulas are read once, and mistakes in them show here
+
+    @property
+    def names(self) -> list[str]:
+        """Quantities of the formulas: time, states, inputs, parameters."""
+        return [TIME, *self.rates, *self.inputs, *self.parameters]
+
+    @cached_property
+    def tapes(self) -> Tapes:
+        """Formulas as the kernel reads them."""
+        return make_tapes(
+            self.names, [self._parsed("rate", self.rates), self._parsed("reading", self.readings)]
+        )
+
+    def _parsed(self, what: str, formulas: Mapping[str, str]) -> list[Expression]:
+        out = []
+        for name, text in formulas.items():
+            try:
+                out.append(parse_expression(text, self.names))
+            except ValueError as error:
+                raise ValueError(f"{what} of {name}: {error}") from None
+        return out
+
+    def solve(
+        self,
+        times: Tensor,
+        start: Tensor,
+        inputs: Tensor | None = None,
+        parameters: Tensor | None = None,
+        *,
+        num_steps: int = 1,
+        num_threads: int = 1,
+    ) -> tuple[Tensor, Tensor]:
+        """Integrate by the classical Runge-Kutta method, fixed steps between samples.
+
+        Args:
+            times: Sample times, (num_samples,) float64, increasing [s].
+            start: States at the first sample, (num_states,) or (batch, num_states).
+            inputs: At the samples, (num_samples, num_inputs), or with a leading batch axis.
+            parameters: (num_parameters,) or (batch, num_parameters).
+            num_steps: Steps between two samples.
+            num_threads: Worker threads; results do not depend on it.
+
+        Returns:
+            Readings, (num_samples, num_channels), and states, (num_samples, num_states), both with
+            a leading batch axis where an argument has one. Gradients: start, inputs, parameters;
+            first order, exact for the steps that were computed.
+
+        Raises:
+            ValueError: shapes disagree, or times do not increase.
+        """
+        n, m, q = len(self.rates), len(self.inputs), len(self.parameters)
+        times = require("times", times, ("num_samples",))
+        if not bool((times.diff() > 0).all()):
+            raise ValueError("times must increase from sample to sample")
+        if num_steps < 1:
+            raise ValueError(f"num_steps must be 1 or more, got {num_steps}")
+        inputs = times.new_zeros((len(times), 0)) if inputs is None else inputs
+        parameters = times.new_zeros(0) if parameters is None else parameters
+        start = require("start", start, ("...", n))
+        inputs = require("inputs", inputs, ("...", len(times), m))
+        parameters = require("parameters", parameters, ("...", q))
+        sizes = {len(a) for a, d in ((start, 2), (inputs, 3), (parameters, 2)) if a.ndim == d}
+        if len(sizes - {1}) > 1 or start.ndim > 2 or inputs.ndim > 3 or parameters.ndim > 2:
+            raise ValueError(f"batch axes of start, inputs, parameters disagree: {sorted(sizes)}")
+        batch = max(sizes, default=1)
+        u = inputs if inputs.ndim == 3 else inputs[None]
+        readings, states = _Solve.apply(
+            self,
+            times,
+            start.expand(batch, n),
+            u,
+            parameters.expand(batch, q),
+            num_steps,
+            num_threads,
+        )
+        return (readings, states) if sizes else (readings[0], states[0])
+
+    def problem(self, times: Tensor, num_steps: int, num_threads: int) -> dict[str, Any]:
+        """Arguments of the ops that do not depend on values."""
+        low = [self.limits.get(s, (-math.inf, math.inf))[0] for s in self.rates]
+        high = [self.limits.get(s, (-math.inf, math.inf))[1] for s in self.rates]
+        return {
+            "rate_code": self.tapes.code[0],
+            "reading_code": self.tapes.code[1],
+            "rate_out": self.tapes.outputs[0],
+            "reading_out": self.tapes.outputs[1],
+            "constants": self.tapes.constants,
+            "times": times,
+            "lower": torch.tensor(low, dtype=torch.float64),
+            "upper": torch.tensor(high, dtype=torch.float64),
+            "held": torch.tensor([name in self.held for name in self.inputs], dtype=torch.int64),
+            "num_steps": num_steps,
+            "num_threads": num_threads,
+        }
+
+
+class _Solve(torch.autograd.Function):
+    """The steps forward; their discrete adjoint backward."""
+
+    @staticmethod
+    def forward(
+        ode: Ode,
+        times: Tensor,
+        start: Tensor,
+        inputs: Tensor,
+        parameters: Tensor,
+        num_steps: int,
+        num_threads: int,
+    ) -> tuple[Tensor, Tensor]:
+        given = ode.problem(times, num_steps, num_threads)
+        readings, states = _ops.ode_integrate(
+            **given, start=start, inputs=inputs, parameters=parameters
+        )
+        return readings, states
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
+        ode, times, _, u, parameters, num_steps, num_threads = inputs
+        ctx.given = ode.problem(times, num_steps, num_threads)
+        ctx.save_for_backward(u, parameters, output[1])
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad_readings: Tensor, grad_states: Tensor) -> tuple[Any, ...]:
+        u, parameters, states = ctx.saved_tensors
+        grad_start, grad_u, grad_parameters = _ops.ode_integrate_vjp(
+            **ctx.given,
+            inputs=u,
+            parameters=parameters,
+            states=states,
+            grad_readings=grad_readings,
+            grad_states=grad_states,
+        )
+        if len(u) == 1:
+            grad_u = grad_u.sum(0, keepdim=True)
+        return None, None, grad_start, grad_u, grad_parameters, None, None

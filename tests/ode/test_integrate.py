@@ -1,0 +1,176 @@
+"""Equations given by formulas: against closed forms, scipy, orders, and differences."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import solve_ivp
+
+from diffsim.ode import Ode
+
+OSCILLATOR = Ode(
+    rates={"x": "v", "v": "(u - k * x - c * v) / m"},
+    readings={"position": "x", "force": "k * x + c * v"},
+    inputs=["u"],
+    parameters=["m", "k", "c"],
+)
+P = torch.tensor([1.5, 40.0, 0.8], dtype=torch.float64)
+
+
+def grid(count: int, until: float) -> torch.Tensor:
+    return torch.linspace(0.0, until, count, dtype=torch.float64)
+
+
+@pytest.mark.reference
+def test_damped_oscillator_in_closed_form():
+    t = grid(201, 2.0)
+    start = torch.tensor([0.3, 0.0], dtype=torch.float64)
+    y, x = OSCILLATOR.solve(t, start, torch.zeros(201, 1, dtype=torch.float64), P, num_steps=4)
+    rate, omega = 0.8 / 3.0, math.sqrt(40.0 / 1.5 - (0.8 / 3.0) ** 2)
+    wanted = (
+        0.3 * torch.exp(-rate * t) * (torch.cos(omega * t) + rate / omega * torch.sin(omega * t))
+    )
+    torch.testing.assert_close(y[:, 0], wanted, rtol=0, atol=1e-9)
+    torch.testing.assert_close(y[:, 1], 40.0 * x[:, 0] + 0.8 * x[:, 1], rtol=1e-14, atol=1e-14)
+
+
+@pytest.mark.reference
+def test_against_scipy_with_friction_and_an_input():
+    ode = Ode(
+        rates={"x": "v", "v": "(u - f * tanh(v / 0.05) - k * x ** 3) / 2"},
+        readings={"x": "x", "v": "v"},
+        inputs=["u"],
+        parameters=["f", "k"],
+    )
+    t = grid(101, 3.0)
+    u = torch.sin(3.0 * t)[:, None]
+    y, _ = ode.solve(t, torch.zeros(2).double(), u, torch.tensor([0.2, 5.0]).double(), num_steps=8)
+
+    def rate(now, state):
+        force = np.interp(now, t.numpy(), u[:, 0].numpy())
+        return [state[1], (force - 0.2 * np.tanh(state[1] / 0.05) - 5.0 * state[0] ** 3) / 2]
+
+    wanted = solve_ivp(
+        rate, (0.0, 3.0), [0.0, 0.0], t_eval=t.numpy(), rtol=1e-10, atol=1e-12, max_step=0.01
+    )
+    np.testing.assert_allclose(y.numpy(), wanted.y.T, atol=2e-7)
+
+
+@pytest.mark.order
+def test_fourth_order():
+    ode = Ode(rates={"x": "-x * sin(t)"}, readings={"x": "x"})
+    exact = math.exp(math.cos(2.0) - 1.0)
+    t = grid(3, 2.0)
+    errors = [
+        abs(float(ode.solve(t, torch.ones(1).double(), num_steps=n)[0][-1]) - exact)
+        for n in (4, 8, 16)
+    ]
+    slope = np.polyfit(np.log([1 / 4, 1 / 8, 1 / 16]), np.log(errors), 1)[0]
+    assert slope == pytest.approx(4.0, abs=0.1)
+
+
+def test_a_held_input_is_constant_until_the_next_sample():
+    t = grid(5, 4.0)
+    u = torch.arange(5.0).double()[:, None]
+    for held, wanted in ((["u"], [0, 0, 1, 3, 6]), ([], [0, 0.5, 2, 4.5, 8])):
+        ode = Ode(rates={"x": "u"}, readings={"x": "x"}, inputs=["u"], held=held)
+        y, _ = ode.solve(t, torch.zeros(1).double(), u)
+        assert y[:, 0].tolist() == pytest.approx(wanted, abs=1e-14)
+
+
+def test_limits_are_kept():
+    ode = Ode(rates={"h": "1"}, readings={"h": "h"}, limits={"h": (-math.inf, 2.5)})
+    y, _ = ode.solve(grid(6, 5.0), torch.zeros(1).double())
+    assert y[:, 0].tolist() == pytest.approx([0, 1, 2, 2.5, 2.5, 2.5])
+
+
+EVERY_OPERATION = Ode(
+    rates={
+        "x": "0.3 * sin(v) * exp(-x ** 2) + 0.1 * atan2(v, 2 + x) - 0.1 * asinh(u)",
+        "v": "-x + clip(u, -0.4, 0.4) + where(t > 0.25, a, b) * tanh(x / 0.2) + log(2 + cos(v))",
+        "w": "sqrt(1 + hypot(x, v)) - abs(w) ** 1.3 + a ** (1 + x ** 2) - sinh(b * w) + cosh(x)",
+    },
+    readings={
+        "one": "x * v + tan(w / 3) - u",
+        "two": "max(x, v) - min(w, a) + atan(x) + asin(x / 9) + acos(v / 9) + sign(x) * b / a",
+        "three": "v",
+    },
+    inputs=["u"],
+    parameters=["a", "b"],
+)
+
+
+def given(batch: int, *, shared: bool):
+    rng = np.random.default_rng(3)
+    t = torch.tensor([0.0, 0.1, 0.25, 0.3, 0.5, 0.62], dtype=torch.float64)
+    start = torch.from_numpy(rng.uniform(0.2, 0.8, (batch, 3)))
+    u = torch.from_numpy(rng.uniform(-0.8, 0.8, (1 if shared else batch, 6, 1)))
+    p = torch.from_numpy(rng.uniform(0.5, 1.0, (batch, 2)))
+    return t, [a.requires_grad_() for a in (start, u, p)]
+
+
+@pytest.mark.grad
+@pytest.mark.parametrize("shared", [False, True])
+@pytest.mark.parametrize("batch", [1, 3, 9])
+def test_gradient(batch, shared):
+    t, inputs = given(batch, shared=shared)
+    assert torch.autograd.gradcheck(
+        lambda *a: EVERY_OPERATION.solve(t, *a, num_steps=2), inputs, rtol=1e-6, atol=1e-8
+    )
+
+
+@pytest.mark.grad
+def test_gradient_at_limits_and_with_held_inputs():
+    ode = Ode(
+        rates={"x": "u - a * x"}, readings={"x": "x"}, inputs=["u"], parameters=["a"],
+        held=["u"], limits={"x": (0.0, 0.3)},
+    )  # fmt: skip
+    t = grid(6, 1.0)
+    u = torch.tensor([1.0, 1.0, 0.2, -1.0, -2.0, 0.5]).double()[:, None].requires_grad_()
+    start = torch.tensor([0.1]).double().requires_grad_()
+    a = torch.tensor([0.7]).double().requires_grad_()
+    x = ode.solve(t, start, u, a, num_steps=3)[0][:, 0]
+    assert float(x.detach().max()) == 0.3 and float(x.detach().min()) == 0.0
+    assert torch.autograd.gradcheck(lambda *z: ode.solve(t, *z, num_steps=3), (start, u, a))
+
+
+@pytest.mark.property
+def test_members_of_a_batch_do_not_see_each_other_nor_threads():
+    t, (start, u, p) = given(19, shared=False)
+    y, x = EVERY_OPERATION.solve(t, start, u, p, num_steps=3)
+    two = EVERY_OPERATION.solve(t, start, u, p, num_steps=3, num_threads=2)[0]
+    assert torch.equal(y, two)
+    for k in (0, 8, 18):
+        alone = EVERY_OPERATION.solve(t, start[k], u[k], p[k], num_steps=3)
+        assert torch.equal(alone[0], y[k]) and torch.equal(alone[1], x[k])
+
+
+def test_a_second_derivative_raises():
+    t, (start, u, p) = given(1, shared=False)
+    (g,) = torch.autograd.grad(
+        EVERY_OPERATION.solve(t, start, u, p)[0].square().sum(), p, create_graph=True
+    )
+    with pytest.raises(RuntimeError, match="once_differentiable"):
+        g.sum().backward()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"rates": {"x": "velocity"}}, "rate of x.*'velocity' is not known"),
+        ({"readings": {"y": "x +"}}, "reading of y"),
+        ({"parameters": ["x"]}, r"names repeat.*\['x'\]"),
+        ({"held": ["w"]}, "held"),
+        ({"limits": {"x": (1.0, 0.0)}}, "limits of x"),
+    ],
+)
+def test_mistakes_are_named(change, message):
+    with pytest.raises(ValueError, match=message):
+        Ode(**({"rates": {"x": "-x"}, "readings": {"y": "x"}} | change))
+
+
+def test_times_must_increase():
+    ode = Ode(rates={"x": "-x"}, readings={"x": "x"})
+    with pytest.raises(ValueError, match="increase"):
+        ode.solve(torch.tensor([0.0, 1.0, 1.0]).double(), torch.ones(1).double())
