@@ -68,7 +68,7 @@ def test_names_families_and_units_are_spelled_one_way(libraries):
         for e in effects:
             assert re.fullmatch(r"[a-z][a-z0-9_]*", e.name), e.name
             assert re.fullmatch(r"[a-z][a-z0-9_]*", e.family), e.family
-            assert "center" not in e.name + e.family
+            assert "centre" not in e.name + e.family  # American spelling
             # powers with ^, as in m/s^2
             assert not re.search(r"[a-z][0-9]", e.unit), (e.name, e.unit)
             assert len(set(e.components)) == len(e.components) > 0
