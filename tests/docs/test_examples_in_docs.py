@@ -6,7 +6,18 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = ("README.md", "docs/concepts.md", "docs/ode.md", "docs/optim.md")
+PAGES = (
+    "README.md",
+    "docs/applications.md",
+    "docs/benchmarks.md",
+    "docs/concepts.md",
+    "docs/contact.md",
+    "docs/copter.md",
+    "docs/ode.md",
+    "docs/optim.md",
+    "docs/soft.md",
+    "docs/stokes.md",
+)
 LINKED = ("README.md", "examples/*.md", "docs/**/*.md")
 
 
