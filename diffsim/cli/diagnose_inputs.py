@@ -50,9 +50,9 @@ def choose(
     """Effects by name, in their own order.
 
     Args:
-        effects: To choose from.
-        only: All if empty.
-        without: Left out.
+        effects: Effects to choose from.
+        only: Names of the effects to keep; empty: all.
+        without: Names of the effects to leave out.
 
     Raises:
         ValueError: no such name; the message offers the closest ones.

@@ -24,9 +24,9 @@ def require(
 
     Args:
         name: The argument's name, for the message.
-        value: The tensor.
+        value: Tensor to be checked.
         shape: Expected shape; strings stand for any size, a leading ``"..."`` for any batch axes.
-        dtype: Expected dtype.
+        dtype: Dtype that the tensor must have.
         finite: Refuse NaN and infinity (not while ``torch.compile`` traces, without values).
 
     Returns:

@@ -96,7 +96,7 @@ def save_study(study: Study, folder: str | Path, *, overwrite: bool = False) -> 
     Numbers are written so that they are read back unchanged.
 
     Args:
-        study: The study.
+        study: Study to be written.
         folder: Made; must be empty or absent unless ``overwrite``.
         overwrite: Replace a folder that holds a study, with all that is in it.
 

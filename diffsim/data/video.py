@@ -116,8 +116,8 @@ def track_video(
 
     Args:
         path: Video that OpenCV can read.
-        num_balls: How many to follow; ball 0 is the leftmost in the first frame.
-        color: Of their pixels.
+        num_balls: Number of balls to follow; ball 0 is the leftmost in the first frame.
+        color: Color range that marks a pixel as belonging to a ball.
         first, last: Frames to read, both included; None: to the end.
         min_area: Smaller regions are noise [px].
 

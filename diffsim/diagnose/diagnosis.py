@@ -66,11 +66,11 @@ def diagnose(
         model: Simulator with everything imperfectly known as base parameters, nuisances of the
             set-up too: a forgotten one becomes an invented effect.
         effects: Candidate causes.
-        seed: Of the bootstrap.
+        seed: Seed of the bootstrap.
         unknowns: Generic causes that the system supplies (``UnknownForce``); a smooth drift of each
             channel is always among them.
         bank: Runs that could be recorded next.
-        settings: Effort and choices.
+        settings: Effort of the diagnosis; None: the defaults of ``DiagnosisSettings``.
         progress: Receives stage, share done and message.
         cache: Folder for what was simulated: after an interruption, the same call goes on from
             there. The model's name stands for its code; empty the folder after changing that.
@@ -104,7 +104,8 @@ class Checks:
 
     Attributes:
         gates: Data, numerical settings, gradients; then repeatability and the judgment's.
-        changes: Of the record by refining each numerical setting, (N,) [unit of the channel].
+        changes: Change of the record by refining each numerical setting, by its name, (N,) [unit of
+            the channel].
         center: The plain model with everything linearized there.
     """
 

@@ -29,10 +29,10 @@ class ForceMap:
 
     Attributes:
         name: Name of the generic force.
-        groups: Commands, one row each.
+        groups: Names of the commands, one row each.
         components: Components of the force, one column each.
         values: Scores, (num_groups, num_components) [nats per standardized component].
-        noise: Standard deviation of the scores under noise alone, same shape.
+        noise: Standard deviation of the scores under noise alone, of the same shape.
     """
 
     name: str

@@ -18,9 +18,9 @@ class Inputs:
     """Everything that decides the answer.
 
     Attributes:
-        study: Recorded runs.
+        study: Recorded runs with their channels and commands.
         setup: Model, causes, unknowns, bank, settings; as chosen.
-        seed: Of the bootstrap.
+        seed: Seed of the bootstrap.
         fingerprint: Hashes and names by what they are of; equal ones give equal answers.
     """
 

@@ -64,7 +64,7 @@ class NoiseFloor:
     """What the sensor cannot know.
 
     Attributes:
-        whitener: Makes residuals white with standard deviation one.
+        whitener: Transformation that makes residuals white with standard deviation one.
         sd: Standard deviation of the noise, (num_channels,) [unit of the channel].
         source: "repeats", "stated sd" or "second differences", by channel.
         scatter_ratio: Scatter of repeats over the stated sensor noise, (num_channels,); NaN where

@@ -121,7 +121,7 @@ def begin(null: Null, simulations: Simulations) -> Search:
 
     Args:
         null: The plain model under its noise floor.
-        simulations: What is simulated already, of an earlier noise floor too.
+        simulations: Simulations made so far, those of an earlier noise floor included.
     """
     at, made = simulations.under(null).screen(NONE, None)
     num_families = families(null.wide.effects, null.case.unknowns)
@@ -147,7 +147,7 @@ def refit(search: Search, members: Members, near: Center | None = None) -> Searc
     """Fit a set and weigh it there, once; noted under ``failed`` where it cannot be simulated.
 
     Args:
-        search: What was weighed so far.
+        search: Sets that were weighed so far.
         members: Effects of the set, by index.
         near: Center to start from; the plain model if None, or if it cannot be simulated from
             there.

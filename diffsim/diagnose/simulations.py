@@ -55,10 +55,11 @@ class Simulations:
 
     Attributes:
         wide: Problem with all candidate effects.
-        store: On disk, of this and earlier processes; None: none.
-        fitted: By set, where its fit ended.
-        screened: By set, all slopes there.
-        unknown_slopes: By set and unknown cause, its slopes there, (N, k).
+        store: Results on disk, of this and earlier processes; None: nothing is kept.
+        fitted: Linearization of each refitted set where its fit ended.
+        screened: Linearization of each set with the slopes of all candidates.
+        unknown_slopes: Slopes of an unknown cause at the fit of a set, (N, k), by set and index of
+            the cause.
     """
 
     wide: Problem
@@ -99,8 +100,8 @@ class Simulations:
 
         Args:
             members: Effects of the set, by index.
-            start: In wide coordinates, zero outside the set.
-            best_cost: As for ``gauss_newton`` [nats].
+            start: Start point in coordinates of all candidates, zero outside the set.
+            best_cost: Least cost of all sets so far; a set that cannot reach it ends early [nats].
         """
         own = self.coordinates(members)
         at = Linearization(
@@ -139,8 +140,8 @@ class Simulations:
 
         Args:
             members: A fitted set.
-            last: All slopes at another set: they serve for effects that are neither significant
-                with them nor like a member; None: all are simulated.
+            last: Slopes of all candidates at another set. They serve for effects that are neither
+                significant with them nor like a member; None: all are simulated.
         """
         here, label = self.fitted[members], f"screened {self._label(members)}"
         before = self.screened.get(members)

@@ -26,7 +26,7 @@ class Store:
 
     Args:
         folder: Shared by any number of studies.
-        key: As ``key_of`` makes it.
+        key: Identifier of study, model and candidates, as ``key_of`` makes it.
     """
 
     def __init__(self, folder: str | Path, key: str):

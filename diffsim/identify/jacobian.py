@@ -25,8 +25,8 @@ class Stencil:
     """A difference formula: the slope at 0 is the sum of weight * f(offset).
 
     Attributes:
-        offsets: Along one coordinate.
-        weights: Of equal number.
+        offsets: Points of the formula along one coordinate, in prior standard deviations.
+        weights: Weights of the values at the offsets, equally many.
     """
 
     offsets: tuple[float, ...]
@@ -59,7 +59,7 @@ class Jacobian:
         method: ``"auto"``: by the model's own tangents where it has them, else as
             ``"differences"``: of simulations, for every simulator. ``"forward_mode"``: torch's
             dual numbers, where all operations of the scene support them.
-        step: Of the differences, in prior standard deviations. Central ones are wrong by about
+        step: Step of the differences, in prior standard deviations. Central ones are wrong by about
             step^2 / 6 of the third derivative; a solver's tolerance is amplified by 1 / step.
     """
 
@@ -85,7 +85,7 @@ class Jacobian:
 
         Args:
             many: Coordinates (n,) each -> predictions of equal shape.
-            at: (n,) where.
+            at: Point to differentiate at, (n,).
             idx: The coordinates to differentiate.
             inward: (n,) 1 where a coordinate cannot go below its place, -1 where it cannot go
                 above: second-order differences to the other side; 0: central ones.

@@ -98,7 +98,7 @@ def residuals_by_run(runs: Sequence[Run], record: Array) -> dict[str, Array]:
     """Measured minus predicted by name of the run, (num_samples, num_channels) each.
 
     Args:
-        runs: Whose samples the record holds, in this order.
+        runs: Runs whose samples the record holds, in this order.
         record: Predicted samples of all runs, (N,) [unit of the channel].
     """
     edges = np.cumsum([run.measured.size for run in runs])[:-1]

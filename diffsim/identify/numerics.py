@@ -10,9 +10,9 @@ class Numerics:
     """Factors on the model's own settings.
 
     Attributes:
-        time_step: On the time step.
-        mesh: On the cell size.
-        tolerance: On solver tolerances.
+        time_step: Factor on the time step [-].
+        mesh: Factor on the cell size [-].
+        tolerance: Factor on the tolerances of the solvers [-].
     """
 
     time_step: float = 1.0

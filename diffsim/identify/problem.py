@@ -46,7 +46,7 @@ class WhiteNoise:
     """Independent noise of known standard deviation in every channel.
 
     Args:
-        channels: With ``sd``.
+        channels: Channels with a known noise ``sd`` each.
     """
 
     def __init__(self, channels: Sequence[Channel]):
@@ -71,8 +71,8 @@ class Problem:
 
     Attributes:
         model: Simulator with base parameters.
-        runs: Recorded runs.
-        whitener: Makes the noise of a run white with standard deviation one.
+        runs: Recorded runs that are compared with the simulation.
+        whitener: Transformation that makes the noise of a run white with standard deviation one.
         effects: Effects whose components are coordinates after the base parameters.
         jacobian: Method and step of the derivatives.
         numerics: Factors on the numerical settings; the model's own settings if None.

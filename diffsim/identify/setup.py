@@ -16,12 +16,13 @@ class DiagnosisSetup:
     """What ``diagnose`` is given beside the study.
 
     Attributes:
-        model: Of the recorded system.
-        effects: Candidate causes.
+        model: Model of the recorded system, without effects.
+        effects: Candidate causes of a misfit.
         unknowns: Generic causes of this system; drifts of channels are added by ``diagnose``.
         bank: Runs that could be recorded next.
-        settings: Effort.
-        study: What is diagnosed, where a setup cuts or combines the recordings; None: as recorded.
+        settings: Effort of the diagnosis, such as the largest set and the derivatives.
+        study: Study to diagnose, where a setup cuts or combines the recordings; None: the study as
+            recorded.
     """
 
     model: SimModel

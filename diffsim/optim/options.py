@@ -13,8 +13,9 @@ class Budget:
     """How much a search may cost.
 
     Attributes:
-        evaluations: Of the objective with its gradient, failed ones included; None: any number.
-        iterations: Of L-BFGS, each a line search; None: any number.
+        evaluations: Largest number of evaluations of the objective with its gradient, failed ones
+            included; None: any number.
+        iterations: Largest number of L-BFGS iterations, each a line search; None: any number.
         finish_line_search: End a line search that is under way when the evaluations are spent, as
             scipy does; up to ``Tolerances.line_search`` evaluations come on top. Otherwise the
             budget is exact.
@@ -83,9 +84,10 @@ class Options:
     """Of a search.
 
     Attributes:
-        budget: How much it may cost.
-        tolerances: When it has converged.
-        wall: What counts as a failed evaluation; None: every exception ends the search.
+        budget: Largest number of evaluations, iterations and time.
+        tolerances: Tolerances at which the search has converged.
+        wall: Exceptions and values that count as a failed evaluation; None: every exception ends
+            the search.
         unit: L-BFGS sees value and gradient over this; tolerances count in it. None: the size of
             the first value (1 if that is zero).
     """

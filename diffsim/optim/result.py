@@ -20,7 +20,7 @@ class Result:
             a line search can pass that by.
         ended: "converged": a tolerance is met. "budget": evaluations or iterations are spent.
             "callback": the callback said so. "failed": a line search found no lower value.
-        message: The same in words, scipy's where scipy ended.
+        message: Reason for the end in words, scipy's own where scipy ended the search.
     """
 
     history: tuple[Evaluation, ...]

@@ -18,7 +18,7 @@ def surface_quads(hexes: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[
     """Faces that belong to one element only.
 
     Args:
-        hexes: (E, 8) node indices.
+        hexes: Node indices of the hexahedra, (E, 8).
 
     Returns:
         quads (Q, 4) into the list of surface nodes, counter-clockwise from outside, and that list

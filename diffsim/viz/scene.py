@@ -23,10 +23,10 @@ class MovingSurface:
 
     Attributes:
         path: Entity path, such as ``gravity/identified``.
-        time_s: (T,) [s].
-        nodes_m: (T, N, 3) [m].
-        triangles: (F, 3).
-        color: ``#rrggbb``.
+        time_s: Times of the frames, (T,) [s].
+        nodes_m: Positions of the nodes, (T, N, 3) [m].
+        triangles: Node indices of the triangles, (F, 3).
+        color: Color of the surface as ``#rrggbb``.
     """
 
     path: str

@@ -50,10 +50,12 @@ class BenchScene:
     """One sweep.
 
     Attributes:
-        run: The sweep.
+        run: Recorded sweep of one motor with its propeller.
         values: Base parameters by name without the rotor's, () or (K,) each.
-        columns: Of ``SCATTER``, in the order of the channels.
-        changes: What effects do to each quantity, in this order.
+        columns: Names of the measured quantities, keys of ``SCATTER``, in the order of the
+            channels.
+        changes: Functions by which effects change each quantity, in this order, by name of the
+            quantity.
     """
 
     run: Run
@@ -120,8 +122,8 @@ def bench_model(runs: Sequence[Run], columns: Sequence[str] = tuple(SCATTER)) ->
     """Parameters of each motor with its propeller; the torque ratio where torque was measured.
 
     Args:
-        runs: Of the study.
-        columns: What is measured, of ``SCATTER``.
+        runs: Sweeps of the study.
+        columns: Names of the measured quantities, keys of ``SCATTER``.
     """
     rotors = {rotor_of(r): r for r in runs}
     base = [p for rotor, run in rotors.items() for p in _parameters(rotor, run, columns)]

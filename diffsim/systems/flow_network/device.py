@@ -24,7 +24,7 @@ class Opening:
 
     Attributes:
         y: Height of its axis [m].
-        width: [m].
+        width: Width of the channel [m].
     """
 
     y: float
@@ -54,12 +54,13 @@ class ChannelDevice:
 
     Attributes:
         inlets, outlets: Channels, from bottom to top.
-        size: Of the box, x and y [m].
-        manifold: Its lower and upper x [m]; it spans all channels in y, and ``fillet`` more.
+        size: Size of the box along x and y [m].
+        manifold: Lower and upper x of the manifold [m]; it spans all channels in y, and ``fillet``
+            more.
         fillet: Width of the blend that rounds the corners where channels meet the manifold [m].
-        cells: Grid cells along x and y.
+        cells: Number of grid cells along x and y.
         drive: "flow" (pumps prescribe flows) or "pressure" (regulators prescribe pressures).
-        viscosity: Nominal [Pa s].
+        viscosity: Nominal viscosity of the fluid [Pa s].
         nominal_drive: A usual level of the command [m^2/s or Pa]; sets the shear rate to which the
             thinning refers.
         num_profile_points: Velocities measured across the middle 84 % of the last branch's width.
@@ -125,7 +126,7 @@ class ChannelDevice:
         Args:
             flow_sd: Noise of the flow meters [m^2/s].
             pressure_sd: Noise of the pressure taps [Pa].
-            velocity_sd: Noise of the profile [m/s].
+            velocity_sd: Standard deviation of the profile's noise [m/s].
         """
         flows = [
             Channel(f"flow_out_{i + 1}_m2_s", "m^2/s", "flow", flow_sd)

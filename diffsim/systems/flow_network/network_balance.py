@@ -28,7 +28,7 @@ class Balance:
     """Mass and pressures of all levels; unknowns are flows over ``flow_scale`` and pump pressure.
 
     Args:
-        scene: Whose effects hold.
+        scene: Conditions under which the flow is balanced.
     """
 
     def __init__(self, scene: NetworkConditions):

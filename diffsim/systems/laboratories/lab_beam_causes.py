@@ -175,7 +175,7 @@ def causes(largest_N: float) -> tuple[Effect, ...]:
     steps of the tension (quantization), for which there is no term.
 
     Args:
-        largest_N: What the drive can pull.
+        largest_N: Largest force that the drive can pull with [N].
     """
     return (
         LOSS_FACTOR,

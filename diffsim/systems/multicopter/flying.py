@@ -34,8 +34,8 @@ class Flyer:
     accelerates with a = F / m it is absent, and the drags act on a wind, less the frame's velocity.
 
     Args:
-        scene: One run.
-        points: How many its leading axes stand for.
+        scene: Run to be flown.
+        points: Number of points that the scene's leading axes stand for.
     """
 
     def __init__(self, scene: CopterFlight, points: int):

@@ -72,7 +72,7 @@ class Windows:
     the record starts: a lag or a dead time brings them into it.
 
     Attributes:
-        guess: Of the initial states from the record, (num_windows, 12 + n_rotors).
+        guess: Initial states estimated from the record, (num_windows, 12 + n_rotors).
         measured: (num_windows, length, num_channels), NaN where nothing was recorded.
         sd: Noise of the channels, (num_channels,).
         latest: The best states of the last search (or none): where the next search starts.
@@ -143,7 +143,7 @@ class Shooting:
     an initial state can explain is no evidence for anything.
 
     Attributes:
-        windows: Of the run.
+        windows: Record of the run, cut into windows.
         measured: (num_windows, length * num_channels, 1), zero where nothing was recorded.
         change: d of that model, (num_windows, 12 + n_rotors, 1).
         tangent: d predicted / d start, (num_windows, length * num_channels, 12 + n_rotors).
@@ -161,7 +161,7 @@ class Shooting:
 
         Args:
             here: Prediction at d, (num_windows, length * num_channels, many).
-            change: d.
+            change: Change d of the initial states so far, (num_windows, 12 + n_rotors, many).
         """
         return self.gain @ (self.measured - here + self.tangent @ change)
 

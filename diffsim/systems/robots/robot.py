@@ -20,15 +20,15 @@ class SoftRobot:
     ``rest_activation + command @ drive``, so antagonists are rows with entries of both signs.
 
     Attributes:
-        name: Such as "starfish".
+        name: Name of the robot, such as "starfish".
         body: Mesh, material, muscles, time step.
-        drive: (num_commands, num_muscles) [-].
-        command_names: One each.
+        drive: Activation of each muscle per unit of each command, (num_commands, num_muscles) [-].
+        command_names: Name of each command, (num_commands,).
         sensors: Nodes whose velocity is sensed, (num_sensors,) int64.
         forward: Unit vector along which it should move, (3,).
-        water: What drags and pushes at it; None: it is in air.
-        obstacles: What it stands on.
-        upright_axis: Which of its axes x, y, z (0-2) must not tip over; None: none must not.
+        water: Drag and thrust of the water around the robot; None: the robot is in air.
+        obstacles: Obstacles that the robot stands on.
+        upright_axis: Axis of the robot, x, y or z (0-2), that must not tip over; None: no axis.
     """
 
     name: str

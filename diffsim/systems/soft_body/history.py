@@ -13,7 +13,7 @@ class History:
     """A hand held the body for long, let go, and it has swung about its sag since.
 
     Attributes:
-        since_s: Since the hand let go [s].
+        since_s: Time since the hand let go [s].
         hand_force: (num_vertices, 3) of the hand [N].
         swing_rate: () angular frequency of the swing [rad/s].
     """
@@ -32,7 +32,7 @@ class History:
 
         Args:
             force: (..., num_vertices, 3) of the solid now [N].
-            weight: (num_vertices, 3) [N].
+            weight: Weight of the solid at each node, (num_vertices, 3) [N].
             tau: (num_branches,) time constants [s].
 
         Returns:

@@ -69,9 +69,9 @@ class _Path:
     """Rigid motion of a support, small: shift of its middle forward and up, rotation about y.
 
     Args:
-        run: With the support's record.
-        scene: Whose fixed nodes are the support.
-        size: (2,) shift, turn.
+        run: Run with the record of the support's motion.
+        scene: Scene whose fixed nodes are the support.
+        size: Shift [m] and turn [rad] of the support, (2,).
 
     Attributes:
         moves: Whether the record shows any motion.

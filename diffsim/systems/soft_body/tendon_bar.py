@@ -25,9 +25,9 @@ class BarShape:
     """Along x, bending in y; SI units.
 
     Attributes:
-        length, depth, width: Along, in the plane of bending, across it [m].
-        density: [kg/m^3].
-        poissons_ratio: [-].
+        length, depth, width: Length along x, depth in the plane of bending and width across it [m].
+        density: Density of the material [kg/m^3].
+        poissons_ratio: Poisson's ratio of the material [-].
         youngs_modulus: That corrections are made for; they hardly depend on it [Pa].
     """
 
@@ -76,10 +76,10 @@ class TendonBar:
     A pair gives the moment of one tendon without compressing the bar.
 
     Args:
-        shape: The bar.
+        shape: Size and material of the bar.
         cells: Elements along, in the plane of bending (even) and across.
-        dt_s, integrator: Of the body.
-        rtol: Of its steps.
+        dt_s, integrator: Time step [s] and integrator of the body.
+        rtol: Relative tolerance of every time step's solution [-].
     """
 
     def __init__(

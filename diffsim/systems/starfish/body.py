@@ -35,7 +35,7 @@ class Quarter:
     """The body on one mesh.
 
     Attributes:
-        body: With one muscle, both half tendons.
+        body: Soft body with one muscle, which stands for both half tendons.
         rail: (num_vertices,) shares of the nodes that the rail holds; they sum to 1.
         rows: (2, n) weights of ``nodes``: marker at the middle of a leg, marker at its tip.
         nodes: (n,) along the leg's edge on the flat side.

@@ -31,10 +31,10 @@ class PullScene:
     """One part of a pull.
 
     Attributes:
-        run: The recording.
-        youngs_modulus: () or (K,) [Pa].
+        run: Recorded part of a pull.
+        youngs_modulus: Young's modulus, () or (K,) [Pa].
         strain: (..., num_samples) engineering strain of the gauge length.
-        laws: What effects do to the stress per Young's modulus, in this order.
+        laws: Functions by which effects change the stress per Young's modulus, in this order.
         offset: (...) [Pa], added to the stress that is read.
     """
 
