@@ -79,7 +79,7 @@ def run(
 
 
 def numbers(device: Device, optimum: Optimum) -> dict[str, float | str]:
-    """What a run found, for tables and files."""
+    """Results of a run, for tables and files."""
     out: dict[str, float | str] = {
         "loss": optimum.loss,
         "loss of best random design": float(optimum.sample_losses.min()),

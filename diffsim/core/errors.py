@@ -24,7 +24,7 @@ class ConvergenceError(DiffsimError):
 
 
 class ConvergenceWarning(UserWarning):
-    """The same, where the caller chose to go on."""
+    """An iterative solve stopped above its tolerance, where the caller chose to go on."""
 
 
 class FactorizationError(DiffsimError):

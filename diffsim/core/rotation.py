@@ -55,7 +55,7 @@ def sinc_terms(angle_squared: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def rotation_offset(rotation_vector: Tensor, r: Tensor) -> Tensor:
-    """How far a rotation moves points, (R - I) r, without cancellation for small angles.
+    """Displacement of points by a rotation, (R - I) r, without cancellation for small angles.
 
     Args:
         rotation_vector: Rotation axis times angle, (3,) [rad].

@@ -82,7 +82,7 @@ class BeamGeometry:
 
     @property
     def mass_kg(self) -> float:
-        """Mass of the free length."""
+        """Mass of the free length [kg]."""
         return self.density_kg_m3 * self.length_m * self.width_m * self.height_m
 
 
@@ -160,7 +160,7 @@ class BeamStudy:
     is_virtual: bool
 
     def repeats(self) -> dict[str, tuple[BeamTrial, ...]]:
-        """Trials by case."""
+        """Recordings by name of the case, repeats together."""
         cases: dict[str, tuple[BeamTrial, ...]] = {}
         for trial in self.trials:
             cases[trial.case] = (*cases.get(trial.case, ()), trial)

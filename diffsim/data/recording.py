@@ -33,7 +33,7 @@ MAX_COORDINATE_M = 100.0
 
 @dataclass(frozen=True)
 class Recording:
-    """Marker places over time.
+    """Positions of markers over time.
 
     Attributes:
         time_s: (T,) strictly increasing [s].

@@ -1,4 +1,4 @@
-"""What a free vibration says by itself: frequency, damping, sag, creep, noise, repeatability.
+"""Analysis of a free vibration: frequency, damping, sag, creep, noise, repeatability.
 
 Nothing here knows of a simulator. Two independent routes to frequency and damping (peaks, and a
 fitted decaying sinusoid) so that each can be held against the other.
@@ -254,7 +254,7 @@ def amplitude_spectrum(time_s: Array, x: Array, *, pad: int = 4) -> tuple[Array,
 
 @dataclass(frozen=True)
 class Level:
-    """Where a record settles.
+    """Level at which a record settles.
 
     Attributes:
         value: Mean over the last ``span_s`` seconds.
@@ -304,11 +304,12 @@ def noise_std(x: Array) -> float:
 
 @dataclass(frozen=True)
 class RepeatFloor:
-    """How far two recordings of the same case are apart: the best any simulation can promise.
+    """Difference of two recordings of the same case: the best that any simulation can promise.
 
     Attributes:
         rms: (num_coordinates,) root mean square of the difference, aligned at release.
-        rms_best: (num_coordinates,) root mean square after the extra shift ``lag_s`` that makes the whole difference least.
+        rms_best: (num_coordinates,) root mean square after the extra shift ``lag_s`` that makes the
+            whole difference least.
         lag_s: That shift: positive if the second recording runs late.
         peak: (num_coordinates,) largest difference, aligned at release.
         difference: (N, num_coordinates) first minus second, aligned at release.

@@ -17,7 +17,7 @@ USES = ("fit", "holdout")
 
 @dataclass(frozen=True)
 class Channel:
-    """One measured quantity.
+    """One measured quantity with its unit and noise.
 
     Attributes:
         name: Column of the run files, unit included, such as "tip_z_m".
@@ -34,7 +34,7 @@ class Channel:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One execution of a command.
+    """One execution of a command, with the samples that were measured.
 
     Attributes:
         name: Name of the run, unique in the study.

@@ -77,7 +77,7 @@ TENNIS_BALL = ColorBounds((25, 60, 70), (50, 255, 255))
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Centers in a video.
+    """Centers of balls over the frames of a video.
 
     Attributes:
         frames: (num_frames,) numbers of the video's frames.
@@ -260,7 +260,7 @@ def _masks(
 
 
 def opencv() -> Any:
-    """The module ``cv2``.
+    """The module ``cv2``, which is an optional dependency.
 
     Raises:
         ImportError: OpenCV is not installed.

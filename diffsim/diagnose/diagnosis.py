@@ -119,7 +119,7 @@ class Checks:
         return any(not g.passed for g in self.gates if g.name in NUMERICS_GATES)
 
     def joined(self, more: Sequence[GateResult]) -> Checks:
-        """With further gates."""
+        """The checks with further gates."""
         return replace(self, gates=(*self.gates, *more))
 
 
@@ -297,7 +297,8 @@ def _trouble(search: Search) -> dict[str, list[str]]:
 
 
 def _force_map(search: Search) -> ForceMap | None:
-    """Of the first unknown force, at the plain model; its slopes were simulated for the search."""
+    """Map of the first unknown force, at the plain model; its slopes were simulated for the
+    search."""
     for u, cause in enumerate(search.unknowns):
         slopes = search.simulations.unknown_slopes.get((NONE, u))
         if isinstance(cause, UnknownForce) and slopes is not None:
@@ -306,7 +307,7 @@ def _force_map(search: Search) -> ForceMap | None:
 
 
 def _key(case: Case) -> str:
-    """Of everything that changes a simulation."""
+    """Hash of everything that changes a simulation."""
     causes = [(e.name, e.kind, e.unit, e.typical, e.components) for e in case.effects]
     generic = [(u.name, type(u).__qualname__) for u in case.unknowns]
     return key_of(case.study, case.model, causes, generic, case.settings.jacobian, __version__)

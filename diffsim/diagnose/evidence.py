@@ -180,7 +180,7 @@ def unrealized(fit: Fit, weighed: Weighed) -> float:
 
 
 def families(effects: Sequence[Effect], unknowns: Sequence[Unknown]) -> int:
-    """How many kinds of causes there are to choose from."""
+    """Number of families that the candidates belong to."""
     return len({e.family for e in effects}) + (1 if unknowns else 0)
 
 

@@ -54,7 +54,7 @@ def silent(stage: str, fraction: float, message: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """What a diagnosis is given.
+    """Study, model, candidates and options of one diagnosis.
 
     Attributes:
         study: Recorded runs with their channels and commands.
@@ -180,7 +180,7 @@ class _Iterate:
 
     @property
     def cost(self) -> float:
-        """chi2 and prior."""
+        """Sum of chi2 and prior, |r|^2 + |x|^2."""
         return float(self.residual @ self.residual + self.at.x @ self.at.x)
 
     @property
@@ -190,7 +190,7 @@ class _Iterate:
         return error < SLOPE_RTOL and error * np.sqrt(self.misfit) < SLOPE_ATOL
 
     def refreshed(self) -> _Iterate:
-        """With slopes simulated here."""
+        """The iterate with slopes simulated here."""
         at = linearization_at(self.problem, self.at.x)
         return replace(self, at=at, jacobian=whitened(self.problem, at.columns))
 

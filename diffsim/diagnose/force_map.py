@@ -1,4 +1,4 @@
-"""Where and when a force is missing: the score of a generic force, over its noise.
+"""Score of a generic force over its noise: where and when a force is missing.
 
 With residual r = W (y - S) of the plain model and slopes G_c of component c (a knot in time, a
 shape, in one command), the score is the gradient
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ForceMap:
-    """Scores of a generic force.
+    """Scores of a generic force by command, place and time.
 
     Attributes:
         name: Name of the generic force.

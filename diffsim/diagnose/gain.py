@@ -1,4 +1,4 @@
-"""What an extension is worth on runs that no fit has seen."""
+"""Gain of an extension on runs that no fit has seen."""
 
 from __future__ import annotations
 

@@ -177,7 +177,7 @@ def numerics_changes(problem: Problem, at: Linearization) -> dict[str, Array]:
 
 
 def numerics_gate(fit: Fit, changes: Mapping[str, Array]) -> list[GateResult]:
-    """How far refining each numerical setting moves the record, in noise units.
+    """Change of the record by refining each numerical setting, in noise units.
 
     lambda^2 = c' (1 + J J')^-1 c with c = W (S(refined) - S): what base parameters leave of it and
     what their priors ask for taking up the rest, so that lambda^2 / 2 are the nats to be had.

@@ -1,4 +1,4 @@
-"""What one diagnosis is given, and a hash of it: equal hashes give equal answers."""
+"""Inputs of one diagnosis, and a hash of them: equal hashes give equal answers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from diffsim.identify.setup import DiagnosisSetup
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """Everything that decides the answer.
+    """Study, setup, seed and settings, which together decide the answer.
 
     Attributes:
         study: Recorded runs with their channels and commands.

@@ -29,7 +29,7 @@ NAMES = ("named", "ambiguous")
 
 @dataclass(frozen=True)
 class Decision:
-    """What the evidence allows to say.
+    """Verdict that the evidence allows, with the sets behind it.
 
     Attributes:
         verdict: "none", "named", "ambiguous" or "unknown"; the gates speak before.
@@ -109,7 +109,7 @@ def _is_kept(nats: Mapping[Hypothesis, float], h: Hypothesis) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Judgment:
-    """What may be said.
+    """Decision after the checks on held-out runs and repeats.
 
     Attributes:
         decision: Decision after all checks.
@@ -182,7 +182,7 @@ def _ready_without(search: Search, rest: Members) -> Search:
 
 
 def decision_of(search: Search, withdrawn: frozenset[int] = frozenset()) -> Decision:
-    """What the evidence says, sets with withdrawn effects left out."""
+    """Decision from the evidence, sets with withdrawn effects left out."""
     weighed = {h: w for h, w in search.weighed.items() if not h.effects & withdrawn}
     null = search.fit_of(frozenset())
     # samples less effectively fitted parameters: tr (J'J) (J'J + 1)^-1

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class NextRun:
-    """Advice.
+    """Advice which run to record next.
 
     Attributes:
         best: Name of the run of the bank that separates the rivals best.

@@ -61,7 +61,7 @@ class ArWhitener:
 
 @dataclass(frozen=True, eq=False)
 class NoiseFloor:
-    """What the sensor cannot know.
+    """Noise of the sensors: the smallest misfit that any model can reach.
 
     Attributes:
         whitener: Transformation that makes residuals white with standard deviation one.

@@ -1,4 +1,4 @@
-"""How far a diagnosis is, shown as a bar."""
+"""Progress of a diagnosis, shown as a bar."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ CORRELATED = 0.8
 
 @dataclass(frozen=True, eq=False)
 class NullFit:
-    """The model without effects.
+    """Fit of the plain model, without effects.
 
     Attributes:
         study: Study without the samples that are spikes.
@@ -57,7 +57,7 @@ class NullFit:
             yield names[rows[k]], names[cols[k]], value
 
     def to_dict(self) -> dict[str, Any]:
-        """In types that JSON has."""
+        """Content of the fit in types that JSON has."""
         channels = [c.name for c in self.study.channels]
         return to_plain(
             {
@@ -81,7 +81,7 @@ def fit_null(inputs: Inputs) -> NullFit:
 
 @dataclass(frozen=True, eq=False)
 class Extension:
-    """A saved model, refitted.
+    """A saved extended model, refitted.
 
     Attributes:
         study: Study that the model was fitted to.
@@ -97,7 +97,7 @@ class Extension:
     verdict: str
 
     def model(self) -> ExtendedModel:
-        """At the refitted values."""
+        """The extended model at the refitted values."""
         return extended_model(self.fit)
 
     def save(self, folder: Path) -> Path:

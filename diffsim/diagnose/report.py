@@ -192,7 +192,7 @@ def sentences(
 
 
 def _scatter(noise: NoiseFloor, gates: Sequence[GateResult]) -> str:
-    """In the channels, else in what was fitted to each run."""
+    """Scatter in the channels, else in what was fitted to each run."""
     if not noise.is_repeatable:
         return f"{np.nanmax(noise.scatter_ratio):.2g} times as much as the sensor noise"
     failed = [g for g in gates if g.name.startswith(REPEATS) and not g.passed]

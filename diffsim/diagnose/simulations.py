@@ -1,4 +1,4 @@
-"""What was simulated for sets of effects, kept between rounds and processes.
+"""Simulations of sets of effects, kept between rounds and processes.
 
 Coordinates are those of the wide problem, with all candidates: base parameters, then components of
 all effects, zero for those not in the set. Nothing here depends on the noise floor but the slopes
@@ -84,7 +84,7 @@ class Simulations:
         return replace(self.wide, effects=tuple(self.wide.effects[i] for i in sorted(members)))
 
     def kept(self, members: Members, at: Linearization) -> Simulations:
-        """With the fit of a set, given in the coordinates of ``narrow``."""
+        """The simulations with the fit of a set, given in the coordinates of ``narrow``."""
         own = self.coordinates(members)
         x = np.zeros(len(self.wide.names))
         x[own] = at.x
@@ -96,7 +96,7 @@ class Simulations:
     def fit(
         self, members: Members, start: Linearization, best_cost: float
     ) -> tuple[Fit, Simulations]:
-        """Fit a set.
+        """Fit a set of effects.
 
         Args:
             members: Effects of the set, by index.
@@ -111,7 +111,7 @@ class Simulations:
         return fit, self.kept(members, at)
 
     def start(self, members: Members, center: Linearization, x: Array) -> Linearization:
-        """Warm start of a set.
+        """Warm start of a set, from fits of its subsets.
 
         An earlier fit of it; the center itself where the set only adds to it; else the optimum
         ``x`` of the linear evidence, with the center's slopes.

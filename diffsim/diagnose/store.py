@@ -1,4 +1,4 @@
-"""What was simulated, on disk: a long diagnosis that was interrupted goes on where it was."""
+"""Simulations on disk: an interrupted diagnosis goes on where it was."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Store:
         self.folder = Path(folder) / key
 
     def save(self, name: str, at: Linearization) -> None:
-        """Write a linearization."""
+        """Write a linearization to the folder."""
         self._write(
             name,
             x=at.x,
@@ -53,7 +53,7 @@ class Store:
         return Linearization(kept["x"], kept["record"], idx, kept["columns"], error)
 
     def save_array(self, name: str, array: Array) -> None:
-        """Write an array."""
+        """Write an array to the folder."""
         self._write(name, array=array)
 
     def load_array(self, name: str) -> Array | None:

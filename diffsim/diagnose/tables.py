@@ -149,7 +149,7 @@ def evidence_for(search: Search, i: int) -> float:
 def hypothesis_rows(
     search: Search | None, effects: Sequence[Effect], unknowns: Sequence[Unknown]
 ) -> tuple[HypothesisRow, ...]:
-    """Everything that was weighed: what was refitted best first, then the rest."""
+    """Rows of all weighed sets: refitted ones best first, then the rest."""
     if search is None:
         return ()
     base = search.nats(Hypothesis())
@@ -171,7 +171,7 @@ def hypothesis_rows(
 def cannot_see(
     effects: Sequence[Effect], screened: Screen, unmet: Mapping[str, str]
 ) -> dict[str, str]:
-    """What these data could not show, and why."""
+    """Effects that these data could not show, and why."""
     out = {name: f"not judged: {why}" for name, why in unmet.items()}
     names = effect_coordinates(effects)
     units = [(e.unit, e.typical) for e in effects for _ in e.components]
@@ -188,7 +188,7 @@ def cannot_see(
 def set_names(
     h: Hypothesis, effects: Sequence[Effect], unknowns: Sequence[Unknown]
 ) -> tuple[str, ...]:
-    """Names of a hypothesis."""
+    """Names of the effects in a hypothesis."""
     names = tuple(effects[i].name for i in sorted(h.effects))
     return names if h.unknown is None else (*names, unknowns[h.unknown].name)
 

@@ -1,4 +1,4 @@
-"""Whether residuals are white: shown in the report, never a gate.
+"""Ljung-Box test of residuals: shown in the report, never a gate.
 
 At 5 % the test rejected 43 % of clean cases of the prototypes: real noise is never quite the model
 of noise, and with many samples any difference is significant.

@@ -17,7 +17,7 @@ Needs = Callable[[Study], "str | None"]
 
 
 def needs_nothing(study: Study) -> str | None:
-    """Every study serves."""
+    """Accept every study."""
     return None
 
 

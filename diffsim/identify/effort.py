@@ -1,4 +1,4 @@
-"""How much a diagnosis computes: options that a system advises and a user may change."""
+"""Effort of a diagnosis: options that a system advises and a user may change."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from diffsim.identify.jacobian import Jacobian
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """Effort of the search.
+    """Effort of the search over sets of effects.
 
     Attributes:
         max_effects: Effects in one set, at most.

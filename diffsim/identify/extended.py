@@ -49,7 +49,7 @@ class ExtendedModel(SimModel):
         sizes: Mapping[Effect, Tensor] | None = None,
         numerics: Numerics | None = None,
     ) -> Tensor:
-        """By the plain model, with its effects."""
+        """Prediction of the plain model with its effects, (num_samples, num_channels)."""
         return self.inner.predict(run, self._inner_q(q), self._sizes(q, sizes), numerics)
 
     def predict_many(
@@ -59,7 +59,7 @@ class ExtendedModel(SimModel):
         sizes: Mapping[Effect, Tensor] | None = None,
         numerics: Numerics | None = None,
     ) -> Tensor:
-        """As many at once as the plain model can."""
+        """Predictions at many points, as many at once as the plain model can."""
         return self.inner.predict_many(run, self._inner_q(q), self._sizes(q, sizes), numerics)
 
     def _inner_q(self, q: Tensor) -> Tensor:
@@ -79,7 +79,7 @@ class ExtendedModel(SimModel):
         return sizes | dict(more or {})
 
     def prepared_at(self, q: Tensor) -> SimModel:
-        """With the plain model prepared at the values of its own parameters at ``q``."""
+        """The model with the plain model prepared at the values of its own parameters at ``q``."""
         return ExtendedModel(self.inner.prepared_at(self._inner_q(q)), self.effects, self.base)
 
 

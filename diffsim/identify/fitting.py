@@ -136,7 +136,7 @@ def fit(
 
 @dataclass(frozen=True, eq=False)
 class _Minimum:
-    """Where a solver ended; fields as of ``Fit``."""
+    """End of a solver; fields as of ``Fit``."""
 
     x: Array
     converged: bool
@@ -180,7 +180,7 @@ def summary(
 
 
 def posterior_covariance(jacobian: Array) -> Array:
-    """(A'A + 1)^-1."""
+    """Posterior covariance (A'A + 1)^-1 of the standardized coordinates."""
     n = jacobian.shape[1]
     return linalg.inv(jacobian.T @ jacobian + np.eye(n)) if n else np.zeros((0, 0))
 
@@ -267,7 +267,7 @@ def _values(problem: Problem, x: Array) -> dict[str, float]:
 
 
 def _scales(problem: Problem, x: Array) -> Array:
-    """d value / d x."""
+    """Derivative of each value by its standardized coordinate."""
     base = [p.value * np.exp(p.sd * q) * p.sd if p.log else p.sd for p, q in _base(problem, x)]
     return np.array([*base, *_effect_scales(problem)])
 

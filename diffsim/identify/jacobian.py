@@ -34,7 +34,7 @@ class Stencil:
 
     @classmethod
     def central(cls, h: float) -> Stencil:
-        """Second order."""
+        """Central difference, of second order."""
         return cls((h, -h), (0.5 / h, -0.5 / h))
 
     @classmethod
@@ -53,7 +53,7 @@ Tangents = Callable[[Mapping[int, Stencil]], "tuple[Array, Array] | None"]
 
 @dataclass(frozen=True, kw_only=True)
 class Jacobian:
-    """How to differentiate a prediction.
+    """Method and step of the derivatives of a prediction.
 
     Attributes:
         method: ``"auto"``: by the model's own tangents where it has them, else as
@@ -81,7 +81,7 @@ class Jacobian:
         smooth: Sequence[bool] | None = None,
         tangents: Tangents | None = None,
     ) -> tuple[Array, Array]:
-        """Prediction and derivatives.
+        """Prediction and its derivatives along all coordinates.
 
         Args:
             many: Coordinates (n,) each -> predictions of equal shape.
@@ -124,7 +124,7 @@ class Jacobian:
 def _differences(
     many: PredictMany, at: Tensor, stencils: Mapping[int, Stencil]
 ) -> tuple[Array, Array]:
-    """Of simulations, all in one call; that at ``at`` serves every coordinate."""
+    """Differences of simulations, all in one call; that at ``at`` serves every coordinate."""
     points = [at]
     for i, stencil in stencils.items():
         for offset in stencil.offsets:

@@ -13,7 +13,7 @@ from diffsim.identify.jacobian import Stencil
 
 @dataclass(frozen=True)
 class Point:
-    """Where a model is simulated.
+    """Values of base parameters and effects at which a model is simulated.
 
     Attributes:
         q: Standardized base parameters, (num_base,).

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number with a prior.
+    """A base parameter with a Gaussian prior.
 
     Fits work in the standardized coordinate q, prior q ~ N(0, 1): the value is value + sd q, or
     value exp(sd q) where ``log``, cut at the bounds.
@@ -77,7 +77,7 @@ class Scene(Protocol):
 
 
 class Tally:
-    """How many simulations were asked for; threads may count at once."""
+    """Number of simulations that were asked for; threads may count at once."""
 
     def __init__(self) -> None:
         self.count, self._lock = 0, Lock()
@@ -198,7 +198,7 @@ class SimModel:
         sizes: Mapping[Effect, Tensor],
         numerics: Numerics | None = None,
     ) -> Tensor:
-        """As ``predict_many`` without numerical effects; models that have a faster way override
+        """Predictions as of ``predict_many``, without numerical effects; faster models override
         this."""
         scenes = [
             self.scene(run, q[k], {e: s[k] for e, s in sizes.items()}, numerics)
@@ -250,7 +250,7 @@ class SimModel:
 def _parted(
     sizes: Mapping[Effect, Tensor] | None,
 ) -> tuple[dict[Effect, Tensor], dict[NumericalEffect, Tensor]]:
-    """What acts in the scene, and what on its prediction."""
+    """Effects of the scene and effects of its prediction, apart."""
     given = sizes or {}
     numerical = {e: s for e, s in given.items() if isinstance(e, NumericalEffect)}
     return {e: s for e, s in given.items() if e not in numerical}, numerical

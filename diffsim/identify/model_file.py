@@ -41,7 +41,7 @@ _ENTRY_KEYS = ("value", "sd", "unit")
 
 @dataclass(frozen=True)
 class SavedModel:
-    """Content of the file.
+    """Content of an ``extended_model.yaml``.
 
     Attributes:
         path: File that the model was read from.

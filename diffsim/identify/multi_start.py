@@ -20,7 +20,7 @@ TURN_BACK = 1e3  # cost of a point that cannot be simulated, over that of the st
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """Random points, best first.
+    """Random start points, best first.
 
     Attributes:
         x: (count, n) standardized coordinates.
@@ -74,7 +74,7 @@ def random_starts(
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Where a descent ended.
+    """Result of a descent from one start.
 
     Attributes:
         x: Best point visited, (n,) standardized.

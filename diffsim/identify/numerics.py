@@ -20,7 +20,7 @@ class Numerics:
     tolerance: float = 1.0
 
     def refined(self, finer: Numerics) -> Numerics:
-        """Both factors together."""
+        """Product of both sets of factors."""
         return Numerics(
             self.time_step * finer.time_step,
             self.mesh * finer.mesh,

@@ -1,4 +1,4 @@
-"""All that a diagnosis is given beside the recorded runs: a record that systems fill."""
+"""Description of a system for the diagnosis: a record that systems fill."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from diffsim.identify.unknown import Unknown
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisSetup:
-    """What ``diagnose`` is given beside the study.
+    """Model, candidate causes and options that ``diagnose`` takes beside the study.
 
     Attributes:
         model: Model of the recorded system, without effects.

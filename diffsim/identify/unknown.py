@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 class Unknown(ABC):
-    """A generic cause.
+    """A generic cause: any smooth force or drift, without a named form.
 
     Attributes:
         name: Name in the report, such as "unknown force".

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 class Sample(NamedTuple):
-    """What an objective returns; a plain ``(value, gradient)`` will do where there are no notes.
+    """Result of an objective; a plain ``(value, gradient)`` will do where there are no notes.
 
     Attributes:
         value: Value to be minimized.
@@ -34,7 +34,7 @@ ValueOnly = Callable[[Array], Sample | tuple[float, Array] | float]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Evaluation:
-    """An objective at a point.
+    """An objective evaluated at one point.
 
     Attributes:
         x: Point at which the objective was evaluated, (n,).
@@ -57,7 +57,7 @@ class Evaluation:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Progress:
-    """What a callback is told after every evaluation.
+    """State of a search after an evaluation, which callbacks receive.
 
     Attributes:
         count: Evaluations so far, this one included.

@@ -28,7 +28,7 @@ from diffsim.optim.result import Result
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MultiStart:
-    """What a search from many starts found.
+    """Result of a search from many starts.
 
     Attributes:
         starts: Evaluations of all starts, in the order in which they were drawn.

@@ -10,7 +10,7 @@ from diffsim.core.errors import DiffsimError
 
 @dataclass(frozen=True)
 class Budget:
-    """How much a search may cost.
+    """Limits on the cost of a search.
 
     Attributes:
         evaluations: Largest number of evaluations of the objective with its gradient, failed ones
@@ -33,7 +33,7 @@ class Budget:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Of scipy's L-BFGS-B, by scipy's names and with its defaults.
+    """Tolerances of scipy's L-BFGS-B, by scipy's names and with its defaults.
 
     Attributes:
         ftol: A search converges when (f_k - f_k+1) / max(abs(f_k), abs(f_k+1), 1) is at most this,
@@ -51,7 +51,7 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class Wall:
-    """What the line search sees where an evaluation fails: a high plateau without slope.
+    """High plateau without slope that the line search sees where an evaluation fails.
 
     A failure is one of ``failures``, or a value or gradient that is not finite. The line search
     interpolates between the last good point and the wall, so that it backs off. The wall must be
@@ -75,13 +75,14 @@ class Wall:
             require_number(name, getattr(self, name), at_least=0.0)
 
     def value(self, first: float, best: float) -> float:
-        """Of the wall, given the first and the least value so far, all in the search's unit."""
+        """Value of the wall, given the first and the least value so far, all in the search's
+        unit."""
         return max(self.height, self.over_first * abs(first), self.over_best * best)
 
 
 @dataclass(frozen=True)
 class Options:
-    """Of a search.
+    """Budget, tolerances and failure wall of a search.
 
     Attributes:
         budget: Largest number of evaluations, iterations and time.

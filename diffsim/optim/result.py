@@ -1,4 +1,4 @@
-"""What a search found, and why it ended."""
+"""Result of a search, and why it ended."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Ended = Literal["converged", "budget", "callback", "failed"]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Result:
-    """What a search found.
+    """Result of a search.
 
     Attributes:
         history: All evaluations in the order in which L-BFGS asked for them.
@@ -40,7 +40,7 @@ class Result:
 
     @property
     def value(self) -> float:
-        """The least value."""
+        """Least value of the objective."""
         return self.best.value
 
     @property
@@ -51,7 +51,7 @@ class Result:
 
     @property
     def num_evaluations(self) -> int:
-        """Of value and gradient, failed ones included."""
+        """Number of evaluations of value and gradient, failed ones included."""
         return len(self.history)
 
     @property

@@ -1,4 +1,4 @@
-"""What may happen to a sampled signal on its way: differentiable, and the identity at size 0.
+"""Changes of a sampled signal on its way: differentiable, and the identity at size 0.
 
 Signals are (num_samples, width) at evenly spaced times; those of held commands may have leading
 axes.

@@ -26,7 +26,7 @@ SEEN = "#e8b800"
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """One row of pictures.
+    """One row of pictures: a title, outlines and centers of the balls.
 
     Attributes:
         title: Title above the row.

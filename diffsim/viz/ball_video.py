@@ -32,7 +32,7 @@ _OUTLINE = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A camera.
+    """A pinhole camera that films the balls.
 
     Attributes:
         project: Places (n, 3) [m] to (n, 2), u to the right and v down [px].

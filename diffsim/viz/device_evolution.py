@@ -1,4 +1,4 @@
-"""How a design changed from the best random one to the optimum (thesis fig. 4-24)."""
+"""Change of a design from the best random one to the optimum (thesis fig. 4-24)."""
 
 from __future__ import annotations
 

@@ -275,7 +275,7 @@ def force_map(components: Sequence[str], groups: Sequence[str], z: Array) -> Fig
 
 
 def next_run_bars(chi2_gain: Mapping[str, float], best: str) -> Figure:
-    """What each run that could be recorded would add to the distance of the rivals.
+    """Expected chi2 that each run would add to the distance of the rivals, as bars.
 
     Args:
         chi2_gain: Expected chi2 between the nearest rivals by name of the run.
@@ -310,7 +310,7 @@ def _residuals(
 
 
 def _rms(left: Array) -> Array:
-    """Of each column; zero where nothing was measured."""
+    """Root mean square of each column; zero where nothing was measured."""
     count = np.maximum(np.isfinite(left).sum(0), 1)
     return np.sqrt(np.nansum(left**2, 0) / count)
 

@@ -39,7 +39,7 @@ CYCLE = ("#0b6e75", "#c2571a", "#7a4fa3", "#b08a00", "#1d2433", "#8a93a3", "#4f8
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """One labeled line.
+    """One labeled line of a figure.
 
     Attributes:
         x, y: (N,) in SI units.

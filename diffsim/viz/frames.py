@@ -34,7 +34,7 @@ def surface_quads(hexes: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[
 
 
 def triangles(quads: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(2 Q, 3) from (Q, 4)."""
+    """Two triangles for each quadrilateral, (2 Q, 3) from (Q, 4)."""
     return quads[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
 
 

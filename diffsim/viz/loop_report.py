@@ -29,7 +29,7 @@ SHORT = {"youngs_modulus": "E [Pa]", "axial_stiffness": "w = EA [N]"}
 
 
 def table_5_2(result: LoopResult) -> list[dict[str, Any]]:
-    """Rows for JSON, SI units."""
+    """Rows of Table 5.2 for JSON, SI units."""
     rows = []
     for it in result.iterations:
         found = it.identified

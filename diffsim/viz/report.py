@@ -79,7 +79,7 @@ class Section:
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """Everything on the page.
+    """Content of a page: title, key figures and sections.
 
     Attributes:
         title, subtitle: What was compared with what.

@@ -49,7 +49,7 @@ class MovingPoints:
 
 @dataclass(frozen=True, kw_only=True)
 class Plot:
-    """One curve over time."""
+    """One curve over time in the rerun viewer."""
 
     path: str
     time_s: Array
@@ -60,7 +60,7 @@ class Plot:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """Everything of one recording; ``note`` is a text that opens beside it."""
+    """Surfaces, points and plots of one recording; ``note`` is a text that opens beside it."""
 
     title: str
     note: str

@@ -1,4 +1,4 @@
-"""What the importers share: metadata, columns of a file, noise of sensors at rest."""
+"""Steps that the importers share: metadata, columns of a file, noise of sensors at rest."""
 
 from __future__ import annotations
 

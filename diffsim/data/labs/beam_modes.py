@@ -32,7 +32,7 @@ class BeamShape:
 
     @property
     def area(self) -> float:
-        """[m^2]."""
+        """Area of the cross-section [m^2]."""
         return self.width * self.depth
 
     @property
@@ -72,7 +72,7 @@ class BeamModes:
 def beam_modes(
     shape: BeamShape, youngs_modulus: float, added_density: float = 0.0, num_modes: int = 12
 ) -> BeamModes:
-    """Modes of the bar.
+    """Compute the lowest bending modes of a clamped bar.
 
     Args:
         youngs_modulus: Young's modulus of the bar [Pa].

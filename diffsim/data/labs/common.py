@@ -1,4 +1,4 @@
-"""What the virtual laboratories share: effects by name, noise, decoys, and the making of a study.
+"""Steps that the virtual laboratories share: effects by name, noise, decoys, making of a study.
 
 Shares no code with the simulators, nor with the effects of the diagnosis.
 """

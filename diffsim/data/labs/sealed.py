@@ -50,7 +50,7 @@ ONE_PLACE = {"weak_rotor", "blocked_branch", "meter_gain", "pressure_offset"}
 
 @dataclass(frozen=True)
 class Blindfold:
-    """What of a study is taken away, so that it cannot tell something.
+    """Part of a study that is taken away, so that it cannot tell certain effects apart.
 
     Attributes:
         blank: Channels that were not recorded.
@@ -144,7 +144,7 @@ BENCHES: dict[str, Bench] = {
 
 
 def draw_label(rng: np.random.Generator, bench: Bench, kinds: Sequence[str] = ()) -> dict[str, Any]:
-    """What a case hides: kind, effects with sizes, decoys, seed, and what is taken away.
+    """Draw the content of a case: kind, effects with sizes, decoys, seed, and what is taken away.
 
     Args:
         rng: Source of every random choice.

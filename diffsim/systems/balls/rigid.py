@@ -33,7 +33,7 @@ class Ball:
 
 @dataclass(frozen=True, eq=False)
 class Laws:
-    """Numbers of the motion.
+    """Parameters of the motion on the table.
 
     Attributes:
         table_friction: Coulomb coefficient while a ball slips [-].

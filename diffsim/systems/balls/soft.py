@@ -163,7 +163,7 @@ class SoftBallScene:
         return self.balls.centers(self.values, int(self.frames.max()) + 1)
 
     def seen(self, motion: Tensor) -> Tensor:
-        """What the camera makes of a motion, (T, 6) [px]."""
+        """Pixels of a motion in the camera, (T, 6) [px]."""
         shown = motion[self.frames]
         places = [shown[:, 0], shown[:, 1], self.corners]
         return torch.cat([projected(self.values, self.rotation, p) for p in places], -1)

@@ -1,4 +1,4 @@
-"""What a static reading of a rotor on a thrust stand is, in closed form.
+"""Static readings of a rotor on a thrust stand, in closed form.
 
     thrust = c w^2,   torque = lambda thrust,   current = a thrust^1.5 / V + current_0,
     speed = 2 K u / (1 + sqrt(1 + 4 L u)),   u = V (duty - duty_0)^b
@@ -41,13 +41,13 @@ def propeller_of(run: Run) -> str:
 
 
 def stand_of(run: Run) -> str:
-    """ "kde" or "small"."""
+    """Name of the stand of a motor, "kde" or "small"."""
     return "kde" if run.name.startswith("kde") else "small"
 
 
 @dataclass(frozen=True, eq=False)
 class BenchScene:
-    """One sweep.
+    """One sweep of a motor with its propeller.
 
     Attributes:
         run: Recorded sweep of one motor with its propeller.
@@ -74,7 +74,7 @@ class BenchScene:
 
     @property
     def duty(self) -> Tensor:
-        """(num_samples,) from 0 to 1."""
+        """Duty cycle of the motor, (num_samples,) from 0 to 1."""
         return (self.command(COMMAND) - 1000.0) / 1000.0
 
     def of(self, quantity: str) -> Tensor:

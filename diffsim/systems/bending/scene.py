@@ -75,7 +75,7 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class BendingScene:
-    """One run.
+    """One run of a bending body.
 
     Attributes:
         values: Base parameters (of this run without "@run") and ``PLAIN``, (K,) each.
@@ -250,7 +250,7 @@ def bending_scene(
     arc: Mapping[str, float],
     step: float = STEP,
 ) -> BendingScene:
-    """The scene of a run.
+    """Make the scene of a run.
 
     Args:
         values: Base parameters, nuisances of runs as "name@run"; they win over the arc's.

@@ -1,4 +1,4 @@
-"""What the linear flow with one viscosity and resting walls leaves out, as loads on that flow.
+"""Loads that stand for what linear flow with one viscosity and resting walls leaves out.
 
 Each term is evaluated on the flow before and applied as a body force, a wall velocity or a moved
 wall; repeated, the flow converges to that of the extended equations. Gradients pass to the flow and

@@ -121,7 +121,7 @@ class ChannelDevice:
     def channels(
         self, flow_sd: float, pressure_sd: float, velocity_sd: float
     ) -> tuple[Channel, ...]:
-        """What a run measures: outlet flows, inlet pressures, then the velocity profile.
+        """Channels that a run measures: outlet flows, inlet pressures, then the velocity profile.
 
         Args:
             flow_sd: Noise of the flow meters [m^2/s].
@@ -191,8 +191,8 @@ class ChannelDevice:
         return width
 
     def throat(self, branch: int, points: Tensor) -> Tensor:
-        """Where something may lodge in an outlet branch, (...) in [0, 1]: 1 over the middle third
-        of its length, falling to 0 over a width on both sides."""
+        """Region of an outlet branch where something may lodge, (...) in [0, 1]: 1 over the middle
+        third of its length, falling to 0 over a width on both sides."""
         opening = self.outlets[branch]
         start, end = self.manifold[1], self.size[0]
         away = (points[..., 0] - 0.5 * (start + end)).abs() - (end - start) / 6.0

@@ -202,8 +202,8 @@ class StokesScene:
 
 
 def device_base(device: ChannelDevice) -> tuple[Parameter, ...]:
-    """What is always imperfectly known of a device: viscosity to 2 %, each meter's and pump's gain
-    to 0.5 %, walls to 0.3 % of the narrowest channel."""
+    """Base parameters that are always uncertain: viscosity to 2 %, each meter's and pump's gain to
+    0.5 %, walls to 0.3 % of the narrowest channel."""
     narrowest = min(o.width for o in (*device.inlets, *device.outlets))
     drives = [Parameter(f"drive_gain_{i + 1}", 1.0, 0.005) for i in range(len(device.inlets))]
     meters = [Parameter(f"flow_gain_{i + 1}", 1.0, 0.005) for i in range(len(device.outlets))]

@@ -89,7 +89,7 @@ class NetworkDevice:
 
     @property
     def taps(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Where pressures are read: at the inlet channel's start and at the tap [m]."""
+        """Places where pressures are read: at the inlet channel's start and at the tap [m]."""
         (x0, y0), (x1, y1) = (self.nodes[n] for n in self.segments[0][1:3])
         return (x0, y0), (x0 + self.tap * (x1 - x0), y0 + self.tap * (y1 - y0))
 

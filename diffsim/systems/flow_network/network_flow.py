@@ -33,7 +33,7 @@ NUM_SECTIONS = 12
 
 
 class NetworkFlow:
-    """A device on a grid.
+    """Stokes flow of a network on a grid.
 
     Args:
         device: Network to be simulated.

@@ -46,7 +46,7 @@ class NetworkScene(NetworkConditions):
 
 
 def network_base(device: NetworkDevice, runs: Sequence[str]) -> tuple[Parameter, ...]:
-    """What is always imperfectly known of a network.
+    """Base parameters that are always uncertain in a network.
 
     Viscosity to 1 %, widths to 0.3 %, what the pump gives in each run to 0.5 %, each meter to
     0.5 %, the zeros of the pressure sensors to 0.2 Pa.

@@ -24,7 +24,7 @@ DEEP = 0.75
 
 
 class Rig:
-    """What depends on device and grid alone; scenes of all runs share it.
+    """Device on its grid; scenes of all runs share it.
 
     Args:
         device: Device to be simulated.
@@ -126,7 +126,7 @@ class Rig:
         return torch.stack([integral(field, "x+", out * mask) for mask in self.outlet_masks], -1)
 
     def tap_pressures(self, field: FlowField) -> Tensor:
-        """(levels, num_inlets) [Pa]."""
+        """Pressure at the inlets' taps, (levels, num_inlets) [Pa]."""
         cells, fit = self._taps
         return fit.at(field.pressure.flatten(1)[:, cells])
 

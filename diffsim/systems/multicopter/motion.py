@@ -11,7 +11,7 @@ from diffsim.copter.fleet import Fleet
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What a cause may depend on, in the middle of every control step.
+    """State in the middle of every control step, which causes may depend on.
 
     Attributes:
         vehicle: Vehicle that flies.

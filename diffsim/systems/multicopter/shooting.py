@@ -66,7 +66,7 @@ def filled(values: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Windows of one run.
+    """Record of one run, cut into windows.
 
     An initial state is that of 12 and, for the first window, the thrusts that were commanded before
     the record starts: a lag or a dead time brings them into it.
@@ -85,7 +85,7 @@ class Windows:
 
     @property
     def spread(self) -> Tensor:
-        """Of the initial states about the guess, (12 + n_rotors,)."""
+        """Spread of the initial states about the guess, (12 + n_rotors,)."""
         rigid = [s for s in _SPREAD for _ in range(3)]
         return self.guess.new_tensor(rigid + [_PAST_SPREAD] * (self.guess.shape[1] - RIGID))
 
@@ -136,7 +136,7 @@ class Windows:
 
 @dataclass(frozen=True, eq=False)
 class Shooting:
-    """How the best initial states of one run follow from all other parameters.
+    """Linear map from all other parameters to the best initial states of one run.
 
     Departures d from the guess minimize |W (measured - predicted(d))|^2 + |d / spread|^2, here by
     Gauss-Newton with the tangents of one model: the prediction is the profile over d. Misfit that

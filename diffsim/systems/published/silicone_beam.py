@@ -188,7 +188,7 @@ def _smooth(run: Run, values: np.ndarray) -> np.ndarray:
 
 
 def _smooth_force(until_s: float) -> UnknownForce:
-    """In the plane of the bar: knots in time, even and growing along it; nothing sideways."""
+    """Force in the plane of the bar: knots in time, even and growing along it; nothing sideways."""
     count = max(4, round(KNOTS_PER_S * until_s) + 1)
     knots = np.linspace(0.0, until_s, count)
     in_time = smooth_covariance(knots, 2.0 * until_s / (count - 1))

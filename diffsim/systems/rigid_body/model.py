@@ -99,7 +99,7 @@ class Tosses:
         )
 
     def only(self, index: int) -> Tosses:
-        """One of them."""
+        """A copy with one of the tosses."""
         return Tosses(*(getattr(self, f.name)[index : index + 1] for f in fields(self)))
 
     def fly(
@@ -209,7 +209,7 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class TossScene:
-    """One toss.
+    """One toss of the cube.
 
     Attributes:
         run: Recorded toss.

@@ -14,7 +14,8 @@ from diffsim.contact import Obstacle
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SoftRobot:
-    """Everything that examples and environments need of one robot.
+    """A soft robot with its body, drive, sensors and surroundings, as examples and environments use
+    it.
 
     Commands lie in [-1, 1]; the activation of the muscles (target stretches) is
     ``rest_activation + command @ drive``, so antagonists are rows with entries of both signs.
@@ -60,7 +61,7 @@ class SoftRobot:
     def force(
         self, state: soft.State, *, water_velocity: Tensor | None = None, gain: Tensor | None = None
     ) -> Tensor | None:
-        """Of the water at a state, shape of x [N]; None in air.
+        """Force of the water at a state, shape of x [N]; None in air.
 
         Args:
             state: x, v (..., num_vertices, 3).
@@ -129,5 +130,5 @@ def fibers(where: Tensor, direction: Tensor | Sequence[float], stiffness: float)
 
 
 def element_centers(shape: mesh.HexMesh) -> Tensor:
-    """(num_elements, 3) [m]."""
+    """Centers of the elements, (num_elements, 3) [m]."""
     return shape.x_rest[shape.hexes].mean(1)

@@ -83,7 +83,7 @@ def cow(
     num_sensors: int = 12,
     rtol: float = 1e-4,
 ) -> SoftRobot:
-    """As ``quadruped``, with a head too large for it: it tends to fall on its face."""
+    """A ``quadruped`` with a head too large for it: it tends to fall on its face."""
     if coarse:
         inside, legs = _table((8, 5, 2), (2, 2, 3), front=2, above=1)
         inside[-4:, :, -3:] = True

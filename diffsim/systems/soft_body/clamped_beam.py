@@ -26,7 +26,7 @@ WEIGHT_AS = ("force", "mass")
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """How a release is simulated, apart from what is identified.
+    """Options of the simulated release, apart from what is identified.
 
     Attributes:
         cells: Elements along, across and up the bar.
@@ -55,7 +55,7 @@ class Setup:
 
 @dataclass(frozen=True)
 class Release:
-    """A simulated release.
+    """A simulated release of the bar.
 
     Attributes:
         time_s: Times of the samples after the release, (N,) [s].

@@ -1,4 +1,4 @@
-"""What a body went through before its simulation begins, as far as its memory of loads needs it."""
+"""Loads that a body went through before its simulation begins, for models with memory."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class History:
     swing_rate: Tensor
 
     def memory(self, force: Tensor, weight: Tensor, tau: Tensor) -> Tensor:
-        """What Maxwell branches remember when the simulation begins.
+        """State of the Maxwell branches when the simulation begins.
 
         Held: minus weight and hand. Since then the mean has been minus the weight, and of the swing
         about it a branch follows the share 1 / (1 + (w tau)^2) that is in phase. That the mean

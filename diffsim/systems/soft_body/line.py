@@ -30,7 +30,7 @@ class OwnedScene:
     owners: tuple[Effect | None, ...]
 
     def makers(self) -> dict[Key, Callable[[], Force]]:
-        """Of the forces, by owner and place among the owner's."""
+        """Functions that make the forces, by owner and place among the owner's."""
         count: Counter[Effect | None] = Counter()
         out = {}
         for owner, make in zip(self.owners, self.scene.forces, strict=True):
@@ -93,7 +93,7 @@ class LinePoints:
 
 
 def same_surroundings(a: SoftScene, b: SoftScene, reads: tuple[str, ...] | None) -> bool:
-    """Whether forces that read the scenes find the same there.
+    """Whether two scenes are equal in all that forces read from them.
 
     Args:
         a, b: Scenes of one body.

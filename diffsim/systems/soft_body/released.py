@@ -52,7 +52,7 @@ HAND = (
 
 @dataclass(frozen=True)
 class TipChannels:
-    """What the channels of a study show of the tip's face, all linear in its nodes.
+    """Channels that show the tip's face, all linear in its nodes.
 
     Attributes:
         weights: (num_channels, num_face_nodes) of the places along the channel's axis.

@@ -28,7 +28,7 @@ OutputMap = Callable[[Tensor, Tensor], Tensor]
 
 @dataclass(frozen=True)
 class Moment:
-    """What a force may depend on.
+    """State of one time step, which a force may depend on.
 
     Attributes:
         x, v: Positions [m] and velocities [m/s] of the nodes, (num_vertices, 3).
@@ -155,7 +155,7 @@ class SoftScene:
         return self.changed(output_maps=(*self.output_maps, change))
 
     def solid_force(self) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
-        """What the solid does without fibers, as a function of x (..., num_vertices, 3) [m].
+        """Force of the solid without fibers, as a function of x (..., num_vertices, 3) [m].
 
         It returns the elastic force, shape of x [N], and the mean square strain (...) [-]: that of
         a bar with the same energy, 2 U / (E V), whatever E.
@@ -173,7 +173,7 @@ class SoftScene:
         return self.channels(self.motion(self.num_steps()))
 
     def motion(self, num_steps: int) -> Tensor:
-        """What is observed at every step, (num_steps + 1, ...)."""
+        """Observed channels at every step, (num_steps + 1, ...)."""
         activations = self.activations(num_steps)
         physics = self.body.physics(**self.parameters)
         return soft.rollout(
@@ -192,7 +192,7 @@ class SoftScene:
         return max(5, math.ceil(float(self._times().detach().max()) / self.body.dt - 1e-9) + 2)
 
     def channels(self, observed: Tensor) -> Tensor:
-        """What the record shows of (num_steps + 1, num_channels), observed at every step."""
+        """Recorded channels from (num_steps + 1, num_channels), observed at every step."""
         channels = sample(observed, self.body.dt, self._times())
         for change in self.output_maps:
             channels = change(channels, self.sample_times)
@@ -202,7 +202,7 @@ class SoftScene:
         return (self.sample_times - self.clock_offset) * self.time_scale
 
     def initial_state(self, activation: Tensor | None, physics: soft.Physics) -> soft.State:
-        """How the body starts, under the first activation."""
+        """State in which the body starts, under the first activation."""
         state = self.body.rest_state()
         if self.start == "equilibrium":
             state = self._equilibrium(activation, physics)

@@ -51,7 +51,7 @@ def _shown(observed: Tensor, tangent: Tensor, offset: float, scene: SoftScene) -
 
 
 def motion_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor, list[Tensor]]:
-    """What a scene observes at every step, and its tangent along each line."""
+    """Observed channels of a scene at every step, and their tangent along each line."""
     motion = _Motion(base, lines)
     observed, tangent = motion.observed()
     still = torch.zeros_like(observed)

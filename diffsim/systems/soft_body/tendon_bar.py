@@ -48,7 +48,7 @@ class BarShape:
         return moment * self.length**2 / (2.0 * self.youngs_modulus * self.inertia)
 
     def first_frequency(self) -> float:
-        """Of Timoshenko's cantilever [rad/s].
+        """First angular frequency of Timoshenko's cantilever [rad/s].
 
         Place, slope, moment and shear are carried along by an exponential; shear correction
         10 (1 + nu) / (12 + 11 nu) (Cowper 1966).
@@ -184,7 +184,8 @@ class TendonBar:
         return float(self.mesh_frequency() ** 2 / needed**2)
 
     def mesh_frequency(self) -> float:
-        """Of the first mode of the mesh, Young's modulus corrected [rad/s], by power iteration."""
+        """Angular frequency of the mesh's first mode, Young's modulus corrected [rad/s], by power
+        iteration."""
         shape = self.shape
         mass = shape.density * self.body.nodal_volume[:, None]
         young = torch.tensor(shape.youngs_modulus * self.softness, dtype=torch.float64)

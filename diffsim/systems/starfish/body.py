@@ -32,7 +32,7 @@ MIDDLE, TIP = 0.0381, 0.0666  # places of the markers, mean of the upper and the
 
 @dataclass(frozen=True, eq=False)
 class Quarter:
-    """The body on one mesh.
+    """A quarter of the starfish on one mesh.
 
     Attributes:
         body: Soft body with one muscle, which stands for both half tendons.
@@ -130,7 +130,7 @@ def quarter(
 
 
 def bending_softness(made: Quarter) -> float:
-    """How far small loads bend the legs on this mesh, over what the finest meshes tend to [-].
+    """Deflection of the legs under small loads on this mesh, over the limit of fine meshes [-].
 
     Few cells bend too little (locking). The model's Young's modulus is multiplied by this, so that
     it means the same on every mesh.

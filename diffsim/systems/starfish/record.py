@@ -26,7 +26,7 @@ def modes(
     channels: Sequence[str] = MODES,
     sd_m: float | None = None,
 ) -> Study:
-    """What the four markers do alike, in windows of the runs: the symmetric part of the motion.
+    """Symmetric part of the four markers' motion, in windows of the runs.
 
     Upper and lower leg are averaged, so that pitch of the robot and tilt of the camera drop out:
     ``leg_x_m`` and ``leg_z_m``, tips (m1, m4) against the middles of the legs (m2, m3), outwards

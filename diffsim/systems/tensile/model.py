@@ -28,7 +28,7 @@ def material_of(run: Run) -> str:
 
 @dataclass(frozen=True, eq=False)
 class PullScene:
-    """One part of a pull.
+    """One part of a pull test.
 
     Attributes:
         run: Recorded part of a pull.
@@ -55,7 +55,7 @@ class PullScene:
 
     @property
     def invariant(self) -> Tensor:
-        """I_1 - 3 = l^2 + 2/l - 3."""
+        """First invariant of the stretch, less 3: I_1 - 3 = l^2 + 2/l - 3."""
         return self.stretch**2 + 2.0 / self.stretch - 3.0
 
     def simulate(self) -> Tensor:
