@@ -9,8 +9,6 @@ from collections.abc import Iterable, Sequence
 import torch
 from torch import Tensor
 
-_DIMS = dict[str, int]
-
 
 def require(
     name: str,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.files import replacing
 from diffsim.viz._require import optional
 
 Array = NDArray[np.float64]
@@ -95,11 +94,7 @@ def write_recording(path: str | Path, title: str, log: Callable[[Any, Any], None
         ImportError: rerun-sdk is not installed.
     """
     rr = optional("rerun", purpose="an .rrd recording")
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".rrd.tmp")
-    os.close(handle)
-    try:
+    with replacing(path, ".rrd.tmp") as temporary:
         stream = rr.RecordingStream(f"diffsim {title}")
         stream.save(temporary)
         stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -107,12 +102,7 @@ def write_recording(path: str | Path, title: str, log: Callable[[Any, Any], None
         stream.flush()
         stream.disconnect()
         del stream
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-    return path
+    return Path(path)
 
 
 def rgb(color: str) -> list[int]:

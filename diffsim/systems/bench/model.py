@@ -25,7 +25,6 @@ from diffsim.identify import Parameter
 from diffsim.identify.model import Numerics, SimModel
 
 Change = Callable[["BenchScene", Tensor], Tensor]
-QUANTITIES = ("voltage", "thrust", "torque", "speed", "current")
 LEAST_DUTY = 1e-3
 
 
