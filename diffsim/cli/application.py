@@ -35,10 +35,11 @@ def main(
     """Optimize an application, print and keep its numbers, draw it, record it.
 
     Args:
-        build: Makes the application.
+        build: Function that makes the application.
         doc: The script's docstring, for ``--help``.
-        rtol: Of a step.
-        max_evaluations: Of loss and gradient; ``--quick`` takes 8 at most.
+        rtol: Relative tolerance of a time step's solution [-].
+        max_evaluations: Largest number of evaluations of loss and gradient; ``--quick`` takes no
+            more than 8.
         view: Elevation and azimuth of the picture [degrees].
         argv: Arguments; None: the process's.
 

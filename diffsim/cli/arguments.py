@@ -8,7 +8,7 @@ DIAGNOSES = "runs/diagnose"  # folder of the results, one folder per study
 
 
 def positive(text: str) -> int:
-    """A whole number from 1."""
+    """Parse a whole number from 1."""
     value = int(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f"must be 1 or more, got {value}")

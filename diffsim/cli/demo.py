@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def command(args: argparse.Namespace) -> None:
-    """Run the story.
+    """Run the story of the demo.
 
     Raises:
         ValueError: ``--data`` is no folder.

@@ -28,14 +28,15 @@ def run(
     """Optimize a device; print the numbers, write them and a picture.
 
     Args:
-        device: The device.
+        device: Device to be optimized.
         out: Folder for ``progress.jsonl`` (an interrupted run goes on from it), ``result.json``,
             ``flow.png``, ``shapes.png``; None writes nothing.
         coarse: The same device on a coarser grid, on which designs are drawn and first improved.
         num_samples: Random designs; the thesis's number if None.
-        seed: Of the samples.
-        max_evaluations: Of loss and gradient.
-        max_coarse_evaluations, num_starts, num_checked: Of ``coarse_to_fine``.
+        seed: Seed of the random designs.
+        max_evaluations: Largest number of evaluations of loss and gradient.
+        max_coarse_evaluations, num_starts, num_checked: Options of ``coarse_to_fine`` of the same
+            names.
         with_export: Write the files of ``export`` into the folder, too.
         size: Longest side of the exported solid's box [m].
     """
@@ -78,7 +79,7 @@ def run(
 
 
 def numbers(device: Device, optimum: Optimum) -> dict[str, float | str]:
-    """What a run found, for tables and files."""
+    """Results of a run, for tables and files."""
     out: dict[str, float | str] = {
         "loss": optimum.loss,
         "loss of best random design": float(optimum.sample_losses.min()),

@@ -76,7 +76,7 @@ def command(args: argparse.Namespace) -> None:
 
 
 def _conflict(args: argparse.Namespace) -> str:
-    """What is wrong with the options taken together; empty: nothing."""
+    """Message about options that exclude each other; empty: none."""
     if args.export and not args.out:
         return "--export needs --out, the folder to write to"
     if args.no_slip and args.name != "twister":

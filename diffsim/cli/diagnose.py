@@ -18,7 +18,7 @@ STEPS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser, common: argparse.ArgumentParser) -> None:
-    """A subcommand per step."""
+    """Add a subcommand per step of the diagnosis."""
     steps = parser.add_subparsers(dest="step", required=True, metavar="STEP")
     made = {
         name: steps.add_parser(name, parents=[common], help=what, description=what)
@@ -73,7 +73,7 @@ def _choosing(step: argparse.ArgumentParser) -> None:
 
 
 def command(args: argparse.Namespace) -> None:
-    """Run one step.
+    """Run one step of the diagnosis.
 
     Raises:
         FileNotFoundError: no such study.

@@ -1,4 +1,4 @@
-"""What a diagnosis from the command line is given: study, setup, chosen causes; and their hash."""
+"""Inputs of a diagnosis from the command line: study, setup, chosen causes; and their hash."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ def choose(
     """Effects by name, in their own order.
 
     Args:
-        effects: To choose from.
-        only: All if empty.
-        without: Left out.
+        effects: Effects to choose from.
+        only: Names of the effects to keep; empty: all.
+        without: Names of the effects to leave out.
 
     Raises:
         ValueError: no such name; the message offers the closest ones.
@@ -65,7 +65,7 @@ def choose(
 
 
 def own_setup(path: Path, study: Study) -> DiagnosisSetup:
-    """What ``setup(study)`` of a Python file makes.
+    """Setup that ``setup(study)`` of a Python file makes.
 
     Raises:
         FileNotFoundError: no such file.

@@ -15,7 +15,7 @@ HELP = "versions, processor, data folder"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """It has none."""
+    """Take no arguments."""
 
 
 def command(_args: argparse.Namespace) -> None:

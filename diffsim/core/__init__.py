@@ -1,4 +1,4 @@
-"""What every room stands on: errors, argument checks, atomic files, rotations, compiled core."""
+"""Basis of all rooms: errors, argument checks, atomic files, rotations, compiled core."""
 
 from diffsim.core.errors import (
     ConvergenceError,

@@ -9,8 +9,6 @@ from collections.abc import Iterable, Sequence
 import torch
 from torch import Tensor
 
-_DIMS = dict[str, int]
-
 
 def require(
     name: str,
@@ -24,9 +22,9 @@ def require(
 
     Args:
         name: The argument's name, for the message.
-        value: The tensor.
+        value: Tensor to be checked.
         shape: Expected shape; strings stand for any size, a leading ``"..."`` for any batch axes.
-        dtype: Expected dtype.
+        dtype: Dtype that the tensor must have.
         finite: Refuse NaN and infinity (not while ``torch.compile`` traces, without values).
 
     Returns:

@@ -13,7 +13,7 @@ class ConvergenceError(DiffsimError):
     Attributes:
         residual_norm: Norm of the last residual, in the unit of the solve (N for a step).
         tolerance: The norm that was asked for, same unit.
-        num_iters: Iterations done.
+        num_iters: Number of iterations done.
     """
 
     def __init__(self, message: str, *, residual_norm: float, tolerance: float, num_iters: int):
@@ -24,7 +24,7 @@ class ConvergenceError(DiffsimError):
 
 
 class ConvergenceWarning(UserWarning):
-    """The same, where the caller chose to go on."""
+    """An iterative solve stopped above its tolerance, where the caller chose to go on."""
 
 
 class FactorizationError(DiffsimError):
@@ -32,7 +32,7 @@ class FactorizationError(DiffsimError):
 
     Attributes:
         pivot: Index of the unknown whose pivot failed.
-        value: The pivot found.
+        value: Pivot that is not positive.
     """
 
     def __init__(self, message: str, *, pivot: int, value: float):
@@ -45,7 +45,7 @@ class InvertedElementError(DiffsimError):
     """Elements are turned inside out where the material's energy is infinite.
 
     Attributes:
-        num_inverted: How many.
+        num_inverted: Number of inverted elements.
     """
 
     def __init__(self, message: str, *, num_inverted: int):

@@ -127,9 +127,9 @@ class Expression:
     """A parsed formula; call it with values by name.
 
     Attributes:
-        text: As it was written.
+        text: The formula as it was written.
         names: Quantities that it needs, in order of appearance.
-        root: Its tree.
+        root: Root of the syntax tree.
     """
 
     text: str
@@ -158,7 +158,7 @@ def parse_expression(text: str | float, known: Iterable[str] | None = None) -> E
 
     Args:
         text: Such as ``"k * x + c * tanh(v / 0.01)"``; a plain number is a constant formula.
-        known: Names that may stand in it; any if None.
+        known: Names that the formula may use; None: any name.
 
     Returns:
         The formula.

@@ -13,9 +13,9 @@ def offered(
     """``__getattr__`` and ``__dir__`` of a package whose parts are imported on first use.
 
     Args:
-        package: Its full name.
-        where: By offered name, the full name of the module that defines it; the offered module
-            itself where the two end alike.
+        package: Full name of the package, such as "diffsim.soft".
+        where: Full name of the defining module by offered name; where the two end alike, the module
+            itself is offered.
 
     Returns:
         The two functions, to be bound at the package's top level.

@@ -1,4 +1,4 @@
-"""Where the measured data lies: ``DIFFSIM_DATA``, else a folder in or beside the project."""
+"""Folder of the measured data: ``DIFFSIM_DATA``, else a folder in or beside the project."""
 
 import os
 from pathlib import Path

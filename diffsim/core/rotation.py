@@ -18,7 +18,7 @@ def skew(v: Tensor) -> Tensor:
     """Matrix [v] of the cross product, [v] w = v x w.
 
     Args:
-        v: (..., 3).
+        v: Vectors, (..., 3) in any unit.
 
     Returns:
         (..., 3, 3).
@@ -36,7 +36,7 @@ def sinc_terms(angle_squared: Tensor) -> tuple[Tensor, Tensor]:
     """sin(a) / a and (1 - cos(a)) / a^2 as smooth functions of a^2.
 
     Args:
-        angle_squared: a^2, any shape [rad^2].
+        angle_squared: Square of the rotation angle a, of any shape [rad^2].
 
     Returns:
         Both, same shape.
@@ -55,10 +55,10 @@ def sinc_terms(angle_squared: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def rotation_offset(rotation_vector: Tensor, r: Tensor) -> Tensor:
-    """How far a rotation moves points, (R - I) r, without cancellation for small angles.
+    """Displacement of points by a rotation, (R - I) r, without cancellation for small angles.
 
     Args:
-        rotation_vector: (3,) [rad].
+        rotation_vector: Rotation axis times angle, (3,) [rad].
         r: Points relative to a point on the axis, (..., 3).
 
     Returns:
@@ -74,7 +74,7 @@ def matrix_from_rotation_vector(rotation_vector: Tensor) -> Tensor:
     """R = I + sin(a)/a K + (1 - cos a)/a^2 K K (Rodrigues), smooth through zero.
 
     Args:
-        rotation_vector: (3,) [rad].
+        rotation_vector: Rotation axis times angle, (3,) [rad].
 
     Returns:
         (3, 3).
@@ -90,7 +90,7 @@ def quaternion_from_rotation_vector(rotation_vector: Tensor) -> Tensor:
     """Unit quaternion of a rotation vector.
 
     Args:
-        rotation_vector: (..., 3) [rad].
+        rotation_vector: Rotation axis times angle, (..., 3) [rad].
 
     Returns:
         (w, x, y, z), (..., 4).
@@ -103,7 +103,7 @@ def quaternion_from_rpy(rpy: Tensor) -> Tensor:
     """Unit quaternion of roll, pitch and yaw.
 
     Args:
-        rpy: (..., 3) [rad].
+        rpy: Roll, pitch and yaw, (..., 3) [rad].
 
     Returns:
         (w, x, y, z), (..., 4).
@@ -179,7 +179,7 @@ def matrix_from_rpy(rpy: Tensor) -> Tensor:
     """Rotation matrix of roll, pitch and yaw.
 
     Args:
-        rpy: (..., 3) [rad].
+        rpy: Roll, pitch and yaw, (..., 3) [rad].
 
     Returns:
         (..., 3, 3).
@@ -197,7 +197,7 @@ def rpy_from_matrix(rotation: Tensor) -> Tensor:
     """Roll, pitch, yaw; pitch in [-pi/2, pi/2], where its ends leave roll and yaw undefined.
 
     Args:
-        rotation: (..., 3, 3).
+        rotation: Rotation matrices, (..., 3, 3).
 
     Returns:
         (..., 3) [rad].
@@ -217,7 +217,7 @@ def body_rates_matrix(rpy: Tensor) -> Tensor:
     """E of omega = E(rpy) rpy': angular velocity in the body frame of rates of roll, pitch, yaw.
 
     Args:
-        rpy: (..., 3) [rad].
+        rpy: Roll, pitch and yaw, (..., 3) [rad].
 
     Returns:
         (..., 3, 3).
@@ -236,8 +236,8 @@ def body_rates_from_rpy_rates(rpy: Tensor, rpy_rates: Tensor) -> Tensor:
     """Angular velocity in the body frame, omega = E(rpy) rpy'.
 
     Args:
-        rpy: (..., 3) [rad].
-        rpy_rates: (..., 3) [rad/s].
+        rpy: Roll, pitch and yaw, (..., 3) [rad].
+        rpy_rates: Rates of roll, pitch and yaw, (..., 3) [rad/s].
 
     Returns:
         (..., 3) [rad/s].
@@ -259,8 +259,8 @@ def rpy_rates_from_body_rates(rpy: Tensor, body_rates: Tensor) -> Tensor:
     """Rates of roll, pitch and yaw; infinite at pitch +-pi/2.
 
     Args:
-        rpy: (..., 3) [rad].
-        body_rates: (..., 3) [rad/s].
+        rpy: Roll, pitch and yaw, (..., 3) [rad].
+        body_rates: Angular velocity in the body frame, (..., 3) [rad/s].
 
     Returns:
         (..., 3) [rad/s].
@@ -282,7 +282,7 @@ def roll_pitch_of_thrust(thrust: Tensor) -> Tensor:
     """Roll and pitch at which a thrust points straight up, -z of a north-east-down world.
 
     Args:
-        thrust: In the body frame, (..., 3) [N].
+        thrust: Thrust in the body frame, (..., 3) [N].
 
     Returns:
         (..., 2) [rad].

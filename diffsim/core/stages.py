@@ -21,7 +21,7 @@ class Stages:
 
     Args:
         folder: Results are kept in ``folder/stages``.
-        settings: What all stages depend on (data checksum, version, options).
+        settings: Settings that all stages depend on, such as data checksum, version and options.
         resume: Read finished stages back; otherwise compute everything anew.
     """
 
@@ -41,10 +41,10 @@ class Stages:
         """The result of a stage: read back if it is finished, else computed and kept.
 
         Args:
-            name: Of the file.
-            compute: Makes the result.
+            name: Name of the stage and of its file.
+            compute: Function that computes the result.
             valid: Whether a kept result can still be used (files it names exist, say).
-            **inputs: What this stage depends on beyond the settings and the stages before.
+            **inputs: Inputs that this stage depends on beyond the settings and the stages before.
         """
         path = self.folder / f"{name}.json"
         self._key = _digest({"before": self._key, "name": name, "inputs": inputs})

@@ -37,8 +37,8 @@ def ball_video_study(
         video: File that OpenCV can read.
         corners: CSV with columns u_px, v_px, x_m, y_m, z_m: at least six points, clicked in the
             first picture, not all in one plane.
-        diameter_m, mass_kg: Of both balls.
-        color: Of their pixels.
+        diameter_m, mass_kg: Diameter [m] and mass [kg] of each of the two equal balls.
+        color: Color range that marks a pixel as belonging to a ball.
         first, last: Frames to read; in the first, one ball rests and the other comes.
         held_out: Share of the frames, the last ones, that judge and are not fitted.
 

@@ -82,7 +82,7 @@ class BeamGeometry:
 
     @property
     def mass_kg(self) -> float:
-        """Mass of the free length."""
+        """Mass of the free length [kg]."""
         return self.density_kg_m3 * self.length_m * self.width_m * self.height_m
 
 
@@ -94,14 +94,16 @@ class BeamTrial:
         name: File stem, such as ``load52_a``.
         case: Recordings of equal case are repeats of each other.
         tip_load_N: Weight hanging from the tip.
-        tip_load_mass_kg: Its mass.
-        recording: As in the file (laboratory axes).
-        rot_model_from_data: (3, 3).
-        release_frame: From the metadata: first frame clearly on the way down.
-        release_frame_detected: From ``detect_release``; within 2 frames of it.
+        tip_load_mass_kg: Mass hung from the tip until the release [kg].
+        recording: Marker positions as the file has them, in the axes of the laboratory [m].
+        rot_model_from_data: Rotation from the axes of the laboratory to those of the model, (3, 3).
+        release_frame: First frame in which the tip is clearly on the way down, as stated in the
+            metadata.
+        release_frame_detected: The release that ``detect_release`` finds in the data; within 2
+            frames of ``release_frame``.
         release_s: Time of release between frames, on the recording's clock [s].
         time_s: (T,) since release [s], without the first 0.15 s of the recording.
-        markers: Tip markers used.
+        markers: Names of the markers at the tip that are compared with the simulation.
         marker_displacement_m: (T, num_markers, 3) from the held state.
         clamp_displacement_m: (T, 3) mean over the clamp's markers; NaN if it has none.
         support_displacement_m: (T, 3) of the point between the clamp's first two markers, nominally
@@ -144,10 +146,10 @@ class BeamStudy:
     """All recordings of one beam.
 
     Attributes:
-        trials: In the order of the metadata.
-        geometry: The bar.
-        folder: Where it was read from.
-        metadata: The whole YAML.
+        trials: Recordings, in the order of the metadata.
+        geometry: Length, width, height and clamp of the bar.
+        folder: Folder that the study was read from.
+        metadata: Everything that ``metadata.yaml`` holds.
         is_virtual: Made by a bundled virtual laboratory, not measured.
     """
 
@@ -158,7 +160,7 @@ class BeamStudy:
     is_virtual: bool
 
     def repeats(self) -> dict[str, tuple[BeamTrial, ...]]:
-        """Trials by case."""
+        """Recordings by name of the case, repeats together."""
         cases: dict[str, tuple[BeamTrial, ...]] = {}
         for trial in self.trials:
             cases[trial.case] = (*cases.get(trial.case, ()), trial)
@@ -205,7 +207,7 @@ def detect_release(time_s: Array, displacement_m: Array) -> tuple[int, float]:
     """Release from the data alone.
 
     Args:
-        time_s: (T,) [s].
+        time_s: Times of the samples, (T,) [s].
         displacement_m: (T, 3) of the tip from its held state.
 
     Returns:

@@ -1,4 +1,4 @@
-"""What the recordings say, before any simulation: the numbers every simulation is held against."""
+"""Numbers from the recordings alone that every simulation is compared with."""
 
 from __future__ import annotations
 

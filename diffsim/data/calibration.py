@@ -16,7 +16,7 @@ def calibrate(places_m: Array, pixels: Array, size_px: tuple[int, int]) -> dict[
 
     Args:
         places_m: (n, 3) not all in one plane, n >= 6 [m].
-        pixels: (n, 2) [px].
+        pixels: Places of the same points in the picture, (n, 2) [px].
         size_px: Width and height of the picture.
 
     Returns:

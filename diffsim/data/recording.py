@@ -33,7 +33,7 @@ MAX_COORDINATE_M = 100.0
 
 @dataclass(frozen=True)
 class Recording:
-    """Marker places over time.
+    """Positions of markers over time.
 
     Attributes:
         time_s: (T,) strictly increasing [s].
@@ -110,8 +110,8 @@ def load_csv(
     Args:
         path: CSV file in the tidy format (see the module's docstring).
         markers: Markers that must be there, in this order; by default all that the file has.
-        metadata: Stored with the recording.
-        min_frames: Shortest recording accepted.
+        metadata: Facts about the recording, stored with it.
+        min_frames: Smallest number of frames that is accepted.
 
     Raises:
         FileNotFoundError: no such file; the message lists the CSV files beside it.

@@ -1,4 +1,4 @@
-"""What a free vibration says by itself: frequency, damping, sag, creep, noise, repeatability.
+"""Analysis of a free vibration: frequency, damping, sag, creep, noise, repeatability.
 
 Nothing here knows of a simulator. Two independent routes to frequency and damping (peaks, and a
 fitted decaying sinusoid) so that each can be held against the other.
@@ -27,16 +27,16 @@ class Decay:
     """A fitted x(s) = offset + drift d(s) + exp(-sigma s) (a cos ws + b sin ws), s = t - t[0].
 
     Attributes:
-        frequency_Hz: w / (2 pi), damped.
+        frequency_Hz: Damped frequency w / (2 pi) [Hz].
         damping_ratio: sigma / sqrt(sigma^2 + w^2).
-        amplitude: Of the oscillation at s = 0, unit of x.
+        amplitude: Amplitude of the oscillation at s = 0 [unit of x].
         phase: atan2(-b, a): x ~ amplitude cos(ws + phase) [rad].
         offset: The level at the end of the record towards which the oscillation settles.
         drift: Change of that level over the record (creep); 0 if not fitted.
         rms: Root mean square of what the fit leaves, unit of x.
         frequency_std_Hz, damping_ratio_std: One standard deviation, taking what is left as white
             noise; an underestimate where the model itself is wrong.
-        num_samples: Samples used.
+        num_samples: Number of samples fitted.
     """
 
     frequency_Hz: float
@@ -60,9 +60,9 @@ def fit_decay(
     by linear least squares.
 
     Args:
-        time_s: (T,) [s].
+        time_s: Times of the samples, (T,) [s].
         x: (T,) one coordinate, without gaps.
-        frequency_Hz: Where to start; by default the largest spectral peak.
+        frequency_Hz: Start value of the frequency [Hz]; by default the largest spectral peak.
         drift: ``"none"``, ``"linear"``, or ``"log"``: level ~ log(1 + s / 0.1 s), the slow
             settling of a rubber.
 
@@ -175,10 +175,11 @@ class Swings:
 
     Attributes:
         time_s: (N,) times of the turning points [s].
-        value: (N,) x there.
+        value: Value of x at each turning point, (N,) [unit of x].
         height: (N-1,) |difference| of neighbors: free of the level the oscillation settles to.
-        frequency_Hz: From the mean time between turning points.
-        damping_ratio: From the slope of log(height) over turning points (logarithmic decrement).
+        frequency_Hz: Frequency from the mean time between turning points [Hz].
+        damping_ratio: Damping ratio from the slope of log(height) over turning points (logarithmic
+            decrement) [-].
     """
 
     time_s: Array
@@ -192,7 +193,7 @@ def swings(time_s: Array, x: Array, *, smallest: float = 0.02) -> Swings:
     """Logarithmic decrement from neighboring turning points.
 
     Args:
-        time_s: (T,) [s].
+        time_s: Times of the samples, (T,) [s].
         x: (T,) one coordinate, without gaps.
         smallest: Stop where a swing falls below this share of the first one (noise and creep).
 
@@ -253,14 +254,14 @@ def amplitude_spectrum(time_s: Array, x: Array, *, pad: int = 4) -> tuple[Array,
 
 @dataclass(frozen=True)
 class Level:
-    """Where a record settles.
+    """Level at which a record settles.
 
     Attributes:
         value: Mean over the last ``span_s`` seconds.
         std: Scatter there, drift removed.
         creep_per_decade: Change of the level per tenfold time since release, by a fit in log time
             over the last two thirds of the record; a rubber creeps by a few per cent.
-        span_s: Length averaged.
+        span_s: Length of the stretch that was averaged [s].
     """
 
     value: float
@@ -303,15 +304,16 @@ def noise_std(x: Array) -> float:
 
 @dataclass(frozen=True)
 class RepeatFloor:
-    """How far two recordings of the same case are apart: the best any simulation can promise.
+    """Difference of two recordings of the same case: the best that any simulation can promise.
 
     Attributes:
         rms: (num_coordinates,) root mean square of the difference, aligned at release.
-        rms_best: The same after the extra shift ``lag_s`` that makes the whole difference least.
+        rms_best: (num_coordinates,) root mean square after the extra shift ``lag_s`` that makes the
+            whole difference least.
         lag_s: That shift: positive if the second recording runs late.
         peak: (num_coordinates,) largest difference, aligned at release.
         difference: (N, num_coordinates) first minus second, aligned at release.
-        time_s: (N,) since release.
+        time_s: Times since the release, (N,) [s].
     """
 
     rms: Array
@@ -335,7 +337,7 @@ def repeat_floor(
     Args:
         first, second: (time_s (T,), x (T, num_coordinates)) with 0 = release.
         until_s: Compare on [0, until_s] or up to the end of the shorter one.
-        max_lag_s: How far the extra shift may go.
+        max_lag_s: Largest extra shift that is tried, to either side [s].
     """
     splines = [interpolate.CubicSpline(t, x) for t, x in (first, second)]
     end = min(until_s, first[0][-1], second[0][-1]) - max_lag_s

@@ -17,12 +17,12 @@ USES = ("fit", "holdout")
 
 @dataclass(frozen=True)
 class Channel:
-    """One measured quantity.
+    """One measured quantity with its unit and noise.
 
     Attributes:
         name: Column of the run files, unit included, such as "tip_z_m".
-        unit: SI unit.
-        kind: What is measured: "position", "angle", "velocity", "pressure", "flow", ...
+        unit: SI unit of the samples.
+        kind: Kind of quantity: "position", "angle", "velocity", "pressure", "flow", ...
         sd: Standard deviation of the sensor's noise, in ``unit``; None: estimated from repeats.
     """
 
@@ -34,16 +34,16 @@ class Channel:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One execution of a command.
+    """One execution of a command, with the samples that were measured.
 
     Attributes:
-        name: Unique in the study.
+        name: Name of the run, unique in the study.
         time_s: (num_samples,) strictly increasing [s].
         measured: (num_samples, num_channels); NaN where nothing was recorded.
-        command: What was commanded, by name, (num_samples,) each, at ``time_s``.
+        command: Commanded values by name of the command, (num_samples,) each, at ``time_s``.
         group: Runs with equal command are repeats of each other.
         order: Place in the sequence of experiments, from 0.
-        use: "fit" or "holdout".
+        use: "fit" for runs that parameters are fitted to, "holdout" for runs that only judge.
         setup: Known facts of this run, such as {"payload_kg": 0.2, "temperature_C": 23.0}.
     """
 
@@ -62,10 +62,10 @@ class Study:
     """Recorded runs with what is known about them.
 
     Attributes:
-        name: Short name.
-        system: One of ``SYSTEMS``.
+        name: Short name of the study, as reports show it.
+        system: System that was recorded, one of ``SYSTEMS``.
         channels: Columns of every run's ``measured``.
-        runs: In any order.
+        runs: Runs of the study, in any order.
         metadata: Geometry and settings that the model needs, source, licence.
     """
 

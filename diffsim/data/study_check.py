@@ -24,7 +24,7 @@ class Problem:
     Attributes:
         severity: "error": no diagnosis on these data; "warning": possible, with care.
         where: "study", "channel tip_z_m", "run step_a", ...
-        message: What is wrong and how to mend it.
+        message: What is wrong with the study and how to mend it.
     """
 
     severity: str

@@ -47,12 +47,12 @@ _RUN_KEYS = ("name", "file", "group", "order", "use", "setup")
 
 
 def unit_suffix(unit: str) -> str:
-    """How a column of this unit ends: "m/s" -> "_m_s", "N m" -> "_Nm", "-" -> ""."""
+    """Ending of the name of a column with this unit: "m/s" -> "_m_s", "N m" -> "_Nm", "-" -> ""."""
     return "" if unit == "-" else "_" + unit.replace(" ", "").replace("/", "_")
 
 
 def load_study(path: str | Path) -> Study:
-    """Read a study.
+    """Read a study from ``study.yaml`` and its CSV files.
 
     Args:
         path: ``study.yaml``, or the folder that holds it.
@@ -96,7 +96,7 @@ def save_study(study: Study, folder: str | Path, *, overwrite: bool = False) -> 
     Numbers are written so that they are read back unchanged.
 
     Args:
-        study: The study.
+        study: Study to be written.
         folder: Made; must be empty or absent unless ``overwrite``.
         overwrite: Replace a folder that holds a study, with all that is in it.
 

@@ -21,7 +21,7 @@ def open_table(
     """Header and numbered rows of a CSV file; blank lines are skipped.
 
     Args:
-        path: The file.
+        path: CSV file to be read.
         what: What it should be, for the message, such as "recording".
 
     Raises:

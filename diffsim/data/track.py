@@ -11,7 +11,7 @@ from diffsim.data.video import Tracks
 
 
 def without_merged(tracks: Tracks) -> Tracks:
-    """The same with NaN where balls touch in the picture, and their centers are biased."""
+    """The same track with NaN where balls touch in the picture, and their centers are biased."""
     centers = np.where(tracks.merged[:, None, None], np.nan, tracks.centers)
     return replace(tracks, centers=centers)
 

@@ -77,7 +77,7 @@ TENNIS_BALL = ColorBounds((25, 60, 70), (50, 255, 255))
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Centers in a video.
+    """Centers of balls over the frames of a video.
 
     Attributes:
         frames: (num_frames,) numbers of the video's frames.
@@ -116,8 +116,8 @@ def track_video(
 
     Args:
         path: Video that OpenCV can read.
-        num_balls: How many to follow; ball 0 is the leftmost in the first frame.
-        color: Of their pixels.
+        num_balls: Number of balls to follow; ball 0 is the leftmost in the first frame.
+        color: Color range that marks a pixel as belonging to a ball.
         first, last: Frames to read, both included; None: to the end.
         min_area: Smaller regions are noise [px].
 
@@ -260,7 +260,7 @@ def _masks(
 
 
 def opencv() -> Any:
-    """The module ``cv2``.
+    """The module ``cv2``, which is an optional dependency.
 
     Raises:
         ImportError: OpenCV is not installed.

@@ -309,8 +309,8 @@ def write_beam_study(folder: str | Path, beam: VirtualBeam | None = None, seed: 
 
     Args:
         folder: Written to; existing files of the same names are replaced.
-        beam: The hidden truth.
-        seed: Of the hand, the marker placement and the noise.
+        beam: Bar whose parameters the recordings hide; None: the default one.
+        seed: Seed of the hand's motion, the marker placement and the noise.
 
     Returns:
         ``folder``.

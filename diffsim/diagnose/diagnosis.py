@@ -66,11 +66,11 @@ def diagnose(
         model: Simulator with everything imperfectly known as base parameters, nuisances of the
             set-up too: a forgotten one becomes an invented effect.
         effects: Candidate causes.
-        seed: Of the bootstrap.
+        seed: Seed of the bootstrap.
         unknowns: Generic causes that the system supplies (``UnknownForce``); a smooth drift of each
             channel is always among them.
         bank: Runs that could be recorded next.
-        settings: Effort and choices.
+        settings: Effort of the diagnosis; None: the defaults of ``DiagnosisSettings``.
         progress: Receives stage, share done and message.
         cache: Folder for what was simulated: after an interruption, the same call goes on from
             there. The model's name stands for its code; empty the folder after changing that.
@@ -104,7 +104,8 @@ class Checks:
 
     Attributes:
         gates: Data, numerical settings, gradients; then repeatability and the judgment's.
-        changes: Of the record by refining each numerical setting, (N,) [unit of the channel].
+        changes: Change of the record by refining each numerical setting, by its name, (N,) [unit of
+            the channel].
         center: The plain model with everything linearized there.
     """
 
@@ -118,7 +119,7 @@ class Checks:
         return any(not g.passed for g in self.gates if g.name in NUMERICS_GATES)
 
     def joined(self, more: Sequence[GateResult]) -> Checks:
-        """With further gates."""
+        """The checks with further gates."""
         return replace(self, gates=(*self.gates, *more))
 
 
@@ -296,7 +297,8 @@ def _trouble(search: Search) -> dict[str, list[str]]:
 
 
 def _force_map(search: Search) -> ForceMap | None:
-    """Of the first unknown force, at the plain model; its slopes were simulated for the search."""
+    """Map of the first unknown force, at the plain model; its slopes were simulated for the
+    search."""
     for u, cause in enumerate(search.unknowns):
         slopes = search.simulations.unknown_slopes.get((NONE, u))
         if isinstance(cause, UnknownForce) and slopes is not None:
@@ -305,7 +307,7 @@ def _force_map(search: Search) -> ForceMap | None:
 
 
 def _key(case: Case) -> str:
-    """Of everything that changes a simulation."""
+    """Hash of everything that changes a simulation."""
     causes = [(e.name, e.kind, e.unit, e.typical, e.components) for e in case.effects]
     generic = [(u.name, type(u).__qualname__) for u in case.unknowns]
     return key_of(case.study, case.model, causes, generic, case.settings.jacobian, __version__)

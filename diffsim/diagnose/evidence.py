@@ -48,13 +48,13 @@ class Weighed:
     """Evidence of a hypothesis and where its posterior lies.
 
     Attributes:
-        nats: Laplace evidence [nats].
+        nats: Logarithm of the Laplace evidence [nats].
         x: Standardized coordinates of the optimum within the bounds, (n,); zero for effects not in
             the set.
         sd: Posterior standard deviation of the coordinates, (n,); zero for effects not in the set.
         chi2: |r - B x|^2, after the unknown cause's part.
         amplitude: Most probable amplitude of the unknown cause [noise sd]; 0 without.
-        fit: Of a set that was refitted; None where linear evidence stands, as it does for sets
+        fit: Fit of a set that was refitted; None where linear evidence stands, as it does for sets
             with an unknown cause.
     """
 
@@ -154,7 +154,7 @@ def _within(mean: Array, sd: Array, root: Array, low: Array, high: Array) -> tup
     Args:
         mean, sd: (n,) of the posterior without bounds.
         root: (n, n) upper, root' root = 1 + B'B.
-        low, high: (n,).
+        low, high: Bounds of the coordinates, (n,).
     """
     shares = _log_share(mean, sd, low, high)
     inside = np.clip(mean, low, high)
@@ -173,14 +173,14 @@ def unrealized(fit: Fit, weighed: Weighed) -> float:
     fold, too few steps) must not be credited with an optimum that was not simulated.
 
     Args:
-        fit: Where it was linearized.
+        fit: Fit that was linearized.
         weighed: Evidence from that linearization.
     """
     return 0.5 * (fit.chi2 + fit.prior - weighed.chi2 - float(weighed.x @ weighed.x))
 
 
 def families(effects: Sequence[Effect], unknowns: Sequence[Unknown]) -> int:
-    """How many kinds of causes there are to choose from."""
+    """Number of families that the candidates belong to."""
     return len({e.family for e in effects}) + (1 if unknowns else 0)
 
 

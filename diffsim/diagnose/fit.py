@@ -54,14 +54,14 @@ def silent(stage: str, fraction: float, message: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """What a diagnosis is given.
+    """Study, model, candidates and options of one diagnosis.
 
     Attributes:
-        study: Recorded runs.
+        study: Recorded runs with their channels and commands.
         model: Simulator with base parameters.
         effects: Candidate causes that these data allow to be judged.
-        unknowns: Generic causes.
-        settings: Effort and choices.
+        unknowns: Generic causes, weighed beside the named ones.
+        settings: Effort of the diagnosis.
         progress: Receives stage, share done and message.
         store: Keeps simulations on disk; None: keep none.
         unmet: What the study lacks for the candidates that were left out, by name.
@@ -91,9 +91,9 @@ class Null:
     Attributes:
         case: Spikes removed from its study, its model prepared at the fit.
         noise: Noise floor of the residuals.
-        fit: Of the base parameters, without effects.
+        fit: Fit of the base parameters, without effects.
         at: Linearization where the fit ended.
-        num_spikes: Samples that were removed.
+        num_spikes: Number of samples that were removed as spikes.
     """
 
     case: Case
@@ -160,11 +160,11 @@ class _Iterate:
     """An iterate of the minimization.
 
     Attributes:
-        problem: What is fitted.
+        problem: Fitting problem that is minimized.
         at: Linearization with the slopes of all coordinates.
-        residual: Whitened, (num_valid,).
-        jacobian: Whitened slopes, (num_valid, n).
-        radius: Of the trust region [prior standard deviations].
+        residual: Whitened residual, (num_valid,).
+        jacobian: Whitened slopes d(W S)/dx, (num_valid, n).
+        radius: Radius of the trust region [prior standard deviations].
     """
 
     problem: Problem
@@ -180,7 +180,7 @@ class _Iterate:
 
     @property
     def cost(self) -> float:
-        """chi2 and prior."""
+        """Sum of chi2 and prior, |r|^2 + |x|^2."""
         return float(self.residual @ self.residual + self.at.x @ self.at.x)
 
     @property
@@ -190,7 +190,7 @@ class _Iterate:
         return error < SLOPE_RTOL and error * np.sqrt(self.misfit) < SLOPE_ATOL
 
     def refreshed(self) -> _Iterate:
-        """With slopes simulated here."""
+        """The iterate with slopes simulated here."""
         at = linearization_at(self.problem, self.at.x)
         return replace(self, at=at, jacobian=whitened(self.problem, at.columns))
 
@@ -241,7 +241,7 @@ def gauss_newton(
 
     Args:
         problem: Model, runs, noise and effects that are fitted.
-        start: Where to begin, with the slopes of all coordinates.
+        start: Start point, with the slopes of all coordinates.
         best_cost: Half the cost of the best set so far [nats]: the further behind it, the larger
             the tolerance; None: nothing to compare with.
 

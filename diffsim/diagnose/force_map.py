@@ -1,4 +1,4 @@
-"""Where and when a force is missing: the score of a generic force, over its noise.
+"""Score of a generic force over its noise: where and when a force is missing.
 
 With residual r = W (y - S) of the plain model and slopes G_c of component c (a knot in time, a
 shape, in one command), the score is the gradient
@@ -25,14 +25,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ForceMap:
-    """Scores of a generic force.
+    """Scores of a generic force by command, place and time.
 
     Attributes:
         name: Name of the generic force.
-        groups: Commands, one row each.
+        groups: Names of the commands, one row each.
         components: Components of the force, one column each.
         values: Scores, (num_groups, num_components) [nats per standardized component].
-        noise: Standard deviation of the scores under noise alone, same shape.
+        noise: Standard deviation of the scores under noise alone, of the same shape.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""What an extension is worth on runs that no fit has seen."""
+"""Gain of an extension on runs that no fit has seen."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Gain:
         low, high: 90 % block-bootstrap interval.
         excess: (e_null^2 - n^2) in noise variances per sample; where it is small the share means
             little.
-        num_blocks: Resampled.
+        num_blocks: Number of blocks of samples that the bootstrap resamples.
     """
 
     value: float
@@ -51,7 +51,7 @@ def gain(
     Nuisances of a held-out run ("offset@run") are fitted to it, for both alike; nothing else is.
 
     Args:
-        runs: Held-out runs.
+        runs: Runs that no fit has seen.
         null: Fit without effects.
         extended: Fit of the same model with effects.
         seed: Seed of the bootstrap.
@@ -76,13 +76,13 @@ def compared(
     """Gain from whitened residuals of held-out runs.
 
     Args:
-        runs: Held-out runs.
+        runs: Runs that no fit has seen.
         null: A fit whose noise floor whitened the residuals.
         before: Residuals without the effects, (num_valid,) by run.
         after: Residuals with the effects, (num_valid,) by run.
         seed: Seed of the bootstrap.
         block_s: Length of a resampled block [s].
-        draws: Resamples of the bootstrap.
+        draws: Number of resamples of the bootstrap.
     """
     pairs = [
         _blocks(run, block_s, a, b, null) for run, a, b in zip(runs, before, after, strict=True)

@@ -36,11 +36,11 @@ class GateResult:
     """One check before any physics is blamed.
 
     Attributes:
-        name: Such as "time_step".
-        passed: Whether.
-        value: Measured, such as lambda.
-        limit: What it is held against.
-        note: In words.
+        name: Name of the check, such as "time_step".
+        passed: Whether the check passed.
+        value: Measured quantity, such as lambda.
+        limit: Limit that the value is compared with.
+        note: What was checked, in words.
     """
 
     name: str
@@ -91,7 +91,7 @@ def gradient_gate(linear: LaplaceEvidence) -> list[GateResult]:
     one-sided) order.
 
     Args:
-        linear: At the null fit.
+        linear: Whitened slopes of all candidates at the null fit.
     """
     problem, x, residual = linear.problem, linear.x0, linear.residual
     effects = [e for e in problem.effects if e.smooth]
@@ -167,7 +167,7 @@ def numerics_changes(problem: Problem, at: Linearization) -> dict[str, Array]:
     """(N,) change of the record by refining each setting; zero where the model has no such one.
 
     Args:
-        problem: Whose runs are simulated again.
+        problem: Fitting problem whose runs are simulated again.
         at: Record with the settings in use, and where.
     """
     return {
@@ -177,7 +177,7 @@ def numerics_changes(problem: Problem, at: Linearization) -> dict[str, Array]:
 
 
 def numerics_gate(fit: Fit, changes: Mapping[str, Array]) -> list[GateResult]:
-    """How far refining each numerical setting moves the record, in noise units.
+    """Change of the record by refining each numerical setting, in noise units.
 
     lambda^2 = c' (1 + J J')^-1 c with c = W (S(refined) - S): what base parameters leave of it and
     what their priors ask for taking up the rest, so that lambda^2 / 2 are the nats to be had.
@@ -236,8 +236,8 @@ def repeatability_gate(fit: Fit) -> list[GateResult]:
     the channels' scatter, and so large that chance does not make it.
 
     Args:
-        fit: With the effects that the evidence asks for, so that a drift over runs that has a name
-            is not scatter.
+        fit: Fit with the effects that the evidence asks for, so that a drift over runs that has a
+            name is not scatter.
     """
     known = {run.name: run.group for run in fit.problem.runs}
     values: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))

@@ -1,4 +1,4 @@
-"""What one diagnosis is given, and a hash of it: equal hashes give equal answers."""
+"""Inputs of one diagnosis, and a hash of them: equal hashes give equal answers."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from diffsim.identify.setup import DiagnosisSetup
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """Everything that decides the answer.
+    """Study, setup, seed and settings, which together decide the answer.
 
     Attributes:
-        study: Recorded runs.
+        study: Recorded runs with their channels and commands.
         setup: Model, causes, unknowns, bank, settings; as chosen.
-        seed: Of the bootstrap.
+        seed: Seed of the bootstrap.
         fingerprint: Hashes and names by what they are of; equal ones give equal answers.
     """
 

@@ -29,14 +29,14 @@ NAMES = ("named", "ambiguous")
 
 @dataclass(frozen=True)
 class Decision:
-    """What the evidence allows to say.
+    """Verdict that the evidence allows, with the sets behind it.
 
     Attributes:
         verdict: "none", "named", "ambiguous" or "unknown"; the gates speak before.
         best: The set behind the verdict, without an unknown cause.
         rivals: Other hypotheses within 3 nats, best first.
         unknown: The unknown cause's hypothesis if the verdict is "unknown".
-        share: Of chi2_null - N that the best set explains.
+        share: Share of the misfit, chi2_null - N, that the best set explains.
         beside: The strongest hypothesis with an unknown cause, where evidence puts it 4 nats or
             more before the best set although that explains enough; its lead is ``lead`` [nats].
     """
@@ -57,7 +57,7 @@ def decide(
 
     Args:
         nats: Evidence; must hold the empty hypothesis.
-        chi2: Of the hypotheses without unknown cause.
+        chi2: Misfit |W (y - S)|^2 of each hypothesis without unknown cause.
         num_free: Expected chi2 of a right model: samples less fitted parameters.
     """
     named_only = {h: e for h, e in nats.items() if h.unknown is None}
@@ -109,13 +109,14 @@ def _is_kept(nats: Mapping[Hypothesis, float], h: Hypothesis) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Judgment:
-    """What may be said.
+    """Decision after the checks on held-out runs and repeats.
 
     Attributes:
-        decision: After all checks.
+        decision: Decision after all checks.
         search: Behind it, with what was refitted for the checks; None if nothing was searched.
-        gain: Of the best set on held-out runs; None without such runs, or without a name.
-        gains: Of members of the sets that were considered, by effect.
+        gain: Gain of the best set on held-out runs; None without such runs, or without a name.
+        gains: Gain on held-out runs of each member of the sets that were considered, by index of
+            the effect.
         withdrawn: Effects that the evidence asked for and held-out runs refuted.
         gates: Checks of unknown causes against repeats.
     """
@@ -135,9 +136,9 @@ def judge(search: Search, held_out: Sequence[Run], seed: int) -> Judgment:
     of them is gone. What is withdrawn takes all sets with it, so evidence decides anew.
 
     Args:
-        search: All sets weighed.
+        search: Search with all sets that were weighed.
         held_out: Runs that no fit has seen.
-        seed: Of the bootstraps.
+        seed: Seed of the bootstraps.
     """
     residuals = cache(lambda fit: held_out_residuals(fit, held_out))
     gains: dict[int, Gain] = {}
@@ -181,7 +182,7 @@ def _ready_without(search: Search, rest: Members) -> Search:
 
 
 def decision_of(search: Search, withdrawn: frozenset[int] = frozenset()) -> Decision:
-    """What the evidence says, sets with withdrawn effects left out."""
+    """Decision from the evidence, sets with withdrawn effects left out."""
     weighed = {h: w for h, w in search.weighed.items() if not h.effects & withdrawn}
     null = search.fit_of(frozenset())
     # samples less effectively fitted parameters: tr (J'J) (J'J + 1)^-1

@@ -17,11 +17,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class NextRun:
-    """Advice.
+    """Advice which run to record next.
 
     Attributes:
         best: Name of the run of the bank that separates the rivals best.
-        chi2_gain: By run of the bank: expected chi2 between the nearest pair of rivals.
+        chi2_gain: Expected chi2 between the nearest pair of rivals, by name of the run in the bank.
         over_median: The best one's over the bank's median.
     """
 

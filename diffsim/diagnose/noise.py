@@ -61,10 +61,10 @@ class ArWhitener:
 
 @dataclass(frozen=True, eq=False)
 class NoiseFloor:
-    """What the sensor cannot know.
+    """Noise of the sensors: the smallest misfit that any model can reach.
 
     Attributes:
-        whitener: Makes residuals white with standard deviation one.
+        whitener: Transformation that makes residuals white with standard deviation one.
         sd: Standard deviation of the noise, (num_channels,) [unit of the channel].
         source: "repeats", "stated sd" or "second differences", by channel.
         scatter_ratio: Scatter of repeats over the stated sensor noise, (num_channels,); NaN where

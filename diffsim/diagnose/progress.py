@@ -1,4 +1,4 @@
-"""How far a diagnosis is, shown as a bar."""
+"""Progress of a diagnosis, shown as a bar."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ def progress_bar(title: str, *, quiet: bool = False) -> Iterator[Progress]:
     """A bar over the whole, with stage and message beside it.
 
     Args:
-        title: Before the bar.
-        quiet: Show nothing.
+        title: Text before the bar.
+        quiet: Whether to show nothing.
     """
     with tqdm(total=100, desc=title, unit="%", disable=quiet, bar_format=_FORMAT) as bar:
 

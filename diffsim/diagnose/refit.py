@@ -32,13 +32,13 @@ CORRELATED = 0.8
 
 @dataclass(frozen=True, eq=False)
 class NullFit:
-    """The model without effects.
+    """Fit of the plain model, without effects.
 
     Attributes:
-        study: Without spikes.
-        noise: Its floor.
-        fit: To the runs for fitting.
-        num_spikes: Samples taken out.
+        study: Study without the samples that are spikes.
+        noise: Noise floor of the study.
+        fit: Fit of the base parameters to the runs for fitting.
+        num_spikes: Number of samples that were removed as spikes.
     """
 
     study: Study
@@ -57,7 +57,7 @@ class NullFit:
             yield names[rows[k]], names[cols[k]], value
 
     def to_dict(self) -> dict[str, Any]:
-        """In types that JSON has."""
+        """Content of the fit in types that JSON has."""
         channels = [c.name for c in self.study.channels]
         return to_plain(
             {
@@ -81,13 +81,13 @@ def fit_null(inputs: Inputs) -> NullFit:
 
 @dataclass(frozen=True, eq=False)
 class Extension:
-    """A saved model, refitted.
+    """A saved extended model, refitted.
 
     Attributes:
-        study: What it was fitted to.
-        null, fit: Without and with the effects, to the same runs with the same noise.
-        gain: On held-out runs, None without any.
-        verdict: Of the diagnosis behind it.
+        study: Study that the model was fitted to.
+        null, fit: Fits without and with the effects, to the same runs with the same noise.
+        gain: Gain on held-out runs; None without any.
+        verdict: Verdict of the diagnosis that made the model.
     """
 
     study: Study
@@ -97,7 +97,7 @@ class Extension:
     verdict: str
 
     def model(self) -> ExtendedModel:
-        """At the refitted values."""
+        """The extended model at the refitted values."""
         return extended_model(self.fit)
 
     def save(self, folder: Path) -> Path:
@@ -133,7 +133,7 @@ def rival_sets(report: Mapping[str, Any]) -> tuple[list[tuple[str, ...]], str]:
     """Sets of effects between which a report leaves the choice, and that in words.
 
     Args:
-        report: ``report.json``.
+        report: Content of ``report.json``.
     """
     effects = {row["effect"] for row in report["table"]}
     sets = [tuple(report["named"])]

@@ -43,20 +43,21 @@ class Report:
         named: Effects of the best set; empty unless "named" or "ambiguous".
         rivals: Sets within 3 nats of it, each a tuple of effect names; a generic unknown cause
             stands as "unknown force" or the like.
-        hypotheses: By evidence, best first.
-        table: By evidence, best first.
+        hypotheses: Sets of effects by evidence, best first.
+        table: Candidate causes by evidence, best first.
         confounding_names: Components, in the order of ``confounding``.
         confounding: (n, n) cosines between what base parameters cannot absorb.
         cannot_see: Effect or component -> why, or the smallest visible size.
-        gates: Data, gradients, numerics.
+        gates: Checks of data, gradients and numerics.
         noise: Source of the noise floor, sd by channel, repeat scatter over sensor noise.
-        gain: Of the best set on held-out runs, None without such runs.
-        chi2_null, chi2_best, num_samples: Of the runs fitted.
+        gain: Gain of the best set on held-out runs; None without such runs.
+        chi2_null, chi2_best, num_samples: Misfit |W (y - S)|^2 without and with the best set, and
+            the number of samples, of the runs fitted.
         next_run: Advice, None if no bank of commands was given.
         force_map: Where and when a force is missing; None without an ``UnknownForce``.
-        settings: Thresholds, seed, versions.
-        null, best: Fits.
-        study, model: As given.
+        settings: Thresholds, seed and versions that decided the answer.
+        null, best: Fits of the plain model and of the best set.
+        study, model: Study and model as given.
     """
 
     verdict: str
@@ -191,7 +192,7 @@ def sentences(
 
 
 def _scatter(noise: NoiseFloor, gates: Sequence[GateResult]) -> str:
-    """In the channels, else in what was fitted to each run."""
+    """Scatter in the channels, else in what was fitted to each run."""
     if not noise.is_repeatable:
         return f"{np.nanmax(noise.scatter_ratio):.2g} times as much as the sensor noise"
     failed = [g for g in gates if g.name.startswith(REPEATS) and not g.passed]

@@ -36,7 +36,7 @@ STEP_ATOL = 0.05  # prior sd: a smaller step needs no new linearization
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What was weighed so far; every step returns a copy with what it adds.
+    """Sets that were weighed so far; every step returns a copy with what it adds.
 
     Attributes:
         null: The plain model under its noise floor.
@@ -64,12 +64,12 @@ class Search:
 
     @property
     def unknowns(self) -> tuple[Unknown, ...]:
-        """Generic causes."""
+        """Generic causes of the case."""
         return self.null.case.unknowns
 
     @property
     def settings(self) -> SearchSettings:
-        """Effort."""
+        """Effort of the search."""
         return self.null.case.settings.search
 
     @property
@@ -96,7 +96,7 @@ class Search:
         return [*more, *less, *swapped]
 
     def linear_slack(self, members: Members) -> float:
-        """By how many nats linear evidence at a set may be wrong."""
+        """Largest error of linear evidence at a set [nats]."""
         fit = self.fit_of(members)
         misfit = 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
         return self.settings.rival_nats + self.settings.linear_error * misfit
@@ -107,7 +107,7 @@ class Search:
         return 0.5 * min(f.chi2 + f.prior for f in fits)
 
     def with_fit(self, members: Members, fit: Fit) -> Search:
-        """With the evidence of a fit, which needs the set's own columns only."""
+        """The search with the evidence of a fit, which needs the set's own columns only."""
         own = LaplaceEvidence(fit.problem, fit.x, fit.residual, fit.jacobian, [], self.num_families)
         weighed = own.weigh(Hypothesis(frozenset(range(len(members)))))
         nats, key = weighed.nats - unrealized(fit, weighed), Hypothesis(members)
@@ -121,7 +121,7 @@ def begin(null: Null, simulations: Simulations) -> Search:
 
     Args:
         null: The plain model under its noise floor.
-        simulations: What is simulated already, of an earlier noise floor too.
+        simulations: Simulations made so far, those of an earlier noise floor included.
     """
     at, made = simulations.under(null).screen(NONE, None)
     num_families = families(null.wide.effects, null.case.unknowns)
@@ -147,7 +147,7 @@ def refit(search: Search, members: Members, near: Center | None = None) -> Searc
     """Fit a set and weigh it there, once; noted under ``failed`` where it cannot be simulated.
 
     Args:
-        search: What was weighed so far.
+        search: Sets that were weighed so far.
         members: Effects of the set, by index.
         near: Center to start from; the plain model if None, or if it cannot be simulated from
             there.

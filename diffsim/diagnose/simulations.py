@@ -1,4 +1,4 @@
-"""What was simulated for sets of effects, kept between rounds and processes.
+"""Simulations of sets of effects, kept between rounds and processes.
 
 Coordinates are those of the wide problem, with all candidates: base parameters, then components of
 all effects, zero for those not in the set. Nothing here depends on the noise floor but the slopes
@@ -55,10 +55,11 @@ class Simulations:
 
     Attributes:
         wide: Problem with all candidate effects.
-        store: On disk, of this and earlier processes; None: none.
-        fitted: By set, where its fit ended.
-        screened: By set, all slopes there.
-        unknown_slopes: By set and unknown cause, its slopes there, (N, k).
+        store: Results on disk, of this and earlier processes; None: nothing is kept.
+        fitted: Linearization of each refitted set where its fit ended.
+        screened: Linearization of each set with the slopes of all candidates.
+        unknown_slopes: Slopes of an unknown cause at the fit of a set, (N, k), by set and index of
+            the cause.
     """
 
     wide: Problem
@@ -83,7 +84,7 @@ class Simulations:
         return replace(self.wide, effects=tuple(self.wide.effects[i] for i in sorted(members)))
 
     def kept(self, members: Members, at: Linearization) -> Simulations:
-        """With the fit of a set, given in the coordinates of ``narrow``."""
+        """The simulations with the fit of a set, given in the coordinates of ``narrow``."""
         own = self.coordinates(members)
         x = np.zeros(len(self.wide.names))
         x[own] = at.x
@@ -95,12 +96,12 @@ class Simulations:
     def fit(
         self, members: Members, start: Linearization, best_cost: float
     ) -> tuple[Fit, Simulations]:
-        """Fit a set.
+        """Fit a set of effects.
 
         Args:
             members: Effects of the set, by index.
-            start: In wide coordinates, zero outside the set.
-            best_cost: As for ``gauss_newton`` [nats].
+            start: Start point in coordinates of all candidates, zero outside the set.
+            best_cost: Least cost of all sets so far; a set that cannot reach it ends early [nats].
         """
         own = self.coordinates(members)
         at = Linearization(
@@ -110,7 +111,7 @@ class Simulations:
         return fit, self.kept(members, at)
 
     def start(self, members: Members, center: Linearization, x: Array) -> Linearization:
-        """Warm start of a set.
+        """Warm start of a set, from fits of its subsets.
 
         An earlier fit of it; the center itself where the set only adds to it; else the optimum
         ``x`` of the linear evidence, with the center's slopes.
@@ -139,8 +140,8 @@ class Simulations:
 
         Args:
             members: A fitted set.
-            last: All slopes at another set: they serve for effects that are neither significant
-                with them nor like a member; None: all are simulated.
+            last: Slopes of all candidates at another set. They serve for effects that are neither
+                significant with them nor like a member; None: all are simulated.
         """
         here, label = self.fitted[members], f"screened {self._label(members)}"
         before = self.screened.get(members)

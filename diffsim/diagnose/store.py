@@ -1,4 +1,4 @@
-"""What was simulated, on disk: a long diagnosis that was interrupted goes on where it was."""
+"""Simulations on disk: an interrupted diagnosis goes on where it was."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ class Store:
 
     Args:
         folder: Shared by any number of studies.
-        key: As ``key_of`` makes it.
+        key: Identifier of study, model and candidates, as ``key_of`` makes it.
     """
 
     def __init__(self, folder: str | Path, key: str):
         self.folder = Path(folder) / key
 
     def save(self, name: str, at: Linearization) -> None:
-        """Write a linearization."""
+        """Write a linearization to the folder."""
         self._write(
             name,
             x=at.x,
@@ -53,7 +53,7 @@ class Store:
         return Linearization(kept["x"], kept["record"], idx, kept["columns"], error)
 
     def save_array(self, name: str, array: Array) -> None:
-        """Write an array."""
+        """Write an array to the folder."""
         self._write(name, array=array)
 
     def load_array(self, name: str) -> Array | None:

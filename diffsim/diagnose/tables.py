@@ -29,17 +29,21 @@ class EffectRow:
     """One candidate cause in the table.
 
     Attributes:
-        effect, family, kind, unit: Of the effect.
+        effect, family, kind, unit: Name, family, kind and unit of the effect.
         status: "named", "rival", "mimic" (explains part of an unknown cause), "withdrawn" (the
             evidence asked for it, held-out runs refuted it), "screened", or "not judged".
-        size: By component, [unit]; from the refit where there was one, else from the screen.
-        sd: Of the sizes: statistical, numerical (shift under refined settings) and 1 % model form.
+        size: Size by component, in the effect's unit; from the refit where there was one, else from
+            the screen.
+        sd: Standard deviation of the sizes: statistical, numerical (shift under refined settings)
+            and 1 % model form.
         nats: Evidence of the best hypothesis with this effect minus that of the best without it.
         z: Score over its standard deviation at the null fit, the length for a vector.
-        smallest_visible: By component, [unit]: 6 / sqrt(information).
-        gain: On held-out runs, of having this effect in the best set; None if not computed.
-        share: Of chi2_null - N that this effect alone explains; None if it was not refitted alone.
-        aliases: What these data may not distinguish from it.
+        smallest_visible: Smallest visible size by component, in the effect's unit: 6 /
+            sqrt(information).
+        gain: Gain on held-out runs of having this effect in the best set; None if not computed.
+        share: Share of the misfit, chi2_null - N, that this effect alone explains; None if it was
+            not refitted alone.
+        aliases: Physical causes that these data may not distinguish from it.
         note: Why it was not judged, or that its gain is not confirmed.
     """
 
@@ -68,7 +72,7 @@ class HypothesisRow:
     """A set of effects, with or without a generic unknown cause.
 
     Attributes:
-        effects: Names.
+        effects: Names of the effects in the set.
         unknown: Name of the generic cause, or None.
         nats: Evidence relative to the plain model.
         chi2: |W (y - S)|^2, after the unknown cause's part.
@@ -94,7 +98,8 @@ def effect_rows(
         effects: Candidates that were judged.
         judgment: The verdict and the search behind it; no search: effects were only screened.
         screened: Scores at the plain model.
-        changes: Of the record by refining numerical settings, (N,) each; they widen the intervals.
+        changes: Change of the record by refining each numerical setting, (N,) each; it widens the
+            intervals.
     """
     decision, search = judgment.decision, judgment.search
     in_rivals = {i for h in decision.rivals for i in h.effects}
@@ -144,7 +149,7 @@ def evidence_for(search: Search, i: int) -> float:
 def hypothesis_rows(
     search: Search | None, effects: Sequence[Effect], unknowns: Sequence[Unknown]
 ) -> tuple[HypothesisRow, ...]:
-    """Everything that was weighed: what was refitted best first, then the rest."""
+    """Rows of all weighed sets: refitted ones best first, then the rest."""
     if search is None:
         return ()
     base = search.nats(Hypothesis())
@@ -166,7 +171,7 @@ def hypothesis_rows(
 def cannot_see(
     effects: Sequence[Effect], screened: Screen, unmet: Mapping[str, str]
 ) -> dict[str, str]:
-    """What these data could not show, and why."""
+    """Effects that these data could not show, and why."""
     out = {name: f"not judged: {why}" for name, why in unmet.items()}
     names = effect_coordinates(effects)
     units = [(e.unit, e.typical) for e in effects for _ in e.components]
@@ -183,7 +188,7 @@ def cannot_see(
 def set_names(
     h: Hypothesis, effects: Sequence[Effect], unknowns: Sequence[Unknown]
 ) -> tuple[str, ...]:
-    """Names of a hypothesis."""
+    """Names of the effects in a hypothesis."""
     names = tuple(effects[i].name for i in sorted(h.effects))
     return names if h.unknown is None else (*names, unknowns[h.unknown].name)
 

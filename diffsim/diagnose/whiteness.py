@@ -1,4 +1,4 @@
-"""Whether residuals are white: shown in the report, never a gate.
+"""Ljung-Box test of residuals: shown in the report, never a gate.
 
 At 5 % the test rejected 43 % of clean cases of the prototypes: real noise is never quite the model
 of noise, and with many samples any difference is significant.
@@ -24,8 +24,8 @@ def ljung_box(fit: Fit, lags: int = LAGS) -> Array:
     missing samples join what lies on both sides.
 
     Args:
-        fit: With its residual.
-        lags: At most; a fifth of a run's samples where that is fewer.
+        fit: Fit whose whitened residual is tested.
+        lags: Largest lag [samples]; a fifth of a run's samples where that is fewer.
 
     Returns:
         NaN where a channel has too few samples.

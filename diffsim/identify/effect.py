@@ -17,7 +17,7 @@ Needs = Callable[[Study], "str | None"]
 
 
 def needs_nothing(study: Study) -> str | None:
-    """Every study serves."""
+    """Accept every study."""
     return None
 
 
@@ -28,14 +28,14 @@ class Effect:
     Attributes:
         name: Field-standard name, such as "linear_drag"; it has one unit in all libraries.
         family: Effects of one family are alternatives of each other, such as "damping".
-        kind: One of ``KINDS``.
+        kind: Where the effect enters, one of ``KINDS``.
         unit: SI unit of every component, "-" if none.
         typical: Size that would be no surprise [unit]; the prior of a component is
             N(0, (1.5 typical)^2), half-normal unless ``signed``.
         apply: Function (scene, size, run) -> scene with the effect at this size. The scene is what
             the model's ``build`` made for the run; size has the shape (..., num_components)
             [unit]; at zero it must be the scene itself.
-        form: What it does at a given size, in a sentence.
+        form: What the effect does at a given size, in a sentence.
         signed: Whether components may be negative.
         components: Names of the amplitudes, one or more (a vector enters as one block).
         smooth: False where the response has a kink at zero: then a secant at a tenth of the typical

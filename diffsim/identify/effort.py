@@ -1,4 +1,4 @@
-"""How much a diagnosis computes: options that a system advises and a user may change."""
+"""Effort of a diagnosis: options that a system advises and a user may change."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from diffsim.identify.jacobian import Jacobian
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """Effort of the search.
+    """Effort of the search over sets of effects.
 
     Attributes:
         max_effects: Effects in one set, at most.
@@ -33,9 +33,9 @@ class DiagnosisSettings:
     """Effort and choices; the thresholds of the verdict are constants of ``diagnose.judge``.
 
     Attributes:
-        search: Effort of the search.
+        search: Effort of the search over sets of effects.
         jacobian: Method and step of the derivatives.
-        workers: Threads over runs.
+        workers: Number of threads over runs.
         accept_numerics: Whether to go on although the numerics gate fails.
         noise_rounds: Searches at most; the noise floor is estimated again after each.
     """

@@ -23,8 +23,8 @@ class ExtendedModel(SimModel):
     """A model whose base parameters are those of another one, then the sizes of effects.
 
     Args:
-        inner: The plain model.
-        effects: Built in, in this order.
+        inner: The plain model, whose base parameters come first.
+        effects: Effects to build in, in this order.
         base: Parameters of ``inner``, then the components of the effects ("wind.x").
     """
 
@@ -49,7 +49,7 @@ class ExtendedModel(SimModel):
         sizes: Mapping[Effect, Tensor] | None = None,
         numerics: Numerics | None = None,
     ) -> Tensor:
-        """By the plain model, with its effects."""
+        """Prediction of the plain model with its effects, (num_samples, num_channels)."""
         return self.inner.predict(run, self._inner_q(q), self._sizes(q, sizes), numerics)
 
     def predict_many(
@@ -59,7 +59,7 @@ class ExtendedModel(SimModel):
         sizes: Mapping[Effect, Tensor] | None = None,
         numerics: Numerics | None = None,
     ) -> Tensor:
-        """As many at once as the plain model can."""
+        """Predictions at many points, as many at once as the plain model can."""
         return self.inner.predict_many(run, self._inner_q(q), self._sizes(q, sizes), numerics)
 
     def _inner_q(self, q: Tensor) -> Tensor:
@@ -79,7 +79,7 @@ class ExtendedModel(SimModel):
         return sizes | dict(more or {})
 
     def prepared_at(self, q: Tensor) -> SimModel:
-        """With the plain model prepared at the values of its own parameters at ``q``."""
+        """The model with the plain model prepared at the values of its own parameters at ``q``."""
         return ExtendedModel(self.inner.prepared_at(self._inner_q(q)), self.effects, self.base)
 
 
@@ -87,7 +87,7 @@ def extended_model(fit: Fit) -> ExtendedModel:
     """The fitted model and its effects as one model.
 
     Args:
-        fit: With effects; its posterior becomes the prior of the new model's parameters.
+        fit: Fit with effects; its posterior becomes the prior of the new model's parameters.
 
     Returns:
         A model whose base parameters are the old ones, then the sizes ("wind.x").
@@ -103,9 +103,9 @@ def extended_at(
 
     Args:
         inner: The plain model.
-        effects: To build in.
-        values, sd: By name of base parameter or component, [unit]: center and width of the new
-            priors.
+        effects: Effects to build in.
+        values, sd: Center and width of the new priors by name of base parameter or component, each
+            in its unit.
     """
     base = [
         Parameter(

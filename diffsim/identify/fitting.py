@@ -33,16 +33,17 @@ class Fit:
     """The most probable parameters and what is known of them.
 
     Attributes:
-        problem: What was fitted.
-        x: (n,) standardized coordinates.
-        values: By name, [unit].
+        problem: Runs, model and noise that were fitted.
+        x: Most probable standardized coordinates, (n,).
+        values: Most probable values by name, each in its unit.
         sd: Posterior standard deviation by name, [unit], from (A'A + 1)^-1 with prior.
         correlation: (n, n) posterior, in the order of ``values``.
-        chi2: |W (y - S)|^2.
-        prior: |x|^2.
-        num_samples: Measured samples.
+        chi2: Whitened misfit |W (y - S)|^2 at the most probable parameters.
+        prior: Distance from the prior's center, |x|^2.
+        num_samples: Number of measured samples that were fitted.
         at_bound: Names on a bound; their sd says nothing.
-        undetermined: Names that the data tell little about: posterior sd above 0.9 of the prior's.
+        undetermined: Names whose posterior sd is above 0.9 of the prior's: the data hardly
+            determine them.
         converged: Whether the solver's tolerance was met.
         message: The solver's reason to stop.
         num_evaluations: Residual evaluations of all runs, those for derivatives not counted.
@@ -89,17 +90,18 @@ def fit(
     """Most probable parameters: the minimum of |W (y - S(x))|^2 + |x|^2 within the bounds.
 
     Args:
-        model: With base parameters; nuisances of one run are called "name@run".
-        runs: All used at once; repeats stay separate.
-        channels: Of the runs; their ``sd`` is the noise unless ``whitener`` is given.
-        effects: Whose sizes are fitted too.
+        model: Simulator with base parameters; nuisances of one run are called "name@run".
+        runs: Recorded runs, all used at once; repeats stay separate.
+        channels: Channels of the runs; their ``sd`` is the noise unless ``whitener`` is given.
+        effects: Effects whose sizes are fitted too.
         method: "gauss_newton" (scipy's dogleg within bounds) or "lbfgs".
         start: (n,) standardized coordinates; the prior's center if None.
-        whitener: Of colored noise.
-        jacobian: How to differentiate.
-        gradient: For "lbfgs": "differences", or "autograd" where the scene is differentiable.
-        workers: Threads over runs.
-        max_evaluations: Of the residual.
+        whitener: Whitening of colored noise; None: white noise with the channels' ``sd``.
+        jacobian: Method and step of the derivatives; None: the defaults of ``Jacobian``.
+        gradient: Source of the gradient for "lbfgs": "differences", or "autograd" where the scene
+            is differentiable.
+        workers: Number of threads over runs.
+        max_evaluations: Largest number of evaluations of the residual.
 
     Returns:
         ``Fit``; look at ``converged``.
@@ -134,7 +136,7 @@ def fit(
 
 @dataclass(frozen=True, eq=False)
 class _Minimum:
-    """Where a solver ended; fields as of ``Fit``."""
+    """End of a solver; fields as of ``Fit``."""
 
     x: Array
     converged: bool
@@ -178,7 +180,7 @@ def summary(
 
 
 def posterior_covariance(jacobian: Array) -> Array:
-    """(A'A + 1)^-1."""
+    """Posterior covariance (A'A + 1)^-1 of the standardized coordinates."""
     n = jacobian.shape[1]
     return linalg.inv(jacobian.T @ jacobian + np.eye(n)) if n else np.zeros((0, 0))
 
@@ -265,7 +267,7 @@ def _values(problem: Problem, x: Array) -> dict[str, float]:
 
 
 def _scales(problem: Problem, x: Array) -> Array:
-    """d value / d x."""
+    """Derivative of each value by its standardized coordinate."""
     base = [p.value * np.exp(p.sd * q) * p.sd if p.log else p.sd for p, q in _base(problem, x)]
     return np.array([*base, *_effect_scales(problem)])
 

@@ -25,8 +25,8 @@ class Stencil:
     """A difference formula: the slope at 0 is the sum of weight * f(offset).
 
     Attributes:
-        offsets: Along one coordinate.
-        weights: Of equal number.
+        offsets: Points of the formula along one coordinate, in prior standard deviations.
+        weights: Weights of the values at the offsets, equally many.
     """
 
     offsets: tuple[float, ...]
@@ -34,7 +34,7 @@ class Stencil:
 
     @classmethod
     def central(cls, h: float) -> Stencil:
-        """Second order."""
+        """Central difference, of second order."""
         return cls((h, -h), (0.5 / h, -0.5 / h))
 
     @classmethod
@@ -53,13 +53,13 @@ Tangents = Callable[[Mapping[int, Stencil]], "tuple[Array, Array] | None"]
 
 @dataclass(frozen=True, kw_only=True)
 class Jacobian:
-    """How to differentiate a prediction.
+    """Method and step of the derivatives of a prediction.
 
     Attributes:
         method: ``"auto"``: by the model's own tangents where it has them, else as
             ``"differences"``: of simulations, for every simulator. ``"forward_mode"``: torch's
             dual numbers, where all operations of the scene support them.
-        step: Of the differences, in prior standard deviations. Central ones are wrong by about
+        step: Step of the differences, in prior standard deviations. Central ones are wrong by about
             step^2 / 6 of the third derivative; a solver's tolerance is amplified by 1 / step.
     """
 
@@ -81,11 +81,11 @@ class Jacobian:
         smooth: Sequence[bool] | None = None,
         tangents: Tangents | None = None,
     ) -> tuple[Array, Array]:
-        """Prediction and derivatives.
+        """Prediction and its derivatives along all coordinates.
 
         Args:
             many: Coordinates (n,) each -> predictions of equal shape.
-            at: (n,) where.
+            at: Point to differentiate at, (n,).
             idx: The coordinates to differentiate.
             inward: (n,) 1 where a coordinate cannot go below its place, -1 where it cannot go
                 above: second-order differences to the other side; 0: central ones.
@@ -124,7 +124,7 @@ class Jacobian:
 def _differences(
     many: PredictMany, at: Tensor, stencils: Mapping[int, Stencil]
 ) -> tuple[Array, Array]:
-    """Of simulations, all in one call; that at ``at`` serves every coordinate."""
+    """Differences of simulations, all in one call; that at ``at`` serves every coordinate."""
     points = [at]
     for i, stencil in stencils.items():
         for offset in stencil.offsets:

@@ -13,11 +13,11 @@ from diffsim.identify.jacobian import Stencil
 
 @dataclass(frozen=True)
 class Point:
-    """Where a model is simulated.
+    """Values of base parameters and effects at which a model is simulated.
 
     Attributes:
         q: Standardized base parameters, (num_base,).
-        sizes: Of the effects [unit], (num_components,) each.
+        sizes: Size of each effect, (num_components,) in the effect's unit.
     """
 
     q: Tensor
@@ -30,8 +30,8 @@ class Line:
 
     Attributes:
         stencil: The difference formula for what is cheap to evaluate at its points.
-        points: At the stencil's offsets.
-        effect: Whose size the coordinate is; None: a base parameter.
+        points: Points at the stencil's offsets along the line.
+        effect: Effect whose size the coordinate is; None: the coordinate is a base parameter.
     """
 
     stencil: Stencil

@@ -23,7 +23,7 @@ class Unwhitened:
     """Takes every sample as it is, missing ones too."""
 
     def matrix(self, run: Run) -> sparse.csr_array:
-        """Identity."""
+        """Identity, as the whitening of residuals by run."""
         return sparse.eye_array(run.measured.size, format="csr")
 
 
@@ -52,7 +52,8 @@ class Linearization:
         return self.columns[:, [place[i] for i in wanted]]
 
     def joined(self, other: Linearization) -> Linearization:
-        """With slopes of another point along coordinates that are not known here."""
+        """The linearization with slopes of another point along coordinates that are missing
+        here."""
         more = [i for i in other.idx if i not in set(self.idx)]
         columns = np.hstack([self.columns, other.slopes(more)])
         return replace(self, idx=(*self.idx, *more), columns=columns)
@@ -98,7 +99,7 @@ def residuals_by_run(runs: Sequence[Run], record: Array) -> dict[str, Array]:
     """Measured minus predicted by name of the run, (num_samples, num_channels) each.
 
     Args:
-        runs: Whose samples the record holds, in this order.
+        runs: Runs whose samples the record holds, in this order.
         record: Predicted samples of all runs, (N,) [unit of the channel].
     """
     edges = np.cumsum([run.measured.size for run in runs])[:-1]

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number with a prior.
+    """A base parameter with a Gaussian prior.
 
     Fits work in the standardized coordinate q, prior q ~ N(0, 1): the value is value + sd q, or
     value exp(sd q) where ``log``, cut at the bounds.
@@ -34,7 +34,7 @@ class Parameter:
         sd: Standard deviation of the prior, in ``unit``; relative where ``log``.
         unit: SI unit, "-" if none.
         log: The logarithm is what is normally distributed; for positive quantities.
-        lower, upper: Bounds, in ``unit``.
+        lower, upper: Bounds of the value, in ``unit``.
     """
 
     name: str
@@ -77,7 +77,7 @@ class Scene(Protocol):
 
 
 class Tally:
-    """How many simulations were asked for; threads may count at once."""
+    """Number of simulations that were asked for; threads may count at once."""
 
     def __init__(self) -> None:
         self.count, self._lock = 0, Lock()
@@ -95,14 +95,16 @@ class SimModel:
     """A simulator with base parameters.
 
     Args:
-        build: Makes the scene of a run from values of the base parameters by name.
-        base: What is imperfectly known: materials, gains, and nuisances of the set-up.
-        name: Of the simulator.
+        build: Function (values, run, numerics) -> scene of a run, from values of the base
+            parameters by name.
+        base: Everything imperfectly known: materials, gains, and nuisances of the set-up.
+        name: Name of the simulator, for the report.
         batched: Whether scenes and effects take many points at once: then values may be (K,),
             sizes (K, num_components) and predictions (K, num_samples, num_channels).
 
     Attributes:
-        prepared_q: Where ``prepared_at`` made this model, None where nothing is prepared.
+        prepared_q: Point that ``prepared_at`` made this model for, (num_base,) standardized; None
+            where nothing is prepared.
     """
 
     prepared_q: Tensor | None = None
@@ -131,7 +133,7 @@ class SimModel:
         """Predicted channels of a run, (num_samples, num_channels).
 
         Args:
-            run: The run.
+            run: Recorded run whose commands and times are simulated.
             q: Standardized base parameters, (num_base,) float64.
             sizes: Effects with their sizes [unit], (num_components,) each, applied in this order.
             numerics: Settings; the model's own if None.
@@ -156,10 +158,10 @@ class SimModel:
         """Predictions at many points, (K, num_samples, num_channels): at once where ``batched``.
 
         Args:
-            run: The run.
-            q: (K, num_base).
-            sizes: (K, num_components) each.
-            numerics: As for ``predict``.
+            run: Recorded run whose commands and times are simulated.
+            q: Standardized base parameters of K points, (K, num_base).
+            sizes: Size of each effect at the K points, (K, num_components) in the effect's unit.
+            numerics: Factors on time step, mesh and tolerance; None: the model's own.
         """
         if self.batched:
             return self.predict(run, q, sizes, numerics)
@@ -196,7 +198,7 @@ class SimModel:
         sizes: Mapping[Effect, Tensor],
         numerics: Numerics | None = None,
     ) -> Tensor:
-        """As ``predict_many`` without numerical effects; models that have a faster way override
+        """Predictions as of ``predict_many``, without numerical effects; faster models override
         this."""
         scenes = [
             self.scene(run, q[k], {e: s[k] for e, s in sizes.items()}, numerics)
@@ -218,10 +220,10 @@ class SimModel:
         """The prediction of a run and its derivatives, for models quicker than their simulations.
 
         Args:
-            run: The run.
-            at: Where.
-            lines: K smooth coordinates.
-            numerics: As for ``predict``.
+            run: Recorded run whose commands and times are simulated.
+            at: Point to differentiate at.
+            lines: K smooth coordinates to differentiate along.
+            numerics: Factors on time step, mesh and tolerance; None: the model's own.
 
         Returns:
             (num_samples, num_channels) and (K, num_samples, num_channels); None: difference
@@ -233,7 +235,7 @@ class SimModel:
         """The model with whatever it prepares once prepared again at these base coordinates.
 
         Args:
-            q: (num_base,) standardized.
+            q: Standardized base parameters, (num_base,).
 
         Returns:
             The model itself where nothing is prepared.
@@ -248,7 +250,7 @@ class SimModel:
 def _parted(
     sizes: Mapping[Effect, Tensor] | None,
 ) -> tuple[dict[Effect, Tensor], dict[NumericalEffect, Tensor]]:
-    """What acts in the scene, and what on its prediction."""
+    """Effects of the scene and effects of its prediction, apart."""
     given = sizes or {}
     numerical = {e: s for e, s in given.items() if isinstance(e, NumericalEffect)}
     return {e: s for e, s in given.items() if e not in numerical}, numerical

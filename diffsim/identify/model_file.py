@@ -41,16 +41,17 @@ _ENTRY_KEYS = ("value", "sd", "unit")
 
 @dataclass(frozen=True)
 class SavedModel:
-    """Content of the file.
+    """Content of an ``extended_model.yaml``.
 
     Attributes:
-        path: Of the file.
-        values, sd: By name of parameter or component, [unit].
+        path: File that the model was read from.
+        values, sd: Fitted value and its standard deviation by name of parameter or component, each
+            in its unit.
         parameters: Names of the plain model's parameters.
         components: Names of the effects' components.
-        verdict: Of the diagnosis behind it.
-        setup: What the study named.
-        units: By name.
+        verdict: Verdict of the diagnosis that fitted the model.
+        setup: Setup that the study named, as text or settings.
+        units: Unit by name of parameter or component.
         prepared_at: Standardized parameters at which the model prepared what it prepares once.
     """
 
@@ -69,10 +70,10 @@ def save_extended(fit: Fit, path: str | Path, *, study: Study, verdict: str) -> 
     """Write a fit as an extended model.
 
     Args:
-        fit: With or without effects.
-        path: Of the file.
-        study: What was fitted.
-        verdict: Of the diagnosis.
+        fit: Fit with or without effects.
+        path: File to be written.
+        study: Study that was fitted.
+        verdict: Verdict of the diagnosis that fitted the model.
     """
     problem = fit.problem
     units = [p.unit for p in problem.model.base] + [e.unit for e, _ in problem.owners]
@@ -141,7 +142,7 @@ def rebuilt(saved: SavedModel, setup: DiagnosisSetup) -> ExtendedModel:
     """The saved model, ready to be simulated, differentiated or fitted further.
 
     Args:
-        saved: Content of the file.
+        saved: Content of the file, as ``read_extended`` returns it.
         setup: Plain model and effects by name. Nuisances of runs that the file does not know
             ("offset@run_9") keep their prior.
 

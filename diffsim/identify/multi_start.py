@@ -20,7 +20,7 @@ TURN_BACK = 1e3  # cost of a point that cannot be simulated, over that of the st
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """Random points, best first.
+    """Random start points, best first.
 
     Attributes:
         x: (count, n) standardized coordinates.
@@ -43,10 +43,10 @@ def random_starts(
     """Simulate points drawn from the prior, the prior's center first.
 
     Args:
-        problem: Without effects, or with effects of size zero at the center.
-        count: How many points.
-        seed: Of the draws.
-        spread: Of the draws, in prior standard deviations.
+        problem: Fitting problem without effects, or with effects of size zero at the center.
+        count: Number of points, the prior's center included.
+        seed: Seed of the draws.
+        spread: Width of the draws, in prior standard deviations.
         fixed: Names of coordinates that stay at the prior's center.
         report: Called with each cost as it is known.
     """
@@ -74,12 +74,12 @@ def random_starts(
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Where a descent ended.
+    """Result of a descent from one start.
 
     Attributes:
-        x: (n,) the best point met.
+        x: Best point visited, (n,) standardized.
         cost: ½ |r|² + ½ |x|² of every evaluation; infinite where the simulation failed.
-        message: Why it stopped.
+        message: Reason for the end, in words.
     """
 
     x: Array
@@ -101,9 +101,9 @@ def descend(
     valley between camera and motion takes hundreds of iterations.
 
     Args:
-        problem: Whose scene is differentiable.
-        start: (n,) standardized coordinates.
-        max_evaluations: Of cost and gradient.
+        problem: Fitting problem with a differentiable scene.
+        start: Start point, (n,) standardized coordinates.
+        max_evaluations: Largest number of evaluations of cost and gradient.
         first_step: Share of the metric's Newton step that is tried first.
         report: Called with each cost as it is known.
     """

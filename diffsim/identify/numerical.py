@@ -20,7 +20,7 @@ class NumericalEffect(Effect):
     other effects act in both.
 
     Attributes:
-        refined: The finer settings.
+        refined: Factors on time step, mesh and tolerance of the finer simulation.
     """
 
     refined: Numerics
@@ -31,7 +31,7 @@ def coarse(setting: str, refined: Numerics) -> NumericalEffect:
 
     Args:
         setting: Name of the numerical setting, such as "time_step".
-        refined: The finer settings.
+        refined: Factors on time step, mesh and tolerance of the finer simulation.
     """
     return NumericalEffect(
         name=f"coarse_{setting}",

@@ -10,9 +10,9 @@ class Numerics:
     """Factors on the model's own settings.
 
     Attributes:
-        time_step: On the time step.
-        mesh: On the cell size.
-        tolerance: On solver tolerances.
+        time_step: Factor on the time step [-].
+        mesh: Factor on the cell size [-].
+        tolerance: Factor on the tolerances of the solvers [-].
     """
 
     time_step: float = 1.0
@@ -20,7 +20,7 @@ class Numerics:
     tolerance: float = 1.0
 
     def refined(self, finer: Numerics) -> Numerics:
-        """Both factors together."""
+        """Product of both sets of factors."""
         return Numerics(
             self.time_step * finer.time_step,
             self.mesh * finer.mesh,

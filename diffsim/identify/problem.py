@@ -46,7 +46,7 @@ class WhiteNoise:
     """Independent noise of known standard deviation in every channel.
 
     Args:
-        channels: With ``sd``.
+        channels: Channels with a known noise ``sd`` each.
     """
 
     def __init__(self, channels: Sequence[Channel]):
@@ -71,8 +71,8 @@ class Problem:
 
     Attributes:
         model: Simulator with base parameters.
-        runs: Recorded runs.
-        whitener: Makes the noise of a run white with standard deviation one.
+        runs: Recorded runs that are compared with the simulation.
+        whitener: Transformation that makes the noise of a run white with standard deviation one.
         effects: Effects whose components are coordinates after the base parameters.
         jacobian: Method and step of the derivatives.
         numerics: Factors on the numerical settings; the model's own settings if None.
@@ -89,7 +89,7 @@ class Problem:
 
     @property
     def num_base(self) -> int:
-        """Base parameters."""
+        """Number of base parameters."""
         return len(self.model.base)
 
     @property
@@ -99,11 +99,11 @@ class Problem:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the coordinates; components of vector effects as "wind.x"."""
+        """Names of the coordinates; components of vector effects as "wind.x"."""
         return (*(p.name for p in self.model.base), *effect_coordinates(self.effects))
 
     def columns_of(self, effect: Effect) -> list[int]:
-        """Coordinates of an effect."""
+        """Indices of the coordinates of an effect."""
         return [self.num_base + i for i, (e, _) in enumerate(self.owners) if e is effect]
 
     @property
@@ -228,7 +228,7 @@ class Problem:
         return Point(x[: self.num_base], self.sizes_at(x))
 
     def _line(self, at: Tensor, i: int, stencil: Stencil) -> Line:
-        """Where a stencil along coordinate i wants the model."""
+        """Points of a stencil along coordinate i."""
         unit = torch.zeros_like(at)
         unit[i] = 1.0
         owner = None if i < self.num_base else self.owners[i - self.num_base][0]

@@ -1,4 +1,4 @@
-"""All that a diagnosis is given beside the recorded runs: a record that systems fill."""
+"""Description of a system for the diagnosis: a record that systems fill."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from diffsim.identify.unknown import Unknown
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisSetup:
-    """What ``diagnose`` is given beside the study.
+    """Model, candidate causes and options that ``diagnose`` takes beside the study.
 
     Attributes:
-        model: Of the recorded system.
-        effects: Candidate causes.
+        model: Model of the recorded system, without effects.
+        effects: Candidate causes of a misfit.
         unknowns: Generic causes of this system; drifts of channels are added by ``diagnose``.
         bank: Runs that could be recorded next.
-        settings: Effort.
-        study: What is diagnosed, where a setup cuts or combines the recordings; None: as recorded.
+        settings: Effort of the diagnosis, such as the largest set and the derivatives.
+        study: Study to diagnose, where a setup cuts or combines the recordings; None: the study as
+            recorded.
     """
 
     model: SimModel

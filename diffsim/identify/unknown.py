@@ -27,10 +27,10 @@ Array = NDArray[np.float64]
 
 
 class Unknown(ABC):
-    """A generic cause.
+    """A generic cause: any smooth force or drift, without a named form.
 
     Attributes:
-        name: For the report, such as "unknown force".
+        name: Name in the report, such as "unknown force".
     """
 
     name: str
@@ -53,10 +53,11 @@ class UnknownForce(Unknown):
     """A smooth force, the same in all repeats of a command, different between commands.
 
     Args:
-        effect: Whose components are the force's coefficients, such as knots in time times shapes.
+        effect: Effect whose components are the force's coefficients, such as knots in time times
+            shapes.
         covariance: (num_components, num_components) of the coefficients, such as
             ``smooth_covariance`` of the knots; scale free.
-        name: For the report.
+        name: Name in the report.
     """
 
     def __init__(self, effect: Effect, covariance: Array, name: str = "unknown force"):
@@ -92,9 +93,9 @@ class UnknownDrift(Unknown):
 
     Args:
         channel: Index of the channel.
-        name: For the report.
+        name: Name in the report.
         knots_per_s: Density; the correlation length is two knots.
-        num_knots: At most, over the longest run.
+        num_knots: Largest number of knots in time, over the longest run.
     """
 
     def __init__(self, channel: int, name: str, knots_per_s: float = 5.0, num_knots: int = 30):
@@ -132,8 +133,8 @@ def by_group(problem: Problem, slopes: Array) -> Array:
     """Whitened, columns of each command side by side: independent between commands.
 
     Args:
-        problem: Whose runs the rows are.
-        slopes: (N, m).
+        problem: Fitting problem whose runs the rows belong to.
+        slopes: Change of all samples per component, (N, m) [unit of the channel].
     """
     groups = list(dict.fromkeys(run.group for run in problem.runs))
     m = slopes.shape[1]

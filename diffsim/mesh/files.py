@@ -6,8 +6,6 @@ Files carry no unit: coordinates are taken as meters unless ``scale`` says other
 from __future__ import annotations
 
 import difflib
-import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -19,6 +17,7 @@ from torch import Tensor
 
 from diffsim.core.check import require, require_number
 from diffsim.core.errors import MeshError
+from diffsim.core.files import replacing
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import HEX_FROM_VTK, VTK_FROM_HEX
 from diffsim.mesh.repair import remove_unreferenced_nodes
@@ -150,21 +149,13 @@ def save(
         "node_data": _data("node_data", node_data, mesh.num_vertices),
         "element_data": _data("element_data", element_data, mesh.num_elements),
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(suffix=suffix, prefix=f".{path.stem}-", dir=path.parent)
-    os.close(handle)
-    partial = Path(name)
-    try:
+    with replacing(path, suffix) as partial:
         if suffix in SURFACE_FORMATS:
             if data["node_data"] or data["element_data"]:
                 raise ValueError(f"{suffix} files hold no data; choose one of {[*VOLUME_FORMATS]}")
             to_trimesh(mesh, x).export(partial)
         else:
             _write_volume(mesh, partial, suffix, mesh.x_rest if x is None else x, data)
-        partial.chmod(0o644)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
     return path
 
 

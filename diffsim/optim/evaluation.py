@@ -14,11 +14,11 @@ Array = NDArray[np.float64]
 
 
 class Sample(NamedTuple):
-    """What an objective returns; a plain ``(value, gradient)`` will do where there are no notes.
+    """Result of an objective; a plain ``(value, gradient)`` will do where there are no notes.
 
     Attributes:
-        value: To be minimized.
-        gradient: Of the value, (n,); None where only the value was asked for.
+        value: Value to be minimized.
+        gradient: Gradient of the value, (n,); None where only the value was asked for.
         notes: Whatever else should be kept with the evaluation. Plain numbers, strings and lists
             where a log is used, since they are written to it.
     """
@@ -34,16 +34,16 @@ ValueOnly = Callable[[Array], Sample | tuple[float, Array] | float]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Evaluation:
-    """An objective at a point.
+    """An objective evaluated at one point.
 
     Attributes:
-        x: The point, (n,).
-        value: Of the objective; infinite where the evaluation failed.
+        x: Point at which the objective was evaluated, (n,).
+        value: Value of the objective there; infinite where the evaluation failed.
         gradient: (n,); None where the evaluation failed or the objective gave none.
-        failure: How it failed; empty where it did not.
-        wall_s: Wall-clock time [s].
+        failure: Message of the failure; empty where the evaluation succeeded.
+        wall_s: Wall-clock time of the evaluation [s].
         cpu_s: Processor time of this process [s].
-        notes: What the objective gave beside; of plain types where it was read from a log.
+        notes: Further results of the objective; of plain types where the entry was read from a log.
     """
 
     x: Array
@@ -57,11 +57,11 @@ class Evaluation:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Progress:
-    """What a callback is told after every evaluation.
+    """State of a search after an evaluation, which callbacks receive.
 
     Attributes:
         count: Evaluations so far, this one included.
-        evaluation: The latest.
+        evaluation: The latest evaluation.
         best: Least value so far; infinite while all evaluations have failed.
         replayed: The latest was read from the log, not computed.
     """
@@ -84,7 +84,7 @@ def evaluate(objective: ValueOnly, x: Array) -> Evaluation:
     """Call an objective once, timed.
 
     Args:
-        objective: Of points (n,).
+        objective: Function of points (n,) that returns a value or a ``Sample``.
         x: The point, (n,); the objective gets a copy of its own.
 
     Raises:

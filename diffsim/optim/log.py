@@ -29,7 +29,8 @@ class Log:
 
     Args:
         path: File of JSON lines; None keeps the entries in memory only.
-        settings: What the entries depend on, of plain types.
+        settings: Settings that the entries depend on, of plain types; a file of other settings is
+            refused.
 
     Raises:
         LogError: the file holds entries of other settings, is of an older version of diffsim, is
@@ -57,8 +58,9 @@ class Log:
         """Add an entry to a list, and to the file.
 
         Args:
-            name: Of the list.
-            entry: Of plain types, arrays and NumPy's numbers; its "x", if any, can be found.
+            name: Name of the list that the entry is appended to.
+            entry: Entry of plain types, arrays and NumPy's numbers; if it has a point "x", ``find``
+                looks it up by that.
 
         Returns:
             The entry as it will be read back.

@@ -43,12 +43,14 @@ def minimize(
     the bits of one that was not interrupted.
 
     Args:
-        objective: Of points (n,), deterministic; returns value and gradient (n,), see ``Sample``.
-        start: Where to begin, (n,); moved to the nearest point within the bounds.
+        objective: Deterministic function of points (n,) that returns value and gradient (n,), see
+            ``Sample``.
+        start: Start point, (n,); moved to the nearest point within the bounds.
         bounds: Lower and upper, (n,) each, infinite where there is none; None: none at all.
         options: Budget, tolerances, failure wall and unit.
-        log: Where every evaluation is kept, and replayed from.
-        name: Of the log's list.
+        log: Log in which every evaluation is kept and from which it is replayed; None: nothing is
+            kept.
+        name: Name of the list in the log.
         callback: Called after every evaluation, replayed ones included; ends the search by True.
 
     Returns:

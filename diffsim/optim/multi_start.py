@@ -28,7 +28,7 @@ from diffsim.optim.result import Result
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MultiStart:
-    """What a search from many starts found.
+    """Result of a search from many starts.
 
     Attributes:
         starts: Evaluations of all starts, in the order in which they were drawn.
@@ -65,10 +65,10 @@ def screen(
     """Evaluate an objective at given points.
 
     Args:
-        value: Of points (n,); the gradient is not needed.
-        points: (n,) each.
-        log: Where evaluations are kept; a point that it holds is not evaluated again.
-        name: Of the log's list.
+        value: Function of points (n,) that returns the value; the gradient is not needed.
+        points: Points to be evaluated, (n,) each.
+        log: Log in which evaluations are kept; a point that it holds is not evaluated again.
+        name: Name of the list in the log.
         failures: Exceptions that make a point infinitely bad, besides values that are not finite.
         callback: Called after every evaluation; screening ends where it returns True.
 
@@ -116,15 +116,17 @@ def multi_start(
     """Draw random starts between the bounds, and descend from the best of them.
 
     Args:
-        objective: As of ``minimize``.
+        objective: Deterministic function of points (n,) that returns value and gradient, see
+            ``minimize``.
         bounds: Lower and upper, (n,) each, finite.
-        options: Of every descent.
-        count: Starts to draw.
-        keep: Of them, to descend from; fewer if fewer can be evaluated.
-        seed: Of the draws.
+        options: Budget and tolerances of each descent.
+        count: Number of starts to draw.
+        keep: Number of starts to descend from, the best first; fewer if fewer can be evaluated.
+        seed: Seed of the draws.
         value: The objective without its gradient, for the starts; ``objective`` itself if None.
         log: Lists "starts" and "descent 1", "descent 2", ...
-        callback: As of ``minimize``, for every descent; True ends that descent only.
+        callback: Function called after every evaluation of a descent; where it returns True, that
+            descent ends.
 
     Returns:
         ``MultiStart``.

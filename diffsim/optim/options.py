@@ -10,11 +10,12 @@ from diffsim.core.errors import DiffsimError
 
 @dataclass(frozen=True)
 class Budget:
-    """How much a search may cost.
+    """Limits on the cost of a search.
 
     Attributes:
-        evaluations: Of the objective with its gradient, failed ones included; None: any number.
-        iterations: Of L-BFGS, each a line search; None: any number.
+        evaluations: Largest number of evaluations of the objective with its gradient, failed ones
+            included; None: any number.
+        iterations: Largest number of L-BFGS iterations, each a line search; None: any number.
         finish_line_search: End a line search that is under way when the evaluations are spent, as
             scipy does; up to ``Tolerances.line_search`` evaluations come on top. Otherwise the
             budget is exact.
@@ -32,7 +33,7 @@ class Budget:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Of scipy's L-BFGS-B, by scipy's names and with its defaults.
+    """Tolerances of scipy's L-BFGS-B, by scipy's names and with its defaults.
 
     Attributes:
         ftol: A search converges when (f_k - f_k+1) / max(abs(f_k), abs(f_k+1), 1) is at most this,
@@ -50,7 +51,7 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class Wall:
-    """What the line search sees where an evaluation fails: a high plateau without slope.
+    """High plateau without slope that the line search sees where an evaluation fails.
 
     A failure is one of ``failures``, or a value or gradient that is not finite. The line search
     interpolates between the last good point and the wall, so that it backs off. The wall must be
@@ -74,18 +75,20 @@ class Wall:
             require_number(name, getattr(self, name), at_least=0.0)
 
     def value(self, first: float, best: float) -> float:
-        """Of the wall, given the first and the least value so far, all in the search's unit."""
+        """Value of the wall, given the first and the least value so far, all in the search's
+        unit."""
         return max(self.height, self.over_first * abs(first), self.over_best * best)
 
 
 @dataclass(frozen=True)
 class Options:
-    """Of a search.
+    """Budget, tolerances and failure wall of a search.
 
     Attributes:
-        budget: How much it may cost.
-        tolerances: When it has converged.
-        wall: What counts as a failed evaluation; None: every exception ends the search.
+        budget: Largest number of evaluations, iterations and time.
+        tolerances: Tolerances at which the search has converged.
+        wall: Exceptions and values that count as a failed evaluation; None: every exception ends
+            the search.
         unit: L-BFGS sees value and gradient over this; tolerances count in it. None: the size of
             the first value (1 if that is zero).
     """

@@ -17,10 +17,10 @@ def progress_bar(
     """A bar that counts evaluations and shows the least value; gives the callback that moves it.
 
     Args:
-        label: Before the bar.
+        label: Text before the bar.
         total: Evaluations at most; None: not known.
         unit: The least value is shown over this.
-        show: Whether to draw it at all.
+        show: Whether to draw the bar at all.
         leave: Whether it stays when the search is over.
     """
     with tqdm(desc=label, total=total, leave=leave, disable=not show) as bar:

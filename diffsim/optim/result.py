@@ -1,4 +1,4 @@
-"""What a search found, and why it ended."""
+"""Result of a search, and why it ended."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Ended = Literal["converged", "budget", "callback", "failed"]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Result:
-    """What a search found.
+    """Result of a search.
 
     Attributes:
         history: All evaluations in the order in which L-BFGS asked for them.
@@ -20,7 +20,7 @@ class Result:
             a line search can pass that by.
         ended: "converged": a tolerance is met. "budget": evaluations or iterations are spent.
             "callback": the callback said so. "failed": a line search found no lower value.
-        message: The same in words, scipy's where scipy ended.
+        message: Reason for the end in words, scipy's own where scipy ended the search.
     """
 
     history: tuple[Evaluation, ...]
@@ -40,7 +40,7 @@ class Result:
 
     @property
     def value(self) -> float:
-        """The least value."""
+        """Least value of the objective."""
         return self.best.value
 
     @property
@@ -51,7 +51,7 @@ class Result:
 
     @property
     def num_evaluations(self) -> int:
-        """Of value and gradient, failed ones included."""
+        """Number of evaluations of value and gradient, failed ones included."""
         return len(self.history)
 
     @property

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import base64
-import os
-import tempfile
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -12,7 +10,7 @@ import meshio
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.core.files import write_text_atomic
+from diffsim.core.files import replacing, write_text_atomic
 from diffsim.stokes.field import FlowField
 
 
@@ -116,14 +114,6 @@ def _cells(path: Path, field: FlowField) -> Path:
         point_data={k: v.reshape(grid.num_nodes, *v.shape[grid.dim :]) for k, v in nodes.items()},
         cell_data={k: [v.reshape(-1)] for k, v in cells.items()},
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(suffix=".vtu", prefix=f".{path.stem}-", dir=path.parent)
-    os.close(handle)
-    partial = Path(name)
-    try:
+    with replacing(path, ".vtu") as partial:
         content.write(partial, file_format="vtu")
-        partial.chmod(0o644)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
     return path

@@ -20,7 +20,8 @@ def library(system: str, **options: Any) -> list[Effect]:
 
     Args:
         system: "soft_body", "copter" or "stokes".
-        **options: Of that library; "copter" takes num_rotors, 4 by default, "stokes" the device.
+        **options: Options of that library; "copter" takes num_rotors, 4 by default, "stokes" the
+            device.
 
     Raises:
         ValueError: no such system; the message offers the closest names.

@@ -33,7 +33,7 @@ def setup_of(study: Study, **options: Any) -> DiagnosisSetup:
     """The setup that a study names.
 
     Args:
-        study: With ``setup`` in its metadata.
+        study: Study with the name of its ``setup`` in the metadata.
         **options: Win over those of the study.
 
     Raises:

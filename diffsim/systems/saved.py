@@ -18,9 +18,9 @@ def load_extended(
 
     Args:
         path: ``extended_model.yaml`` or the folder that holds it.
-        study: Of the system; its setup gives the plain model and the effects by name. Nuisances
-            of runs that the file does not know ("offset@run_9") keep their prior.
-        setup: In place of the study's own.
+        study: Study of the system; its setup gives the plain model and the effects by name.
+            Nuisances of runs that the file does not know ("offset@run_9") keep their prior.
+        setup: Setup to use in place of the study's own.
 
     Returns:
         A model whose priors are centered at the saved values.

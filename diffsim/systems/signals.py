@@ -1,4 +1,4 @@
-"""What may happen to a sampled signal on its way: differentiable, and the identity at size 0.
+"""Changes of a sampled signal on its way: differentiable, and the identity at size 0.
 
 Signals are (num_samples, width) at evenly spaced times; those of held commands may have leading
 axes.
@@ -19,8 +19,8 @@ def sample(values: Tensor, dt: float, times: Tensor, start_rate: Tensor | None =
 
     Args:
         values: (num_steps + 1, width), five steps or more, at 0, dt, 2 dt, ...
-        dt: [s].
-        times: (num_samples,) [s].
+        dt: Time between two samples of the signal [s].
+        times: Times at which values are wanted, (num_samples,) [s].
         start_rate: (width,) derivative at 0 [1/s]; None: zero.
 
     Returns:
@@ -73,9 +73,9 @@ def delayed(u: Tensor, dt: float, delay: Tensor) -> Tensor:
     derivative, and without overshoot at steps.
 
     Args:
-        u: (num_samples, width).
-        dt: [s].
-        delay: () [s].
+        u: Signal in columns, (num_samples, width).
+        dt: Time between two samples [s].
+        delay: Delay, a scalar () [s].
     """
     rise = u.diff(dim=0)
     before, after = rise[:-1], rise[1:]
@@ -94,9 +94,9 @@ def lagged(u: Tensor, dt: float, time_constant: Tensor) -> Tensor:
     r tau + (e - r tau) exp(-dt / tau). At tau = 0 this is u with the derivative -u'.
 
     Args:
-        u: (num_samples, width).
-        dt: [s].
-        time_constant: tau, () [s], >= 0.
+        u: Signal in columns, (num_samples, width).
+        dt: Time between two samples [s].
+        time_constant: Time constant tau, a scalar () [s], >= 0.
     """
     decay = torch.exp(-dt / time_constant.clamp(min=_SHORTEST_LAG * dt))
     steady = time_constant * u.diff(dim=0) / dt
@@ -115,8 +115,8 @@ def held_lagged(u: Tensor, dt: float, time_constant: Tensor) -> Tensor:
     D = exp(-dt / tau); at first y = u.
 
     Args:
-        u: (..., num_samples, width).
-        dt: [s].
+        u: Command at every sample, held until the next, (..., num_samples, width).
+        dt: Time between two samples [s].
         time_constant: tau, () or of the leading axes of u [s].
     """
     decay = torch.exp(-dt / time_constant.clamp(min=_SHORTEST_LAG * dt))[..., None]
@@ -132,8 +132,8 @@ def held_delayed(u: Tensor, dt: float, delay: Tensor) -> Tensor:
     """A command that is held over each step, late by ``delay`` >= 0: mean over the step.
 
     Args:
-        u: (..., num_samples, width).
-        dt: [s].
+        u: Command at every sample, held until the next, (..., num_samples, width).
+        dt: Time between two samples [s].
         delay: () or of the leading axes of u [s].
     """
     last = u.shape[-2] - 1
@@ -169,9 +169,9 @@ def saturated(u: Tensor, loss: Tensor, neutral: Tensor) -> Tensor:
     """Limited to (1 - loss) of its greatest departure from ``neutral`` (width,), column by column.
 
     Args:
-        u: (num_samples, width).
-        loss: () from 0 to 1 [-].
-        neutral: (width,).
+        u: Signal in columns, (num_samples, width).
+        loss: Share of the greatest departure that is cut off, a scalar () from 0 to 1 [-].
+        neutral: Value of each column from which departures count, (width,).
     """
     off = u - neutral
     limit = (1.0 - loss) * off.detach().abs().amax(dim=0)

@@ -34,9 +34,9 @@ def motion_strip(
 
     Args:
         application: Whose body and targets are drawn.
-        motions: By caption, positions (num_steps + 1, num_vertices, 3) [m].
-        path: Of the PNG.
-        frames: Times of each.
+        motions: Positions of the nodes over time by caption, (num_steps + 1, num_vertices, 3) [m].
+        path: PNG file to be written.
+        frames: Number of times that each row shows.
         view: Elevation and azimuth [degrees].
     """
     import matplotlib.pyplot as plt

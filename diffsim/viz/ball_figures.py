@@ -26,12 +26,12 @@ SEEN = "#e8b800"
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """One row of pictures.
+    """One row of pictures: a title, outlines and centers of the balls.
 
     Attributes:
-        title: What it is.
+        title: Title above the row.
         outlines: (num_frames, num_balls, n, 2) of the balls [px]; None: only what was seen.
-        centers: (num_frames, num_balls, 2) [px].
+        centers: Centers of the balls in the picture, (num_frames, num_balls, 2) [px].
     """
 
     title: str
@@ -84,11 +84,11 @@ def overlay(
     """Motion sequences side by side; yellow squares are the centers in the video.
 
     Args:
-        rows: From left to right.
+        rows: Sequences from left to right.
         seen: (num_frames, num_balls, 2) tracked [px]; NaN where not seen.
         size_px: Width and height of the picture.
         held_out_from: Frame from which squares are hollow: not fitted.
-        every: Which frames show a whole ball.
+        every: Step between the frames that show a whole ball.
     """
     figure = Figure(figsize=(4.6 * len(rows), 3.2), layout="constrained")
     for ax, row in zip(np.atleast_1d(figure.subplots(1, len(rows))), rows, strict=True):
@@ -114,10 +114,10 @@ def strip(
     """Some frames, one row per motion; yellow squares are the centers in the video.
 
     Args:
-        rows: From top to bottom.
+        rows: Sequences from top to bottom.
         seen: (num_frames, num_balls, 2) tracked [px].
         size_px: Width and height of the picture.
-        frames: Which samples.
+        frames: Indices of the samples that are shown.
         first: Number of the first sample's video frame.
     """
     figure = Figure(figsize=(1.9 * len(frames), 1.5 * len(rows) + 0.3), layout="constrained")

@@ -32,12 +32,12 @@ _OUTLINE = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A camera.
+    """A pinhole camera that films the balls.
 
     Attributes:
         project: Places (n, 3) [m] to (n, 2), u to the right and v down [px].
-        eye: (3,) its own place [m].
-        width_px, height_px: Of the picture.
+        eye: Place of the camera, (3,) [m].
+        width_px, height_px: Width and height of the picture [px].
     """
 
     project: Callable[[Array], Array]
@@ -72,14 +72,14 @@ def film_balls(
     """Write a video (Motion JPEG in AVI).
 
     Args:
-        path: Ends with ".avi".
-        view: The camera.
-        centers: (num_frames, num_balls, 3) [m].
-        radius: Of all balls [m].
+        path: File to be written; its name ends with ".avi".
+        view: Camera that films.
+        centers: Centers of the balls over time, (num_frames, num_balls, 3) [m].
+        radius: Radius of every ball [m].
         table: (n, 3) outline of a flat table [m].
-        rate: Frames per second.
-        noise: Standard deviation of every color value, of 255.
-        seed: Of the noise.
+        rate: Frames per second [1/s].
+        noise: Standard deviation of every color value, which runs to 255.
+        seed: Seed of the noise.
         hidden: Pairs (frame, ball) where a ball is left out, as if something passed before it.
 
     Raises:

@@ -1,4 +1,4 @@
-"""How a design changed from the best random one to the optimum (thesis fig. 4-24)."""
+"""Change of a design from the best random one to the optimum (thesis fig. 4-24)."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def milestones(optimum: Optimum, count: int = 6) -> list[tuple[int, float, Tenso
     Those of the coarse grid that led to the result come first, in its unit.
 
     Args:
-        optimum: What was found.
-        count: At most, at least 2; the first and the last are always among them.
+        optimum: Result of the optimization with all designs on the way.
+        count: Largest number of designs, 2 or more; the first and the last are always among them.
 
     Returns:
         Evaluation (from 1), normalized loss, design (num_parameters,).
@@ -54,10 +54,10 @@ def draw_shapes(device: Device, optimum: Optimum, path: str | Path, count: int =
     """Walls of designs on the way, light to dark, at every height that the device's pictures show.
 
     Args:
-        device: The device.
+        device: Device that was optimized.
         optimum: Result of the search for the device.
-        path: PNG to write.
-        count: Designs, at most.
+        path: PNG file to be written.
+        count: Largest number of designs that are drawn.
     """
     plt_colors = optional("matplotlib.colors", purpose="the picture of a device")
     shown = milestones(optimum, count)

@@ -29,7 +29,7 @@ def export(device: Device, x: Tensor, folder: str | Path, *, size: float = 0.1) 
     * ``NAME_CASE.png``: its streamlines.
 
     Args:
-        device: The device.
+        device: Device that was optimized.
         x: Parameters of the device, (num_parameters,) float64.
         folder: Output folder, created if it is missing.
         size: Longest side of the box in the STL file [m], without walls around it.

@@ -32,9 +32,9 @@ def draw(device: Device, optimum: Optimum, path: str | Path) -> Path:
     the device is about directions, colors are angles to those wanted, else speeds.
 
     Args:
-        device: The device.
+        device: Device that was optimized.
         optimum: Result of the search for the device.
-        path: PNG to write.
+        path: PNG file to be written.
     """
     plt: Any = optional("matplotlib.pyplot", purpose="the picture of a device")
     random = optimum.samples[int(optimum.sample_losses.argmin())]

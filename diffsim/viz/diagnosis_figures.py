@@ -45,7 +45,7 @@ def predicted_runs(study: Study, null: Fit, extended: Fit | None = None) -> list
     """Measured and predicted, runs for fitting first.
 
     Args:
-        study: Recorded runs.
+        study: Recorded runs with their channels.
         null: Fit without effects.
         extended: Fit with effects; None where nothing was named.
     """
@@ -73,7 +73,7 @@ def with_noise(channels: Sequence[Channel], sd: Mapping[str, float]) -> list[Cha
     """Channels with the noise that was estimated.
 
     Args:
-        channels: Of a study.
+        channels: Channels of a study.
         sd: Standard deviation by name of the channel [unit of the channel].
     """
     return [replace(c, sd=float(sd[c.name])) for c in channels]
@@ -98,9 +98,9 @@ def before_after(
     """Measured and predicted channels over time, a row per run, worst channels first.
 
     Args:
-        runs: One or more.
+        runs: Runs with their predictions, one or more.
         channels: All channels of the study.
-        most: Channels to draw.
+        most: Largest number of channels to draw.
     """
     worst = worst_channels(runs, channels)[:most]
     figure, axes = new_figure(
@@ -127,9 +127,9 @@ def residual_views(
     band is what noise alone does (95 %).
 
     Args:
-        runs: One or more.
+        runs: Runs with their predictions, one or more.
         channels: All channels of the study.
-        command: Whose value and rate give the phase; default the first one that changes.
+        command: Command whose value and rate give the phase; None: the first one that changes.
     """
     varying = (n for n in runs[0].command if any(np.ptp(r.command[n]) > 0.0 for r in runs))
     command = command or next(varying, None)
@@ -155,9 +155,9 @@ def over_position(
     noise alone has 1.
 
     Args:
-        runs: One or more.
+        runs: Runs with their predictions, one or more.
         channels: All channels of the study; positions are those of kind "position".
-        most: Panels.
+        most: Largest number of panels.
 
     Returns:
         None where no position was measured.
@@ -202,8 +202,8 @@ def blocks_of(confounding: Array, limit: float = CONFOUNDED) -> list[list[int]]:
     """Sets of two or more components that the data hardly part: linked by cosines above the limit.
 
     Args:
-        confounding: (n, n) cosines.
-        limit: On their size.
+        confounding: Cosines between the responses of components, (n, n).
+        limit: Limit on the absolute value of a cosine beyond which two components are linked.
     """
     count, label = connected_components(np.abs(np.nan_to_num(confounding)) > limit, directed=False)
     groups = [np.flatnonzero(label == k).tolist() for k in range(count)]
@@ -219,8 +219,8 @@ def confounding_matrix(
     boxed.
 
     Args:
-        names: Components.
-        confounding: (n, n), in their order.
+        names: Names of the components, (n,).
+        confounding: Cosines between the responses of components, (n, n), in the order of ``names``.
         bar: What the colors mean.
     """
     blocks = blocks_of(confounding)
@@ -246,8 +246,8 @@ def force_map(components: Sequence[str], groups: Sequence[str], z: Array) -> Fig
     """Scores of a generic force: a panel per command, a row per shape, knots from left to right.
 
     Args:
-        components: Of the force; a number at the end is the knot in time.
-        groups: Commands.
+        components: Names of the force's components; a number at the end is the knot in time.
+        groups: Names of the commands, one panel each.
         z: (num_groups, num_components) scores in noise standard deviations.
     """
     parts = [_KNOT.fullmatch(name) for name in components]
@@ -275,11 +275,11 @@ def force_map(components: Sequence[str], groups: Sequence[str], z: Array) -> Fig
 
 
 def next_run_bars(chi2_gain: Mapping[str, float], best: str) -> Figure:
-    """What each run that could be recorded would add to the distance of the rivals.
+    """Expected chi2 that each run would add to the distance of the rivals, as bars.
 
     Args:
-        chi2_gain: Expected chi2 by run.
-        best: The one advised.
+        chi2_gain: Expected chi2 between the nearest rivals by name of the run.
+        best: Name of the run that is advised.
     """
     names = sorted(chi2_gain, key=lambda name: chi2_gain[name])
     figure, ax = new_figure(height=0.6 + 0.3 * len(names))
@@ -310,7 +310,7 @@ def _residuals(
 
 
 def _rms(left: Array) -> Array:
-    """Of each column; zero where nothing was measured."""
+    """Root mean square of each column; zero where nothing was measured."""
     count = np.maximum(np.isfinite(left).sum(0), 1)
     return np.sqrt(np.nansum(left**2, 0) / count)
 
@@ -356,8 +356,8 @@ def command_phase(time_s: Array, command: Array) -> Array | None:
     """Phase angle [rad] of (value, -rate / mean frequency), each over its rms; None for steps.
 
     Args:
-        time_s: (n,) [s].
-        command: (n,), any unit.
+        time_s: Times of the samples, (n,) [s].
+        command: Commanded value at each sample, (n,) in any unit.
     """
     if len(np.unique(command)) <= max(2, len(command) // 4):
         return None

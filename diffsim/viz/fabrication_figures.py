@@ -114,7 +114,7 @@ def wiring(
 
 
 def bars(stock: Sequence[StockBar]) -> Figure:
-    """How each stock bar is cut."""
+    """Cuts of each stock bar."""
     figure, ax = new_figure(width=9.6, height=0.8 + 0.42 * len(stock))
     labels = sorted({label for bar in stock for label, _ in bar.pieces})
     colors = {label: CYCLE[k % 4] for k, label in enumerate(labels)}

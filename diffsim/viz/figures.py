@@ -39,13 +39,13 @@ CYCLE = ("#0b6e75", "#c2571a", "#7a4fa3", "#b08a00", "#1d2433", "#8a93a3", "#4f8
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """One labeled line.
+    """One labeled line of a figure.
 
     Attributes:
         x, y: (N,) in SI units.
-        label: For the legend; empty for none.
+        label: Text in the legend; empty: no entry.
         role: Key of ``COLORS``, or a color.
-        dashed: Dashed line.
+        dashed: Whether the line is dashed.
         points: Draw the samples as dots, too.
     """
 
@@ -128,7 +128,7 @@ def residuals(
 
     Args:
         panels: (title, curves, floor): ``floor.y`` >= 0 is half the height of the grey band.
-        ylabel: Of every panel.
+        ylabel: Label of the vertical axis of every panel.
     """
     figure, axes = new_figure(
         len(panels), 1, height=1.9 * len(panels) + 0.5, sharex=True, squeeze=False
@@ -160,9 +160,9 @@ def bars(
     """Grouped bars with values on top; ``reference`` draws a level across each group.
 
     Args:
-        groups: Names on the axis.
+        groups: Names of the groups on the axis.
         series: (label, one value per group, role or color); NaN leaves a gap.
-        log: Logarithmic axis.
+        log: Whether the axis of values is logarithmic.
     """
     figure, ax = new_figure(height=3.4)
     width = 0.8 / max(len(series), 1)

@@ -27,7 +27,7 @@ def motor_outputs(flights: Sequence[tuple[str, FlightLog]], *, columns: int = 2)
     Bars above the clamp show when a motor was asked for more than it may give.
 
     Args:
-        flights: Titles and logs.
+        flights: Title and log of each flight.
         columns: Number of columns of panels.
     """
     columns = min(columns, len(flights))

@@ -33,8 +33,8 @@ class FlightScene:
     """Logs one flight to a rerun stream, frame by frame.
 
     Args:
-        stream: ``rerun.RecordingStream``.
-        design: What flies.
+        stream: Stream of type ``rerun.RecordingStream`` that the scene is logged to.
+        design: Design of the vehicle that flies.
         payload: Carried below the center of mass [kg].
         drop: Distance below the vehicle [m].
     """

@@ -46,7 +46,7 @@ def speed_map(
     Args:
         field: A flow in two dimensions.
         case: Index of the inlet case.
-        title: Above the picture.
+        title: Title above the picture.
         lines: Streamlines, or how many to start where fluid enters; 0 draws none.
         max_speed: Upper end of the color scale [m/s]; default the greatest in the fluid.
     """
@@ -64,7 +64,7 @@ def compare(
     """Flows side by side on one color scale, such as the initial and the optimized design.
 
     Args:
-        panels: (title, field) each.
+        panels: Title and flow of each panel.
         case: Index of the inlet case.
         plane: Plane of 3D flows, such as ("z", 0.5): axis and position in the box [share of its
             side].
@@ -114,9 +114,9 @@ def slices(
 
     Args:
         field: A flow in three dimensions.
-        planes: (axis, position in the box [share of its side]) each.
+        planes: Axis and position in the box [share of its side] of each plane.
         case: Index of the inlet case.
-        title: Above the picture.
+        title: Title above the picture.
         max_speed: Upper end of the color scale [m/s]; default the greatest that is drawn.
     """
     _check_fields([field], dim=3)

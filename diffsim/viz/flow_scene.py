@@ -39,7 +39,7 @@ def write_rerun(
         title: Title of the recording.
         case: Index of the inlet case.
         lines: Streamlines, or how many to start where fluid enters.
-        num_arrows: About how many.
+        num_arrows: Approximate number of arrows.
         height: Height of the wall of a 2D flow [m]; default a tenth of the longest side.
 
     Raises:

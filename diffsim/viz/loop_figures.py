@@ -145,7 +145,7 @@ def progress(iterations: Sequence[Iteration]) -> Figure:
 
 
 def name_of(iteration: Iteration) -> str:
-    """As Table 5.2 names it."""
+    """Label of an iteration, as in Table 5.2."""
     names = {0: "0 (bl-ctrl)", 1: "1 (bl-one-iter)"}
     return names.get(iteration.idx, str(iteration.idx))
 

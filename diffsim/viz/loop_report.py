@@ -29,7 +29,7 @@ SHORT = {"youngs_modulus": "E [Pa]", "axial_stiffness": "w = EA [N]"}
 
 
 def table_5_2(result: LoopResult) -> list[dict[str, Any]]:
-    """Rows for JSON, SI units."""
+    """Rows of Table 5.2 for JSON, SI units."""
     rows = []
     for it in result.iterations:
         found = it.identified
@@ -64,11 +64,11 @@ def write_loop(
     """``report.html``, ``table_5_2.json`` and the figures as PNG and SVG.
 
     Args:
-        result: Of the loop.
-        model: It was made with.
-        folder: Where.
+        result: Result of the loop between simulation and recording.
+        model: Model of the starfish that the loop was made with.
+        folder: Folder that the files are written to.
         fit_s: Length of the recordings that parameters were fitted to [s].
-        real: What :func:`diffsim.sim_to_real.on_real_recording` found, None: left out.
+        real: Result of :func:`diffsim.sim_to_real.on_real_recording`; None: left out.
 
     Returns:
         Path of the page.

@@ -48,7 +48,7 @@ class Table:
     """A table of finished strings; the first column is the row's name.
 
     Attributes:
-        columns: Headings, with units.
+        columns: Headings of the columns, with units.
         rows: Cells, as many as columns.
         caption: What the table shows.
         emphasis: Indices of rows to stress.
@@ -79,14 +79,14 @@ class Section:
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """Everything on the page.
+    """Content of a page: title, key figures and sections.
 
     Attributes:
         title, subtitle: What was compared with what.
         verdict: The answer in a few sentences with numbers and units.
         banner: A warning across the page, such as "virtual data"; None for none.
         numbers: Key figures, shown large.
-        sections: The body.
+        sections: Sections below the key figures.
         held_fixed: (what, value) pairs that were not fitted.
         versions: (what, version) pairs; by default those of the libraries that computed.
     """

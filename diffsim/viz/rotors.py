@@ -1,4 +1,4 @@
-"""How well a rotor model fits its bench table: curves above, residuals below."""
+"""Rotor models against their bench tables: curves above, residuals below."""
 
 from __future__ import annotations
 

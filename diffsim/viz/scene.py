@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.files import replacing
 from diffsim.viz._require import optional
 
 Array = NDArray[np.float64]
@@ -23,10 +22,10 @@ class MovingSurface:
 
     Attributes:
         path: Entity path, such as ``gravity/identified``.
-        time_s: (T,) [s].
-        nodes_m: (T, N, 3) [m].
-        triangles: (F, 3).
-        color: ``#rrggbb``.
+        time_s: Times of the frames, (T,) [s].
+        nodes_m: Positions of the nodes, (T, N, 3) [m].
+        triangles: Node indices of the triangles, (F, 3).
+        color: Color of the surface as ``#rrggbb``.
     """
 
     path: str
@@ -49,7 +48,7 @@ class MovingPoints:
 
 @dataclass(frozen=True, kw_only=True)
 class Plot:
-    """One curve over time."""
+    """One curve over time in the rerun viewer."""
 
     path: str
     time_s: Array
@@ -60,7 +59,7 @@ class Plot:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """Everything of one recording; ``note`` is a text that opens beside it."""
+    """Surfaces, points and plots of one recording; ``note`` is a text that opens beside it."""
 
     title: str
     note: str
@@ -95,11 +94,7 @@ def write_recording(path: str | Path, title: str, log: Callable[[Any, Any], None
         ImportError: rerun-sdk is not installed.
     """
     rr = optional("rerun", purpose="an .rrd recording")
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".rrd.tmp")
-    os.close(handle)
-    try:
+    with replacing(path, ".rrd.tmp") as temporary:
         stream = rr.RecordingStream(f"diffsim {title}")
         stream.save(temporary)
         stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -107,12 +102,7 @@ def write_recording(path: str | Path, title: str, log: Callable[[Any, Any], None
         stream.flush()
         stream.disconnect()
         del stream
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-    return path
+    return Path(path)
 
 
 def rgb(color: str) -> list[int]:

@@ -14,9 +14,10 @@ from diffsim.core.files import write_bytes_atomic
 from diffsim.core.stages import file_digest
 from diffsim.data import BeamGeometry, BeamStudy, BeamTrial
 from diffsim.data.beam_motion import COMPARE_S
+from diffsim.mesh import surface_quads
 from diffsim.systems.soft_body.clamped_beam import Beam, Release, Setup
 from diffsim.systems.soft_body.tip_window import MAX_RELEASE_SHIFT_S, rms, window
-from diffsim.viz.frames import pack, surface_quads
+from diffsim.viz.frames import pack
 from examples.demo.numerics import motion
 from examples.demo.plan import Plan
 from examples.demo.workers import Workers
@@ -121,13 +122,13 @@ def simulate(
     def job(rung: Rung, case: str, trial: BeamTrial) -> Callable[[], dict[str, Any]]:
         def compute() -> dict[str, Any]:
             beam = Beam(study.geometry, rung.setup, trial.tip_load_mass_kg)
-            quads, nodes = surface_quads(beam.mesh.elements.numpy())
+            nodes, quads = torch.unique(surface_quads(beam.mesh).faces, return_inverse=True)
             with torch.no_grad():
                 run = beam.release(
                     rung.parameters,
                     COMPARE_S + MAX_RELEASE_SHIFT_S,
                     tick=workers.tick,
-                    keep_nodes=torch.from_numpy(nodes) if rung.keep_surface else None,
+                    keep_nodes=nodes if rung.keep_surface else None,
                 )
                 elastic = {"youngs_modulus": rung.parameters["youngs_modulus"]}
                 sag = float(beam.sag(elastic))
@@ -140,7 +141,9 @@ def simulate(
                 **motion(run.time_s, tip[:, 2]),
             }
             if rung.keep_surface:
-                found["surface"] = _write_surface(folder / f"{rung.name}_{case}.npz", run, quads)
+                found["surface"] = _write_surface(
+                    folder / f"{rung.name}_{case}.npz", run, quads.numpy()
+                )
                 found["surface_sha256"] = file_digest([Path(found["surface"])])
             return found
 
@@ -198,7 +201,7 @@ def _left(trial: BeamTrial, run: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _write_surface(path: Path, run: Release, quads: np.ndarray) -> str:
+def _write_surface(path: Path, run: Release, quads: torch.Tensor) -> str:
     """Places of the surface nodes at the camera's rate, and the faces between them."""
     assert run.nodes_m is not None
     stride = max(1, round(FRAME_S / (run.time_s[1] - run.time_s[0])))
@@ -207,7 +210,7 @@ def _write_surface(path: Path, run: Release, quads: np.ndarray) -> str:
         pack(
             time_s=run.time_s[::stride],
             nodes_m=run.nodes_m[::stride].numpy().astype(np.float32),
-            quads=quads,
+            quads=quads.numpy(),
         ),
     )
     return str(path)

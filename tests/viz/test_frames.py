@@ -7,14 +7,15 @@ import io
 import numpy as np
 import pytest
 
-from diffsim.mesh import hex_box
-from diffsim.viz.frames import pack, surface_quads, triangles
+from diffsim.mesh import hex_box, surface_quads
+from diffsim.viz.frames import pack, triangles
 
 
 @pytest.mark.property
 def test_surface_is_closed_and_faces_outwards():
     mesh = hex_box((4, 3, 2), (0.4, 0.3, 0.2))
-    quads, nodes = surface_quads(mesh.elements.numpy())
+    nodes, quads = np.unique(surface_quads(mesh).faces.numpy(), return_inverse=True)
+    quads = quads.reshape(-1, 4)
     x = mesh.x_rest.numpy()[nodes]
     assert len(quads) == 2 * (4 * 3 + 3 * 2 + 4 * 2)
     assert len(nodes) == 5 * 4 * 3 - 3 * 2 * 1

@@ -49,14 +49,6 @@ def least_violation(A: Array, b: Array) -> tuple[int, float]:
     return int(violations.argmax()), float(solution.x[-1])
 
 
-def extreme(A: Array, b: Array, cost: Array) -> float:
-    """min cost's over A s <= b; -inf where it has none."""
-    if not len(b):
-        return 0.0 if not cost.any() else -np.inf
-    solution = linprog(cost, A_ub=A, b_ub=b, bounds=[(None, None)] * len(cost))
-    return float(solution.fun) if solution.status == 0 else -np.inf
-
-
 def random_feasible(
     A: Array, b: Array, s: Array, radius: float, rng: np.random.Generator, *, num_steps: int = 20
 ) -> Array:

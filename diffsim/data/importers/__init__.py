@@ -41,7 +41,7 @@ def import_study(name: str, data: str | Path | None = None) -> Study:
     """The study of a published data set.
 
     Args:
-        name: One of ``IMPORTERS``.
+        name: Name of the data set, a key of ``IMPORTERS``.
         data: Folder that holds the data sets; by default as :func:`diffsim.data.find_dataset`.
 
     Raises:

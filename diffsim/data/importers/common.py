@@ -1,4 +1,4 @@
-"""What the importers share: metadata, columns of a file, noise of sensors at rest."""
+"""Steps that the importers share: metadata, columns of a file, noise of sensors at rest."""
 
 from __future__ import annotations
 
@@ -68,9 +68,9 @@ def scaled(values: Array, floor: float, share: float) -> Array:
     sqrt(floor^2 + (share x)^2): near zero x in units of the floor, above it a logarithm.
 
     Args:
-        values: Any shape [unit].
-        floor: [unit].
-        share: [-].
+        values: Readings of any shape, in their own unit.
+        floor: Scatter of a reading at zero [unit of the readings].
+        share: Scatter that grows with the reading, as a share of it [-].
     """
     return np.asarray(np.arcsinh(share / floor * values) / share)
 

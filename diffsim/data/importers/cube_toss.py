@@ -50,7 +50,7 @@ def import_cube_toss(folder: Path, *, after: bool = False) -> Study:
     """Poses as tracked; the velocities of the first frame are start values in ``setup``.
 
     Args:
-        folder: Of the data set.
+        folder: Folder of the downloaded data set.
         after: Go on through the first impact.
     """
     meta = read_metadata(folder)

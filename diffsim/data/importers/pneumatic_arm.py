@@ -28,7 +28,7 @@ def import_arm_step(folder: Path, *, beyond: bool = False) -> Study:
     """Campaign ``step``: pressure on for 3-6 s and off again.
 
     Args:
-        folder: Of the data set.
+        folder: Folder of the downloaded data set.
         beyond: Whether 450 mbar is held out, too: an extrapolation, the arm bends 2.5 times as far
             as at 350 mbar, and would outweigh everything else that is held out.
     """

@@ -69,10 +69,10 @@ def two_parts(
     """The first samples with the clicks, and the last ones, held out.
 
     Args:
-        time_s: (num_samples,) [s].
-        balls: (num_samples, 4) [px].
+        time_s: Times of the samples, (num_samples,) [s].
+        balls: Clicked centers u, v of both balls, (num_samples, 4) [px].
         points: "u_px", "v_px", "x_m", "y_m", "z_m" of the clicked corners.
-        setup: Facts of both runs.
+        setup: Facts that hold for both runs, such as the frame rate, by name.
         held_out_from: Sample with which the second run begins.
     """
     clicks = np.column_stack([points["u_px"], points["v_px"]])

@@ -32,7 +32,7 @@ class BeamShape:
 
     @property
     def area(self) -> float:
-        """[m^2]."""
+        """Area of the cross-section [m^2]."""
         return self.width * self.depth
 
     @property
@@ -47,11 +47,11 @@ class BeamModes:
 
     Attributes:
         x: Nodes without the clamped one, (n,) [m].
-        omega: (m,) [rad/s].
+        omega: Angular eigenfrequencies of m modes, ascending, (m,) [rad/s].
         deflection, rotation: At the nodes per modal coordinate, (n, m).
-        curvature: In the cells, (n, m) [1/m].
-        cell: Cell size [m].
-        node_volume: (n,) [m^3].
+        curvature: Curvature of each mode in the n cells, (n, m) [1/m].
+        cell: Length of a cell along the bar [m].
+        node_volume: Volume of the bar that belongs to each node, (n,) [m^3].
     """
 
     x: Array
@@ -72,10 +72,10 @@ class BeamModes:
 def beam_modes(
     shape: BeamShape, youngs_modulus: float, added_density: float = 0.0, num_modes: int = 12
 ) -> BeamModes:
-    """Modes of the bar.
+    """Compute the lowest bending modes of a clamped bar.
 
     Args:
-        youngs_modulus: [Pa].
+        youngs_modulus: Young's modulus of the bar [Pa].
         added_density: Mass that moves along without inertia of rotation or weight [kg/m^3].
     """
     n, h = shape.num_cells, shape.length / shape.num_cells

@@ -218,7 +218,7 @@ class _Network:
         return float(((a + share * (b - a)) ** 0.25 - 1.0) / c)
 
     def _conductance(self, c: int) -> float:
-        """Of a Newtonian fluid between rigid walls [m^3/(s Pa)]."""
+        """Conductance of channels for a Newtonian fluid between rigid walls [m^3/(s Pa)]."""
         newton = self.width[c] ** 3 / (12.0 * self.viscosity[c] * LENGTH_M[c])
         return float(DEPTH_M * newton * self.slip[c] * self.open[c])
 

@@ -1,4 +1,4 @@
-"""What the virtual laboratories share: effects by name, noise, decoys, and the making of a study.
+"""Steps that the virtual laboratories share: effects by name, noise, decoys, making of a study.
 
 Shares no code with the simulators, nor with the effects of the diagnosis.
 """
@@ -40,10 +40,10 @@ class LabEffect:
     """A cause that a laboratory can hide in its data.
 
     Attributes:
-        unit: Of every component.
+        unit: SI unit of every component, "-" if none.
         typical: A size that would be no surprise.
-        form: What it does, in a line.
-        components: How many amplitudes it has.
+        form: What the effect does at a given size, in a line.
+        components: Number of amplitudes that the effect has.
         outside: It is in no library of candidates; the honest verdict is ``unknown``.
     """
 
@@ -87,7 +87,7 @@ class Lab(ABC):
     """A virtual laboratory; ``case`` makes a study with the effects that it is told to hide.
 
     Class attributes:
-        system: As in :class:`diffsim.data.Study`.
+        system: Recorded system, one of ``diffsim.data.study.SYSTEMS``.
         channels: What it measures; ``sd`` is that of the noise it adds.
         effects: What it can hide, by name.
         base: Base parameters; the truth is drawn from their priors.
@@ -133,11 +133,11 @@ class Lab(ABC):
         """A study with hidden effects.
 
         Args:
-            seed: Of the base parameters, placements, gains and noise. Equal seeds with other
-                effects differ by the effects only.
+            seed: Seed of base parameters, placements, gains and noise. Studies of one seed with
+                other effects differ by the effects only.
             effects: Sizes by name, in the effect's unit; a scalar is the first component, None
                 the typical size.
-            decoys: Names of ``DECOYS``.
+            decoys: Names of disturbances that are no effect, keys of ``DECOYS``.
             noise: Factor on the noise; 0 gives what sensors without noise would have read.
 
         Raises:

@@ -1,4 +1,4 @@
-"""What the virtual multicopter flies: place in NED [m] and yaw [rad] over time [s]."""
+"""Maneuvers of the virtual multicopter: place in NED [m] and yaw [rad] over time [s]."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ class CopterLab(Lab):
         }
 
     def measure(self, plan: Plan, truth: dict[str, Any]) -> tuple[Array, dict[str, Array]]:
-        """What cameras and inertial sensors read, and the thrusts that were commanded."""
+        """Readings of cameras and inertial sensors, and the thrusts that were commanded."""
         name = list(MANEUVERS)[int(plan.setup["maneuver"])]
         rows, commands = _Flight(truth, self._path(name)).run(plan.time_s)
         rows[:, 3:6] += truth["nuisances"]["camera_to_body_rad"]

@@ -21,7 +21,7 @@ def matrix(q: Array) -> Array:
 
 
 def product(p: Array, q: Array) -> Array:
-    """Hamilton product."""
+    """Hamilton product of two quaternions."""
     a, b, c, d = p.tolist()
     e, f, g, h = q.tolist()
     return np.array(

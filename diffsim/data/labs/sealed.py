@@ -50,7 +50,7 @@ ONE_PLACE = {"weak_rotor", "blocked_branch", "meter_gain", "pressure_offset"}
 
 @dataclass(frozen=True)
 class Blindfold:
-    """What of a study is taken away, so that it cannot tell something.
+    """Part of a study that is taken away, so that it cannot tell certain effects apart.
 
     Attributes:
         blank: Channels that were not recorded.
@@ -76,12 +76,12 @@ class Bench:
     """A laboratory and what can be hidden in it beyond single effects.
 
     Attributes:
-        lab: Makes the laboratory.
+        lab: Function that makes the laboratory.
         confounded: Effects that the rest of a study cannot part, and what is taken away.
         invisible: Effects that the rest of a study cannot show, and what is taken away.
         look_alike: Effects that others of their family mimic; hidden while the library lacks them.
         coarse: Factors on numerical settings that no diagnosis may accept.
-        decoys: That have a meaning there.
+        decoys: Names of the decoys that have a meaning in this laboratory.
     """
 
     lab: Callable[[], Lab]
@@ -144,11 +144,11 @@ BENCHES: dict[str, Bench] = {
 
 
 def draw_label(rng: np.random.Generator, bench: Bench, kinds: Sequence[str] = ()) -> dict[str, Any]:
-    """What a case hides: kind, effects with sizes, decoys, seed, and what is taken away.
+    """Draw the content of a case: kind, effects with sizes, decoys, seed, and what is taken away.
 
     Args:
-        rng: Draws everything.
-        bench: The laboratory.
+        rng: Source of every random choice.
+        bench: Laboratory and what can be hidden in it.
         kinds: Only these; all that the bench can make if empty.
 
     Raises:
@@ -225,8 +225,8 @@ def seal(bench: Bench, label: Mapping[str, Any], data: Path, vault: Path, case: 
     """Hide the label, then make the data.
 
     Args:
-        bench: The laboratory.
-        label: From ``draw_label``.
+        bench: Laboratory and what can be hidden in it.
+        label: What the case hides, as ``draw_label`` returns it.
         data: ``data/case`` gets the study, the hash, and what the diagnosis must be told (which
             causes its library lacks, numerical settings), nothing that names the cause.
         vault: ``vault/case.json`` gets label, truth and salt; must be outside ``data``.

@@ -26,8 +26,8 @@ def projected(values: Mapping[str, Tensor], rotation: Tensor, place: Tensor) -> 
     Args:
         values: "focal" [px], "turn_x" to "turn_z" [rad], "shift_x" to "shift_z" [m], "radial" [-],
             "center_u" and "center_v" [px], (...,) each.
-        rotation: R, (3, 3).
-        place: (..., T, 3) [m].
+        rotation: Rotation R from the world to the camera, (3, 3).
+        place: Places in the world over time, (..., T, 3) [m].
 
     Returns:
         (..., T, 2) u to the right, v down [px].

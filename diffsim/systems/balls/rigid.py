@@ -33,14 +33,14 @@ class Ball:
 
 @dataclass(frozen=True, eq=False)
 class Laws:
-    """Numbers of the motion.
+    """Parameters of the motion on the table.
 
     Attributes:
         table_friction: Coulomb coefficient while a ball slips [-].
         rolling_resistance: Deceleration over gravity [-].
         tilt: (..., 2) slope of the table, downhill positive [rad].
         air_drag: Deceleration over speed squared [1/m].
-        inertia: I / (m r^2) [-].
+        inertia: Moment of inertia over mass and squared radius, I / (m r^2) [-].
     """
 
     table_friction: Tensor
@@ -93,8 +93,8 @@ def impact(
     presses the struck ball onto the table, whose own friction acts at once.
 
     Args:
-        resting, coming: At the impact.
-        laws: Of the table.
+        resting, coming: States of the resting and of the coming ball at the impact.
+        laws: Parameters of the motion on the table.
         values: "restitution", "ball_friction", "mass_ratio" (struck over coming), "sidespin"
             [m/s].
     """

@@ -43,7 +43,7 @@ class BallScene:
 
     Attributes:
         values: Base parameters and ``PLAIN``, (...,) each.
-        time: (T,) of the samples [s].
+        time: Times of the samples, (T,) [s].
         rotation: (3, 3) of the camera before its small turn.
         corners: (T, 3) places of the clicked corners [m], one per sample.
     """

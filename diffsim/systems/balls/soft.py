@@ -32,11 +32,11 @@ class SoftBalls:
     """Two equal balls on a table, prepared for many simulations.
 
     Args:
-        radius: [m].
-        mass: Of one ball [kg].
+        radius: Radius of both balls [m].
+        mass: Mass of one ball [kg].
         steps: Per frame; 3 at 60 frames per second is the thesis's 5.6 ms.
-        subdivisions: Of the icosahedron: 2 gives 320 tetrahedra, 3 gives 1280.
-        frame_s: Time between frames [s].
+        subdivisions: Subdivisions of the icosahedron: 2 gives 320 tetrahedra, 3 gives 1280.
+        frame_s: Time between two frames of the video [s].
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class SoftBalls:
 
         Args:
             values: ``MOTION``, (); spins are given as velocities of rolling [m/s].
-            num_frames: The first is the start.
+            num_frames: Number of frames; the first is the start.
         """
         state = self.start(values)
         if num_frames < 2:
@@ -141,7 +141,7 @@ class SoftBallScene:
         frames: (T,) int64, samples as frames since the start.
         rotation: (3, 3) of the camera before its small turn.
         corners: (T, 3) places of the clicked corners [m], one per sample.
-        balls: The simulator.
+        balls: Simulator of both balls.
     """
 
     values: Mapping[str, Tensor]
@@ -163,7 +163,7 @@ class SoftBallScene:
         return self.balls.centers(self.values, int(self.frames.max()) + 1)
 
     def seen(self, motion: Tensor) -> Tensor:
-        """What the camera makes of a motion, (T, 6) [px]."""
+        """Pixels of a motion in the camera, (T, 6) [px]."""
         shown = motion[self.frames]
         places = [shown[:, 0], shown[:, 1], self.corners]
         return torch.cat([projected(self.values, self.rotation, p) for p in places], -1)
@@ -175,7 +175,7 @@ class SoftBallModel(SimModel):
     Args:
         base: ``MOTION`` and the camera's parameters.
         rotation: (3, 3) of the camera before its small turn.
-        balls: The simulator.
+        balls: Simulator of both balls.
         size_px: Width and height of the picture.
 
     Attributes:

@@ -1,4 +1,4 @@
-"""What a thrust stand's readings may have beyond the quadratic rotor."""
+"""Effects on a thrust stand's readings, beyond the quadratic rotor."""
 
 from __future__ import annotations
 

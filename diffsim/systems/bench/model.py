@@ -1,4 +1,4 @@
-"""What a static reading of a rotor on a thrust stand is, in closed form.
+"""Static readings of a rotor on a thrust stand, in closed form.
 
     thrust = c w^2,   torque = lambda thrust,   current = a thrust^1.5 / V + current_0,
     speed = 2 K u / (1 + sqrt(1 + 4 L u)),   u = V (duty - duty_0)^b
@@ -25,7 +25,6 @@ from diffsim.identify import Parameter
 from diffsim.identify.model import Numerics, SimModel
 
 Change = Callable[["BenchScene", Tensor], Tensor]
-QUANTITIES = ("voltage", "thrust", "torque", "speed", "current")
 LEAST_DUTY = 1e-3
 
 
@@ -41,19 +40,21 @@ def propeller_of(run: Run) -> str:
 
 
 def stand_of(run: Run) -> str:
-    """ "kde" or "small"."""
+    """Name of the stand of a motor, "kde" or "small"."""
     return "kde" if run.name.startswith("kde") else "small"
 
 
 @dataclass(frozen=True, eq=False)
 class BenchScene:
-    """One sweep.
+    """One sweep of a motor with its propeller.
 
     Attributes:
-        run: The sweep.
+        run: Recorded sweep of one motor with its propeller.
         values: Base parameters by name without the rotor's, () or (K,) each.
-        columns: Of ``SCATTER``, in the order of the channels.
-        changes: What effects do to each quantity, in this order.
+        columns: Names of the measured quantities, keys of ``SCATTER``, in the order of the
+            channels.
+        changes: Functions by which effects change each quantity, in this order, by name of the
+            quantity.
     """
 
     run: Run
@@ -72,7 +73,7 @@ class BenchScene:
 
     @property
     def duty(self) -> Tensor:
-        """(num_samples,) from 0 to 1."""
+        """Duty cycle of the motor, (num_samples,) from 0 to 1."""
         return (self.command(COMMAND) - 1000.0) / 1000.0
 
     def of(self, quantity: str) -> Tensor:
@@ -120,8 +121,8 @@ def bench_model(runs: Sequence[Run], columns: Sequence[str] = tuple(SCATTER)) ->
     """Parameters of each motor with its propeller; the torque ratio where torque was measured.
 
     Args:
-        runs: Of the study.
-        columns: What is measured, of ``SCATTER``.
+        runs: Sweeps of the study.
+        columns: Names of the measured quantities, keys of ``SCATTER``.
     """
     rotors = {rotor_of(r): r for r in runs}
     base = [p for rotor, run in rotors.items() for p in _parameters(rotor, run, columns)]

@@ -23,10 +23,10 @@ def calibrated_arc(
     The turn of the face is measured by its normal, so that no pressure enters.
 
     Args:
-        runs: To fit; three markers each.
-        axes: Of the laboratory, along and across the body.
-        length: Of the arc [m].
-        center_toward: Of the markers' mean from the face's center towards the bend [m].
+        runs: Runs to fit, with three markers each.
+        axes: Indices of the laboratory's axes along and across the body.
+        length: Length of the arc [m].
+        center_toward: Distance of the markers' mean from the face's center, towards the bend [m].
 
     Returns:
         The kinematic parameters of the scene, and "misfit", rms [m].

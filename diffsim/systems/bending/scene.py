@@ -63,8 +63,8 @@ class Layout:
     Attributes:
         axes: Indices of the axis and of the two lateral directions.
         moving: Number of markers at the end; those after them are clamped.
-        command: Name of the run's command.
-        unit: Of the command that ``p = 1`` stands for.
+        command: Name of the command that bends the body.
+        unit: Value of the command for which ``p = 1`` [unit of the command].
     """
 
     axes: tuple[int, int, int]
@@ -75,16 +75,16 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class BendingScene:
-    """One run.
+    """One run of a bending body.
 
     Attributes:
         values: Base parameters (of this run without "@run") and ``PLAIN``, (K,) each.
-        run: With its measured rest before the step.
-        layout: Of the set-up.
-        step: Of the integrator [s].
+        run: Recorded run, with its measured rest before the step.
+        layout: Axes and command of the set-up.
+        step: Time step of the integrator [s].
         single: Whether one point was asked for, without a batch axis.
         knots: (m, K) of a moment in time besides [rad], straight lines between them; None: none.
-        spacing: Of the knots [s], the first at the run's start.
+        spacing: Time between two knots [s]; the first knot is at the run's start.
     """
 
     values: Mapping[str, Array]
@@ -170,8 +170,8 @@ class BendingScene:
         """(T, K) bending angle: trapezoidal rule, each step linearized at its start.
 
         Args:
-            grid: (T,) times [s].
-            pressure: (T, K) in the chamber.
+            grid: Times of the grid, (T,) [s].
+            pressure: Pressure in the chamber over that of ``p = 1``, (T, K) [-].
             held_angle: (T, K) moment, as the angle that it holds in the end.
         """
         v, steps = self.values, np.diff(grid)
@@ -250,14 +250,14 @@ def bending_scene(
     arc: Mapping[str, float],
     step: float = STEP,
 ) -> BendingScene:
-    """The scene of a run.
+    """Make the scene of a run.
 
     Args:
         values: Base parameters, nuisances of runs as "name@run"; they win over the arc's.
-        run: With ``layout.command``.
-        layout: Of the set-up.
+        run: Recorded run that has the command ``layout.command``.
+        layout: Axes and command of the set-up.
         arc: "length", "shape", "direction", "neutral_axis", "center_toward" [m, rad].
-        step: Of the integrator [s].
+        step: Time step of the integrator [s].
     """
     single = values["frequency"].ndim == 0
     arrays = {n: np.atleast_1d(v.detach().numpy()) for n, v in values.items()}

@@ -1,4 +1,4 @@
-"""What the linear flow with one viscosity and resting walls leaves out, as loads on that flow.
+"""Loads that stand for what linear flow with one viscosity and resting walls leaves out.
 
 Each term is evaluated on the flow before and applied as a body force, a wall velocity or a moved
 wall; repeated, the flow converges to that of the extended equations. Gradients pass to the flow and
@@ -18,7 +18,7 @@ class FlowDerivatives:
     """Derivatives of grid flows, at cells and nodes of the fluid.
 
     Args:
-        grid: Two-dimensional.
+        grid: Two-dimensional grid of the device.
         phi: Level set at the nodes; results are given at all nodes of cells with fluid.
         fluid: Cells whose velocities are used, (nx, ny) bool.
         inside: Cells whose pressures are used, (nx, ny) bool.
@@ -45,7 +45,7 @@ class FlowDerivatives:
         """d v_i / d x_j at the centers of fluid cells, (cases, 2, 2, num_fluid_cells) [1/s].
 
         Args:
-            velocity: (cases, *node_shape, 2) [m/s].
+            velocity: Velocity at the nodes, (cases, *node_shape, 2) [m/s].
         """
         dx, dy = self.grid.spacing
         along_x, along_y = velocity.diff(dim=1) / dx, velocity.diff(dim=2) / dy
@@ -58,7 +58,7 @@ class FlowDerivatives:
         """div(2 eta' D(v)) at the nodes, (cases, *node_shape, 2) [N/m^3].
 
         Args:
-            gradient: Of the velocity, as from ``gradient``.
+            gradient: Velocity gradient in fluid cells, as ``gradient`` returns it.
             extra_viscosity: eta' in fluid cells, (cases or 1, num_fluid_cells) [Pa s].
         """
         stress = extra_viscosity[:, None, None] * (gradient + gradient.transpose(1, 2))

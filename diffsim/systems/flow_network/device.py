@@ -24,7 +24,7 @@ class Opening:
 
     Attributes:
         y: Height of its axis [m].
-        width: [m].
+        width: Width of the channel [m].
     """
 
     y: float
@@ -54,12 +54,13 @@ class ChannelDevice:
 
     Attributes:
         inlets, outlets: Channels, from bottom to top.
-        size: Of the box, x and y [m].
-        manifold: Its lower and upper x [m]; it spans all channels in y, and ``fillet`` more.
+        size: Size of the box along x and y [m].
+        manifold: Lower and upper x of the manifold [m]; it spans all channels in y, and ``fillet``
+            more.
         fillet: Width of the blend that rounds the corners where channels meet the manifold [m].
-        cells: Grid cells along x and y.
+        cells: Number of grid cells along x and y.
         drive: "flow" (pumps prescribe flows) or "pressure" (regulators prescribe pressures).
-        viscosity: Nominal [Pa s].
+        viscosity: Nominal viscosity of the fluid [Pa s].
         nominal_drive: A usual level of the command [m^2/s or Pa]; sets the shear rate to which the
             thinning refers.
         num_profile_points: Velocities measured across the middle 84 % of the last branch's width.
@@ -120,12 +121,12 @@ class ChannelDevice:
     def channels(
         self, flow_sd: float, pressure_sd: float, velocity_sd: float
     ) -> tuple[Channel, ...]:
-        """What a run measures: outlet flows, inlet pressures, then the velocity profile.
+        """Channels that a run measures: outlet flows, inlet pressures, then the velocity profile.
 
         Args:
             flow_sd: Noise of the flow meters [m^2/s].
             pressure_sd: Noise of the pressure taps [Pa].
-            velocity_sd: Noise of the profile [m/s].
+            velocity_sd: Standard deviation of the profile's noise [m/s].
         """
         flows = [
             Channel(f"flow_out_{i + 1}_m2_s", "m^2/s", "flow", flow_sd)
@@ -190,8 +191,8 @@ class ChannelDevice:
         return width
 
     def throat(self, branch: int, points: Tensor) -> Tensor:
-        """Where something may lodge in an outlet branch, (...) in [0, 1]: 1 over the middle third
-        of its length, falling to 0 over a width on both sides."""
+        """Region of an outlet branch where something may lodge, (...) in [0, 1]: 1 over the middle
+        third of its length, falling to 0 over a width on both sides."""
         opening = self.outlets[branch]
         start, end = self.manifold[1], self.size[0]
         away = (points[..., 0] - 0.5 * (start + end)).abs() - (end - start) / 6.0

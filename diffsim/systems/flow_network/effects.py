@@ -308,7 +308,7 @@ def stokes_library(device: ChannelDevice | None = None) -> tuple[Effect, ...]:
     """All candidate effects of a device; those with a place once per place.
 
     Args:
-        device: Default ``ChannelDevice()``.
+        device: Device whose candidates are listed; None: ``ChannelDevice()``.
     """
     device = ChannelDevice() if device is None else device
     outlets, inlets = range(len(device.outlets)), range(len(device.inlets))

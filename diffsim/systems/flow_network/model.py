@@ -34,23 +34,23 @@ class StokesScene:
     """One run of the device, with the hooks of its effects; zero or None is "not there".
 
     Attributes:
-        rig: Device on its grid.
+        rig: Device on its grid, with what all runs share.
         drive: Levels of the command, (num_levels, num_inlets) [m^2/s or Pa].
-        level: Which level holds at each sample, (num_samples,).
+        level: Index of the command's level at each sample, (num_samples,).
         viscosity: At the nominal temperature [Pa s].
-        wall_offset: All walls outwards [m].
+        wall_offset: Distance by which all walls move outwards [m].
         narrowing: Distance by which walls come inwards at the nodes, (*node_shape,) [m].
-        inlet_skew: See ``Rig.inflow`` [-].
+        inlet_skew: Lean of the inlet profile to one side, as in ``Rig.inflow`` [-].
         outlet_pressure: Beyond each outlet, (num_outlets,) [Pa].
         leak: Flow lost ahead of each inlet over the pressure there [m^2/(s Pa)].
-        channel_gain: Of every channel, (num_channels,) [-].
-        channel_offset: Of every channel, (num_channels,) [its unit].
-        slip_length: Navier [m].
-        compliance: c of w (1 + c p) [1/Pa].
+        channel_gain: Gain of every channel's meter, (num_channels,) [-].
+        channel_offset: Offset of every channel's meter, (num_channels,) [unit of the channel].
+        slip_length: Slip length of Navier's condition at the walls [m].
+        compliance: Compliance c of the walls: the width at pressure p is w (1 + c p) [1/Pa].
         viscosity_gradient: Relative viscosity across the box in y, from -g/2 to g/2 [-].
         thinning: 1 - n: viscosity (1 + (rate / shear_rate)^2)^(-thinning / 2) [-].
-        density: Of the fluid's inertia [kg/m^3].
-        rtol: Of the sweeps over the terms that are not linear.
+        density: Density that the fluid's inertia is computed with [kg/m^3].
+        rtol: Relative tolerance of the sweeps over the nonlinear terms [-].
     """
 
     rig: Rig
@@ -202,8 +202,8 @@ class StokesScene:
 
 
 def device_base(device: ChannelDevice) -> tuple[Parameter, ...]:
-    """What is always imperfectly known of a device: viscosity to 2 %, each meter's and pump's gain
-    to 0.5 %, walls to 0.3 % of the narrowest channel."""
+    """Base parameters that are always uncertain: viscosity to 2 %, each meter's and pump's gain to
+    0.5 %, walls to 0.3 % of the narrowest channel."""
     narrowest = min(o.width for o in (*device.inlets, *device.outlets))
     drives = [Parameter(f"drive_gain_{i + 1}", 1.0, 0.005) for i in range(len(device.inlets))]
     meters = [Parameter(f"flow_gain_{i + 1}", 1.0, 0.005) for i in range(len(device.outlets))]
@@ -221,7 +221,7 @@ def device_model(
     """The device as a model for the diagnosis.
 
     Args:
-        device: Default ``ChannelDevice()``.
+        device: Device to be simulated; None: ``ChannelDevice()``.
         base: Base parameters, of the names that ``device_base`` uses; those left out hold their
             nominal value. Default ``device_base(device)``.
 

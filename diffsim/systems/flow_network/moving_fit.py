@@ -20,8 +20,8 @@ class MovingFit:
     cell; second order where the stencil is symmetric.
 
     Args:
-        sources: (num_sources, 2) [m].
-        targets: (num_targets, 2) [m].
+        sources: Points with known values, (num_sources, 2) [m].
+        targets: Points at which the fit is evaluated, (num_targets, 2) [m].
         spacing: Cell size [m], width of the weights.
 
     Attributes:

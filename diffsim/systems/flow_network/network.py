@@ -36,12 +36,12 @@ class NetworkDevice:
         outlets: Nodes on the right face, in the order of the flow meters.
         tap: Where on the inlet channel a second pressure is read, as a share of the way from its
             start, where the first is read, to its end.
-        size: Of the box [m].
-        cells: Grid cells along x and y.
+        size: Size of the box along x and y [m].
+        cells: Number of grid cells along x and y.
         depth: Out of the plane [m]; plane flows times the depth are flows.
-        viscosity: Nominal [Pa s].
-        shear_rate: To which the thinning refers [1/s].
-        density: Of the fluid [kg/m^3].
+        viscosity: Nominal viscosity of the fluid [Pa s].
+        shear_rate: Shear rate beyond which the fluid thins [1/s].
+        density: Density of the fluid [kg/m^3].
         throat: Share of a branch's length over which something may lodge in it, a raised cosine.
     """
 
@@ -89,7 +89,7 @@ class NetworkDevice:
 
     @property
     def taps(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Where pressures are read: at the inlet channel's start and at the tap [m]."""
+        """Places where pressures are read: at the inlet channel's start and at the tap [m]."""
         (x0, y0), (x1, y1) = (self.nodes[n] for n in self.segments[0][1:3])
         return (x0, y0), (x0 + self.tap * (x1 - x0), y0 + self.tap * (y1 - y0))
 
@@ -114,9 +114,10 @@ class NetworkDevice:
         """phi at points (..., 2) [m], > 0 in the fluid.
 
         Args:
-            points: [m].
-            offset: All walls outwards [m].
-            narrowing: Of the middle of the branch to each outlet, relative to its width [-].
+            points: Points in the box, (..., 2) [m].
+            offset: Distance by which all walls move outwards [m].
+            narrowing: Narrowing of the middle of the branch to each outlet, relative to its width,
+                (num_outlets,) [-].
         """
         distance, place = self.coordinates(points)
         half = torch.tensor([0.5 * s.width for s in self.segments], dtype=points.dtype)

@@ -28,7 +28,7 @@ class Balance:
     """Mass and pressures of all levels; unknowns are flows over ``flow_scale`` and pump pressure.
 
     Args:
-        scene: Whose effects hold.
+        scene: Conditions under which the flow is balanced.
     """
 
     def __init__(self, scene: NetworkConditions):
@@ -155,7 +155,7 @@ class Balance:
         return pressure * (1.0 + x * (1.5 + x * (1.0 + 0.25 * x))), (1.0 + x) ** 3
 
     def _narrowed(self, value: Tensor) -> Tensor:
-        """p of F(p)."""
+        """Pressure p of F(p)."""
         c = self.scene.compliance
         x = 4.0 * c * value
         # ((1 + x)^(1/4) - 1) / c, without a division by c

@@ -24,23 +24,26 @@ class NetworkConditions:
 
     Attributes:
         table: Unit flows of the device on its grid.
-        drive: What the pump gives at each level, (num_levels, 1) [m^3/s].
+        drive: Flow that the pump gives at each level, (num_levels, 1) [m^3/s].
         back_pressure: Commanded beyond each outlet, (num_levels, num_outlets) [Pa].
-        level: Which level holds at each sample, (num_samples,).
-        viscosity: [Pa s].
-        width_gain: Of each channel's width, (num_segments,) [-]; small: by the cube law of slits.
+        level: Index of the command's level at each sample, (num_samples,).
+        viscosity: Viscosity of the fluid at no shear [Pa s].
+        width_gain: Relative change of each channel's width, (num_segments,) [-]; small, applied by
+            the cube law of slits.
         outlet_pressure: Beyond each outlet, on top of the commanded one, (num_outlets,) [Pa].
-        channel_gain, channel_offset: Of every channel, (num_channels,): flows, then pressures.
-        wall_offset: All walls outwards [m].
-        slip_length: Navier [m].
-        narrowing: Of the middle of each branch, relative to its width, (num_outlets,) [-].
+        channel_gain, channel_offset: Gain [-] and offset [unit of the channel] of every meter,
+            (num_channels,): flows, then pressures.
+        wall_offset: Distance by which all walls move outwards [m].
+        slip_length: Slip length of Navier's condition at the walls [m].
+        narrowing: Narrowing of the middle of each branch, relative to its width, (num_outlets,)
+            [-].
         viscosity_gradient: Relative viscosity across the box in y, from -g/2 to g/2 [-].
         thinning: s of viscosity (1 + (rate / shear_rate)^2)^(-s / 2) [-].
-        compliance: c of w (1 + c p) [1/Pa].
+        compliance: Compliance c of the walls: the width at pressure p is w (1 + c p) [1/Pa].
         entrance_loss: K of a loss K rho u^2 / 2 at each branch's entrance [-].
         leak: Flow lost at the pump over the pressure there [m^3/(s Pa)].
         columns: Channels that were measured, by index; all if None.
-        rtol: Of the balance of pressures.
+        rtol: Relative tolerance of the balance of mass and pressures [-].
     """
 
     table: UnitFlowTable

@@ -33,15 +33,15 @@ NUM_SECTIONS = 12
 
 
 class NetworkFlow:
-    """A device on a grid.
+    """Stokes flow of a network on a grid.
 
     Args:
-        device: The network.
-        refine: Factor on the cell size.
+        device: Network to be simulated.
+        refine: Factor on the cell size [-].
 
     Attributes:
         cells: Those that fluid fills or may come to fill, by flat index.
-        centers: Of these cells, (cells, 2) [m].
+        centers: Centers of these cells, (cells, 2) [m].
         num_solved: Shapes that were factorized.
     """
 

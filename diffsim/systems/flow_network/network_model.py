@@ -46,7 +46,7 @@ class NetworkScene(NetworkConditions):
 
 
 def network_base(device: NetworkDevice, runs: Sequence[str]) -> tuple[Parameter, ...]:
-    """What is always imperfectly known of a network.
+    """Base parameters that are always uncertain in a network.
 
     Viscosity to 1 %, widths to 0.3 %, what the pump gives in each run to 0.5 %, each meter to
     0.5 %, the zeros of the pressure sensors to 0.2 Pa.
@@ -72,13 +72,15 @@ def network_model(
     """A network as a model for the diagnosis: channels are outlet flows, pump and tap pressure.
 
     Args:
-        device: The network.
-        base: Of the names that ``network_base`` uses; those left out hold their nominal value.
+        device: Network to be simulated.
+        base: Base parameters out of those that ``network_base`` makes; the others hold their
+            nominal value.
         pump: Name of the command of the pump [m^3/s].
-        back_pressures: Names of the commands of pressures beyond the outlets [Pa]. Those that a
-            run does not have are zero.
-        columns: Which of the channels are measured, by index; all if None.
-        corrected: As for ``UnitFlowTable``.
+        back_pressures: Names of the commands that are pressures beyond the outlets [Pa]. Those that
+            a run does not have are zero.
+        columns: Whether resistances are corrected by what halving the cells once changes, as in
+            ``UnitFlowTable``.
+        corrected: Whether walls, slip and thinning are corrected as ``UnitFlowTable`` does.
 
     Returns:
         Model. Unit flows are simulated when first needed and kept with the model;

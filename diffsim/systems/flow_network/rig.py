@@ -24,10 +24,10 @@ DEEP = 0.75
 
 
 class Rig:
-    """What depends on device and grid alone; scenes of all runs share it.
+    """Device on its grid; scenes of all runs share it.
 
     Args:
-        device: The device.
+        device: Device to be simulated.
         refine: Factor on the cell size (``Numerics.mesh``).
     """
 
@@ -78,12 +78,12 @@ class Rig:
         """Inlet velocities with exactly the given flows: developed profiles, leaned by the skew.
 
         Args:
-            phi: Level set, (*node_shape,).
-            flow: (levels, num_inlets) [m^2/s].
+            phi: Level set at the nodes, (*node_shape,) [m].
+            flow: Flow through each inlet at each level, (levels, num_inlets) [m^2/s].
             skew: Velocity at the upper wall's side over that at the lower's, s of
                 u (1 + s (y - y0) / (w / 2)) [-].
-            offset: Both walls outwards [m].
-            slip: Slip length [m].
+            offset: Distance by which both walls move outwards [m].
+            slip: Slip length at the walls [m].
         """
         values = {}
         for i, (name, nodes) in enumerate(self.solver.boundary.inlets.items()):
@@ -103,7 +103,7 @@ class Rig:
 
         Args:
             inlet_pressure: (levels, num_inlets) [Pa]; None where pumps prescribe flows.
-            outlet_pressure: (num_outlets,) [Pa].
+            outlet_pressure: Pressure beyond each outlet, (num_outlets,) [Pa].
         """
         right = -(outlet_pressure[:, None] * torch.stack(self.outlet_masks)).sum(0)[None]
         left = torch.zeros_like(right)
@@ -126,7 +126,7 @@ class Rig:
         return torch.stack([integral(field, "x+", out * mask) for mask in self.outlet_masks], -1)
 
     def tap_pressures(self, field: FlowField) -> Tensor:
-        """(levels, num_inlets) [Pa]."""
+        """Pressure at the inlets' taps, (levels, num_inlets) [Pa]."""
         cells, fit = self._taps
         return fit.at(field.pressure.flatten(1)[:, cells])
 

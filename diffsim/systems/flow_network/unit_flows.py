@@ -59,8 +59,8 @@ class Groups(NamedTuple):
 
     Attributes:
         of_cell: Group of every kept cell, (cells,).
-        owner: Channel, (groups,).
-        height: Mean y [m], (groups,).
+        owner: Index of the channel of each group, (groups,).
+        height: Mean y of the cells of each group, (groups,) [m].
         before_tap: Between the two pressure sensors, (groups,) bool.
         after_pump: Beyond the first of them, (groups,) bool.
     """
@@ -76,8 +76,8 @@ class UnitFlowTable:
     """Unit flows of any shape: simulated on a lattice of shapes, interpolated smoothly between.
 
     Args:
-        device: The network.
-        refine: Factor on the cell size.
+        device: Network to be simulated.
+        refine: Factor on the cell size [-].
         corrected: Multiply resistances by what halving the cells once changes them in the nominal
             shape, extrapolated to second order (Richardson).
     """

@@ -42,10 +42,10 @@ def setup(
     """The laboratory's bar as a solid.
 
     Args:
-        study: Of ``SoftBeamLab``.
+        study: Study made by ``SoftBeamLab``.
         cells: Elements along, in the plane of bending and across; an even number in the plane.
         dt_s: Time step [s]; the samples' 10 ms must be a multiple.
-        search: Effort.
+        search: Effort of the search; None: the default for this system.
         accept_numerics: Go on although time step or mesh move the record by more than the noise.
     """
     along, plane, across = (int(n) for n in cells)

@@ -168,14 +168,14 @@ def tension_limit(largest_N: float) -> Effect:
 
 
 def causes(largest_N: float) -> tuple[Effect, ...]:
-    """Candidates.
+    """Candidate causes of the laboratory's bar.
 
     Left out: what is a base parameter (stiffness-proportional damping, placement), what the
     laboratory has no channels for (tilt and lens of cameras), a current without known drag, and
     steps of the tension (quantization), for which there is no term.
 
     Args:
-        largest_N: What the drive can pull.
+        largest_N: Largest force that the drive can pull with [N].
     """
     return (
         LOSS_FACTOR,

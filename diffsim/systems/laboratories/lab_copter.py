@@ -41,7 +41,7 @@ def setup(study: Study, *, window_s: float = 0.5, knot_s: float = 0.2) -> Diagno
     """Model, causes and further runs.
 
     Args:
-        study: Of the laboratory.
+        study: Study made by the laboratory.
         window_s: Length of the windows whose initial states are fitted away [s].
         knot_s: Between the knots of the unknown wrench [s].
     """

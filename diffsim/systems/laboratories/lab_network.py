@@ -40,10 +40,10 @@ def setup(
     """Model, causes and runs to record next for a study of the channel network.
 
     Args:
-        study: With the laboratory's facts in its metadata.
+        study: Study made by the laboratory, with its facts in the metadata.
         cells_per_width: Grid cells across the narrowest channel.
         corrected: Correct the flows' resistance for the cell size once, from a finer grid.
-        effects: Names of the candidate causes; all if None.
+        effects: Names of the candidate causes; None: all.
         accept_numerics: Go on although the numerics gate fails.
     """
     device = device_of(study.metadata, cells_per_width)

@@ -48,24 +48,26 @@ class CopterFlight:
     Attributes:
         vehicle: The multicopter, (points, ...).
         commands: Thrusts at every sample, held until the next, (points, num_samples, n_rotors) [N].
-        dt: Between samples [s].
+        dt: Time between two samples [s].
         sensors: Groups of channels of the record, in order; keys of ``SENSORS``.
         windows: The record in windows, whose initial states are fitted away.
         substeps: Integration steps per sample.
-        flight_effects: Of :func:`diffsim.copter.fly`; tensors with the leading axis.
-        terrain_height: Of the ground above the origin [m].
+        flight_effects: Effects in flight, as :func:`diffsim.copter.fly` takes them; tensors with
+            the leading axis.
+        terrain_height: Height of the ground above the origin [m].
         thrust_coefficient: Thrust over the square of a rotor's speed [N s^2].
-        command_maps: What happens to the commands, in order: f(commands, dt). The first row is what
-            was held before the record starts, so that commands are (points, num_samples + 1,
+        command_maps: Functions f(commands, dt) that change the commands, in order. The first row is
+            what was held before the record starts, so that commands are (points, num_samples + 1,
             n_rotors) there.
-        schedules: What happens to thrusts in flight: f(motion, thrusts) with thrusts of
-            (points, num_windows, length, n_rotors); iterated to a fixed point.
+        schedules: Functions f(motion, thrusts) that change the thrusts in flight, (points,
+            num_windows, length, n_rotors) [N]; iterated to a fixed point.
         air: Forces in the world that depend on the motion: f(motion) of (points, num_windows,
             length, 3) [N]; iterated likewise.
         world_force: (points, num_samples or 1, 3), held over each step [N].
         marker: Place of the captured point in the body frame, (points, 3) [m].
         imu_tilt: Rotation vector of the inertial unit in the body frame, small, (points, 3) [rad].
-        position_scale, accelerometer_scale: What these show over what is there, (points,) [-].
+        position_scale, accelerometer_scale: Scale of the position and of the accelerometer
+            readings, shown over true, (points,) [-].
         attitude_offset, body_rates_offset, accelerometer_offset: Added to what these show,
             (points, 3) [rad], [rad/s], [m/s^2].
     """

@@ -34,8 +34,8 @@ class Flyer:
     accelerates with a = F / m it is absent, and the drags act on a wind, less the frame's velocity.
 
     Args:
-        scene: One run.
-        points: How many its leading axes stand for.
+        scene: Run to be flown.
+        points: Number of points that the scene's leading axes stand for.
     """
 
     def __init__(self, scene: CopterFlight, points: int):
@@ -173,7 +173,7 @@ class _Record:
     body_rates: Tensor
 
     def motion(self, vehicle: Fleet) -> Motion:
-        """In the middle of steps, where causes are right to second order."""
+        """Motion in the middle of steps, where causes are right to second order."""
         middle = [
             0.5 * (value[:, :, :-1] + value[:, :, 1:])
             for value in (self.position, self.velocity, self.rotation, self.body_rates)
@@ -202,7 +202,7 @@ class _Frame:
 
 
 def _read(scene: CopterFlight, record: _Record) -> Tensor:
-    """What the sensors show, (points, num_windows, length, num_channels)."""
+    """Readings of the sensors, (points, num_windows, length, num_channels)."""
 
     def wide(value: Tensor) -> Tensor:
         """(points, ...) against (points, num_windows, length, ...)."""

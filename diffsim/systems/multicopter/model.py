@@ -60,8 +60,8 @@ class CopterModel(SimModel):
     """A model that flies many parameter points as one batch.
 
     Args:
-        flights: Makes the scenes.
-        base: Base parameters.
+        flights: Recipe that makes the scene of a run.
+        base: Base parameters with their priors.
     """
 
     def __init__(self, flights: Flights, base: Sequence[Parameter]):
@@ -124,7 +124,7 @@ def flight_model(
     have a ``payload_kg`` at the center of mass and a ``terrain_height_m``.
 
     Args:
-        vehicle: As designed.
+        vehicle: Vehicle as designed.
         commands: Names of the runs' commands, commanded thrust of each rotor in order [N].
         sensors: Groups of channels: "position" and "attitude", with "body_rates" and
             "accelerometer" if there are.
@@ -164,14 +164,14 @@ class Flights:
     """Makes the scene of a run at values of the base parameters, () or (points,) each.
 
     Attributes:
-        vehicle: As designed, one.
-        commands: Names of the runs' commands.
-        sensors: Groups of channels.
+        vehicle: Vehicle as designed, a fleet of one.
+        commands: Names of the runs' commands, one per rotor.
+        sensors: Groups of channels of the record, in order, keys of ``SENSORS``.
         sd: Noise of the channels, (num_channels,).
-        window_s: [s].
+        window_s: Length of a window [s].
         substeps: Integration steps per sample.
-        thrust_coefficient: [N s^2].
-        known: Windows of runs.
+        thrust_coefficient: Thrust over the square of a rotor's speed [N s^2].
+        known: Windows of each run that was cut already.
     """
 
     vehicle: Fleet

@@ -11,14 +11,14 @@ from diffsim.copter.fleet import Fleet
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What a cause may depend on, in the middle of every control step.
+    """State in the middle of every control step, which causes may depend on.
 
     Attributes:
-        vehicle: That flies.
+        vehicle: Vehicle that flies.
         position: World frame, (points, num_windows, length, 3) [m].
         velocity: World frame, of the same shape [m/s].
         rotation: World from body, (points, num_windows, length, 3, 3).
-        body_rates: (points, num_windows, length, 3) [rad/s].
+        body_rates: Angular velocity in the body frame, (points, num_windows, length, 3) [rad/s].
     """
 
     vehicle: Fleet

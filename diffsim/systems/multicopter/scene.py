@@ -27,8 +27,8 @@ class CopterScene(CopterFlight):
         """Predicted channels with the best initial states.
 
         Args:
-            points: How many the leading axes stand for.
-            shooting: Of a point near all of them.
+            points: Number of points that the scene's leading axes stand for.
+            shooting: Fit of the initial states, of a point near all of them.
 
         Returns:
             (points, num_samples, num_channels).

@@ -66,13 +66,13 @@ def filled(values: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Windows of one run.
+    """Record of one run, cut into windows.
 
     An initial state is that of 12 and, for the first window, the thrusts that were commanded before
     the record starts: a lag or a dead time brings them into it.
 
     Attributes:
-        guess: Of the initial states from the record, (num_windows, 12 + n_rotors).
+        guess: Initial states estimated from the record, (num_windows, 12 + n_rotors).
         measured: (num_windows, length, num_channels), NaN where nothing was recorded.
         sd: Noise of the channels, (num_channels,).
         latest: The best states of the last search (or none): where the next search starts.
@@ -85,7 +85,7 @@ class Windows:
 
     @property
     def spread(self) -> Tensor:
-        """Of the initial states about the guess, (12 + n_rotors,)."""
+        """Spread of the initial states about the guess, (12 + n_rotors,)."""
         rigid = [s for s in _SPREAD for _ in range(3)]
         return self.guess.new_tensor(rigid + [_PAST_SPREAD] * (self.guess.shape[1] - RIGID))
 
@@ -136,14 +136,14 @@ class Windows:
 
 @dataclass(frozen=True, eq=False)
 class Shooting:
-    """How the best initial states of one run follow from all other parameters.
+    """Linear map from all other parameters to the best initial states of one run.
 
     Departures d from the guess minimize |W (measured - predicted(d))|^2 + |d / spread|^2, here by
     Gauss-Newton with the tangents of one model: the prediction is the profile over d. Misfit that
     an initial state can explain is no evidence for anything.
 
     Attributes:
-        windows: Of the run.
+        windows: Record of the run, cut into windows.
         measured: (num_windows, length * num_channels, 1), zero where nothing was recorded.
         change: d of that model, (num_windows, 12 + n_rotors, 1).
         tangent: d predicted / d start, (num_windows, length * num_channels, 12 + n_rotors).
@@ -161,7 +161,7 @@ class Shooting:
 
         Args:
             here: Prediction at d, (num_windows, length * num_channels, many).
-            change: d.
+            change: Change d of the initial states so far, (num_windows, 12 + n_rotors, many).
         """
         return self.gain @ (self.measured - here + self.tangent @ change)
 

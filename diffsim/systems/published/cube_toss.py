@@ -13,8 +13,9 @@ def setup(study: Study, *, max_effects: int = 4) -> DiagnosisSetup:
     """A rigid cube in flight, and through its first impact where that was recorded.
 
     Args:
-        study: ``import_study("cube_toss")``.
-        max_effects: In one set: flight, impact and cameras each have causes of their own.
+        study: Study from ``import_study("cube_toss")``.
+        max_effects: Largest number of effects in one set: flight, impact and cameras each have
+            causes of their own.
     """
     return DiagnosisSetup(
         TossModel(study.runs, study.channels),

@@ -22,8 +22,8 @@ def setup(study: Study, *, max_effects: int = 3) -> DiagnosisSetup:
     Nothing but one marker's path is known, so the arc's shape has wide priors.
 
     Args:
-        study: As imported.
-        max_effects: In one set.
+        study: Study as imported.
+        max_effects: Largest number of effects in one set.
     """
     base = [
         Parameter("frequency", 7.0, 0.4, "Hz", log=True),

@@ -26,8 +26,8 @@ def setup(study: Study, *, max_effects: int = 4) -> DiagnosisSetup:
     """Plain: bending angle in proportion to the set pressure, which is there at once.
 
     Args:
-        study: One of the two campaigns.
-        max_effects: In one set.
+        study: Study of one of the two campaigns.
+        max_effects: Largest number of effects in one set.
     """
     arc = calibrated_arc(study.fit_runs, LAYOUT.axes, length=LENGTH, center_toward=CENTER_TOWARD)
     base = [

@@ -13,8 +13,9 @@ def setup(study: Study, *, max_effects: int = 6) -> DiagnosisSetup:
     """Quadratic rotors and everything a stand may do to their readings.
 
     Args:
-        study: ``import_study("rotor_bench")`` or ``"rotor_drive"``.
-        max_effects: In one set; two quantities, each with causes of its own, need more than three.
+        study: Study from ``import_study("rotor_bench")`` or ``import_study("rotor_drive")``.
+        max_effects: Largest number of effects in one set; two quantities, each with causes of its
+            own, need more than three.
     """
     return DiagnosisSetup(
         bench_model(study.runs, [c.name.removeprefix("scaled_") for c in study.channels]),

@@ -65,13 +65,13 @@ def setup(
     """The height of the tip while the bar swings freely, its causes, what could be recorded next.
 
     Args:
-        study: As imported.
+        study: Study as imported.
         cells: Elements along, across and up.
-        dt_s: Time step [s].
-        from_s, until_s: What is judged, after release [s]. Before, hand and string act: no two
-            releases by hand are alike (docs/measured/silicone_beam.md).
+        dt_s: Time step of the simulation [s].
+        from_s, until_s: Begin and end of what is compared, after the release [s]. Before, hand and
+            string act: no two releases by hand are alike (docs/measured/silicone_beam.md).
         with_weight: Whether the runs with the weight are judged, too. How it hangs is not modeled.
-        search: Effort.
+        search: Effort of the search; None: the default for this system.
         accept_numerics: Go on although time step or mesh move the record by more than the noise.
     """
     bar = geometry(study)
@@ -188,7 +188,7 @@ def _smooth(run: Run, values: np.ndarray) -> np.ndarray:
 
 
 def _smooth_force(until_s: float) -> UnknownForce:
-    """In the plane of the bar: knots in time, even and growing along it; nothing sideways."""
+    """Force in the plane of the bar: knots in time, even and growing along it; nothing sideways."""
     count = max(4, round(KNOTS_PER_S * until_s) + 1)
     knots = np.linspace(0.0, until_s, count)
     in_time = smooth_covariance(knots, 2.0 * until_s / (count - 1))

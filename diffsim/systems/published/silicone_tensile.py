@@ -13,8 +13,8 @@ def setup(study: Study, *, max_effects: int = 4) -> DiagnosisSetup:
     """Neo-Hookean specimens and what a pull test may have beyond them.
 
     Args:
-        study: ``import_study("silicone_tensile")``.
-        max_effects: In one set.
+        study: Study from ``import_study("silicone_tensile")``.
+        max_effects: Largest number of effects in one set.
     """
     return DiagnosisSetup(
         pull_model(study.runs),

@@ -73,16 +73,17 @@ def setup(
     """A quarter of the robot as the thesis models it, and what may be missing.
 
     Args:
-        study: As imported; or windows of it that :func:`modes` made.
+        study: Study as imported, or windows of it that :func:`modes` made.
         medium: "water" or "air": which ``WINDOWS`` of a study as imported.
-        channels: Of ``MODES``, of a study as imported.
-        sd_m: As in :func:`modes`, of a study as imported [m].
-        window_s: Length of its windows [s].
+        channels: Names of the channels, out of ``MODES``; for a study as imported.
+        sd_m: Noise that differences between repeats are compared with, as in :func:`modes`, for a
+            study as imported [m].
+        window_s: Length of the windows that are cut from the runs [s].
         refine: Cells per coarse cell's edge.
-        dt_s: Time step [s].
-        integrator: Of the body.
+        dt_s: Time step of the simulation [s].
+        integrator: Integrator of the body.
         poissons_ratio: 0.4 in the authors' code, 0.48 in the thesis.
-        max_effects: In one set.
+        max_effects: Largest number of effects in one set.
         accept_numerics: Go on although step or mesh move the record.
 
     Raises:

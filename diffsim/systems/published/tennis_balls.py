@@ -30,8 +30,8 @@ def setup(study: Study, *, max_effects: int = 6) -> DiagnosisSetup:
     The camera is that of the authors with wide priors, the corners are fitted with the balls.
 
     Args:
-        study: As imported.
-        max_effects: In one set.
+        study: Study as imported.
+        max_effects: Largest number of effects in one set.
     """
     rotation, camera = camera_prior(study)
     base = [
@@ -65,9 +65,9 @@ def soft_model(
     """The thesis's balls: soft, on an exact table, pushing each other through their centers.
 
     Args:
-        study: As imported, or read from a video.
-        steps: Per frame.
-        subdivisions: Of the balls, see :class:`SoftBalls`.
+        study: Study as imported, or read from a video.
+        steps: Number of time steps per frame.
+        subdivisions: Subdivisions of the balls' icosahedra, see :class:`SoftBalls`.
         radial: Fit a radial distortion of the lens too.
     """
     rotation, camera = camera_prior(study)

@@ -1,4 +1,4 @@
-"""What a tossed cube and its cameras may have beyond gravity, friction and restitution."""
+"""Effects on a tossed cube and its cameras, beyond gravity, friction and restitution."""
 
 from __future__ import annotations
 

@@ -23,11 +23,11 @@ def impulse(
     """Impulse per mass on the corner, (..., 3) [m/s]; the plane's normal is z.
 
     Args:
-        velocity: Of the corner before, (..., 3) [m/s].
-        arm: From the center of mass to the corner, (..., 3) [m].
+        velocity: Velocity of the corner before the impact, (..., 3) [m/s].
+        arm: Vector from the center of mass to the corner, (..., 3) [m].
         inertia: Moment of inertia per mass, about any axis, (...) [m^2].
-        restitution: e, (...).
-        friction: mu, (...).
+        restitution: Restitution coefficient e, (...) [-].
+        friction: Friction coefficient mu, (...) [-].
         rebound: Tangential restitution of a sticking corner, (...): 0 stops it.
     """
     eye = torch.eye(3, dtype=arm.dtype)

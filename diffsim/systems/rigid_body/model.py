@@ -99,7 +99,7 @@ class Tosses:
         )
 
     def only(self, index: int) -> Tosses:
-        """One of them."""
+        """A copy with one of the tosses."""
         return Tosses(*(getattr(self, f.name)[index : index + 1] for f in fields(self)))
 
     def fly(
@@ -108,7 +108,7 @@ class Tosses:
         """Position [m], quaternion, height at rest [m], (K, num_tosses, length, 8).
 
         Args:
-            start: (K, num_tosses, 12).
+            start: Start states of K points, (K, num_tosses, 12).
             values: restitution and friction, (K,) or ().
             terms: Sizes of what effects add, (K, num_components) or (num_components,); ``TERMS``.
         """
@@ -177,9 +177,9 @@ class Table:
     """All tosses of a study and how their start states follow from the records.
 
     Attributes:
-        tosses: Side by side.
-        shooting: Of all; None while it is prepared.
-        place: Of each run in ``tosses``.
+        tosses: All tosses, side by side.
+        shooting: Fit of the start states of all tosses; None while it is prepared.
+        place: Index of each run in ``tosses``, by name of the run.
         latest: The last prediction of all tosses by its arguments: they are flown at once, and
             asked for one by one.
     """
@@ -209,12 +209,12 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class TossScene:
-    """One toss.
+    """One toss of the cube.
 
     Attributes:
-        run: The recording.
+        run: Recorded toss.
         values: restitution and friction, () or (K,).
-        table: Of the study.
+        table: All tosses of the study with their start states.
         terms: Sizes of what effects add, (..., num_components); see ``TERMS``.
     """
 
@@ -240,7 +240,7 @@ class TossModel(SimModel):
 
     Args:
         runs: Tosses of the study.
-        channels: Of the study.
+        channels: Channels of the study.
         at: Restitution and friction where start states are linearized; the prior if None.
     """
 

@@ -26,11 +26,11 @@ def tendon_arm(
     Args:
         length: Height [m]; it is an eighth as wide.
         coarse: 2 x 2 x 16 cells, for quick trials.
-        dt: Time step [s].
-        youngs_modulus: [Pa].
+        dt: Time step of the simulation [s].
+        youngs_modulus: Young's modulus of the bar [Pa].
         amplitude: Largest contraction of a muscle [-].
         gravity: Downward [m/s^2]; none by default, as an arm this slender buckles at this modulus.
-        rtol: Of a step.
+        rtol: Relative tolerance of a time step's solution [-].
     """
     wide, tall = (2, 16) if coarse else (4, 32)
     width = length / 8.0

@@ -14,21 +14,22 @@ from diffsim.contact import Obstacle
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SoftRobot:
-    """Everything that examples and environments need of one robot.
+    """A soft robot with its body, drive, sensors and surroundings, as examples and environments use
+    it.
 
     Commands lie in [-1, 1]; the activation of the muscles (target stretches) is
     ``rest_activation + command @ drive``, so antagonists are rows with entries of both signs.
 
     Attributes:
-        name: Such as "starfish".
+        name: Name of the robot, such as "starfish".
         body: Mesh, material, muscles, time step.
-        drive: (num_commands, num_muscles) [-].
-        command_names: One each.
+        drive: Activation of each muscle per unit of each command, (num_commands, num_muscles) [-].
+        command_names: Name of each command, (num_commands,).
         sensors: Nodes whose velocity is sensed, (num_sensors,) int64.
         forward: Unit vector along which it should move, (3,).
-        water: What drags and pushes at it; None: it is in air.
-        obstacles: What it stands on.
-        upright_axis: Which of its axes x, y, z (0-2) must not tip over; None: none must not.
+        water: Drag and thrust of the water around the robot; None: the robot is in air.
+        obstacles: Obstacles that the robot stands on.
+        upright_axis: Axis of the robot, x, y or z (0-2), that must not tip over; None: no axis.
     """
 
     name: str
@@ -60,7 +61,7 @@ class SoftRobot:
     def force(
         self, state: soft.State, *, water_velocity: Tensor | None = None, gain: Tensor | None = None
     ) -> Tensor | None:
-        """Of the water at a state, shape of x [N]; None in air.
+        """Force of the water at a state, shape of x [N]; None in air.
 
         Args:
             state: x, v (..., num_vertices, 3).
@@ -129,5 +130,5 @@ def fibers(where: Tensor, direction: Tensor | Sequence[float], stiffness: float)
 
 
 def element_centers(shape: mesh.HexMesh) -> Tensor:
-    """(num_elements, 3) [m]."""
+    """Centers of the elements, (num_elements, 3) [m]."""
     return shape.x_rest[shape.hexes].mean(1)

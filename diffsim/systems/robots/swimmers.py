@@ -57,12 +57,13 @@ def starfish(
     Args:
         cell: Edge of an element at the middle [m].
         coarse: Cells of twice the edge, an eighth of the elements: for quick trials.
-        dt: Time step [s].
-        youngs_modulus: [Pa].
+        dt: Time step of the simulation [s].
+        youngs_modulus: Young's modulus of the body [Pa].
         amplitude: Largest contraction of a muscle [-].
         droop: Slope of the arms' ends at rest [rad].
         num_sensors: Velocity sensors; 137 give the 411 inputs of the thesis's network.
-        rtol: Of a step; None: 1e-5, coarse 1e-4 (see the module).
+        rtol: Relative tolerance of a time step's solution [-]; None: 1e-5, coarse 1e-4 (see the
+            module).
     """
     wide, long, thick = (2, 9, 2) if coarse else (5, 18, 4)
     n = wide + 2 * long
@@ -145,13 +146,14 @@ def shark(
     Fibers along the left and the right of the tail are driven by one command.
 
     Args:
-        length: From nose to tail [m].
+        length: Length from nose to tail [m].
         coarse: Cells of about twice the edge, for quick trials.
-        dt: Time step [s].
-        youngs_modulus: [Pa].
+        dt: Time step of the simulation [s].
+        youngs_modulus: Young's modulus of the body [Pa].
         amplitude: Largest contraction of a muscle [-].
         num_sensors: Velocity sensors; 95 give the 285 inputs of the thesis's network.
-        rtol: Of a step; None: 1e-5, coarse 1e-4 (see the module).
+        rtol: Relative tolerance of a time step's solution [-]; None: 1e-5, coarse 1e-4 (see the
+            module).
     """
     n, wide, tall, fin = (15, 4, 4, 2) if coarse else (44, 6, 8, 6)
     inside = _shark_cells(n, wide, tall, fin)

@@ -40,16 +40,16 @@ def quadruped(
     Each leg has a muscle along its front and one along its back; a command of 1 shortens.
 
     Args:
-        cell: Edge of an element [m].
+        cell: Edge length of an element [m].
         coarse: Elements of twice the edge, for quick trials.
-        dt: Time step [s].
-        youngs_modulus: [Pa].
+        dt: Time step of the simulation [s].
+        youngs_modulus: Young's modulus of the body [Pa].
         amplitude: Largest contraction of a muscle [-].
-        friction: Of the floor, >= 0 or infinite [-].
+        friction: Friction coefficient of the floor, >= 0 or infinite [-].
         per_muscle: One command per muscle (8); or two, for the fronts and for the backs of all
             legs: with one sinusoid in opposite phase the thesis's three parameters.
-        num_sensors: Velocity sensors.
-        rtol: Of a step.
+        num_sensors: Number of velocity sensors.
+        rtol: Relative tolerance of a time step's solution [-].
     """
     if coarse:
         inside, legs = _table((10, 5, 2), (2, 2, 3))
@@ -83,7 +83,7 @@ def cow(
     num_sensors: int = 12,
     rtol: float = 1e-4,
 ) -> SoftRobot:
-    """As ``quadruped``, with a head too large for it: it tends to fall on its face."""
+    """A ``quadruped`` with a head too large for it: it tends to fall on its face."""
     if coarse:
         inside, legs = _table((8, 5, 2), (2, 2, 3), front=2, above=1)
         inside[-4:, :, -3:] = True
@@ -121,9 +121,10 @@ def torus(
     """A ring on its edge with eight muscles along its rim; it should roll along +x.
 
     Args:
-        radius: Of the ring's middle line [m].
+        radius: Radius of the ring's middle line [m].
         coarse: Half as many sections, of 2 x 2 elements instead of 3 x 3, for quick trials.
-        dt, youngs_modulus, amplitude, friction, num_sensors, rtol: As for ``quadruped``.
+        dt, youngs_modulus, amplitude, friction, num_sensors, rtol: Arguments of the same names as
+            those of ``quadruped``.
     """
     sections, width = (24, 2) if coarse else (64, 3)
     x, hexes = _ring(sections, width, radius, 0.4 * radius)

@@ -26,15 +26,15 @@ WEIGHT_AS = ("force", "mass")
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """How a release is simulated, apart from what is identified.
+    """Options of the simulated release, apart from what is identified.
 
     Attributes:
         cells: Elements along, across and up the bar.
-        poissons_ratio: [-].
-        integrator, dt_s: See :class:`diffsim.soft.SoftBody`.
+        poissons_ratio: Poisson's ratio of the material [-].
+        integrator, dt_s: Integrator and time step [s], see :class:`diffsim.soft.SoftBody`.
         weight_as: A hanging weight is a constant ``force`` (published) or a ``mass`` on the
             upper edge of the tip face.
-        rtol: Of every step.
+        rtol: Relative tolerance of every time step's solution [-].
     """
 
     cells: tuple[int, int, int] = (20, 4, 4)
@@ -55,10 +55,10 @@ class Setup:
 
 @dataclass(frozen=True)
 class Release:
-    """A simulated release.
+    """A simulated release of the bar.
 
     Attributes:
-        time_s: (N,) [s].
+        time_s: Times of the samples after the release, (N,) [s].
         tip_m: (N, 3) displacement of the mean tip marker [m]; carries the gradient.
         nodes_m: (N, num_nodes, 3) places of the kept nodes, without gradient; None: not kept.
     """
@@ -75,7 +75,7 @@ class Beam:
     ``rayleigh_beta`` [s] and ``rayleigh_alpha`` [1/s].
 
     Args:
-        bar: Size and material.
+        bar: Size and material of the bar.
         setup: Numerics and the meaning of the weight.
         load_kg: Mass that hangs from the tip.
     """
@@ -144,8 +144,8 @@ class Beam:
         """Let go of the straight beam at t = 0.
 
         Args:
-            parameters: See the class.
-            until_s: Length [s].
+            parameters: Values of the bar's parameters by name, as the class lists them.
+            until_s: Time that is simulated after the release [s].
             tick: Called after every step; may raise to stop.
             keep_nodes: Node indices whose places are returned, too.
         """

@@ -78,7 +78,7 @@ class SlackScene(SoftScene):
         return self.joined(fall, swinging.motion(swinging.num_steps()), last)
 
     def last_fall_step(self) -> int:
-        """The step before the catch."""
+        """Index of the step before the catch."""
         return int(float(self.slack_s.detach()) / self.body.dt)
 
     def falling(self, last: int) -> SoftScene:
@@ -147,7 +147,7 @@ class SlackScene(SoftScene):
 
 
 def slack_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor, Tensor]:
-    """As :func:`scene_tangents`: tangents of the fall move the start of the swing."""
+    """Tangents as of :func:`scene_tangents`; tangents of the fall move the start of the swing."""
     scene = base.scene
     assert isinstance(scene, SlackScene)
     last = scene.last_fall_step()

@@ -1,4 +1,4 @@
-"""What a body went through before its simulation begins, as far as its memory of loads needs it."""
+"""Loads that a body went through before its simulation begins, for models with memory."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class History:
     """A hand held the body for long, let go, and it has swung about its sag since.
 
     Attributes:
-        since_s: Since the hand let go [s].
+        since_s: Time since the hand let go [s].
         hand_force: (num_vertices, 3) of the hand [N].
         swing_rate: () angular frequency of the swing [rad/s].
     """
@@ -23,7 +23,7 @@ class History:
     swing_rate: Tensor
 
     def memory(self, force: Tensor, weight: Tensor, tau: Tensor) -> Tensor:
-        """What Maxwell branches remember when the simulation begins.
+        """State of the Maxwell branches when the simulation begins.
 
         Held: minus weight and hand. Since then the mean has been minus the weight, and of the swing
         about it a branch follows the share 1 / (1 + (w tau)^2) that is in phase. That the mean
@@ -32,7 +32,7 @@ class History:
 
         Args:
             force: (..., num_vertices, 3) of the solid now [N].
-            weight: (num_vertices, 3) [N].
+            weight: Weight of the solid at each node, (num_vertices, 3) [N].
             tau: (num_branches,) time constants [s].
 
         Returns:

@@ -22,7 +22,7 @@ class OwnedScene:
     """A scene, and of each of its extra forces the effect that added it.
 
     Attributes:
-        scene: The scene.
+        scene: Scene of one run, with the effects built in.
         owners: One per entry of ``scene.forces``; None: it was there before all effects.
     """
 
@@ -30,7 +30,7 @@ class OwnedScene:
     owners: tuple[Effect | None, ...]
 
     def makers(self) -> dict[Key, Callable[[], Force]]:
-        """Of the forces, by owner and place among the owner's."""
+        """Functions that make the forces, by owner and place among the owner's."""
         count: Counter[Effect | None] = Counter()
         out = {}
         for owner, make in zip(self.owners, self.scene.forces, strict=True):
@@ -44,9 +44,9 @@ class SceneLine:
     """One line: the scenes at the points of its stencil.
 
     Attributes:
-        stencil: The difference formula.
-        points: At its offsets.
-        effect: Whose size moves; None: a base parameter.
+        stencil: Difference formula for what is cheap to evaluate at its points.
+        points: Scenes at the stencil's offsets.
+        effect: Effect whose size moves along the line; None: a base parameter does.
     """
 
     stencil: Stencil
@@ -93,11 +93,11 @@ class LinePoints:
 
 
 def same_surroundings(a: SoftScene, b: SoftScene, reads: tuple[str, ...] | None) -> bool:
-    """Whether forces that read the scenes find the same there.
+    """Whether two scenes are equal in all that forces read from them.
 
     Args:
-        a, b: Of one body.
-        reads: Names of the physical parameters that matter; None: all.
+        a, b: Scenes of one body.
+        reads: Names of the physical parameters that the forces read; None: all.
     """
     values = [
         (a.current, b.current),

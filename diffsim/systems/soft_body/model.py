@@ -37,7 +37,7 @@ class SoftModel(SimModel):
         lines: Sequence[Line],
         numerics: Numerics | None = None,
     ) -> tuple[Tensor, Tensor] | None:
-        """As :meth:`SimModel.tangents`."""
+        """Prediction and its derivatives, see :meth:`SimModel.tangents`."""
         acting = {e for e, size in at.sizes.items() if bool(size.any())}
         if any(isinstance(e, NumericalEffect) for e in acting):
             return None

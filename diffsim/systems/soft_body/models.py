@@ -51,12 +51,13 @@ def beam_model(
     tip, ``setup["tip_load_mass_kg"]`` of a run, is a mass.
 
     Args:
-        bar: Size and material.
+        bar: Size and material of the bar.
         runs: Runs with a release time of their own as a nuisance.
         cells: Elements along, across and up: ``COARSE`` to screen, ``FINE`` to refit.
-        dt_s: Time step [s].
-        integrator: Of the body.
-        rtol: Of every step; differences of predictions see it.
+        dt_s: Time step of the simulation [s].
+        integrator: Integrator of the body.
+        rtol: Relative tolerance of every step's solution [-]; it limits the accuracy of
+            differences.
         base: Parameters of ``body.physics`` and their priors.
     """
     nuisances = release_nuisances(runs)
@@ -109,17 +110,18 @@ def tendon_model(
     under the run's first command.
 
     Args:
-        size: Length, width, height [m].
-        density: [kg/m^3].
-        poissons_ratio: [-].
-        cells, dt_s, integrator, rtol: As in :func:`beam_model`; an even number of cells up puts the
-            tendon into element centers.
-        gravity: [m/s^2].
+        size: Length, width and height of the bar [m].
+        density: Density of the material [kg/m^3].
+        poissons_ratio: Poisson's ratio of the material [-].
+        cells, dt_s, integrator, rtol: Mesh, time step [s], integrator and tolerance as of
+            :func:`beam_model`; an even number of cells up puts the tendon into element centers.
+        gravity: Gravitational acceleration along x, y and z [m/s^2].
         command: Name of the run's command: share by which the tendon is shortened [-], evenly
             sampled.
         water: Water drags at the bar (its weight and inertia are for ``gravity`` and ``base`` to
             say).
-        base: Of ``body.physics``, and ``axial_stiffness`` of the tendon [N].
+        base: Base parameters: any that ``body.physics`` takes, and ``axial_stiffness`` of the
+            tendon [N].
     """
 
     def build(values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> SoftScene:

@@ -21,8 +21,8 @@ class MovingForces:
     """Forces of one rollout and their tangents; both remember, so this serves one rollout.
 
     Args:
-        base: The scene.
-        lines: K lines.
+        base: Scene that the lines start from.
+        lines: K lines to differentiate along.
     """
 
     def __init__(self, base: OwnedScene, lines: Sequence[SceneLine]):

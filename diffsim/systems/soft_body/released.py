@@ -52,7 +52,7 @@ HAND = (
 
 @dataclass(frozen=True)
 class TipChannels:
-    """What the channels of a study show of the tip's face, all linear in its nodes.
+    """Channels that show the tip's face, all linear in its nodes.
 
     Attributes:
         weights: (num_channels, num_face_nodes) of the places along the channel's axis.
@@ -81,9 +81,9 @@ def tip_channels(bar: BeamGeometry, face: np.ndarray, channels: Sequence[Channel
     """Reads ``tip1_x_m`` (a marker), ``tip_x_m`` (mean of all) and ``tip_pitch_rad``.
 
     Args:
-        bar: With the markers' nominal places.
+        bar: Bar with the nominal places of its markers.
         face: (n, 3) rest places of the tip face's nodes [m].
-        channels: Of the study.
+        channels: Channels of the study.
 
     Raises:
         ValueError: a channel of another name.
@@ -144,12 +144,12 @@ def released_beam(
     A weight, ``setup["tip_load_mass_kg"]``, is a mass on the upper edge of the tip's face.
 
     Args:
-        bar: Size and material.
-        channels: Of the study, see :func:`tip_channels`.
-        runs: All of the study: the hand's part is each run's own.
+        bar: Size and material of the bar.
+        channels: Channels of the study, as :func:`tip_channels` reads them.
+        runs: Names of all runs of the study: the hand's part is each run's own.
         cells, dt_s, integrator, rtol: Numerics; implicit midpoint has no damping of its own.
         poissons_ratio: Hexahedra lock as it nears 0.5, bending hardly depends on it.
-        base: What all runs share.
+        base: Base parameters that all runs share.
     """
     own = tuple(
         Parameter(f"{p.name}@{run}", p.value, p.sd, p.unit, p.log) for run in runs for p in HAND

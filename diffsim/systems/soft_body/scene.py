@@ -28,12 +28,12 @@ OutputMap = Callable[[Tensor, Tensor], Tensor]
 
 @dataclass(frozen=True)
 class Moment:
-    """What a force may depend on.
+    """State of one time step, which a force may depend on.
 
     Attributes:
-        x, v: (num_vertices, 3) [m], [m/s].
-        time: Since the start [s].
-        dt: Step [s].
+        x, v: Positions [m] and velocities [m/s] of the nodes, (num_vertices, 3).
+        time: Time since the start [s].
+        dt: Time step [s].
     """
 
     x: Tensor
@@ -74,8 +74,9 @@ class SoftScene:
             [s]. Before 0 the body rests as it starts.
         observe: Positions (num_vertices, 3) [m] -> channels (num_channels,). Derivatives are
             quicker where it is one function for all scenes and takes leading axes.
-        axes: Of every channel: 0, 1, 2 for x, y, z, so that maps of space find their components.
-        parameters: For ``body.physics``; scalars or fields.
+        axes: Axis of space of every channel, 0, 1 or 2 for x, y or z, so that maps of space find
+            their components.
+        parameters: Physical parameters for ``body.physics`` by name; scalars or fields.
         start: "rest" (the unstrained shape, released at 0) or "equilibrium" under the first
             command and ``holding_force``, or "given": ``start_position``.
         holding_force: (num_vertices, 3) of a hand that lets go at 0 [N]; None: none.
@@ -83,23 +84,23 @@ class SoftScene:
         start_velocity: (num_vertices, 3) at 0 [m/s]; None: at rest.
         relaxed: Parameters that the body has at rest, once hooks with memory have relaxed: the
             first guess of the equilibrium, which is iterated all the same.
-        history: Of loads that hooks with memory have seen before; None: those of the start, for
-            long.
-        start_time: What the hooks' clock shows at 0 [s].
+        history: Loads before the start, for hooks with memory; None: the loads of the start acted
+            for long.
+        start_time: Time that the hooks' clock shows at 0 [s].
         command: (num_commands, width) evenly spaced, or None.
-        command_dt: Its spacing [s].
+        command_dt: Time between two commands [s].
         actuate: Command (width,) -> activation (num_muscles,); None: the command itself.
         actuates_rows: ``actuate`` takes all commands (n, width) at once, which is quicker.
-        command_maps: What happens to the command, in order.
-        forces: Makers of extra forces.
+        command_maps: Functions that change the command, in order.
+        forces: Functions that make the extra forces of a rollout.
         water: Drag and thrust of a fluid, explicit; None: there is none.
-        current: Of the fluid and of every drag force, (3,) [m/s].
-        fluid_density: For added mass [kg/m^3].
+        current: Velocity of the fluid, which every drag force is relative to, (3,) [m/s].
+        fluid_density: Density of the fluid for added mass [kg/m^3].
         friction_shares: (num_vertices,) of dry friction, summing to 1; None: evenly by volume.
         time_scale: True seconds per second of the record.
         clock_offset: The record's clock is late by this [s].
-        output_maps: What happens to channels, in order; they get (num_samples, num_channels) and
-            the sample times.
+        output_maps: Functions of channels (num_samples, num_channels) and sample times that change
+            the channels, in order.
     """
 
     body: soft.SoftBody
@@ -154,7 +155,7 @@ class SoftScene:
         return self.changed(output_maps=(*self.output_maps, change))
 
     def solid_force(self) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
-        """What the solid does without fibers, as a function of x (..., num_vertices, 3) [m].
+        """Force of the solid without fibers, as a function of x (..., num_vertices, 3) [m].
 
         It returns the elastic force, shape of x [N], and the mean square strain (...) [-]: that of
         a bar with the same energy, 2 U / (E V), whatever E.
@@ -172,7 +173,7 @@ class SoftScene:
         return self.channels(self.motion(self.num_steps()))
 
     def motion(self, num_steps: int) -> Tensor:
-        """What is observed at every step, (num_steps + 1, ...)."""
+        """Observed channels at every step, (num_steps + 1, ...)."""
         activations = self.activations(num_steps)
         physics = self.body.physics(**self.parameters)
         return soft.rollout(
@@ -191,7 +192,7 @@ class SoftScene:
         return max(5, math.ceil(float(self._times().detach().max()) / self.body.dt - 1e-9) + 2)
 
     def channels(self, observed: Tensor) -> Tensor:
-        """What the record shows of (num_steps + 1, num_channels), observed at every step."""
+        """Recorded channels from (num_steps + 1, num_channels), observed at every step."""
         channels = sample(observed, self.body.dt, self._times())
         for change in self.output_maps:
             channels = change(channels, self.sample_times)
@@ -201,7 +202,7 @@ class SoftScene:
         return (self.sample_times - self.clock_offset) * self.time_scale
 
     def initial_state(self, activation: Tensor | None, physics: soft.Physics) -> soft.State:
-        """How the body starts, under the first activation."""
+        """State in which the body starts, under the first activation."""
         state = self.body.rest_state()
         if self.start == "equilibrium":
             state = self._equilibrium(activation, physics)

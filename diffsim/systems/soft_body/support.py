@@ -19,7 +19,7 @@ COMMANDS = ("support_x_m", "support_z_m")  # recorded places of the support: alo
 
 
 def _support_motion(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-    """What holds the body moves: shift times what its markers show, and turns as it goes.
+    """Move the support: shift times what its markers show, and turn.
 
     ``shift``: 1 if the markers show it all. ``turn``: rotation about y per forward displacement,
     times the body's length; a stand that sways about an axis far below has little, one that tips
@@ -69,9 +69,9 @@ class _Path:
     """Rigid motion of a support, small: shift of its middle forward and up, rotation about y.
 
     Args:
-        run: With the support's record.
-        scene: Whose fixed nodes are the support.
-        size: (2,) shift, turn.
+        run: Run with the record of the support's motion.
+        scene: Scene whose fixed nodes are the support.
+        size: Shift [m] and turn [rad] of the support, (2,).
 
     Attributes:
         moves: Whether the record shows any motion.

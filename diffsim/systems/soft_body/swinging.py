@@ -58,14 +58,16 @@ def swinging_beam(
     tip's face.
 
     Args:
-        bar: Size and material.
-        channels: Of the study, see :func:`diffsim.systems.soft_body.released.tip_channels`.
-        swings_m: By run: height of the tip over its place at rest at the first sample, roughly [m].
+        bar: Size and material of the bar.
+        channels: Channels of the study, see
+            :func:`diffsim.systems.soft_body.released.tip_channels`.
+        swings_m: Height of the tip over its place at rest at each run's first sample, roughly, by
+            name of the run [m].
         cells, dt_s, integrator, rtol: Numerics; implicit midpoint has no damping of its own.
         poissons_ratio: Hexahedra lock as it nears 0.5, bending hardly depends on it.
         since_s: First sample, after a hand that long held the bar straight let go [s]: what rubber
             that relaxes remembers. None: it remembers its first state only.
-        base: What all runs share.
+        base: Base parameters that all runs share.
     """
     own = tuple(
         Parameter(f"{p.name}@{run}", p.value, p.sd, p.unit)

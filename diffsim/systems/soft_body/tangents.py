@@ -51,7 +51,7 @@ def _shown(observed: Tensor, tangent: Tensor, offset: float, scene: SoftScene) -
 
 
 def motion_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor, list[Tensor]]:
-    """What a scene observes at every step, and its tangent along each line."""
+    """Observed channels of a scene at every step, and their tangent along each line."""
     motion = _Motion(base, lines)
     observed, tangent = motion.observed()
     still = torch.zeros_like(observed)
@@ -74,8 +74,8 @@ class _Motion:
     """The motion of a scene and its tangents along those lines that move it.
 
     Args:
-        base: The scene.
-        lines: All lines.
+        base: Scene that the lines start from.
+        lines: All lines, those that do not move the body included.
     """
 
     def __init__(self, base: OwnedScene, lines: Sequence[SceneLine]):
@@ -199,8 +199,8 @@ class _Observer:
     """Channels of a state, and their slopes along lines by differences (exact where linear).
 
     Args:
-        scene: The scene.
-        lines: K lines.
+        scene: Scene whose channels are observed.
+        lines: K lines to differentiate along.
     """
 
     def __init__(self, scene: SoftScene, lines: Sequence[SceneLine]):

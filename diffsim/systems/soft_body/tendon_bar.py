@@ -25,9 +25,9 @@ class BarShape:
     """Along x, bending in y; SI units.
 
     Attributes:
-        length, depth, width: Along, in the plane of bending, across it [m].
-        density: [kg/m^3].
-        poissons_ratio: [-].
+        length, depth, width: Length along x, depth in the plane of bending and width across it [m].
+        density: Density of the material [kg/m^3].
+        poissons_ratio: Poisson's ratio of the material [-].
         youngs_modulus: That corrections are made for; they hardly depend on it [Pa].
     """
 
@@ -48,7 +48,7 @@ class BarShape:
         return moment * self.length**2 / (2.0 * self.youngs_modulus * self.inertia)
 
     def first_frequency(self) -> float:
-        """Of Timoshenko's cantilever [rad/s].
+        """First angular frequency of Timoshenko's cantilever [rad/s].
 
         Place, slope, moment and shear are carried along by an exponential; shear correction
         10 (1 + nu) / (12 + 11 nu) (Cowper 1966).
@@ -76,10 +76,10 @@ class TendonBar:
     A pair gives the moment of one tendon without compressing the bar.
 
     Args:
-        shape: The bar.
+        shape: Size and material of the bar.
         cells: Elements along, in the plane of bending (even) and across.
-        dt_s, integrator: Of the body.
-        rtol: Of its steps.
+        dt_s, integrator: Time step [s] and integrator of the body.
+        rtol: Relative tolerance of every time step's solution [-].
     """
 
     def __init__(
@@ -184,7 +184,8 @@ class TendonBar:
         return float(self.mesh_frequency() ** 2 / needed**2)
 
     def mesh_frequency(self) -> float:
-        """Of the first mode of the mesh, Young's modulus corrected [rad/s], by power iteration."""
+        """Angular frequency of the mesh's first mode, Young's modulus corrected [rad/s], by power
+        iteration."""
         shape = self.shape
         mass = shape.density * self.body.nodal_volume[:, None]
         young = torch.tensor(shape.youngs_modulus * self.softness, dtype=torch.float64)

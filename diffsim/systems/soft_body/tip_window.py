@@ -37,7 +37,7 @@ class Window:
     """Measured tip motion on a stretch of time, to be compared with a simulation.
 
     Attributes:
-        time_s: (N,) since release [s].
+        time_s: Times since the release, (N,) [s].
         tip_m: (N, 3) displacement from the held state [m].
     """
 

@@ -32,10 +32,10 @@ MIDDLE, TIP = 0.0381, 0.0666  # places of the markers, mean of the upper and the
 
 @dataclass(frozen=True, eq=False)
 class Quarter:
-    """The body on one mesh.
+    """A quarter of the starfish on one mesh.
 
     Attributes:
-        body: With one muscle, both half tendons.
+        body: Soft body with one muscle, which stands for both half tendons.
         rail: (num_vertices,) shares of the nodes that the rail holds; they sum to 1.
         rows: (2, n) weights of ``nodes``: marker at the middle of a leg, marker at its tip.
         nodes: (n,) along the leg's edge on the flat side.
@@ -130,7 +130,7 @@ def quarter(
 
 
 def bending_softness(made: Quarter) -> float:
-    """How far small loads bend the legs on this mesh, over what the finest meshes tend to [-].
+    """Deflection of the legs under small loads on this mesh, over the limit of fine meshes [-].
 
     Few cells bend too little (locking). The model's Young's modulus is multiplied by this, so that
     it means the same on every mesh.

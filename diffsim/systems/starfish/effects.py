@@ -1,4 +1,4 @@
-"""What may lie between the starfish's command and its motion, beside the common causes.
+"""Effects between the starfish's command and its motion, beside the common causes.
 
 Commands are contractions as shares of the full tendon (65 mm).
 """
@@ -185,7 +185,7 @@ def unknown_push(num_knots: int, spacing: float) -> Effect:
 
 
 def unknown_pull(num_knots: int, spacing: float) -> Effect:
-    """What the tendons do and the command does not say, knots in time."""
+    """Pull of the tendons that the command does not explain, knots in time."""
     return Effect(
         name="unknown_pull",
         family="unknown",

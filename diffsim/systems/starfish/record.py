@@ -26,7 +26,7 @@ def modes(
     channels: Sequence[str] = MODES,
     sd_m: float | None = None,
 ) -> Study:
-    """What the four markers do alike, in windows of the runs: the symmetric part of the motion.
+    """Symmetric part of the four markers' motion, in windows of the runs.
 
     Upper and lower leg are averaged, so that pitch of the robot and tilt of the camera drop out:
     ``leg_x_m`` and ``leg_z_m``, tips (m1, m4) against the middles of the legs (m2, m3), outwards
@@ -34,13 +34,13 @@ def modes(
     the run's marker spacing.
 
     Args:
-        study: As imported.
+        study: Study as imported.
         windows: Name of the window, "baseline" or "baseline+15": run, and how much later it begins
             than 0.2 s before the command does; values are that delay and its length [s].
-        holdout: Windows that no fit sees.
-        channels: Of ``MODES``.
-        sd_m: Of the noise, where what repeats differ by is to be judged against it [m]; None: it is
-            what repeats differ by.
+        holdout: Names of the windows that no fit sees.
+        channels: Names of the channels, out of ``MODES``.
+        sd_m: Standard deviation of the noise that differences between repeats are compared with
+            [m]; None: the differences are taken as the noise.
     """
     columns = [MODES.index(c) for c in channels]
 

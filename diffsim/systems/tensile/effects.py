@@ -1,4 +1,4 @@
-"""What a pull test may have beyond a neo-Hookean specimen of known length."""
+"""Effects on a pull test, beyond a neo-Hookean specimen of known length."""
 
 from __future__ import annotations
 

@@ -28,13 +28,13 @@ def material_of(run: Run) -> str:
 
 @dataclass(frozen=True, eq=False)
 class PullScene:
-    """One part of a pull.
+    """One part of a pull test.
 
     Attributes:
-        run: The recording.
-        youngs_modulus: () or (K,) [Pa].
+        run: Recorded part of a pull.
+        youngs_modulus: Young's modulus, () or (K,) [Pa].
         strain: (..., num_samples) engineering strain of the gauge length.
-        laws: What effects do to the stress per Young's modulus, in this order.
+        laws: Functions by which effects change the stress per Young's modulus, in this order.
         offset: (...) [Pa], added to the stress that is read.
     """
 
@@ -55,7 +55,7 @@ class PullScene:
 
     @property
     def invariant(self) -> Tensor:
-        """I_1 - 3 = l^2 + 2/l - 3."""
+        """First invariant of the stretch, less 3: I_1 - 3 = l^2 + 2/l - 3."""
         return self.stretch**2 + 2.0 / self.stretch - 3.0
 
     def simulate(self) -> Tensor:
