@@ -37,7 +37,7 @@ def sample(shape: LevelSet, nodes: Tensor) -> Tensor:
 
     Args:
         shape: Level set, or a callable as in ``Custom``.
-        nodes: (..., d) float64 [m], as from :func:`grid_nodes`.
+        nodes: Positions of the nodes, (..., d) float64 [m], as from :func:`grid_nodes`.
 
     Returns:
         phi (...) [m]. Gradients: the shape's parameters and the nodes.
@@ -58,8 +58,8 @@ def interface(phi: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor]:
     """The interface phi = 0, phi linear on triangles (2D) or tetrahedra (3D) within the cells.
 
     Args:
-        phi: At the nodes of a grid, (nx + 1, ny + 1(, nz + 1)) [m].
-        nodes: (..., d) [m] as from :func:`grid_nodes`.
+        phi: Level set at the nodes of a grid, (nx + 1, ny + 1(, nz + 1)) [m].
+        nodes: Positions of the nodes, (..., d) [m], as from :func:`grid_nodes`.
 
     Returns:
         Points (P, d) [m] with gradient to phi, and segments (E, 2) or triangles (E, 3), int64,
