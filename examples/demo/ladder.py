@@ -141,9 +141,7 @@ def simulate(
                 **motion(run.time_s, tip[:, 2]),
             }
             if rung.keep_surface:
-                found["surface"] = _write_surface(
-                    folder / f"{rung.name}_{case}.npz", run, quads.numpy()
-                )
+                found["surface"] = _write_surface(folder / f"{rung.name}_{case}.npz", run, quads)
                 found["surface_sha256"] = file_digest([Path(found["surface"])])
             return found
 
