@@ -12,8 +12,7 @@ import torch
 from torch import Tensor
 
 from diffsim.identify.effect import Effect
-from diffsim.identify.numerical import NumericalEffect
-from diffsim.identify.numerics import Numerics
+from diffsim.identify.numerics import NumericalEffect, Numerics
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run

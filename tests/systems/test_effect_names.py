@@ -15,9 +15,8 @@ from diffsim.systems.bench.effects import BENCH
 from diffsim.systems.bending.effects import BENDING_EFFECTS
 from diffsim.systems.flow_network.effects import stokes_library
 from diffsim.systems.laboratories.lab_beam_causes import causes
-from diffsim.systems.libraries import library
 from diffsim.systems.multicopter import unknown_wrench
-from diffsim.systems.registry import setup_of
+from diffsim.systems.registry import library, setup_of
 from diffsim.systems.rigid_body.effects import TOSS
 from diffsim.systems.soft_body import unknown_force
 from diffsim.systems.soft_body.hanging import SLACK_STRING
@@ -68,7 +67,7 @@ def test_names_families_and_units_are_spelled_one_way(libraries):
         for e in effects:
             assert re.fullmatch(r"[a-z][a-z0-9_]*", e.name), e.name
             assert re.fullmatch(r"[a-z][a-z0-9_]*", e.family), e.family
-            assert "center" not in e.name + e.family
+            assert "centre" not in e.name + e.family  # American spelling
             # powers with ^, as in m/s^2
             assert not re.search(r"[a-z][0-9]", e.unit), (e.name, e.unit)
             assert len(set(e.components)) == len(e.components) > 0
