@@ -178,8 +178,7 @@ class Decay:
 def recording_fit() -> Mapping[str, Any]:
     """Fits to recordings: Gauss-Newton, L-BFGS by both gradients, random starts and descents."""
     from diffsim.data import Channel, Run
-    from diffsim.diagnose import SimModel
-    from diffsim.identify import Parameter, Problem, WhiteNoise, fit
+    from diffsim.identify import Parameter, Problem, SimModel, WhiteNoise, fit
     from diffsim.identify.multi_start import descend, random_starts
 
     noise = 0.01 * np.random.default_rng(0).standard_normal((len(TIME), 1))
@@ -333,11 +332,10 @@ def open_loop_search() -> Mapping[str, Any]:
         controller = make_open_loop(kind, task, 0)
         made = fit_open_loop(task, controller, seed=0, batch=2, max_iterations=6)
         found[f"{task_name}/{kind}"] = {
-            "evaluations": int(made.nfev),
-            "iterations": int(made.nit),
-            "message": str(made.message),
-            "loss": float(made.fun),
-            "parameters": made.x,
+            "evaluations": made.num_evaluations,
+            "message": made.message,
+            "loss": made.final.value,
+            "parameters": made.final.x,
         }
     return found
 

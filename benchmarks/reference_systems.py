@@ -98,7 +98,7 @@ def lab_copter() -> Mapping[str, Any]:
     """Short flights of a virtual multicopter with a hidden cause, diagnosed among a few."""
     from diffsim.data.labs import CopterLab
 
-    study = CopterLab().case(5, {"linear_drag": None}).study
+    study = CopterLab().case(5, {"body_drag": None}).study
     flights = ("sprint_a", "climb_a", "figure_eight")
     runs = [
         replace(
@@ -110,7 +110,7 @@ def lab_copter() -> Mapping[str, Any]:
         for run in study.runs
         if run.name in flights
     ]
-    few = ("linear_drag", "lag", "wind", "inflow", "thrust_curvature")
+    few = ("body_drag", "lag", "wind", "inflow", "thrust_curvature")
     return _explained_study(replace(study, runs=tuple(runs)), "--effects", ",".join(few))
 
 

@@ -84,15 +84,15 @@ class Application:
         parameters: What is optimized.
         simulate: Positions of all steps, (num_steps + 1, num_vertices, 3) [m], of parameters
             (num_parameters,); with gradient.
-        loss: Of parameters and those positions; a scalar, with gradient.
+        loss: Loss of parameters and those positions; a scalar, with gradient.
         numbers: What the parameters and the motion mean to a person, by name with unit.
         oracle: Smallest loss that there can be, 0 of the normalized loss; None: nobody knows, and
             the best of our solver's is taken (thesis: walking and swimming).
-        oracle_parameters: Those the target was made with, if it was, for comparison.
+        oracle_parameters: Parameters the target was made with, if it was, for comparison.
         warm_up: The same parameters with an easier loss, of a shorter motion say, whose answer is
             the first guess of this one.
-        obstacles: For pictures.
-        follow: Of positions (..., num_vertices, 3), the point (..., 3) whose path pictures show.
+        obstacles: Obstacles for pictures.
+        follow: Maps positions (..., num_vertices, 3), the point (..., 3) whose path pictures show.
         targets: Points to draw, by name, (3,) [m].
         num_starts: Random first guesses of which the best is taken; 1: only ``parameters.first``.
         scale: The optimizer sees the loss over this; None: over the first loss. All parameters are

@@ -32,12 +32,12 @@ def gait(
 
     Args:
         robot: Body, muscles, floor.
-        solver: Of its steps; replaces the robot's own.
-        parameters: Of the signal.
-        commands: Of parameters (num_parameters,): the command of every step, in [-1, 1],
+        solver: Solver of the robot's steps; replaces the robot's own.
+        parameters: Parameters of the signal.
+        commands: Maps parameters (num_parameters,): the command of every step, in [-1, 1],
             (num_steps, num_commands).
-        title, source, scale, num_starts: As in :class:`~diffsim.applications.Application`.
-        rise_weight: See above [-].
+        title, source, scale, num_starts: The same as in :class:`~diffsim.applications.Application`.
+        rise_weight: Weight of the rise in the loss [-].
     """
     body = robot.body
     body.solver = solver

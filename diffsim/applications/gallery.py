@@ -41,11 +41,11 @@ class Entry:
 
     Attributes:
         title: A line for people.
-        group: Its heading.
+        group: Heading that it stands under.
         example: Name of the script; "" where ``page`` is given.
-        options: Of the script; ``{out}`` is replaced by the folder that keeps the result.
+        options: Options of the script; ``{out}`` is replaced by the folder that keeps the result.
         picture: File below that folder.
-        image: Its name under docs/images.
+        image: Name of the picture under docs/images.
         pattern: Regular expression with one group per number, searched in the output.
         number: Text with ``{}`` for each group.
         thesis: What the thesis has, and why ours differs, one line; "" where it has nothing.

@@ -44,15 +44,15 @@ def identification(
     as in the thesis.
 
     Args:
-        name, title, source: As in :class:`Application`.
+        name, title, source: The same as in :class:`Application`.
         body: What is fitted.
         truth_body: What made the data: the same mesh, another tolerance, perhaps another
             integrator. It moves when the first loss is asked for, once.
         move: Simulates either.
-        steps: Of the motion.
+        steps: Number of steps of the motion.
         truth: E [Pa] and nu [-] of the data.
         lower, upper, first: Bounds of E and nu, and the first guess.
-        obstacles: For pictures.
+        obstacles: Obstacles for pictures.
         warm_up_steps: Fit so many first steps before all, None: not. Far from the truth a long
             motion is out of step with the data, and its loss has many minima.
     """

@@ -45,7 +45,7 @@ class Outcome:
         num_starts: How many of them were tries of a start.
         num_warm_up: How many evaluations of the application's warm-up came before (not listed).
         converged: The optimizer ended by its own criteria, not by the limit of evaluations.
-        message: Its reason.
+        message: The optimizer's reason to stop.
     """
 
     best: Evaluation
@@ -126,9 +126,9 @@ def minimize(
 
     Args:
         application: What to minimize.
-        max_evaluations: Of loss and gradient, starts not counted.
+        max_evaluations: Largest number of evaluations of loss and gradient, starts not counted.
         record: File of the evaluations (see ``optim.Log``); what it holds is not computed again.
-        seed: Of the random starts.
+        seed: Seed of the random starts.
         ftol: Ends when the loss falls by less, relative to its size.
         gtol: Ends when the largest slope of the loss, relative to the application's scale (None:
             the first loss) and in the scaled parameters, is below.
@@ -203,9 +203,9 @@ def losses_of(
 
     Args:
         application: What is evaluated.
-        points: Where.
+        points: Points at which the loss is asked for.
         log: What it holds is not computed again.
-        name: Of the log's list.
+        name: Name of the list in the log.
         progress: Show a bar.
     """
     points = list(points)

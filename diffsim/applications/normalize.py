@@ -28,7 +28,7 @@ def random_losses(
     Args:
         application: Whose parameters are drawn.
         record: File of the losses (see ``optim.Log``); what it holds is not computed again.
-        count: Of the draws.
+        count: Number of the draws.
         tried: Random starts of an optimization.
     """
     if len(tried) >= count:

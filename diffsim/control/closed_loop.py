@@ -65,8 +65,8 @@ class MLPController(nn.Module):
         num_observations, num_commands: Width of input and output.
         hidden: Units of the hidden layers.
         normalize: Whether observations pass a ``Normalizer``.
-        seed: Of the weights.
-        output_gain: Of the last layer's weights.
+        seed: Seed of the weights.
+        output_gain: Gain of the last layer's weights.
     """
 
     def __init__(

@@ -44,7 +44,7 @@ class Sinusoid(OpenLoop):
     """amplitude_j sin(2 pi f t + phase_j), one frequency for all commands.
 
     Args:
-        num_commands, dt: As for ``OpenLoop``.
+        num_commands, dt: The same as for ``OpenLoop``.
         frequency: First guess [Hz].
         frequency_range: Bounds [Hz].
         amplitudes: First guesses, (num_commands,) in (-1, 1).
@@ -102,9 +102,9 @@ class Knots(OpenLoop):
     """Straight lines between knots evenly spaced in time; periodic or held at the end.
 
     Args:
-        num_commands, dt: As for ``OpenLoop``.
+        num_commands, dt: The same as for ``OpenLoop``.
         num_knots: Per command; the torus of thesis 4.1.6 has 8 tendons x 20 knots.
-        duration: From the first knot to the last, or the period [s].
+        duration: Time from the first knot to the last, or the period [s].
         periodic: Whether the signal repeats.
         start: First guess (num_knots, num_commands) in (-1, 1); zero by default.
     """

@@ -33,7 +33,7 @@ class HoverSolution(NamedTuple):
     """What the solver returns.
 
     Attributes:
-        thrusts: In shares of the weight per rotor, (batch, n_rotors) [-].
+        thrusts: Thrusts in shares of the weight per rotor, (batch, n_rotors) [-].
         multipliers: Multipliers of lift and the three torques, (batch, 4); no gradient.
         state: -1 at the lower, 1 at the upper bound, else 0, (batch, n_rotors) int64.
         info: ``INFO``, (batch, 4) int64.

@@ -61,7 +61,7 @@ class Battery:
         charge (within 0.04 V per cell); the drop below 5 % is left out: land before.
 
         Args:
-            cells: In series.
+            cells: Number of cells in series.
             capacity_mah: Capacity of each cell [mA h].
             resistance: Resistance of each cell [ohm]; 0.012 is usual for 2 A h at 20 C, more when
                 old or cold.

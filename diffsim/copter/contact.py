@@ -46,7 +46,7 @@ class ContactEnd:
         return self.placed.patch(self.patch_name)
 
     def coordinate(self, direction: Array) -> LinearForm:
-        """Of the patch's center along a direction [m]."""
+        """Coordinate of the patch's center along a direction [m]."""
         return self.placed.coordinate(self.patch.center, direction)
 
 

@@ -22,7 +22,7 @@ _RANK_DROP = 1e-9  # singular value, relative to the largest, that counts as zer
 
 
 class Controllability(NamedTuple):
-    """Of a linear system; the singular values carry gradients.
+    """Controllability of a linear system; the singular values carry gradients.
 
     Attributes:
         rank: Rank of the controllability matrix.

@@ -48,7 +48,7 @@ class Design:
 
     @property
     def name(self) -> str:
-        """Of the design."""
+        """Name of the design."""
         return self.spec.name
 
     @property

@@ -85,7 +85,7 @@ def fit_rotor(table: RotorTable) -> RotorFit:
     that at the nominal voltage: power / nominal voltage where the voltage was recorded.
 
     Args:
-        table: At least six rows in which the rotor turns.
+        table: A table of at least six rows in which the rotor turns.
 
     Raises:
         ValueError: too few rows.

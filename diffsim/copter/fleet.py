@@ -51,7 +51,7 @@ class Fleet:
 
     @classmethod
     def of(cls, vehicles: Sequence[Multicopter]) -> Fleet:
-        """Of vehicles of equal rotor count."""
+        """Stack vehicles of equal rotor count."""
         return cls(*(torch.stack([getattr(v, name) for v in vehicles]) for name in _NAMES))
 
     @property

@@ -55,8 +55,8 @@ class PlacedPart:
     """A part in a design.
 
     Attributes:
-        name: In the design.
-        part: From the database.
+        name: Name of the part in the design.
+        part: The part, from the database.
         rotation: Design frame from part frame, (3, 3).
         automatic: Inserted by a rule, not by the author.
     """

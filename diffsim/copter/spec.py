@@ -14,7 +14,7 @@ class PartSpec:
 
     Attributes:
         name: Unique in the design, a Python identifier without double underscores.
-        kind: In the database.
+        kind: Kind of the part in the database.
         options: Options of the kind: starting values of its parameters [m], constant sizes.
         bounds: Parameter to (lower, upper) [m], where they differ from the database's.
         rotation: Roll, pitch, yaw [deg]; None leaves it to the connections.
@@ -80,8 +80,8 @@ class DesignSpec:
     Attributes:
         name: Name of the design.
         notes: Source of the numbers.
-        parts: In the order in which parts join.
-        connections: In the order in which they are made.
+        parts: Parts in the order in which parts join.
+        connections: Connections in the order in which they are made.
         rigid: Pairs of placed parts that keep their distance vector.
         constraints: Linear relations, see ``diffsim.copter.expressions``.
         values: Parameters to start from [m], before those of the parts.

@@ -48,7 +48,7 @@ class CopterHover(Task):
         motor_time_constant: Lag of the thrust behind its command [s].
         drag: Linear drag of the body [N s/m].
         wind_speed: Standard deviation of each horizontal component of the episode's wind [m/s].
-        action_delay, randomization: As for every task; ``thrust`` may be randomized.
+        action_delay, randomization: The same as for every task; ``thrust`` may be randomized.
     """
 
     name = "CopterHover"
@@ -203,10 +203,10 @@ class CopterTrack(CopterHover):
     """Follow a horizontal figure of eight, entered at a random place.
 
     Args:
-        design: As for ``CopterHover``, like all others.
+        design: The same as for ``CopterHover``, like all others.
         size: Half length of the figure [m].
-        period: Of one round [s].
-        **options: Of ``CopterHover``.
+        period: Time of one round [s].
+        **options: Further options of ``CopterHover``.
     """
 
     name = "CopterTrack"

@@ -53,7 +53,7 @@ def body_picture(
         reach: Half width of what is seen [m].
         ground: Height of the floor [m]; None: there is none. Its tiles do not move.
         goal: A point to be marked, (3,) [m].
-        color: Of the skin.
+        color: Color of the skin.
     """
     from matplotlib.colors import LightSource
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection

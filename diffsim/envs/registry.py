@@ -32,7 +32,7 @@ def make_task(name: str, **options: Any) -> Task:
 
     Args:
         name: Such as "CopterHover"; also the environment's id.
-        **options: Of the task's class.
+        **options: Options of the task's class.
 
     Raises:
         ValueError: no such task; the message offers the closest names.
@@ -54,11 +54,11 @@ def make_vector(
     """The native vector environment of a task: one prepared solver, the whole batch per call.
 
     Args:
-        name: As for ``make_task``.
+        name: Name of a task, as ``make_task`` takes it.
         num_envs: Members.
         render_mode: "rgb_array" or None.
         sensor_noise: Standard deviation of white noise on observations.
-        **options: Of the task.
+        **options: Options of the task's class.
     """
     task = make_task(name, **options)
     return TaskVectorEnv(task, num_envs, render_mode=render_mode, sensor_noise=sensor_noise)
@@ -70,7 +70,7 @@ class NamedEnv(TaskEnv):
     Args:
         render_mode: "rgb_array" or None.
         sensor_noise: Standard deviation of white noise on observations.
-        **options: Of the task, such as ``randomization`` and ``action_delay``.
+        **options: Options of the task, such as ``randomization`` and ``action_delay``.
     """
 
     task_name: ClassVar[str]
@@ -188,7 +188,7 @@ action_delay, randomization (muscles), sensor_noise |
 
 
 class CowWalkEnv(NamedEnv):
-    """As ``QuadrupedWalkEnv``, with a head so heavy that it tends to fall on its face.
+    """A soft quadruped whose head is so heavy that it tends to fall on its face.
 
     | | |
     |---|---|

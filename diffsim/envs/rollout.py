@@ -41,10 +41,10 @@ def rollout_task(
     """Steer a task for some steps.
 
     Args:
-        task: Task.
-        controller: Of the commands.
+        task: The task to steer.
+        controller: Gives the commands.
         state: (batch, ...) from ``task.start``.
-        num_steps: At most ``task.max_steps`` makes sense.
+        num_steps: Number of steps; above ``task.max_steps`` it makes no sense.
         cut_every: Forget gradients of the state every so many steps: a truncated horizon for
             dynamics whose gradients explode.
 

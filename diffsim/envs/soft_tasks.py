@@ -33,8 +33,8 @@ class SoftTask(Task):
         start_speed: The episode begins with velocities linear in place, at random, as large as
             this at the farthest nodes; the center is at rest [m/s].
         current: Standard deviation of each component of the episode's current [m/s]; in water.
-        action_delay, randomization: As for every task; ``muscles`` (their stroke) and, in water,
-            ``water`` (drag and thrust) may be randomized, per member of a batch.
+        action_delay, randomization: As every task has them; ``muscles`` (their stroke) and,
+            in water, ``water`` (drag and thrust) may be randomized, per member of a batch.
 
     An episode fails when the robot has an upright axis and tips over.
     """
@@ -153,9 +153,9 @@ class Advance(SoftTask):
     On a floor, across is horizontal.
 
     Args:
-        robot, num_steps, **options: As for ``SoftTask``.
-        drift_weight: Of the speed across [-].
-        rise_weight: Of the upward speed [-]; 0.3 keeps the thesis's cow upright.
+        robot, num_steps, **options: The same as for ``SoftTask``.
+        drift_weight: Weight of the speed across [-].
+        rise_weight: Weight of the upward speed [-]; 0.3 keeps the thesis's cow upright.
         speed_scale: A good speed of this robot [m/s]; only scales the reward.
     """
 
@@ -199,10 +199,10 @@ class Reach(SoftTask):
     Observations are followed by the way from node to goal.
 
     Args:
-        robot, num_steps, **options: As for ``SoftTask``.
+        robot, num_steps, **options: The same as for ``SoftTask``.
         goal_low, goal_high: Corners of the box of goals, relative to the node at rest [m].
         node: Which node; None: the robot's last sensor.
-        effort_weight: Of the mean squared command [-].
+        effort_weight: Weight of the mean squared command [-].
     """
 
     name = "Reach"

@@ -61,7 +61,7 @@ class Task(ABC):
 
     Args:
         action_delay: Control steps between a command and its effect.
-        randomization: Of physical quantities, per episode; None: none.
+        randomization: Factors on physical quantities, per episode; None: none.
 
     Attributes:
         name: Such as "StarfishSwim".
@@ -100,7 +100,7 @@ class Task(ABC):
         """Physical states one control period later; differentiable in state and action.
 
         Args:
-            state: As ``rest`` makes it, with ``random.NAME`` (batch,) where randomized.
+            state: State as ``rest`` makes it, with ``random.NAME`` (batch,) where randomized.
             action: (batch, num_actions) in [-1, 1], already delayed.
         """
 
@@ -158,7 +158,7 @@ class Task(ABC):
         return after, torch.stack(list(terms.values())).sum(0)
 
     def step_terms(self, state: TaskState, action: Tensor) -> tuple[TaskState, TaskState]:
-        """As ``step``, with the terms of the reward by name."""
+        """Advance as ``step`` does, with the terms of the reward by name."""
         batch = state["step"].shape[0]
         require("action", action, (batch, self.num_actions))
         action = action.clamp(-1.0, 1.0)

@@ -27,10 +27,10 @@ from diffsim.learn.setup import Setup, broke_down
 
 @dataclass(frozen=True)
 class CmaOptions:
-    """Of ``CmaLearner``.
+    """Options of ``CmaLearner``.
 
     Attributes:
-        kind: Of the controller, "sinusoid" or "knots": open loop, not the network of the others.
+        kind: Kind of the controller, "sinusoid" or "knots": open loop, no network.
         population: Candidates per generation.
         episodes: Per candidate; all candidates of a generation meet the same starts.
         spread: First standard deviation of the parameters.
@@ -47,7 +47,7 @@ class CmaLearner:
 
     Args:
         setup: Task and seed.
-        options: Of the method.
+        options: Options of the method.
     """
 
     def __init__(self, setup: Setup, options: CmaOptions | None = None):

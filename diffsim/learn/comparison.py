@@ -40,7 +40,7 @@ def run_all(
 
     Args:
         plan: Task, budgets, candidates.
-        folder: Of the task's results.
+        folder: Folder of the task's results.
         methods, seeds: Some of them only; None: all. Methods that are not in the plan are passed
             over.
         show: Whether to draw progress bars.

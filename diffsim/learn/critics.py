@@ -22,7 +22,7 @@ class Critic(nn.Module):
     Args:
         num_observations: Width of normalized observations.
         discount: Per step; values are up to 1 / (1 - discount) times a reward.
-        seed: Of the weights.
+        seed: Seed of the weights.
     """
 
     def __init__(self, num_observations: int, discount: float, seed: int):
@@ -41,7 +41,7 @@ class Critics(nn.Module):
     """Critics of the same values from different first weights, and copies that follow them.
 
     Args:
-        num_observations, discount, seed: As for ``Critic``; the first has ``seed`` itself.
+        num_observations, discount, seed: The same as for ``Critic``; the first has ``seed`` itself.
         count: How many.
     """
 
@@ -74,10 +74,10 @@ class Critics(nn.Module):
         """Least squares by Adam, every critic on the same goals.
 
         Args:
-            adam: Of ``members``.
+            adam: Optimizer of ``members``.
             rows: (n, num_observations), normalized.
             goals: (n,).
-            rng: Of the order of rows.
+            rng: Generator of the order of rows.
             passes, parts: Over all rows, each in so many parts.
             clip: Largest norm of a gradient.
         """
@@ -117,7 +117,7 @@ def td_lambda_targets(
         next_values: Target critic's value of the state after each step, before any restart.
         failed: Episodes ending for a reason of physics: nothing comes after them.
         ended: Episodes ending for whatever reason.
-        discount, trace: See above.
+        discount, trace: Factors of the formula above.
     """
     bootstrap = torch.where(failed, torch.zeros_like(next_values), next_values)
     out = torch.empty_like(rewards)

@@ -19,11 +19,11 @@ from diffsim.learn.setup import Setup, broke_down, first_controller
 
 @dataclass(frozen=True)
 class GradientOptions:
-    """Of ``GradientLearner``.
+    """Options of ``GradientLearner``.
 
     Attributes:
         batch: Episodes per update.
-        learning_rate: Of Adam at the start; falls to a tenth along a half cosine.
+        learning_rate: Rate of Adam at the start; falls to a tenth along a half cosine.
         horizon: Steps of an episode; 0: the task's.
         cut_every: Forget gradients of the state every so many steps; 0: never.
         clip: Largest norm of a gradient.
@@ -46,7 +46,7 @@ class NanGuard:
     """Counts updates without a finite gradient and gives up after too many in a row.
 
     Args:
-        max_bad: In a row.
+        max_bad: Largest number of them in a row.
     """
 
     def __init__(self, max_bad: int):
@@ -88,7 +88,7 @@ class Batch:
     Attributes:
         reward: Mean over steps and episodes, without gradient.
         seen: (n, num_observations) before failures.
-        scalars: For the log, beside those of all batches.
+        scalars: Numbers for the log, beside those of all batches.
     """
 
     reward: Tensor
@@ -101,7 +101,7 @@ class GradientLearner:
 
     Args:
         setup: Task and seed.
-        options: Of the method.
+        options: Options of the method.
     """
 
     def __init__(self, setup: Setup, options: GradientOptions | None = None):

@@ -67,9 +67,9 @@ class Plan:
         tuning_steps: The same of a candidate's run.
         candidates: Options among which the search chooses, by method; as many for each. Methods
             without candidates are not compared.
-        seeds: Of the compared runs.
+        seeds: Seeds of the compared runs.
         ratings: Per run, spread evenly over its budget.
-        quality: Of ``gradient_quality``, where it differs from the defaults.
+        quality: Arguments of ``gradient_quality``, where it differs from the defaults.
     """
 
     setup: Setup
@@ -81,7 +81,7 @@ class Plan:
     quality: Options = field(default_factory=dict)
 
     def run_setup(self, method: str, seed: int) -> Setup:
-        """Of one run; the search's are those of ``TUNING_SEED``."""
+        """Setup of one run; the search's are those of ``TUNING_SEED``."""
         steps = (self.tuning_steps if seed == TUNING_SEED else self.steps)[method]
         every = max(1, steps // self.ratings)
         return dataclasses.replace(self.setup, seed=seed, steps=steps, evaluate_every=every)
@@ -96,8 +96,8 @@ def tune(plan: Plan, method: str, folder: Path, *, show: bool = True) -> Options
 
     Args:
         plan: Task and candidates.
-        method: Which.
-        folder: Of runs; the record is ``tuning_METHOD.json``.
+        method: Name of the method.
+        folder: Folder of runs; the record is ``tuning_METHOD.json``.
         show: Whether to draw progress bars.
     """
     candidates = plan.candidates[method]

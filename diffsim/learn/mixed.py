@@ -34,13 +34,13 @@ FIXED_WEIGHTS = {"first_order": 1.0, "zeroth_order": 0.0}
 
 @dataclass(frozen=True)
 class MixedOptions(GradientOptions):
-    """Of ``MixedLearner``; besides those of ``GradientOptions``.
+    """Options of ``MixedLearner``; besides those of ``GradientOptions``.
 
     Attributes:
-        batch: At least 2: variances are over episodes.
+        batch: Episodes per update, at least 2: variances are over episodes.
         spread: Standard deviation of the noise on commands.
-        confidence: Of the bound on the zeroth-order gradient's error that keeps a first-order
-            gradient in check which is biased; 1: no check.
+        confidence: Confidence of the bound on the zeroth-order gradient's error. The bound keeps a
+            biased first-order gradient in check; 1: no check.
         weighing: "variance"; or one of both alone, as a control: "first_order" (Adam with noise on
             the commands) or "zeroth_order" (no gradient through the simulator, but its price).
     """
@@ -89,8 +89,8 @@ def both_gradients(
     Args:
         task, net, start: Who steers what from where.
         noise: On commands, (steps, batch, num_actions).
-        spread: Its standard deviation.
-        cut_every: As for ``rollout_task``; biases the first-order gradient.
+        spread: Standard deviation of the noise.
+        cut_every: The same as for ``rollout_task``; biases the first-order gradient.
 
     Returns:
         The episode; first order, (batch, parameters), NaN where the simulator's adjoint breaks
@@ -116,7 +116,7 @@ def episode_gradients(net: nn.Module, seen: Tensor, *cotangents: Tensor) -> list
     """Sum over steps of J_t^T c_t for every episode.
 
     Args:
-        net: Of the commands; its parameters are those differentiated for.
+        net: Network of the commands; its parameters are those differentiated for.
         seen: (steps, batch, num_observations).
         *cotangents: (steps, batch, num_actions) each.
 
@@ -174,7 +174,7 @@ class MixedLearner(GradientLearner):
 
     Args:
         setup: Task and seed.
-        options: Of the method.
+        options: Options of the method.
     """
 
     options: MixedOptions
@@ -183,7 +183,7 @@ class MixedLearner(GradientLearner):
         super().__init__(setup, options or MixedOptions())
 
     def _differentiate(self, start: TaskState, horizon: int) -> Batch:
-        """As overridden."""
+        """A batch of episodes with its mixed gradient."""
         o = self.options
         draws = self.rng.standard_normal((horizon, o.batch, self.task.num_actions))
         noise = o.spread * torch.from_numpy(draws)

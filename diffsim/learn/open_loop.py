@@ -32,8 +32,8 @@ def make_open_loop(kind: str, task: Task, seed: int) -> OpenLoop:
 
     Args:
         kind: "sinusoid", or "knots" (20 over an episode).
-        task: Task.
-        seed: Of the guess.
+        task: The task to be controlled.
+        seed: Seed of the guess.
     """
     rng = np.random.default_rng([seed, 4])
     n, dt = task.num_actions, task.dt
@@ -55,11 +55,11 @@ def fit_open_loop(
     """Maximize the mean reward of fixed episodes with L-BFGS; changes ``controller``.
 
     Args:
-        task: Task.
+        task: The task to be controlled.
         controller: First guess.
-        seed: Of the episodes' starts.
+        seed: Seed of the episodes' starts.
         batch: Episodes.
-        max_iterations: Of L-BFGS.
+        max_iterations: Largest number of iterations of L-BFGS.
 
     Returns:
         The search's result; its values are minus the mean reward per step. The controller gets the

@@ -78,10 +78,10 @@ def main_training(
     """Main function of a training script.
 
     Args:
-        method: Its name, for the folder.
-        learner, options: Its classes.
+        method: Name of the method, for the folder.
+        learner, options: Classes of the method and of its options.
         quick: Options of a quick run.
-        description: Of the script.
+        description: Docstring of the script.
         argv: Arguments; None: those of the command line.
     """
     parser = training_parser(description)

@@ -35,7 +35,7 @@ from diffsim.learn.stable_baselines3 import (
 
 @dataclass(frozen=True)
 class PpoOptions:
-    """Of ``PpoLearner``.
+    """Options of ``PpoLearner``.
 
     Attributes:
         envs: Members of the vector environment.
@@ -43,8 +43,8 @@ class PpoOptions:
         minibatch: Rows per step of Adam.
         epochs: Passes over a rollout.
         learning_rate: At the start; falls to zero linearly.
-        discount, trace: Of generalized advantage estimation.
-        clip: Of the policy's ratio and of the value.
+        discount, trace: Discount and trace decay of generalized advantage estimation.
+        clip: Clipping range of the policy's ratio and of the value.
         entropy: Weight of the bonus.
         exploration: First standard deviation of commands; learned.
         hold_noise: Steps for which noise stays one function of the state (gSDE, Raffin et al.
@@ -78,7 +78,7 @@ class PpoLearner:
 
     Args:
         setup: Task and seed.
-        options: Of the method.
+        options: Options of the method.
     """
 
     def __init__(self, setup: Setup, options: PpoOptions | None = None):

@@ -28,9 +28,10 @@ class GradientQuality:
 
     Attributes:
         horizon: Steps.
-        cosine: Of the analytic and the zeroth-order gradient, within random directions; 1 at best.
-        norm_ratio: Of their norms there, analytic over zeroth-order; 1 at best.
-        norm: Of the analytic gradient of the mean reward, median over episodes.
+        cosine: Cosine of the analytic and the zeroth-order gradient, within random directions; 1 at
+            best.
+        norm_ratio: Ratio of their norms there, analytic over zeroth-order; 1 at best.
+        norm: Norm of the analytic gradient of the mean reward, median over episodes.
         explosion_rate: Share of episodes whose gradient is not finite or more than 100 times
             longer than the median one.
         contact_share: Share of steps in which the robot touches something.
@@ -61,13 +62,13 @@ def gradient_quality(
     the root of their number: long enough to see what a step of training would.
 
     Args:
-        task: Task.
+        task: The task to be controlled.
         controller: Where gradients are compared.
         horizons: Steps.
         episodes: Starts; the same for both gradients.
         directions: Two episodes each per start.
         spread: Relative length of a difference.
-        seed: Of starts and directions.
+        seed: Seed of starts and directions.
 
     Returns:
         One ``GradientQuality`` per horizon, as dicts.

@@ -28,7 +28,7 @@ class Update:
     Attributes:
         steps: Simulation steps.
         gradient_steps: How many of them were differentiated.
-        scalars: For the log, by name.
+        scalars: Numbers for the log, by name.
     """
 
     steps: int
@@ -87,7 +87,7 @@ def train(
     Args:
         setup: Task and budget.
         learner: Method.
-        folder: Of results; made if need be.
+        folder: Folder of results; made if need be.
         resume: Continue from the folder's checkpoint if there is one; otherwise start anew.
         show: Whether to draw a progress bar.
 

@@ -35,14 +35,14 @@ _BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "
 
 @dataclass(frozen=True)
 class SacOptions:
-    """Of ``SacLearner``.
+    """Options of ``SacLearner``.
 
     Attributes:
         envs: Members of the vector environment.
         rollout: Steps of each between two rounds of training.
         passes: Steps of Adam per such round.
         minibatch: Transitions per step of Adam.
-        learning_rate: Of actor, critics and temperature.
+        learning_rate: Rate of actor, critics and temperature.
         discount: Per step.
         keep: Transitions remembered.
         first: Transitions under random commands before training begins.
@@ -67,7 +67,7 @@ class SacLearner:
 
     Args:
         setup: Task and seed.
-        options: Of the method.
+        options: Options of the method.
     """
 
     def __init__(self, setup: Setup, options: SacOptions | None = None):

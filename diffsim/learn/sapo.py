@@ -31,7 +31,7 @@ _SPREAD_SEED = 5_000  # added to the run's: other weights than the controller's 
 
 @dataclass(frozen=True)
 class SapoOptions(WindowOptions):
-    """Of ``SapoLearner``: those of ``WindowOptions``, where 0 kept is no target critics, and more.
+    """Options of ``SapoLearner``: those of ``WindowOptions``, and more; 0 kept: no target critics.
 
     Attributes:
         temperature: First reward of one unit of ``scaled_entropy``.
@@ -108,8 +108,8 @@ class SoftExplorer(Explorer):
 
     Args:
         task: Whose commands.
-        options: Of the method.
-        seed: Of the second network's weights.
+        options: Options of the method.
+        seed: Seed of the second network's weights.
     """
 
     def __init__(self, task: Task, options: SapoOptions, seed: int):
@@ -165,7 +165,7 @@ class SapoLearner(ShortHorizonLearner):
 
     Args:
         setup: Task and seed.
-        options: Of the method.
+        options: Options of the method.
     """
 
     def __init__(self, setup: Setup, options: SapoOptions | None = None):

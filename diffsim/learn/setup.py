@@ -28,8 +28,8 @@ class Setup:
 
     Attributes:
         task: Such as "CopterHover".
-        task_options: Of ``make_task``.
-        seed: Of the first weights, the episodes, and everything drawn at random.
+        task_options: Options of ``make_task``.
+        seed: Seed of the first weights, the episodes, and everything drawn at random.
         steps: Budget of simulation steps.
         evaluate_every: Simulation steps between two ratings.
         evaluation_episodes: Whose mean reward is the rating; the same ones for every method.
@@ -58,8 +58,8 @@ def first_controller(task: Task, seed: int, warm_up: int = 50) -> MLPController:
     methods go on to update them.
 
     Args:
-        task: Task.
-        seed: Of weights and commands.
+        task: The task to be controlled.
+        seed: Seed of weights and commands.
         warm_up: Steps of each of eight episodes.
     """
     controller = MLPController(task.num_observations, task.num_actions, seed=seed)

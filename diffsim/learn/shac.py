@@ -17,7 +17,7 @@ from diffsim.learn.short_horizon import ShortHorizonLearner, WindowOptions
 
 @dataclass(frozen=True)
 class ShacOptions(WindowOptions):
-    """Of ``ShacLearner``: those of ``WindowOptions``."""
+    """Options of ``ShacLearner``: those of ``WindowOptions``."""
 
 
 class FixedSpread(Explorer):
@@ -48,7 +48,7 @@ class ShacLearner(ShortHorizonLearner):
 
     Args:
         setup: Task and seed.
-        options: Of the method.
+        options: Options of the method.
     """
 
     def __init__(self, setup: Setup, options: ShacOptions | None = None):

@@ -22,7 +22,7 @@ from diffsim.learn.setup import Setup, broke_down, first_controller
 
 @dataclass(frozen=True)
 class WindowOptions:
-    """Of ``ShortHorizonLearner``.
+    """Options of ``ShortHorizonLearner``.
 
     Attributes:
         batch: Episodes side by side; they persist between windows.
@@ -35,7 +35,7 @@ class WindowOptions:
         warm_up: Windows at the start that train the critics alone: the actor follows their slope.
         exploration: First standard deviation of commands; learned.
         clip: Largest norm of a gradient.
-        max_bad: As for ``GradientOptions``.
+        max_bad: The same as for ``GradientOptions``.
     """
 
     batch: int = 16
@@ -70,7 +70,7 @@ class ShortHorizonLearner:
 
     Args:
         setup: Task and seed.
-        options: Of the method.
+        options: Options of the method.
         explorer: Makes the one of a task.
         num_critics: How many.
     """

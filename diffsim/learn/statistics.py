@@ -31,8 +31,8 @@ def bootstrap_interval(
 
     Args:
         values: (runs, ...).
-        level: Of confidence.
-        resamples, seed: Of the bootstrap; whole runs are drawn.
+        level: Level of confidence.
+        resamples, seed: Number of the bootstrap's draws, and their seed; whole runs are drawn.
 
     Returns:
         Low and high, (...); both the value itself where there is but one run.

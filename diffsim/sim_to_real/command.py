@@ -99,7 +99,7 @@ def followed(contraction: Tensor, limits: Limits) -> Tensor:
 
     Args:
         contraction: (num_samples,) wish for one period [m].
-        limits: Of the servo.
+        limits: Limits of the servo.
 
     Returns:
         (num_samples,) [m], the jump back to the start included. Gradient: contraction.

@@ -22,10 +22,10 @@ class Hardware(Protocol):
     """A robot on its rig.
 
     Attributes:
-        name: For reports.
+        name: Name for reports.
         virtual: True where no matter moves; a report has to say so.
-        duration_s: Of an experiment [s].
-        limits: Of the servo; commands beyond are refused.
+        duration_s: Length of an experiment [s].
+        limits: Limits of the servo; commands beyond are refused.
     """
 
     @property
@@ -69,8 +69,8 @@ class FileHardware:
 
     Attributes:
         folder: Where both lie.
-        duration_s: Of an experiment [s].
-        limits: Of the servo.
+        duration_s: Length of an experiment [s].
+        limits: Limits of the servo.
         wait_s: How long to wait for the recording [s]; 0: look once.
         poll_s: How often to look [s].
     """

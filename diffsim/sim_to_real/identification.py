@@ -23,12 +23,12 @@ class FitSettings:
     """How parameters are fitted.
 
     Attributes:
-        duration_s: Of every recording, from its start [s].
+        duration_s: Fitted length of every recording, from its start [s].
         sd_m: What a sample is trusted to [m]: far above the camera's noise, for what the model
             lacks is millimeters, and alike from sample to sample.
         method: "lbfgs" (as in the thesis, gradients by the simulator's adjoint) or "gauss_newton"
             (by its tangents).
-        max_evaluations: Of the misfit, with its gradient.
+        max_evaluations: Largest number of evaluations of the misfit, with its gradient.
     """
 
     duration_s: float = 6.0
@@ -50,7 +50,7 @@ class Identified:
             markers at the start of the fit and at its end [m^2].
         rms_before, rms_after: Root mean square of a marker's coordinate [m].
         at_bound, undetermined: Names, as in :class:`diffsim.identify.Fit`.
-        num_evaluations: Of the misfit and its gradient.
+        num_evaluations: Number of evaluations of the misfit and its gradient.
         message: The solver's reason to stop.
         spread: Factor on the variance of a sample, see :func:`identify`.
     """
@@ -98,7 +98,7 @@ def identify(
     Args:
         model: With priors.
         runs: Recordings, each with a clock of its own.
-        settings: How.
+        settings: Budget, method and trust of the fit.
         start: Parameters to start at, by name; where a clock or parameter is missing, its prior's.
     """
     cut = [as_displacements(run, settings.duration_s, settings.sd_m) for run in runs]
@@ -161,7 +161,7 @@ def correlation_length(residual: Array, num_channels: int = len(CHANNELS)) -> fl
     """1 + 2 sum of autocorrelations up to their first zero, mean over channels [samples].
 
     Args:
-        residual: Of all valid samples, channels fastest; the few that are missing are passed over.
+        residual: Residual of all valid samples, channels fastest; missing ones are passed over.
         num_channels: How many interleave.
     """
     rows = residual[: len(residual) // num_channels * num_channels].reshape(-1, num_channels)

@@ -24,12 +24,12 @@ class Rig:
     Attributes:
         step_m: The servo goes to whole multiples of this pull [m].
         lag_s: First-order lag of the servo [s].
-        rate_m_s: Its greatest speed [m/s].
+        rate_m_s: Greatest speed [m/s].
         backlash_m: Play between servo and cable [m].
-        noise_m: Of a tracked marker, sd [m].
+        noise_m: Noise of a tracked marker, sd [m].
         pixel_m: Places come in multiples of this [m].
-        tilt_rad: Of the camera about its axis [rad].
-        scale: Of the picture [-].
+        tilt_rad: Angle of the camera about its axis [rad].
+        scale: Scale of the picture [-].
         lost: Share of places that the tracker loses.
     """
 
@@ -53,8 +53,8 @@ class VirtualLaboratory:
     recordings.
 
     Attributes:
-        seed: Of scatter and noise.
-        duration_s: Of every recording [s]; ten periods in thesis 5.4.4.
+        seed: Seed of scatter and noise.
+        duration_s: Length of every recording [s]; ten periods in thesis 5.4.4.
         limits: Commands beyond are refused.
         truth, rig: What it is made of.
         scatter: Factor on the scatter of repeats.

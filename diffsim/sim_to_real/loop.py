@@ -45,8 +45,8 @@ def sim_to_real(
         model: With priors and first guesses.
         hardware: Executes commands.
         command: The hand-made one.
-        folder: Of the loop: one subfolder per iteration with command, recording and numbers.
-        settings: How.
+        folder: Folder of the loop: one subfolder per iteration with command, recording and numbers.
+        settings: Length of the loop, and budgets of its two optimizations.
         resume: Go on in a folder that holds a loop.
         progress: Show a bar.
 

@@ -29,7 +29,7 @@ def on_real_recording(study: Study, model: Starfish, settings: FitSettings) -> d
     that fits it best (one number, nuisance of the recording); theta stays as it is.
 
     Args:
-        study: As imported.
+        study: The starfish's study, as imported.
         model: With priors.
         settings: ``duration_s`` is the length of every window.
 

@@ -69,7 +69,7 @@ class Starfish:
         rayleigh_beta: Damping of the foam, held fixed [s].
         added_mass: Inertia of the water, in volumes of the body, held fixed [-].
         clock_sd_s: Prior of the offset between the clocks of command and camera [s].
-        rtol: Of a step.
+        rtol: Tolerance of a step.
     """
 
     parameters: tuple[Parameter, ...] = field(default_factory=table_5_1)
@@ -122,7 +122,7 @@ class Starfish:
         """One run: tendons are tightened to the first value, and held, before the record begins.
 
         Args:
-            values: Of ``parameters``, by name.
+            values: Values of ``parameters``, by name.
             contraction: Commanded at ``times``, (n,) [m]. Carries gradients.
             times: Evenly spaced from 0, (n,) [s]; when ``observe`` is asked for.
             clock_offset: The record's clock is late by this, () [s].
@@ -160,7 +160,7 @@ class Starfish:
         """What ``observe`` says of a command at ``RATE_HZ``, (num_samples, 9) [m].
 
         Args:
-            values: Of ``parameters``, by name.
+            values: Values of ``parameters``, by name.
             contraction: (num_samples,) [m]. Gradients: contraction, values.
         """
         tensors = {n: torch.as_tensor(v, dtype=torch.float64) for n, v in values.items()}

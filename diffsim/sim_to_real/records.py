@@ -31,7 +31,7 @@ class LoopSettings:
         max_iterations: After the baseline.
         tolerance: Converged where the measured speed changes by less than this share.
         memory: Latest recordings that parameters are fitted to; 1 in Alg. 7.
-        fit, trajectory: Of the optimizations.
+        fit, trajectory: Settings of the optimizations.
     """
 
     max_iterations: int = 5
@@ -53,7 +53,7 @@ class Iteration:
     Iteration 0 is bl-ctrl: the first guesses and the hand-made command. Iteration 1 is bl-one-iter.
 
     Attributes:
-        idx: From 0.
+        idx: Number of the iteration, from 0.
         values: theta, by name, that ``command`` was optimized for.
         identified: How theta was found, from the recordings before; None in iteration 0.
         loss_theta: L_theta [m^2]: of theta on the recordings that it was fitted to; in iteration 0
@@ -61,7 +61,7 @@ class Iteration:
         loss_action: L_a of ``command`` with theta [m].
         loss_action_before: L_a of the command before, with theta [m].
         command: Executed in this iteration.
-        run: Its recording.
+        run: Recording of that command.
         center_m: (num_samples,) x of the center of mass, simulated with theta for ``command``, from
             its start [m].
         markers_m: (num_samples, 8) displacements of the markers, simulated, as ``center_m``.
@@ -88,7 +88,7 @@ class LoopResult:
     """What the loop found.
 
     Attributes:
-        iterations: In order; ``iterations[0]`` is bl-ctrl, ``iterations[1]`` bl-one-iter.
+        iterations: Iterations in order; the first is bl-ctrl, the second bl-one-iter.
         converged: Whether the measured speed stopped changing before the iterations ran out.
         hardware: Name of the hardware.
         virtual: Whether no matter moved.

@@ -37,9 +37,10 @@ class Truth:
     """What only the laboratory knows, SI units.
 
     Attributes:
-        youngs_modulus: Of the relaxed foam [Pa].
+        youngs_modulus: Modulus of the relaxed foam [Pa].
         density: Ballasted to float [kg/m^3].
-        relaxing_share, relaxation_s: Of the Maxwell branch, over the relaxed modulus.
+        relaxing_share, relaxation_s: Maxwell branch: its stiffness over the relaxed modulus, and
+            its time.
         stiffening: Moment times 1 + this turning angle squared.
         viscous_s: Kelvin-Voigt time [s].
         cable_stiffness: [N/m], cable with sheath and servo arm.
@@ -48,11 +49,11 @@ class Truth:
         crossflow_flat, crossflow_top: Drag coefficients of a leg that moves towards its flat side
             and towards its top [-].
         skin: Friction coefficient along a leg [-].
-        core_drag: Of the core [-].
+        core_drag: Drag coefficient of the core [-].
         added: Inertia across a leg, over that of a water cylinder of the leg's width [-].
         wake_share, wake_s: Water takes that share of the leg's velocity, so late [s].
         rail_friction: Coulomb [N].
-        current: Of the tank along x [m/s].
+        current: Velocity of the tank's water along x [m/s].
         leg_stiffness: (4,) factors: upper, lower, two sides.
     """
 
@@ -83,7 +84,7 @@ class RodSwimmer:
     Places are (x, r): along the rail, swimming towards -x, and outwards along a leg.
 
     Args:
-        truth: Its properties.
+        truth: Properties of the laboratory.
     """
 
     def __init__(self, truth: Truth):

@@ -34,7 +34,7 @@ class TrajectorySettings:
     Attributes:
         periods: Simulated from rest; travel counts from the first sample to the last.
         num_knots: Per period, with straight lines between them.
-        max_evaluations: Of the travel with its gradient.
+        max_evaluations: Largest number of evaluations of the travel with its gradient.
     """
 
     periods: int = 2
@@ -49,7 +49,7 @@ class Optimized:
     Attributes:
         command: Within bounds and rate.
         loss_before, loss_after: L_a, thesis eq. 5.11 [m]; negative is forwards.
-        num_evaluations: Of L_a and its gradient.
+        num_evaluations: Number of evaluations of L_a and its gradient.
         message: The solver's reason to stop.
     """
 
@@ -70,8 +70,8 @@ def travel_loss(
     """L_a = COM_x(s_N) - COM_x(s_0) [m], thesis eq. 5.11; gradient: period, values.
 
     Args:
-        model: Of the robot.
-        values: Its parameters.
+        model: Model of the robot.
+        values: Parameters of the model.
         period: (num_samples,) contraction of one period [m].
         periods: How many are simulated.
     """
@@ -94,11 +94,11 @@ def optimize(
     follow (:func:`~diffsim.sim_to_real.followed`), through which gradients flow.
 
     Args:
-        model: Of the robot.
+        model: Model of the robot.
         values: theta.
         start: Command to start at; its period is kept.
-        limits: Of the servo.
-        settings: How.
+        limits: Limits of the servo.
+        settings: Periods, knots and budget of the search.
     """
     num_samples = len(start.contraction_m)
     rows = interpolation(min(settings.num_knots, num_samples), num_samples)

@@ -4,9 +4,9 @@ Thesis 4.1.6, "Bouncing ball", Fig. 4-10: Young's modulus and Poisson's ratio (t
 from the motion of a ball with three cylindrical holes that is thrown to the ground, 125 steps of
 4 ms. 1,288 hexahedra and 8,280 DoF (thesis: 1,288 and 9,132). Contact is complementarity with a
 friction of 0.5: with the thesis's floor, to which all that touches sticks, the loss jumps between
-neighboring parameters and fits end beside the truth (docs/applications.md). The data are made with
-a tolerance of 1e-8, the fit's steps have 1e-4. The first bounce alone is fitted before the whole
-motion. Expected of --quick: E = 2.09 MPa, nu = 0.34 after 8 evaluations.
+neighboring parameters and fits end beside the truth (docs/measured/applications.md). The data are
+made with a tolerance of 1e-8, the fit's steps have 1e-4. The first bounce alone is fitted before
+the whole motion. Expected of --quick: E = 2.09 MPa, nu = 0.34 after 8 evaluations.
 
     python examples/applications/bouncing_ball.py  # diffsim examples run bouncing_ball --quick
 """

@@ -15,7 +15,7 @@ from diffsim.copter.vehicle import GRAVITY
 
 
 def lower_bound(task: Task) -> float:
-    """Of the weighted objective; -inf where the relaxation says nothing.
+    """Lower bound of the weighted objective; -inf where the relaxation says nothing.
 
     Metrics of control (authority, one_rotor_out, response) are bounded by what they cannot pass:
     one_rotor_out by the thrusts that are left without the strongest rotor, response by 0;

@@ -41,7 +41,7 @@ class Currents:
 def hover_currents(
     v: Array, shape: Shape, rotors: Rotors, model: CurrentModel, *, scaled: bool
 ) -> Currents:
-    """Of the rotors in hover without load.
+    """Currents of the rotors in hover without load.
 
     I = a (u_max v share)^e; share = m / m0 where v carries m0 g (``scaled``), else 1.
     """

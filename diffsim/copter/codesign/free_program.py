@@ -47,11 +47,11 @@ class FreeProgram:
         return float(self.program.metric(self.fill(y))[0])
 
     def values(self, name: str, y: Array) -> Array:
-        """Of ``equalities`` or ``inequalities``."""
+        """Values of ``equalities`` or ``inequalities``."""
         return self._evaluate(name, y)[0]
 
     def jacobian(self, name: str, y: Array) -> Array:
-        """Of ``equalities`` or ``inequalities``."""
+        """Jacobian of ``equalities`` or ``inequalities``."""
         return self._evaluate(name, y)[1]
 
     def hessian(
@@ -61,7 +61,7 @@ class FreeProgram:
         equalities: Array | None = None,
         inequalities: Array | None = None,
     ) -> Array:
-        """Of the Lagrangian with these multipliers (None: zeros)."""
+        """Hessian of the Lagrangian with these multipliers (None: zeros)."""
         x, keep = self.fill(y), self.program.free
         if equalities is None:
             equalities = np.zeros(len(self.values("equalities", y)))

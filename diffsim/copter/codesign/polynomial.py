@@ -40,7 +40,7 @@ class Polynomial:
         return self.coefficients @ self._terms(z, {}), jacobian
 
     def hessian(self, s: Array, weights: Array) -> Array:
-        """Of weights . y, (p, p)."""
+        """Hessian of weights . y, (p, p)."""
         z = (s - self.origin) / self.scale
         mixed = weights @ self.coefficients
         out = np.zeros((len(z), len(z)))

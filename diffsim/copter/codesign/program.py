@@ -165,7 +165,7 @@ class Program:
         ]
 
     def hover_currents(self, s: Array, v: Array) -> Currents:
-        """Of the first case's thrusts v, scaled to the weight without load."""
+        """Currents of the first case's thrusts v, scaled to the weight without load."""
         assert self.currents is not None
         scaled = self.cases[0].fixed_weight
         return hover_currents(v, self.shape(s), self.rotors, self.currents, scaled=scaled)

@@ -43,11 +43,11 @@ class CoDesignResult:
         s: Shape parameters, (num_params,).
         directions: (n_rotors, 3).
         spins: (n_rotors,).
-        thrusts: In hover, (n_rotors,) [N].
+        thrusts: Thrusts in hover, (n_rotors,) [N].
         attitude: Roll and pitch in hover, (2,) [rad].
         vehicle: The multicopter.
         objective: Weighted relative metrics.
-        metrics: Their values, in relative units.
+        metrics: Values of the metrics, in relative units.
         max_weight: Largest overall weight that hovers (with the authority demanded) [N].
         bound: No design of the space is better than this; -inf if none was computed.
         history: Objective after each iteration of the best start.

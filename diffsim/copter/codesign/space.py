@@ -24,7 +24,7 @@ class DesignSpace(Protocol):
 
     Attributes:
         names: Names of the shape parameters, num_params of them.
-        values: Their present values s, (num_params,).
+        values: Present values s, (num_params,).
         inequalities: A and b of the feasible set A s <= b, (num_rows, num_params) and (num_rows,)
             (thesis eq. 3.10).
     """
@@ -242,7 +242,7 @@ class _Quadratic:
         return self.value + self.gradient @ step + 0.5 * slope @ step, self.gradient + slope
 
     def hessian(self, _: Array, weights: Array) -> Array:
-        """Of weights . y, (p, p)."""
+        """Hessian of weights . y, (p, p)."""
         return np.einsum("y,ypq->pq", weights, self.second)
 
     @torch.no_grad()

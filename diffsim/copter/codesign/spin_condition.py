@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 def condition_number(task: Task, point: Point, u: Array) -> float:
-    """Of [B, A B, ..., A^11 B] about level hover with thrusts u; inf if not controllable."""
+    """Condition number of [B, A B, ..., A^11 B] in level hover with u; inf: uncontrollable."""
     attitude = torch.zeros(2, dtype=torch.float64)
     A, B = linearize(task.vehicle(point), torch.tensor(u), attitude)
     return float(controllability(A, B).condition)

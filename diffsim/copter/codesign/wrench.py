@@ -47,7 +47,7 @@ class Case:
     """One thing that the rotors have to be able to do at the same time as all other cases.
 
     Attributes:
-        name: For messages.
+        name: Name of the case in messages.
         lift_only: Balance force along gravity only.
         axes: Body axes whose torque is prescribed.
         torque: tau, (3,), relative; with ``inertia_axis`` it is J(s) e instead.

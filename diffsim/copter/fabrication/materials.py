@@ -97,7 +97,7 @@ def _screw_length(through: float) -> int:
 
 
 def _screw_mass(length: int) -> float:
-    """Of an M3 socket-head screw of steel: head, and a thread of 5.6 g per 100 mm [kg]."""
+    """Mass of an M3 socket-head screw of steel: head, and a thread of 5.6 g per 100 mm [kg]."""
     return 1e-3 * (0.5 + 0.044 * length)
 
 

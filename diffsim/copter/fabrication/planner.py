@@ -40,7 +40,7 @@ class PrintedPart:
         mesh: Mesh as it stands on the printer's bed [mm].
         names: Names of the parts, one per piece.
         process: ``print`` or ``sheet``.
-        density: That gives the design's mass [kg/m^3]; below the plastic's it is the infill.
+        density: Density that gives the design's mass [kg/m^3]; below the plastic's: infill.
         check: Outcome of the check whether it can be printed.
     """
 
@@ -66,7 +66,7 @@ class FabricationPlan:
         materials: Bill of materials; adds up to the design's mass and price.
         consumables: Screws, glue and strap, estimated, beside the design's mass.
         steps: Steps of assembly.
-        printer: That the meshes were checked for.
+        printer: The printer for which the meshes were checked.
     """
 
     design: Design
@@ -82,12 +82,12 @@ class FabricationPlan:
 
     @property
     def mass(self) -> float:
-        """Of the bill without consumables [kg]."""
+        """Mass of the bill without consumables [kg]."""
         return sum(line.mass for line in self.materials)
 
     @property
     def price(self) -> float:
-        """Of the bill without consumables [EUR]."""
+        """Price of the bill without consumables [EUR]."""
         return sum(line.price for line in self.materials)
 
     @property

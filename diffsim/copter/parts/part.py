@@ -27,7 +27,7 @@ class Parameter:
         name: Such as ``length``.
         value: Starting value [m].
         lower, upper: Bounds of the feasible set [m].
-        meaning: For listings.
+        meaning: Its meaning, as listings print it.
     """
 
     name: str

@@ -124,7 +124,7 @@ class FlightSimulator:
 
     @property
     def time(self) -> float:
-        """Of the state [s]."""
+        """Time of the state [s]."""
         return self._step * self.dt
 
     @torch.no_grad()

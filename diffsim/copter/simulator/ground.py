@@ -31,7 +31,7 @@ class Ground:
 
         Args:
             state: Leading axis (1,).
-            step: For the error message.
+            step: Control step, for the error message.
 
         Raises:
             FlightError: a crash.

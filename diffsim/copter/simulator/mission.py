@@ -85,7 +85,7 @@ class Mission:
 
     Attributes:
         name: Name of the mission.
-        legs: At least one, the first from the ground at the origin, heading north.
+        legs: Legs, at least one; the first from the ground at the origin, heading north.
     """
 
     name: str

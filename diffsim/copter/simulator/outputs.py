@@ -18,11 +18,11 @@ SAFE_PWM = 1800.0  # the thesis's clamp, Fig. 3-9 [us]
 
 
 class Outputs(NamedTuple):
-    """Of one control period, (n_rotors,) each.
+    """Outputs of one control period, (n_rotors,) each.
 
     Attributes:
         pwm: [us].
-        thrusts: That the motors settle at [N].
+        thrusts: Thrusts that the motors settle at [N].
         saturated: Whether the command exceeds the clamp or the motor's limit.
     """
 

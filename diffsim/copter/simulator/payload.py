@@ -32,7 +32,7 @@ def with_payload(vehicle: Multicopter, payload: float, *, drop: float = 0.05) ->
     Args:
         vehicle: Without it.
         payload: [kg].
-        drop: From the center of mass down to the load [m].
+        drop: Distance from the center of mass down to the load [m].
 
     Returns:
         The vehicle with mass, center of mass and inertia of both. Gradients: its tensors.

@@ -42,7 +42,7 @@ class FlightSensors:
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """Of one time: gyro [rad/s] and accelerometer [m/s^2] in the body frame, position [m]."""
+    """Readings at one time: gyro [rad/s], accelerometer [m/s^2] (body frame), position [m]."""
 
     gyro: Array
     accelerometer: Array
@@ -54,7 +54,7 @@ class SensorStream:
     """Noisy readings one after the other; equal for equal seeds.
 
     Args:
-        sensors: Their noise; biases are drawn once, here.
+        sensors: Noise of the sensors; biases are drawn once, here.
         seed: Seed of the noise.
     """
 
