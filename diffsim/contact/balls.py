@@ -32,9 +32,9 @@ def ball_force(
         x: Positions, (num_vertices, 3) [m].
         v: Velocities, same shape [m/s].
         balls: Nodes of each ball, (num_balls, nodes_per_ball) int64.
-        radius: Of all balls [m], > 0.
-        stiffness: A number or (num_balls,) [N/m], >= 0.
-        friction: A number or (num_balls,) [-], >= 0.
+        radius: Radius of all balls [m], > 0.
+        stiffness: Stiffness of a ball's spring, a number or (num_balls,) [N/m], >= 0.
+        friction: Friction coefficient of a ball, a number or (num_balls,) [-], >= 0.
 
     Returns:
         Forces, each ball's spread evenly over its nodes, shape of x [N]. Gradients: x, radius,

@@ -37,7 +37,7 @@ class BodyContact(nn.Module):
     Args:
         mesh_a, mesh_b: The bodies' meshes.
         stiffness: Pressure per depth [Pa/m], >= 0; independent of the meshes.
-        damping: Of the normal force (Hunt, Crossley 1975), >= 0 [s/m].
+        damping: Damping of the normal force (Hunt, Crossley 1975), >= 0 [s/m].
         friction: Coulomb coefficient, >= 0 [-].
         slip_speed: Speed at which friction has 71 % of its full value, > 0 [m/s].
     """
@@ -64,7 +64,8 @@ class BodyContact(nn.Module):
 
         Args:
             x_a, v_a: Positions [m] and velocities [m/s] of body a, (..., num_vertices_a, 3).
-            x_b, v_b: Those of body b, (..., num_vertices_b, 3), with the same batch axes.
+            x_b, v_b: Positions [m] and velocities [m/s] of body b, (..., num_vertices_b, 3), with
+                the same batch axes.
 
         Returns:
             Forces on a and b, shapes of x_a and x_b [N]. Gradients: positions, velocities and all

@@ -23,7 +23,7 @@ def check_clear(
     the centroids of elements, so an obstacle smaller than an element can pass unseen.
 
     Args:
-        obstacles: At their poses at the start.
+        obstacles: Obstacles at their poses at the start.
         mesh: The body's mesh.
         x: Positions, (num_vertices, 3) [m].
         tolerance: Depth that is let pass [m].

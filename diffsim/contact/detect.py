@@ -23,7 +23,7 @@ class ContactPlanes(NamedTuple):
         normal: Outward unit normals of the obstacles at their end poses, (..., c, 3).
         reference: Where the points would be if they stuck to their obstacle's material: x_start
             plus its displacement over the step, (..., c, 3) [m]. x - reference is slip.
-        offset: (..., c) [m].
+        offset: Offset of the half space along the normal, (..., c) [m].
         friction: Coulomb coefficient, (..., c) [-], may be inf.
         restitution: Newton's coefficient, (..., c) [-].
         obstacle: Index of the obstacle, (..., c) int64.
@@ -64,12 +64,12 @@ def detect(
     again with the corrected x_end for the other.
 
     Args:
-        obstacles: At their poses at the start of the step.
-        x_start: (..., c, 3) [m].
+        obstacles: Obstacles at their poses at the start of the step.
+        x_start: Positions at the start of the step, (..., c, 3) [m].
         x_end: Candidate end positions, same shape [m].
         dt: Time step [s].
         max_depenetration_speed: Points that start inside are pushed out no faster [m/s].
-        continuous: False omits the path and looks at the end alone.
+        continuous: Whether the path counts; False looks at its end alone.
 
     Returns:
         :class:`ContactPlanes`. Gradients: x_start, x_end, the obstacles' poses, velocities, shape

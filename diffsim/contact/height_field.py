@@ -32,7 +32,8 @@ class HeightField(Shape):
     Gauss-Newton step: finite, not meaningful.
 
     Args:
-        heights: (nx, ny) float64 [m], at least 3 x 3; may carry a gradient.
+        heights: Heights of the grid's points, (nx, ny) float64 [m], at least 3 x 3; may carry a
+            gradient.
         spacing: Grid spacing along x and y: a number or two [m].
         origin: Place of heights[0, 0] at height 0, (3,) [m].
     """

@@ -26,11 +26,11 @@ class Obstacle:
         position: Place of the shape's origin in the world, (3,) [m].
         rotation: Rotation vector (3,) [rad], or rotation matrix world from shape (3, 3).
         velocity: Velocity of the shape's origin, world frame, (3,) [m/s].
-        angular_velocity: World frame, (3,) [rad/s].
+        angular_velocity: Angular velocity, world frame, (3,) [rad/s].
         friction: Coulomb coefficient [-], >= 0; ``math.inf``: touching nodes stick, as in the
             thesis (4.1.4).
         restitution: Newton's coefficient [-], in [0, 1].
-        name: For messages.
+        name: Name of the obstacle in messages.
 
     Attributes:
         rotation: Rotation matrix world from shape, (3, 3).

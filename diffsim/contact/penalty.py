@@ -38,14 +38,15 @@ def penalty_force(
     while stiffness and cap are small against mass / dt^2 and mass / dt.
 
     Args:
-        obstacles: At their present poses.
+        obstacles: Obstacles at their present poses.
         x: Positions, (..., num_vertices, 3) [m].
         v: Velocities, same shape [m/s].
-        stiffness: kn, >= 0 [N/m^(exponent - 1)].
-        exponent: p > 1; 2: force proportional to depth.
-        friction: mu for all obstacles, >= 0 or inf; None: each obstacle's own.
-        viscous_cap: kf, >= 0 [N s/m]; 0: no friction. It is a viscosity, not a force.
-        damping: Of the normal force (Hunt, Crossley 1975), >= 0 [s/m].
+        stiffness: Stiffness of the normal force, >= 0 [N/m^(exponent - 1)].
+        exponent: Exponent of the energy in depth, > 1; 2: force proportional to depth.
+        friction: Coulomb coefficient for all obstacles, >= 0 or inf; None: each obstacle's own.
+        viscous_cap: Largest friction over slip, >= 0 [N s/m]; 0: no friction. It is a viscosity,
+            not a force.
+        damping: Damping of the normal force (Hunt, Crossley 1975), >= 0 [s/m].
         nodes: The nodes that can touch, (k,) int64; None: all.
 
     Returns:

@@ -21,7 +21,7 @@ class Shape:
     """What all shapes share; subclasses give ``_solid``.
 
     Args:
-        inside_out: Swap solid and void: a sphere becomes a spherical container.
+        inside_out: Whether solid and void are swapped: a sphere becomes a spherical container.
     """
 
     can_tunnel = True
@@ -83,7 +83,7 @@ class Sphere(Shape):
     """Ball about the origin. At its center: normal +z, gradients zero.
 
     Args:
-        radius: [m], > 0.
+        radius: Radius [m], > 0.
     """
 
     _solid_is_convex = True
@@ -102,7 +102,7 @@ class Capsule(Shape):
 
     Args:
         start, end: Ends of the segment, (3,) [m]; they must differ.
-        radius: [m], > 0.
+        radius: Radius [m], > 0.
     """
 
     _solid_is_convex = True
@@ -163,7 +163,7 @@ class Trough(Shape):
     normal -``start``, gradients zero.
 
     Args:
-        radius: [m], > 0.
+        radius: Radius [m], > 0.
         angle: Opening of the arc [rad], in (0, 2 pi).
         axis: Axis of the cylinder through the origin, (3,).
         start: Direction of the arc's first rim, (3,), perpendicular to ``axis``; the arc goes

@@ -15,8 +15,8 @@ def barycentric(p: Tensor, corners: Tensor, feature: Tensor) -> Tensor:
 
     Args:
         p: Points, (N, 3) [m].
-        corners: (N, 3, 3) [m].
-        feature: 0, 1, 2 corners; 3, 4, 5 edges 01, 12, 20; 6 the inside, (N,) int64, as
+        corners: Corners of the triangles, (N, 3, 3) [m].
+        feature: Feature: 0, 1, 2 corners; 3, 4, 5 edges 01, 12, 20; 6 the inside, (N,) int64, as
             :meth:`diffsim.mesh.SurfaceDistance.nearest` gives them.
 
     Returns:
@@ -45,9 +45,9 @@ def feature_distance(
 
     Args:
         p: Points, (N, 3) [m].
-        corners: (N, 3, 3) [m], counter-clockwise seen from outside.
-        feature: (N,) int64 as in :func:`barycentric`.
-        sign: -1 inside the surface, 1 outside, (N,).
+        corners: Corners of the triangles, (N, 3, 3) [m], counter-clockwise seen from outside.
+        feature: Feature of each triangle, (N,) int64, as in :func:`barycentric`.
+        sign: Side of the surface, -1 inside, 1 outside, (N,).
         pseudonormal: Normal where a point lies on an edge or corner, (N, 3), not zero.
 
     Returns:

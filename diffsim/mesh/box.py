@@ -28,8 +28,8 @@ def hex_box(
     ``(i (ny + 1) + j) (nz + 1) + k`` and lies at origin + (i lx/nx, j ly/ny, k lz/nz).
 
     Args:
-        cells: (nx, ny, nz), each at least 1.
-        size: (lx, ly, lz) [m], positive.
+        cells: Cells per axis, (nx, ny, nz), each at least 1.
+        size: Edge lengths of the box, (lx, ly, lz) [m], positive.
         origin: Lower corner [m].
     """
     x, hexes = box_arrays(cells, size, origin)

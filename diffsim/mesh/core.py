@@ -86,7 +86,7 @@ class Mesh:
         """Indices of the nodes with ``|x[axis] - value| <= tol``.
 
         Args:
-            axis: 0, 1, 2 or "x", "y", "z".
+            axis: Axis normal to the plane: 0, 1, 2 or "x", "y", "z".
             value: Position of the plane on that axis [m].
             tol: Half thickness [m]; 1e-6 of the diagonal of the bounding box when not given.
 

@@ -24,7 +24,7 @@ class Nearest(NamedTuple):
     """The closest feature of a surface for each point.
 
     Attributes:
-        face: Triangle, (N,) int64.
+        face: Index of the closest triangle, (N,) int64.
         feature: Its corner 0..2, edge 01, 12, 20 as 3..5, or 6 for its inside, (N,) int64.
         sign: -1 inside the surface, 1 outside, (N,).
         distance: Not signed, (N,) [m].
@@ -47,7 +47,7 @@ class SurfaceDistance:
 
     @classmethod
     def of_triangles(cls, x: Array, faces: IntArray) -> SurfaceDistance:
-        """For vertices (V, 3) [m] and triangles (F, 3) known to be closed and oriented outwards."""
+        """Distance to triangles (F, 3) of vertices (V, 3) [m], known to be closed and outwards."""
         made = cls.__new__(cls)
         made._prepare(x, faces)
         return made

@@ -21,7 +21,7 @@ def without_hinges(elements: IntArray, keep_largest: bool) -> IntArray:
 
     Args:
         elements: Node indices of one kind, (E, 8) or (E, 4).
-        keep_largest: Keep only the largest part that hangs together through faces.
+        keep_largest: Whether to keep only the largest part that hangs together through faces.
     """
     while len(elements):
         if keep_largest:

@@ -64,7 +64,7 @@ class Quality:
     """Quality of a mesh; ``str()`` prints a table.
 
     Attributes:
-        kind: "hex" or "tet".
+        kind: Kind of the elements, "hex" or "tet".
         num_vertices: Number of nodes.
         num_elements: Number of elements.
         total_volume: Volume of the mesh [m^3].

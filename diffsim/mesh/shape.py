@@ -86,7 +86,7 @@ def nodal_volume(mesh: HexMesh | TetMesh) -> Tensor:
 
 
 def hex_gradients(corners: Array) -> tuple[Array, Array]:
-    """Of hexahedra (C, 8, 3) [m]: gradients (C, 8, 8, 3) [1/m], weights (C, 8) [m^3]."""
+    """Gradients (C, 8, 8, 3) [1/m] and weights (C, 8) [m^3] of hexahedra (C, 8, 3) [m]."""
     derivatives = hex_shape_derivatives(HEX_GAUSS)
     grad = np.empty((len(corners), 8, 8, 3))
     weight = np.empty((len(corners), 8))
@@ -99,7 +99,7 @@ def hex_gradients(corners: Array) -> tuple[Array, Array]:
 
 
 def tet_gradients(corners: Array) -> tuple[Array, Array]:
-    """Of tetrahedra (E, 4, 3) [m]: gradients (E, 4, 3) [1/m], volumes (E,) [m^3]."""
+    """Gradients (E, 4, 3) [1/m] and volumes (E,) [m^3] of tetrahedra (E, 4, 3) [m]."""
     edges = corners[:, 1:] - corners[:, :1]  # rows x_a - x_0 = J'
     grad = np.empty(corners.shape)
     grad[:, 1:] = inv3(edges).transpose(0, 2, 1)  # rows of J^-1

@@ -30,9 +30,9 @@ def hex_sphere(radius: float, spacing: float, center: Center = (0.0, 0.0, 0.0)) 
     Nodes of the surface lie on the sphere, so volume converges with the second order.
 
     Args:
-        radius: [m].
+        radius: Radius [m].
         spacing: Target edge length at the surface [m].
-        center: [m].
+        center: Center of the solid, (3,) [m].
     """
     radius, num, layers = _resolution("radius", radius, spacing)
     x, hexes = box_arrays((num,) * 3, (2.0,) * 3, (-1.0,) * 3)
@@ -75,7 +75,7 @@ def hex_torus(
         major_radius: Radius of the tube's axis [m], larger than ``minor_radius``.
         minor_radius: Radius of the tube [m].
         spacing: Target edge length at the surface and along the tube's axis [m].
-        center: [m].
+        center: Center of the solid, (3,) [m].
     """
     minor, num, layers = _resolution("minor_radius", minor_radius, spacing)
     major = require_number("major_radius", float(major_radius), above=minor)

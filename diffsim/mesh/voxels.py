@@ -33,7 +33,7 @@ def hex_from_sdf(
         bounds: Lower and upper corner of the grid [m]; the grid starts at the lower corner and
             its last cells may reach beyond the upper one.
         spacing: Edge length of the cubes [m].
-        keep: "largest": only the largest part that hangs together through faces; "all". Cubes
+        keep: Parts to keep: the "largest" one that hangs together through faces, or "all". Cubes
             that hang on by a mere edge or node are dropped either way.
 
     Raises:

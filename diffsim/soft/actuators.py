@@ -16,7 +16,7 @@ class ActuatorState(NamedTuple):
 
     Attributes:
         value: The actuation now, (..., num_actuators).
-        pending: Commands not yet heard, oldest first, (delay_steps, ..., num_actuators).
+        pending: Commands that do not act yet, oldest first, (delay_steps, ..., num_actuators).
     """
 
     value: Tensor
@@ -26,7 +26,7 @@ class ActuatorState(NamedTuple):
 class ActuatorDynamics(nn.Module):
     """Actuation that follows its command late, sluggishly and no faster than it can.
 
-    The command c, held over a step and heard ``delay_steps`` steps later, drives the actuation a by
+    The command c, held over a step and delayed by ``delay_steps`` steps, drives the actuation a by
 
         da/dt = clamp((c - a) / T, -r, r),   T the time constant, r the greatest rate,
 
@@ -43,7 +43,7 @@ class ActuatorDynamics(nn.Module):
         time_constant: T, scalar or (num_actuators,) [s], > 0; None: no lag. May be an
             ``nn.Parameter``.
         max_rate: r, scalar or (num_actuators,) [unit of the command / s], > 0; None: unlimited.
-        delay_steps: Steps until a command is heard, >= 0; no gradient.
+        delay_steps: Steps until a command acts, >= 0; no gradient.
 
     Example::
 
@@ -82,7 +82,7 @@ class ActuatorDynamics(nn.Module):
 
         Args:
             command: Held over the step, (..., num_actuators).
-            state: From :meth:`initial_state` or the last call.
+            state: State from :meth:`initial_state` or from the last call.
             dt: Step [s].
 
         Returns:
@@ -139,11 +139,11 @@ class ActuatorDynamics(nn.Module):
     ) -> tuple[Tensor, ActuatorState]:
         pending = state.pending
         if self.delay_steps:
-            heard = pending[0]
+            acting = pending[0]
             pending = torch.cat([pending[1:], command[None]])
         else:
-            heard = command
-        value = heard - _error_after(heard - state.value, self.time_constant, self.max_rate, dt)
+            acting = command
+        value = acting - _error_after(acting - state.value, self.time_constant, self.max_rate, dt)
         return value, ActuatorState(value, pending)
 
     def _check_parameters(self, num_actuators: int | None) -> None:

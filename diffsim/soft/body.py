@@ -30,24 +30,25 @@ class SoftBody(Solid):
     Args:
         mesh: Rest shape, :class:`~diffsim.mesh.HexMesh` or :class:`~diffsim.mesh.TetMesh` [m].
         dt: Time step [s].
-        youngs_modulus: Scalar or (num_elements,) [Pa], > 0.
-        poissons_ratio: Scalar or (num_elements,) [-], in (-1, 0.5); for ``pd`` in [0, 0.5).
-        density: Scalar, (num_elements,) or (num_vertices,) [kg/m^3], > 0.
+        youngs_modulus: Young's modulus, scalar or (num_elements,) [Pa], > 0.
+        poissons_ratio: Poisson's ratio, scalar or (num_elements,) [-], in (-1, 0.5); for ``pd`` in
+            [0, 0.5).
+        density: Mass per rest volume, scalar, (num_elements,) or (num_vertices,) [kg/m^3], > 0.
         material: Energy of the solid: ``pd`` (projective dynamics, corotated and volume energies,
             thesis eq. 4.12), ``corotated``, ``stable_neo_hookean``, ``neo_hookean`` or ``stvk``;
             or a :class:`~diffsim.soft.Material`.
-        gravity: (3,) [m/s^2].
+        gravity: Acceleration of free fall, (3,) [m/s^2].
         fixed: Dirichlet set: node indices (k,) int64 (all axes), a mask (num_vertices,) or one per
             axis (num_vertices, 3) bool; None: free.
         muscles: Muscles and tendons, each driven by one activation.
         chambers: Pneumatic chambers, each driven by one pressure.
-        damping: Rayleigh's, :class:`~diffsim.soft.Damping`; None: none.
-        masses: Of nodes besides the solid's, :class:`~diffsim.soft.Masses`; None: none.
+        damping: Rayleigh damping, :class:`~diffsim.soft.Damping`; None: no damping.
+        masses: Masses of nodes besides the solid's, :class:`~diffsim.soft.Masses`; None: none.
         contact: Which nodes meet obstacles, :class:`~diffsim.soft.ContactOptions`; None: all free
             surface nodes.
         integrator: ``implicit_euler``, ``bdf2``, ``implicit_midpoint`` or ``semi_implicit_euler``
             (explicit).
-        solver: :class:`~diffsim.soft.SolverOptions`; None: its defaults.
+        solver: Solver and tolerances, :class:`~diffsim.soft.SolverOptions`; None: its defaults.
 
     Example::
 

@@ -68,7 +68,12 @@ def elastic_energy(
     """Elastic and muscle energy, less the work p V of the chambers' pressures.
 
     Args:
-        As in :func:`elastic_force`.
+        body: The body.
+        x: Positions, (..., num_vertices, 3) [m].
+        activation: Muscle activations, broadcastable to (..., num_muscles); None: rest.
+        pressure: Gauge pressures of the chambers, broadcastable to (..., num_chambers) [Pa];
+            None: zero.
+        physics: Parameters; None: the body's own.
 
     Returns:
         Energies, (...) [J]. Gradient: x only (parameters are treated as constants).

@@ -65,8 +65,9 @@ class Hydrodynamics(nn.Module):
 
     Args:
         mesh: The mesh whose boundary meets the water.
-        density: Of the water, scalar [kg/m^3], > 0.
-        water_velocity: (3,) or with batch axes (..., 3) [m/s]; replaceable in each call.
+        density: Density of the water, scalar [kg/m^3], > 0.
+        water_velocity: Velocity of the water, (3,) or with batch axes (..., 3) [m/s]; replaceable
+            in each call.
         drag_coefficients: Ordinates of C_d, (4,) [-]. Numbers become an ``nn.Parameter``, a tensor
             is used as it is.
         thrust_coefficients: Ordinates of C_t, (4,) [-]. Defaults of both: Min et al. 2019.
@@ -75,7 +76,7 @@ class Hydrodynamics(nn.Module):
         max_force: Greatest force on a node [N]; None: no limit. It guards explicit stepping.
         limit: ``isotropic`` scales the node's force vector to that length; ``component`` clamps
             each component as published, which depends on the frame and turns the force.
-        warn: Warn once per object when the limit first acts.
+        warn: Whether to warn, once per object, when the limit first acts.
 
     Example::
 
@@ -132,7 +133,8 @@ class Hydrodynamics(nn.Module):
         Args:
             x: Positions, (..., num_vertices, 3) [m].
             v: Velocities, same shape [m/s].
-            water_velocity: (..., 3) [m/s], broadcast over batch axes; None: the module's.
+            water_velocity: Velocity of the water, (..., 3) [m/s], broadcast over batch axes;
+                None: the module's.
 
         Returns:
             Forces, shape of x [N]. Gradients: x, v, water_velocity, density, both coefficients.
@@ -183,7 +185,7 @@ class Hydrodynamics(nn.Module):
         return picked.reshape(*nodal.shape[:-2], *self.faces.shape, 3)
 
     def _face_forces(self, x: Tensor, v: Tensor, water: Tensor) -> Tensor:
-        """Of faces with corners x, v (..., num_faces, corners, 3), forces (..., num_faces, 3)."""
+        """Forces (..., num_faces, 3) on faces with corners x, v (..., num_faces, corners, 3)."""
         area, normal = _area_and_normal(x)
         v_rel = water[..., None, :] - v.mean(-2)
         speed = _norm(v_rel)

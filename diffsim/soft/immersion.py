@@ -16,7 +16,7 @@ def added_mass(
 ) -> Tensor:
     """Inertia of the water that moves with a body: coefficient x density x nodal volume.
 
-    Give it to ``SoftBody(added_mass=...)`` or ``body.physics(added_mass=...)``: it is inert but
+    Give it to ``Masses(added_mass=...)`` or ``body.physics(added_mass=...)``: it is inert but
     does not weigh. One scalar per node, so the same in all directions, whereas a plate drags more
     water along broadside than edge-on: take the coefficient of the motion that matters. Potential
     flow: 1/2 for a sphere, 1 for a long cylinder moving across its axis; for a plate of thickness t
@@ -25,7 +25,7 @@ def added_mass(
     Args:
         source: The mesh, or the hydrodynamics made for it.
         coefficient: Added mass over displaced mass, scalar or (num_vertices,) [-], >= 0.
-        density: Of the water, scalar [kg/m^3]; None: that of the hydrodynamics.
+        density: Density of the water, scalar [kg/m^3]; None: that of the hydrodynamics.
 
     Returns:
         (num_vertices,) [kg]. Gradients: coefficient, density.
@@ -62,8 +62,8 @@ def buoyancy(
 
     Args:
         volume: The mesh, or nodal volumes (num_vertices,) [m^3].
-        density: Of the water, scalar [kg/m^3].
-        gravity: (3,) [m/s^2].
+        density: Density of the water, scalar [kg/m^3].
+        gravity: Acceleration of free fall, (3,) [m/s^2].
 
     Returns:
         Nodal forces, (num_vertices, 3) [N], for ``external_force``. Gradients: nodal volumes,

@@ -24,7 +24,7 @@ class Loads:
     Attributes:
         force: External forces and weight, (..., num_vertices, 3) [N].
         target: Positions of Dirichlet nodes, (..., num_vertices, 3) [m].
-        activation: Of the muscles, (..., num_muscles) [-].
+        activation: Activations of the muscles, (..., num_muscles) [-].
         pressure: Gauge pressures of the chambers, (..., num_chambers) [Pa].
         physics: The body's parameters.
     """
@@ -107,7 +107,7 @@ def energy_arrays(body: Solid, loads: Loads, frame: DampingFrame | None = None) 
     Args:
         body: The body.
         loads: Activations, pressures and physics.
-        frame: Of damping; None: the energy without damping.
+        frame: Reference of damping; None: the energy without damping.
     """
     physics = loads.physics
     fibers = body.muscles.fibers(physics.fiber_stiffness, loads.activation)

@@ -55,8 +55,8 @@ class Material:
     Attributes:
         law: ``pd``, ``corotated``, ``stable_neo_hookean``, ``neo_hookean`` or ``stvk``, see this
             module's docstring.
-        volume_weight: Of ``pd``: ``small_strain`` (E, nu in = E, nu out) or ``thesis``, see
-            :func:`pd_weights`.
+        volume_weight: Convention for the volume term of ``pd``: ``small_strain`` (E, nu in = E, nu
+            out) or ``thesis``, see :func:`pd_weights`.
     """
 
     law: str = "pd"
@@ -113,7 +113,7 @@ def material_weights(
     Args:
         material: One of ``MATERIALS``.
         youngs_modulus: E, (num_elements,) or scalar [Pa], > 0.
-        poissons_ratio: nu, same [-], in (-1, 0.5); pd: [0, 0.5).
+        poissons_ratio: nu, (num_elements,) or scalar [-], in (-1, 0.5); pd: [0, 0.5).
         volume_weight: Convention of pd, see :func:`pd_weights`; other materials have only one.
 
     Returns:
@@ -139,8 +139,9 @@ def pd_weights(
 
     Args:
         youngs_modulus: E, (num_elements,) or scalar [Pa].
-        poissons_ratio: nu, same [-]; must be >= 0, since a negative weight has no minimum.
-        volume_weight: one of the two conventions.
+        poissons_ratio: nu, (num_elements,) or scalar [-]; must be >= 0, since a negative weight has
+            no minimum.
+        volume_weight: One of the two conventions, ``small_strain`` or ``thesis``.
 
     Returns:
         (w_mu, w_vol) [Pa]. Gradients: both arguments.

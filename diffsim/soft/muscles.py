@@ -36,7 +36,7 @@ class Muscle:
         elements: Element indices, (num_fibers,) int64.
         direction: Fiber direction m in the rest shape, (3,) or (num_fibers, 3); normalized here.
         stiffness: w [Pa], > 0.
-        kind: what the activation means.
+        kind: What the activation means: ``length``, ``contraction`` or ``tendon``.
         weights: Factor on ``stiffness`` of each fiber, (num_fibers,) > 0; None: ones. With weights
             in 1/m^2 the stiffness is a force, see :class:`~diffsim.soft.Tendon`.
     """
@@ -78,7 +78,7 @@ class FiberValues(NamedTuple):
     """What the fibers of one step have.
 
     Attributes:
-        stiffness: (num_fibers,) [Pa].
+        stiffness: Stiffness of each fiber, (num_fibers,) [Pa].
         stretch: Target stretch, (..., num_fibers) [-].
     """
 

@@ -76,12 +76,13 @@ class SolverOptions:
             |inertia (y - mean y)| + |force| over free nodes (the right-hand side of eq. 4.3 about
             the body's center) [-]. Without load (statics), scale is the residual at the start, and
             the tolerance is at least rounding, 4e-16 |diag(A) x|.
-        atol: See rtol [N].
-        adjoint_rtol: |H z - dL/dx| must fall below ``adjoint_rtol * |dL/dx|``; None: rtol [-].
+        atol: Absolute part of that tolerance [N].
+        adjoint_rtol: Tolerance of the adjoint: |H z - dL/dx| must fall below
+            ``adjoint_rtol * |dL/dx|``; None: rtol [-].
         max_iters: Largest number of outer iterations [-].
         adjoint_max_iters: Largest number of Krylov iterations of the adjoint [-].
-        cache_columns: With obstacles: keep columns of the constant matrix's inverse from step to
-            step (thesis Alg. 5). False only to measure what that is worth.
+        cache_columns: Whether steps with obstacles keep columns of the constant matrix's inverse
+            from step to step (thesis Alg. 5). False only to measure what that is worth.
         num_threads: Threads of one step; a batch deals its items out to them [-].
         on_failure: ``raise`` :class:`~diffsim.core.errors.ConvergenceError`, or ``warn``.
     """

@@ -19,13 +19,14 @@ class Physics:
 
     Attributes:
         material: Energy of the solid, see :mod:`diffsim.soft.materials`.
-        w_mu, w_vol: Its parameters 2 mu and lambda (pd: volume weight), (num_elements,) [Pa].
+        w_mu, w_vol: The material's parameters 2 mu and lambda (pd: volume weight),
+            (num_elements,) [Pa].
         mass: Nodal inertia, attached and added masses included, (num_vertices,) [kg].
         weighing_mass: What gravity acts on: ``mass`` without added mass, (num_vertices,) [kg].
-        gravity: (3,) [m/s^2].
+        gravity: Acceleration of free fall, (3,) [m/s^2].
         rayleigh_alpha: Damping proportional to ``mass``, scalar [1/s].
         rayleigh_beta: Stiffness-proportional damping, scalar or (num_elements,) [s]; None: none.
-        fiber_stiffness: Of each muscle, (num_muscles,) [Pa].
+        fiber_stiffness: Stiffness of each muscle, (num_muscles,) [Pa].
     """
 
     material: str
@@ -131,7 +132,7 @@ def make_physics(
 
     Args:
         values: The parameters as given.
-        volume: Of the body's mesh.
+        volume: Lumped volume of the body's mesh.
         material: Energy of the solid.
         num_muscles: Number of muscles.
 

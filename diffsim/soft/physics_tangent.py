@@ -22,7 +22,8 @@ def physics_directions(
     Args:
         body: The body.
         values: Overrides by name, as ``body.physics`` takes them.
-        directions: By name, among those of ``values``: (K, *shape of the value), per unit.
+        directions: K directions of some of ``values``, by name: (K, *shape of the value), in the
+            value's unit per unit of a direction.
 
     Returns:
         Physics whose tensors have a leading K.

@@ -21,9 +21,9 @@ class Problem:
     Attributes:
         y: Inertial positions, (..., num_vertices, 3) [m].
         guess: Start of the iteration, (..., num_vertices, 3) [m]; no gradient.
-        inertia: (num_vertices,) [N/m].
+        inertia: Inertia per displacement of each node, (num_vertices,) [N/m].
         loads: Forces, targets, activations, pressures and physics.
-        frame: Of damping D; None: undamped.
+        frame: Reference of the damping energy D; None: undamped.
     """
 
     y: Tensor

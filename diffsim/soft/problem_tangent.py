@@ -80,7 +80,7 @@ def stage_rates(
 def load_rates(
     problem: Problem, moved: Mapping[str, Tensor | None], changing: Physics
 ) -> dict[str, Tensor]:
-    """Of force, chambers and Dirichlet targets; weight is among the forces."""
+    """Rates of force, chambers and Dirichlet targets; weight is among the forces."""
     physics = problem.loads.physics
     force = (
         changing.weighing_mass[:, :, None] * physics.gravity
@@ -98,7 +98,7 @@ def load_rates(
 def stiffness_rates(
     body: Solid, problem: Problem, d_activation: Tensor | None, changing: Physics
 ) -> dict[str, Tensor]:
-    """Of the solid's weights, and of the fibers' stiffness and target, see ``MuscleSet.fibers``."""
+    """Rates of the solid's weights and of the fibers (``MuscleSet.fibers``)."""
     rates = {"w_mu": changing.w_mu, "w_vol": changing.w_vol}
     muscles = body.muscles
     if not muscles.num_muscles:

@@ -42,7 +42,8 @@ def rollout(
         num_steps: Number of steps, >= 1.
         external_force: One tensor for all steps, or ``f(step, state)`` for closed loops and for
             signals in time [N].
-        activation, pressure, dirichlet_target: The same, see :func:`diffsim.soft.step`.
+        activation, pressure, dirichlet_target: Signals of the same kind as ``external_force``;
+            shapes and units as in :func:`diffsim.soft.step`.
         obstacles: Obstacles at their poses at the start, which then move by their velocities; or
             ``f(step, state)`` that returns those of a step at the step's start.
         physics: Parameters from ``body.physics(...)``; None: the body's own.

@@ -37,7 +37,8 @@ from diffsim.soft.state import State
 class Solid(nn.Module):
     """What a :class:`~diffsim.soft.SoftBody` is, without what can be done with it.
 
-    Functions of bodies (``step``, ``static_equilibrium``, ...) take this; arguments as there.
+    Functions of bodies (``step``, ``static_equilibrium``, ...) take this. The arguments are those
+    of :class:`~diffsim.soft.SoftBody`.
     """
 
     x_rest: Tensor
@@ -131,7 +132,7 @@ class Solid(nn.Module):
 
     @property
     def handle(self) -> int:
-        """Handle of the prepared solver, as the ops take it."""
+        """Handle of the prepared solver; the ops take this number."""
         return self._context.handle
 
     def physics(self, **overrides: Value) -> Physics:

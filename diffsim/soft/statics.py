@@ -31,8 +31,8 @@ def static_equilibrium(
         body: The body; its Dirichlet set must hold it on every axis.
         guess: Start of the iteration, (..., num_vertices, 3) [m]; None: rest. Which of several
             equilibria is found depends on it; no gradient.
-        external_force, activation, pressure, dirichlet_target, physics: As in
-            :func:`diffsim.soft.step`.
+        external_force, activation, pressure, dirichlet_target, physics: Loads, commands and
+            parameters, as :func:`diffsim.soft.step` takes them.
 
     Returns:
         The state, v = 0. Gradients: external_force, activation, pressure, dirichlet_target,

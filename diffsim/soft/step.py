@@ -114,7 +114,7 @@ def stage_problem(stage: Stage, guess: Tensor, loads: Loads) -> Problem:
     """The stage's problem; mass-proportional damping joins the inertia term.
 
     Args:
-        stage: Of the integrator.
+        stage: The integrator's implicit problem.
         guess: Start of the iteration, (..., num_vertices, 3) [m].
         loads: What acts in the step.
     """

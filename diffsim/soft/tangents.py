@@ -37,11 +37,12 @@ class Directions:
     Signals are tensors, or ``f(step, state, tangent)`` with the tangent's x and v (K, ...).
 
     Attributes:
-        x, v: Of the initial state, (K, num_vertices, 3) [m], [m/s] per unit of a direction.
-        external_force: (K, num_vertices, 3) [N].
-        activation: (K, num_muscles).
-        pressure: (K, num_chambers) [Pa].
-        dirichlet_target: (K, num_vertices, 3) [m].
+        x, v: Directions of the initial positions and velocities, (K, num_vertices, 3) [m], [m/s]
+            per unit of a direction.
+        external_force: Directions of the nodal forces, (K, num_vertices, 3) [N].
+        activation: Directions of the muscles' activations, (K, num_muscles).
+        pressure: Directions of the chambers' pressures, (K, num_chambers) [Pa].
+        dirichlet_target: Directions of the prescribed positions, (K, num_vertices, 3) [m].
         physics: A :class:`~diffsim.soft.Physics` whose tensors are derivatives with a leading K,
             see :func:`physics_directions`.
     """
@@ -94,10 +95,10 @@ def rollout_tangents(
         body: The body.
         state: Initial state, (num_vertices, 3).
         num_steps: Number of steps, >= 1.
-        count: K >= 1.
-        directions: What moves.
-        external_force, activation, pressure, dirichlet_target, physics: As in
-            :func:`diffsim.soft.rollout`.
+        count: Number of directions, K >= 1.
+        directions: Directions in the state, the signals and the parameters.
+        external_force, activation, pressure, dirichlet_target, physics: Inputs of the rollout, as
+            :func:`diffsim.soft.rollout` takes them.
         keep: Function of a state and its tangent: what is kept instead of x, and its derivatives
             with a leading K, for example ``lambda s, t: (s.x[tip], t.x[:, tip])``.
 
@@ -164,10 +165,11 @@ def static_tangents(
     Args:
         body: The body.
         x: The equilibrium, (num_vertices, 3) [m], of the same inputs.
-        count: K >= 1.
-        directions: What moves: tensors and physics; ``x`` and ``v`` are not read.
-        external_force, activation, pressure, dirichlet_target, physics: As in
-            :func:`diffsim.soft.static_equilibrium`.
+        count: Number of directions, K >= 1.
+        directions: Directions in loads, commands and parameters, as tensors; ``x`` and ``v`` are
+            not read.
+        external_force, activation, pressure, dirichlet_target, physics: Inputs of the
+            equilibrium, as :func:`diffsim.soft.static_equilibrium` takes them.
 
     Returns:
         (K, num_vertices, 3) [m] per unit of each direction.

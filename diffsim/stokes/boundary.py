@@ -19,8 +19,9 @@ class Wall:
     """A face at rest.
 
     Args:
-        face: "x-", "x+", "y-", ...
-        kind: "no_slip" (no velocity) or "slip" (no normal velocity, no shear: symmetry).
+        face: Name of the face: "x-", "x+", "y-", ...
+        kind: Kind of wall: "no_slip" (no velocity) or "slip" (no normal velocity, no shear:
+            symmetry).
     """
 
     face: str
@@ -35,7 +36,7 @@ class Open:
     """A face that fluid leaves or enters freely: the stress on it is zero, or the given traction.
 
     Args:
-        face: "x-", "x+", "y-", ...
+        face: Name of the face: "x-", "x+", "y-", ...
     """
 
     face: str
@@ -48,7 +49,7 @@ class Inlet:
     Where an inlet meets a wall or another face, the inlet's values hold.
 
     Args:
-        face: "x-", "x+", "y-", ...
+        face: Name of the face: "x-", "x+", "y-", ...
         name: Key of its velocities in ``StokesFlow.forward``; default the face's name.
         where: Nodes of the face that belong to it: a function of positions (n, dim) [m] that
             returns (n,) bool; default all. The rest of the face is a no-slip wall unless another
@@ -130,8 +131,8 @@ class Boundary:
         """Velocities of all inlets, checked.
 
         Args:
-            inlet: By inlet, or one tensor where there is one inlet: (dim,), (nodes, dim) or
-                (cases, 1 or nodes, dim) [m/s].
+            inlet: Velocities by inlet, or one tensor where there is one inlet: (dim,),
+                (nodes, dim) or (cases, 1 or nodes, dim) [m/s].
 
         Returns:
             By inlet, (cases or 1, 1 or nodes, dim) [m/s]. Gradients: inlet.

@@ -25,10 +25,10 @@ class FlowField:
             that are cut, zero elsewhere.
         pressure: One value per cell, (cases, *shape) [Pa]; zero in solid cells.
         volume_fraction: Fluid share of every cell, (*shape) [-].
-        stats: Per case: "num_iters", "divergence" (root mean square dilatation of cells relative to
-            max speed / longest side of the box), "converged", "net_inflow" (net over gross flux of
-            the worst part of the fluid without an open face), "residual" (of the iterative solver,
-            relative; zero for the direct one), "imbalance" (``mass_report``).
+        stats: Figures per case: "num_iters", "divergence" (root mean square dilatation of cells
+            relative to max speed / longest side of the box), "converged", "net_inflow" (net over
+            gross flux of the worst part of the fluid without an open face), "residual" (of the
+            iterative solver, relative; zero for the direct one), "imbalance" (``mass_report``).
     """
 
     grid: Grid
@@ -43,7 +43,7 @@ class FlowField:
 
         Args:
             axis: The plane's normal.
-            index: 0 to ``grid.shape[axis]``; negative counts from the end.
+            index: Index of the plane, 0 to ``grid.shape[axis]``; negative counts from the end.
 
         Returns:
             (cases,) [m^dim/s]. Gradient: velocity and phi.
@@ -93,7 +93,7 @@ class FlowField:
         """Velocity at points, multilinear between the nodes.
 
         Args:
-            points: (n, dim) float64 in the box [m].
+            points: Points, (n, dim) float64 in the box [m].
 
         Returns:
             (cases, n, dim) [m/s]. Gradient: velocity and points.

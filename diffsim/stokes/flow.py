@@ -42,11 +42,11 @@ class StokesFlow(nn.Module):
         grid: The grid.
         boundary: Conditions on the box's faces; faces that are not mentioned are no-slip walls.
         viscosity: Default viscosity eta [Pa s].
-        wall: "no_slip" or "no_separation" on the embedded wall.
-        incompressible: Iterate to div v = 0 in every cell (mean over its fluid).
+        wall: Condition on the embedded wall, "no_slip" or "no_separation".
+        incompressible: Whether to iterate to div v = 0 in every cell (mean over its fluid).
         bulk_ratio: Second viscosity over viscosity, lambda / eta [-].
         penalty: Nitsche penalty beta [-].
-        ghost_penalty: gamma [-].
+        ghost_penalty: Weight gamma of the ghost penalty [-].
         solver: Solver, tolerances and threads; ``SolverOptions()`` by default.
 
     Gradients: phi, inlet velocities, viscosity, wall velocity, body force, traction; first order.
@@ -127,8 +127,8 @@ class StokesFlow(nn.Module):
             viscosity: Scalar tensor or number instead of the module's [Pa s].
             wall_velocity: Velocity of the embedded wall [m/s]: (dim,), (*node_shape, dim) or
                 (cases, *node_shape, dim).
-            body_force: Force per volume [N/m^dim], same shapes.
-            traction: Force per area on open faces [N/m^(dim-1)], same shapes.
+            body_force: Force per volume [N/m^dim], shapes as of ``wall_velocity``.
+            traction: Force per area on open faces [N/m^(dim-1)], shapes as of ``wall_velocity``.
 
         Returns:
             ``FlowField``.
@@ -176,8 +176,11 @@ class StokesFlow(nn.Module):
         return self.grid.nodes.reshape(-1, self.grid.dim)[self.boundary.inlets[name]]
 
     def report(self, phi: Tensor) -> dict[str, float | str]:
-        """Solver, sizes and wall times [s] of the prepared system of a level set (made if it is not
-        kept)."""
+        """Solver, sizes and wall times [s] of a level set's prepared system, made if not kept.
+
+        Args:
+            phi: Level set at the nodes, (*node_shape,) float64.
+        """
         phi = require("phi", phi.detach(), self.grid.node_shape, torch.float64).reshape(-1)
         with self._context.lock:
             report = self._context.system(phi, self.num_threads).report

@@ -124,7 +124,7 @@ class Grid:
         """A vector field from one vector (dim,), a field (*node_shape, dim) or one per case.
 
         Args:
-            name: For messages.
+            name: Name of the tensor in messages.
             value: The vector or fields, any unit.
 
         Returns:

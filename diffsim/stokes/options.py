@@ -24,12 +24,13 @@ class SolverOptions:
             side, both with momentum and continuity scaled by powers of the cell size; the adjoint
             too. Pressures that alternate from cell to cell are held weakly: errors there are 1e2 to
             1e4 times larger [-].
-        tolerance: Largest relative divergence (see ``FlowField.stats``), where incompressible [-].
+        tolerance: Largest relative divergence that an incompressible flow may keep, see
+            ``FlowField.stats`` [-].
         max_iters: Largest number of incompressible iterations, and of the iterative solver's [-].
         num_kept: Factorized systems to keep; one is enough where every forward pass is followed by
             its backward pass [-].
         num_threads: Worker threads; results do not depend on them [-].
-        on_failure: ``raise`` or ``warn`` when an iteration does not converge.
+        on_failure: What an iteration does that does not converge: ``raise`` or ``warn``.
     """
 
     method: str = "auto"

@@ -43,7 +43,7 @@ class FabricationReport:
 
     @property
     def loose_volume(self) -> float:
-        """Of all parts but the largest [m^3]."""
+        """Volume of all parts but the largest [m^3]."""
         return sum(self.part_volumes[1:])
 
 

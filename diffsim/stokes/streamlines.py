@@ -42,9 +42,9 @@ class Streamline:
     """One line.
 
     Attributes:
-        points: (n, dim) [m], in the direction of the flow.
-        speed: (n,) [m/s].
-        time: Along the line from its first point, (n,) [s].
+        points: Points of the line, (n, dim) [m], in the direction of the flow.
+        speed: Speed at the points, (n,) [m/s].
+        time: Time along the line from its first point, (n,) [s].
         end: Why it ended downstream, one of ``ENDS``.
         start: Why it ended upstream; "seed" where it was not followed there.
     """
@@ -57,7 +57,7 @@ class Streamline:
 
     @property
     def length(self) -> float:
-        """[m]"""
+        """Length of the line [m]."""
         return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
 
 
@@ -80,10 +80,11 @@ def streamlines(
         field: The flow.
         seeds: Points in the fluid, (n, dim) float64 [m], or how many to spread over the inlets (see
             ``inlet_seeds``).
-        case: Which of the field's cases.
+        case: Index of one of the field's cases.
         direction: "downstream", "upstream" or "both".
-        max_length: Per direction [m]; default ten times the longest side of the box.
-        tolerance: Error per step [cells].
+        max_length: Greatest length per direction [m]; default ten times the longest side of the
+            box.
+        tolerance: Largest error per step [cells].
         max_step: Longest step [cells].
 
     Returns:
@@ -132,7 +133,7 @@ def inlet_seeds(field: FlowField, count: int, *, case: int = 0) -> Tensor:
     Args:
         field: The flow.
         count: How many.
-        case: Which of the field's cases.
+        case: Index of one of the field's cases.
 
     Returns:
         (count, dim) float64 [m].

@@ -8,9 +8,9 @@ this material. There is no contact: limbs may pass through each other.
 
 Expected: `auto` and `newton_cholesky` end in the same shape and gradient. Measured with --compare
 on two busy cores, CPU seconds per step: forward 1.47 against 2.53, backward 0.70 against 0.64. On
-this slender creature `auto` factorizes backward, as the direct solve does; docs/measured/soft.md
-has a compact beam, where conjugate gradients win. Running time: 3 minutes of CPU with --compare,
-seconds with --small.
+this slender creature `auto` factorizes backward, as the direct solve does;
+docs/measured/soft.md has a compact beam, where conjugate gradients win. Running time: 3 minutes of
+CPU with --compare, seconds with --small.
 
     python examples/softbody/twisting_armadillo.py --compare --plot runs/armadillo.png
 """

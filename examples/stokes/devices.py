@@ -14,8 +14,8 @@ Expected, with seed 0 (amplifier: see ``amplifier.py``):
     switch --sample-resolution 0.375 --starts 1 --coarse-evaluations 16
         --evaluations 1 --checked 2                                       0.26    0.58
 
-All losses are those of the thesis's grids; ``docs/measured/stokes.md`` has the table. Running time
-in CPU minutes of one thread: averager and gate 1/2, funnel 6, twister 8, switch 12. With
+All losses are those of the thesis's grids; ``docs/measured/stokes.md`` has the table. Running
+time in CPU minutes of one thread: averager and gate 1/2, funnel 6, twister 8, switch 12. With
 --resolution 0.5 each takes one to three. --export adds a solid to print, VTK and rerun files.
 
     python examples/stokes/devices.py averager --out runs/averager

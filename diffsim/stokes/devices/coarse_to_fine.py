@@ -54,7 +54,7 @@ def coarse_to_fine(
         max_coarse_evaluations: Largest number of evaluations of each L-BFGS on the coarse grid.
         ftol: Relative decrease of the loss below which L-BFGS stops.
         path: File of the state (see ``optim.Log``); none is kept if None.
-        progress: Show bars.
+        progress: Whether to show bars.
 
     Returns:
         ``Optimum``; its ``coarse`` says how the grids compare.
@@ -112,7 +112,7 @@ def unit_on_fine_grid(samples: Samples, fine: Tensor) -> tuple[float, float]:
     varies less than they do.
 
     Args:
-        samples: On the coarse grid, (num_samples,).
+        samples: Random designs and their losses on the coarse grid, (num_samples,).
         fine: Losses of the first of them on the fine grid; infinite ones are left out.
     """
     has_flow = fine.isfinite()

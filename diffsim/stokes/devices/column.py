@@ -26,7 +26,7 @@ def column(
     """A column from radii (num_heights, 8) [m]; equal radii give a circle of that radius.
 
     Args:
-        radii: At angles k x 45 degrees, of rings of control points.
+        radii: Radii of rings of control points at angles k x 45 degrees.
         heights: Heights of the rings [m], rising.
         center: x, y of the axis [m].
         fluid: "inside" or "outside".

@@ -43,9 +43,9 @@ class State:
 
     Attributes:
         name: Title in pictures.
-        shape: Parameters (num_parameters,) to the level set of the fluid.
+        shape: Function from parameters (num_parameters,) to the level set of the fluid.
         inlet: Velocity of every inlet by name, (cases, 1, dim) [m/s]: one case per basis input.
-        loss: Flow to loss, scalar, not normalized.
+        loss: Function from the flow to a loss, scalar, not normalized.
     """
 
     name: str
@@ -63,16 +63,16 @@ class Device:
 
     Attributes:
         name: Name for ``make``.
-        flow: Grid, conditions on the box, kind of wall.
-        parameters: What is designed.
-        states: Geometries; the loss is the sum over them.
+        flow: Solver with its grid, conditions on the box and kind of wall.
+        parameters: Parameters of the design.
+        states: Geometries of the device; the loss is the sum over them.
         num_samples: Random designs that the thesis draws for this many parameters.
         cases: Names of the inlet cases.
         directions: Wanted direction (x, y) at the outlets for every case, where that is the aim;
             pictures then show angles to it.
         slices: Heights of horizontal planes that pictures show, as shares of the box (3D).
         reference: Values of thesis table 4.5: "loss", "seconds" per call on its machine.
-        options: What the device was made with.
+        options: Options that the device was made with.
     """
 
     name: str

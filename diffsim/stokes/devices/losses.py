@@ -26,7 +26,7 @@ def integral(field: FlowField, face: str, values: Tensor) -> Tensor:
     Args:
         field: The flow.
         face: "x-", "x+", ...
-        values: At the face's nodes, (cases, *face_node_shape); multilinear between them.
+        values: Values at the face's nodes, (cases, *face_node_shape); multilinear between them.
 
     Returns:
         (cases,) [value m^(dim-1)]. Gradient: values and phi.
@@ -65,7 +65,7 @@ def squared_difference(field: FlowField, faces: Sequence[str], target: Tensor) -
     Args:
         field: The flow.
         faces: Outlets.
-        target: [m/s], broadcast against (cases, *node_shape, dim).
+        target: Wanted velocity [m/s], broadcast against (cases, *node_shape, dim).
     """
     return mean(field, faces, ((field.velocity - target) ** 2).sum(-1)).mean()
 
@@ -76,8 +76,8 @@ def mean_velocity(field: FlowField, faces: Sequence[str], region: Tensor | None 
     Args:
         field: The flow.
         faces: Outlets.
-        region: (*node_shape,) bool, to look at one of several outlets of a face; its border should
-            lie in the solid.
+        region: Nodes that count, (*node_shape,) bool, to look at one of several outlets of a face;
+            its border should lie in the solid.
     """
     weight = torch.ones_like(field.phi) if region is None else region.to(field.phi.dtype)
     share = mean(field, faces, weight[None])

@@ -40,7 +40,7 @@ def optimize(
         ftol: Relative decrease of the loss below which L-BFGS stops.
         start: Start L-BFGS here instead (the samples still set the unit of the loss).
         path: File of the state (see ``optim.Log``); none is kept if None.
-        progress: Show bars.
+        progress: Whether to show bars.
 
     Returns:
         ``Optimum``.

@@ -43,10 +43,11 @@ class Optimum:
         loss: Normalized loss of the best design.
         start: Design that L-BFGS started from, (num_parameters,).
         samples: All sampled designs, (num_samples, num_parameters).
-        sample_losses: (num_samples,), mean 1; on the coarse grid where there was one.
+        sample_losses: Losses of these, (num_samples,), mean 1; on the coarse grid where there was
+            one.
         unit_loss: Loss that counts as 1.
         evaluations: Designs in order of evaluation, (num_evaluations, num_parameters).
-        evaluation_losses: (num_evaluations,); infinite where a design had no flow.
+        evaluation_losses: Losses of these, (num_evaluations,); infinite where a design had no flow.
         num_rejected: Random designs that let no fluid through and were drawn again.
         seconds: Mean CPU time of loss and gradient [s].
         message: Why L-BFGS stopped.

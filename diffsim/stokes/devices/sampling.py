@@ -22,8 +22,8 @@ class Samples:
     """Random designs that let fluid through.
 
     Attributes:
-        x: (num_samples, num_parameters).
-        losses: Not normalized, (num_samples,).
+        x: Parameters of the designs, (num_samples, num_parameters).
+        losses: Losses, not normalized, (num_samples,).
         num_rejected: Designs without flow that were drawn again.
     """
 

@@ -20,7 +20,7 @@ class Descent:
     """Evaluations of L-BFGS from one start.
 
     Attributes:
-        designs: In order of evaluation, (num_evaluations, num_parameters).
+        designs: Designs in order of evaluation, (num_evaluations, num_parameters).
         losses: Not normalized, (num_evaluations,); infinite where a design had no flow.
         seconds: Mean CPU time of loss and gradient [s].
         message: Why it stopped.

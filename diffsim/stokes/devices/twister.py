@@ -29,7 +29,7 @@ def twister(resolution: float = 1.0, *, wall: str = "no_separation") -> Device:
 
     Args:
         resolution: Factor on the number of cells per axis.
-        wall: "no_separation" or "no_slip".
+        wall: Kind of wall, "no_separation" or "no_slip".
     """
     require_choice("wall", wall, WALL_KINDS)
     grid = Grid(scaled((64, 64, 32), resolution), size=(1.0, 1.0, _HEIGHT))

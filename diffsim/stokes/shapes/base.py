@@ -57,7 +57,7 @@ class Shape(nn.Module):
         """Level set at points.
 
         Args:
-            points: (..., d) float64 [m].
+            points: Points, (..., d) float64 [m].
 
         Returns:
             phi, (...) [m], > 0 in the fluid, < 0 in the solid.

@@ -29,10 +29,10 @@ class BezierCurve2d(Shape):
     of its normal. thesis 4.2.5, "Signed-distance functions for parametric shapes".
 
     Args:
-        control_points: (k, 2) float64 [m].
-        fluid: "left" or "right", seen in the direction of travel; for closed ones also "inside" or
-            "outside".
-        weights: (k,) > 0 for rational curves.
+        control_points: Control points, (k, 2) float64 [m].
+        fluid: Side of the fluid: "left" or "right", seen in the direction of travel; for closed
+            curves also "inside" or "outside".
+        weights: Weights of a rational curve's control points, (k,) > 0.
         degree: Degree of the curves of a chain, neighbors sharing one control point: k = degree x
             num_curves + 1 (open) or degree x num_curves (closed: the last curve ends at the first
             point). None: a single curve.

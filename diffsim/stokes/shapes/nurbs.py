@@ -41,13 +41,15 @@ class NurbsSurface(Shape):
     size at 1 of 20000 nodes; more ``samples`` help). Self-intersections are not looked for.
 
     Args:
-        control_points: (nu, nv, 3) float64 [m]; periodic directions do not repeat the first.
-        fluid: "inside" or "outside" (u periodic), or "front": the side of S_u x S_v, or "back".
-        weights: (nu, nv), > 0.
+        control_points: Control points, (nu, nv, 3) float64 [m]; periodic directions do not repeat
+            the first.
+        fluid: Side of the fluid: "inside" or "outside" (u periodic), "front", which is the side of
+            S_u x S_v, or "back".
+        weights: Weights of the control points, (nu, nv), > 0.
         degree: Degree in u and v, 1 to 5.
         periodic: Whether u and v wrap.
         knots: Knots of u and v, as in ``SplineBasis``; uniform where None.
-        ends: "tangent" or "stop".
+        ends: How open ends go on: along the "tangent", or not ("stop").
         band: Distance [m] within which phi is exact; farther away it is the distance to the nearest
             sample: right sign, at most a sample's spacing too large, gradients to match. A few
             cells are enough for the flow. None: exact everywhere.

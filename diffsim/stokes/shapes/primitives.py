@@ -40,9 +40,9 @@ class Sphere(Shape):
     to the center is zero.
 
     Args:
-        radius: [m], > 0.
-        center: (2,) or (3,) [m].
-        fluid: "outside" or "inside".
+        radius: Radius [m], > 0.
+        center: Center, (2,) or (3,) [m].
+        fluid: Side of the fluid, "outside" or "inside".
     """
 
     def __init__(self, radius: Number, center: Vector = (0.0, 0.0, 0.0), *, fluid: str = "outside"):
@@ -65,8 +65,8 @@ class Box(Shape):
 
     Args:
         size: Edge lengths, (2,) or (3,) [m], > 0.
-        center: (d,) [m]; the origin if None.
-        fluid: "outside" or "inside".
+        center: Center, (d,) [m]; the origin if None.
+        fluid: Side of the fluid, "outside" or "inside".
     """
 
     def __init__(self, size: Vector, center: Vector | None = None, *, fluid: str = "outside"):

@@ -36,7 +36,7 @@ def sample(shape: LevelSet, nodes: Tensor) -> Tensor:
 
     Args:
         shape: Level set, or a callable as in ``Custom``.
-        nodes: (..., d) float64 [m], as from :func:`grid_nodes`.
+        nodes: Positions of the nodes, (..., d) float64 [m], as from :func:`grid_nodes`.
 
     Returns:
         phi (...) [m]. Gradients: the shape's parameters and the nodes.

@@ -14,7 +14,7 @@ class SplineBasis:
 
     Args:
         num: Number of basis functions (control points), without repetition if periodic.
-        degree: 1 to 5.
+        degree: Degree of the polynomials, 1 to 5.
         periodic: Whether the parameter wraps.
         knots: Clamped: num + degree + 1 values, not falling, the first and last degree + 1 equal.
             Periodic: num + 1 values, not falling, one period; function i lives on knots i to i +

@@ -17,7 +17,7 @@ class Translate(Shape):
 
     Args:
         shape: Level set.
-        by: (d,) [m].
+        by: Displacement, (d,) [m].
     """
 
     def __init__(self, shape: LevelSet, by: Vector):
@@ -38,8 +38,8 @@ class Rotate(Shape):
 
     Args:
         shape: Level set.
-        angle: [rad].
-        axis: (3,) of any length > 0; None in the plane.
+        angle: Angle [rad].
+        axis: Direction of the axis, (3,), of any length > 0; None in the plane.
         center: A point c that stays in place, (d,) [m]; the origin if None.
     """
 
@@ -88,7 +88,7 @@ class Extrude(Shape):
     Args:
         shape: Level set in the plane; its two coordinates are those of x, y, z that remain, in
             this order ("z": (x, y); "y": (x, z); "x": (y, z)).
-        axis: "x", "y" or "z".
+        axis: Axis of the extrusion, "x", "y" or "z".
     """
 
     dim = 3
