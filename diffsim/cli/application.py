@@ -65,27 +65,27 @@ def main(
         for record in (kept, kept.with_name(f"warm_up_{kept.name}"), drawn):
             record.unlink(missing_ok=True)
     with _refusals():
-        found = minimize(application, max_evaluations=limit, record=kept, progress=True)
-    numbers = summary(application, found)
+        outcome = minimize(application, max_evaluations=limit, record=kept, progress=True)
+    numbers = summary(application, outcome)
     if not args.quick:
-        tried = found.evaluations[: found.num_starts]
+        tried = outcome.evaluations[: outcome.num_starts]
         with _refusals():
             losses = random_losses(application, record=drawn, tried=tried)
         random = float(np.mean(losses))
         numbers["random loss"] = random
         if application.oracle is not None:
-            numbers["normalized loss"] = normalized(found.best.loss, random, application.oracle)
+            numbers["normalized loss"] = normalized(outcome.best.loss, random, application.oracle)
     for name, value in numbers.items():
         print(f"{name:36s} {value:.6g}")
-    print(f"ended: {found.message}")
+    print(f"ended: {outcome.message}")
     write_json_atomic(
         out / f"result_{args.solver}_{size}.json",
-        {"numbers": numbers, "message": found.message, "best": asdict(found.best)},
+        {"numbers": numbers, "message": outcome.message, "best": asdict(outcome.best)},
     )
     if not args.no_pictures:
         shown = {
             "before": application.motion(application.parameters.first),
-            "optimized": application.motion(np.array(found.best.values)),
+            "optimized": application.motion(np.array(outcome.best.values)),
         }
         if application.oracle_parameters is not None:
             shown["target"] = application.motion(application.oracle_parameters)
@@ -94,16 +94,16 @@ def main(
     return numbers
 
 
-def summary(application: Application, found: Outcome) -> dict[str, float]:
+def summary(application: Application, outcome: Outcome) -> dict[str, float]:
     """Losses, evaluations and times of an optimization, and what the solution means."""
-    made = [e for e in found.evaluations[found.num_starts :] if not e.failure]
-    best = np.array(found.best.values)
+    made = [e for e in outcome.evaluations[outcome.num_starts :] if not e.failure]
+    best = np.array(outcome.best.values)
     numbers = {
-        "evaluations": len(found.evaluations) - found.num_starts,
-        "evaluations of the warm-up": found.num_warm_up,
-        "failed evaluations": len(found.evaluations) - found.num_starts - len(made),
+        "evaluations": len(outcome.evaluations) - outcome.num_starts,
+        "evaluations of the warm-up": outcome.num_warm_up,
+        "failed evaluations": len(outcome.evaluations) - outcome.num_starts - len(made),
         "first loss": made[0].loss,
-        "final loss": found.best.loss,
+        "final loss": outcome.best.loss,
         "forward s (median)": float(np.median([e.forward_s for e in made])),
         "backward s (median)": float(np.median([e.backward_s for e in made])),
         "forward CPU s (median)": float(np.median([e.forward_cpu_s for e in made])),

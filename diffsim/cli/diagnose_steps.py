@@ -71,33 +71,33 @@ def _inputs(args: argparse.Namespace) -> tuple[Inputs, Path]:
 
 def _fit(args: argparse.Namespace) -> None:
     inputs, out = _inputs(args)
-    found = fit_null(inputs)
-    fit = found.fit
+    null = fit_null(inputs)
+    fit = null.fit
     print(f"{'parameter':<32} {'value':>12} {'sd':>10}")
     units = {p.name: p.unit for p in fit.problem.model.base}
     for name, value in fit.values.items():
         unit = "" if units[name] == "-" else units[name]
         print(f"{name:<32} {value:>12.6g} {fit.sd[name]:>10.2g} {unit}")
-    for a, b, r in found.strongest_correlations():
+    for a, b, r in null.strongest_correlations():
         print(f"correlated: {a} and {b} ({r:+.2f})")
     for name in fit.undetermined:
         print(f"not determined by the data: {name}")
     for name in fit.at_bound:
         print(f"on its bound: {name}")
-    source = ", ".join(dict.fromkeys(found.noise.source))
+    source = ", ".join(dict.fromkeys(null.noise.source))
     print(
         f"chi2 {fit.chi2:.6g} of {fit.num_samples} samples: {fit.chi2 / fit.num_samples:.3g} per "
         f"sample, 1 would be noise alone (noise from {source})"
     )
     if not fit.converged:
         print(f"the fit did not converge: {fit.message}")
-    write_json_atomic(out / "fit.json", found.to_dict())
+    write_json_atomic(out / "fit.json", null.to_dict())
     print(f"wrote {out / 'fit.json'}")
 
     def page() -> Path:
         from diffsim.viz.fit_report import write_fit  # viz by entry points only
 
-        return write_fit(found, out / "fit.html")
+        return write_fit(null, out / "fit.html")
 
     _if_installed(page)
 
@@ -167,21 +167,22 @@ def _say_again(out: Path) -> None:
 def _extend(args: argparse.Namespace) -> None:
     inputs, out = _inputs(args)
     saved = read_extended(args.saved or out)
-    found = extend(inputs, saved)
-    path = found.save(out)
-    sizes = [n for n in found.fit.problem.names if n not in found.null.problem.names]
+    extension = extend(inputs, saved)
+    path = extension.save(out)
+    sizes = [n for n in extension.fit.problem.names if n not in extension.null.problem.names]
     if not sizes:
         print(f"{saved.path} names no effect: the extended model is the plain model")
-    units = {c.name: c.unit for c in found.model().base}
+    units = {c.name: c.unit for c in extension.model().base}
     for name in sizes:
         unit = "" if units[name] == "-" else units[name]
-        value, sd = found.fit.values[name], found.fit.sd[name]
+        value, sd = extension.fit.values[name], extension.fit.sd[name]
         print(f"{name:<32} {value:>12.6g} +- {sd:.2g} {unit} (was {saved.values[name]:.6g})")
-    print(f"chi2 of the runs fitted: {found.null.chi2:.6g} before, {found.fit.chi2:.6g} extended")
-    if found.gain is None:
+    before, after = extension.null.chi2, extension.fit.chi2
+    print(f"chi2 of the runs fitted: {before:.6g} before, {after:.6g} extended")
+    if extension.gain is None:
         print("no run is held out, so no gain is known: a smaller training error proves nothing")
     else:
-        g = found.gain
+        g = extension.gain
         print(
             f"held-out runs: {g.value:.1%} of the error above the noise removed "
             f"(90 %: {g.low:.1%} to {g.high:.1%}): {g.status}"

@@ -31,13 +31,13 @@ def command(args: argparse.Namespace) -> None:
     from diffsim.viz.fabrication_page import write_fabrication
 
     design = load_design(args.design)
-    found = plan(design, stock=args.stock, kerf=args.kerf, printer=Printer(bed=tuple(args.bed)))
-    page = write_fabrication(found, args.out or Path("runs/fabricate") / design.name)
-    prints = sum(len(p.names) for p in found.printed if p.process == "print")
+    made = plan(design, stock=args.stock, kerf=args.kerf, printer=Printer(bed=tuple(args.bed)))
+    page = write_fabrication(made, args.out or Path("runs/fabricate") / design.name)
+    prints = sum(len(p.names) for p in made.printed if p.process == "print")
     print(
-        f"{design.name}: {1e3 * found.mass:.0f} g, {found.price:.0f} EUR, "
-        f"{len(found.bars)} bars of rod, {prints} printed parts"
+        f"{design.name}: {1e3 * made.mass:.0f} g, {made.price:.0f} EUR, "
+        f"{len(made.bars)} bars of rod, {prints} printed parts"
     )
-    for problem in found.problems:
+    for problem in made.problems:
         print(f"problem: {problem}")
     print(f"page: {page}")

@@ -36,8 +36,8 @@ def command(_args: argparse.Namespace) -> None:
         rows.append(("compiled core", f"not loaded: {err}"))
     rows.append(("processors", str(os.cpu_count())))
     rows.append(("package", str(Path(__file__).parents[1])))
-    found = paths.data_folder()
-    rows.append(("data", str(found) if found else "not found (set DIFFSIM_DATA)"))
+    folder = paths.data_folder()
+    rows.append(("data", str(folder) if folder else "not found (set DIFFSIM_DATA)"))
     rows += [("  looked for in", str(path)) for path in paths.data_candidates()]
     for name, value in rows:
         print(f"{name:<16} {value}")

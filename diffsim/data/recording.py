@@ -210,8 +210,8 @@ def _columns(
                 f"{path}: column {name} is in {wrong['unit']}; positions must be in meters: "
                 f"convert it and name it {wrong['marker']}_{wrong['axis']}_m"
             )
-    found = [m["marker"] for name in header if (m := _COORDINATE.match(name))]
-    names = list(markers) if markers is not None else list(dict.fromkeys(found))
+    present = [m["marker"] for name in header if (m := _COORDINATE.match(name))]
+    names = list(markers) if markers is not None else list(dict.fromkeys(present))
     if not names:
         raise ValueError(
             f"{path}: no marker columns; expected names such as tip1_x_m, tip1_y_m, tip1_z_m, "
@@ -224,7 +224,7 @@ def _columns(
         if missing:
             raise ValueError(
                 f"{path}: column {missing[0]} is missing{did_you_mean(missing[0], header)}; "
-                f"the file has markers {', '.join(dict.fromkeys(found)) or 'none'}"
+                f"the file has markers {', '.join(dict.fromkeys(present)) or 'none'}"
             )
         coordinates[marker] = [header.index(name) for name in wanted]
     return time_col, coordinates

@@ -101,7 +101,7 @@ def fit_decay(
     w0 = 2.0 * np.pi * start
     best = None
     for zeta in (0.01, 0.05, 0.2):  # three starts: the cost has side minima in w
-        found = optimize.least_squares(
+        solution = optimize.least_squares(
             residual,
             [zeta * w0, w0],
             x_scale=[0.05 * w0, 0.05 * w0],
@@ -110,7 +110,7 @@ def fit_decay(
             ftol=1e-12,
             gtol=1e-12,
         )
-        best = found if best is None or found.cost < best.cost else best
+        best = solution if best is None or solution.cost < best.cost else best
     assert best is not None
     sigma, w = (float(value) for value in best.x)
     phi = basis(best.x)
@@ -348,16 +348,16 @@ def repeat_floor(
     def difference(lag: float) -> Array:
         return np.asarray(splines[0](grid) - splines[1](grid + lag))
 
-    found = optimize.minimize_scalar(
+    solution = optimize.minimize_scalar(
         lambda lag: float(np.mean(difference(lag) ** 2)),
         bounds=(-max_lag_s, max_lag_s),
         method="bounded",
     )
-    at_release, best = difference(0.0), difference(float(found.x))
+    at_release, best = difference(0.0), difference(float(solution.x))
     return RepeatFloor(
         rms=np.sqrt(np.mean(at_release**2, axis=0)),
         rms_best=np.sqrt(np.mean(best**2, axis=0)),
-        lag_s=float(found.x),
+        lag_s=float(solution.x),
         peak=np.abs(at_release).max(axis=0),
         difference=at_release,
         time_s=grid,

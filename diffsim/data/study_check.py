@@ -1,4 +1,4 @@
-"""Gates on the data of a study: what a diagnosis would stumble over, found before any fit."""
+"""Gates on the data of a study: errors that would spoil a diagnosis, seen before any fit."""
 
 from __future__ import annotations
 

@@ -19,8 +19,7 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.fitting import posterior_covariance
 from diffsim.identify.linearization import Linearization, record_at, whitened
 from diffsim.identify.model import has_tangents
-from diffsim.identify.numerical import NumericalEffect, coarse
-from diffsim.identify.numerics import REFINEMENTS
+from diffsim.identify.numerics import REFINEMENTS, NumericalEffect, coarse
 
 Array = NDArray[np.float64]
 GRADIENT_RTOL = 1e-4

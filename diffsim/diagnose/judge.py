@@ -103,7 +103,7 @@ def _unknown_wins(
 
 
 def _is_kept(nats: Mapping[Hypothesis, float], h: Hypothesis) -> bool:
-    """Whether a rival is more than the plain model with ballast."""
+    """Whether a rival has the evidence over the plain model that an effect must add."""
     return nats[h] - nats[Hypothesis()] >= KEEP_NATS
 
 

@@ -144,7 +144,7 @@ def search_sets(search: Search) -> Search:
 
 
 def refit(search: Search, members: Members, near: Center | None = None) -> Search:
-    """Fit a set and weigh it there, once; noted under ``failed`` where it cannot be simulated.
+    """Fit a set and weigh it there, once; recorded under ``failed`` where it cannot be simulated.
 
     Args:
         search: Sets that were weighed so far.
@@ -194,7 +194,7 @@ def _center(search: Search, members: Members, last: Center) -> tuple[Center, Sea
 def _with_linear(
     search: Search, center: Center, sets: Sequence[Members]
 ) -> tuple[dict[Members, float], Search]:
-    """Linear evidence of sets at a center [nats], noted for the table."""
+    """Linear evidence of sets at a center [nats], kept for the table."""
     entries = {s: center.evidence.weigh(Hypothesis(s)) for s in sets}
     new = {Hypothesis(s): w for s, w in entries.items() if Hypothesis(s) not in search.weighed}
     nats = {s: w.nats for s, w in entries.items()}

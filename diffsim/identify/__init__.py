@@ -8,8 +8,7 @@ from diffsim.identify.jacobian import Jacobian
 from diffsim.identify.model import Parameter, Scene, SimModel
 from diffsim.identify.model_file import save_extended
 from diffsim.identify.multi_start import descend, random_starts
-from diffsim.identify.numerical import NumericalEffect, coarse
-from diffsim.identify.numerics import Numerics
+from diffsim.identify.numerics import NumericalEffect, Numerics, coarse
 from diffsim.identify.problem import Problem, Whitener, WhiteNoise
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.identify.unknown import Unknown, UnknownDrift, UnknownForce, smooth_covariance

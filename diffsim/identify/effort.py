@@ -12,12 +12,13 @@ class SearchSettings:
     """Effort of the search over sets of effects.
 
     Attributes:
-        max_effects: Effects in one set, at most.
-        num_refits: Neighbors refitted per round.
-        max_rounds: Moves to a better set, at most.
-        rival_nats: Distance from the best set, by linear evidence, from which no set is refitted.
-        linear_error: Error of linear evidence beyond that, as a share of the misfit [nats].
-        unknown_steps: Gauss-Newton steps of a set together with an unknown cause.
+        max_effects: Largest number of effects in one set.
+        num_refits: Number of neighbors of the best set that are refitted per round.
+        max_rounds: Largest number of moves to a better set.
+        rival_nats: Error of linear evidence that is always allowed for: a set that is further
+            behind the best one is not refitted [nats].
+        linear_error: Further error of linear evidence, as a share of the misfit [-].
+        unknown_steps: Number of Gauss-Newton steps of a set together with an unknown cause.
     """
 
     max_effects: int = 3
@@ -30,14 +31,14 @@ class SearchSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class DiagnosisSettings:
-    """Effort and choices; the thresholds of the verdict are constants of ``diagnose.judge``.
+    """Effort of a diagnosis; thresholds of the verdict are constants in ``diagnose``.
 
     Attributes:
         search: Effort of the search over sets of effects.
-        jacobian: Method and step of the derivatives.
+        jacobian: Method and step of the derivatives of predictions.
         workers: Number of threads over runs.
         accept_numerics: Whether to go on although the numerics gate fails.
-        noise_rounds: Searches at most; the noise floor is estimated again after each.
+        noise_rounds: Largest number of searches; the noise floor is estimated again after each.
     """
 
     search: SearchSettings = field(default_factory=SearchSettings)

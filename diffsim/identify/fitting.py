@@ -124,13 +124,13 @@ def fit(
         raise ValueError(f"start must have shape ({n},), got {x0.shape}")
     solve = _gauss_newton if method == "gauss_newton" else _lbfgs
     latest = _Latest(problem)
-    found = solve(latest, x0, max_evaluations, gradient)
-    residual, slopes = latest.linearize(found.x)
-    message = found.message
+    minimum = solve(latest, x0, max_evaluations, gradient)
+    residual, slopes = latest.linearize(minimum.x)
+    message = minimum.message
     if latest.num_failed:
         message += f"; {latest.num_failed} trial points could not be simulated"
     return summary(
-        problem, found.x, residual, slopes, found.converged, message, found.num_evaluations
+        problem, minimum.x, residual, slopes, minimum.converged, message, minimum.num_evaluations
     )
 
 
@@ -220,7 +220,7 @@ def _gauss_newton(latest: _Latest, x0: Array, max_evaluations: int, _: str) -> _
     if not len(x0):
         return _Minimum(x0, True, "nothing to fit", 0)
     n = len(x0)
-    found = optimize.least_squares(
+    minimum = optimize.least_squares(
         lambda x: np.concatenate([latest.residual(x), x]),
         np.clip(x0, low, high),
         jac=lambda x: np.vstack([-latest.linearize(x)[1], np.eye(n)]),
@@ -231,7 +231,7 @@ def _gauss_newton(latest: _Latest, x0: Array, max_evaluations: int, _: str) -> _
         gtol=1e-6,
         max_nfev=max_evaluations,
     )
-    return _Minimum(found.x, bool(found.success), str(found.message), int(found.nfev))
+    return _Minimum(minimum.x, bool(minimum.success), str(minimum.message), int(minimum.nfev))
 
 
 def _lbfgs(latest: _Latest, x0: Array, max_evaluations: int, gradient: str) -> _Minimum:
@@ -247,7 +247,7 @@ def _lbfgs(latest: _Latest, x0: Array, max_evaluations: int, gradient: str) -> _
             value, slope = 0.5 * float(r @ r), -a.T @ r
         return value + 0.5 * float(x @ x), slope + x
 
-    found = optim.minimize(
+    minimum = optim.minimize(
         cost,
         x0,
         problem.bounds,
@@ -256,8 +256,8 @@ def _lbfgs(latest: _Latest, x0: Array, max_evaluations: int, gradient: str) -> _
             tolerances=optim.Tolerances(ftol=1e-10, gtol=1e-6),
         ),
     )
-    latest.num_failed = found.num_failed
-    return _Minimum(found.final.x, found.converged, found.message, found.num_evaluations)
+    latest.num_failed = minimum.num_failed
+    return _Minimum(minimum.final.x, minimum.converged, minimum.message, minimum.num_evaluations)
 
 
 def _values(problem: Problem, x: Array) -> dict[str, float]:

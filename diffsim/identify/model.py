@@ -12,8 +12,7 @@ import torch
 from torch import Tensor
 
 from diffsim.identify.effect import Effect
-from diffsim.identify.numerical import NumericalEffect
-from diffsim.identify.numerics import Numerics
+from diffsim.identify.numerics import NumericalEffect, Numerics
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
@@ -69,7 +68,7 @@ class Parameter:
 
 
 class Scene(Protocol):
-    """One run, ready to be simulated; beds add the hooks that their effects use."""
+    """One run, ready to be simulated; systems add the hooks that their effects use."""
 
     def simulate(self) -> Tensor:
         """Predicted channels at the run's sample times, (num_samples, num_channels)."""
@@ -83,7 +82,7 @@ class Tally:
         self.count, self._lock = 0, Lock()
 
     def add(self, number: int) -> None:
-        """Count more."""
+        """Add simulations to the count."""
         with self._lock:
             self.count += number
 

@@ -30,8 +30,7 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.extended import ExtendedModel, extended_at
 from diffsim.identify.fitting import Fit
 from diffsim.identify.model import SimModel
-from diffsim.identify.numerical import coarse
-from diffsim.identify.numerics import REFINEMENTS
+from diffsim.identify.numerics import REFINEMENTS, coarse
 from diffsim.identify.problem import effect_coordinates
 from diffsim.identify.setup import DiagnosisSetup
 

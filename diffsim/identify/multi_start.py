@@ -130,7 +130,7 @@ def descend(
         if not progress.evaluation.failure:
             report(progress.evaluation.notes["cost"])
 
-    found = optim.minimize(
+    result = optim.minimize(
         scaled,
         np.zeros(len(start)),
         options=optim.Options(
@@ -140,6 +140,6 @@ def descend(
         ),
         callback=tell,
     )
-    costs = tuple(np.inf if e.failure else e.notes["cost"] for e in found.history)
+    costs = tuple(np.inf if e.failure else e.notes["cost"] for e in result.history)
     best = min(range(len(costs)), key=lambda k: (costs[k], -k))  # the last of the least
-    return Descent(found.history[best].notes["x"], costs, found.message)
+    return Descent(result.history[best].notes["x"], costs, result.message)

@@ -1,8 +1,9 @@
 """One bounded L-BFGS: scipy's algorithm with a budget, a failure wall, a log and a resume.
 
     >>> from diffsim import optim
-    >>> found = optim.minimize(loss_and_gradient, start, (lower, upper), log=optim.Log("run.jsonl"))
-    >>> found.x, found.value, found.ended
+    >>> log = optim.Log("run.jsonl")
+    >>> result = optim.minimize(loss_and_gradient, start, (lower, upper), log=log)
+    >>> result.x, result.value, result.ended
 
 The room stands directly above ``core``: it knows no simulator.
 """

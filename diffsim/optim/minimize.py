@@ -46,7 +46,7 @@ def minimize(
         objective: Deterministic function of points (n,) that returns value and gradient (n,), see
             ``Sample``.
         start: Start point, (n,); moved to the nearest point within the bounds.
-        bounds: Lower and upper, (n,) each, infinite where there is none; None: none at all.
+        bounds: Lower and upper bounds, (n,) each, infinite where there is none; None: no bounds.
         options: Budget, tolerances, failure wall and unit.
         log: Log in which every evaluation is kept and from which it is replayed; None: nothing is
             kept.
@@ -67,7 +67,7 @@ def minimize(
     tolerances, budget = options.tolerances, options.budget
     maxfun = budget.evaluations if budget.finish_line_search else None
     try:
-        found = optimize.minimize(
+        solution = optimize.minimize(
             search,
             start,
             jac=True,
@@ -86,8 +86,8 @@ def minimize(
     except _Stop as stop:
         ended, message = stop.ended, stop.message
     else:
-        accepted.append(found.x)
-        ended, message = _SCIPY_ENDED[int(found.status)], str(found.message)
+        accepted.append(solution.x)
+        ended, message = _SCIPY_ENDED[int(solution.status)], str(solution.message)
     history = tuple(search.history)
     final = next(e for e in reversed(history) if np.array_equal(e.x, accepted[-1]))
     return Result(history=history, final=final, ended=ended, message=message)

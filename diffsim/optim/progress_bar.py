@@ -18,10 +18,10 @@ def progress_bar(
 
     Args:
         label: Text before the bar.
-        total: Evaluations at most; None: not known.
-        unit: The least value is shown over this.
+        total: Largest number of evaluations; None: not known.
+        unit: Unit in which the least value is shown.
         show: Whether to draw the bar at all.
-        leave: Whether it stays when the search is over.
+        leave: Whether the bar stays when the search is over.
     """
     with tqdm(desc=label, total=total, leave=leave, disable=not show) as bar:
 

@@ -1,4 +1,4 @@
-"""From a study to everything its diagnosis needs: model, candidate causes, runs to record next.
+"""Systems by name: the setup of a study, the candidate causes of a system, saved models.
 
 A study names its setup in the metadata, ``setup: silicone_beam`` or, with options, ``setup: {name:
 silicone_beam, cells: [10, 2, 2]}``. Each setup is a module of ``published`` or ``laboratories``
@@ -9,10 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 from diffsim.core.check import require_choice
 from diffsim.data.study import Study
+from diffsim.identify.effect import Effect
+from diffsim.identify.extended import ExtendedModel
+from diffsim.identify.model_file import read_extended, rebuilt
 from diffsim.identify.setup import DiagnosisSetup
 
 _LABORATORIES = ("lab_beam", "lab_copter", "lab_network")
@@ -27,6 +31,11 @@ _PUBLISHED = (
     "silicone_tensile",
 )
 SETUPS = (*_LABORATORIES, *_PUBLISHED)
+_LIBRARIES = {
+    "soft_body": ("diffsim.systems.soft_body", "soft_body_library"),
+    "copter": ("diffsim.systems.multicopter", "copter_library"),
+    "stokes": ("diffsim.systems.flow_network", "stokes_library"),
+}
 
 
 def setup_of(study: Study, **options: Any) -> DiagnosisSetup:
@@ -59,4 +68,38 @@ def setup_of(study: Study, **options: Any) -> DiagnosisSetup:
     return made
 
 
-__all__ = ["SETUPS", "setup_of"]
+def library(system: str, **options: Any) -> list[Effect]:
+    """Candidate causes of a system, to which own ones may be added.
+
+    Args:
+        system: "soft_body", "copter" or "stokes".
+        **options: Options of that library; "copter" takes num_rotors, 4 by default, "stokes" the
+            device.
+
+    Raises:
+        ValueError: no such system; the message offers the closest names.
+    """
+    module, name = _LIBRARIES[require_choice("system", system, _LIBRARIES)]
+    return list(getattr(import_module(module), name)(**options))
+
+
+def load_extended(
+    path: str | Path, study: Study, *, setup: DiagnosisSetup | None = None
+) -> ExtendedModel:
+    """The saved model, ready to be simulated, differentiated or fitted further.
+
+    Args:
+        path: ``extended_model.yaml`` or the folder that holds it.
+        study: Study of the system; its setup gives the plain model and the effects by name.
+            Nuisances of runs that the file does not know ("offset@run_9") keep their prior.
+        setup: Setup to use in place of the study's own.
+
+    Returns:
+        A model whose priors are centered at the saved values.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: an effect or parameter that the setup does not have; the message names the
+            closest ones.
+    """
+    return rebuilt(read_extended(path), setup_of(study) if setup is None else setup)

@@ -32,22 +32,22 @@ def table_5_2(result: LoopResult) -> list[dict[str, Any]]:
     """Rows of Table 5.2 for JSON, SI units."""
     rows = []
     for it in result.iterations:
-        found = it.identified
+        fit = it.identified
         rows.append(
             {
                 "iteration": loop_figures.name_of(it),
                 "L_theta_m2": it.loss_theta,
-                "L_theta_before_m2": None if found is None else found.loss_before,
-                "rms_after_m": None if found is None else found.rms_after,
+                "L_theta_before_m2": None if fit is None else fit.loss_before,
+                "rms_after_m": None if fit is None else fit.rms_after,
                 "L_a_m": it.loss_action,
                 "L_a_before_m": it.loss_action_before,
                 "v_s_m_s": it.speed_simulated,
                 "v_r_m_s": it.speed_measured,
                 "values": it.values,
-                "sd": None if found is None else found.sd,
-                "correlation_E_w": None if found is None else found.correlation[0][1],
-                "at_bound": [] if found is None else list(found.at_bound),
-                "undetermined": [] if found is None else list(found.undetermined),
+                "sd": None if fit is None else fit.sd,
+                "correlation_E_w": None if fit is None else fit.correlation[0][1],
+                "at_bound": [] if fit is None else list(fit.at_bound),
+                "undetermined": [] if fit is None else list(fit.undetermined),
             }
         )
     return rows
@@ -180,19 +180,19 @@ def _parameters(iterations: Sequence[Iteration]) -> list[page.Table]:
     for it in iterations:
         cells = [loop_figures.name_of(it)]
         cells += [_cell(it, name) for name in names]
-        found = it.identified
-        cells.append("" if found is None else f"{found.correlation[0][1]:+.2f}")
+        fit = it.identified
+        cells.append("" if fit is None else f"{fit.correlation[0][1]:+.2f}")
         rows.append(cells)
     heads = [SHORT.get(n, n.replace("drag_", "C_d ").replace("thrust_", "C_t ")) for n in names]
     return [page.Table(columns=["iter.", *heads, "corr(E, w)"], rows=rows)]
 
 
 def _cell(it: Iteration, name: str) -> str:
-    value, found = it.values[name], it.identified
-    if found is None:
+    value, fit = it.values[name], it.identified
+    if fit is None:
         return f"{value:.3g}"
-    mark = "*" if name in found.at_bound else "~" if name in found.undetermined else ""
-    return f"{value:.3g} ± {found.sd[name]:.1g}{mark}"
+    mark = "*" if name in fit.at_bound else "~" if name in fit.undetermined else ""
+    return f"{value:.3g} ± {fit.sd[name]:.1g}{mark}"
 
 
 def _real_section(real: Mapping[str, Any]) -> page.Section:

@@ -103,13 +103,13 @@ class Report:
 
 def versions(packages: Sequence[str] = ("torch", "numpy", "scipy", "matplotlib")) -> list:
     """(name, version) of diffsim, Python, the machine and what computed the numbers."""
-    found = [("diffsim", __version__), ("Python", platform.python_version())]
+    installed = [("diffsim", __version__), ("Python", platform.python_version())]
     for package in packages:
         try:
-            found.append((package, metadata.version(package)))
+            installed.append((package, metadata.version(package)))
         except metadata.PackageNotFoundError:
-            found.append((package, "not installed"))
-    return [*found, ("machine", f"{platform.system()} {platform.machine()}")]
+            installed.append((package, "not installed"))
+    return [*installed, ("machine", f"{platform.system()} {platform.machine()}")]
 
 
 def render(report: Report, *, made: datetime | None = None) -> str:

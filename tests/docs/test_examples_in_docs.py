@@ -13,6 +13,7 @@ PAGES = (
     "docs/concepts.md",
     "docs/contact.md",
     "docs/copter.md",
+    "docs/diagnose.md",
     "docs/ode.md",
     "docs/optim.md",
     "docs/soft.md",

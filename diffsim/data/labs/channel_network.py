@@ -199,15 +199,15 @@ class _Network:
             at_pump = pump - self.leak * p[0] - inlet
             return np.array([at_pump, inlet - link - one, link - two - three]) / scale
 
-        found = root(unbalance, guess, method="hybr", options={"xtol": 1e-13})
-        worst = float(np.abs(unbalance(found.x)).max())
+        solution = root(unbalance, guess, method="hybr", options={"xtol": 1e-13})
+        worst = float(np.abs(unbalance(solution.x)).max())
         if not worst < 1e-9:
             raise DiffsimError(
                 f"channel network: mass is lost by {worst:.1e} of the pump's flow {pump:g} m3/s "
                 "at the best pressures found; is an effect beyond reason?"
             )
-        out = flows(found.x)[2:]
-        return np.array([*out, found.x[0], self._tap(*found.x[:2])]), found.x
+        out = flows(solution.x)[2:]
+        return np.array([*out, solution.x[0], self._tap(*solution.x[:2])]), solution.x
 
     def _tap(self, start: float, end: float) -> float:
         """Pressure at the tap between the inlet channel's ends."""

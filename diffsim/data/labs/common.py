@@ -44,7 +44,7 @@ class LabEffect:
         typical: A size that would be no surprise.
         form: What the effect does at a given size, in a line.
         components: Number of amplitudes that the effect has.
-        outside: It is in no library of candidates; the honest verdict is ``unknown``.
+        outside: It is in no library of candidates; the right verdict is ``unknown``.
     """
 
     unit: str
@@ -84,7 +84,7 @@ class LabCase:
 
 
 class Lab(ABC):
-    """A virtual laboratory; ``case`` makes a study with the effects that it is told to hide.
+    """A virtual laboratory; ``case`` makes a study with the effects that it is given to hide.
 
     Class attributes:
         system: Recorded system, one of ``diffsim.data.study.SYSTEMS``.

@@ -170,11 +170,11 @@ class _Flight:
         rows, commands = np.empty((len(time_s), 12)), np.empty((len(time_s), 4))
         asked = [hover] * (3 + int(self.delay / h))  # at earlier substeps, newest last
         force = self._rate(x, 0.0, hover)[7:10] - np.array([0.0, 0.0, GRAVITY])
-        felt = matrix(x[3:7]).T @ force  # as if it had gone on like that before
+        specific_force = matrix(x[3:7]).T @ force  # as if it had gone on like that before
         for i, now in enumerate(time_s):
             commands[i] = self._control(x, now)
-            rows[i] = np.concatenate([x[0:3], angles(x[3:7]), x[10:13], felt])
-            felt = np.zeros(3)
+            rows[i] = np.concatenate([x[0:3], angles(x[3:7]), x[10:13], specific_force])
+            specific_force = np.zeros(3)
             for k in range(SUBSTEPS):
                 asked.append(commands[i])
                 late, part = divmod(self.delay / h, 1.0)
@@ -183,7 +183,8 @@ class _Flight:
                 before = x
                 x = self._step(x, held, h, now + k * h)
                 change = (x[7:10] - before[7:10]) / h - np.array([0.0, 0.0, GRAVITY])
-                felt += matrix(before[3:7] + x[3:7]).T @ change / SUBSTEPS  # attitude half way
+                half_way = matrix(before[3:7] + x[3:7])
+                specific_force += half_way.T @ change / SUBSTEPS
         return rows, commands
 
     def _step(self, x: Array, asked: Array, h: float, t: float) -> Array:

@@ -227,7 +227,7 @@ def seal(bench: Bench, label: Mapping[str, Any], data: Path, vault: Path, case: 
     Args:
         bench: Laboratory and what can be hidden in it.
         label: What the case hides, as ``draw_label`` returns it.
-        data: ``data/case`` gets the study, the hash, and what the diagnosis must be told (which
+        data: ``data/case`` gets the study, the hash, and what the diagnosis must know (which
             causes its library lacks, numerical settings), nothing that names the cause.
         vault: ``vault/case.json`` gets label, truth and salt; must be outside ``data``.
         case: Name of the case; must not hint at the label.

@@ -16,8 +16,8 @@ from diffsim.identify import Parameter
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.identify.unknown import UnknownForce, smooth_covariance
-from diffsim.systems.libraries import library
 from diffsim.systems.multicopter import flight_model, flight_nuisances, unknown_wrench
+from diffsim.systems.registry import library
 
 Array = NDArray[np.float64]
 

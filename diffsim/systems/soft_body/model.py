@@ -10,8 +10,7 @@ from torch import Tensor
 
 from diffsim.identify.effect import Effect
 from diffsim.identify.model import SimModel
-from diffsim.identify.numerical import NumericalEffect
-from diffsim.identify.numerics import Numerics
+from diffsim.identify.numerics import NumericalEffect, Numerics
 from diffsim.systems.soft_body.hanging import SlackScene, slack_tangents
 from diffsim.systems.soft_body.line import OwnedScene, SceneLine
 from diffsim.systems.soft_body.scene import SoftScene

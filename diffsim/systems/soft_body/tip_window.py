@@ -67,10 +67,10 @@ class Window:
         shifts = np.linspace(-bound, bound, 9)
         start = shifts[int(np.argmin([cost(s) for s in shifts]))]
         step = shifts[1] - shifts[0] if bound > 0 else 0.0
-        found = optimize.minimize_scalar(
+        solution = optimize.minimize_scalar(
             cost, bounds=(max(start - step, -bound), min(start + step, bound)), method="bounded"
         )
-        return float(found.x) if bound > 0 else 0.0
+        return float(solution.x) if bound > 0 else 0.0
 
 
 def window(time_s: Array, tip_m: Array, until_s: float) -> Window:
