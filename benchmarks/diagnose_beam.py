@@ -57,14 +57,14 @@ def main() -> None:
     for row in report.table:
         print(row.effect, row.status, dict(row.size), dict(row.sd), row.nats, row.gain, row.share)
     if report.null is not None and report.best is not None:
-        for run in report.study.holdout_runs:
+        for run in report.study.test_runs:
             print(f"held-out {run.name}: {gain([run], report.null, report.best, seed=0)}")
     print(f"{time.process_time():.0f} s of processor time")
 
 
 def swapped(study: Study) -> Study:
     """What was fitted is held out, and the reverse."""
-    other = {"fit": "holdout", "holdout": "fit"}
+    other = {"fit": "test", "test": "fit"}
     return replace(study, runs=tuple(replace(r, use=other[r.use]) for r in study.runs))
 
 

@@ -189,9 +189,9 @@ def score_simulated(
         left = _fit_clean(null, clean, others, inputs)
         out["lambda"][name] = float(np.sqrt(left.chi2))
         out["delta"] = _delta(null, clean, left)
-    if len(true) == len(score["truth"]) and true and null.study.holdout_runs:
+    if len(true) == len(score["truth"]) and true and null.study.test_runs:
         best = refit(null, [by_name[n] for n in true], inputs, {})
-        found = gain(null.study.holdout_runs, null.fit, best, seed=inputs.seed)
+        found = gain(null.study.test_runs, null.fit, best, seed=inputs.seed)
         out["true_gain"] = found.value
         if found.value > 0.0 and found.excess > LARGE_EXCESS and score["gain"] is not None:
             out["share_of_true_gain"] = score["gain"][0] / found.value

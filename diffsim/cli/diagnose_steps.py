@@ -37,7 +37,7 @@ def run_step(args: argparse.Namespace) -> None:
 def _check(args: argparse.Namespace) -> None:
     """Read the study and say what is wrong with it."""
     study = read_study(args.study)
-    fit, held = len(study.fit_runs), len(study.holdout_runs)
+    fit, held = len(study.fit_runs), len(study.test_runs)
     print(f"{study.name}: {len(study.channels)} channels, {fit} runs to fit, {held} held out")
     _require_ready(study, args.study)
     print("ready for a diagnosis")

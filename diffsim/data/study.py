@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 SYSTEMS = ("soft_body", "copter", "stokes", "rigid_body")
-USES = ("fit", "holdout")
+USES = ("fit", "select", "test")
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,9 @@ class Run:
         command: Commanded values by name of the command, (num_samples,) each, at ``time_s``.
         group: Runs with equal command are repeats of each other.
         order: Place in the sequence of experiments, from 0.
-        use: "fit" for runs that parameters are fitted to, "holdout" for runs that only judge.
-        setup: Known facts of this run, such as {"payload_kg": 0.2, "temperature_C": 23.0}.
+        use: "fit" for runs that parameters are fitted to, "select" for runs that choose between
+            causes, "test" for runs that are touched once, after the answer is frozen.
+        setup: Known facts of this run, numbers or labels: {"payload_kg": 0.2, "frame": "A"}.
     """
 
     name: str
@@ -54,7 +56,7 @@ class Run:
     group: str
     order: int = 0
     use: str = "fit"
-    setup: Mapping[str, float] = field(default_factory=dict)
+    setup: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +69,8 @@ class Study:
         channels: Columns of every run's ``measured``.
         runs: Runs of the study, in any order.
         metadata: Geometry and settings that the model needs, source, licence.
+        model: Description of the system as ``model:`` of study.yaml states it; None: none given.
+        folder: Folder that paths of ``model`` are relative to; None: the working folder.
     """
 
     name: str
@@ -74,13 +78,24 @@ class Study:
     channels: tuple[Channel, ...]
     runs: tuple[Run, ...]
     metadata: Mapping[str, Any] = field(default_factory=dict)
+    model: Mapping[str, Any] | None = None
+    folder: Path | None = None
 
     @property
     def fit_runs(self) -> tuple[Run, ...]:
         """Runs used for fitting, by order."""
-        return tuple(sorted((r for r in self.runs if r.use == "fit"), key=lambda r: r.order))
+        return self.runs_for("fit")
 
     @property
-    def holdout_runs(self) -> tuple[Run, ...]:
-        """Runs never used for fitting, by order."""
-        return tuple(sorted((r for r in self.runs if r.use == "holdout"), key=lambda r: r.order))
+    def select_runs(self) -> tuple[Run, ...]:
+        """Runs that choose between causes and that nothing is fitted to, by order."""
+        return self.runs_for("select")
+
+    @property
+    def test_runs(self) -> tuple[Run, ...]:
+        """Runs that neither a fit nor the choice of causes has seen, by order."""
+        return self.runs_for("test")
+
+    def runs_for(self, use: str) -> tuple[Run, ...]:
+        """Runs of one use, by order."""
+        return tuple(sorted((r for r in self.runs if r.use == use), key=lambda r: r.order))

@@ -59,11 +59,11 @@ def _check_plan(study: Study) -> Iterator[Problem]:
             f"at least two commands are needed among the fit runs, got {len(fit_groups)}; "
             "with one, causes that differ in frequency or amplitude look alike",
         )
-    if not study.holdout_runs:
+    if not study.test_runs:
         yield Problem(
-            "error", "study", "no held-out run; mark one with use: holdout, to test the verdict on"
+            "error", "study", "no held-out run; mark one with use: test, to test the verdict on"
         )
-    elif all(run.group in fit_groups for run in study.holdout_runs):
+    elif all(run.group in fit_groups for run in study.test_runs):
         yield Problem(
             "warning",
             "study",

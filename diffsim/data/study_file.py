@@ -14,7 +14,7 @@ value. ``study.yaml``::
         file: step_a.csv         # beside study.yaml
         group: step              # runs of one group executed the same command
         order: 0                 # place in the sequence of experiments; default: place here
-        use: fit                 # fit (default) or holdout
+        use: fit                 # fit (default), select or test
         setup: {temperature_C: 22.5}     # optional facts of this run, numbers
     metadata: {}                 # optional: geometry, settings, source, licence
 """
@@ -41,7 +41,7 @@ from diffsim.data.table import open_table, parse_number, parse_time, time_column
 STUDY_FILE = "study.yaml"
 
 _FILE_NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]*")
-_STUDY_KEYS = ("name", "system", "channels", "commands", "runs", "metadata")
+_STUDY_KEYS = ("name", "system", "model", "channels", "commands", "runs", "metadata")
 _CHANNEL_KEYS = ("name", "unit", "kind", "sd")
 _RUN_KEYS = ("name", "file", "group", "order", "use", "setup")
 
@@ -72,9 +72,7 @@ def load_study(path: str | Path) -> Study:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except yaml.YAMLError as error:
         raise ValueError(f"{path}: not YAML: {error}") from None
-    study = _mapping(
-        path, "the study", content, _STUDY_KEYS, ("name", "system", "channels", "runs")
-    )
+    study = _mapping(path, "the study", content, _STUDY_KEYS, ("name", "channels", "runs"))
     channels = tuple(_channel(path, i, c) for i, c in enumerate(_list(path, "channels", study)))
     commands = [str(c) for c in _list(path, "commands", study)]
     runs = tuple(
@@ -83,10 +81,12 @@ def load_study(path: str | Path) -> Study:
     )
     return Study(
         name=str(study["name"]),
-        system=require_choice(f"{path}: system", study["system"], SYSTEMS),
+        system=_system(path, study),
         channels=channels,
         runs=runs,
         metadata=study.get("metadata") or {},
+        model=study.get("model"),
+        folder=path.parent,
     )
 
 
@@ -229,6 +229,17 @@ def _read_run(path: Path, columns: list[str]) -> np.ndarray:
     if not samples:
         raise ValueError(f"{path}: no rows below the header; was the export cut short?")
     return np.array(samples)
+
+
+def _system(path: Path, study: Mapping[str, Any]) -> str:
+    """The system that ``model`` describes; else the one that ``system`` names."""
+    model = study.get("model")
+    if model is None:
+        if study.get("system") is None:
+            raise ValueError(f"{path}: the study has neither model nor system; describe its model")
+        return require_choice(f"{path}: system", study["system"], SYSTEMS)
+    fields = _mapping(path, "model", model, None, ("system",))
+    return str(fields["system"])
 
 
 def _mapping(

@@ -198,7 +198,7 @@ def _judged(search: Search, checks: Checks, seed: int) -> tuple[Checks, Judgment
     repeats = repeatability_gate(search.fit_of(evident.best))
     checks = checks.joined(repeats)
     if search.null.noise.is_repeatable and all(g.passed for g in repeats):
-        judgment = judge(search, search.null.case.study.holdout_runs, seed)
+        judgment = judge(search, search.null.case.study.test_runs, seed)
         return checks.joined(judgment.gates), judgment
     decision = replace(evident, verdict="unrepeatable", rivals=())
     return checks, Judgment(decision, search)

@@ -71,7 +71,7 @@ def data_gate(study: Study) -> tuple[GateResult, ...]:
         if not np.isfinite(run.measured).any():
             raise ValueError(f"run {run.name}: nothing was measured; remove the run")
     commands = len({r.group for r in study.fit_runs})
-    held_out = len(study.holdout_runs)
+    held_out = len(study.test_runs)
     repeats = len(study.fit_runs) - commands
     return (
         GateResult("commands", commands >= 2, commands, 2, "different commands among the fit runs"),

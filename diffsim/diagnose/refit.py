@@ -124,7 +124,7 @@ def extend(inputs: Inputs, saved: SavedModel) -> Extension:
     effects = effects_of(saved, inputs.setup.effects)
     null = fit_null(inputs)
     refitted = refit(null, effects, inputs, saved.values)
-    runs = null.study.holdout_runs
+    runs = null.study.test_runs
     gained = gain(runs, null.fit, refitted, seed=inputs.seed) if runs and effects else None
     return Extension(null.study, null.fit, refitted, gained, saved.verdict)
 

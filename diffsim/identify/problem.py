@@ -270,7 +270,11 @@ def effect_coordinates(effects: Sequence[Effect]) -> tuple[str, ...]:
 
 
 def _touches(name: str, run: Run) -> bool:
-    """Whether a coordinate acts in a run: "offset@run_3" acts in run_3 only."""
+    """Whether a coordinate acts in a run: "offset@run_3" acts in run_3 only, "drag[frame=A]" where
+    the run's setup says so."""
+    if name.endswith("]") and "=" in name:
+        key, _, label = name[name.rindex("[") + 1 : -1].partition("=")
+        return key not in run.setup or str(run.setup[key]) == label
     return "@" not in name or name.rsplit("@", 1)[1] == run.name
 
 

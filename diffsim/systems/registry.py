@@ -1,6 +1,9 @@
 """Systems by name: the setup of a study, the candidate causes of a system, saved models.
 
-A study names its setup in the metadata, ``setup: silicone_beam`` or, with options, ``setup: {name:
+A study describes its system under ``model:``, ``model: {system: ode, ...}``; the classes of
+``DESCRIPTIONS`` read that. Studies of the laboratories, and older ones, name a setup instead:
+
+it stands in the metadata, ``setup: silicone_beam`` or, with options, ``setup: {name:
 silicone_beam, cells: [10, 2, 2]}``. Each setup is a module of ``published`` or ``laboratories``
 with a function ``setup(study, **options) -> DiagnosisSetup``, imported when asked for.
 """
@@ -12,12 +15,15 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from diffsim.core.check import require_choice
 from diffsim.data.study import Study
 from diffsim.identify.effect import Effect
 from diffsim.identify.extended import ExtendedModel
 from diffsim.identify.model_file import read_extended, rebuilt
 from diffsim.identify.setup import DiagnosisSetup
+from diffsim.systems.description import Description
 
 _LABORATORIES = ("lab_beam", "lab_copter", "lab_network")
 _PUBLISHED = (
@@ -37,9 +43,58 @@ _LIBRARIES = {
     "stokes": ("diffsim.systems.flow_network", "stokes_library"),
 }
 
+#: Kind of system -> module and class of its description.
+DESCRIPTIONS = {
+    "bench": ("diffsim.systems.bench.description", "BenchDescription"),
+    "flow_device": ("diffsim.systems.flow_network.description", "FlowDeviceDescription"),
+    "flow_network": ("diffsim.systems.flow_network.description", "FlowNetworkDescription"),
+    "multicopter": ("diffsim.systems.multicopter.description", "MulticopterDescription"),
+    "ode": ("diffsim.systems.ode.description", "OdeDescription"),
+    "outside": ("diffsim.systems.outside.description", "OutsideDescription"),
+    "rigid_body": ("diffsim.systems.rigid_body.description", "RigidBodyDescription"),
+    "soft_body": ("diffsim.systems.soft_body.description", "SoftBodyDescription"),
+}
+
+
+def description_of(study: Study) -> Description:
+    """The description of a study's system, every key checked.
+
+    Args:
+        study: Study with ``model``.
+
+    Raises:
+        ValueError: no model, no such system, or keys that are wrong; the message has a line for
+            each, with its path in the file.
+    """
+    where = "model" if study.folder is None else f"{study.folder / 'study.yaml'}: model"
+    if study.model is None:
+        raise ValueError(f"study {study.name} has no model; describe its system under ``model:``")
+    if "system" not in study.model:
+        raise ValueError(f"{where} has no system; name one of {', '.join(DESCRIPTIONS)}")
+    module, name = DESCRIPTIONS[
+        require_choice(f"{where}.system", str(study.model["system"]), DESCRIPTIONS)
+    ]
+    try:
+        made: Description = getattr(import_module(module), name).model_validate(study.model)
+    except ValidationError as error:
+        raise ValueError("\n".join(_lines(where, error))) from None
+    return made
+
+
+def _lines(where: str, error: ValidationError) -> list[str]:
+    """One line per wrong key: path, what is wrong, what came."""
+    out = []
+    for one in error.errors(include_url=False):
+        path = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in one["loc"])
+        message = one["msg"].removeprefix("Value error, ")
+        is_plain = isinstance(one["input"], (str, int, float, bool))
+        came = f", got {one['input']!r}" if is_plain and "got" not in message else ""
+        out.append(f"{where}{path}: {message}{came}")
+    return out
+
 
 def setup_of(study: Study, **options: Any) -> DiagnosisSetup:
-    """The setup that a study names.
+    """The setup of a study: that of its description, or the one that it names.
 
     Args:
         study: Study with the name of its ``setup`` in the metadata.
@@ -48,11 +103,13 @@ def setup_of(study: Study, **options: Any) -> DiagnosisSetup:
     Raises:
         ValueError: the study names none, or one that does not exist.
     """
+    if study.model is not None:
+        return description_of(study).setup(study)
     given = study.metadata.get("setup")
     if given is None:
         raise ValueError(
-            f"study {study.name}: metadata has no ``setup``, so no model is known for it; name one "
-            f"of {', '.join(SETUPS)}, or call diffsim.diagnose.diagnose with a model of your own"
+            f"study {study.name} has no model; describe its system under ``model:`` (one of "
+            f"{', '.join(DESCRIPTIONS)}), or call diffsim.diagnose.diagnose with your own model"
         )
     entry = dict(given) if isinstance(given, Mapping) else {"name": given}
     if "name" not in entry:

@@ -55,7 +55,7 @@ def predicted_runs(study: Study, null: Fit, extended: Fit | None = None) -> list
             null=predicted(null, run),
             extended=None if extended is None else predicted(extended, run),
         )
-        for run in (*study.fit_runs, *study.holdout_runs)
+        for run in (*study.fit_runs, *study.test_runs)
     ]
 
 
@@ -64,7 +64,7 @@ def predicted(fit: Fit, run: Run) -> Array:
 
     Nuisances of a held-out run are fitted to it, as the gain does.
     """
-    x = held_out_point(fit, run) if run.use == "holdout" else fit.x
+    x = held_out_point(fit, run) if run.use == "test" else fit.x
     with torch.no_grad():
         return fit.problem.predict(run, torch.as_tensor(x)).numpy()
 

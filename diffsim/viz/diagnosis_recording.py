@@ -27,7 +27,7 @@ def write_recording_of(report: Report, path: str | Path) -> Path:
     Raises:
         ImportError: rerun-sdk is not installed.
     """
-    runs = (*report.study.fit_runs, *report.study.holdout_runs)
+    runs = (*report.study.fit_runs, *report.study.test_runs)
 
     def log(rr: Any, stream: Any) -> None:
         note = f"# Diagnosis of {report.study.name}\n\n**{report.verdict}**\n\n"
@@ -78,7 +78,7 @@ def _blueprint(report: Report, runs: Any) -> Any:
     for run in runs:
         names = [*(c.name for c in report.study.channels), *(["command"] if run.command else [])]
         views = [rrb.TimeSeriesView(origin=f"/{run.name}/{n}", name=n) for n in names]
-        label = f"{run.name} (held out)" if run.use == "holdout" else run.name
+        label = f"{run.name} (held out)" if run.use == "test" else run.name
         tabs.append(rrb.Vertical(*views, name=label))
     note = rrb.TextDocumentView(origin="/note", name="verdict")
     return rrb.Blueprint(rrb.Tabs(note, *tabs), collapse_panels=True)

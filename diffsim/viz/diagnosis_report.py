@@ -125,7 +125,7 @@ def _numbers(r: Report) -> list[page.Number]:
 
 def _held_out(all_runs: Sequence[PredictedRun], channels: Sequence[Channel]) -> page.Section:
     title = "Before and after, on runs that no fit has seen"
-    runs = [run for run in all_runs if run.use == "holdout"]
+    runs = [run for run in all_runs if run.use == "test"]
     if not runs:
         return page.Section(title=title, text=["The study has no held-out run: no gain is known."])
     shown = runs[:4]

@@ -22,7 +22,7 @@ def write_fit(null: NullFit, path: str | Path) -> Path:
     sd = dict(zip([c.name for c in study.channels], null.noise.sd.tolist(), strict=True))
     channels, runs = draw.with_noise(study.channels, sd), draw.predicted_runs(study, fit)
     per_sample = fit.chi2 / fit.num_samples
-    held = [run for run in runs if run.use == "holdout"][:4]
+    held = [run for run in runs if run.use == "test"][:4]
     worst = [page.Picture(uri=_png(draw.before_after(held or runs[:4], channels)), caption=_RUNS)]
     left = [page.Picture(uri=_png(draw.residual_views(runs, channels)), caption=_LEFT)]
     names = fit.problem.names

@@ -91,7 +91,7 @@ def _pictures(found: Report) -> list[dict[str, str]]:
 
     channels = draw.with_noise(found.study.channels, found.noise["sd"])
     runs = draw.predicted_runs(found.study, found.null, found.best if found.named else None)
-    held_out = [run for run in runs if run.use == "holdout"]
+    held_out = [run for run in runs if run.use == "test"]
     drawn = [
         (
             draw.before_after(held_out, channels),

@@ -38,7 +38,7 @@ def studies():
 def test_counts_and_gates(studies, name):
     study = studies[name]
     errors = [p for p in check_study(study) if p.severity == "error"]
-    counts = len(study.runs), len(study.channels), len(study.holdout_runs), len(errors)
+    counts = len(study.runs), len(study.channels), len(study.test_runs), len(errors)
     assert counts == EXPECTED[name], [str(p) for p in errors]
     assert study.metadata["held_out_because"]
     assert "licence" in study.metadata["source"]
@@ -68,7 +68,7 @@ def test_beam_sags_as_noted(studies):
     z = [column(study, f"tip{i}_z_m") for i in (1, 2, 3)]
     gravity = run(study, "gravity_a").measured[-100:, z].mean()
     assert gravity == pytest.approx(-6.49e-3, abs=0.06e-3)
-    assert run(study, "load52_b").use == "holdout"
+    assert run(study, "load52_b").use == "test"
 
 
 def test_starfish_command_starts_at_zero_and_moves_the_robot(studies):

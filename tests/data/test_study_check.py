@@ -27,7 +27,7 @@ def test_a_good_study_has_no_problems():
 
 def test_two_commands_are_needed():
     study = make_study()
-    assert "at least two commands" in problems(with_run(study, 2, use="holdout"), "error")
+    assert "at least two commands" in problems(with_run(study, 2, use="test"), "error")
 
 
 def test_a_held_out_run_is_needed():

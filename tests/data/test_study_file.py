@@ -20,7 +20,7 @@ def make_study() -> Study:
         measured = rng.normal(size=(25, 2))
         measured[3, 1] = np.nan
         level = {"up": t, "down": 1.0 - t, "new": t**2}[group]
-        use = "holdout" if name == "d" else "fit"
+        use = "test" if name == "d" else "fit"
         runs.append(
             Run(name, t, measured, {"tendon_N": level}, group, order, use, {"temperature_C": 22.5})
         )

@@ -142,7 +142,7 @@ def _bic(found: Fit, null: Fit) -> float:
 
 def _held_out(found: Fit, study: Study) -> float:
     """Sum of squares on the held-out runs, their own nuisances refitted."""
-    return sum(float(np.sum(held_out_residual(found, run) ** 2)) for run in study.holdout_runs)
+    return sum(float(np.sum(held_out_residual(found, run) ** 2)) for run in study.test_runs)
 
 
 def outcome(case: Case, names: Sequence[str] | None) -> str:

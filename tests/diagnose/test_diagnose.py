@@ -362,7 +362,7 @@ def test_what_held_out_runs_refute_is_withdrawn_and_says_so():
         return replace(run, measured=run.measured + clean.numpy())
 
     runs = [recorded(f"r{k}", k, 1.0) for k in range(3)]
-    runs.append(recorded("last", 3, -1.0, use="holdout"))
+    runs.append(recorded("last", 3, -1.0, use="test"))
     study = Study("refuted", "copter", linear.CHANNELS, tuple(runs))
     report = diagnose(study, linear.model(), (push, other), seed=0, settings=QUICK)
     row = next(r for r in report.table if r.effect == "push")

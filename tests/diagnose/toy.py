@@ -246,7 +246,7 @@ def generate(
             {"u": COMMANDS[command]},
             command,
             order,
-            "holdout" if command == "held" else "fit",
+            "test" if command == "held" else "fit",
         )
         for command, repeat, order, clean, disturbed, nuisance in _recordings(
             seed, tuple((hidden or {}).items()), *options

@@ -85,7 +85,7 @@ def recorded(*, noise_m=1e-5, seed=0, until_s=0.7):
     """One run to fit, and one that starts and sways otherwise, held out."""
     rng, runs = np.random.default_rng(seed), []
     fine = np.arange(0.0, until_s + 0.1, 1e-3)
-    cases = (("first", 3e-3, 8e-5, "fit"), ("second", 2.5e-3, -1.2e-4, "holdout"))
+    cases = (("first", 3e-3, 8e-5, "fit"), ("second", 2.5e-3, -1.2e-4, "test"))
     for order, (name, start_m, sway_m, use) in enumerate(cases):
         time = np.arange(0.0, until_s, 0.01)
         places = clamp(fine, sway_m)

@@ -53,7 +53,7 @@ def comparison(name: str, use: str, lag: float, seed: int) -> PredictedRun:
     )
 
 
-RUNS = (comparison("a", "fit", 0.02, 1), comparison("b", "holdout", 0.03, 2))
+RUNS = (comparison("a", "fit", 0.02, 1), comparison("b", "test", 0.03, 2))
 
 
 class Predicted:

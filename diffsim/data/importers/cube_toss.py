@@ -79,7 +79,7 @@ def import_cube_toss(folder: Path, *, after: bool = False) -> Study:
                 command={},
                 group=f"toss_{int(toss):03d}",
                 order=order,
-                use="holdout" if order % HOLD_OUT_EVERY == HOLD_OUT_EVERY - 1 else "fit",
+                use="test" if order % HOLD_OUT_EVERY == HOLD_OUT_EVERY - 1 else "fit",
                 setup={f"start_{c}": float(data[c][rows][0]) for c in TWIST}
                 | {
                     "corner": float(window.corner),

@@ -81,7 +81,7 @@ def _campaign(folder: Path, campaign: str, *, held_out: tuple[str, ...], because
                 command={"set_pressure_Pa": pressure[keep]},
                 group=name,
                 order=order,
-                use="holdout" if name in held_out else "fit",
+                use="test" if name in held_out else "fit",
                 setup={"set_pressure_Pa": float(entry["set_pressure_Pa"])},
             )
         )

@@ -81,7 +81,7 @@ def _study(folder: Path, name: str, quantities: tuple[str, ...]) -> Study:
 
 
 def _use(name: str) -> str:
-    return "holdout" if name in HELD_OUT or name.endswith("8_11") else "fit"
+    return "test" if name in HELD_OUT or name.endswith("8_11") else "fit"
 
 
 def _kde(folder: Path, stem: str) -> list[Run]:

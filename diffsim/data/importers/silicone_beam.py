@@ -28,7 +28,7 @@ def import_silicone_beam(folder: Path) -> Study:
                 command=command,
                 group=trial.case,
                 order=order,
-                use="holdout" if trial.name == "load52_b" else "fit",
+                use="test" if trial.name == "load52_b" else "fit",
                 setup={
                     "tip_load_N": trial.tip_load_N,
                     "tip_load_mass_kg": trial.tip_load_mass_kg,

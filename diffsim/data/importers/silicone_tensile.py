@@ -36,7 +36,7 @@ def import_silicone_tensile(folder: Path) -> Study:
         time, strain, stress = (np.bincount(label, column) / count for column in data.values())
         fitted = strain <= FITTED_SHARE * strain[-1]
         fitted[HOLD_OUT_EVERY - 1 :: HOLD_OUT_EVERY] = False
-        for use, rows in (("fit", fitted), ("holdout", ~fitted)):
+        for use, rows in (("fit", fitted), ("test", ~fitted)):
             runs.append(
                 Run(
                     name=f"{name}_{use}",

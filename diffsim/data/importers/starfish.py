@@ -37,7 +37,7 @@ def import_starfish(folder: Path) -> Study:
                 command={COMMAND: _held(data[COMMAND])},
                 group=GROUPS[name],
                 order=order,
-                use="holdout" if name == HELD_OUT else "fit",
+                use="test" if name == HELD_OUT else "fit",
                 setup={
                     "medium_density_kg_m3": AIR_KG_M3 if name == "airtest" else WATER_KG_M3,
                     "marker_spacing_m2_m3_m": float(entry["marker_spacing_at_rest_m"]["m2_m3"]),

@@ -87,7 +87,7 @@ def two_parts(
             },
             group=name,
             order=order,
-            use="holdout" if name == "after" else "fit",
+            use="test" if name == "after" else "fit",
             setup=setup,
         )
         for order, (name, part) in enumerate(parts.items())

@@ -107,7 +107,7 @@ class NetworkLab(Lab):
                 plans.append(_plan(f"{name}_{repeat}", name, "fit", t, pump, back))
         unseen = _held(level, 0.5, 1.8, 1.1, 0.25, 1.4, 0.7)
         raised = np.where(t >= 30.0, 25.0, 0.0)
-        return [*plans, _plan("mixed", "mixed", "holdout", t, unseen, raised)]
+        return [*plans, _plan("mixed", "mixed", "test", t, unseen, raised)]
 
     def nuisances(self, rng: np.random.Generator) -> dict[str, Any]:
         return {

@@ -87,7 +87,7 @@ class CopterLab(Lab):
             Plan(f"{name}_{flight}", name, "fit", t, {}, _setup(name))
             for flight in "ab"
             for name in fit
-        ] + [Plan("figure_eight", "figure_eight", "holdout", t, {}, _setup("figure_eight"))]
+        ] + [Plan("figure_eight", "figure_eight", "test", t, {}, _setup("figure_eight"))]
 
     def nuisances(self, rng: np.random.Generator) -> dict[str, Any]:
         return {

@@ -87,7 +87,7 @@ class SoftBeamLab(Lab):
             for repeat in "ab"
             for name, command in commands.items()
         ][:-1]
-        return [*plans, Plan("two_tones", "two_tones", "holdout", t, {"tendon_N": unseen})]
+        return [*plans, Plan("two_tones", "two_tones", "test", t, {"tendon_N": unseen})]
 
     def nuisances(self, rng: np.random.Generator) -> dict[str, Any]:
         return {

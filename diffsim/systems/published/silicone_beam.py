@@ -128,7 +128,7 @@ def free_swing(study: Study, *, from_s: float = FREE_S, until_s: float = UNTIL_S
             measured=run.measured[inside][:, [which]],
             command={name: values[inside] for name, values in run.command.items()},
             group=run.name if is_seen else run.group,
-            use="holdout" if run.name.endswith(REPEAT) else run.use,
+            use="test" if run.name.endswith(REPEAT) else run.use,
         )
 
     return replace(late, channels=(channel,), runs=tuple(cut(r) for r in late.runs))

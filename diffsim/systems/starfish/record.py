@@ -55,7 +55,7 @@ def modes(
             time_s=run.time_s[inside] - run.time_s[inside][0],
             measured=symmetric(places, run.setup["marker_spacing_m2_m3_m"])[:, columns],
             command={COMMAND: run.command[COMMAND][inside]},
-            use="holdout" if name in holdout else "fit",
+            use="test" if name in holdout else "fit",
         )
 
     runs = [cut(name, float(w[0]), float(w[1])) for name, w in windows.items()]

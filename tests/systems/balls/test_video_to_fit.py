@@ -30,7 +30,7 @@ def truth_of(film: Path) -> dict[str, float]:
 
 def test_study_has_the_layout_of_the_published_one(study):
     fitted, judged = study.runs
-    assert (fitted.use, judged.use) == ("fit", "holdout")
+    assert (fitted.use, judged.use) == ("fit", "test")
     assert len(fitted.time_s) == 16 and len(judged.time_s) == 4
     assert np.isfinite(fitted.measured[:8, 4:]).all() and np.isnan(fitted.measured[8:, 4:]).all()
     assert np.isnan(fitted.measured[:, :4]).any(1).sum() >= 1  # the balls touch

@@ -93,7 +93,7 @@ def study_of(case: LabCase) -> Study:
     runs = tuple(
         replace(r, measured=r.measured[:, keep])
         for r in study.runs
-        if r.use == "holdout" or not r.command["outlet_1_Pa"].any()
+        if r.use == "test" or not r.command["outlet_1_Pa"].any()
     )
     return replace(study, channels=tuple(study.channels[i] for i in keep), runs=runs)
 

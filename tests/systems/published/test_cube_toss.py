@@ -52,7 +52,7 @@ def test_verdict(study, setup):
 def test_lengths_are_two_per_cent_short(study, setup, plain):
     scaled = fitted(study, setup, "length_scale")
     assert scaled.values["length_scale"] == pytest.approx(-0.022, abs=0.001)
-    found = gain(study.holdout_runs, plain, scaled, seed=0, block_s=WHOLE)
+    found = gain(study.test_runs, plain, scaled, seed=0, block_s=WHOLE)
     assert found.low > 0.5
     assert found.value < 0.8  # and a third of the error is left
 

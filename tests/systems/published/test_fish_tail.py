@@ -22,7 +22,7 @@ def given():
 
 def test_slow_pressure_explains_most_of_the_misfit(given):
     study, setup = given
-    assert not study.holdout_runs  # one recording: no gain can be measured
+    assert not study.test_runs  # one recording: no gain can be measured
 
     def chi2(*names):
         chosen = [e for e in setup.effects if e.name in names]

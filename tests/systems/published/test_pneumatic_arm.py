@@ -40,7 +40,7 @@ def test_bend_grows_faster_than_the_pressure(study):
         chosen = [e for e in setup.effects if e.name in names]
         found = fit(setup.model, study.fit_runs, study.channels, effects=chosen)
         point, out = torch.from_numpy(found.x), {}
-        for run in study.holdout_runs:
+        for run in study.test_runs:
             with torch.no_grad():
                 left = run.measured - found.problem.predict(run, point).numpy()
             out[run.name] = np.sqrt(3.0 * np.nanmean(left**2))
@@ -57,7 +57,7 @@ def test_ballooning_helps_on_a_held_out_trial_of_the_other_campaign():
     """Fitted to nine pressures from 50 to 375 mbar, judged at 225 mbar."""
     data_folder("pneumatic_arm")
     study = import_study("pneumatic_arm_p25")
-    setup, held = setup_of(study), study.holdout_runs[0]
+    setup, held = setup_of(study), study.test_runs[0]
     left = {}
     for names in ((), ("ballooning",)):
         chosen = [e for e in setup.effects if e.name in names]

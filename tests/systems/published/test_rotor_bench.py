@@ -71,7 +71,7 @@ def test_what_cannot_be_seen(report):
 
 def test_exponent_alone_on_held_out_sweeps(study):
     plain, found = fitted(study), fitted(study, "thrust_exponent")
-    assert gain(study.holdout_runs, plain, found, seed=0).low > 0.7
+    assert gain(study.test_runs, plain, found, seed=0).low > 0.7
 
 
 def test_exponent_by_a_straight_line(study):

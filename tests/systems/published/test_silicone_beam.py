@@ -66,7 +66,7 @@ def test_clamp_sways_near_the_frequency_of_the_bar(study):
 def test_swaying_clamp_and_loss_factor_explain_the_bar_without_weight(study, fitted):
     """The claim of docs/measured/silicone_beam.md, whichever recording is held out."""
     made = setup_of(study)
-    runs = tuple(replace(r, use="fit" if r.name == fitted else "holdout") for r in made.study.runs)
+    runs = tuple(replace(r, use="fit" if r.name == fitted else "test") for r in made.study.runs)
     chosen = [e for e in made.effects if e.name in ("loss_factor", "creep", "support_motion")]
     found = diagnose(
         replace(made.study, runs=runs),

@@ -67,16 +67,16 @@ def test_rejected_and_invisible(report):
 
 def test_gain_with_whole_parts_as_blocks(study):
     plain, named = fitted(study), fitted(study, *LAWS)
-    assert gain(study.holdout_runs, plain, named, seed=0, block_s=1e3).low > 0.98
+    assert gain(study.test_runs, plain, named, seed=0, block_s=1e3).low > 0.98
     gent = fitted(study, "gent")  # better where it was fitted, far off beyond
     assert gent.chi2 < 0.5 * plain.chi2
-    assert gain(study.holdout_runs, plain, gent, seed=0, block_s=1e3).high < 0.0
+    assert gain(study.test_runs, plain, gent, seed=0, block_s=1e3).high < 0.0
 
 
 def test_error_between_and_beyond_the_fitted_strains(study):
     named = fitted(study, *LAWS)
     parts = {"between": [], "beyond": []}
-    for run in study.holdout_runs:
+    for run in study.test_runs:
         strain = run.command["engineering_strain"]
         is_beyond = strain > 2.0 / 3.0 * strain[-1]
         left = held_out_residual(named, run)

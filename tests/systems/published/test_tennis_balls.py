@@ -38,7 +38,7 @@ def test_friction_predicts_the_frames_left_out(given):
     study, _ = given
     null = fitted(given)
     found = fitted(given, "sliding_friction", "ball_friction")
-    gained = gain(study.holdout_runs, null, found, seed=0)
+    gained = gain(study.test_runs, null, found, seed=0)
     assert found.chi2 < 0.1 * null.chi2
     assert gained.value > 0.8 and gained.low > 0.0
 

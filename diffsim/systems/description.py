@@ -1,0 +1,278 @@
+"""Systems described in ``study.yaml``: what all descriptions share.
+
+Under ``model:`` a study describes the system that was recorded. Every kind of system has a class of
+its own, a :class:`Description`, whose fields are the keys; ``systems/registry.py`` lists them. What
+a key means is said once, in the field's description: the reference of all keys is written from it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Annotated, Any
+
+import torch
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from torch import Tensor
+
+from diffsim.core.check import did_you_mean
+from diffsim.core.units import in_unit
+from diffsim.data.study import Run, Study
+from diffsim.data.study_check import Problem
+from diffsim.identify.effect import Effect
+from diffsim.identify.effort import DiagnosisSettings
+from diffsim.identify.model import Parameter
+from diffsim.identify.setup import DiagnosisSetup
+
+
+class Part(BaseModel):
+    """A block of a description: immutable, and a key that it does not know is an error."""
+
+    model_config = ConfigDict(frozen=True, arbitrary_types_allowed=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_keys(cls, given: Any) -> Any:
+        if isinstance(given, Mapping):
+            known = [field.alias or name for name, field in cls.model_fields.items()]
+            for key in given:
+                if key not in known and key not in cls.model_fields:
+                    raise ValueError(
+                        f"no key {key!r} here{did_you_mean(str(key), known)}; "
+                        f"known: {', '.join(known)}"
+                    )
+        return given
+
+
+class Quantity(Part):
+    """A number of a description: known, or imperfectly known with a prior.
+
+    A plain number, or text such as "3 mm", is known exactly. With ``sd`` or ``percent`` it is
+    fitted, as a base parameter.
+    """
+
+    value: float = Field(description="Best guess beforehand")
+    sd: float | None = Field(None, gt=0, description="Standard deviation of the prior, in the unit")
+    percent: float | None = Field(
+        None, gt=0, description="Standard deviation as a share of the value; fitted as a logarithm"
+    )
+    lower: float = Field(-math.inf, description="Lower bound")
+    upper: float = Field(math.inf, description="Upper bound")
+    per: str | None = Field(
+        None, description="`run`, or a fact of the runs' `setup`: a value of its own for each"
+    )
+    unit: str = Field("-", description="Unit that the description wants; written by the schema")
+
+    @model_validator(mode="after")
+    def _one_width(self) -> Quantity:
+        if self.sd is not None and self.percent is not None:
+            raise ValueError("give sd or percent, not both")
+        if self.percent is not None and self.value <= 0.0:
+            raise ValueError(f"percent needs a value above 0, got {self.value:g}; give sd")
+        if self.per is not None and not self.is_fitted:
+            raise ValueError("per needs sd or percent: a value of its own is a fitted one")
+        return self
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether it is a base parameter."""
+        return self.sd is not None or self.percent is not None
+
+    def parameter(self, name: str) -> Parameter:
+        """Base parameter with this prior."""
+        if self.percent is not None:
+            sd, is_log = self.percent / 100.0, True
+        else:
+            assert self.sd is not None
+            sd, is_log = self.sd, False
+        return Parameter(name, self.value, sd, self.unit, is_log, self.lower, self.upper)
+
+
+_IN_UNIT = ("value", "sd", "lower", "upper")
+
+
+def quantity(unit: str) -> Any:
+    """Type of a key that is a :class:`Quantity` in a unit; text with another unit is converted.
+
+    Args:
+        unit: SI unit of the key, "-" if none.
+    """
+
+    def read(given: Any) -> Any:
+        if isinstance(given, Quantity):
+            return given
+        if not isinstance(given, Mapping):
+            return Quantity(value=in_unit(given, unit), unit=unit)
+        own = str(given.get("unit", unit))
+        numbers = {
+            k: in_unit(f"{v} {own}" if isinstance(v, (int, float)) and own != "-" else v, unit)
+            for k, v in given.items()
+            if k in _IN_UNIT
+        }
+        return {**given, **numbers, "unit": unit}
+
+    return Annotated[Quantity, BeforeValidator(read)]
+
+
+def number(unit: str) -> Any:
+    """Type of a key that is a known number in a unit; text with another unit is converted."""
+    return Annotated[float, BeforeValidator(lambda given: in_unit(given, unit))]
+
+
+class EffectChoice(Part):
+    """Which candidate causes are judged."""
+
+    only: tuple[str, ...] = Field((), description="Judge only these; empty: all of the library")
+    without: tuple[str, ...] = Field((), description="Leave these out")
+    typical: dict[str, float] = Field(
+        {}, description="Size that would be no surprise, by name of the cause, in its unit"
+    )
+
+
+class Effort(Part):
+    """How much is simulated; the defaults suit most studies."""
+
+    max_effects: int | None = Field(None, ge=1, description="Largest number of causes in one set")
+    num_refits: int | None = Field(None, ge=1, description="Sets that are refitted per round")
+    max_rounds: int | None = Field(None, ge=1, description="Moves to a better set, at most")
+    difference_step: float | None = Field(
+        None, gt=0, description="Step of difference quotients, in standard deviations of the priors"
+    )
+
+
+class Description(Part):
+    """``model:`` of a study; one subclass per kind of system."""
+
+    system: str = Field(description="Kind of system")
+    effects: EffectChoice = Field(EffectChoice(), description="Which candidate causes are judged")
+    effort: Effort = Field(Effort(), description="How much is simulated")
+
+    def problems(self, study: Study) -> list[Problem]:
+        """What the description and the recordings disagree on, found without a simulation.
+
+        Args:
+            study: Study with this description as its ``model``.
+        """
+        return []
+
+    def setup(self, study: Study) -> DiagnosisSetup:
+        """Model, candidate causes and options for a study.
+
+        Args:
+            study: Study with this description as its ``model``.
+        """
+        raise NotImplementedError
+
+
+class BaseParameters:
+    """Quantities of a description by name: base parameters, and their values in a run.
+
+    Args:
+        quantities: Quantities by name of the parameter.
+        runs: Runs of the study; ``per`` makes one parameter for each run or each fact of ``setup``.
+
+    Attributes:
+        base: Base parameters: "name", "name@run_3" per run, "name[propeller=A]" per fact.
+    """
+
+    def __init__(self, quantities: Mapping[str, Quantity], runs: Sequence[Run]):
+        self.quantities = dict(quantities)
+        names = dict.fromkeys(
+            (key, self.name_of(key, run))
+            for key, q in self.quantities.items()
+            if q.is_fitted
+            for run in runs
+        )
+        self.base = tuple(self.quantities[key].parameter(name) for key, name in names)
+
+    def name_of(self, key: str, run: Run) -> str:
+        """Name of the base parameter that a quantity has in a run.
+
+        Raises:
+            ValueError: ``per`` names a fact that the run does not state.
+        """
+        per = self.quantities[key].per
+        if per is None:
+            return key
+        if per == "run":
+            return f"{key}@{run.name}"
+        if per not in run.setup:
+            raise ValueError(
+                f"{key} is stated per {per}, but run {run.name} has no {per} in its setup"
+                f"{did_you_mean(per, run.setup)}"
+            )
+        return f"{key}[{per}={run.setup[per]}]"
+
+    def in_run(self, values: Mapping[str, Tensor], run: Run) -> dict[str, Tensor]:
+        """Value of every quantity in a run, known ones as constants.
+
+        Args:
+            values: Values of the base parameters by name, () or (K,) each.
+            run: Run that is simulated.
+        """
+        return {
+            key: values[self.name_of(key, run)]
+            if q.is_fitted
+            else torch.tensor(q.value, dtype=torch.float64)
+            for key, q in self.quantities.items()
+        }
+
+
+def chosen_effects(library: Sequence[Effect], choice: EffectChoice) -> tuple[Effect, ...]:
+    """Effects of a library as a description chooses them.
+
+    Args:
+        library: All effects of the system.
+        choice: The description's ``effects``.
+
+    Raises:
+        ValueError: a name that the library does not have.
+    """
+    known = [e.name for e in library]
+    for key, names in (("only", choice.only), ("without", choice.without)):
+        for name in names:
+            _require_known(f"effects.{key}", name, known)
+    for name in choice.typical:
+        _require_known("effects.typical", name, known)
+    kept = [
+        e
+        for e in library
+        if (not choice.only or e.name in choice.only) and e.name not in choice.without
+    ]
+    return tuple(
+        replace(e, typical=choice.typical[e.name]) if e.name in choice.typical else e for e in kept
+    )
+
+
+def settings_with(advised: DiagnosisSettings, effort: Effort) -> DiagnosisSettings:
+    """Settings that a system advises, with what a description changes of them."""
+    given = effort.model_dump(exclude_none=True)
+    step = given.pop("difference_step", None)
+    settings = replace(advised, search=replace(advised.search, **given))
+    return (
+        settings
+        if step is None
+        else replace(settings, jacobian=replace(settings.jacobian, step=step))
+    )
+
+
+def _require_known(where: str, name: str, known: Sequence[str]) -> None:
+    if name not in known:
+        raise ValueError(
+            f"{where}: no cause {name!r}{did_you_mean(name, known)}; known: {', '.join(known)}"
+        )
+
+
+__all__ = [
+    "BaseParameters",
+    "Description",
+    "EffectChoice",
+    "Effort",
+    "Part",
+    "Quantity",
+    "chosen_effects",
+    "number",
+    "quantity",
+    "settings_with",
+]
