@@ -59,10 +59,10 @@ def styled(figure: Any, *, height: int) -> Any:
         template="plotly_white",
         font={"family": "system-ui, Segoe UI, Helvetica Neue, sans-serif", "size": 12},
         font_color=INK,
-        margin={"l": 70, "r": 20, "t": 70, "b": 50},
+        margin={"l": 70, "r": 20, "t": 80, "b": 50},
         paper_bgcolor="rgba(0,0,0,0)",
         plot_bgcolor="rgba(0,0,0,0)",
-        legend={"orientation": "h", "yanchor": "bottom", "y": 1.04, "x": 0.0},
+        legend={"orientation": "h", "yanchor": "bottom", "y": 1.07, "x": 0.0},
         hovermode="closest",
     )
     figure.update_xaxes(gridcolor=LINE, zerolinecolor=LINE)
@@ -129,7 +129,7 @@ def chooser(labels: Sequence[str], owners: Sequence[int], num_always: int = 0) -
         "direction": "down",
         "x": 1.0,
         "xanchor": "right",
-        "y": 1.04,
+        "y": 1.07,
         "yanchor": "bottom",
         "showactive": True,
     }
@@ -141,7 +141,7 @@ def to_html(figure: Any) -> str:
         full_html=False,
         include_plotlyjs=False,
         default_width="100%",
-        config={"displaylogo": False, "responsive": True, "toImageButtonOptions": {"scale": 2}},
+        config={"displayModeBar": False, "responsive": True},
     )
     return made
 
