@@ -27,6 +27,9 @@ def command_effects(group: Group, held: bool) -> list[Effect]:
         held: Commands are held from sample to sample; else straight lines join the samples.
     """
     reach = group.reach
+    # of one-sided commands a dead band is slack
+    still = _slack() if group.one_sided else actuator.DEAD_BAND
+    still = replace(still, typical=SHARE * reach)
     lag, delay = (
         (actuator.HELD_LAG, actuator.HELD_DELAY)
         if held
@@ -38,10 +41,7 @@ def command_effects(group: Group, held: bool) -> list[Effect]:
     changes: list[tuple[Effect, CommandChange]] = [
         (lag, lambda u, dt, k: lagged(u, dt, k)),
         (delay, lambda u, dt, k: delayed(u, dt, k)),
-        (
-            replace(actuator.DEAD_BAND, typical=SHARE * reach),
-            lambda u, dt, k: signals.dead_band(u, k),
-        ),
+        (still, lambda u, dt, k: signals.dead_band(u, k)),
         (
             replace(actuator.BACKLASH, typical=SHARE * reach),
             lambda u, dt, k: signals.backlash(u, k),
@@ -49,13 +49,13 @@ def command_effects(group: Group, held: bool) -> list[Effect]:
         (
             replace(
                 actuator.SATURATION,
-                form=f"The command is limited to (1 - size) times {reach:.4g}, its greatest value.",
+                form=f"The command is limited to (1 - size) times {reach:.4g}, the largest.",
             ),
             lambda u, dt, k: u.clamp(-(1.0 - k) * reach, (1.0 - k) * reach),
         ),
         (_gain(), lambda u, dt, k: u * (1.0 + k)),
         (_offset(reach), lambda u, dt, k: u + k),
-        (_slew(reach), lambda u, dt, k: slewed(u, dt, k / reach)),
+        (_rate_limit(reach), lambda u, dt, k: rate_limited(u, dt, k)),
     ]
     end = f"_{plain(group.name)}" if group.name else ""
     return [
@@ -71,7 +71,7 @@ def _commanded(
     return scene.with_command(names, lambda u, dt: change(u, dt, now)) if now != 0.0 else scene
 
 
-def slewed(u: Tensor, dt: float, slowness: Tensor) -> Tensor:
+def rate_limited(u: Tensor, dt: float, slowness: Tensor) -> Tensor:
     """A command (num_samples, width) followed no faster than 1 / slowness [per s]."""
     most = dt / slowness
     now, out = u[0], [u[0]]
@@ -114,14 +114,30 @@ def _offset(reach: float) -> Effect:
     )
 
 
-def _slew(reach: float) -> Effect:
+def _slack() -> Effect:
     return Effect(
-        name="slew_time",
-        form=f"The actuators need size at least for {reach:.4g} of the command: a limit of rate.",
+        name="slack",
+        form="Nothing happens until the command exceeds size, then it acts less size.",
+        family="shape",
+        kind="actuator",
+        unit="command",
+        typical=1.0,
+        signed=False,
+        smooth=False,
+        also_looks_like=("dead band of a valve", "a loose tendon"),
+        needs=actuator.needs_command,
+        apply=unchanged,
+    )
+
+
+def _rate_limit(reach: float) -> Effect:
+    return Effect(
+        name="rate_limit",
+        form="The command is followed no faster than 1 / size.",
         family="timing",
         kind="actuator",
-        unit="s",
-        typical=0.1,
+        unit="s/command",
+        typical=0.1 / reach,
         signed=False,
         smooth=False,
         also_looks_like=("lag, at one amplitude", "a weak supply"),

@@ -6,9 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from diffsim.data.study import Run, Study
 
+Array = NDArray[np.float64]
 SHARE = 0.05  # of a command's or channel's range: no surprise
 PER_DISTANCE = {"N": "m", "N m": "rad"}
 
@@ -22,12 +24,14 @@ class Group:
         columns: Names of the commands or channels.
         reach: Greatest value of a command in the study, in its unit; range of a channel.
         unit: Unit of the columns, if they share one, else "command" or "channel".
+        one_sided: No command is ever below zero.
     """
 
     name: str
     columns: tuple[str, ...]
     reach: float
     unit: str
+    one_sided: bool = False
 
 
 @dataclass(frozen=True)
@@ -85,8 +89,10 @@ def command_groups(study: Study, by_name: Mapping[str, Sequence[str]] | None) ->
     for name, columns in given.items():
         _require_all(f"hooks.command.{name}", columns, known)
         if columns:
-            reach = max(_reach(run, c) for run in study.runs for c in columns)
-            out.append(Group(name, tuple(columns), reach or 1.0, "command"))
+            values = [_finite(run, c) for run in study.runs for c in columns]
+            reach = max(float(np.abs(v).max(initial=0.0)) for v in values)
+            one_sided = all((v >= 0.0).all() for v in values)
+            out.append(Group(name, tuple(columns), reach or 1.0, "command", one_sided))
     return tuple(out)
 
 
@@ -122,12 +128,12 @@ def plain(name: str) -> str:
     return kept.strip("_") or "x"
 
 
-def _reach(run: Run, command: str) -> float:
+def _finite(run: Run, command: str) -> Array:
     values = np.asarray(run.command.get(command, [0.0]), dtype=np.float64)
-    return float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
+    return values[np.isfinite(values)]
 
 
-def _columns(study: Study, idx: Sequence[int]) -> list[np.ndarray]:
+def _columns(study: Study, idx: Sequence[int]) -> list[Array]:
     found = [run.measured[:, i] for run in study.runs for i in idx]
     return [v for v in found if np.isfinite(v).any()] or [np.zeros(1)]
 

@@ -70,7 +70,7 @@ def test_every_effect_is_nothing_at_size_zero_and_something_beyond():
 
 def test_names_that_the_hooks_ask_for():
     names = {e.name for e in setup_of(scenes.recorded()).effects}
-    assert {"lag", "delay", "dead_band", "backlash", "saturation", "slew_time"} <= names
+    assert {"lag", "delay", "dead_band", "backlash", "saturation", "rate_limit"} <= names
     assert {"constant_force_hinge", "stiffness_hinge", "quadratic_drag_hinge"} <= names
     assert {"scale_angle_rad", "delay_rate_rad_s", "drift_angle_rad"} <= names
     hooks = {
@@ -82,6 +82,13 @@ def test_names_that_the_hooks_ask_for():
     assert not any(n.startswith(("stiffness", "viscous", "scale_angle")) for n in fewer)
 
 
+def test_commands_that_are_never_negative_have_slack_instead_of_a_dead_band():
+    study = scenes.recorded()
+    pulled = [replace(r, command={"moment_Nm": abs(r.command["moment_Nm"])}) for r in study.runs]
+    names = {e.name for e in setup_of(replace(study, runs=tuple(pulled))).effects}
+    assert "slack" in names and "dead_band" not in names
+
+
 def test_a_late_command_is_the_response_later():
     run = scenes.run_of("chirp")
     setup = setup_of(scenes.recorded())
@@ -90,16 +97,16 @@ def test_a_late_command_is_the_response_later():
     np.testing.assert_allclose(late[2:], plain[:-2], atol=2e-3)
 
 
-def test_a_slew_limit_holds_the_command_back():
+def test_a_rate_limit_holds_the_command_back():
     run = scenes.run_of("steps")
     setup = setup_of(scenes.recorded())
     scene = setup.model.scene(
         run,
         setup.model.at_prior(),
-        {effect_of(setup, "slew_time"): torch.tensor([0.5], dtype=torch.float64)},
+        {effect_of(setup, "rate_limit"): torch.tensor([1.0 / 3.0], dtype=torch.float64)},
     )
     heard = scene.job().run.command["moment_Nm"]
-    most = 1.5 / 0.5 * 0.02  # greatest command over the time, per sample
+    most = 3.0 * 0.02  # per sample
     assert np.abs(np.diff(heard)).max() == pytest.approx(most, rel=1e-4)
     assert run.command["moment_Nm"] is not heard
 
