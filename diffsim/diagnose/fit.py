@@ -34,6 +34,7 @@ from diffsim.identify.linearization import (
     whitened,
 )
 from diffsim.identify.model import SimModel
+from diffsim.identify.numerics import Numerics
 from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
@@ -68,6 +69,7 @@ class Case:
         store: Keeps simulations on disk; None: keep none.
         unmet: What the study lacks for the candidates that were left out, by name.
         num_simulated: Simulations that the model had made before.
+        numerics: Refined numerical settings of all simulations; None: the model's own.
     """
 
     study: Study
@@ -79,11 +81,13 @@ class Case:
     store: Store | None = None
     unmet: Mapping[str, str] = field(default_factory=dict)
     num_simulated: int = 0
+    numerics: Numerics | None = None
 
     def problem(self, whitener: Whitener) -> Problem:
         """The plain model on the runs to be fitted."""
         s = self.settings
-        return Problem(self.model, self.study.fit_runs, whitener, (), s.jacobian, workers=s.workers)
+        runs = self.study.fit_runs
+        return Problem(self.model, runs, whitener, (), s.jacobian, self.numerics, s.workers)
 
 
 @dataclass(frozen=True, eq=False)
