@@ -31,12 +31,15 @@ from diffsim.diagnose.gates import (
 from diffsim.diagnose.judge import EXPLAINED, NAMES, Decision, Judgment, decision_of, judge
 from diffsim.diagnose.next_run import next_run
 from diffsim.diagnose.noise import UNREPEATABLE, noise_floor
+from diffsim.diagnose.outside import spans_of
+from diffsim.diagnose.referee import referee_of
 from diffsim.diagnose.report import Report, sentences
 from diffsim.diagnose.screen import Screen, screen
 from diffsim.diagnose.search import Search, begin, search_sets
 from diffsim.diagnose.simulations import NONE, Center, Simulations
 from diffsim.diagnose.store import Store, key_of
 from diffsim.diagnose.tables import cannot_see, effect_rows, hypothesis_rows, set_names
+from diffsim.diagnose.unseen import on_unseen
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.linearization import residuals_by_run
@@ -82,7 +85,8 @@ def diagnose(
         ValueError: the study cannot be judged at all, or effects share a name.
     """
     gates = data_gate(study)
-    case = _case(study, model, effects, unknowns, settings, progress)
+    # from here to the end of the search nothing can look at a test run: there is none
+    case = _case(study.without_tests(), model, effects, unknowns, settings, progress)
     case.progress("null fit", 0.0, "the model without effects")
     null = null_fit(case)
     null.case.progress("checks", 0.15, "numerical settings, gradients")
@@ -90,12 +94,31 @@ def diagnose(
     if checks.numerics_failed and not null.case.settings.accept_numerics:
         decision = Decision("numerical", frozenset(), (), None, 0.0)
         screened = _screened(checks.center)
-        return _report(null, checks, Judgment(decision), screened, seed, bank)
+        return _tested(_report(null, checks, Judgment(decision), screened, seed, bank), study, seed)
     search = search_rounds(null, simulations)
     screened = _screened(search.plain)
-    case.progress("gain", 0.88, "runs held out")
+    case.progress("gain", 0.88, "unseen runs")
     checks, judgment = _judged(search, checks, seed)
-    return _report(search.null, checks, judgment, screened, seed, bank)
+    # the answer is frozen here; only now test runs are looked at, once
+    return _tested(_report(search.null, checks, judgment, screened, seed, bank), study, seed)
+
+
+def _tested(report: Report, study: Study, seed: int) -> Report:
+    """The frozen answer on test runs, and on select runs where there is none of them."""
+    seen = report.study
+    use = "test" if study.test_runs else "select"
+    runs = study.test_runs or seen.select_runs
+    sd = np.array(list(report.noise["sd"].values()))
+    spans = spans_of(seen.fit_runs, seen.channels)
+    found = on_unseen(report.null, report.best, runs, seen.channels, sd, spans, seed=seed, use=use)
+    is_test = use == "test" and bool(report.best.problem.effects)
+    return replace(
+        report,
+        study=replace(study, runs=(*seen.runs, *study.test_runs)),
+        errors=found.errors,
+        outside=found.outside,
+        gain=found.gain if is_test else None,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +221,8 @@ def _judged(search: Search, checks: Checks, seed: int) -> tuple[Checks, Judgment
     repeats = repeatability_gate(search.fit_of(evident.best))
     checks = checks.joined(repeats)
     if search.null.noise.is_repeatable and all(g.passed for g in repeats):
-        judgment = judge(search, search.null.case.study.test_runs, seed)
+        select = search.null.case.study.select_runs
+        judgment = judge(search, referee_of(search.fit_of(NONE).problem, select), seed)
         return checks.joined(judgment.gates), judgment
     decision = replace(evident, verdict="unrepeatable", rivals=())
     return checks, Judgment(decision, search)

@@ -1,22 +1,23 @@
-"""From evidence to one verdict; unknown causes face the repeats, names face held-out runs."""
+"""From evidence to one verdict; unknown causes face the repeats, names face a referee.
+
+The referee is runs with use: select, else fit runs that are left out one after the other.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.data.study import Run
 from diffsim.diagnose.crosscheck import swap_probability
 from diffsim.diagnose.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
-from diffsim.diagnose.gain import Gain, compared, held_out_residuals
+from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.gates import GateResult
+from diffsim.diagnose.referee import Referee, gain_over
 from diffsim.diagnose.search import Search, refit, weigh_unknowns_beside
 from diffsim.diagnose.simulations import Members
-from diffsim.identify import Fit
 
 Array = NDArray[np.float64]
 EXPLAINED = 0.8  # share of the misfit that a named set explains
@@ -109,15 +110,15 @@ def _is_kept(nats: Mapping[Hypothesis, float], h: Hypothesis) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Judgment:
-    """Decision after the checks on held-out runs and repeats.
+    """Decision after the checks by the referee and on repeats.
 
     Attributes:
         decision: Decision after all checks.
         search: Behind it, with what was refitted for the checks; None if nothing was searched.
-        gain: Gain of the best set on held-out runs; None without such runs, or without a name.
-        gains: Gain on held-out runs of each member of the sets that were considered, by index of
+        gain: Gain of the best set before the referee; None without one, or without a name.
+        gains: Gain before the referee of each member of the sets that were considered, by index of
             the effect.
-        withdrawn: Effects that the evidence asked for and held-out runs refuted.
+        withdrawn: Effects that the evidence asked for and the referee refuted.
         gates: Checks of unknown causes against repeats.
     """
 
@@ -129,43 +130,38 @@ class Judgment:
     gates: tuple[GateResult, ...] = ()
 
 
-def judge(search: Search, held_out: Sequence[Run], seed: int) -> Judgment:
-    """Decide; while a name of the best set makes held-out runs worse, withdraw the worst one.
+def judge(search: Search, referee: Referee | None, seed: int) -> Judgment:
+    """Decide; while a name of the best set makes unseen runs worse, withdraw the worst one.
 
     One at a time: members that share a misfit look bad together, and the rest may be good once one
     of them is gone. What is withdrawn takes all sets with it, so evidence decides anew.
 
     Args:
         search: Search with all sets that were weighed.
-        held_out: Runs that no fit has seen.
+        referee: What names are held against; None: the evidence alone decides.
         seed: Seed of the bootstraps.
     """
-    residuals = cache(lambda fit: held_out_residuals(fit, held_out))
     gains: dict[int, Gain] = {}
     gates: tuple[GateResult, ...] = ()
     withdrawn: frozenset[int] = frozenset()
-
-    def gain_over(without: Fit, best: Fit) -> Gain:
-        return compared(held_out, without, residuals(without), residuals(best), seed=seed)
-
     while True:
         decision, checks = confirmed(decision_of(search, withdrawn), search, seed)
         gates = (*gates, *(g for g in checks if g not in gates))
         if withdrawn and decision.verdict == "none":
             decision = replace(decision, verdict="unknown")
-        if not held_out or decision.verdict not in NAMES:
+        if referee is None or not decision.best:
             return Judgment(decision, search, None, gains, withdrawn, gates)
         best = search.fit_of(decision.best)
         now: dict[int, Gain] = {}
-        for i in decision.best:
+        for i in sorted(decision.best):
             search = refit(search, decision.best - {i})
             without = search.weighed.get(Hypothesis(decision.best - {i}))
             if without is not None and without.fit is not None:
-                now[i] = gain_over(without.fit, best)
+                now[i] = gain_over(referee, without.fit, best, seed)
         gains = gains | now
         harmful = [i for i, g in now.items() if g.status == "withdrawn"]
-        if not harmful:
-            total = gain_over(search.fit_of(frozenset()), best)
+        if not harmful or decision.verdict not in NAMES:
+            total = gain_over(referee, search.fit_of(frozenset()), best, seed)
             return Judgment(decision, search, total, gains, withdrawn, gates)
         withdrawn |= {min(harmful, key=lambda i: now[i].value)}
         search = _ready_without(search, decision.best - withdrawn)

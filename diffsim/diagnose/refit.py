@@ -201,7 +201,8 @@ def refit(
 
 def _case(inputs: Inputs) -> Case:
     setup = inputs.setup
-    return Case(inputs.study, setup.model, setup.effects, setup.unknowns, setup.settings)
+    study = inputs.study.without_tests()
+    return Case(study, setup.model, setup.effects, setup.unknowns, setup.settings)
 
 
 def _words(names: Sequence[str]) -> str:

@@ -31,7 +31,7 @@ class EffectRow:
     Attributes:
         effect, family, kind, unit: Name, family, kind and unit of the effect.
         status: "named", "rival", "mimic" (explains part of an unknown cause), "withdrawn" (the
-            evidence asked for it, held-out runs refuted it), "screened", or "not judged".
+            evidence asked for it, unseen runs refuted it), "screened", or "not judged".
         size: Size by component, in the effect's unit; from the refit where there was one, else from
             the screen.
         sd: Standard deviation of the sizes: statistical, numerical (shift under refined settings)
@@ -40,7 +40,8 @@ class EffectRow:
         z: Score over its standard deviation at the null fit, the length for a vector.
         smallest_visible: Smallest visible size by component, in the effect's unit: 6 /
             sqrt(information).
-        gain: Gain on held-out runs of having this effect in the best set; None if not computed.
+        gain: Gain on runs with use: select, or on fit runs left out, of having this effect in the
+            best set; None if not computed.
         share: Share of the misfit, chi2_null - N, that this effect alone explains; None if it was
             not refitted alone.
         aliases: Physical causes that these data may not distinguish from it.
@@ -226,7 +227,7 @@ def _share_alone(search: Search, i: int) -> float | None:
 
 def _note(i: int, gained: Gain | None, withdrawn: Set[int]) -> str:
     if i in withdrawn:
-        return "worse on held-out runs"
+        return "worse on unseen runs"
     return "" if gained is None or gained.status == "confirmed" else gained.status
 
 
