@@ -57,7 +57,7 @@ class Folds:
     """Parts of the fitted runs that are left out one after the other.
 
     Attributes:
-        parts: Every row is in one part.
+        parts: A row is in one part at most; in none if it alone measures a channel.
         words: How they were made, as the report says it.
     """
 
@@ -77,17 +77,27 @@ def folds_of(problem: Problem) -> Folds | None:
     for i, run in enumerate(problem.runs):
         groups.setdefault(run.group, []).append(i)
     row_run = _run_of_rows(problem)
-    if len(groups) > 1:
-        count = min(len(groups), MAX_FOLDS)
-        names = list(groups)
+    names = [name for name in groups if not _has_channel_alone(problem, groups, name)]
+    if len(names) > 1:
+        count = min(len(names), MAX_FOLDS)
         parts = [names[k::count] for k in range(count)]
         made = [(p, tuple(i for name in p for i in groups[name])) for p in parts]
         folds = tuple(
             Fold(", ".join(p), runs, np.isin(row_run, runs), is_whole=True) for p, runs in made
         )
-        what = "one command" if count == len(groups) else f"{count} parts of the commands"
+        what = "one command" if count == len(names) else f"{count} parts of the commands"
         return Folds(folds, f"leaving out {what} after the other among the fit runs")
     return _blocks_of_time(problem, row_run)
+
+
+def _has_channel_alone(problem: Problem, groups: dict[str, list[int]], name: str) -> bool:
+    """Whether a group measures what no other does, such as points of a camera's calibration."""
+    seen = {
+        group: np.any([np.isfinite(problem.runs[i].measured).any(axis=0) for i in own], axis=0)
+        for group, own in groups.items()
+    }
+    others = [has for group, has in seen.items() if group != name]
+    return bool((seen[name] & ~np.any(others, axis=0)).any()) if others else False
 
 
 def _blocks_of_time(problem: Problem, row_run: NDArray[np.int64]) -> Folds | None:
