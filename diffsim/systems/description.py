@@ -13,10 +13,11 @@ from dataclasses import replace
 from typing import Annotated, Any
 
 import torch
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 from torch import Tensor
 
 from diffsim.core.check import did_you_mean
+from diffsim.core.schema import Part, number
 from diffsim.core.units import in_unit
 from diffsim.data.study import Run, Study
 from diffsim.data.study_check import Problem
@@ -24,25 +25,6 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.model import Parameter
 from diffsim.identify.setup import DiagnosisSetup
-
-
-class Part(BaseModel):
-    """A block of a description: immutable, and a key that it does not know is an error."""
-
-    model_config = ConfigDict(frozen=True, arbitrary_types_allowed=True)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _known_keys(cls, given: Any) -> Any:
-        if isinstance(given, Mapping):
-            known = [field.alias or name for name, field in cls.model_fields.items()]
-            for key in given:
-                if key not in known and key not in cls.model_fields:
-                    raise ValueError(
-                        f"no key {key!r} here{did_you_mean(str(key), known)}; "
-                        f"known: {', '.join(known)}"
-                    )
-        return given
 
 
 class Quantity(Part):
@@ -113,11 +95,6 @@ def quantity(unit: str) -> Any:
         return {**given, **numbers, "unit": unit}
 
     return Annotated[Quantity, BeforeValidator(read)]
-
-
-def number(unit: str) -> Any:
-    """Type of a key that is a known number in a unit; text with another unit is converted."""
-    return Annotated[float, BeforeValidator(lambda given: in_unit(given, unit))]
 
 
 class EffectChoice(Part):

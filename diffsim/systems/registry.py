@@ -18,6 +18,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from diffsim.core.check import require_choice
+from diffsim.core.schema import problem_lines
 from diffsim.data.study import Study
 from diffsim.identify.effect import Effect
 from diffsim.identify.extended import ExtendedModel
@@ -66,7 +67,7 @@ def description_of(study: Study) -> Description:
         ValueError: no model, no such system, or keys that are wrong; the message has a line for
             each, with its path in the file.
     """
-    where = "model" if study.folder is None else f"{study.folder / 'study.yaml'}: model"
+    where = "model" if study.file is None else f"{study.file}: model"
     if study.model is None:
         raise ValueError(f"study {study.name} has no model; describe its system under ``model:``")
     if "system" not in study.model:
@@ -77,20 +78,8 @@ def description_of(study: Study) -> Description:
     try:
         made: Description = getattr(import_module(module), name).model_validate(study.model)
     except ValidationError as error:
-        raise ValueError("\n".join(_lines(where, error))) from None
+        raise ValueError("\n".join(problem_lines(where, error))) from None
     return made
-
-
-def _lines(where: str, error: ValidationError) -> list[str]:
-    """One line per wrong key: path, what is wrong, what came."""
-    out = []
-    for one in error.errors(include_url=False):
-        path = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in one["loc"])
-        message = one["msg"].removeprefix("Value error, ")
-        is_plain = isinstance(one["input"], (str, int, float, bool))
-        came = f", got {one['input']!r}" if is_plain and "got" not in message else ""
-        out.append(f"{where}{path}: {message}{came}")
-    return out
 
 
 def setup_of(study: Study, **options: Any) -> DiagnosisSetup:

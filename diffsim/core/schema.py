@@ -1,0 +1,77 @@
+"""Blocks of YAML files that users write: unknown keys are refused, units are converted.
+
+A file is a tree of :class:`Part`; :func:`problem_lines` tells what is wrong with it, a line for
+each mistake with its path in the file.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, model_validator
+
+from diffsim.core.check import did_you_mean
+from diffsim.core.units import in_unit
+
+
+class Part(BaseModel):
+    """A block of a file: immutable, and a key that it does not know is an error."""
+
+    model_config = ConfigDict(frozen=True, arbitrary_types_allowed=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_keys(cls, given: Any) -> Any:
+        if isinstance(given, Mapping):
+            known = [field.alias or name for name, field in cls.model_fields.items()]
+            for key in given:
+                if key not in known and key not in cls.model_fields:
+                    raise ValueError(
+                        f"no key {key!r} here{did_you_mean(str(key), known)}; "
+                        f"known: {', '.join(known)}"
+                    )
+        return given
+
+
+def number(unit: str) -> Any:
+    """Type of a key that is a known number in a unit; text with another unit is converted."""
+    return Annotated[float, BeforeValidator(lambda given: in_unit(given, unit))]
+
+
+_PLAIN = (
+    (r"Field required", "is missing"),
+    (r"Input should be greater than or equal to (\S+)", r"must be at least \1"),
+    (r"Input should be greater than (\S+)", r"must be above \1"),
+    (r"Input should be less than or equal to (\S+)", r"must be at most \1"),
+    (r"Input should be less than (\S+)", r"must be below \1"),
+    (r"Input should be a valid integer.*", "must be a whole number"),
+    (r"Input should be a valid number.*", "must be a number"),
+    (r"Input should be a valid string", "must be text"),
+    (r"Input should be a valid boolean.*", "must be true or false"),
+    (r"Input should be a valid (list|tuple)", "must be a list"),
+    (r"Input should be a valid dictionary.*", "must be a mapping"),
+    (r"Input should be (.*)", r"must be \1"),
+)
+"""What pydantic says, and how people say it."""
+
+
+def problem_lines(where: str, error: ValidationError) -> list[str]:
+    """One line per wrong key: path, what is wrong, what came.
+
+    Args:
+        where: What the paths begin with, such as "study.yaml: model" or "study.yaml: ".
+        error: Refusal of a :class:`Part`.
+    """
+    out = []
+    for one in error.errors(include_url=False):
+        path = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in one["loc"])
+        path = path.removeprefix(".") if where.endswith(" ") else path
+        message = one["msg"].removeprefix("Value error, ")
+        for pattern, plain in _PLAIN:
+            message = re.sub(f"^{pattern}", plain, message)
+        is_plain = isinstance(one["input"], (str, int, float, bool))
+        came = f", got {one['input']!r}" if is_plain and "got" not in message else ""
+        out.append(f"{where}{path}: {message}{came}")
+    return out
