@@ -12,7 +12,7 @@ import numpy as np
 from diffsim.core.check import require_choice
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.inputs import Inputs
-from diffsim.diagnose.noise import ArWhitener, NoiseFloor
+from diffsim.diagnose.noise import ArWhitener
 from diffsim.diagnose.outside import Span, spans_of
 from diffsim.diagnose.separate import require_separate
 from diffsim.diagnose.unseen import At, Unseen, on_unseen
@@ -21,19 +21,18 @@ from diffsim.identify.extended import ExtendedModel
 from diffsim.identify.model_file import SavedModel, rebuilt, without_effects
 
 
-def facts_of(study: Study, noise: NoiseFloor) -> dict[str, Any]:
+def facts_of(study: Study, noise: ArWhitener) -> dict[str, Any]:
     """What judging new runs needs beside the model: noise floor, seen runs, and their range.
 
     Args:
         study: Study that was fitted; test runs are left out.
-        noise: Noise floor under which it was fitted.
+        noise: Noise under which it was fitted.
     """
     seen = (*study.fit_runs, *study.select_runs)
-    coefficients = noise.whitener.coefficients
     return {
         "noise": {
             channel.name: {"sd": float(sd), "coefficients": a.tolist()}
-            for channel, sd, a in zip(study.channels, noise.sd, coefficients, strict=True)
+            for channel, sd, a in zip(study.channels, noise.sd, noise.coefficients, strict=True)
         },
         "seen_runs": {run.name: {"use": run.use, "content": content_of(run)} for run in seen},
         "range": {

@@ -15,6 +15,7 @@ from diffsim.identify import Problem
 
 Array = NDArray[np.float64]
 MIN_BLOCKS = 4  # per run
+LEAST = 0.005  # share that is a gain at all: less is shown as 0 %
 BLOCK_S = 0.3  # longer than the memory of what the models leave
 
 
@@ -48,10 +49,29 @@ class Gain:
 
     @property
     def status(self) -> str:
-        """ "confirmed", "not confirmed" (the interval holds zero) or "withdrawn" (below zero)."""
+        """Where the interval lies: "confirmed" (above zero), "not confirmed", "withdrawn" (below);
+        or "nothing to gain": the plain model's error is noise alone."""
         if self.high < 0.0:
             return "withdrawn"
-        return "confirmed" if self.low > 0.0 else "not confirmed"
+        if self.excess <= 0.0:
+            return "nothing to gain"
+        return "confirmed" if self.low >= LEAST and self.value >= LEAST else "not confirmed"
+
+    @property
+    def words(self) -> str:
+        """The gain in a sentence."""
+        if self.status == "nothing to gain":
+            return "On unseen runs the plain model's error is noise alone: nothing is to be gained."
+        shares = [_percent(v) for v in (self.value, self.low, self.high)]
+        return (
+            f"On unseen runs {shares[0]} of the error above the noise is removed (90 % interval: "
+            f"{shares[1]} to {shares[2]}): {self.status}."
+        )
+
+
+def _percent(share: float) -> str:
+    """A share, as exact as it is small."""
+    return f"{share:.0%}" if abs(share) >= 0.095 or share == 0.0 else f"{share:.1%}"
 
 
 def gain(

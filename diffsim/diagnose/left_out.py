@@ -1,10 +1,10 @@
 """Fits without a part of their runs, by linear refits around the optimum.
 
-Leaving out the rows f of a fit with residual r, slopes A and coordinates x moves it by
+Leaving out a part of the rows of a fit with residual r, slopes A and scaled coordinates u leads to
 
-    d = argmin |r_k - A_k d|^2 + |x + d|^2     over the rows k that are kept, within the bounds.
+    v = argmin |r_k - A_k (v - u)|^2 + |x(v)|^2     over the rows k that are kept, within bounds.
 
-What is left out is then simulated at x + d, with the values that are its own fitted to it, as for
+What is left out is then simulated at v, with the values that are its own fitted to it, as for
 any run that no fit has seen. Only where this simulation is far from the linear prediction is the
 fit repeated in full, a limited number of times.
 """
@@ -16,12 +16,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, optimize
+from scipy import optimize
 
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
 from diffsim.diagnose.fit import gauss_newton
 from diffsim.diagnose.noise import ArWhitener
+from diffsim.diagnose.optimum import optimum
 from diffsim.identify import Fit, Problem
 from diffsim.identify.linearization import linearization_at
 
@@ -143,18 +144,15 @@ class Repeats:
 
 
 def moved(fit: Fit, kept: Mask) -> Array:
-    """Linear refit to some rows: the step d from the fit's coordinates, (n,)."""
-    j, r, x = fit.jacobian[kept], fit.residual[kept], fit.x
-    if not len(x):
-        return np.zeros(0)
-    root = linalg.cholesky(j.T @ j + np.eye(len(x)))
-    right = linalg.solve_triangular(root, j.T @ r - x, trans="T")
-    step = np.asarray(linalg.solve_triangular(root, right))
-    low, high = fit.problem.bounds
-    low, high = np.minimum(low - x, 0.0), np.maximum(high - x, 0.0)
-    if (step < low).any() or (step > high).any():
-        step = np.asarray(optimize.lsq_linear(root, right, (low, high), method="bvls").x)
-    return step
+    """Linear refit to some rows, in standardized coordinates, (n,)."""
+    problem, u = fit.problem, fit.problem.scaled(fit.x)
+    if not len(u):
+        return u
+    slopes = fit.jacobian[kept] / problem.stretch(fit.x)
+    gram = slopes.T @ slopes
+    is_size = np.arange(len(u)) >= problem.num_base
+    right = slopes.T @ fit.residual[kept] + gram @ u
+    return problem.standardized(np.asarray(optimum(gram, right, *problem.bounds, is_size, u)))
 
 
 def left_out_residual(fit: Fit, folds: Folds, repeats: Repeats) -> Array:
@@ -167,27 +165,29 @@ def left_out_residual(fit: Fit, folds: Folds, repeats: Repeats) -> Array:
 
 def _without(fit: Fit, fold: Fold, repeats: Repeats) -> Array:
     """Residual of a part that is left out."""
-    step = moved(fit, ~fold.rows)
-    predicted = fit.residual[fold.rows] - fit.jacobian[fold.rows] @ step
+    problem, x = fit.problem, moved(fit, ~fold.rows)
+    step = (problem.scaled(x) - problem.scaled(fit.x)) / problem.stretch(fit.x)
+    change = fit.jacobian[fold.rows] @ step
+    predicted = fit.residual[fold.rows] - change
     try:
-        found = _simulated(fit, fold, fit.x + step)
+        found = _simulated(fit, fold, x)
     except DiffsimError:  # too far to be simulated: a fit of its own ends elsewhere
         found = None
-    size = np.linalg.norm(fit.jacobian[fold.rows] @ step)
-    far = found is None or np.linalg.norm(found - predicted) > NONLINEAR * size
+    size = NONLINEAR * float(np.linalg.norm(change))
+    far = found is None or np.linalg.norm(found - predicted) > size
     worse = found is None or 0.5 * (found @ found - predicted @ predicted) > WORSE_NATS
     if far and worse and repeats.left > 0:
         repeats.left -= 1
-        again = _refitted(fit, fold, step)
+        again = _refitted(fit, fold, x)
         if again is not None and (found is None or again @ again < found @ found):
             found = again
     return predicted if found is None else found
 
 
-def _refitted(fit: Fit, fold: Fold, step: Array) -> Array | None:
+def _refitted(fit: Fit, fold: Fold, x: Array) -> Array | None:
     """Residual of the part after a full fit to the rest; None if that cannot be simulated."""
     problem = replace(fit.problem, runs=_kept_runs(fit.problem, fold))
-    for start in (fit.x + step, fit.x):
+    for start in (x, fit.x):
         try:
             rest, _ = gauss_newton(problem, linearization_at(problem, start))
             return _simulated(fit, fold, rest.x)

@@ -156,3 +156,12 @@ class OutsideRow:
     high: float | None
     times: float
     unit: str = ""
+
+    @property
+    def words(self) -> str:
+        """The row in a sentence."""
+        unit = f" {self.unit}" if self.unit else ""
+        if isinstance(self.value, str) or self.low is None or self.high is None:
+            return f"Run {self.run}: no fitted run has {self.what} {self.value}."
+        where = f"{self.low:.3g} to {self.high:.3g}{unit}"
+        return f"Run {self.run}: {self.what} is {self.value:.3g}{unit}, fitted runs have {where}."

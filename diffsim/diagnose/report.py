@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.data.study import Study
 from diffsim.diagnose.force_map import ForceMap
+from diffsim.diagnose.frozen import facts_of
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.gates import NUMERICS_GATES, REPEATS, GateResult
 from diffsim.diagnose.judge import EXPLAINED, Decision
 from diffsim.diagnose.next_run import NextRun
-from diffsim.diagnose.noise import NoiseFloor
+from diffsim.diagnose.noise import ArWhitener, NoiseFloor
 from diffsim.diagnose.records import BaseRow, CauseRow, ErrorRow, OutsideRow
 from diffsim.diagnose.tables import EffectRow, HypothesisRow
 from diffsim.identify import Fit
@@ -133,8 +134,25 @@ class Report:
         """
         folder = Path(folder)
         write_json_atomic(folder / "report.json", self.to_dict())
-        save_extended(self.best, folder / MODEL_FILE, study=self.study, verdict=self.verdict)
+        save_model(self.best, self.null, folder, study=self.study, verdict=self.verdict)
         return folder
+
+
+def save_model(best: Fit, null: Fit, folder: Path, *, study: Study, verdict: str) -> Path:
+    """Write extended_model.yaml with all that judging new runs needs.
+
+    Args:
+        best: Fit of the extended model.
+        null: Fit of the plain model to the same runs.
+        folder: Folder of the file.
+        study: Study that was fitted.
+        verdict: Verdict of the diagnosis.
+    """
+    noise = null.problem.whitener
+    facts = facts_of(study, noise) if isinstance(noise, ArWhitener) else None
+    return save_extended(
+        best, folder / MODEL_FILE, study=study, verdict=verdict, plain=null, facts=facts
+    )
 
 
 def fit_to_dict(fit: Fit) -> dict[str, Any]:

@@ -88,7 +88,7 @@ def on_unseen(
     errors: list[ErrorRow] = []
     cleaned, before, after, num_spikes = [], [], [], 0
     for given in runs:
-        run, count = _without_spikes(plain, given)
+        run, count = _without_spikes((plain, extended), given)
         num_spikes += count
         points = [_alone(frozen, run) for frozen in (plain, extended)]
         left = [_left(frozen, run) for frozen in points]
@@ -120,7 +120,7 @@ class At:
 
 def shown_unit(channel: Channel) -> tuple[str, float]:
     """Unit of the recordings' file, and what one SI unit is in it."""
-    unit = getattr(channel, "file_unit", None) or channel.unit
+    unit = channel.shown_unit or channel.unit
     return (unit, 1.0) if unit == channel.unit else (unit, factor(channel.unit, unit))
 
 
@@ -137,9 +137,15 @@ def _left(frozen: Frozen, run: Run) -> Array:
     return np.asarray(run.measured - predicted)
 
 
-def _without_spikes(plain: Frozen, run: Run) -> tuple[Run, int]:
-    """The run with isolated spikes left out: they are no error of any model."""
-    return without_spikes(run, _left(plain, run))
+def _without_spikes(models: Sequence[Frozen], run: Run) -> tuple[Run, int]:
+    """The run without isolated spikes; a spike is one in the record itself and to every model."""
+    is_spike = np.isfinite(run.measured)
+    for record in (run.measured, *(_left(frozen, run) for frozen in models)):
+        cleaned, _ = without_spikes(run, record)
+        is_spike &= ~np.isfinite(cleaned.measured)
+    count = int(is_spike.sum())
+    measured = np.where(is_spike, np.nan, run.measured)
+    return (replace(run, measured=measured), count) if count else (run, 0)
 
 
 def _num_own(frozen: Frozen, run: Run) -> int:
