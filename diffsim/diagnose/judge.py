@@ -26,6 +26,8 @@ SWAP_LIMIT = 0.02  # of noise alone: about three of 200 swapped draws may reach 
 # 0.03 and 0.05 in six blocks); above, their scatter explains what the best set leaves
 SWAP_OPEN = 0.1
 NAMES = ("named", "ambiguous")
+MAX_HELPERS = 6  # sets that are tried beside an unknown cause
+MAX_SINGLES = 2  # of them, effects that the search has not refitted alone
 
 
 @dataclass(frozen=True)
@@ -120,6 +122,9 @@ class Judgment:
             the effect.
         withdrawn: Effects that the evidence asked for and the referee refuted.
         gates: Checks of unknown causes against repeats.
+        refuted: Unknown causes, by index, that repeats refuted.
+        helps: Effects that remove error from what they were not fitted to although the verdict is
+            "unknown": the extended model holds them, their names are not known.
     """
 
     decision: Decision
@@ -128,6 +133,8 @@ class Judgment:
     gains: Mapping[int, Gain] = field(default_factory=dict)
     withdrawn: frozenset[int] = frozenset()
     gates: tuple[GateResult, ...] = ()
+    refuted: frozenset[int] = frozenset()
+    helps: frozenset[int] = frozenset()
 
 
 def judge(search: Search, referee: Referee | None, seed: int) -> Judgment:
@@ -144,13 +151,19 @@ def judge(search: Search, referee: Referee | None, seed: int) -> Judgment:
     gains: dict[int, Gain] = {}
     gates: tuple[GateResult, ...] = ()
     withdrawn: frozenset[int] = frozenset()
+    refuted: frozenset[int] = frozenset()
     while True:
-        decision, checks = confirmed(decision_of(search, withdrawn), search, seed)
+        asked = decision_of(search, withdrawn)
+        decision, checks = confirmed(asked, search, seed)
+        refuted |= _refuted(asked, decision)
         gates = (*gates, *(g for g in checks if g not in gates))
         if withdrawn and decision.verdict == "none":
             decision = replace(decision, verdict="unknown")
-        if referee is None or not decision.best:
-            return Judgment(decision, search, None, gains, withdrawn, gates)
+        judgment = Judgment(decision, search, None, gains, withdrawn, gates, refuted)
+        if referee is None:
+            return judgment
+        if decision.verdict not in NAMES:
+            return _with_help(judgment, referee, seed)
         best = search.fit_of(decision.best)
         now: dict[int, Gain] = {}
         for i in sorted(decision.best):
@@ -160,11 +173,53 @@ def judge(search: Search, referee: Referee | None, seed: int) -> Judgment:
                 now[i] = gain_over(referee, without.fit, best, seed)
         gains = gains | now
         harmful = [i for i, g in now.items() if g.status == "withdrawn"]
-        if not harmful or decision.verdict not in NAMES:
+        if not harmful:
             total = gain_over(referee, search.fit_of(frozenset()), best, seed)
-            return Judgment(decision, search, total, gains, withdrawn, gates)
+            return replace(judgment, search=search, gain=total, gains=gains)
         withdrawn |= {min(harmful, key=lambda i: now[i].value)}
         search = _ready_without(search, decision.best - withdrawn)
+
+
+def _refuted(asked: Decision, decision: Decision) -> frozenset[int]:
+    """The unknown cause that the evidence asked for and repeats refuted."""
+    h = asked.unknown
+    is_open = decision.unknown is not None or h in decision.rivals
+    return frozenset() if h is None or h.unknown is None or is_open else frozenset({h.unknown})
+
+
+def _with_help(judgment: Judgment, referee: Referee, seed: int) -> Judgment:
+    """With the set of effects that removes most error where an unknown cause has the verdict."""
+    search, withdrawn = judgment.search, judgment.withdrawn
+    if judgment.decision.verdict != "unknown" or search is None:
+        return judgment
+    search = _with_singles(search, withdrawn)
+    fits = {
+        h.effects: w.fit
+        for h, w in search.weighed.items()
+        if h.unknown is None and h.effects and not h.effects & withdrawn and w.fit is not None
+    }
+    plain = search.fit_of(frozenset())
+    nearest = sorted(fits, key=lambda members: -search.nats(Hypothesis(members)))[:MAX_HELPERS]
+    gains = {members: gain_over(referee, plain, fits[members], seed) for members in nearest}
+    helpful = [m for m in nearest if gains[m].status == "confirmed"]
+    if not helpful:
+        return replace(judgment, search=search)
+    best = max(helpful, key=lambda m: (gains[m].low, -len(m)))
+    single = {i: gains[frozenset({i})] for i in best if frozenset({i}) in gains}
+    return replace(
+        judgment, search=search, helps=best, gain=gains[best], gains={**judgment.gains, **single}
+    )
+
+
+def _with_singles(search: Search, withdrawn: frozenset[int]) -> Search:
+    """The search with the most promising effects refitted alone, where none is yet."""
+    ranked = sorted(
+        (h for h in search.linear if len(h.effects) == 1 and not h.effects & withdrawn),
+        key=lambda h: -search.linear[h].nats,
+    )
+    for h in ranked[:MAX_SINGLES]:
+        search = refit(search, h.effects)
+    return search
 
 
 def _ready_without(search: Search, rest: Members) -> Search:

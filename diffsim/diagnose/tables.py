@@ -171,15 +171,29 @@ def hypothesis_rows(
 
 
 def cannot_see(
-    effects: Sequence[Effect], screened: Screen, unmet: Mapping[str, str]
+    effects: Sequence[Effect],
+    screened: Screen,
+    unmet: Mapping[str, str],
+    rows: Sequence[EffectRow] = (),
 ) -> dict[str, str]:
-    """Effects that these data could not show, and why."""
+    """Effects that these data could not show, and why.
+
+    Args:
+        effects: Candidates that were judged.
+        screened: Scores at the plain model.
+        unmet: What the study lacks for candidates that were left out, by name.
+        rows: Candidates by evidence; those that were considered with a size have been seen.
+    """
+    seen = {row.effect for row in rows if row.status in ("named", "rival", "mimic", "withdrawn")}
     out = {name: f"not judged: {why}" for name, why in unmet.items()}
     names = effect_coordinates(effects)
     units = [(e.unit, e.typical) for e in effects for _ in e.components]
-    for name, (unit, typical), smallest in zip(
-        names, units, screened.smallest_visible, strict=True
+    owners = [e.name for e in effects for _ in e.components]
+    for name, owner, (unit, typical), smallest in zip(
+        names, owners, units, screened.smallest_visible, strict=True
     ):
+        if owner in seen:
+            continue
         if not np.isfinite(smallest):
             out[name] = "leaves no trace that the base parameters could not absorb"
         elif smallest > BLIND * typical:

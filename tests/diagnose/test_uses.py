@@ -12,6 +12,7 @@ from diffsim.diagnose import diagnose
 from diffsim.diagnose import diagnosis as pipeline
 from diffsim.diagnose.gain import held_out_residual
 from diffsim.diagnose.left_out import Repeats, folds_of, left_out_residual
+from diffsim.diagnose.referee import LeftOut, gain_over, referee_of
 from diffsim.identify import DiagnosisSettings, SearchSettings, SimModel, fit
 from diffsim.identify.sizes import coordinate_of
 from tests.diagnose import linear, toy
@@ -51,7 +52,7 @@ def test_test_runs_are_looked_at_after_the_freeze_only(monkeypatch, use):
     study = lines(
         *runs, recorded("chosen_by", 5, 1.0, use=use), recorded("last", 6, 1.0, use="test")
     )
-    model, freeze = Watched(), pipeline._report
+    model, freeze = Watched(), pipeline.report_of
 
     def frozen(*arguments):
         assert all(r.use != "test" for r in arguments[0].case.study.runs)
@@ -59,7 +60,7 @@ def test_test_runs_are_looked_at_after_the_freeze_only(monkeypatch, use):
         model.is_frozen = True
         return report
 
-    monkeypatch.setattr(pipeline, "_report", frozen)
+    monkeypatch.setattr(pipeline, "report_of", frozen)
     report = diagnose(study, model, (PUSH, OTHER), seed=0, settings=QUICK)
     assert report.named == ("push",) and set(model.looked) == {"last"}
     assert report.gain is not None and report.gain.value > 0.5
@@ -141,15 +142,20 @@ def test_leaving_out_is_what_a_fit_to_the_rest_predicts():
         np.testing.assert_allclose(rows[fold.rows], y[fold.rows] - a[fold.rows] @ rest, atol=1e-4)
 
 
-def test_fit_runs_left_out_withdraw_a_name_that_one_run_alone_asks_for():
-    """A push of opposite sign in every second run: what helps one, harms the other."""
-    runs = [recorded(f"r{k}", k, 3.0 if k == 0 else -0.6) for k in range(4)]
-    report = diagnose(lines(*runs), linear.model(), (PUSH,), seed=0, settings=QUICK)
-    (row,) = report.table
-    assert row.gain is not None and row.gain.status != "confirmed"
+def test_fit_runs_left_out_refute_what_one_run_alone_asks_for():
+    """A push that is opposite in one run of four: every part is worse off with the others' size."""
+    for sizes, status in ((3.0, -1.0, -1.0, -1.0), "withdrawn"), ((1.0,) * 4, "confirmed"):
+        runs = [recorded(f"r{k}", k, size) for k, size in enumerate(sizes)]
+        fits = [
+            fit(linear.model(), runs, linear.CHANNELS, effects=effects) for effects in ((), (PUSH,))
+        ]
+        referee = referee_of(fits[0].problem, ())
+        assert isinstance(referee, LeftOut)
+        assert referee.words == "leaving out one command after the other among the fit runs"
+        assert gain_over(referee, *fits, seed=0).status == status
 
 
-def test_a_fit_is_repeated_where_a_line_is_not_enough():
+def test_linear_refits_predict_as_full_ones_do_where_a_model_is_not_linear():
     study = toy.generate(3, {"drag": 0.2})
     found = fit(toy.model(study.runs), study.fit_runs, toy.CHANNELS, effects=(toy.DRAG,))
     folds = folds_of(found.problem)
