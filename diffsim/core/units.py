@@ -39,6 +39,7 @@ def _parsed(unit: str) -> Any:
         return registry.dimensionless
     # "N m" and "Nm" are both written; pint reads a space as a product
     text = re.sub(r"(?<=[A-Za-z0-9)])\s+(?=[A-Za-z(])", "*", text.replace("·", "*"))
+    text = re.sub(r"\b(m|mm|cm|s|ms|kg|rad|N|V)(-?[1-4])\b", r"\1^\2", text)  # m/s2, s-1
     for one, other in (("Nm", "N*m"), ("²", "^2"), ("³", "^3"), ("µ", "u")):
         text = text.replace(one, other)
     try:
