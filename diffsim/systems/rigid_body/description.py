@@ -18,6 +18,7 @@ from diffsim.systems.description import (
     quantity,
     settings_with,
 )
+from diffsim.systems.rigid_body.ball_setup import Balls
 from diffsim.systems.rigid_body.parts import (
     GROUND,
     Body,
@@ -38,6 +39,7 @@ _TOSS = SearchSettings(
     rival_nats=5.0,
     unknown_steps=1,  # drifts of each run are many columns
 )
+_BALLS = SearchSettings(max_effects=6)
 
 
 class RigidBodyDescription(Description):
@@ -90,15 +92,60 @@ class RigidBodyDescription(Description):
             for c in names
             if c not in shown
         ]
-        if not all(b.is_ball for b in self.bodies):
-            out += self._problems_of_toss(study)
+        if all(b.is_ball for b in self.bodies):
+            return out + self._problems_of_balls()
+        return out + self._problems_of_toss(study)
+
+    def _problems_of_balls(self) -> list[Problem]:
+        out = []
+        pairs = [c for c in self.contacts if GROUND not in c.between]
+        begins = {b.name: b.begins for b in self.bodies}
+        if len(pairs) > 1 or any(begins[n] == "flying" for c in pairs for n in c.between):
+            out.append(
+                Problem("error", "model.contacts", "two balls may meet once, both on the ground")
+            )
+        for measure in self.measures:
+            if measure.quaternion or measure.angles or measure.spin:
+                out.append(
+                    Problem(
+                        "error",
+                        "model.measures",
+                        f"{measure.body} is a ball, whose turn is not followed; give its "
+                        "position, velocity or pixels",
+                    )
+                )
         return out
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options; the study as its windows cut it."""
         if wrong := [p for p in self.problems(study) if p.severity == "error"]:
             raise ValueError("\n".join(f"{p.where}: {p.message}" for p in wrong))
+        if all(b.is_ball for b in self.bodies):
+            return self._setup_of_balls(study)
         return self.setup_of_cut(self._tossed().cut_study(study))
+
+    def balls(self) -> Balls:
+        """The balls with all that is around them."""
+        return Balls(
+            bodies=self.bodies,
+            contacts=self.contacts,
+            height=None if self.ground is None else self.ground.height,
+            gravity=self.gravity,
+            measures=self.measures,
+            up=self.up,
+            starts=self.starts,
+            camera=self.camera,
+        )
+
+    def _setup_of_balls(self, study: Study) -> DiagnosisSetup:
+        balls = self.balls()
+        study = balls.with_clicks(study)
+        return DiagnosisSetup(
+            balls.model(study),
+            chosen_effects(balls.library(), self.effects),
+            settings=settings_with(DiagnosisSettings(search=_BALLS), self.effort),
+            study=study,
+        )
 
     def setup_of_cut(self, study: Study) -> DiagnosisSetup:
         """Setup of tosses that are cut already."""
