@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-_DEGREE = 8
-_SWEEPS = 8  # each takes a factor of about (drag times duration) off the error
+_DEGREE = 10
+_SWEEPS = 14  # each takes a factor of about (drag times path) off the error
 _NEWTON_STEPS = 5
 _MARGIN = 1.1  # of a flight without drag
 _SHORTEST = 1e-4  # [s]
