@@ -10,7 +10,7 @@ import pytest
 from diffsim.data.labs import NetworkLab
 from diffsim.identify import Effect, coarse
 from diffsim.identify.numerics import REFINEMENTS
-from diffsim.systems.balls.effects import BALL_EFFECTS
+from diffsim.systems.rigid_body.ball_effects import BALL_EFFECTS
 from diffsim.systems.bench.effects import BENCH
 from diffsim.systems.bending.effects import BENDING_EFFECTS
 from diffsim.systems.flow_network.effects import stokes_library
