@@ -8,12 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diffsim.data.study import SYSTEMS, USES, Run, Study
-from diffsim.data.study_file import unit_suffix
+from diffsim.core.units import factor, to_si
+from diffsim.data.study import SYSTEMS, USES, Channel, Run, Study
 
 MIN_SAMPLES = 10
 MAX_STEP = 1.5  # of the median step; a longer one is a gap in the clock
 MAX_MISSING = 0.2  # share of a channel's samples
+_SUFFIXES = ("mm", "cm", "um", "ms", "us", "deg", "rpm", "mbar", "kPa", "mV", "mA", "mN", "Pa",
+             "rad", "Nm", "N", "rad_s", "m_s", "m_s2")  # fmt: skip
 MAX_COMMAND_SCATTER = 0.02  # rms, of the command's range; repeats of one group must agree to this
 
 
@@ -46,7 +48,7 @@ def check_study(study: Study) -> list[Problem]:
 
 def _check_plan(study: Study) -> Iterator[Problem]:
     """Commands, held-out runs and names."""
-    if study.system not in SYSTEMS:
+    if study.model is None and study.system not in SYSTEMS:
         yield Problem("error", "study", f"system must be one of {SYSTEMS}, got {study.system!r}")
     names = Counter(run.name for run in study.runs)
     for name in (n for n, count in names.items() if count > 1):
@@ -85,12 +87,12 @@ def _check_channels(study: Study) -> Iterator[Problem]:
         where = f"channel {channel.name}"
         if names[channel.name] > 1:
             yield Problem("error", where, "the name is used twice; names must be unique")
-        if not channel.name.endswith(unit_suffix(channel.unit)):
+        if (said := _said_unit(channel)) is not None:
             yield Problem(
                 "error",
                 where,
-                f"unit is {channel.unit!r}, but the name does not end in "
-                f"{unit_suffix(channel.unit)!r}; rename the column or mend the unit",
+                f"the name ends in {said!r}, but unit is {channel.unit!r}; rename the channel or "
+                "mend its unit",
             )
         if channel.sd is not None and not channel.sd > 0.0:
             yield Problem("error", where, f"sd must be above 0, got {channel.sd:g}")
@@ -100,6 +102,20 @@ def _check_channels(study: Study) -> Iterator[Problem]:
                 where,
                 "noise unknown: no sd and no repeated run; give sd or repeat a command",
             )
+
+
+def _said_unit(channel: Channel) -> str | None:
+    """Unit at the end of a channel's name if it contradicts the channel's own."""
+    for suffix in _SUFFIXES:
+        if channel.name.endswith(f"_{suffix}"):
+            unit = suffix.replace("_", "/")
+            try:
+                size = factor(unit, to_si(channel.unit).unit)
+            except ValueError:  # another quantity
+                return suffix
+            shown = channel.shown_unit or channel.unit
+            return None if size == 1.0 or factor(unit, shown) == 1.0 else suffix
+    return None
 
 
 def _check_run(run: Run, study: Study) -> Iterator[Problem]:

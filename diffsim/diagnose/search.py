@@ -271,7 +271,7 @@ def _relinearized(search: Search, key: Hypothesis, evidence: LaplaceEvidence) ->
             search = replace(search, failed={**search.failed, key: str(error)})
             break
         residual = whitened(problem, measured_of(problem) - at.record)
-        jacobian = whitened(problem, at.columns)
+        jacobian = whitened(problem, at.columns) * problem.stretch(x)
         again = LaplaceEvidence(
             problem,
             x,

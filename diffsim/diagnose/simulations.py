@@ -127,7 +127,7 @@ class Simulations:
         x = x.copy()
         x[own] = np.clip(x[own], *narrow.bounds)  # a linear optimum knows no bounds
         record = record_at(narrow, x[own])
-        step = x - center.x
+        step = self.wide.scaled(x) - self.wide.scaled(center.x)
         predicted = center.slopes(range(len(x))) @ step
         off = linalg.norm(whitened(self.wide, record - center.record - predicted))
         moved = linalg.norm(whitened(self.wide, predicted))
@@ -190,7 +190,7 @@ class Simulations:
     ) -> LaplaceEvidence:
         wide = self.wide
         residual = whitened(wide, measured_of(wide) - at.record)
-        jacobian = whitened(wide, at.slopes(range(len(at.x))))
+        jacobian = whitened(wide, at.slopes(range(len(at.x)))) * wide.stretch(at.x)
         return LaplaceEvidence(wide, at.x, residual, jacobian, blocks, num_families)
 
     def _known(self, members: Members) -> Linearization | None:

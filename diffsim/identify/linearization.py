@@ -29,13 +29,16 @@ class Unwhitened:
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """S(x) and dS/dx at x, with the N samples of all runs of a problem in a row.
+    """S and dS/du at x, with the N samples of all runs of a problem in a row.
+
+    Slopes are by the scaled coordinates u (``Problem.scaled``), in which records are nearly linear:
+    slopes of a size elsewhere need no rescaling.
 
     Attributes:
         x: Standardized coordinates of the problem, (n,).
         record: Predicted samples of all channels, (N,) [unit of the channel].
         idx: Coordinates whose slopes are known.
-        columns: Slopes along these coordinates, (N, len(idx)).
+        columns: Slopes by these scaled coordinates, (N, len(idx)).
         slope_error: Summed relative error of the linear prediction over the steps taken since the
             slopes were simulated [-]; 0: they were simulated at this x.
     """
@@ -74,7 +77,7 @@ def linearization_at(
         PredictionError: a simulation left the range of numbers.
     """
     idx = tuple(range(len(x))) if only is None else tuple(only)
-    left, slopes = _raw(problem).linearize(x, screen=screen, only=idx)
+    left, slopes = _raw(problem).linearize_scaled(x, screen=screen, only=idx)
     slopes = slopes[:, list(idx)]
     if not np.isfinite(slopes).all():
         bad = [problem.names[i] for i, c in zip(idx, slopes.T, strict=True) if not _is_finite(c)]

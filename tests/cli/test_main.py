@@ -125,7 +125,7 @@ def test_diagnose_check_of_a_good_and_a_bad_study(capsys, tmp_path):
     from dataclasses import replace
 
     from diffsim.data.labs import LABS
-    from diffsim.data.study_file import save_study
+    from diffsim.data.study_save import save_study
 
     study = LABS["stokes"]()(0)
     path = save_study(study, tmp_path / "good")

@@ -59,7 +59,7 @@ def test_gap_in_the_clock():
 def test_unit_against_name():
     study = replace(make_study(), channels=(Channel("tip_z_mm", "m", "position", 1e-6),) * 2)
     found = problems(study, "error")
-    assert "channel tip_z_mm: unit is 'm', but the name does not end in '_m'" in found
+    assert "channel tip_z_mm: the name ends in 'mm', but unit is 'm'" in found
     assert "the name is used twice" in found
 
 
