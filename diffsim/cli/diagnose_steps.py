@@ -10,11 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from diffsim.cli.arguments import DIAGNOSES
+from diffsim.cli.diagnose_check import check, require_ready
 from diffsim.cli.diagnose_inputs import changed, inputs_of, read_study
-from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_json_atomic
-from diffsim.data.study import Study
-from diffsim.data.study_check import check_study
 from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.frozen import judge_saved
 from diffsim.diagnose.inputs import Inputs
@@ -28,44 +26,20 @@ JUDGE_FILE = "judge.json"
 MAX_OUTSIDE = 8  # lines; the file holds all
 
 
-class StudyError(DiffsimError):
-    """Recordings that cannot be diagnosed."""
-
-
 def run_step(args: argparse.Namespace) -> None:
     """Run the step that the arguments name."""
     STEPS[args.step](args)
 
 
 def _check(args: argparse.Namespace) -> None:
-    """Read the study and say what is wrong with it."""
-    study = read_study(args.study)
-    fit, held = len(study.fit_runs), len(study.test_runs)
-    print(f"{study.name}: {len(study.channels)} channels, {fit} runs to fit, {held} held out")
-    _require_ready(study, args.study)
-    print("ready for a diagnosis")
-
-
-def _require_ready(study: Study, given: str, *, plan: bool = True) -> None:
-    """Print what is wrong with a study; raise if it cannot be used.
-
-    Args:
-        study: Study to be used.
-        given: How the user named it.
-        plan: Whether uses and commands of its runs matter, as they do for a fit.
-    """
-    problems = [p for p in check_study(study) if plan or p.where != "study"]
-    for problem in problems:
-        print(problem)
-    errors = sum(problem.severity == "error" for problem in problems)
-    if errors:
-        raise StudyError(f"{errors} of {len(problems)} problems keep {given} from a diagnosis")
+    """Show the study and what is wrong with it."""
+    check(read_study(args.study), args.study)
 
 
 def _inputs(args: argparse.Namespace) -> tuple[Inputs, Path]:
     """Study and setup as chosen; the folder of the results."""
     study = read_study(args.study)
-    _require_ready(study, args.study, plan=args.step != "judge")
+    require_ready(study, args.study, plan=args.step != "judge")
     inputs = inputs_of(
         study,
         seed=args.seed,
