@@ -14,8 +14,9 @@ from time import process_time
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.diagnose.fit import Null, gauss_newton
+from diffsim.diagnose.fit import Null
 from diffsim.diagnose.gates import GateResult, numerics_changes, numerics_gate
+from diffsim.diagnose.gauss_newton import gauss_newton
 from diffsim.diagnose.noise import noise_floor
 from diffsim.identify import Problem
 from diffsim.identify.linearization import (
