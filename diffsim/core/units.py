@@ -14,6 +14,7 @@ from diffsim.core.check import did_you_mean
 
 NO_UNIT = "-"
 _COMMON = ("m", "mm", "kg", "g", "s", "ms", "N", "Pa", "kPa", "mbar", "rad", "deg", "rpm", "V", "A")
+_SI = ("m", "s", "kg", "N", "Pa", "rad/s", "rad", "V", "A", "K", "Hz", "N m", "W", "m/s", "m/s^2")
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 
 
@@ -64,6 +65,41 @@ def factor(unit: str, into: str) -> float:
     if have.dimensionality != want.dimensionality:
         raise ValueError(f"unit {unit!r} is no unit of the quantity that is wanted in {into!r}")
     return float(_registry().Quantity(1.0, have).to(want).magnitude)
+
+
+def si_unit(unit: str) -> str:
+    """The SI unit for the quantity of a unit: "mbar" -> "Pa", "N m" stays.
+
+    Args:
+        unit: Unit as a user wrote it.
+
+    Raises:
+        ValueError: an unknown unit.
+    """
+    parsed = _parsed(unit)
+    scale = _registry().Quantity(1.0, parsed).to_base_units()
+    if scale.magnitude == 1.0 or parsed == _registry().pixel:
+        return unit.strip() or NO_UNIT
+    for known in _SI:
+        if _parsed(known).dimensionality == parsed.dimensionality:
+            return known
+    return f"{scale.units:~C}".replace("**", "^")
+
+
+def in_si(value: float | int | str, unit: str = NO_UNIT) -> tuple[float, str]:
+    """A number, or a number with a unit as text, in SI, and the unit that it then has.
+
+    Args:
+        value: 0.003, or "3 mm".
+        unit: Unit of a bare number.
+
+    Raises:
+        ValueError: not a number, or an unknown unit.
+    """
+    matched = _QUANTITY.fullmatch(str(value))
+    own = matched.group(2) if matched is not None else ""
+    into = si_unit(own or unit)
+    return in_unit(value if own else f"{value} {unit}", into), into
 
 
 def in_unit(value: float | int | str, unit: str) -> float:
