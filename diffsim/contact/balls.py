@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from diffsim.contact._values import Number, direction, dot, scalar
 from diffsim.core.check import require, require_indices, require_range
+from diffsim.core.values import Number, direction, dot, scalar
 
 
 def ball_force(

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from diffsim.contact._values import Number, dot, scalar
 from diffsim.contact.triangles import feature_distance
 from diffsim.core.check import require
+from diffsim.core.values import Number, dot, scalar
 from diffsim.mesh import HexMesh, SurfaceDistance, TetMesh, surface_triangles
 
 _Mesh = HexMesh | TetMesh

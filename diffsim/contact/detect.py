@@ -9,11 +9,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from diffsim.contact._values import dot
 from diffsim.contact.obstacle import Obstacle, require_obstacles
 from diffsim.contact.shapes import Shape
 from diffsim.contact.sweep import first_entry
 from diffsim.core.check import require, require_number
+from diffsim.core.values import dot
 
 
 class ContactPlanes(NamedTuple):

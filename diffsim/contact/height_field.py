@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from diffsim.contact._values import Vector, dot, scalar, vector
 from diffsim.contact.shapes import Pair, Shape
 from diffsim.core.check import require
+from diffsim.core.values import Vector, dot, scalar, vector
 
 # Catmull-Rom cubics of the four neighbors, by rising powers of t: interpolating, C1
 _CUBIC = 0.5 * torch.tensor(

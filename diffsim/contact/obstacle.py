@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from diffsim.contact._values import Number, Vector, friction_coefficient, scalar, vector
 from diffsim.contact.shapes import Box, Capsule, Pair, Plane, Shape, Sphere
 from diffsim.core.check import require
 from diffsim.core.rotation import matrix_from_rotation_vector, rotation_offset
+from diffsim.core.values import Number, Vector, friction_coefficient, scalar, vector
 
 
 @dataclass(frozen=True, eq=False, init=False)

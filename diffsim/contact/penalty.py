@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from diffsim.contact._values import Number, direction, dot, friction_coefficient, scalar
 from diffsim.contact.obstacle import Obstacle, require_obstacles
 from diffsim.core.check import require, require_indices, require_number
+from diffsim.core.values import Number, direction, dot, friction_coefficient, scalar
 
 _EPS = 2.2e-16
 """[m/s]; keeps mu fn / |u| finite, as the published code has it."""

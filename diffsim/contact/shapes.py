@@ -9,8 +9,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from diffsim.contact._values import Number, Vector, direction, dot, scalar, vector
 from diffsim.core.check import require
+from diffsim.core.values import Number, Vector, direction, dot, scalar, vector
+from diffsim.mesh import primitive
 from diffsim.mesh.sdf import Sdf
 
 Pair = tuple[Tensor, Tensor]
@@ -48,6 +49,17 @@ class Shape:
         """
         return self.evaluate(require("x", x, ("...", 3)))
 
+    def __call__(self, x: Tensor) -> Tensor:
+        """Signed distance alone, so that meshes and flows can be made of the shape, too.
+
+        Args:
+            x: Points in the shape's frame, (..., 3) [m].
+
+        Returns:
+            phi, (...) [m], negative inside.
+        """
+        return self.distance_normal(x)[0]
+
     def evaluate(self, x: Tensor) -> Pair:
         """``distance_normal`` of points that are checked already."""
         phi, normal = self._solid(x)
@@ -76,7 +88,7 @@ class Plane(Shape):
         self.normal, self.offset = n / n.norm(), scalar("offset", offset)
 
     def _solid(self, x: Tensor) -> Pair:
-        return x @ self.normal - self.offset, self.normal.expand_as(x)
+        return primitive.half_space(x, self.normal, self.offset)
 
 
 class Sphere(Shape):
@@ -93,8 +105,7 @@ class Sphere(Shape):
         self.radius = scalar("radius", radius, above=0.0)
 
     def _solid(self, x: Tensor) -> Pair:
-        length, normal = direction(x, _Z)
-        return length - self.radius, normal
+        return primitive.ball(x, self.radius)
 
 
 class Capsule(Shape):
@@ -111,18 +122,10 @@ class Capsule(Shape):
         super().__init__(inside_out)
         self.start, self.end = vector("start", start), vector("end", end)
         self.radius = scalar("radius", radius, above=0.0)
-        along = (self.end - self.start).detach()
-        if not float(along.norm()) > 0:
-            raise ValueError("start and end of a capsule must differ; use Sphere")
-        least = torch.nn.functional.one_hot(along.abs().argmin(), 3).to(along)
-        self._across = torch.linalg.cross(along, least)
+        self._across = primitive.across_of(self.start, self.end)
 
     def _solid(self, x: Tensor) -> Pair:
-        along = self.end - self.start
-        t = (((x - self.start) @ along) / dot(along, along)).clamp(0.0, 1.0)
-        away = x - self.start - t[..., None] * along
-        length, normal = direction(away, self._across)
-        return length - self.radius, normal
+        return primitive.capsule(x, self.start, self.end, self.radius, self._across)
 
 
 class Box(Shape):
@@ -144,15 +147,7 @@ class Box(Shape):
             raise ValueError(f"size must be positive, got {tuple(self.size.tolist())}")
 
     def _solid(self, x: Tensor) -> Pair:
-        side = torch.where(x.detach() < 0, -1.0, 1.0)
-        beyond = side * x - 0.5 * self.size
-        deepest = beyond.detach().argmax(-1, keepdim=True)
-        face = torch.zeros_like(x).scatter(-1, deepest, 1.0)
-        inside = beyond.gather(-1, deepest)[..., 0]
-        length, outwards = direction(beyond.clamp(min=0.0), face)
-        within = inside.detach() <= 0
-        phi = torch.where(within, inside, length)
-        return phi, side * torch.where(within[..., None], face, outwards)
+        return primitive.box(x, self.size)
 
 
 class Trough(Shape):

@@ -7,8 +7,8 @@ import math
 import torch
 from torch import Tensor
 
-from diffsim.contact._values import dot
 from diffsim.contact.shapes import Shape
+from diffsim.core.values import dot
 
 _NEAR = 1.0 / 32.0
 """Nearer than this share of the path, steps are Newton's (or this long, moving away)."""

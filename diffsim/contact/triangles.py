@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from diffsim.contact._values import direction, dot
+from diffsim.core.values import direction, dot
 
 _NEXT = [1, 2, 0]
 

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require_number
+from diffsim.mesh import primitive
 
 Sdf = Callable[[Tensor], Tensor]
 Vector = Sequence[float] | Tensor
@@ -20,23 +21,18 @@ Vector = Sequence[float] | Tensor
 
 def sphere(radius: float, center: Vector = (0.0, 0.0, 0.0)) -> Sdf:
     """Ball of a radius [m]."""
-    radius = require_number("radius", radius, above=0.0)
+    r = _number("radius", radius)
     c = _vector("center", center)
-    return lambda x: (x - c).norm(dim=1) - radius
+    return lambda x: primitive.ball(x - c, r)[0]
 
 
 def box(size: Vector, center: Vector = (0.0, 0.0, 0.0)) -> Sdf:
     """Axis-aligned box with edge lengths ``size`` [m]."""
-    half = 0.5 * _vector("size", size)
-    if not bool((half > 0).all()):
-        raise ValueError(f"size must be positive, got {tuple((2 * half).tolist())}")
+    edges = _vector("size", size)
+    if not bool((edges > 0).all()):
+        raise ValueError(f"size must be positive, got {tuple(edges.tolist())}")
     c = _vector("center", center)
-
-    def distance(x: Tensor) -> Tensor:
-        q = (x - c).abs() - half
-        return q.clamp(min=0.0).norm(dim=1) + q.max(dim=1).values.clamp(max=0.0)
-
-    return distance
+    return lambda x: primitive.box(x - c, edges)[0]
 
 
 def cylinder(radius: float, height: float, center: Vector = (0.0, 0.0, 0.0)) -> Sdf:
@@ -55,16 +51,10 @@ def cylinder(radius: float, height: float, center: Vector = (0.0, 0.0, 0.0)) -> 
 
 def capsule(start: Vector, end: Vector, radius: float) -> Sdf:
     """All points within ``radius`` [m] of the segment from ``start`` to ``end``."""
-    radius = require_number("radius", radius, above=0.0)
+    r = _number("radius", radius)
     a, b = _vector("start", start), _vector("end", end)
-    if bool((a == b).all()):
-        raise ValueError("start and end of a capsule must differ; use sphere")
-
-    def distance(x: Tensor) -> Tensor:
-        t = ((x - a) @ (b - a) / (b - a).dot(b - a)).clamp(0.0, 1.0)
-        return (x - a - t[:, None] * (b - a)).norm(dim=1) - radius
-
-    return distance
+    across = primitive.across_of(a, b)
+    return lambda x: primitive.capsule(x, a, b, r, across)[0]
 
 
 def torus(major_radius: float, minor_radius: float, center: Vector = (0.0, 0.0, 0.0)) -> Sdf:
@@ -86,8 +76,8 @@ def plane(normal: Vector, offset: float = 0.0) -> Sdf:
     if not float(n.norm()) > 0:
         raise ValueError("normal must not be zero")
     n = n / n.norm()
-    offset = require_number("offset", offset)
-    return lambda x: x @ n - offset
+    away = torch.tensor(require_number("offset", offset), dtype=torch.float64)
+    return lambda x: primitive.half_space(x, n, away)[0]
 
 
 def union(*shapes: Sdf) -> Sdf:
@@ -166,6 +156,10 @@ def shell(shape: Sdf, thickness: float) -> Sdf:
     """The points within half a thickness [m] of the shape's surface."""
     half = 0.5 * require_number("thickness", thickness, above=0.0)
     return lambda x: shape(x).abs() - half
+
+
+def _number(name: str, value: float) -> Tensor:
+    return torch.tensor(require_number(name, value, above=0.0), dtype=torch.float64)
 
 
 def _vector(name: str, value: Vector) -> Tensor:

@@ -215,9 +215,9 @@ def test_next_run_distance_is_what_a_refit_leaves():
         apart, columns, priors = 0.0, [], []
         for sign, f, e in zip((1, -1), fits, effects, strict=True):
             y, a = linear.matrices((e,), [run])
-            apart = apart + sign * (y - a @ f.x)
+            apart = apart + sign * (y - a @ f.problem.scaled(f.x))
             root = np.linalg.cholesky(f.covariance)
-            columns.append(a)
+            columns.append(a * f.problem.stretch(f.x))
             priors.append(np.linalg.inv(root))
         # smallest |apart - A d|^2 + d' C^-1 d over both rivals' parameters, by least squares
         stacked = np.block(
@@ -259,7 +259,8 @@ def test_numerical_shift_is_what_a_refit_to_the_refined_record_moves():
         after = fit(linear.model(), shifted, linear.CHANNELS, effects=(effect,))
         moved.append(after.x - before.x)
     found = numerical_shift(before, {str(k): c.ravel() for k, c in enumerate(changes)})
-    np.testing.assert_allclose(found, np.linalg.norm(moved, axis=0), rtol=1e-4)
+    # linear in base parameters; the prior of a size is not normal, so it moves a little otherwise
+    np.testing.assert_allclose(found, np.linalg.norm(moved, axis=0), rtol=0.03)
 
 
 @pytest.mark.reference
@@ -351,8 +352,8 @@ def test_force_map_finds_where_a_push_acts():
     json.dumps(report.to_dict())
 
 
-def test_what_held_out_runs_refute_is_withdrawn_and_says_so():
-    """A push that every fitted run asks for and that is opposite in the run held out."""
+def test_what_select_runs_refute_is_withdrawn_and_says_so():
+    """A push that every fitted run asks for and that is opposite in the run that selects."""
     push, other = linear.line("push"), linear.line("other")
 
     def recorded(name, seed, size, **changes):
@@ -362,11 +363,11 @@ def test_what_held_out_runs_refute_is_withdrawn_and_says_so():
         return replace(run, measured=run.measured + clean.numpy())
 
     runs = [recorded(f"r{k}", k, 1.0) for k in range(3)]
-    runs.append(recorded("last", 3, -1.0, use="test"))
+    runs.append(recorded("last", 3, -1.0, use="select"))
     study = Study("refuted", "copter", linear.CHANNELS, tuple(runs))
     report = diagnose(study, linear.model(), (push, other), seed=0, settings=QUICK)
     row = next(r for r in report.table if r.effect == "push")
-    assert (row.status, row.note) == ("withdrawn", "worse on held-out runs")
+    assert (row.status, row.note) == ("withdrawn", "worse on unseen runs")
     assert row.gain is not None and row.gain.high < 0.0
     assert "push" not in report.named
     assert report.verdict == "unknown"

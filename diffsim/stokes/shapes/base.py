@@ -17,8 +17,8 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from diffsim.contact._values import Number, scalar
 from diffsim.core.check import require, require_choice, require_number
+from diffsim.core.values import Number, scalar
 
 LevelSet = Callable[[Tensor], Tensor]
 Vector = Sequence[float] | Tensor

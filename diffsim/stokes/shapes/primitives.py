@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
-from diffsim.contact._values import direction
+from diffsim.mesh import primitive
 from diffsim.stokes.shapes.base import Number, Shape, Vector, outwards, scalar, vector
 
 
@@ -52,9 +51,7 @@ class Sphere(Shape):
         self.sign, self.dim = outwards(fluid), len(self.center)
 
     def level(self, points: Tensor) -> Tensor:
-        up = torch.eye(len(self.center), dtype=torch.float64)[-1]
-        length, _ = direction(points - self.center, up)
-        return self.sign * (length - self.radius)
+        return self.sign * primitive.ball(points - self.center, self.radius)[0]
 
 
 class Box(Shape):
@@ -79,11 +76,4 @@ class Box(Shape):
         self.sign = outwards(fluid)
 
     def level(self, points: Tensor) -> Tensor:
-        away = points - self.center
-        side = torch.where(away.detach() < 0, -1.0, 1.0)
-        beyond = side * away - 0.5 * self.size
-        deepest = beyond.detach().argmax(-1, keepdim=True)
-        inside = beyond.gather(-1, deepest)[..., 0]
-        face = torch.zeros_like(beyond.detach()).scatter(-1, deepest, 1.0)
-        length, _ = direction(beyond.clamp(min=0.0), face)
-        return self.sign * torch.where(inside.detach() <= 0, inside, length)
+        return self.sign * primitive.box(points - self.center, self.size)[0]
