@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import torch
@@ -17,15 +18,18 @@ from diffsim.systems.multicopter.candidates import Vehicle
 from diffsim.systems.multicopter.cutting import Cutter
 from diffsim.systems.multicopter.described import DescribedFlights
 from diffsim.systems.multicopter.frames import Frames
+from diffsim.systems.multicopter.loads import SLING_M
 from diffsim.systems.multicopter.model import THRUST_COEFFICIENT
 from diffsim.systems.multicopter.sensing import sensing_of
 from diffsim.systems.multicopter.shooting import SPREAD
+from diffsim.systems.multicopter.spectrum import strongest_frequency
 from diffsim.systems.multicopter.thrust_law import ThrustLaw
 
 if TYPE_CHECKING:
     from diffsim.systems.multicopter.description import MulticopterDescription
 
 _PAST = 0.5  # spread of the thrusts before the record, over what hovers
+_WIDE = 5.0  # [%]: a mass no better known needs no cause that adds to it
 _GAINS = {"thrust_gain": 5.0, "torque_gain": 20.0, "inertia_gain": 10.0}  # [%]
 
 
@@ -45,7 +49,6 @@ def assembled(of: MulticopterDescription, study: Study) -> DescribedFlights:
     hover = mass * GRAVITY / count
     asked = max(float(law.thrusts(run, known).max()) for run in study.runs)
     sensing = sensing_of(of.sensors, study)
-    is_squared = law.is_speed and law.exponent == 2.0 and "thrust_coefficient" in known
     lag_of = of.lag_of or ("thrust" if of.commands.meaning == "thrust" else "speed")
     return DescribedFlights(
         parameters=parameters,
@@ -66,10 +69,34 @@ def assembled(of: MulticopterDescription, study: Study) -> DescribedFlights:
         max_thrust=of.max_thrust,
         full_thrust=of.max_thrust or max(asked, 2.0 * hover),
         thrust_coefficient=float(known["thrust_coefficient"])
-        if is_squared and of.commands.meaning == "speed"
+        if law.is_squared
         else THRUST_COEFFICIENT,
         lags_speed=lag_of == "speed",
     )
+
+
+def with_shapes(
+    of: MulticopterDescription, flights: DescribedFlights, study: Study, causes: Sequence[str]
+) -> DescribedFlights:
+    """The recipe with what causes need beside a size: length of a string, frequency of a gust.
+
+    Args:
+        of: Description of the multicopter.
+        flights: The same, assembled.
+        study: Study with the runs to be fitted.
+        causes: Names of the candidate causes.
+    """
+    more: dict[str, Quantity] = {}
+    if "slung_load" in causes:
+        more["sling_length"] = of.sling_length or Quantity(value=SLING_M, percent=60.0, unit="m")
+    if "gust" in causes:
+        given: Quantity | None = of.gust_frequency
+        if given is None:
+            value, sd = strongest_frequency(flights, study.fit_runs)
+            given = Quantity(value=value, sd=sd, lower=0.1 * value, unit="Hz")
+        more["gust_frequency"] = given
+    quantities = {**flights.parameters.quantities, **more}
+    return replace(flights, parameters=BaseParameters(quantities, study.runs))
 
 
 def vehicle_of(of: MulticopterDescription, flights: DescribedFlights) -> Vehicle:
@@ -91,6 +118,9 @@ def vehicle_of(of: MulticopterDescription, flights: DescribedFlights) -> Vehicle
         has_lag="motor_lag" in q and q["motor_lag"].is_fitted,
         has_clock="clock" in q,
         has_center=any(q[f"center_of_mass_{axis}"].is_fitted for axis in "xy"),
+        has_mass=q["mass"].is_fitted and (q["mass"].percent or 0.0) >= _WIDE,
+        has_speed=of.commands.meaning == "speed" and flights.law.is_squared,
+        lags_speed=flights.lags_speed,
         battery=of.battery,
     )
 

@@ -14,11 +14,12 @@ from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import Description, chosen_effects, settings_with
-from diffsim.systems.multicopter.assembly import assembled, vehicle_of
+from diffsim.systems.multicopter.assembly import assembled, vehicle_of, with_shapes
 from diffsim.systems.multicopter.candidates import candidate_causes
 from diffsim.systems.multicopter.keys import (
     CommandKeys,
     FrameKeys,
+    Hertz,
     InertiaKeys,
     Length,
     Mass,
@@ -85,6 +86,12 @@ class MulticopterDescription(Description):
     lag_of: Literal["thrust", "speed"] | None = Field(
         None, description="What lags; default: the thrust if it is commanded, else the speed"
     )
+    sling_length: Length | None = Field(
+        None, description="String of a load that may hang below [m]; default 0.5 to 60 %"
+    )
+    gust_frequency: Hertz | None = Field(
+        None, description="Of a gust that there may be [Hz]; default: as the records suggest"
+    )
     commands: CommandKeys = Field(description="Recorded commands of the rotors")
     battery: str | None = Field(None, description="Command that is the battery's voltage [V]")
     sensors: SensorKeys = Field(description="Channels by what they measure")
@@ -139,9 +146,11 @@ class MulticopterDescription(Description):
             raise ValueError("\n".join(str(p) for p in found))
         flights = assembled(self, study)
         vehicle = vehicle_of(self, flights)
+        effects = chosen_effects(candidate_causes(vehicle), self.effects)
+        flights = with_shapes(self, flights, study, [e.name for e in effects])
         return DiagnosisSetup(
             CopterModel(flights, flights.parameters.base),
-            chosen_effects(candidate_causes(vehicle), self.effects),
+            effects,
             (wrench_of(study.runs, vehicle.mass * GRAVITY),),
             (),
             settings_with(DiagnosisSettings(), self.effort),

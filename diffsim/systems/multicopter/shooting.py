@@ -6,7 +6,7 @@ The state of 12 here: position, roll-pitch-yaw, velocity (world), body rates, wo
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -81,6 +81,7 @@ class Windows:
         measured: (num_windows, length, num_channels), NaN where nothing was recorded.
         sd: Noise of the channels, (num_channels,).
         latest: The best states of the last search (or none): where the next search starts.
+        acceleration: Recorded acceleration of the vehicle, (num_samples, 3), NED [m/s^2].
         rigid_spread: Of position [m], angles [rad], velocity [m/s] and body rates [rad/s] about
             the guess.
         past_spread: Of the thrusts before the record [N].
@@ -90,6 +91,7 @@ class Windows:
     measured: Tensor
     sd: Tensor
     latest: list[Tensor]
+    acceleration: Tensor = field(default_factory=lambda: torch.zeros(1, 3, dtype=torch.float64))
     rigid_spread: tuple[float, float, float, float] = SPREAD
     past_spread: float = PAST_SPREAD
 
