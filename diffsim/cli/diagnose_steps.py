@@ -1,4 +1,4 @@
-"""The steps of ``diffsim diagnose check|fit|explain|extend|judge|next STUDY``."""
+"""The steps of ``diffsim diagnose init|check|fit|explain|extend|judge|next STUDY``."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 
 from diffsim.cli.arguments import DIAGNOSES
 from diffsim.cli.diagnose_check import check, require_ready
+from diffsim.cli.diagnose_init import init
 from diffsim.cli.diagnose_inputs import changed, inputs_of, read_study
 from diffsim.core.files import write_json_atomic
 from diffsim.diagnose.diagnosis import diagnose
@@ -29,6 +30,11 @@ MAX_OUTSIDE = 8  # lines; the file holds all
 def run_step(args: argparse.Namespace) -> None:
     """Run the step that the arguments name."""
     STEPS[args.step](args)
+
+
+def _init(args: argparse.Namespace) -> None:
+    """Write a first study of a folder."""
+    init(args.folder, args.out, system=args.system, force=args.force)
 
 
 def _check(args: argparse.Namespace) -> None:
@@ -236,6 +242,7 @@ def _read_json(path: Path) -> Mapping[str, Any] | None:
 
 
 STEPS: dict[str, Callable[[argparse.Namespace], None]] = {
+    "init": _init,
     "check": _check,
     "fit": _fit,
     "explain": _explain,
