@@ -57,7 +57,7 @@ def command_effects(group: Group, held: bool) -> list[Effect]:
         (_offset(reach), lambda u, dt, k: u + k),
         (_rate_limit(reach), lambda u, dt, k: rate_limited(u, dt, k)),
     ]
-    end = f"_{plain(group.name)}" if group.name else ""
+    end = f"_of_{plain(group.name)}" if group.name else ""
     return [
         replace(e, name=e.name + end, apply=partial(_commanded, names=group.columns, change=change))
         for e, change in changes
@@ -104,7 +104,7 @@ def _offset(reach: float) -> Effect:
     return Effect(
         name="command_offset",
         form="The actuators get size more than the command.",
-        family="load",
+        family="zero",
         kind="actuator",
         unit="command",
         typical=SHARE * reach,

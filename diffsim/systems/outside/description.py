@@ -59,7 +59,7 @@ class HookKeys(Part):
     output: dict[str, tuple[str, ...]] | None = Field(
         None,
         description="Channels of each instrument, by a name of its own; they share scale, delay, "
-        "... Default: each channel is an instrument",
+        "... Default: channels of one kind",
     )
 
 

@@ -25,6 +25,7 @@ class Group:
         reach: Greatest value of a command in the study, in its unit; range of a channel.
         unit: Unit of the columns, if they share one, else "command" or "channel".
         one_sided: No command is ever below zero.
+        longest_s: Duration of the longest run [s].
     """
 
     name: str
@@ -32,6 +33,7 @@ class Group:
     reach: float
     unit: str
     one_sided: bool = False
+    longest_s: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -97,17 +99,20 @@ def command_groups(study: Study, by_name: Mapping[str, Sequence[str]] | None) ->
 
 
 def output_groups(study: Study, by_name: Mapping[str, Sequence[str]] | None) -> tuple[Group, ...]:
-    """Channels by instrument: as named, else each channel an instrument of its own.
+    """Channels by instrument: as named, else those of one kind.
 
     Args:
         study: Recorded runs with their channels.
-        by_name: Names of the channels of each instrument; None: each channel alone.
+        by_name: Names of the channels of each instrument; None: those of one kind.
 
     Raises:
         ValueError: an instrument without channels, or a channel that the study lacks.
     """
     known = [c.name for c in study.channels]
-    given = {plain(name): [name] for name in known} if by_name is None else by_name
+    longest = max(float(run.time_s[-1] - run.time_s[0]) for run in study.runs)
+    kinds = dict.fromkeys(c.kind for c in study.channels)
+    of_kind = {kind: [c.name for c in study.channels if c.kind == kind] for kind in kinds}
+    given = of_kind if by_name is None else by_name
     out = []
     for name, columns in given.items():
         _require_all(f"hooks.output.{name}", columns, known)
@@ -117,7 +122,13 @@ def output_groups(study: Study, by_name: Mapping[str, Sequence[str]] | None) -> 
         units = {study.channels[i].unit for i in idx}
         reach = max(float(np.ptp(v[np.isfinite(v)])) for v in _columns(study, idx))
         out.append(
-            Group(name, tuple(columns), reach or 1.0, units.pop() if len(units) == 1 else "channel")
+            Group(
+                name,
+                tuple(columns),
+                reach or 1.0,
+                units.pop() if len(units) == 1 else "channel",
+                longest_s=longest,
+            )
         )
     return tuple(out)
 

@@ -24,7 +24,7 @@ def output_effects(group: Group, idx: tuple[int, ...], may_be_late: bool) -> lis
         idx: Their indices among all channels.
         may_be_late: Whether lateness can be told from that of a command.
     """
-    end, unit, size = f"_{plain(group.name)}", group.unit, SHARE * group.reach
+    end, unit, size = f"_of_{plain(group.name)}", group.unit, SHARE * group.reach
     several = tuple(plain(c) for c in group.columns) if len(group.columns) > 1 else ("size",)
 
     def effect(
@@ -53,7 +53,7 @@ def output_effects(group: Group, idx: tuple[int, ...], may_be_late: bool) -> lis
 
     made = [
         effect(
-            "scale",
+            "sensor_scale",
             "scale",
             "-",
             SHARE,
@@ -62,7 +62,7 @@ def output_effects(group: Group, idx: tuple[int, ...], may_be_late: bool) -> lis
             ("calibration of the sensor", "a length of the mechanism"),
         ),
         effect(
-            "offset",
+            "sensor_offset",
             "zero",
             unit,
             size,
@@ -72,12 +72,12 @@ def output_effects(group: Group, idx: tuple[int, ...], may_be_late: bool) -> lis
             components=several,
         ),
         effect(
+            "sensor_drift",
             "drift",
-            "drift",
-            f"{unit}/s",
+            unit,
             size,
-            "It shows more and more: size times the time since the run began.",
-            lambda y, t, k: y + k * t[:, None],
+            "It shows more and more: size at the end of the longest run.",
+            lambda y, t, k: y + k * t[:, None] / group.longest_s,
             ("warming of the sensor",),
             components=several,
         ),
@@ -85,7 +85,7 @@ def output_effects(group: Group, idx: tuple[int, ...], may_be_late: bool) -> lis
     if may_be_late:
         made += [
             effect(
-                "delay",
+                "sensor_delay",
                 "timing",
                 "s",
                 0.02,
@@ -95,7 +95,7 @@ def output_effects(group: Group, idx: tuple[int, ...], may_be_late: bool) -> lis
                 signed=False,
             ),
             effect(
-                "lag",
+                "sensor_lag",
                 "timing",
                 "s",
                 0.02,

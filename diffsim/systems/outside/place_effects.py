@@ -29,7 +29,7 @@ def place_effects(place: Place, index: int) -> list[Effect]:
             "constant_force",
             forces.constant,
             "Force size, always.",
-            "load",
+            "constant",
             unit,
             force,
             looks_like=("gravity along a tilted guide", "offset of the command"),
@@ -40,7 +40,7 @@ def place_effects(place: Place, index: int) -> list[Effect]:
             _place_effect(
                 place,
                 index,
-                "stiffness",
+                "added_spring",
                 forces.stiff,
                 "Force -size x: a spring that rests at zero.",
                 "stiffness",
@@ -68,7 +68,7 @@ def place_effects(place: Place, index: int) -> list[Effect]:
                 "viscous_friction",
                 forces.viscous,
                 "Force -size v.",
-                "friction",
+                "damping",
                 f"{unit} s/{length}",
                 force / place.speed,
                 looks_like=("back-EMF of a motor", "linear drag"),
@@ -77,10 +77,10 @@ def place_effects(place: Place, index: int) -> list[Effect]:
             _place_effect(
                 place,
                 index,
-                "coulomb_friction",
+                "dry_friction",
                 forces.coulomb,
-                "Force size against the motion, whatever its speed.",
-                "friction",
+                "Force size against the motion, whatever its speed (Coulomb).",
+                "damping",
                 unit,
                 force,
                 looks_like=("stiction of a bearing", "a rubbing cable"),
@@ -90,10 +90,10 @@ def place_effects(place: Place, index: int) -> list[Effect]:
             _place_effect(
                 place,
                 index,
-                "quadratic_drag",
+                "square_drag",
                 forces.quadratic,
                 "Force -size |v| v.",
-                "drag",
+                "damping",
                 f"{unit} s^2/{length}^2",
                 force / place.speed**2,
                 looks_like=("drag of air or water",),
@@ -119,7 +119,7 @@ def _place_effect(
 ) -> Effect:
     """An effect that adds one law at one place."""
     return Effect(
-        name=f"{name}_{plain(place.name)}",
+        name=f"{name}_of_{plain(place.name)}",
         form=form,
         family=family,
         kind="force",

@@ -45,7 +45,7 @@ def outside_setup(
             parameter "angle@run_3" reaches it as "angle" in that run.
         places: Places where predict(parameters, run, force) adds forces.
         commands: Commands of each group that goes one way; None: all commands as one group.
-        outputs: Channels of each instrument; None: each channel is one.
+        outputs: Channels of each instrument; None: those of one kind.
         held: Commands are held from sample to sample; else straight lines join the samples.
         environment: How ``reset`` and ``step`` are read.
         more_effects: Causes of the user's own, whose scenes are ``OutsideScene``.
