@@ -9,10 +9,11 @@ from diffsim.cli.arguments import DIAGNOSES, names, positive
 
 HELP = "what a simulation gets wrong against recorded runs"
 STEPS = {
-    "check": "are the runs fit to be judged: clocks, shapes, repeats, held-out runs",
+    "check": "are the runs fit to be judged: clocks, shapes, repeats, test runs",
     "fit": "fit the model without effects, and say what misfit is left",
     "explain": "find the cause: verdict, evidence, report.html",
-    "extend": "refit a saved extended model, and measure its gain on held-out runs",
+    "extend": "refit a saved extended model, and measure its gain on test runs",
+    "judge": "errors of a saved model on new runs; nothing is fitted",
     "next": "which run to record next to settle what is open",
 }
 
@@ -34,9 +35,12 @@ def add_arguments(parser: argparse.ArgumentParser, common: argparse.ArgumentPars
     made["explain"].add_argument(
         "--force", action="store_true", help="diagnose again although --out holds the answer"
     )
-    for name in ("extend", "next"):
+    made["judge"].add_argument(
+        "--runs", type=names, default=(), metavar="A,B", help="default: all with use: test"
+    )
+    for name in ("extend", "judge", "next"):
         made[name].add_argument(
-            "--model" if name == "extend" else "--report",
+            "--report" if name == "next" else "--model",
             dest="saved",
             type=Path,
             metavar="FILE",

@@ -1,4 +1,4 @@
-"""The steps of ``diffsim diagnose check|fit|explain|extend|next STUDY``."""
+"""The steps of ``diffsim diagnose check|fit|explain|extend|judge|next STUDY``."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from diffsim.cli.arguments import DIAGNOSES
+from diffsim.cli.diagnose_check import check, require_ready
 from diffsim.cli.diagnose_inputs import changed, inputs_of, read_study
-from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_json_atomic
-from diffsim.data.study import Study
-from diffsim.data.study_check import check_study
 from diffsim.diagnose.diagnosis import diagnose
+from diffsim.diagnose.frozen import judge_saved
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.progress import progress_bar
 from diffsim.diagnose.refit import advise, extend, fit_null, rival_sets
@@ -23,10 +22,8 @@ from diffsim.diagnose.report import Report
 from diffsim.identify.model_file import MODEL_FILE, read_extended
 
 INPUTS_FILE, REPORT_FILE, CACHE = "inputs.json", "report.json", "interrupted"
-
-
-class StudyError(DiffsimError):
-    """Recordings that cannot be diagnosed."""
+JUDGE_FILE = "judge.json"
+MAX_OUTSIDE = 8  # lines; the file holds all
 
 
 def run_step(args: argparse.Namespace) -> None:
@@ -35,27 +32,14 @@ def run_step(args: argparse.Namespace) -> None:
 
 
 def _check(args: argparse.Namespace) -> None:
-    """Read the study and say what is wrong with it."""
-    study = read_study(args.study)
-    fit, held = len(study.fit_runs), len(study.test_runs)
-    print(f"{study.name}: {len(study.channels)} channels, {fit} runs to fit, {held} held out")
-    _require_ready(study, args.study)
-    print("ready for a diagnosis")
-
-
-def _require_ready(study: Study, given: str) -> None:
-    problems = check_study(study)
-    for problem in problems:
-        print(problem)
-    errors = sum(problem.severity == "error" for problem in problems)
-    if errors:
-        raise StudyError(f"{errors} of {len(problems)} problems keep {given} from a diagnosis")
+    """Show the study and what is wrong with it."""
+    check(read_study(args.study), args.study)
 
 
 def _inputs(args: argparse.Namespace) -> tuple[Inputs, Path]:
     """Study and setup as chosen; the folder of the results."""
     study = read_study(args.study)
-    _require_ready(study, args.study)
+    require_ready(study, args.study, plan=args.step != "judge")
     inputs = inputs_of(
         study,
         seed=args.seed,
@@ -190,6 +174,25 @@ def _extend(args: argparse.Namespace) -> None:
     print(f"wrote {path}")
 
 
+def _judge(args: argparse.Namespace) -> None:
+    """Errors of a saved model on runs that it has not seen."""
+    inputs, out = _inputs(args)
+    saved = read_extended(args.saved or out)
+    found = judge_saved(inputs, saved, args.runs)
+    print(f"{'run':<24} {'quantity':<14} {'before':>9} {'after':>9} {'noise':>9}  fitted to it")
+    for row in found.errors:
+        numbers = " ".join(f"{v:>9.3g}" for v in (row.before, row.after, row.noise))
+        print(f"{row.run:<24} {row.kind:<14} {numbers} {row.unit}, {row.num_fitted} values")
+    if saved.components and found.gain is not None:
+        print(found.gain.words)
+    for far in found.outside[:MAX_OUTSIDE]:
+        print(far.words)
+    if len(found.outside) > MAX_OUTSIDE:
+        print(f"and {len(found.outside) - MAX_OUTSIDE} more outside of what was fitted")
+    content = {"study": inputs.study.name, "model": str(saved.path), **found.to_dict()}
+    print(f"wrote {write_json_atomic(out / JUDGE_FILE, content)}")
+
+
 def _next(args: argparse.Namespace) -> None:
     inputs, out = _inputs(args)
     path = args.saved or out / REPORT_FILE
@@ -237,5 +240,6 @@ STEPS: dict[str, Callable[[argparse.Namespace], None]] = {
     "fit": _fit,
     "explain": _explain,
     "extend": _extend,
+    "judge": _judge,
     "next": _next,
 }

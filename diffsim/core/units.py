@@ -117,6 +117,22 @@ def to_si(unit: str) -> SI:
     return SI(_COHERENT.get(name, short), size, offset)
 
 
+def in_si(value: float | int | str, unit: str = NO_UNIT) -> tuple[float, str]:
+    """A number, or a number with a unit as text, in SI, and the unit that it then has.
+
+    Args:
+        value: 0.003, or "3 mm".
+        unit: Unit of a bare number.
+
+    Raises:
+        ValueError: not a number, or an unknown unit.
+    """
+    matched = _QUANTITY.fullmatch(str(value))
+    own = matched.group(2) if matched is not None else ""
+    into = to_si(own or unit).unit
+    return in_unit(value if own else f"{value} {unit}", into), into
+
+
 def in_unit(value: float | int | str, unit: str) -> float:
     """A number, or a number with a unit as text, in a given unit.
 

@@ -29,6 +29,7 @@ from diffsim.data.study import Run
 from diffsim.data.study_schema import ChannelEntry, CommandEntry, RunEntry, Source, StudyFile
 
 Array = NDArray[np.float64]
+BLOCK_OF = "block_of"  # fact of a run that is a piece of another: that one's name
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,6 @@ class RunReader:
         self.problems: list[str] = []
         self.left_out: list[str] = []
         self.tables: dict[Path, Table] = {}
-        self.listings: set[Path] = set()
 
     def runs(self) -> tuple[Run, ...]:
         """All runs, those that cannot be read left out; ``problems`` tells them."""
@@ -71,10 +71,11 @@ class RunReader:
         for i, stated in enumerate(self.study.runs):
             where, entry = f"runs[{i}]", with_defaults(stated, self.study.defaults)
             try:
-                cases = cases_of(entry, where, self.root, self._table)
+                cases, left_out = cases_of(entry, where, self.root, self._table)
             except (ValueError, FileNotFoundError) as error:
                 self._tell(error)
                 continue
+            self.left_out += [left_out] if left_out else []
             pieces = [piece for case in cases for piece in self._pieces(case)]
             for key in ("use", "from_s", "until_s", "zero_time"):
                 self._check_labels(f"{where}.{key}", getattr(entry, key), pieces, cases)
@@ -277,6 +278,7 @@ def _blocks(run: Run, entry: RunEntry, where: str) -> list[Run]:
                 command={name: values[part] for name, values in run.command.items()},
                 order=run.order + k - 1,
                 use=by_number.get(k, run.use),
+                setup={**run.setup, BLOCK_OF: run.name},
             )
         )
     return out

@@ -43,7 +43,9 @@ def with_defaults(entry: RunEntry, defaults: RunKeys) -> RunEntry:
     return entry.model_copy(update={**given, **stated, **joined})
 
 
-def cases_of(entry: RunEntry, where: str, root: Path, table: Callable[[Path], Table]) -> list[Case]:
+def cases_of(
+    entry: RunEntry, where: str, root: Path, table: Callable[[Path], Table]
+) -> tuple[list[Case], str]:
     """All files that an entry stands for.
 
     Args:
@@ -52,15 +54,21 @@ def cases_of(entry: RunEntry, where: str, root: Path, table: Callable[[Path], Ta
         root: Folder of the files.
         table: Reads a CSV file.
 
+    Returns:
+        The files, and a sentence on rows of ``table`` that are left out, or "".
+
     Raises:
         ValueError: no file fits, or a word of a pattern is unknown.
     """
     rows: list[dict[str, str]] = [{}]
+    left_out = ""
     if entry.table is not None:
         listing = table(root / entry.table)
         chosen = chosen_rows(listing, np.arange(len(listing)), entry.where, f"{where}.where")
         columns = {name: listing.texts(name) for name in listing.header if name}
         rows = [{name: cells[i] for name, cells in columns.items()} for i in chosen]
+        if fewer := len(listing) - len(chosen):
+            left_out = f"{entry.table}: {fewer} of {len(listing)} runs, by {where}.where"
     cases = []
     patterns = entry.file or (f"{entry.name}.csv",)
     for words in rows:
@@ -69,7 +77,7 @@ def cases_of(entry: RunEntry, where: str, root: Path, table: Callable[[Path], Ta
             all_words = {**words, **found, "file": path.stem}
             others = (root / filled(p, all_words, f"{where}.file") for p in further)
             cases.append(Case(where, entry, (path, *others), all_words))
-    return cases
+    return cases, left_out
 
 
 def _known(pattern: str, words: Mapping[str, str]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -129,6 +129,10 @@ class Study:
     def test_runs(self) -> tuple[Run, ...]:
         """Runs that neither a fit nor the choice of causes has seen, by order."""
         return self.runs_for("test")
+
+    def without_tests(self) -> Study:
+        """The study as a diagnosis may see it before its answer is frozen."""
+        return replace(self, runs=tuple(r for r in self.runs if r.use != "test"))
 
     def runs_for(self, use: str) -> tuple[Run, ...]:
         """Runs of one use, by order."""

@@ -190,5 +190,5 @@ def _in_files(name: str, count: int) -> str:
     return name if count == 1 else f"{name} ({count} files)"
 
 
-def _some(names: list[str], most: int = 12) -> str:
+def _some(names: list[str], most: int = 8) -> str:
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

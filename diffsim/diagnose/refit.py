@@ -18,12 +18,12 @@ from diffsim.diagnose.gain import Gain, gain
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.next_run import NextRun, next_run
 from diffsim.diagnose.noise import NoiseFloor
-from diffsim.diagnose.report import fit_to_dict
+from diffsim.diagnose.report import fit_to_dict, save_model
 from diffsim.identify import Fit
 from diffsim.identify import fit as fit_runs
 from diffsim.identify.effect import Effect
 from diffsim.identify.extended import ExtendedModel, extended_model
-from diffsim.identify.model_file import MODEL_FILE, SavedModel, effects_of, save_extended
+from diffsim.identify.model_file import SavedModel, effects_of
 from diffsim.identify.problem import effect_coordinates
 from diffsim.identify.sizes import PRIOR_WIDTH, coordinate_of
 
@@ -111,7 +111,7 @@ class Extension:
             "extended": fit_to_dict(self.fit),
         }
         write_json_atomic(folder / "extend.json", content)
-        return save_extended(self.fit, folder / MODEL_FILE, study=self.study, verdict=self.verdict)
+        return save_model(self.fit, self.null, folder, study=self.study, verdict=self.verdict)
 
 
 def extend(inputs: Inputs, saved: SavedModel) -> Extension:
@@ -125,7 +125,7 @@ def extend(inputs: Inputs, saved: SavedModel) -> Extension:
     effects = effects_of(saved, inputs.setup.effects)
     null = fit_null(inputs)
     refitted = refit(null, effects, inputs, saved.values)
-    runs = null.study.test_runs
+    runs = inputs.study.test_runs
     gained = gain(runs, null.fit, refitted, seed=inputs.seed) if runs and effects else None
     return Extension(null.study, null.fit, refitted, gained, saved.verdict)
 
@@ -203,7 +203,8 @@ def refit(
 
 def _case(inputs: Inputs) -> Case:
     setup = inputs.setup
-    return Case(inputs.study, setup.model, setup.effects, setup.unknowns, setup.settings)
+    study = inputs.study.without_tests()
+    return Case(study, setup.model, setup.effects, setup.unknowns, setup.settings)
 
 
 def _words(names: Sequence[str]) -> str:

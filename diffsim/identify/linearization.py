@@ -7,12 +7,14 @@ of the noise weighs them again without another simulation.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
 from diffsim.identify.problem import PredictionError, Problem
 
@@ -91,6 +93,26 @@ def linearization_at(
 def record_at(problem: Problem, x: Array) -> Array:
     """Predicted samples of all runs at x, (N,) [unit of the channel]."""
     return measured_of(problem) - _raw(problem).residual(x)
+
+
+def records_at(problem: Problem, points: Array) -> Array:
+    """Predicted samples of all runs at K points, (K, N) [unit of the channel].
+
+    Args:
+        problem: Model and runs; the whitener is not used.
+        points: Standardized coordinates, (K, n).
+
+    Returns:
+        NaN in the rows of points that cannot be simulated.
+    """
+    try:
+        return problem.records(points)
+    except DiffsimError:  # one of them: the others may do
+        rows = np.full((len(points), sum(run.measured.size for run in problem.runs)), np.nan)
+        for row, point in zip(rows, points, strict=True):
+            with suppress(DiffsimError):
+                row[:] = problem.records(point[None])[0]
+        return rows
 
 
 def measured_of(problem: Problem) -> Array:

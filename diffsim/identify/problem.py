@@ -142,6 +142,15 @@ class Problem:
         """Size of each component at the scaled coordinate one, (num_components,) [unit]."""
         return np.array([PRIOR_WIDTH * e.typical for e, _ in self.owners])
 
+    def coordinates_of(self, sizes: Mapping[str, float]) -> Array:
+        """Standardized coordinates of sizes, the inverse of ``sizes_at``, (num_components,).
+
+        Args:
+            sizes: Size by name of the component ("wind.x") [unit]; zero for those not given.
+        """
+        given = [sizes.get(name, 0.0) for name in effect_coordinates(self.effects)]
+        return coordinate_of(np.array(given) / self.size_units)
+
     def sizes_at(self, x: Tensor) -> dict[Effect, Tensor]:
         """Sizes [unit] of the effects at standardized coordinates."""
         return self._sizes(scaled_at(x[..., self.num_base :]))
@@ -193,6 +202,20 @@ class Problem:
             return self.whiten(run, np.nan_to_num(run.measured).ravel() - _finite(predicted, run))
 
         return np.concatenate(self._each(one))
+
+    def records(self, points: Array) -> Array:
+        """Predicted samples of all runs at K points, (K, N) [unit of the channel].
+
+        Args:
+            points: Standardized coordinates, (K, n).
+        """
+        given = [torch.from_numpy(np.array(x)) for x in points]
+
+        def one(run: Run) -> Array:
+            with torch.no_grad():
+                return self.predict_many(run, given).numpy().reshape(len(given), -1)
+
+        return np.concatenate(self._each(one), axis=1)
 
     def linearize(
         self, x: Array, *, screen: bool = False, only: Sequence[int] | None = None

@@ -76,7 +76,7 @@ def test_explain_again_tells_and_keeps(explained, study_folder, capsys):
 
 def test_an_interrupted_explanation_goes_on(study_folder, tmp_path, monkeypatch, capsys):
     # interrupted while the gain is computed: all that was fitted is kept
-    monkeypatch.setattr("diffsim.diagnose.diagnosis._report", stopped_report)
+    monkeypatch.setattr("diffsim.diagnose.diagnosis.report_of", stopped_report)
     assert run("explain", study_folder, tmp_path, "--quick") == 130
     assert "go on with: diffsim diagnose explain" in capsys.readouterr().err
     kept = list((tmp_path / "interrupted").rglob("*.npz"))

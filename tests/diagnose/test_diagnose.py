@@ -352,8 +352,8 @@ def test_force_map_finds_where_a_push_acts():
     json.dumps(report.to_dict())
 
 
-def test_what_held_out_runs_refute_is_withdrawn_and_says_so():
-    """A push that every fitted run asks for and that is opposite in the run held out."""
+def test_what_select_runs_refute_is_withdrawn_and_says_so():
+    """A push that every fitted run asks for and that is opposite in the run that selects."""
     push, other = linear.line("push"), linear.line("other")
 
     def recorded(name, seed, size, **changes):
@@ -363,11 +363,11 @@ def test_what_held_out_runs_refute_is_withdrawn_and_says_so():
         return replace(run, measured=run.measured + clean.numpy())
 
     runs = [recorded(f"r{k}", k, 1.0) for k in range(3)]
-    runs.append(recorded("last", 3, -1.0, use="test"))
+    runs.append(recorded("last", 3, -1.0, use="select"))
     study = Study("refuted", "copter", linear.CHANNELS, tuple(runs))
     report = diagnose(study, linear.model(), (push, other), seed=0, settings=QUICK)
     row = next(r for r in report.table if r.effect == "push")
-    assert (row.status, row.note) == ("withdrawn", "worse on held-out runs")
+    assert (row.status, row.note) == ("withdrawn", "worse on unseen runs")
     assert row.gain is not None and row.gain.high < 0.0
     assert "push" not in report.named
     assert report.verdict == "unknown"
