@@ -21,6 +21,7 @@ from diffsim.data.study_file import load_study
 from diffsim.diagnose.inputs import Inputs
 from diffsim.identify.effect import Effect
 from diffsim.identify.setup import DiagnosisSetup
+from diffsim.systems import published
 from diffsim.systems.registry import setup_of
 
 QUICK = {"num_refits": 2, "max_rounds": 4, "max_effects": 2}
@@ -35,13 +36,22 @@ def read_study(given: str) -> Study:
     path = Path(given)
     if path.exists():
         return load_study(path)
+    described = _described()
+    if given in described:
+        return load_study(described[given])
     if given in IMPORTERS:
         return import_study(given)
     try:
-        require_choice("STUDY", given, IMPORTERS)
+        require_choice("STUDY", given, {**described, **IMPORTERS})
     except ValueError as error:
         raise FileNotFoundError(f"{given} is no file or folder of a study, and {error}") from None
     raise AssertionError("require_choice refuses what is not among its choices")
+
+
+def _described() -> dict[str, Path]:
+    """Studies of published data sets that are described in a file, by name."""
+    folder = Path(published.__file__).parent
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
 def choose(

@@ -10,11 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from diffsim.cli.arguments import DIAGNOSES
+from diffsim.cli.diagnose_check import check, require_ready
 from diffsim.cli.diagnose_inputs import changed, inputs_of, read_study
-from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_json_atomic
-from diffsim.data.study import Study
-from diffsim.data.study_check import check_study
 from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.progress import progress_bar
@@ -25,37 +23,20 @@ from diffsim.identify.model_file import MODEL_FILE, read_extended
 INPUTS_FILE, REPORT_FILE, CACHE = "inputs.json", "report.json", "interrupted"
 
 
-class StudyError(DiffsimError):
-    """Recordings that cannot be diagnosed."""
-
-
 def run_step(args: argparse.Namespace) -> None:
     """Run the step that the arguments name."""
     STEPS[args.step](args)
 
 
 def _check(args: argparse.Namespace) -> None:
-    """Read the study and say what is wrong with it."""
-    study = read_study(args.study)
-    fit, held = len(study.fit_runs), len(study.test_runs)
-    print(f"{study.name}: {len(study.channels)} channels, {fit} runs to fit, {held} held out")
-    _require_ready(study, args.study)
-    print("ready for a diagnosis")
-
-
-def _require_ready(study: Study, given: str) -> None:
-    problems = check_study(study)
-    for problem in problems:
-        print(problem)
-    errors = sum(problem.severity == "error" for problem in problems)
-    if errors:
-        raise StudyError(f"{errors} of {len(problems)} problems keep {given} from a diagnosis")
+    """Show the study and what is wrong with it."""
+    check(read_study(args.study), args.study)
 
 
 def _inputs(args: argparse.Namespace) -> tuple[Inputs, Path]:
     """Study and setup as chosen; the folder of the results."""
     study = read_study(args.study)
-    _require_ready(study, args.study)
+    require_ready(study, args.study)
     inputs = inputs_of(
         study,
         seed=args.seed,

@@ -40,7 +40,7 @@ def command(args: argparse.Namespace) -> None:
     """Track, write, and say how much was seen."""
     import numpy as np
 
-    from diffsim.data.study_file import save_study
+    from diffsim.data.study_save import save_study
     from diffsim.data.track import noise_px, tracks_study, without_merged
     from diffsim.data.video import TENNIS_BALL, ColorBounds, track_video
 

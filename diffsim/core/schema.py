@@ -6,6 +6,7 @@ each mistake with its path in the file.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Annotated, Any
 
@@ -39,17 +40,37 @@ def number(unit: str) -> Any:
     return Annotated[float, BeforeValidator(lambda given: in_unit(given, unit))]
 
 
+_PLAIN = (
+    (r"Field required", "is missing"),
+    (r"Input should be greater than or equal to (\S+)", r"must be at least \1"),
+    (r"Input should be greater than (\S+)", r"must be above \1"),
+    (r"Input should be less than or equal to (\S+)", r"must be at most \1"),
+    (r"Input should be less than (\S+)", r"must be below \1"),
+    (r"Input should be a valid integer.*", "must be a whole number"),
+    (r"Input should be a valid number.*", "must be a number"),
+    (r"Input should be a valid string", "must be text"),
+    (r"Input should be a valid boolean.*", "must be true or false"),
+    (r"Input should be a valid (list|tuple)", "must be a list"),
+    (r"Input should be a valid dictionary.*", "must be a mapping"),
+    (r"Input should be (.*)", r"must be \1"),
+)
+"""What pydantic says, and how people say it."""
+
+
 def problem_lines(where: str, error: ValidationError) -> list[str]:
     """One line per wrong key: path, what is wrong, what came.
 
     Args:
-        where: What the paths begin with, such as "study.yaml: model".
+        where: What the paths begin with, such as "study.yaml: model" or "study.yaml: ".
         error: Refusal of a :class:`Part`.
     """
     out = []
     for one in error.errors(include_url=False):
         path = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in one["loc"])
+        path = path.removeprefix(".") if where.endswith(" ") else path
         message = one["msg"].removeprefix("Value error, ")
+        for pattern, plain in _PLAIN:
+            message = re.sub(f"^{pattern}", plain, message)
         is_plain = isinstance(one["input"], (str, int, float, bool))
         came = f", got {one['input']!r}" if is_plain and "got" not in message else ""
         out.append(f"{where}{path}: {message}{came}")

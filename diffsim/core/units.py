@@ -8,13 +8,26 @@ from __future__ import annotations
 
 import re
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 from diffsim.core.check import did_you_mean
 
 NO_UNIT = "-"
 _COMMON = ("m", "mm", "kg", "g", "s", "ms", "N", "Pa", "kPa", "mbar", "rad", "deg", "rpm", "V", "A")
-_SI = ("m", "s", "kg", "N", "Pa", "rad/s", "rad", "V", "A", "K", "Hz", "N m", "W", "m/s", "m/s^2")
+_POWER = re.compile(r"(?<![A-Za-z_])(m|mm|cm|km|s)([234])(?![0-9])")
+#: Coherent SI units by what pint makes of them; others are spelled out in base units.
+_COHERENT = {
+    "dimensionless": NO_UNIT,
+    "kilogram * meter / second ** 2": "N",
+    "kilogram / meter / second ** 2": "Pa",
+    "kilogram * meter ** 2 / second ** 2": "N m",
+    "kilogram * meter ** 2 / second ** 3": "W",
+    "kilogram * meter ** 2 / ampere / second ** 3": "V",
+    "kilogram * meter ** 2 / ampere ** 2 / second ** 3": "ohm",
+    "kilogram / second ** 2": "N/m",
+    "kilogram / second": "N s/m",
+    "1 / second": "Hz",
+}
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 
 
@@ -40,8 +53,9 @@ def _parsed(unit: str) -> Any:
         return registry.dimensionless
     # "N m" and "Nm" are both written; pint reads a space as a product
     text = re.sub(r"(?<=[A-Za-z0-9)])\s+(?=[A-Za-z(])", "*", text.replace("·", "*"))
-    for one, other in (("Nm", "N*m"), ("²", "^2"), ("³", "^3"), ("µ", "u")):
+    for one, other in (("Nm", "N*m"), ("²", "^2"), ("³", "^3"), ("µ", "u"), ("Ohm", "ohm")):
         text = text.replace(one, other)
+    text = _POWER.sub(r"\1^\2", text)  # "m/s2" and "mm3" are written, too
     try:
         return registry.parse_units(text)
     except Exception as error:  # pint raises errors of its parser, of tokenize and of its own
@@ -67,23 +81,40 @@ def factor(unit: str, into: str) -> float:
     return float(_registry().Quantity(1.0, have).to(want).magnitude)
 
 
-def si_unit(unit: str) -> str:
-    """The SI unit for the quantity of a unit: "mbar" -> "Pa", "N m" stays.
+class SI(NamedTuple):
+    """SI unit of a quantity, and the way to it: value_SI = factor value + offset.
+
+    Attributes:
+        unit: Coherent SI unit, radians for angles, pixels for places in pictures.
+        factor: Number of ``unit`` in one of the unit that was asked for.
+        offset: Value in ``unit`` of a zero; not 0 for degrees Celsius only.
+    """
+
+    unit: str
+    factor: float
+    offset: float
+
+
+@lru_cache(maxsize=512)
+def to_si(unit: str) -> SI:
+    """SI unit of the quantity that a unit measures; a coherent one is kept as it is written.
 
     Args:
-        unit: Unit as a user wrote it.
+        unit: Unit as people write it, such as "mm", "rpm", "mbar", "N m".
 
     Raises:
         ValueError: an unknown unit.
     """
     parsed = _parsed(unit)
-    scale = _registry().Quantity(1.0, parsed).to_base_units()
-    if scale.magnitude == 1.0 or parsed == _registry().pixel:
-        return unit.strip() or NO_UNIT
-    for known in _SI:
-        if _parsed(known).dimensionality == parsed.dimensionality:
-            return known
-    return f"{scale.units:~C}".replace("**", "^")
+    zero = _registry().Quantity(0.0, parsed).to_base_units()
+    one = _registry().Quantity(1.0, parsed).to_base_units()
+    offset = float(zero.magnitude)
+    size = float(one.magnitude) - offset
+    if size == 1.0 and offset == 0.0:
+        return SI(unit.strip() or NO_UNIT, 1.0, 0.0)
+    name = str(one.units)
+    short = f"{one.units:~}".replace(" ** ", "^").replace(" * ", " ").replace(" / ", "/")
+    return SI(_COHERENT.get(name, short), size, offset)
 
 
 def in_si(value: float | int | str, unit: str = NO_UNIT) -> tuple[float, str]:
@@ -97,9 +128,10 @@ def in_si(value: float | int | str, unit: str = NO_UNIT) -> tuple[float, str]:
         ValueError: not a number, or an unknown unit.
     """
     matched = _QUANTITY.fullmatch(str(value))
-    own = matched.group(2) if matched is not None else ""
-    into = si_unit(own or unit)
-    return in_unit(value if own else f"{value} {unit}", into), into
+    if matched is None or isinstance(value, bool):
+        raise ValueError(f"must be a number, or one with its unit, got {value!r}")
+    si = to_si(matched.group(2) or unit)
+    return si.factor * float(matched.group(1)), si.unit
 
 
 def in_unit(value: float | int | str, unit: str) -> float:

@@ -9,9 +9,10 @@ from diffsim.data.ball_video import ball_video_study
 from diffsim.data.beam import TIP_MARKERS, BeamGeometry, BeamStudy, BeamTrial, load_beam_study
 from diffsim.data.importers import IMPORTERS, import_study
 from diffsim.data.recording import Recording, find_dataset, load_csv
-from diffsim.data.study import Channel, Run, Study
+from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_check import Problem, check_study
-from diffsim.data.study_file import load_study, save_study
+from diffsim.data.study_file import load_study
+from diffsim.data.study_save import save_study
 from diffsim.data.virtual_lab import write_beam_study
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
     "BeamStudy",
     "BeamTrial",
     "Channel",
+    "Command",
     "Problem",
     "Recording",
     "Run",

@@ -25,12 +25,38 @@ class Channel:
         unit: SI unit of the samples.
         kind: Kind of quantity: "position", "angle", "velocity", "pressure", "flow", ...
         sd: Standard deviation of the sensor's noise, in ``unit``; None: estimated from repeats.
+        shown_unit: Unit in which a user reads errors, such as "mm"; None: ``unit``.
     """
 
     name: str
     unit: str
     kind: str
     sd: float | None = None
+    shown_unit: str | None = None
+
+
+@dataclass(frozen=True)
+class Command:
+    """What is known of a command beyond its samples.
+
+    Attributes:
+        name: Name of the command, a key of every run's ``command``.
+        unit: SI unit of the samples; None: not stated.
+        lower: Least value that can be commanded [unit]; None: unknown.
+        upper: Largest value that can be commanded [unit]; None: unknown.
+        rate: Fastest change that can be commanded [unit/s]; None: unknown.
+        is_measured: Whether it was measured, as the output of a controller is: it differs between
+            repeats, and cannot be commanded.
+        shown_unit: Unit in which a user reads it, such as "mbar"; None: ``unit``.
+    """
+
+    name: str
+    unit: str | None = None
+    lower: float | None = None
+    upper: float | None = None
+    rate: float | None = None
+    is_measured: bool = False
+    shown_unit: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +97,10 @@ class Study:
         metadata: Geometry and settings that the model needs, source, licence.
         model: Description of the system as ``model:`` of study.yaml states it; None: none given.
         folder: Folder that paths of ``model`` are relative to; None: the working folder.
+        commands: Units and limits of the commands that are known; may be empty.
+        file: File that the study was read from; None: made in memory.
+        left_out: What of the study's folder is not used, a sentence each.
+        todo: What the study says is still to be stated, a sentence each.
     """
 
     name: str
@@ -80,6 +110,10 @@ class Study:
     metadata: Mapping[str, Any] = field(default_factory=dict)
     model: Mapping[str, Any] | None = None
     folder: Path | None = None
+    commands: tuple[Command, ...] = ()
+    file: Path | None = None
+    left_out: tuple[str, ...] = ()
+    todo: tuple[str, ...] = ()
 
     @property
     def fit_runs(self) -> tuple[Run, ...]:

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from diffsim.data.study import SYSTEMS, USES, Run, Study
-from diffsim.data.study_file import unit_suffix
+from diffsim.core.units import factor, to_si
+from diffsim.data.study import SYSTEMS, USES, Channel, Run, Study
 
+TODO = "TODO"  # what a user is still to fill in
 MIN_SAMPLES = 10
+MANY_SAMPLES = 100_000  # of all runs and channels; what is simulated at each costs time
 MAX_STEP = 1.5  # of the median step; a longer one is a gap in the clock
 MAX_MISSING = 0.2  # share of a channel's samples
+_SUFFIXES = ("mm", "cm", "um", "ms", "us", "deg", "rpm", "mbar", "kPa", "mV", "mA", "mN", "Pa",
+             "rad", "Nm", "N", "rad_s", "m_s", "m_s2")  # fmt: skip
 MAX_COMMAND_SCATTER = 0.02  # rms, of the command's range; repeats of one group must agree to this
 
 
@@ -46,34 +51,63 @@ def check_study(study: Study) -> list[Problem]:
 
 def _check_plan(study: Study) -> Iterator[Problem]:
     """Commands, held-out runs and names."""
-    if study.system not in SYSTEMS:
+    if study.model is None and study.system not in SYSTEMS:
         yield Problem("error", "study", f"system must be one of {SYSTEMS}, got {study.system!r}")
     names = Counter(run.name for run in study.runs)
     for name in (n for n, count in names.items() if count > 1):
         yield Problem("error", f"run {name}", "the name is used twice; names must be unique")
     fit_groups = {run.group for run in study.fit_runs}
-    if len(fit_groups) < 2:
+    if not study.fit_runs:
+        yield Problem("error", "study", "no run with use: fit; nothing can be fitted")
+    elif len(fit_groups) < 2:
         yield Problem(
-            "error",
+            "warning",
             "study",
-            f"at least two commands are needed among the fit runs, got {len(fit_groups)}; "
-            "with one, causes that differ in frequency or amplitude look alike",
+            "all fit runs have one command: causes that differ in frequency or amplitude look "
+            "alike; record another, or cut a long run in blocks",
         )
     if not study.test_runs:
         yield Problem(
-            "error", "study", "no held-out run; mark one with use: test, to test the verdict on"
+            "warning",
+            "study",
+            "no run with use: test, so nothing will show what the causes found are worth on "
+            "unseen runs; keep one back",
         )
     elif all(run.group in fit_groups for run in study.test_runs):
         yield Problem(
             "warning",
             "study",
-            "every held-out run repeats a fitted command; an unseen command tests more",
+            "every test run repeats a fitted command; an unseen command tests more",
+        )
+    for sentence in study.todo:
+        yield Problem("warning", "study", f"still to be stated: {sentence}")
+    yield from _unfilled("model", study.model)
+    size = sum(run.measured.size for run in study.runs if run.use != "test")
+    if size > MANY_SAMPLES:
+        longest = max(study.runs, key=lambda run: len(run.time_s))
+        yield Problem(
+            "warning",
+            "study",
+            f"{size} samples to be simulated, run {longest.name} alone has "
+            f"{len(longest.time_s)}; use a window or each n-th (until_s, every) to save time",
         )
     orders = Counter(run.order for run in study.runs)
     if any(count > 1 for count in orders.values()):
         yield Problem(
             "warning", "study", "runs share a place in the order; drifts over runs cannot be seen"
         )
+
+
+def _unfilled(where: str, stated: Any) -> Iterator[Problem]:
+    """Places of a description that still say TODO."""
+    if isinstance(stated, Mapping):
+        for key, value in stated.items():
+            yield from _unfilled(f"{where}.{key}", value)
+    elif isinstance(stated, (list, tuple)):
+        for i, value in enumerate(stated):
+            yield from _unfilled(f"{where}[{i}]", value)
+    elif isinstance(stated, str) and TODO in stated:
+        yield Problem("error", where, f"is still to be filled in: {stated}")
 
 
 def _check_channels(study: Study) -> Iterator[Problem]:
@@ -85,12 +119,12 @@ def _check_channels(study: Study) -> Iterator[Problem]:
         where = f"channel {channel.name}"
         if names[channel.name] > 1:
             yield Problem("error", where, "the name is used twice; names must be unique")
-        if not channel.name.endswith(unit_suffix(channel.unit)):
+        if (said := _said_unit(channel)) is not None:
             yield Problem(
                 "error",
                 where,
-                f"unit is {channel.unit!r}, but the name does not end in "
-                f"{unit_suffix(channel.unit)!r}; rename the column or mend the unit",
+                f"the name ends in {said!r}, but unit is {channel.unit!r}; rename the channel or "
+                "mend its unit",
             )
         if channel.sd is not None and not channel.sd > 0.0:
             yield Problem("error", where, f"sd must be above 0, got {channel.sd:g}")
@@ -98,8 +132,38 @@ def _check_channels(study: Study) -> Iterator[Problem]:
             yield Problem(
                 "error",
                 where,
-                "noise unknown: no sd and no repeated run; give sd or repeat a command",
+                "noise unknown: no sd and no repeated run; give sd or repeat a command"
+                + _jitter(study, channel),
             )
+
+
+def _jitter(study: Study, channel: Channel) -> str:
+    """Scatter from sample to sample, as a hint for the sd."""
+    at = study.channels.index(channel)
+    levels = []
+    for run in study.runs:
+        steps = np.diff(run.measured[:, at], n=2) if run.measured.shape[1] > at else np.empty(0)
+        if np.isfinite(steps).sum() >= MIN_SAMPLES:
+            levels.append(float(np.nanmedian(np.abs(steps))) / 0.6745 / np.sqrt(6.0))
+    if not levels or not max(levels) > 0.0:
+        return ""
+    unit = channel.shown_unit or channel.unit
+    size = float(np.median(levels)) * factor(channel.unit, unit)
+    return f" (from sample to sample it scatters by {size:.2g} {unit})"
+
+
+def _said_unit(channel: Channel) -> str | None:
+    """Unit at the end of a channel's name if it contradicts the channel's own."""
+    for suffix in _SUFFIXES:
+        if channel.name.endswith(f"_{suffix}"):
+            unit = suffix.replace("_", "/")
+            try:
+                size = factor(unit, to_si(channel.unit).unit)
+            except ValueError:  # another quantity
+                return suffix
+            shown = channel.shown_unit or channel.unit
+            return None if size == 1.0 or factor(unit, shown) == 1.0 else suffix
+    return None
 
 
 def _check_run(run: Run, study: Study) -> Iterator[Problem]:
@@ -115,9 +179,15 @@ def _check_run(run: Run, study: Study) -> Iterator[Problem]:
         )
         return
     if n < MIN_SAMPLES:
-        yield Problem("error", where, f"{n} samples; at least {MIN_SAMPLES} are needed")
+        yield Problem(
+            "warning" if n else "error",
+            where,
+            f"{n} samples; fewer than {MIN_SAMPLES} tell of states at rest only",
+        )
+    if n > 1:
+        yield from _check_clock(run, where)
+    if not n:
         return
-    yield from _check_clock(run, where)
     if not np.isfinite(run.measured).any():
         yield Problem("error", where, "nothing was measured in this run; leave it out")
         return
@@ -129,7 +199,7 @@ def _check_run(run: Run, study: Study) -> Iterator[Problem]:
             yield Problem(
                 "warning", where, f"{channel.name} is missing in {missing:.0%} of samples"
             )
-        if missing < 1.0 and np.nanmin(values) == np.nanmax(values):
+        if missing < 1.0 and n >= MIN_SAMPLES and np.nanmin(values) == np.nanmax(values):
             yield Problem("warning", where, f"{channel.name} never changes; is the sensor stuck?")
     for name, values in run.command.items():
         if values.shape != (n,):
@@ -169,21 +239,30 @@ def _check_groups(study: Study) -> Iterator[Problem]:
     if len(names) > 1:
         yield Problem("error", "study", "runs have different command columns; give all to each")
         return
-    first: dict[str, Run] = {}
+    groups: dict[str, list[Run]] = {}
     for run in study.runs:
-        reference = first.setdefault(run.group, run)
-        for name, values in run.command.items():
-            if reference is run or values.shape != run.time_s.shape:
-                continue
-            scatter = _scatter(run, reference, name)
-            if scatter > MAX_COMMAND_SCATTER:
-                yield Problem(
-                    "warning",
-                    f"run {run.name}",
-                    f"command {name} differs from that of run {reference.name} in the same group "
-                    f"{run.group!r} by {scatter:.1%} rms of its range; align the clocks, "
-                    "or make it another group",
-                )
+        groups.setdefault(run.group, []).append(run)
+    # what a controller gave out differs between repeats: they share what was asked of it
+    measured = {c.name for c in study.commands if c.is_measured}
+    for group, (reference, *others) in groups.items():
+        apart = [
+            (scatter, name, run.name)
+            for run in others
+            for name, values in run.command.items()
+            if name not in measured and values.shape == run.time_s.shape
+            if (scatter := _scatter(run, reference, name)) > MAX_COMMAND_SCATTER
+        ]
+        if apart:
+            worst, name, run_name = max(apart)
+            commands = ", ".join(dict.fromkeys(name for _, name, _ in apart))
+            yield Problem(
+                "warning",
+                f"group {group}",
+                f"its runs did not execute one command: {commands} differ, most {name} of run "
+                f"{run_name} from that of run {reference.name}, by {worst:.1%} rms of its range; "
+                "align the clocks, put runs into groups of their own, or say is_measured: true of "
+                "what a controller gave out",
+            )
 
 
 def _scatter(run: Run, reference: Run, name: str) -> float:

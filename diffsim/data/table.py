@@ -8,21 +8,51 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TextIO
 
 from diffsim.core.check import did_you_mean
 
+MISSING = ("nan", "na", "n/a", "null", "none", "-")
 _OTHER_TIME = re.compile(r"^(t|time|timestamp|time_?ms|time_?us|t_s|t_ms|seconds)$", re.IGNORECASE)
+
+
+def delimiter_of(header: str) -> str:
+    """Delimiter of a file by its header line: a semicolon or tab if there is one, else a comma."""
+    return next((mark for mark in (";", "\t") if mark in header), ",")
+
+
+_DECIMAL_COMMA = re.compile(r"^(\s*[-+]?\d*),(\d+(?:[eE][-+]?\d+)?\s*)$")
+
+
+@contextmanager
+def open_text(path: Path) -> Iterator[TextIO]:
+    """A text file as UTF-8, UTF-16 with a mark, or else as Windows writes it."""
+    with path.open("rb") as file:
+        start = file.read(2)
+        is_utf16 = start in (b"\xff\xfe", b"\xfe\xff")
+        try:
+            (start + file.read()).decode("utf-16" if is_utf16 else "utf-8")
+            encoding = "utf-16" if is_utf16 else "utf-8-sig"
+        except UnicodeDecodeError:
+            encoding = "cp1252"
+    with path.open(newline="", encoding=encoding, errors="replace") as text:
+        yield text
 
 
 @contextmanager
 def open_table(
-    path: Path, what: str
+    path: Path, what: str, *, header_line: int = 1, first_line: int | None = None
 ) -> Iterator[tuple[list[str], Iterator[tuple[int, list[str]]]]]:
     """Header and numbered rows of a CSV file; blank lines are skipped.
+
+    Cells are divided by semicolons or tabs if the header is, else by commas; where they are not
+    divided by commas, a decimal comma is read as a point.
 
     Args:
         path: CSV file to be read.
         what: What it should be, for the message, such as "recording".
+        header_line: Line with the names of the columns, from 1.
+        first_line: Line of the first sample; by default the one after the header.
 
     Raises:
         FileNotFoundError: no such file; the message lists the CSV files beside it.
@@ -32,28 +62,39 @@ def open_table(
         beside = sorted(p.name for p in path.parent.glob("*.csv")) if path.parent.is_dir() else []
         there = f"; that folder has {', '.join(beside)}" if beside else ""
         raise FileNotFoundError(f"{path}: no such {what}{there}{did_you_mean(path.name, beside)}")
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        rows = csv.reader(file)
-        header = [name.strip() for name in next(rows, [])]
+    skipped = (first_line or header_line + 1) - 1
+    with open_text(path) as file:
+        for _ in range(header_line - 1):
+            next(file, "")
+        first = next(file, "")
+        mark = delimiter_of(first)
+        header = [name.strip() for name in next(csv.reader([first], delimiter=mark), [])]
         if not header:
             raise ValueError(f"{path}: the file is empty; expected a header line with time_s")
         if repeated := sorted({name for name in header if name and header.count(name) > 1}):
             raise ValueError(f"{path}: column {repeated[0]!r} occurs more than once in the header")
-        yield header, _numbered(path, header, rows)
+        for _ in range(skipped - header_line):
+            next(file, "")
+        rows = csv.reader(file, delimiter=mark)
+        yield header, _numbered(path, header, rows, skipped, mark != ",")
 
 
 def _numbered(
-    path: Path, header: list[str], rows: Iterator[list[str]]
+    path: Path, header: list[str], rows: Iterator[list[str]], before: int, comma_is_point: bool
 ) -> Iterator[tuple[int, list[str]]]:
     for row in rows:
-        line: int = rows.line_num  # type: ignore[attr-defined]
+        line: int = before + rows.line_num  # type: ignore[attr-defined]
         if not any(cell.strip() for cell in row):
             continue  # blank line, usually the last
+        if len(row) == len(header) + 1 and not row[-1].strip():
+            row = row[:-1]  # loggers end a row with a delimiter
         if len(row) != len(header):
             raise ValueError(
                 f"{path}, row {line}: {len(row)} cells, but the header has {len(header)} "
                 "columns; a cell without a value must still have its comma"
             )
+        if comma_is_point:
+            row = [_DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in row]
         yield line, row
 
 
@@ -85,9 +126,9 @@ def parse_time(path: Path, line: int, column: str, cell: str, before: float | No
 def parse_number(
     path: Path, line: int, column: str, cell: str, *, missing: str = "nothing was measured"
 ) -> float:
-    """One cell; an empty one, ``nan`` or ``na`` is NaN, anything else must be a finite number."""
+    """One cell; an empty one or one of ``MISSING`` is NaN, else it must be a finite number."""
     text = cell.strip()
-    if text == "" or text.lower() in ("nan", "na"):
+    if text == "" or text.lower() in MISSING:
         return math.nan
     try:
         value = float(text)

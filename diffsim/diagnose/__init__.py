@@ -15,7 +15,7 @@ From ``study.yaml`` to the verdict one channel passes through 25 files, to be re
    simulated for it.
 9. ``judge``, ``gain``: one verdict; unknown causes face the repeats (``crosscheck``), names face
    held-out runs.
-10. ``tables``, ``report``, ``force_map``: the evidence as it is read and saved.
+10. ``records``, ``tables``, ``report``, ``force_map``: the evidence as it is read and saved.
 
 One record passes on to the next, and none is changed: ``Case`` (what is given), ``Null`` (noise
 floor and null fit), ``Search`` (what was weighed), ``Judgment`` (what may be said), ``Report``.
@@ -26,16 +26,22 @@ from diffsim.diagnose.force_map import ForceMap, force_map
 from diffsim.diagnose.gain import Gain, gain
 from diffsim.diagnose.gates import GateResult
 from diffsim.diagnose.next_run import NextRun, next_run
+from diffsim.diagnose.records import BaseRow, CauseRow, ErrorRow, Interval, OutsideRow
 from diffsim.diagnose.report import Report
 from diffsim.diagnose.tables import EffectRow, HypothesisRow
 
 __all__ = [
+    "BaseRow",
+    "CauseRow",
     "EffectRow",
+    "ErrorRow",
     "ForceMap",
     "Gain",
     "GateResult",
     "HypothesisRow",
+    "Interval",
     "NextRun",
+    "OutsideRow",
     "Report",
     "diagnose",
     "force_map",

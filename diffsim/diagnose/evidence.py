@@ -1,17 +1,19 @@
 """Laplace evidence of hypotheses, in nats, from one linearization of everything.
 
-With W S ~ W S(x0) + A (x - x0), coordinates of prior N(0, 1), and an unknown cause H z with
-z ~ N(0, a^2), columns B = [A_base, A_effects, a H] and r = W (y - S(x0)) + A x0:
+With W S ~ W S(x0) + A (u - u0) in scaled coordinates u (``Problem.scaled``: base parameters, prior
+N(0, 1), and sizes, heavy-tailed), and an unknown cause H z with z ~ N(0, a^2), columns
+B = [A_base, A_effects / sqrt(w), a H] and r = W (y - S(x0)) + A u0:
 
-    E = -1/2 r' (1 + B B')^-1 r - 1/2 ln|1 + B'B| + sum_half-normal ln(2 Phi(t / s))
+    E = -1/2 r' (1 + B B')^-1 r - 1/2 ln|1 + B'B| + sum_sizes ln(tilt)
         - (number of effects + unknown) ln(number of families) - unknown ln(number of unknowns)
 
-t and s are mean and standard deviation of an unsigned size where its sign is left free: exact for
-one such size in a linear problem, and ln 2 each (the half-normal's height) where t >> s. Bounds of
-base parameters cost likewise the share of the normal beyond them. Where several bounds are active
-they cost together what the optimum within them has lost, so no model is credited with a fit beyond
-its bounds. The amplitude a is averaged over ``AMPLITUDES``. Constants are left out: -N/2 ln(2 pi) +
-ln|W|, and the share of the base parameters' prior within the bounds.
+N(0, 1 / w) stands for the prior of a size at the optimum (``sizes.precision_at``), and the tilt
+puts the prior itself in its place (``optimum.log_tilt``), its sign included: exact for one size in
+a problem that is linear in sizes, however large. Bounds of base parameters cost the share of the
+normal beyond them. Where several bounds are active they cost together what the optimum within them
+has lost, so no model is credited with a fit beyond its bounds. The amplitude a is averaged over
+``AMPLITUDES``. Constants are left out: -N/2 ln(2 pi) + ln|W|, and the share of the base parameters'
+prior within the bounds.
 """
 
 from __future__ import annotations
@@ -22,10 +24,12 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, optimize, special
+from scipy import linalg, special
 
+from diffsim.diagnose.optimum import log_tilt, optimum, quadratic_optimum
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import Effect
+from diffsim.identify.sizes import precision_at
 from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
@@ -91,10 +95,12 @@ class LaplaceEvidence:
     ):
         self.num_unknowns = len(responses) if num_unknowns is None else num_unknowns
         self.problem, self.x0, self.num_families = problem, x, num_families
+        self.scaled0 = problem.scaled(x)
         self.residual, self.jacobian = residual, jacobian
-        right = residual + jacobian @ x
+        slopes = jacobian / problem.stretch(x)
+        right = residual + slopes @ problem.scaled(x)
         blocks = [_unit_power(h) for h in responses]
-        stacked = np.hstack([jacobian, *blocks])
+        stacked = np.hstack([slopes, *blocks])
         edges = np.cumsum([jacobian.shape[1], *(b.shape[1] for b in blocks)])
         self.unknown_columns = [list(range(a, b)) for a, b in pairwise(edges)]
         self.gram = stacked.T @ stacked
@@ -125,45 +131,66 @@ class LaplaceEvidence:
         self, free: list[int], members: list[int], extra: list[int], amplitude: float
     ) -> tuple[float, Array, Array, float]:
         idx = free + extra
-        scale = np.concatenate([np.ones(len(free)), np.full(len(extra), amplitude)])
+        count, is_size = len(free), np.array([i >= self.problem.num_base for i in free], dtype=bool)
+        low, high = (bound[free] for bound in self.bounds)
+        scale = np.concatenate([np.ones(count), np.full(len(extra), amplitude)])
         b = scale * self.projection[idx]
         gram = self.gram[np.ix_(idx, idx)] * np.outer(scale, scale)
+        precision = np.ones(count)
+        if is_size.any():
+            best = optimum(*_without(gram, b, count), low, high, is_size, self.scaled0[free])
+            precision[is_size] = precision_at(best[is_size])
+        width = np.concatenate([1.0 / np.sqrt(precision), np.ones(len(extra))])
+        b, gram = width * b, gram * np.outer(width, width)
+        unbounded = np.full(len(extra), np.inf)
+        low = np.concatenate([low / width[:count], -unbounded])
+        high = np.concatenate([high / width[:count], unbounded])
         factor = linalg.cho_factor(gram + np.eye(len(idx)), lower=True)
         mean = linalg.cho_solve(factor, b)
         log_det = 2.0 * np.log(np.diag(factor[0])).sum()
         nats = -0.5 * (self.power - b @ mean) - 0.5 * log_det
-        inverse = linalg.cho_solve(factor, np.eye(len(idx)))
-        sd = np.sqrt(np.diag(inverse))
-        unbounded = np.full(len(extra), np.inf)
-        low = np.concatenate([self.bounds[0][free], -unbounded])
-        high = np.concatenate([self.bounds[1][free], unbounded])
-        mean, lost = _within(mean, sd, np.tril(factor[0]).T, low, high)
+        sd = np.sqrt(np.diag(linalg.cho_solve(factor, np.eye(len(idx)))))
+        gained = _log_share(mean, sd, low, high)
+        signed = [self.problem.effects[i].signed for i in members for _ in self.columns[i]]
+        for k, is_signed in zip(np.flatnonzero(is_size), signed, strict=True):
+            gained[k] = log_tilt(mean[k], sd[k], precision[k], is_signed)
+        mean, lost = _within(mean, sd, gram, b, low, high)
         chi2 = self.power - 2.0 * (b @ mean) + mean @ gram @ mean
-        unsigned = [
-            c for i in members if not self.problem.effects[i].signed for c in self.columns[i]
-        ]
-        nats += len(unsigned) * np.log(2.0) - lost
-        x, deviation = np.zeros(len(self.x0)), np.zeros(len(self.x0))
-        x[free], deviation[free] = mean[: len(free)], sd[: len(free)]
-        return float(nats), x, deviation, float(chi2)
+        u, deviation = np.zeros(len(self.x0)), np.zeros(len(self.x0))
+        u[free] = (width * mean)[:count]
+        x = self.problem.standardized(u)
+        deviation[free] = (width * sd)[:count] / self.problem.stretch(x)[free]
+        return float(nats + gained.sum() - lost), x, deviation, float(chi2)
 
 
-def _within(mean: Array, sd: Array, root: Array, low: Array, high: Array) -> tuple[Array, float]:
-    """The optimum within bounds and the nats that they cost.
+def _without(gram: Array, b: Array, count: int) -> tuple[Array, Array]:
+    """Misfit in the first coordinates, the others N(0, 1) and at their best."""
+    if len(b) == count:
+        return gram, b
+    outer = gram[count:, :count]
+    inner = linalg.cho_factor(gram[count:, count:] + np.eye(len(b) - count))
+    solved = linalg.cho_solve(inner, np.column_stack([outer, b[count:]]))
+    return gram[:count, :count] - outer.T @ solved[:, :-1], b[:count] - outer.T @ solved[:, -1]
+
+
+def _within(
+    mean: Array, sd: Array, gram: Array, b: Array, low: Array, high: Array
+) -> tuple[Array, float]:
+    """The optimum within bounds, and the nats lost beyond what each bound costs alone.
 
     Args:
         mean, sd: (n,) of the posterior without bounds.
-        root: (n, n) upper, root' root = 1 + B'B.
+        gram, b: Quadratic and linear part of the misfit; the prior is N(0, 1).
         low, high: Bounds of the coordinates, (n,).
     """
-    shares = _log_share(mean, sd, low, high)
     inside = np.clip(mean, low, high)
     if (inside == mean).all():
-        return mean, -float(shares.sum())
-    x = optimize.lsq_linear(root, root @ mean, (low, high), method="bvls").x
+        return mean, 0.0
+    hessian = gram + np.eye(len(b))
+    x = quadratic_optimum(hessian, b, low, high)
     # together the bounds cost what the optimum lost, not each one's share of it once more
-    lost = 0.5 * float(np.sum((root @ (x - mean)) ** 2))
-    return x, lost - float((shares + 0.5 * ((mean - inside) / sd) ** 2).sum())
+    lost = 0.5 * float((x - mean) @ hessian @ (x - mean))
+    return x, lost - 0.5 * float(np.sum(((mean - inside) / sd) ** 2))
 
 
 def unrealized(fit: Fit, weighed: Weighed) -> float:

@@ -1,8 +1,9 @@
 """Noise floor and fit of the plain model; Gauss-Newton with as few simulations as it can.
 
-Steps are Gauss-Newton within a trust region. Each costs one simulation of every run: the slopes are
-kept by Broyden updates (Broyden 1965, "A class of methods for solving nonlinear simultaneous
-equations") and simulated again only where the linear prediction was too far off.
+Steps are Gauss-Newton within a trust region, in scaled coordinates (``Problem.scaled``). Each costs
+one simulation of every run: the slopes are kept by Broyden updates (Broyden 1965, "A class of
+methods for solving nonlinear simultaneous equations") and simulated again only where the linear
+prediction was too far off.
 """
 
 from __future__ import annotations
@@ -13,11 +14,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy import linalg, optimize
+from scipy import linalg
 
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.noise import NoiseFloor, noise_floor, without_spikes
+from diffsim.diagnose.optimum import optimum
 from diffsim.diagnose.store import Store
 from diffsim.identify import Fit, Problem, Whitener, WhiteNoise
 from diffsim.identify.effect import Effect
@@ -44,7 +46,7 @@ OUTRANKED_NATS = 100.0  # behind the best set: slopes need not be exact
 SLOPE_RTOL = 0.05  # relative error of the linear prediction up to which slopes count as exact
 SLOPE_ATOL = 0.5  # the same in noise standard deviations of the misfit
 REFRESH_RTOL = 0.3  # relative error from which slopes are simulated again
-MAX_RADIUS, MIN_RADIUS = 4.0, 1e-3  # of the trust region [prior standard deviations]
+MAX_RADIUS, MIN_RADIUS = 4.0, 1e-3  # of the trust region, in scaled coordinates
 MAX_STEPS = 200  # valleys are curved: after 30 the fish tail's fit was not at its end
 
 
@@ -163,8 +165,8 @@ class _Iterate:
         problem: Fitting problem that is minimized.
         at: Linearization with the slopes of all coordinates.
         residual: Whitened residual, (num_valid,).
-        jacobian: Whitened slopes d(W S)/dx, (num_valid, n).
-        radius: Radius of the trust region [prior standard deviations].
+        jacobian: Whitened slopes d(W S)/du by the scaled coordinates, (num_valid, n).
+        radius: Radius of the trust region, in scaled coordinates.
     """
 
     problem: Problem
@@ -172,6 +174,11 @@ class _Iterate:
     residual: Array
     jacobian: Array
     radius: float = MAX_RADIUS
+
+    @property
+    def scaled(self) -> Array:
+        """Scaled coordinates, (n,)."""
+        return self.problem.scaled(self.at.x)
 
     @property
     def misfit(self) -> float:
@@ -197,10 +204,14 @@ class _Iterate:
     def tried(self, step: Array) -> tuple[_Iterate, bool]:
         """Take a step if it lowers the cost; the radius follows the error of the linear prediction.
 
+        Args:
+            step: In scaled coordinates, (n,).
+
         Returns:
             The next iterate, and whether the cost is lower there.
         """
-        x, longest = self.at.x + step, float(np.abs(step).max())
+        x = self.problem.standardized(self.scaled + step)
+        longest = float(np.abs(step).max())
         shorter = replace(self, radius=0.25 * longest)
         try:
             record = record_at(self.problem, x)
@@ -209,22 +220,22 @@ class _Iterate:
         r = whitened(self.problem, measured_of(self.problem) - record)
         if float(r @ r + x @ x) >= self.cost:
             return shorter, False
-        after = self._updated(step, record, r)
+        after = self._updated(x, step, record, r)
         if after.at.slope_error - self.at.slope_error > REFRESH_RTOL:
             return replace(after, radius=max(0.5 * longest, 0.5 * self.radius)), True
         if longest > 0.9 * self.radius:
             return replace(after, radius=2.0 * longest), True
         return after, True
 
-    def _updated(self, step: Array, record: Array, residual: Array) -> _Iterate:
-        """At the end of a step; Broyden's update of the slopes."""
+    def _updated(self, x: Array, step: Array, record: Array, residual: Array) -> _Iterate:
+        """At x, the end of a step; Broyden's update of the slopes."""
         here = self.at
         off = record - here.record - here.columns @ step
         white_off = whitened(self.problem, off)
         moved = float(linalg.norm(self.jacobian @ step))
         along = step / float(step @ step)
         at = Linearization(
-            here.x + step,
+            x,
             record,
             here.idx,
             here.columns + np.outer(off, along),
@@ -256,8 +267,8 @@ def gauss_newton(
     evaluations, converged, message = 0, False, f"no end after {MAX_STEPS} steps"
     for _ in range(MAX_STEPS):
         behind = 0.0 if best_cost is None else max(0.5 * s.cost - best_cost, 0.0)
-        step = _step(s.jacobian, s.residual, s.at.x, low, high, s.radius)
-        linear, there = s.residual - s.jacobian @ step, s.at.x + step
+        step = _step(s, low, high)
+        linear, there = s.residual - s.jacobian @ step, problem.standardized(s.scaled + step)
         promised = 0.5 * (s.cost - float(linear @ linear + there @ there))
         if promised < max(TOLERANCE_NATS, MISFIT_RTOL * 0.5 * s.misfit, GAP_RTOL * behind):
             if s.at.slope_error == 0.0 or s.has_exact_slopes or behind > OUTRANKED_NATS:
@@ -272,8 +283,8 @@ def gauss_newton(
             break
         if s.at.slope_error > (REFRESH_RTOL if is_lower else 0.0):
             s = s.refreshed()
-    fit = summary(problem, s.at.x, s.residual, s.jacobian, converged, message, evaluations)
-    return fit, s.at
+    slopes = s.jacobian * problem.stretch(s.at.x)
+    return summary(problem, s.at.x, s.residual, slopes, converged, message, evaluations), s.at
 
 
 def _first(problem: Problem, start: Linearization) -> _Iterate:
@@ -284,16 +295,11 @@ def _first(problem: Problem, start: Linearization) -> _Iterate:
     return _Iterate(problem, at, residual, whitened(problem, slopes))
 
 
-def _step(
-    jacobian: Array, residual: Array, x: Array, low: Array, high: Array, radius: float
-) -> Array:
-    """argmin |r - J d|^2 + |x + d|^2 within the bounds and the trust region |d_i| <= radius."""
-    if not len(x):
-        return np.zeros(0)
-    root = linalg.cholesky(jacobian.T @ jacobian + np.eye(len(x)))
-    right = linalg.solve_triangular(root, jacobian.T @ residual - x, trans="T")
-    step = linalg.solve_triangular(root, right)
-    least, most = np.maximum(low - x, -radius), np.minimum(high - x, radius)
-    if (step < least).any() or (step > most).any():
-        step = optimize.lsq_linear(root, right, (least, most), method="bvls").x
-    return np.asarray(step)
+def _step(s: _Iterate, low: Array, high: Array) -> Array:
+    """argmin |r - J d|^2 + |x(u + d)|^2 within the bounds and the trust region |d_i| <= radius."""
+    u = s.scaled
+    gram = s.jacobian.T @ s.jacobian
+    is_size = np.arange(len(u)) >= s.problem.num_base
+    least, most = np.maximum(low, u - s.radius), np.minimum(high, u + s.radius)
+    end = optimum(gram, s.jacobian.T @ s.residual + gram @ u, least, most, is_size, u)
+    return np.asarray(end - u)

@@ -14,6 +14,7 @@ from scipy.stats import chi2
 from diffsim.data.study import Study
 from diffsim.diagnose.evidence import LaplaceEvidence
 from diffsim.diagnose.noise import UNREPEATABLE
+from diffsim.diagnose.separate import cut_in_two, require_separate
 from diffsim.identify import Fit, Jacobian, Problem
 from diffsim.identify.effect import Effect
 from diffsim.identify.fitting import posterior_covariance
@@ -40,6 +41,7 @@ class GateResult:
         value: Measured quantity, such as lambda.
         limit: Limit that the value is compared with.
         note: What was checked, in words.
+        applies: Whether there was anything to check; what does not apply did not pass.
     """
 
     name: str
@@ -47,10 +49,18 @@ class GateResult:
     value: float
     limit: float
     note: str = ""
+    applies: bool = True
+
+    @property
+    def status(self) -> str:
+        """ "passed", "failed" or "does not apply"."""
+        if not self.applies:
+            return "does not apply"
+        return "passed" if self.passed else "failed"
 
 
 def data_gate(study: Study) -> tuple[GateResult, ...]:
-    """Clocks increasing, shapes, at least two commands, at least one held-out run.
+    """Clocks, shapes, commands, repeats; runs of each use are recordings of their own.
 
     Raises:
         ValueError: nothing can be concluded from such files: the message names run and sample.
@@ -70,14 +80,30 @@ def data_gate(study: Study) -> tuple[GateResult, ...]:
             raise ValueError(f"run {run.name}: time_s must increase, but does not at sample {at}")
         if not np.isfinite(run.measured).any():
             raise ValueError(f"run {run.name}: nothing was measured; remove the run")
+    require_separate(study)
     commands = len({r.group for r in study.fit_runs})
-    held_out = len(study.test_runs)
-    repeats = len(study.fit_runs) - commands
+    repeats, tests = len(study.fit_runs) - commands, len(study.test_runs)
+    seen_once = "runs that neither a fit nor the choice of causes has seen"
+    if not tests:
+        seen_once = "no run with use: test, so no gain is known"
+    scatter = "runs of one command" if repeats else "no repeated run: repeatability is not judged"
     return (
         GateResult("commands", commands >= 2, commands, 2, "different commands among the fit runs"),
-        GateResult("held_out", held_out >= 1, held_out, 1, "runs never used for fitting"),
-        GateResult("repeats", repeats >= 1, repeats, 1, "without them repeatability is not judged"),
+        GateResult("held_out", tests >= 1, tests, 1, seen_once, applies=tests > 0),
+        _separate_gate(study),
+        GateResult("repeats", repeats >= 1, repeats, 1, scatter, applies=repeats > 0),
     )
+
+
+def _separate_gate(study: Study) -> GateResult:
+    """Test and select runs are recordings of their own, not the rest of a fitted one."""
+    pairs = cut_in_two(study)
+    note = "select or test runs that go on where another run ends"
+    if pairs:
+        first, second = pairs[0]
+        note = f"run {second.name} goes on where run {first.name} ends: it tests little"
+    others = len(study.select_runs) + len(study.test_runs)
+    return GateResult("separate_runs", not pairs, len(pairs), 0, note, applies=others > 0)
 
 
 def gradient_gate(linear: LaplaceEvidence) -> list[GateResult]:

@@ -24,7 +24,8 @@ from diffsim.identify import fit as fit_runs
 from diffsim.identify.effect import Effect
 from diffsim.identify.extended import ExtendedModel, extended_model
 from diffsim.identify.model_file import MODEL_FILE, SavedModel, effects_of, save_extended
-from diffsim.identify.problem import PRIOR_WIDTH, effect_coordinates
+from diffsim.identify.problem import effect_coordinates
+from diffsim.identify.sizes import PRIOR_WIDTH, coordinate_of
 
 Array = NDArray[np.float64]
 CORRELATED = 0.8
@@ -186,7 +187,8 @@ def refit(
     ]
     for effect in effects:
         scale = PRIOR_WIDTH * effect.typical
-        start += [values.get(name, 0.0) / scale for name in effect_coordinates([effect])]
+        sizes = np.array([values.get(name, 0.0) for name in effect_coordinates([effect])])
+        start += coordinate_of(sizes / scale).tolist()
     return fit_runs(
         problem.model,
         problem.runs,

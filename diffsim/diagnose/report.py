@@ -18,6 +18,7 @@ from diffsim.diagnose.gates import NUMERICS_GATES, REPEATS, GateResult
 from diffsim.diagnose.judge import EXPLAINED, Decision
 from diffsim.diagnose.next_run import NextRun
 from diffsim.diagnose.noise import NoiseFloor
+from diffsim.diagnose.records import BaseRow, CauseRow, ErrorRow, OutsideRow
 from diffsim.diagnose.tables import EffectRow, HypothesisRow
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect
@@ -58,6 +59,17 @@ class Report:
         settings: Thresholds, seed and versions that decided the answer.
         null, best: Fits of the plain model and of the best set.
         study, model: Study and model as given.
+        headline: The answer in at most 25 plain words, with the error on unseen runs before and
+            after in the recordings' own unit.
+        causes: Every candidate cause with its status, probability and size.
+        findings: Base parameters that ended beyond 3 standard deviations of the data sheet.
+        base: Base parameters: fitted value, data sheet, and how far apart they are.
+        errors: Error before and after on every test run, by kind of channel.
+        outside: Where test runs lie outside of what was fitted.
+        unknown_share: Share of the misfit above the noise that no named cause explains.
+        interval_factor: How many times wider the widest interval is than noise alone makes it.
+        chosen_by: What chose between causes: "select runs", "leaving out one group of fit runs
+            after the other", "leaving out blocks of 2.5 s".
     """
 
     verdict: str
@@ -82,6 +94,15 @@ class Report:
     model: SimModel
     next_run: NextRun | None = None
     force_map: ForceMap | None = None
+    headline: str = ""
+    causes: tuple[CauseRow, ...] = ()
+    findings: tuple[str, ...] = ()
+    base: tuple[BaseRow, ...] = ()
+    errors: tuple[ErrorRow, ...] = ()
+    outside: tuple[OutsideRow, ...] = ()
+    unknown_share: float | None = None
+    interval_factor: float = 1.0
+    chosen_by: str = ""
 
     def extended_model(self) -> SimModel:
         """The model with the named effects; base parameters and sizes at their posterior."""
@@ -94,7 +115,7 @@ class Report:
             for name in self.__dataclass_fields__
             if name not in ("null", "best", "study", "model", "next_run", "gain", "force_map")
         }
-        for name in ("hypotheses", "table", "gates"):
+        for name in ("hypotheses", "table", "gates", "causes", "base", "errors", "outside"):
             plain[name] = [asdict(row) for row in plain[name]]
         for name in ("next_run", "force_map", "gain"):
             value = getattr(self, name)

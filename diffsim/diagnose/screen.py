@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from diffsim.identify.problem import PRIOR_WIDTH, Problem
+from diffsim.identify.problem import Problem
 
 Array = NDArray[np.float64]
 VISIBLE = 6.0
@@ -68,7 +68,7 @@ def screen(problem: Problem, residual: Array, jacobian: Array, x: Array) -> Scre
     # a column that the base parameters absorb up to rounding carries no information
     blind = diagonal <= 1e-12 * np.sum(g**2, axis=0) + 1e-300
     root = np.where(blind, np.inf, np.sqrt(diagonal))
-    unit = np.array([PRIOR_WIDTH * e.typical for e, _ in problem.owners])
+    unit = problem.size_units  # at sizes of zero, where slopes by size and by coordinate agree
     tilde = g - j @ absorbed
     length = np.linalg.norm(tilde, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):

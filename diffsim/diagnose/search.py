@@ -1,8 +1,10 @@
 """Search over sets of effects, with or without an unknown cause, by Laplace evidence.
 
-From the best set so far its neighbors (one more, one less, one swapped) are ranked by linear
-evidence, those that could win are refitted, and the best refit becomes the next center, until none
-is better. A set that is not refitted keeps its linear evidence, and cannot win.
+From the best set so far its neighbors (one more, one less, one swapped, a pair that masks each
+other more) are ranked by linear evidence, those that could win are refitted, and the best refit
+becomes the next center, until none is better. Sizes of effects with kinks are scanned before. A set
+that is not refitted keeps its linear evidence, and cannot win; none that is refitted is worse than
+its subsets.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ from diffsim.diagnose.evidence import (
     families,
     unrealized,
 )
-from diffsim.diagnose.fit import Null
+from diffsim.diagnose.fit import MISFIT_RTOL, Null
+from diffsim.diagnose.scan import BORROWED, SCAN_NATS, masking_pairs
 from diffsim.diagnose.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effort import SearchSettings
@@ -31,6 +34,7 @@ from diffsim.identify.linearization import linearization_at, measured_of, whiten
 from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
+WORSE_NATS = 0.1  # a set may end above its subsets by: fits are exact to some hundredths
 STEP_ATOL = 0.05  # prior sd: a smaller step needs no new linearization
 
 
@@ -88,12 +92,14 @@ class Search:
         return fit
 
     def neighbors(self, members: Members) -> list[Members]:
-        """Sets with one effect more, one less, or one swapped."""
+        """Sets with one effect more, one less, or one swapped, or a masking pair more."""
         others = [i for i in range(len(self.wide.effects)) if i not in members]
         more = [members | {i} for i in others] if len(members) < self.settings.max_effects else []
         less = [members - {i} for i in members]
         swapped = [(members - {i}) | {j} for i in members for j in others]
-        return [*more, *less, *swapped]
+        room = self.settings.max_effects - len(members)
+        pairs = [members | pair for pair in masking_pairs(self.wide.effects, members, room)]
+        return [*more, *pairs, *less, *swapped]
 
     def linear_slack(self, members: Members) -> float:
         """Largest error of linear evidence at a set [nats]."""
@@ -131,16 +137,18 @@ def begin(null: Null, simulations: Simulations) -> Search:
 def search_sets(search: Search) -> Search:
     """Weigh sets of effects until none of the best set's neighbors is better; then its rivals, and
     unknown causes beside it."""
-    center = search.plain
+    center, search = _scanned(search, search.plain)
+    search = replace(search, plain=center)
     for _ in range(search.settings.max_rounds):
         ranked, search = _promising(search, center)
         for members in ranked[: search.settings.num_refits]:
             search = refit(search, members, center)
+        search = repaired(search)
         best = max((h for h in search.weighed if h.unknown is None), key=search.nats).effects
         if best == center.members:
             break
         center, search = _center(search, best, center)
-    return _weigh_unknowns(_refit_rivals(search, center), center)
+    return _weigh_unknowns(repaired(_refit_rivals(search, center)), center)
 
 
 def refit(search: Search, members: Members, near: Center | None = None) -> Search:
@@ -159,16 +167,92 @@ def refit(search: Search, members: Members, near: Center | None = None) -> Searc
     # how many refits it will take is not known before: each takes a tenth of what is left
     share = 0.85 - 0.6 * 0.9 ** len(search.weighed)
     search.null.case.progress("search", share, names or "no effect")
-    message, made = "", search.simulations
-    for center in dict.fromkeys((near or search.plain, search.plain)):
+    near = near or search.plain
+    promised = 0.5 * _cost(near.weigh(members))
+    message, best = "", None
+    for center in _starts(search, members, near):
         try:
-            start = made.start(members, center.at, center.evidence.weigh(key).x)
-            fit, made = made.fit(members, start, search.best_cost())
+            start = search.simulations.start(members, center.at, center.evidence.weigh(key).x)
+            fit, at = search.simulations.fitted_from(members, start, search.best_cost())
         except DiffsimError as error:
             message = str(error)
             continue
-        return replace(search, simulations=made).with_fit(members, fit)
-    return replace(search, failed={**search.failed, key: message})
+        if best is None or fit.chi2 + fit.prior < best[0].chi2 + best[0].prior:
+            best = fit, at
+        if not _disappoints(search, best[0], promised):
+            break
+    if best is None:
+        return replace(search, failed={**search.failed, key: message})
+    made = search.simulations.kept(members, best[1])
+    return replace(search, simulations=made).with_fit(members, best[0])
+
+
+def _starts(search: Search, members: Members, near: Center) -> list[Center]:
+    """Centers to start from: scanned sizes, the center itself, the plain model; the first that
+    lead to a good end are enough."""
+    if members in search.simulations.fitted:  # from its own earlier end
+        return [near]
+    places = (near.towards(members), near, search.plain.towards(members), search.plain)
+    return list(dict.fromkeys(places))[: search.settings.num_starts]
+
+
+def _disappoints(search: Search, fit: Fit, promised: float) -> bool:
+    """Whether a fit ended far above what linear evidence promised, though that was of interest."""
+    slack = search.settings.rival_nats
+    if promised > search.best_cost() + slack:
+        return False
+    misfit = 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
+    missed = 0.5 * (fit.chi2 + fit.prior) - promised
+    return missed > slack + search.settings.linear_error * misfit
+
+
+def _cost(weighed: Weighed) -> float:
+    return weighed.chi2 + float(weighed.x @ weighed.x)
+
+
+def repaired(search: Search) -> Search:
+    """Sets that ended above one of their subsets are fitted again, from that one's optimum with the
+    further sizes at zero."""
+    for key in sorted((h for h in search.weighed if _is_fitted(search, h)), key=_size):
+        subset = _better_subset(search, key.effects)
+        if subset is None:
+            continue
+        made = search.simulations
+        try:
+            slopes = made.screened.get(subset, search.plain.at)
+            start = replace(made.fitted[subset].joined(slopes), slope_error=BORROWED)
+            fit, at = made.fitted_from(key.effects, start, search.best_cost())
+        except DiffsimError as error:  # that end cannot be moved: what it is must be said
+            search = replace(search, failed={**search.failed, key: str(error)})
+            continue
+        made = made.kept(key.effects, at)
+        search = replace(search, simulations=made).with_fit(key.effects, fit)
+    return search
+
+
+def _better_subset(search: Search, members: Members) -> Members | None:
+    """The best fitted subset, if the set's own fit is worse by more than fits are exact to."""
+    subsets = [h for h in search.weighed if h.effects < members and _is_fitted(search, h)]
+    if not subsets:
+        return None
+    costs = {h.effects: 0.5 * _fit_cost(search.fit_of(h.effects)) for h in subsets}
+    best = min(costs, key=lambda s: costs[s])
+    fit = search.fit_of(members)
+    misfit = 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
+    exact = max(WORSE_NATS, MISFIT_RTOL * misfit)
+    return best if 0.5 * _fit_cost(fit) > costs[best] + exact else None
+
+
+def _fit_cost(fit: Fit) -> float:
+    return fit.chi2 + fit.prior
+
+
+def _is_fitted(search: Search, key: Hypothesis) -> bool:
+    return key.unknown is None and search.weighed[key].fit is not None
+
+
+def _size(key: Hypothesis) -> int:
+    return len(key.effects)
 
 
 def weigh_unknowns_beside(search: Search, members: Members) -> Search:
@@ -188,14 +272,25 @@ def _center(search: Search, members: Members, last: Center) -> tuple[Center, Sea
         at = made.fitted[members].joined(last.at)
         borrowed = {**borrowed, members: str(error)}
     center = made.center(members, at, search.num_families)
-    return center, replace(search, simulations=made, borrowed=borrowed)
+    return _scanned(replace(search, simulations=made, borrowed=borrowed), center)
+
+
+def _scanned(search: Search, center: Center) -> tuple[Center, Search]:
+    """A center with the scans of effects with kinks, where a misfit is left for them."""
+    fit, settings = search.fit_of(center.members), search.settings
+    if 0.5 * (fit.chi2 - fit.num_samples) < SCAN_NATS:
+        return center, search
+    center, made = search.simulations.scanned(
+        center, settings.max_effects, settings.scan_points, search.num_families
+    )
+    return center, replace(search, simulations=made)
 
 
 def _with_linear(
     search: Search, center: Center, sets: Sequence[Members]
 ) -> tuple[dict[Members, float], Search]:
     """Linear evidence of sets at a center [nats], kept for the table."""
-    entries = {s: center.evidence.weigh(Hypothesis(s)) for s in sets}
+    entries = {s: center.weigh(s) for s in sets}
     new = {Hypothesis(s): w for s, w in entries.items() if Hypothesis(s) not in search.weighed}
     nats = {s: w.nats for s, w in entries.items()}
     return nats, replace(search, linear={**search.linear, **new})
@@ -271,7 +366,7 @@ def _relinearized(search: Search, key: Hypothesis, evidence: LaplaceEvidence) ->
             search = replace(search, failed={**search.failed, key: str(error)})
             break
         residual = whitened(problem, measured_of(problem) - at.record)
-        jacobian = whitened(problem, at.columns)
+        jacobian = whitened(problem, at.columns) * problem.stretch(x)
         again = LaplaceEvidence(
             problem,
             x,

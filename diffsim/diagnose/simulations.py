@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from diffsim.diagnose.evidence import LaplaceEvidence
+from diffsim.diagnose.evidence import Hypothesis, LaplaceEvidence, Weighed
 from diffsim.diagnose.fit import Null, gauss_newton
+from diffsim.diagnose.scan import Scan, groups, num_points, scan
 from diffsim.diagnose.store import Store
 from diffsim.identify import Fit, Problem
 from diffsim.identify.linearization import (
@@ -42,11 +43,23 @@ class Center:
         members: Effects of the set, by index.
         at: Linearization in wide coordinates, with all slopes.
         evidence: Linear evidence of all neighbors, without unknown causes.
+        scanned: Centers at the best sizes of groups of effects outside the set, by group.
     """
 
     members: Members
     at: Linearization
     evidence: LaplaceEvidence
+    scanned: Mapping[Members, Center] = field(default_factory=dict)
+
+    def towards(self, members: Members) -> Center:
+        """Where a fit of a set starts: at the sizes of what it adds, if they were scanned."""
+        return self.scanned.get(members - self.members, self)
+
+    def weigh(self, members: Members) -> Weighed:
+        """Linear evidence of a set, from here or from the sizes that were scanned, if better."""
+        here, there = self.evidence, self.towards(members).evidence
+        entries = [e.weigh(Hypothesis(members)) for e in dict.fromkeys((here, there))]
+        return max(entries, key=lambda w: w.nats)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +73,7 @@ class Simulations:
         screened: Linearization of each set with the slopes of all candidates.
         unknown_slopes: Slopes of an unknown cause at the fit of a set, (N, k), by set and index of
             the cause.
+        scans: Sizes that were tried, by members of the center and group of effects.
     """
 
     wide: Problem
@@ -67,6 +81,7 @@ class Simulations:
     fitted: Mapping[Members, Linearization] = field(default_factory=dict)
     screened: Mapping[Members, Linearization] = field(default_factory=dict)
     unknown_slopes: Mapping[tuple[Members, int], Array] = field(default_factory=dict)
+    scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
 
     def under(self, null: Null) -> Simulations:
         """The same simulations for another fit of the plain model or another noise floor."""
@@ -96,6 +111,13 @@ class Simulations:
     def fit(
         self, members: Members, start: Linearization, best_cost: float
     ) -> tuple[Fit, Simulations]:
+        """Fit a set of effects and keep it; arguments as of ``fitted_from``."""
+        fit, at = self.fitted_from(members, start, best_cost)
+        return fit, self.kept(members, at)
+
+    def fitted_from(
+        self, members: Members, start: Linearization, best_cost: float
+    ) -> tuple[Fit, Linearization]:
         """Fit a set of effects.
 
         Args:
@@ -107,8 +129,7 @@ class Simulations:
         at = Linearization(
             start.x[own], start.record, tuple(range(len(own))), start.slopes(own), start.slope_error
         )
-        fit, at = gauss_newton(self.narrow(members), at, best_cost=best_cost)
-        return fit, self.kept(members, at)
+        return gauss_newton(self.narrow(members), at, best_cost=best_cost)
 
     def start(self, members: Members, center: Linearization, x: Array) -> Linearization:
         """Warm start of a set, from fits of its subsets.
@@ -127,7 +148,7 @@ class Simulations:
         x = x.copy()
         x[own] = np.clip(x[own], *narrow.bounds)  # a linear optimum knows no bounds
         record = record_at(narrow, x[own])
-        step = x - center.x
+        step = self.wide.scaled(x) - self.wide.scaled(center.x)
         predicted = center.slopes(range(len(x))) @ step
         off = linalg.norm(whitened(self.wide, record - center.record - predicted))
         moved = linalg.norm(whitened(self.wide, predicted))
@@ -165,6 +186,32 @@ class Simulations:
         """A fitted set with the linear evidence of its neighbors; nothing is simulated."""
         return Center(members, at, self._evidence(at, [], num_families))
 
+    def scanned(
+        self, center: Center, max_effects: int, max_points: int, num_families: int
+    ) -> tuple[Center, Simulations]:
+        """A center with the scans of effects with kinks, and of pairs that mask each other.
+
+        Args:
+            center: A fitted set.
+            max_effects: Largest number of effects in one set.
+            max_points: Largest number of sizes that all scans may try.
+            num_families: Families of effects, for the evidence.
+        """
+        made, found = self, {}
+        room = max_effects - len(center.members)
+        for group in groups(self.wide.effects, center.members, room):
+            key, members = (center.members, group), sorted(group)
+            if key not in made.scans:
+                spent = sum(s.num_points for s in made.scans.values())
+                if spent + num_points([self.wide.effects[i] for i in members]) > max_points:
+                    continue
+                own = self.coordinates(center.members)
+                result = scan(self.wide, own, center.at, members)
+                made = replace(made, scans={**made.scans, key: result})
+            if (at := made.scans[key].at) is not None:
+                found[group] = made.center(center.members, at, num_families)
+        return replace(center, scanned=found), made
+
     def with_unknowns(
         self, center: Center, unknowns: Sequence[Unknown], num_families: int
     ) -> tuple[LaplaceEvidence, Simulations]:
@@ -190,7 +237,7 @@ class Simulations:
     ) -> LaplaceEvidence:
         wide = self.wide
         residual = whitened(wide, measured_of(wide) - at.record)
-        jacobian = whitened(wide, at.slopes(range(len(at.x))))
+        jacobian = whitened(wide, at.slopes(range(len(at.x)))) * wide.stretch(at.x)
         return LaplaceEvidence(wide, at.x, residual, jacobian, blocks, num_families)
 
     def _known(self, members: Members) -> Linearization | None:

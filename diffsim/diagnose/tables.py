@@ -15,7 +15,8 @@ from diffsim.diagnose.judge import Decision, Judgment
 from diffsim.diagnose.screen import Screen
 from diffsim.diagnose.search import Search
 from diffsim.identify.effect import Effect
-from diffsim.identify.problem import PRIOR_WIDTH, effect_coordinates
+from diffsim.identify.problem import effect_coordinates
+from diffsim.identify.sizes import PRIOR_WIDTH
 from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
@@ -209,10 +210,11 @@ def _refitted(
     fit = search.fit_of(best.effects)
     effect = search.wide.effects[i]
     names = effect_coordinates([effect])
-    shift = numerical_shift(fit, changes)[fit.problem.columns_of(effect)]
+    own = fit.problem.columns_of(effect)
+    stretch = PRIOR_WIDTH * effect.typical * fit.problem.stretch(fit.x)[own]
     statistical = np.array([fit.sd[n] for n in names])
     fitted = np.array([fit.values[n] for n in names])
-    return fitted, np.hypot(statistical, PRIOR_WIDTH * effect.typical * shift)
+    return fitted, np.hypot(statistical, stretch * numerical_shift(fit, changes)[own])
 
 
 def _share_alone(search: Search, i: int) -> float | None:

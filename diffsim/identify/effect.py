@@ -30,8 +30,9 @@ class Effect:
         family: Effects of one family are alternatives of each other, such as "damping".
         kind: Where the effect enters, one of ``KINDS``.
         unit: SI unit of every component, "-" if none.
-        typical: Size that would be no surprise [unit]; the prior of a component is
-            N(0, (1.5 typical)^2), half-normal unless ``signed``.
+        typical: Size that would be no surprise [unit]: a scale, no bound. The prior of a component
+            is 1.5 typical sinh(1.5 x) / 1.5 with x ~ N(0, 1), and x >= 0 unless ``signed``: ten
+            times the typical size costs 2 nats.
         apply: Function (scene, size, run) -> scene with the effect at this size. The scene is what
             the model's ``build`` made for the run; size has the shape (..., num_components)
             [unit]; at zero it must be the scene itself.
@@ -39,7 +40,9 @@ class Effect:
         signed: Whether components may be negative.
         components: Names of the amplitudes, one or more (a vector enters as one block).
         smooth: False where the response has a kink at zero: then a secant at a tenth of the typical
-            size stands for the derivative.
+            size stands for the derivative, and sizes over decades are tried before a fit.
+        masks: Names of effects that hide this one, or are hidden by it, such as slack and a rate
+            limit: their sizes are tried together, and they enter sets as a pair.
         also_looks_like: Physical causes and other forms that data may not distinguish from it.
         needs: Function of a study: what it lacks for the effect to be judged; None if nothing.
     """
@@ -54,6 +57,7 @@ class Effect:
     signed: bool = True
     components: tuple[str, ...] = ("size",)
     smooth: bool = True
+    masks: tuple[str, ...] = ()
     also_looks_like: tuple[str, ...] = ()
     needs: Needs = needs_nothing
 

@@ -18,6 +18,8 @@ class SearchSettings:
         rival_nats: Error of linear evidence that is always allowed for: a set that is further
             behind the best one is not refitted [nats].
         linear_error: Further error of linear evidence, as a share of the misfit [-].
+        scan_points: Largest number of sizes of effects with kinks that are tried before fits.
+        num_starts: Largest number of starts of a fit that disappoints.
         unknown_steps: Number of Gauss-Newton steps of a set together with an unknown cause.
     """
 
@@ -26,6 +28,8 @@ class SearchSettings:
     max_rounds: int = 8
     rival_nats: float = 6.0
     linear_error: float = 0.1
+    scan_points: int = 400
+    num_starts: int = 3
     unknown_steps: int = 3
 
 

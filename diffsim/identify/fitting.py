@@ -16,7 +16,7 @@ from diffsim.core.check import require_choice
 from diffsim.core.errors import DiffsimError
 from diffsim.identify.jacobian import Jacobian
 from diffsim.identify.model import Parameter
-from diffsim.identify.problem import PRIOR_WIDTH, Problem, Whitener, WhiteNoise
+from diffsim.identify.problem import Problem, Whitener, WhiteNoise
 
 if TYPE_CHECKING:
     from diffsim.data.study import Channel, Run
@@ -262,19 +262,15 @@ def _lbfgs(latest: _Latest, x0: Array, max_evaluations: int, gradient: str) -> _
 
 def _values(problem: Problem, x: Array) -> dict[str, float]:
     base = [float(p.value_at(torch.tensor(q, dtype=torch.float64))) for p, q in _base(problem, x)]
-    sizes = _effect_scales(problem) * x[problem.num_base :]
+    sizes = problem.size_units * problem.scaled(x)[problem.num_base :]
     return dict(zip(problem.names, [*base, *sizes.tolist()], strict=True))
 
 
 def _scales(problem: Problem, x: Array) -> Array:
     """Derivative of each value by its standardized coordinate."""
     base = [p.value * np.exp(p.sd * q) * p.sd if p.log else p.sd for p, q in _base(problem, x)]
-    return np.array([*base, *_effect_scales(problem)])
+    return np.array([*base, *(problem.size_units * problem.stretch(x)[problem.num_base :])])
 
 
 def _base(problem: Problem, x: Array) -> list[tuple[Parameter, float]]:
     return list(zip(problem.model.base, x[: problem.num_base].tolist(), strict=True))
-
-
-def _effect_scales(problem: Problem) -> Array:
-    return np.array([PRIOR_WIDTH * e.typical for e, _ in problem.owners])

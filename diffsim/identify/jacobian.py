@@ -79,6 +79,7 @@ class Jacobian:
         inward: Sequence[int],
         secant: Sequence[float],
         smooth: Sequence[bool] | None = None,
+        stretch: Sequence[float] | None = None,
         tangents: Tangents | None = None,
     ) -> tuple[Array, Array]:
         """Prediction and its derivatives along all coordinates.
@@ -91,6 +92,7 @@ class Jacobian:
                 above: second-order differences to the other side; 0: central ones.
             secant: (n,) above 0: the slope of the chord from here to here + secant.
             smooth: (n,) False where the slope needs simulations; None: all are smooth.
+            stretch: (n,) factors on the step of the differences; None: one.
             tangents: The model's own: stencils by coordinate -> the flattened prediction and one
                 column each, or None where it has none.
 
@@ -99,7 +101,8 @@ class Jacobian:
         """
         if self.method == "forward_mode":
             return _forward_mode(many, at, idx)
-        stencils = {i: self._stencil(inward[i], secant[i]) for i in idx}
+        factor = [1.0] * len(at) if stretch is None else stretch
+        stencils = {i: self._stencil(inward[i], secant[i], factor[i] * self.step) for i in idx}
         quick = [i for i in idx if secant[i] == 0.0 and (smooth is None or smooth[i])]
         given = None
         if self.method == "auto" and tangents is not None and quick:
@@ -115,10 +118,10 @@ class Jacobian:
         own |= {i: by_simulation[:, j] for j, i in enumerate(slow)}
         return here, np.column_stack([own[i] for i in idx])
 
-    def _stencil(self, inward: int, secant: float) -> Stencil:
+    def _stencil(self, inward: int, secant: float, step: float) -> Stencil:
         if secant > 0.0:
             return Stencil.chord(secant)
-        return Stencil.one_sided(inward * self.step) if inward else Stencil.central(self.step)
+        return Stencil.one_sided(inward * step) if inward else Stencil.central(step)
 
 
 def _differences(

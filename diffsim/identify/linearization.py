@@ -7,12 +7,14 @@ of the noise weighs them again without another simulation.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
 from diffsim.identify.problem import PredictionError, Problem
 
@@ -29,13 +31,16 @@ class Unwhitened:
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """S(x) and dS/dx at x, with the N samples of all runs of a problem in a row.
+    """S and dS/du at x, with the N samples of all runs of a problem in a row.
+
+    Slopes are by the scaled coordinates u (``Problem.scaled``), in which records are nearly linear:
+    slopes of a size elsewhere need no rescaling.
 
     Attributes:
         x: Standardized coordinates of the problem, (n,).
         record: Predicted samples of all channels, (N,) [unit of the channel].
         idx: Coordinates whose slopes are known.
-        columns: Slopes along these coordinates, (N, len(idx)).
+        columns: Slopes by these scaled coordinates, (N, len(idx)).
         slope_error: Summed relative error of the linear prediction over the steps taken since the
             slopes were simulated [-]; 0: they were simulated at this x.
     """
@@ -74,7 +79,7 @@ def linearization_at(
         PredictionError: a simulation left the range of numbers.
     """
     idx = tuple(range(len(x))) if only is None else tuple(only)
-    left, slopes = _raw(problem).linearize(x, screen=screen, only=idx)
+    left, slopes = _raw(problem).linearize_scaled(x, screen=screen, only=idx)
     slopes = slopes[:, list(idx)]
     if not np.isfinite(slopes).all():
         bad = [problem.names[i] for i, c in zip(idx, slopes.T, strict=True) if not _is_finite(c)]
@@ -88,6 +93,26 @@ def linearization_at(
 def record_at(problem: Problem, x: Array) -> Array:
     """Predicted samples of all runs at x, (N,) [unit of the channel]."""
     return measured_of(problem) - _raw(problem).residual(x)
+
+
+def records_at(problem: Problem, points: Array) -> Array:
+    """Predicted samples of all runs at K points, (K, N) [unit of the channel].
+
+    Args:
+        problem: Model and runs; the whitener is not used.
+        points: Standardized coordinates, (K, n).
+
+    Returns:
+        NaN in the rows of points that cannot be simulated.
+    """
+    try:
+        return problem.records(points)
+    except DiffsimError:  # one of them: the others may do
+        rows = np.full((len(points), sum(run.measured.size for run in problem.runs)), np.nan)
+        for row, point in zip(rows, points, strict=True):
+            with suppress(DiffsimError):
+                row[:] = problem.records(point[None])[0]
+        return rows
 
 
 def measured_of(problem: Problem) -> Array:

@@ -1,7 +1,9 @@
 """Model, runs and noise as one least-squares problem in standardized coordinates.
 
 Coordinates x: first the base parameters, then the components of the effects. All have the prior
-N(0, 1); a component has the size 1.5 typical x, and x >= 0 unless the effect is signed.
+N(0, 1); a component has the size 1.5 typical u(x) with the heavy-tailed u of ``sizes``, and x >= 0
+unless the effect is signed. Records are nearly linear in base parameters and u: differences are
+taken along these, the scaled coordinates.
 """
 
 from __future__ import annotations
@@ -24,9 +26,9 @@ from diffsim.identify.jacobian import Jacobian, Stencil
 from diffsim.identify.line import Line, Point
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
+from diffsim.identify.sizes import PRIOR_WIDTH, coordinate_of, scaled_at, stretch_at
 
 Array = NDArray[np.float64]
-PRIOR_WIDTH = 1.5  # of a component, in units of its typical size
 SECANT = 0.1  # of the typical size
 
 
@@ -120,12 +122,45 @@ class Problem:
         high += [np.inf] * len(self.owners)
         return np.array(low), np.array(high)
 
+    def scaled(self, x: Array) -> Array:
+        """Scaled coordinates: sizes in units of ``PRIOR_WIDTH`` typical ones, (n,)."""
+        n = self.num_base
+        return np.concatenate([x[:n], scaled_at(x[n:])])
+
+    def standardized(self, scaled: Array) -> Array:
+        """Standardized coordinates of scaled ones, the inverse of ``scaled``, (n,)."""
+        n = self.num_base
+        return np.concatenate([scaled[:n], coordinate_of(scaled[n:])])
+
+    def stretch(self, x: Array) -> Array:
+        """Derivative of the scaled coordinates by the standardized ones, (n,)."""
+        n = self.num_base
+        return np.concatenate([np.ones(n), stretch_at(x[n:])])
+
+    @property
+    def size_units(self) -> Array:
+        """Size of each component at the scaled coordinate one, (num_components,) [unit]."""
+        return np.array([PRIOR_WIDTH * e.typical for e, _ in self.owners])
+
+    def coordinates_of(self, sizes: Mapping[str, float]) -> Array:
+        """Standardized coordinates of sizes, the inverse of ``sizes_at``, (num_components,).
+
+        Args:
+            sizes: Size by name of the component ("wind.x") [unit]; zero for those not given.
+        """
+        given = [sizes.get(name, 0.0) for name in effect_coordinates(self.effects)]
+        return coordinate_of(np.array(given) / self.size_units)
+
     def sizes_at(self, x: Tensor) -> dict[Effect, Tensor]:
-        """Sizes [unit] of the effects."""
-        sizes, k = {}, self.num_base
+        """Sizes [unit] of the effects at standardized coordinates."""
+        return self._sizes(scaled_at(x[..., self.num_base :]))
+
+    def _sizes(self, scaled: Tensor) -> dict[Effect, Tensor]:
+        """Sizes [unit] of the effects from their scaled coordinates."""
+        sizes, k = {}, 0
         for effect in self.effects:
             count = len(effect.components)
-            sizes[effect] = PRIOR_WIDTH * effect.typical * x[..., k : k + count]
+            sizes[effect] = PRIOR_WIDTH * effect.typical * scaled[..., k : k + count]
             k += count
         return sizes
 
@@ -138,9 +173,16 @@ class Problem:
     def predict_many(self, run: Run, points: Sequence[Tensor]) -> Tensor:
         """(K, num_samples, num_channels) at K points."""
         x = torch.stack(list(points))
-        sizes = self.sizes_at(x)
-        out = self.model.predict_many(run, x[:, : self.num_base], sizes, self.numerics)
-        return self._of_shape(run, out, (len(x), *run.measured.shape))
+        return self._predict_many(run, x[:, : self.num_base], self.sizes_at(x))
+
+    def _predict_scaled(self, run: Run, points: Sequence[Tensor]) -> Tensor:
+        """(K, num_samples, num_channels) at K points in scaled coordinates."""
+        u = torch.stack(list(points))
+        return self._predict_many(run, u[:, : self.num_base], self._sizes(u[:, self.num_base :]))
+
+    def _predict_many(self, run: Run, q: Tensor, sizes: Mapping[Effect, Tensor]) -> Tensor:
+        out = self.model.predict_many(run, q, sizes, self.numerics)
+        return self._of_shape(run, out, (len(q), *run.measured.shape))
 
     def _of_shape(self, run: Run, out: Tensor, shape: tuple[int, ...]) -> Tensor:
         if tuple(out.shape) != shape:
@@ -161,6 +203,20 @@ class Problem:
 
         return np.concatenate(self._each(one))
 
+    def records(self, points: Array) -> Array:
+        """Predicted samples of all runs at K points, (K, N) [unit of the channel].
+
+        Args:
+            points: Standardized coordinates, (K, n).
+        """
+        given = [torch.from_numpy(np.array(x)) for x in points]
+
+        def one(run: Run) -> Array:
+            with torch.no_grad():
+                return self.predict_many(run, given).numpy().reshape(len(given), -1)
+
+        return np.concatenate(self._each(one), axis=1)
+
     def linearize(
         self, x: Array, *, screen: bool = False, only: Sequence[int] | None = None
     ) -> tuple[Array, Array]:
@@ -174,10 +230,21 @@ class Problem:
         Returns:
             (num_valid,) and (num_valid, n).
         """
-        point = torch.from_numpy(np.ascontiguousarray(x, dtype=np.float64))
+        residual, slopes = self.linearize_scaled(x, screen=screen, only=only)
+        return residual, slopes * self.stretch(x)
+
+    def linearize_scaled(
+        self, x: Array, *, screen: bool = False, only: Sequence[int] | None = None
+    ) -> tuple[Array, Array]:
+        """Residual and d(W S)/du at x, by the scaled coordinates u; arguments of ``linearize``."""
+        stretch = self.stretch(x)
+        u = self.scaled(x)
+        point = torch.from_numpy(np.ascontiguousarray(u, dtype=np.float64))
+        # bounds of sizes are zero or infinite: the same in both coordinates
         low, high = self.bounds
-        step = self.jacobian.step
-        inward = [int(x[i] - step < low[i]) or -int(x[i] + step > high[i]) for i in range(len(x))]
+        step = self.jacobian.step * stretch
+        below, above = u - step < low, u + step > high
+        inward = [int(below[i]) or -int(above[i]) for i in range(len(x))]
         secant = [0.0] * self.num_base + [
             SECANT / PRIOR_WIDTH if screen and not e.smooth else 0.0 for e, _ in self.owners
         ]
@@ -188,12 +255,13 @@ class Problem:
             idx = [i for i in range(len(x)) if _touches(names[i], run)]
             idx = [i for i in idx if only is None or i in only]
             here, columns = self.jacobian.columns(
-                lambda points: self.predict_many(run, points),
+                lambda points: self._predict_scaled(run, points),
                 point,
                 idx,
                 inward=inward,
                 secant=secant,
                 smooth=smooth,
+                stretch=stretch.tolist(),
                 tangents=lambda stencils: self._tangents(run, point, stencils),
             )
             matrix = self.whitener.matrix(run)
@@ -224,11 +292,11 @@ class Problem:
         here = self._of_shape(run, here, shape)
         return here.numpy().ravel(), columns.reshape(len(stencils), -1).numpy().T
 
-    def _point(self, x: Tensor) -> Point:
-        return Point(x[: self.num_base], self.sizes_at(x))
+    def _point(self, scaled: Tensor) -> Point:
+        return Point(scaled[: self.num_base], self._sizes(scaled[self.num_base :]))
 
     def _line(self, at: Tensor, i: int, stencil: Stencil) -> Line:
-        """Points of a stencil along coordinate i."""
+        """Points of a stencil along scaled coordinate i."""
         unit = torch.zeros_like(at)
         unit[i] = 1.0
         owner = None if i < self.num_base else self.owners[i - self.num_base][0]

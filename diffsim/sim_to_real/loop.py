@@ -12,7 +12,8 @@ from tqdm import tqdm
 
 from diffsim.core.files import write_json_atomic
 from diffsim.data.study import Run
-from diffsim.data.study_file import STUDY_FILE, load_study, save_study
+from diffsim.data.study_file import STUDY_FILE, load_study
+from diffsim.data.study_save import save_study
 from diffsim.sim_to_real.command import RATE_HZ, Command
 from diffsim.sim_to_real.hardware import Hardware, as_study
 from diffsim.sim_to_real.identification import Identified, identify, loss_of

@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim.core.check import require_number
-from diffsim.systems.balls.camera import HEIGHT_PX, WIDTH_PX, eye, projected
+from diffsim.systems.rigid_body.camera import HEIGHT_PX, WIDTH_PX, eye, projected
 from diffsim.viz._require import optional
 
 if TYPE_CHECKING:

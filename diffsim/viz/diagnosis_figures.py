@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy import stats
-from scipy.sparse.csgraph import connected_components
 
-from diffsim.data.study import Channel, Run, Study
-from diffsim.diagnose.gain import held_out_point
-from diffsim.identify import Fit
+from diffsim.data.study import Channel
+from diffsim.viz.diagnosis_series import (
+    PredictedRun,
+    blocks_of,
+    command_phase,
+    mean_periodogram,
+    rms_of,
+    worst_channels,
+)
 from diffsim.viz.figures import COLORS, INK, LINE, SOFT, new_figure
 
 if TYPE_CHECKING:
@@ -24,59 +28,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 _KNOT = re.compile(r"(?P<shape>.*?)(?P<knot>\d+)")
-CONFOUNDED = 0.95
 NULL, EXTENDED = COLORS["published"], COLORS["fitted"]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PredictedRun(Run):
-    """A recorded run with what the models predict for it.
-
-    Attributes:
-        null: Prediction of the fitted model without effects, (num_samples, num_channels).
-        extended: Prediction with the named effects, same shape; None where nothing was named.
-    """
-
-    null: Array
-    extended: Array | None = None
-
-
-def predicted_runs(study: Study, null: Fit, extended: Fit | None = None) -> list[PredictedRun]:
-    """Measured and predicted, runs for fitting first.
-
-    Args:
-        study: Recorded runs with their channels.
-        null: Fit without effects.
-        extended: Fit with effects; None where nothing was named.
-    """
-    return [
-        PredictedRun(
-            **vars(run),
-            null=predicted(null, run),
-            extended=None if extended is None else predicted(extended, run),
-        )
-        for run in (*study.fit_runs, *study.test_runs)
-    ]
-
-
-def predicted(fit: Fit, run: Run) -> Array:
-    """Prediction of a fit at its parameters, (num_samples, num_channels) [unit of the channel].
-
-    Nuisances of a held-out run are fitted to it, as the gain does.
-    """
-    x = held_out_point(fit, run) if run.use == "test" else fit.x
-    with torch.no_grad():
-        return fit.problem.predict(run, torch.as_tensor(x)).numpy()
-
-
-def with_noise(channels: Sequence[Channel], sd: Mapping[str, float]) -> list[Channel]:
-    """Channels with the noise that was estimated.
-
-    Args:
-        channels: Channels of a study.
-        sd: Standard deviation by name of the channel [unit of the channel].
-    """
-    return [replace(c, sd=float(sd[c.name])) for c in channels]
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,71 +97,6 @@ def residual_views(
     return figure
 
 
-def over_position(
-    runs: Sequence[PredictedRun], channels: Sequence[Channel], most: int = 3
-) -> Figure | None:
-    """Residuals of all channels over where the system is: a panel per position channel, those of
-    the largest range first.
-
-    Dots: residuals over the position that the model before predicts. Lines: their rms in ten bins;
-    noise alone has 1.
-
-    Args:
-        runs: Runs with their predictions, one or more.
-        channels: All channels of the study; positions are those of kind "position".
-        most: Largest number of panels.
-
-    Returns:
-        None where no position was measured.
-    """
-    places = [i for i, c in enumerate(channels) if c.kind == "position"]
-    if not places:
-        return None
-    spans = {i: float(np.ptp(np.concatenate([run.null[:, i] for run in runs]))) for i in places}
-    places = sorted(places, key=lambda i: -spans[i])[:most]
-    kinds = [_residuals("model before", NULL, runs, channels, extended=False)]
-    if all(run.extended is not None for run in runs):
-        kinds.append(_residuals("extended", EXTENDED, runs, channels, extended=True))
-    figure, axes = new_figure(1, len(places), height=3.2, squeeze=False)
-    for ax, i in zip(axes[0], places, strict=True):
-        _noise_band(ax)
-        for kind in kinds:
-            x = np.concatenate([run.null[:, i] for run, _ in kind.runs])
-            left = kind.stacked
-            wide = np.repeat(x[:, None], left.shape[1], 1)
-            ax.plot(wide.ravel(), left.ravel(), ".", ms=2, alpha=0.25, color=kind.color)
-            middle, rms = _binned_rms(x, left)
-            ax.plot(middle, rms, "o-", ms=3.5, lw=1.4, color=kind.color, label=kind.label)
-        ax.set_xlabel(f"{channels[i].name} as predicted", color=SOFT)
-    _shared_legend(figure, axes[0, 0])
-    return figure
-
-
-def _binned_rms(x: Array, left: Array, bins: int = 10) -> tuple[Array, Array]:
-    """Middle of equally filled bins of x (n,), and rms of left (n, channels) in them."""
-    parts = [p for p in np.array_split(np.argsort(x), bins) if len(p)]
-    middle = np.array([x[p].mean() for p in parts])
-    return middle, np.array([np.sqrt(np.nanmean(left[p] ** 2)) for p in parts])
-
-
-def worst_channels(runs: Sequence[PredictedRun], channels: Sequence[Channel]) -> list[int]:
-    """Channels by the misfit of the model before, in noise standard deviations, worst first."""
-    left = _residuals("", "", runs, channels, extended=False).stacked
-    return [int(i) for i in np.argsort(-_rms(left))]
-
-
-def blocks_of(confounding: Array, limit: float = CONFOUNDED) -> list[list[int]]:
-    """Sets of two or more components that the data hardly part: linked by cosines above the limit.
-
-    Args:
-        confounding: Cosines between the responses of components, (n, n).
-        limit: Limit on the absolute value of a cosine beyond which two components are linked.
-    """
-    count, label = connected_components(np.abs(np.nan_to_num(confounding)) > limit, directed=False)
-    groups = [np.flatnonzero(label == k).tolist() for k in range(count)]
-    return sorted((g for g in groups if len(g) > 1), key=len, reverse=True)
-
-
 def confounding_matrix(
     names: Sequence[str],
     confounding: Array,
@@ -242,56 +129,6 @@ def confounding_matrix(
     return figure
 
 
-def force_map(components: Sequence[str], groups: Sequence[str], z: Array) -> Figure:
-    """Scores of a generic force: a panel per command, a row per shape, knots from left to right.
-
-    Args:
-        components: Names of the force's components; a number at the end is the knot in time.
-        groups: Names of the commands, one panel each.
-        z: (num_groups, num_components) scores in noise standard deviations.
-    """
-    parts = [_KNOT.fullmatch(name) for name in components]
-    shapes = [m["shape"].strip("_") if m else n for m, n in zip(parts, components, strict=True)]
-    knots = [int(m["knot"]) if m else 0 for m in parts]
-    rows = list(dict.fromkeys(shapes))
-    high = max(float(np.abs(z).max(initial=0.0)), 5.0)  # noise alone stays pale
-    figure, axes = new_figure(
-        len(groups), 1, height=0.7 + len(groups) * (0.7 + 0.24 * len(rows)), squeeze=False
-    )
-    for ax, group, scores in zip(axes[:, 0], groups, z, strict=True):
-        table = np.full((len(rows), max(knots) + 1), np.nan)
-        for shape, knot, score in zip(shapes, knots, scores, strict=True):
-            table[rows.index(shape), knot] = score
-        drawn = ax.imshow(table, cmap="RdBu_r", vmin=-high, vmax=high, aspect="auto")
-        ax.set_yticks(range(len(rows)), rows, fontsize=8)
-        ax.xaxis.get_major_locator().set_params(integer=True)
-        ax.set_title(group, loc="left", fontsize=9.5, color=INK)
-        ax.grid(False)
-    axes[-1, 0].set_xlabel("knot in time", color=SOFT)
-    figure.colorbar(drawn, ax=axes[:, 0].tolist(), shrink=0.8).set_label(
-        "score [noise sd]", color=SOFT
-    )
-    return figure
-
-
-def next_run_bars(chi2_gain: Mapping[str, float], best: str) -> Figure:
-    """Expected chi2 that each run would add to the distance of the rivals, as bars.
-
-    Args:
-        chi2_gain: Expected chi2 between the nearest rivals by name of the run.
-        best: Name of the run that is advised.
-    """
-    names = sorted(chi2_gain, key=lambda name: chi2_gain[name])
-    figure, ax = new_figure(height=0.6 + 0.3 * len(names))
-    colors = [EXTENDED if name == best else COLORS["measured_2"] for name in names]
-    drawn = ax.barh(names, [chi2_gain[name] for name in names], 0.7, color=colors)
-    ax.bar_label(drawn, [f"{chi2_gain[n]:.3g}" for n in names], padding=4, fontsize=8, color=SOFT)
-    ax.set_xlabel("expected chi2 between the nearest rivals [-]", color=SOFT)
-    ax.margins(x=0.1)
-    ax.grid(False, axis="y")
-    return figure
-
-
 def _residuals(
     label: str,
     color: str,
@@ -307,12 +144,6 @@ def _residuals(
         assert shown is not None  # the caller looked
         pairs.append((run, (run.measured - shown) / sd))
     return _Residuals(label, color, pairs)
-
-
-def _rms(left: Array) -> Array:
-    """Root mean square of each column; zero where nothing was measured."""
-    count = np.maximum(np.isfinite(left).sum(0), 1)
-    return np.sqrt(np.nansum(left**2, 0) / count)
 
 
 def _noise_band(ax: Axes) -> None:
@@ -352,20 +183,6 @@ def _over_phase(ax: Axes, kinds: Sequence[_Residuals], command: str | None) -> N
             ax.plot(x.ravel(), left.ravel(), ".", ms=3, alpha=0.5, color=kind.color)
 
 
-def command_phase(time_s: Array, command: Array) -> Array | None:
-    """Phase angle [rad] of (value, -rate / mean frequency), each over its rms; None for steps.
-
-    Args:
-        time_s: Times of the samples, (n,) [s].
-        command: Commanded value at each sample, (n,) in any unit.
-    """
-    if len(np.unique(command)) <= max(2, len(command) // 4):
-        return None
-    value = command - 0.5 * (command.max() + command.min())
-    rate = np.gradient(command, time_s)
-    return np.arctan2(-rate / np.sqrt((rate**2).mean()), value / np.sqrt((value**2).mean()))
-
-
 def _over_frequency(ax: Axes, kinds: Sequence[_Residuals]) -> None:
     """Mean periodogram over runs and channels; 1 is white noise, grey its 95 %."""
     count = 2 * sum(left.shape[1] for _, left in kinds[0].runs)
@@ -381,29 +198,12 @@ def _over_frequency(ax: Axes, kinds: Sequence[_Residuals]) -> None:
     ax.set_ylabel("power [noise variances]", color=SOFT)
 
 
-def mean_periodogram(runs: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Frequencies [Hz] of the longest run and the mean power there; unit white noise has 1.
-
-    Args:
-        runs: Times (n,) [s] and residuals (n, channels); missing ones count as zero.
-    """
-    longest = max(runs, key=lambda run: len(run[0]))[0]
-    step = float(np.median(np.diff(longest)))
-    frequency: Array = np.fft.rfftfreq(len(longest), step).astype(np.float64)
-    curves = []
-    for time, left in runs:
-        own = np.fft.rfftfreq(len(time), float(np.median(np.diff(time))))
-        power = (np.abs(np.fft.rfft(np.nan_to_num(left), axis=0)) ** 2 / len(time)).mean(1)
-        curves.append(np.interp(frequency, own, power, right=np.nan))
-    return frequency, np.nanmean(np.stack(curves), 0)
-
-
 def _over_channels(ax: Axes, kinds: Sequence[_Residuals], channels: Sequence[Channel]) -> None:
     at = np.arange(len(channels))
     width = 0.8 / len(kinds)
     for k, kind in enumerate(kinds):
         x = at + (k - (len(kinds) - 1) / 2) * width
-        ax.bar(x, _rms(kind.stacked), 0.92 * width, color=kind.color)
+        ax.bar(x, rms_of(kind.stacked), 0.92 * width, color=kind.color)
     ax.axhline(1.0, color=SOFT, lw=0.8, ls=":")
     ax.set_xticks(at, [c.name for c in channels], rotation=60, ha="right", fontsize=7.5)
     ax.set_title("over the channels (1: noise)", loc="left", fontsize=10, color=INK)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from diffsim.viz.diagnosis_figures import predicted
+from diffsim.viz.diagnosis_series import predicted
 from diffsim.viz.figures import COLORS, INK
 from diffsim.viz.scene import rgb, write_recording
 

@@ -1,28 +1,32 @@
-"""The page of a diagnosis: the verdict first, its evidence and its limits after it."""
+"""The page of a diagnosis: the answer in one sentence first, its evidence and limits after it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from diffsim.data.study import Channel
 from diffsim.diagnose.force_map import ForceMap
-from diffsim.diagnose.gain import Gain
-from diffsim.diagnose.report import Z90, Report
+from diffsim.diagnose.gates import GateResult
+from diffsim.diagnose.report import Report
 from diffsim.diagnose.whiteness import ljung_box
-from diffsim.viz import diagnosis_figures as draw
+from diffsim.viz import diagnosis_charts as draw
+from diffsim.viz import diagnosis_tables as tables
 from diffsim.viz import report as page
-from diffsim.viz.diagnosis_figures import PredictedRun
-from diffsim.viz.figures import data_uri
+from diffsim.viz.diagnosis_series import (
+    CONFOUNDED,
+    PredictedRun,
+    blocks_of,
+    predicted_runs,
+    with_noise,
+)
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-MAX_COMMANDS = 6  # in the force map
+MAX_COMMANDS = 12  # in the menu of the force map
+MAX_NUISANCES = 40  # rows of the table of base parameters
 TONES = {
     "none": "good",
     "named": "good",
@@ -44,21 +48,25 @@ def write_diagnosis(report: Report, path: str | Path) -> Path:
 
 
 def diagnosis_page(report: Report) -> page.Report:
-    """The page: verdict, held-out runs, residuals, force map, causes, confounding, blind spots,
-    next run, what was held fixed. All runs are predicted, before and after."""
-    channels = draw.with_noise(report.study.channels, report.noise["sd"])
-    extended = report.best if report.named else None
-    runs = draw.predicted_runs(report.study, report.null, extended)
+    """The page: answer, errors on test runs, causes, data sheet, residuals, blind spots, next run.
+
+    All runs are predicted, before and after.
+    """
+    channels = with_noise(report.study.channels, report.noise["sd"])
+    extended = report.best if report.best is not report.null else None
+    runs = predicted_runs(report.study, report.null, extended)
     return page.Report(
         title=f"Diagnosis of {report.study.name}",
         subtitle=f"Recorded runs against the model “{report.model.name}”",
-        verdict=report.sentences,
+        verdict=[report.headline or report.sentences[0]],
         numbers=_numbers(report),
         sections=[
-            _held_out(runs, channels),
+            _errors(report),
+            _test_runs(report, runs, channels),
+            _causes(report),
+            _data_sheet(report),
             _residuals(report, runs, channels),
             _force_map(report.force_map),
-            _causes(report),
             _confounding(report),
             _blind(report),
             _next_run(report),
@@ -98,47 +106,74 @@ def _pairs(settings: Mapping[str, Any], before: str = "") -> Iterator[tuple[str,
 
 
 def _numbers(r: Report) -> list[page.Number]:
+    """Verdict, then error before and after on unseen runs in the recordings' unit, then gain."""
     shown = [page.Number(label="verdict", value=r.verdict, tone=TONES[r.verdict])]
-    if r.num_samples:
-        for label, chi2 in (("before", r.chi2_null), ("after", r.chi2_best)):
-            shown.append(
-                page.Number(
-                    label=f"misfit {label}, chi2 per sample",
-                    value=_figure(chi2 / r.num_samples),
-                    note="1: noise alone",
-                )
-            )
-    if r.gain is not None:
-        g = r.gain
-        tone = "good" if g.low > 0.0 else "bad" if g.high < 0.0 else "fair"
+    for kind in dict.fromkeys((e.kind, e.unit) for e in r.errors):
+        rows = [e for e in r.errors if (e.kind, e.unit) == kind]
+        before, after, noise = (
+            _pooled([getattr(e, which) for e in rows], [e.num_samples for e in rows])
+            for which in ("before", "after", "noise")
+        )
+        note = f"before: {tables.figure(before)}, noise alone: {tables.figure(noise)}"
         shown.append(
             page.Number(
-                label="share of the excess error removed on held-out runs",
+                label=f"rms error of {kind[0]} on {rows[0].use} runs",
+                value=tables.figure(after),
+                unit=tables.unit_of(kind[1]),
+                note=note,
+            )
+        )
+    if r.gain is not None:
+        g = r.gain
+        tones = {"confirmed": "good", "not confirmed": "fair", "withdrawn": "bad"}
+        shown.append(
+            page.Number(
+                label=f"share of the error above the noise removed on test runs: {g.status}",
                 value=f"{100 * g.value:.0f}",
                 unit="%",
                 note=f"90 % interval {100 * g.low:.0f} to {100 * g.high:.0f} %",
-                tone=tone,
+                tone=tones[g.status],
             )
         )
     return shown
 
 
-def _held_out(all_runs: Sequence[PredictedRun], channels: Sequence[Channel]) -> page.Section:
-    title = "Before and after, on runs that no fit has seen"
-    runs = [run for run in all_runs if run.use == "test"]
-    if not runs:
-        return page.Section(title=title, text=["The study has no held-out run: no gain is known."])
-    shown = runs[:4]
-    text = [] if len(shown) == len(runs) else [f"The first {len(shown)} of {len(runs)} runs."]
+def _pooled(values: Sequence[float], counts: Sequence[int]) -> float:
+    """Root mean square over runs of different length."""
+    return float(np.sqrt(np.average(np.square(values), weights=counts)))
+
+
+def _errors(r: Report) -> page.Section:
+    title = "Error on runs that nothing has seen"
+    if not r.errors:
+        why = "The study has no run with `use: test`, so no gain is known."
+        return page.Section(title=title, text=[why])
+    text = [f"Causes were chosen by {r.chosen_by}."] if r.chosen_by else []
+    return page.Section(title=title, text=text, content=[tables.errors(r), *tables.outside(r)])
+
+
+def _test_runs(
+    r: Report, all_runs: Sequence[PredictedRun], channels: Sequence[Channel]
+) -> page.Section:
+    """All test runs; without any, select runs, else those that were fitted."""
+    use = next(use for use in _TITLES if any(run.use == use for run in all_runs))
+    runs = [run for run in all_runs if run.use == use]
     caption = (
-        "Dots: measured. Dashed: the fitted model before. Line: the extended model. The channels "
-        "with the largest misfit before, in units of their noise."
+        "Dots: measured, with the noise. Dashed: the fitted model before. Line: the extended "
+        "model. The menu chooses the run; drag to zoom, double-click to zoom out."
     )
-    return page.Section(
-        title=title,
-        text=text,
-        content=[page.Picture(uri=_png(draw.before_after(shown, channels)), caption=caption)],
-    )
+    text = []
+    if len(channels) > draw.MAX_PANELS:
+        text = [f"The first {draw.MAX_PANELS} of {len(channels)} channels."]
+    chart = page.Chart(figure=draw.runs_over_time(runs, channels), caption=caption)
+    return page.Section(title=_TITLES[use], text=text, content=[chart])
+
+
+_TITLES = {
+    "test": "Measured and predicted, on test runs",
+    "select": "Measured and predicted, on the runs that chose between causes",
+    "fit": "Measured and predicted, on the runs that were fitted",
+}
 
 
 def _residuals(
@@ -149,8 +184,8 @@ def _residuals(
         "Grey: 95 % of noise alone. What stands out of the noise over the command's phase or at a "
         "frequency acts there."
     )
-    content: list[page.Picture | page.Table] = [
-        page.Picture(uri=_png(draw.residual_views(runs, channels)), caption=caption)
+    content: list[page.Item] = [
+        page.Chart(figure=draw.residual_views(runs, channels), caption=caption)
     ]
     places = draw.over_position(runs, channels)
     if places is not None:
@@ -158,8 +193,8 @@ def _residuals(
             "The same over where the model before predicts the system to be; lines: rms in ten "
             "bins, 1 for noise alone. What grows to one side acts there."
         )
-        content.append(page.Picture(uri=_png(places), caption=where))
-    fits = [r.null, r.best] if r.named else [r.null]
+        content.append(page.Chart(figure=places, caption=where))
+    fits = [r.null] if r.best is r.null else [r.null, r.best]
     content.append(_whiteness(channels, [ljung_box(fit).tolist() for fit in fits]))
     return page.Section(title="Where and when the model is off", content=content)
 
@@ -191,83 +226,85 @@ def _force_map(scores: ForceMap | None) -> page.Section:
     )
     if len(groups) < len(scores.groups):
         caption += f" The {MAX_COMMANDS} commands with the largest scores of {len(scores.groups)}."
-    uri = _png(draw.force_map(scores.components, groups, scores.z[order]))
-    return page.Section(title=title, content=[page.Picture(uri=uri, caption=caption)])
+    chart = draw.force_map(scores.components, groups, scores.z[order])
+    return page.Section(title=title, content=[page.Chart(figure=chart, caption=caption)])
 
 
 def _causes(r: Report) -> page.Section:
-    columns = [
-        "effect",
-        "status",
-        "size ± 1.64 sd (90 %)",
-        "nats",
-        "held-out gain (90 %)",
-        "share",
-        "may also be",
-    ]
-    shown = [(row, component) for row in r.table for component in row.size]
-    rows = [
-        [
-            row.label(component),
-            f"{row.status}, {row.note}" if row.note else row.status,
-            f"{_figure(row.size[component])} ± {_figure(Z90 * row.sd[component])} "
-            f"{_unit(row.unit)}",
-            "–" if row.nats is None else f"{row.nats:.1f}",
-            _interval(row.gain),
-            "–" if row.share is None else f"{100 * row.share:.0f} %",
-            ", ".join(row.aliases),
-        ]
-        for row, component in shown
-    ]
-    table = page.Table(
-        columns=columns,
-        rows=rows,
-        caption="Nats: evidence of the best set with the effect over that of the best without it; "
-        "kept from 4. Share: of the misfit above the noise that it explains alone.",
-        emphasis=[i for i, (row, _) in enumerate(shown) if row.status == "named"],
-    )
-    text = []
-    if len(r.rivals) > 0:
-        sets = "; ".join(" + ".join(rival) if rival else "nothing" for rival in r.rivals)
-        text.append(f"These data do not decide between the best set and: {sets}.")
-    return page.Section(title="Candidate causes, by evidence", text=text, content=[table])
+    """Causes by probability, then sets of causes as they were weighed."""
+    title = "What acts, and what does not"
+    if not r.causes:
+        return page.Section(title=title, text=["No cause was judged."])
+    text = list(r.sentences)
+    if r.unknown_share is not None and r.unknown_share >= 0.01:
+        text.append(f"{r.unknown_share:.0%} of the misfit above the noise stays without a name.")
+    if r.interval_factor > 1.05:
+        text.append(
+            f"Intervals are up to {r.interval_factor:.2g} times as wide as noise alone makes them."
+        )
+    return page.Section(title=title, text=text, content=[tables.causes(r), *tables.sets(r)])
+
+
+def _data_sheet(r: Report) -> page.Section:
+    title = "Base parameters against their data sheets"
+    shared = [row for row in r.base if row.run is None]
+    own = sorted((row for row in r.base if row.run is not None), key=lambda row: -abs(row.pull))
+    shown = [*shared, *own[:MAX_NUISANCES]]
+    if not shown:
+        return page.Section(title=title, text=["The model has no base parameter."])
+    left = len(own) - MAX_NUISANCES
+    text = [f"{left} more values of single runs, of smaller pull, are in report.json."]
+    return page.Section(title=title, text=text if left > 0 else [], content=[tables.base(shown)])
 
 
 def _confounding(r: Report) -> page.Section:
     title = "What mimics what"
     if not len(r.confounding_names):
         return page.Section(title=title, text=["No candidate was screened."])
-    blocks = draw.blocks_of(r.confounding)
+    blocks = blocks_of(r.confounding)
     names = ["; ".join(", ".join(r.confounding_names[i] for i in b) for b in blocks)]
     text = [f"These data hardly part: {names[0]}."] if blocks else []
     caption = (
-        f"Boxed: sets linked by cosines beyond ±{draw.CONFOUNDED}. Of one set only a set can be "
+        f"Boxed: sets linked by cosines beyond ±{CONFOUNDED}. Of one set only a set can be "
         "named, not a member."
     )
-    uri = _png(draw.confounding_matrix(r.confounding_names, r.confounding))
-    return page.Section(title=title, text=text, content=[page.Picture(uri=uri, caption=caption)])
+    chart = draw.confounding_matrix(r.confounding_names, r.confounding)
+    return page.Section(title=title, text=text, content=[page.Chart(figure=chart, caption=caption)])
 
 
 def _blind(report: Report) -> page.Section:
-    visible = [(r, c, size) for r in report.table for c, size in r.smallest_visible.items()]
-    content = [
-        page.Table(
-            columns=["effect", "smallest visible size"],
-            rows=[[r.label(c), f"{_figure(size)} {_unit(r.unit)}"] for r, c, size in visible],
-            caption="Six standard deviations of what the data tell of the size. Below it an effect "
-            "may be there and is not seen.",
-        )
+    """Smallest visible sizes; a cause that was sized above its own is not among them."""
+    sized = {c.name for c in report.causes if c.status in ("certain", "likely")}
+    hidden = {n: why for n, why in report.cannot_see.items() if n.split(".")[0] not in sized}
+    visible = [
+        (row, c, size)
+        for row in report.table
+        if row.effect not in sized
+        for c, size in row.smallest_visible.items()
+        if math.isfinite(size) and row.label(c) not in hidden
     ]
-    if report.cannot_see:
-        rows = [[name, why] for name, why in report.cannot_see.items()]
-        content.insert(0, page.Table(columns=["not seen at all, or hardly", "why"], rows=rows))
+    content: list[page.Item] = []
+    if hidden:
+        rows = [[name, why] for name, why in hidden.items()]
+        content.append(page.Table(columns=["not seen at all, or hardly", "why"], rows=rows))
+    if visible:
+        caption = (
+            "Six standard deviations of what the data tell of the size. Below it a cause may act "
+            "and is not seen."
+        )
+        rows = [
+            [row.label(c), f"{tables.figure(size)} {tables.unit_of(row.unit)}"]
+            for row, c, size in visible
+        ]
+        columns = ["cause", "smallest visible size"]
+        content.append(page.Table(columns=columns, rows=rows, caption=caption))
     return page.Section(title="What these data cannot see", content=content)
 
 
 def _next_run(r: Report) -> page.Section:
     title = "Which run to record next"
     if r.next_run is None:
-        text = "No advice: one explanation stands alone, or no bank of commands was given."
+        text = "No advice: one explanation stands alone, or no run could be generated to part them."
         return page.Section(title=title, text=[text])
     best, gains = r.next_run.best, r.next_run.chi2_gain
     text = (
@@ -275,37 +312,26 @@ def _next_run(r: Report) -> page.Section:
         f"{gains[best]:.3g}, {r.next_run.over_median:.1f} times the bank's median."
     )
     caption = "Distance of the nearest rivals after both are refitted, by run of the bank."
-    uri = _png(draw.next_run_bars(gains, best))
-    return page.Section(title=title, text=[text], content=[page.Picture(uri=uri, caption=caption)])
+    chart = draw.next_run_bars(gains, best)
+    return page.Section(
+        title=title, text=[text], content=[page.Chart(figure=chart, caption=caption)]
+    )
 
 
 def _gates(r: Report) -> page.Section:
     rows = [
-        [g.name, "passed" if g.passed else "FAILED", _figure(g.value), _figure(g.limit), g.note]
+        [g.name, _passed(g), tables.figure(g.value), tables.figure(g.limit), g.note]
         for g in r.gates
     ]
     table = page.Table(
         columns=["check", "", "value", "limit", "of what"],
         rows=rows,
-        emphasis=[i for i, g in enumerate(r.gates) if not g.passed],
+        emphasis=[i for i, g in enumerate(r.gates) if g.applies and not g.passed],
     )
     return page.Section(title="Checks before physics is blamed", content=[table] if rows else [])
 
 
-def _png(figure: Figure) -> str:
-    # many dots: as lines of text they would take megabytes
-    return data_uri(figure, png=True)
-
-
-def _figure(value: float) -> str:
-    return "–" if math.isnan(value) else f"{value:.3g}"
-
-
-def _unit(unit: str) -> str:
-    return "" if unit == "-" else unit
-
-
-def _interval(gained: Gain | None) -> str:
-    if gained is None:
-        return "–"
-    return f"{gained.value:.2f} ({gained.low:.2f} to {gained.high:.2f})"
+def _passed(gate: GateResult) -> str:
+    if not gate.applies:
+        return "does not apply"
+    return "passed" if gate.passed else "FAILED"

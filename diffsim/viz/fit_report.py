@@ -3,28 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from diffsim.diagnose.refit import NullFit
-from diffsim.viz import diagnosis_figures as draw
+from diffsim.viz import diagnosis_charts as draw
 from diffsim.viz import report as page
-from diffsim.viz.figures import data_uri
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from diffsim.viz.diagnosis_series import predicted_runs, with_noise
 
 
 def write_fit(null: NullFit, path: str | Path) -> Path:
     """Write the page, one static HTML file."""
     fit, study = null.fit, null.study
     sd = dict(zip([c.name for c in study.channels], null.noise.sd.tolist(), strict=True))
-    channels, runs = draw.with_noise(study.channels, sd), draw.predicted_runs(study, fit)
+    channels, runs = (
+        with_noise(study.channels, sd),
+        predicted_runs(study, fit, uses=("fit", "select")),
+    )
     per_sample = fit.chi2 / fit.num_samples
-    held = [run for run in runs if run.use == "test"][:4]
-    worst = [page.Picture(uri=_png(draw.before_after(held or runs[:4], channels)), caption=_RUNS)]
-    left = [page.Picture(uri=_png(draw.residual_views(runs, channels)), caption=_LEFT)]
+    worst = [page.Chart(figure=draw.runs_over_time(runs, channels), caption=_RUNS)]
+    left = [page.Chart(figure=draw.residual_views(runs, channels), caption=_LEFT)]
     names = fit.problem.names
     matrix = draw.confounding_matrix(names, fit.correlation, bar="posterior correlation")
     return page.write(
@@ -44,7 +42,7 @@ def write_fit(null: NullFit, path: str | Path) -> Path:
                 page.Section(title="Where and when the model is off", content=left),
                 page.Section(
                     title="What the data cannot part",
-                    content=[page.Picture(uri=_png(matrix), caption=_CORRELATION)],
+                    content=[page.Chart(figure=matrix, caption=_CORRELATION)],
                 ),
             ],
             held_fixed=[
@@ -57,7 +55,7 @@ def write_fit(null: NullFit, path: str | Path) -> Path:
     )
 
 
-_RUNS = "Dots: measured. Dashed: the fitted model. The channels with the largest misfit."
+_RUNS = "Dots: measured. Dashed: the fitted model. Runs with `use: test` are not looked at here."
 _LEFT = (
     "Measured minus predicted over the noise's standard deviation, all runs and channels. Grey: "
     "95 % of noise alone."
@@ -95,7 +93,3 @@ def _parameters(null: NullFit) -> page.Table:
         caption="Standard deviations with the prior. A parameter that moved by more than two "
         "prior standard deviations may stand for something that the model lacks.",
     )
-
-
-def _png(figure: Figure) -> str:
-    return data_uri(figure, png=True)

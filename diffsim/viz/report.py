@@ -1,6 +1,6 @@
-"""A report of one static HTML file: verdict first, then figures, tables, what was held fixed.
+"""A report of one HTML file: verdict first, then figures, tables, what was held fixed.
 
-The page needs no network and no scripts: styles and figures are inside.
+The page needs no network: styles, figures and, where it has charts, their script are inside.
 """
 
 from __future__ import annotations
@@ -11,9 +11,11 @@ from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from importlib import metadata, resources
 from pathlib import Path
+from typing import Any
 
 from diffsim.core.files import write_text_atomic
 from diffsim.core.version import __version__
+from diffsim.viz import charts
 from diffsim.viz._require import optional
 
 TONES = ("good", "fair", "bad", "plain")
@@ -44,6 +46,24 @@ class Picture:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Chart:
+    """An interactive figure.
+
+    Attributes:
+        figure: Figure of plotly.
+        caption: What to see, and how to read it.
+    """
+
+    figure: Any
+    caption: str
+
+    @property
+    def html(self) -> str:
+        """The figure without plotly's script."""
+        return charts.to_html(self.figure)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Table:
     """A table of finished strings; the first column is the row's name.
 
@@ -68,13 +88,16 @@ class Table:
                 )
 
 
+Item = Picture | Chart | Table
+
+
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """A heading, a few sentences, then pictures and tables in the order given."""
+    """A heading, a few sentences, then pictures, charts and tables in the order given."""
 
     title: str
     text: Sequence[str] = ()
-    content: Sequence[Picture | Table] = ()
+    content: Sequence[Item] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,8 +143,11 @@ def render(report: Report, *, made: datetime | None = None) -> str:
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.tests["picture"] = lambda item: isinstance(item, Picture)
+    environment.tests["chart"] = lambda item: isinstance(item, Chart)
+    has_charts = any(isinstance(i, Chart) for section in report.sections for i in section.content)
     when = (made or datetime.now(timezone.utc)).strftime("%d %B %Y, %H:%M UTC")
-    return environment.from_string(source).render(report=report, made=when)
+    script = charts.script() if has_charts else ""
+    return environment.from_string(source).render(report=report, made=when, script=script)
 
 
 def write(report: Report, path: str | Path) -> Path:

@@ -87,10 +87,11 @@ def _table(found: Report) -> list[list[str]]:
 def _pictures(found: Report) -> list[dict[str, str]]:
     """Before and after on the run that no fit has seen, residuals, and what mimics what."""
     from diffsim.viz import diagnosis_figures as draw
+    from diffsim.viz.diagnosis_series import predicted_runs, with_noise
     from diffsim.viz.figures import data_uri
 
-    channels = draw.with_noise(found.study.channels, found.noise["sd"])
-    runs = draw.predicted_runs(found.study, found.null, found.best if found.named else None)
+    channels = with_noise(found.study.channels, found.noise["sd"])
+    runs = predicted_runs(found.study, found.null, found.best if found.named else None)
     held_out = [run for run in runs if run.use == "test"]
     drawn = [
         (

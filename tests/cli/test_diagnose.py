@@ -15,7 +15,8 @@ from diffsim import cli
 from diffsim.cli.diagnose_inputs import changed, choose, inputs_of
 from diffsim.data.labs import CopterLab
 from diffsim.data.study import Study
-from diffsim.data.study_file import load_study, save_study
+from diffsim.data.study_file import load_study
+from diffsim.data.study_save import save_study
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.refit import fit_null, refit, rival_sets
 from diffsim.identify import SimModel, extended_model, fit, save_extended

@@ -125,19 +125,19 @@ def test_diagnose_check_of_a_good_and_a_bad_study(capsys, tmp_path):
     from dataclasses import replace
 
     from diffsim.data.labs import LABS
-    from diffsim.data.study_file import save_study
+    from diffsim.data.study_save import save_study
 
     study = LABS["stokes"]()(0)
     path = save_study(study, tmp_path / "good")
     file = path if path.is_file() else path / "study.yaml"
     assert cli.main(["diagnose", "check", str(file)]) == 0
     assert "ready for a diagnosis" in capsys.readouterr().out
-    fitted = replace(study, runs=study.fit_runs)
-    path = save_study(fitted, tmp_path / "bad")
+    nothing_fitted = replace(study, runs=study.test_runs)
+    path = save_study(nothing_fitted, tmp_path / "bad")
     file = path if path.is_file() else path / "study.yaml"
     assert cli.main(["diagnose", "check", str(file)]) == 2
     said = capsys.readouterr()
-    assert "held" in said.out and "keep" in said.err
+    assert "no run with use: fit" in said.out and "keep" in said.err
 
 
 def test_demo_elsewhere_says_where_it_is(capsys, monkeypatch, tmp_path):

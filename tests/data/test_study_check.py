@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diffsim.data import Channel, Study, check_study
+from diffsim.data import Channel, Command, Study, check_study
 from tests.data.test_study_file import make_study
 
 
@@ -27,11 +27,16 @@ def test_a_good_study_has_no_problems():
 
 def test_two_commands_are_needed():
     study = make_study()
-    assert "at least two commands" in problems(with_run(study, 2, use="test"), "error")
+    assert "all fit runs have one command" in problems(with_run(study, 2, use="test"), "warning")
 
 
-def test_a_held_out_run_is_needed():
-    assert "no held-out run" in problems(with_run(make_study(), 3, use="fit"), "error")
+def test_without_a_test_run_nothing_shows_what_the_answer_is_worth():
+    assert "no run with use: test" in problems(with_run(make_study(), 3, use="fit"), "warning")
+
+
+def test_without_a_fit_run_nothing_can_be_fitted():
+    runs = tuple(replace(run, use="test") for run in make_study().runs)
+    assert "no run with use: fit" in problems(replace(make_study(), runs=runs), "error")
 
 
 def test_a_held_out_repeat_is_a_warning():
@@ -59,7 +64,7 @@ def test_gap_in_the_clock():
 def test_unit_against_name():
     study = replace(make_study(), channels=(Channel("tip_z_mm", "m", "position", 1e-6),) * 2)
     found = problems(study, "error")
-    assert "channel tip_z_mm: unit is 'm', but the name does not end in '_m'" in found
+    assert "channel tip_z_mm: the name ends in 'mm', but unit is 'm'" in found
     assert "the name is used twice" in found
 
 
@@ -75,7 +80,39 @@ def test_unknown_noise():
 def test_repeats_with_another_command():
     moved = {"tendon_N": make_study().runs[1].command["tendon_N"] + 0.1}
     found = problems(with_run(make_study(), 1, command=moved), "warning")
-    assert "run b: command tendon_N differs from that of run a in the same group 'up'" in found
+    assert "group up: its runs did not execute one command: tendon_N differ, most" in found
+    assert "run b from that of run a, by 12.5% rms of its range" in found
+
+
+def test_repeats_under_a_controller():
+    moved = {"tendon_N": make_study().runs[1].command["tendon_N"] + 0.1}
+    study = with_run(make_study(), 1, command=moved)
+    assert check_study(replace(study, commands=(Command("tendon_N", is_measured=True),))) == []
+
+
+def test_what_is_still_to_be_stated():
+    model = {"system": "ode", "masses": [{"name": "cart", "mass": "TODO kg"}]}
+    found = problems(replace(make_study(), model=model, todo=("weigh the cart",)))
+    assert "warning: study: still to be stated: weigh the cart" in found
+    assert "error: model.masses[0].mass: is still to be filled in: TODO kg" in found
+
+
+def test_unknown_noise_is_guessed_in_the_unit_of_the_files():
+    noise = 1e-4 * np.random.default_rng(0).normal(size=(25, 1))
+    runs = tuple(replace(r, measured=noise, group=r.name) for r in make_study().runs)
+    channels = (Channel("x", "m", "position", shown_unit="mm"),)
+    found = problems(replace(make_study(), runs=runs, channels=channels), "error")
+    guess = float(found.split("scatters by ")[1].split(" mm")[0])
+    assert guess == pytest.approx(0.1, rel=0.3)
+
+
+def test_many_samples_cost_time():
+    runs = tuple(
+        replace(r, time_s=np.arange(40_000.0), measured=np.zeros((40_000, 2)), command={})
+        for r in make_study().runs
+    )
+    found = problems(replace(make_study(), runs=runs), "warning")
+    assert "240000 samples to be simulated, run a alone has 40000" in found
 
 
 def test_repeats_on_another_clock_are_compared_in_time():
@@ -110,5 +147,6 @@ def test_defects_of_a_run(changes, message):
 def test_errors_come_first():
     t = make_study().runs[2].time_s.copy()
     t[7:] += 0.1
-    found = check_study(with_run(with_run(make_study(), 2, time_s=t), 3, use="fit"))
-    assert [p.severity for p in found] == ["error", "warning"]
+    bad = with_run(with_run(make_study(), 2, time_s=t), 3, use="fit")
+    found = check_study(with_run(bad, 1, name="a"))
+    assert [p.severity for p in found] == ["error", "warning", "warning"]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import diffsim.data.study_file as study_file
+import diffsim.data.study_save as study_save
 from diffsim.data import Channel, Run, Study, load_study, save_study
 
 
@@ -73,24 +73,34 @@ def change(folder, file, old, new):
             r"a\.csv: column tip_z_m is missing; did you mean 'tip_z_mm'",
         ),
         ("a.csv", "time_s", "time_ms", r"a\.csv: column time_s is missing; column 'time_ms' looks"),
-        ("study.yaml", "use: fit", "use: fitt", r"runs\[0\]\.use must be one of .* mean 'fit'"),
+        (
+            "study.yaml",
+            "use: fit",
+            "use: fitt",
+            r"runs\[0\]\.use: must be one of .* mean 'fit'",
+        ),
         (
             "study.yaml",
             "group: up",
             "gruop: up",
-            r"key of runs\[0\] must be .* did you mean 'group'",
+            r"yaml: runs\[0\]: no key 'gruop' here; did you mean 'group'",
         ),
         ("study.yaml", "system: soft_body", "system: softbody", "did you mean 'soft_body'"),
         ("study.yaml", "file: b.csv", "file: bb.csv", r"bb\.csv: no such run.*you mean 'b\.csv'"),
-        ("study.yaml", "sd: 3.0e-06", "sd: -1", r"channels\[0\]\.sd must be above 0, got -1"),
+        (
+            "study.yaml",
+            "sd: 3.0e-06",
+            "sd: -1",
+            r"channels\[0\]\.sd: must be above 0, got -1",
+        ),
         (
             "study.yaml",
             "temperature_C: 22.5",
-            "temperature_C: warm",
-            r"setup\.temperature_C must be",
+            "temperature_C: yes",
+            r"yaml: runs\[0\]\.setup\.temperature_C must be",
         ),
-        ("study.yaml", "order: 0", "order: 0.5", r"runs\[0\]\.order must be a whole number"),
-        ("study.yaml", "kind: position", "sd: 1.0", r"channels\[0\] has no kind"),
+        ("study.yaml", "order: 0", "order: 0.5", r"yaml: runs\[0\]\.order: must be a whole number"),
+        ("study.yaml", "unit: m\n", "sd: 1.0\n", r"yaml: channels\[0\]\.unit: is missing"),
         ("study.yaml", "runs:", "runs: {", "not YAML"),
     ],
 )
@@ -150,7 +160,7 @@ def test_an_interrupted_save_leaves_the_old_study(folder, tmp_path, monkeypatch)
             raise KeyboardInterrupt
         path.write_text(text)
 
-    monkeypatch.setattr(study_file, "write_text_atomic", fail_late)
+    monkeypatch.setattr(study_save, "write_text_atomic", fail_late)
     with pytest.raises(KeyboardInterrupt):
         save_study(replace(make_study(), name="new"), folder, overwrite=True)
     assert len(written) == 3

@@ -215,9 +215,9 @@ def test_next_run_distance_is_what_a_refit_leaves():
         apart, columns, priors = 0.0, [], []
         for sign, f, e in zip((1, -1), fits, effects, strict=True):
             y, a = linear.matrices((e,), [run])
-            apart = apart + sign * (y - a @ f.x)
+            apart = apart + sign * (y - a @ f.problem.scaled(f.x))
             root = np.linalg.cholesky(f.covariance)
-            columns.append(a)
+            columns.append(a * f.problem.stretch(f.x))
             priors.append(np.linalg.inv(root))
         # smallest |apart - A d|^2 + d' C^-1 d over both rivals' parameters, by least squares
         stacked = np.block(
@@ -259,7 +259,8 @@ def test_numerical_shift_is_what_a_refit_to_the_refined_record_moves():
         after = fit(linear.model(), shifted, linear.CHANNELS, effects=(effect,))
         moved.append(after.x - before.x)
     found = numerical_shift(before, {str(k): c.ravel() for k, c in enumerate(changes)})
-    np.testing.assert_allclose(found, np.linalg.norm(moved, axis=0), rtol=1e-4)
+    # linear in base parameters; the prior of a size is not normal, so it moves a little otherwise
+    np.testing.assert_allclose(found, np.linalg.norm(moved, axis=0), rtol=0.03)
 
 
 @pytest.mark.reference

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from diffsim.data.importers.starfish import COMMAND
-from diffsim.data.study_file import save_study
+from diffsim.data.study_save import save_study
 from diffsim.sim_to_real import AwaitingRecordingError, Command, FileHardware, Limits, rod_swimmer
 from diffsim.sim_to_real.hardware import as_study
 from diffsim.sim_to_real.laboratory import VirtualLaboratory

@@ -10,13 +10,13 @@ import pytest
 from diffsim.data.labs import NetworkLab
 from diffsim.identify import Effect, coarse
 from diffsim.identify.numerics import REFINEMENTS
-from diffsim.systems.balls.effects import BALL_EFFECTS
 from diffsim.systems.bench.effects import BENCH
 from diffsim.systems.bending.effects import BENDING_EFFECTS
 from diffsim.systems.flow_network.effects import stokes_library
 from diffsim.systems.laboratories.lab_beam_causes import causes
 from diffsim.systems.multicopter import unknown_wrench
 from diffsim.systems.registry import library, setup_of
+from diffsim.systems.rigid_body.ball_effects import BALL_EFFECTS
 from diffsim.systems.rigid_body.effects import TOSS
 from diffsim.systems.soft_body import unknown_force
 from diffsim.systems.soft_body.hanging import SLACK_STRING

@@ -8,12 +8,23 @@ import torch
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from diffsim.data.importers.cube_toss import CORNERS, TWIST, continuous, first_impact
 from diffsim.data.study import Run
 from diffsim.systems.rigid_body.impact import impulse
-from diffsim.systems.rigid_body.model import GRAVITY, HALF_WIDTH, Tosses
+from diffsim.systems.rigid_body.layout import Layout
+from diffsim.systems.rigid_body.toss import Mass, Tosses
+from diffsim.systems.rigid_body.turning import turned
+from diffsim.systems.rigid_body.windows import (
+    CORNERS,
+    TURN,
+    TWIST,
+    Poses,
+    continuous,
+    first_touch,
+)
 
+GRAVITY, HALF_WIDTH = 9.81, 0.0524
 E, MU, INERTIA = 0.3, 0.2, 2.0 / 3.0 * HALF_WIDTH**2
+POSE = [*(("position", i) for i in range(3)), *(("quaternion", i) for i in range(4))]
 
 
 def tensor(*values):
@@ -24,7 +35,8 @@ def kick(velocity, arm, restitution=E, friction=MU, rebound=0.0):
     return impulse(
         tensor(*velocity),
         tensor(*arm),
-        *(tensor(v)[0] for v in (INERTIA, restitution, friction, rebound)),
+        torch.eye(3, dtype=torch.float64) / INERTIA,
+        *(tensor(v)[0] for v in (restitution, friction, rebound)),
     ).numpy()
 
 
@@ -66,18 +78,21 @@ def toss(end=0.25):
     measured = np.tile(np.concatenate([[0.1, -0.2, 0.18], q, [0.0]]), (len(time), 1))
     start = np.array([0.1, -0.2, 0.18, 0, 0, 0, 0.8, -0.4, -0.2, 0.5, -0.8, 2.0])
     setup = {"corner": float(np.argmin(height)), "touch_s": 0.1, "hits": 1.0}
-    setup |= {f"start_{c}": v for c, v in zip(TWIST, start[6:], strict=True)}
+    setup |= {f"start_{c}": v for c, v in zip(TWIST, [*start[:3], *start[6:]], strict=True)}
+    setup |= {f"start_{c}": v for c, v in zip(TURN, q, strict=True)}
     return Run("toss", time, measured, {}, "toss", setup=setup), start
 
 
-def integrated(run, start):
+def integrated(run, start, moments=None):
     """Newton and Euler by DOP853, rotation matrices, the impact found as an event."""
     corner = CORNERS[int(run.setup["corner"])] * HALF_WIDTH
+    moments = np.full(3, INERTIA) if moments is None else moments
 
     def slope(t, y):
         matrix, w = y[6:15].reshape(3, 3), y[15:]
         skew = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
-        return np.concatenate([y[3:6], [0, 0, -GRAVITY], (matrix @ skew).ravel(), np.zeros(3)])
+        turning = np.cross(moments * w, w) / moments
+        return np.concatenate([y[3:6], [0, 0, -GRAVITY], (matrix @ skew).ravel(), turning])
 
     def gap(t, y):
         return (y[:3] + y[6:15].reshape(3, 3) @ corner)[2]
@@ -91,17 +106,26 @@ def integrated(run, start):
     hit, y = one.t_events[0][0], one.y_events[0][0].copy()
     matrix = y[6:15].reshape(3, 3)
     arm = matrix @ corner
-    p = kick(y[3:6] + np.cross(matrix @ y[15:], arm), arm)
+    inverse = (matrix / moments) @ matrix.T
+    p = impulse(
+        *(torch.from_numpy(v) for v in (y[3:6] + np.cross(matrix @ y[15:], arm), arm, inverse)),
+        *(tensor(v)[0] for v in (E, MU, 0.0)),
+    ).numpy()
     y[3:6] += p
-    y[15:] += matrix.T @ np.cross(arm, p) / INERTIA
+    y[15:] += matrix.T @ inverse @ np.cross(arm, p)
     two = solve_ivp(slope, (hit, run.time_s[-1]), y, dense_output=True, **options)
     states = np.array([(one if t < hit else two).sol(t) for t in run.time_s])
     return hit, states[:, :3], states[:, 6:15].reshape(-1, 3, 3)
 
 
-def flown(run, start, **terms):
-    values = {"restitution": tensor(E)[0], "friction": tensor(MU)[0]}
-    return Tosses.of([run]).fly(torch.from_numpy(start)[None, None], values, terms)[0, 0].numpy()
+def flown(run, start, mass=None, **terms):
+    values = {"restitution": E, "friction": MU, "gravity": GRAVITY, "ground": 0.0}
+    values |= {f"edge_{a}": 2.0 * HALF_WIDTH for a in "xyz"}
+    known = {n: torch.tensor(v, dtype=torch.float64) for n, v in values.items()}
+    layout = Layout(POSE, tensor(1.0, 0.0, 0.0, 0.0))
+    tosses = Tosses.of([run])
+    at = torch.from_numpy(start)[None, None]
+    return tosses.fly(at, known, terms, mass or Mass(), layout)[0, 0].numpy()
 
 
 def test_flight_and_impact_agree_with_an_integrator():
@@ -114,12 +138,33 @@ def test_flight_and_impact_agree_with_an_integrator():
     np.testing.assert_allclose(found, matrices, atol=1e-8)
 
 
+def test_body_of_unequal_moments_agrees_with_an_integrator():
+    run, start = toss()
+    moments = INERTIA * np.array([0.7, 1.0, 1.4])
+    _, position, matrices = integrated(run, start, moments)
+    out = flown(run, start, Mass(tuple(moments), is_even=False))
+    np.testing.assert_allclose(out[:, :3], position, atol=1e-7)
+    found = Rotation.from_quat(out[:, [4, 5, 6, 3]]).as_matrix()
+    np.testing.assert_allclose(found, matrices, atol=1e-6)
+    even = flown(run, start)
+    assert np.abs(out - even).max() > 1e-3
+
+
+def test_free_turn_keeps_momentum():
+    moments = tensor(1.0, 2.0, 3.0)
+    rates = tensor(4.0, 5.0, -3.0)
+    turn, now = turned(rates, tensor(0.4)[0], moments)
+    held = Rotation.from_quat(turn.numpy()[[1, 2, 3, 0]]).apply((moments * now).numpy())
+    np.testing.assert_allclose(held, (moments * rates).numpy(), atol=1e-3)
+
+
 def test_window_ends_with_the_first_bounce():
     run, start = toss()
     hit, position, matrices = integrated(run, start)
     quaternions = Rotation.from_matrix(matrices).as_quat()[:, [3, 0, 1, 2]]
     pose = np.column_stack([position, continuous(quaternions)])
-    window = first_impact(pose, HALF_WIDTH)
+    half = np.full(3, HALF_WIDTH)
+    window = first_touch(Poses(pose[:, :3], pose[:, 3:]), half, 0.003, 0.0)
     assert window.corner == run.setup["corner"]
     assert abs(run.time_s[window.touch] - hit) < 2.0 / 148.0
     assert window.touch <= window.end <= len(pose)

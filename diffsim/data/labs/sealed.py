@@ -24,7 +24,7 @@ from diffsim.data.labs.common import DECOYS, Lab
 from diffsim.data.labs.multicopter import CopterLab
 from diffsim.data.labs.soft_beam import SoftBeamLab
 from diffsim.data.study import Study
-from diffsim.data.study_file import save_study
+from diffsim.data.study_save import save_study
 
 HASH_FILE, OPTIONS_FILE = "label.sha256", "options.json"
 #: Kind of a case -> its share of all.

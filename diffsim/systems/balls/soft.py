@@ -19,7 +19,7 @@ from diffsim import contact, mesh, soft
 from diffsim.data.study import Run
 from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import Numerics
-from diffsim.systems.balls.camera import HEIGHT_PX, WIDTH_PX, plain_camera, projected
+from diffsim.systems.rigid_body.camera import HEIGHT_PX, WIDTH_PX, plain_camera, projected
 
 #: What the motion depends on; the other parameters are the camera's.
 MOTION = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import torch
@@ -134,10 +135,12 @@ def _center_of_mass(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     return scene.changed(vehicle=vehicle)
 
 
-def _voltage_exponent(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
-    if _VOLTAGE not in run.command:
-        raise ValueError(f"run {run.name}: voltage_exponent needs the command {_VOLTAGE}")
-    voltage = torch.as_tensor(run.command[_VOLTAGE], dtype=torch.float64)
+def _voltage_exponent(
+    scene: CopterScene, size: Tensor, run: Run, *, name: str = _VOLTAGE
+) -> CopterScene:
+    if name not in run.command:
+        raise ValueError(f"run {run.name}: voltage_exponent needs the command {name}")
+    voltage = torch.as_tensor(run.command[name], dtype=torch.float64)
     share = torch.cat([voltage[:1], voltage])[:, None] / voltage[0]  # before the record, too
     return scene.with_command(lambda u, dt: u * share ** amount(size, 2))
 
@@ -172,10 +175,10 @@ def _weak_rotor(scene: CopterScene, size: Tensor, run: Run, *, index: int) -> Co
     return scene.with_command(lambda u, dt: u * (1.0 - amount(size, 2) * share))
 
 
-def _needs_voltage(study: Study) -> str | None:
-    if all(_VOLTAGE in run.command for run in study.runs):
+def _needs_command(study: Study, *, name: str = _VOLTAGE) -> str | None:
+    if all(name in run.command for run in study.runs):
         return None
-    return f"the battery's voltage in every run (command {_VOLTAGE})"
+    return f"the battery's voltage in every run (command {name})"
 
 
 def _needs_four_rotors(study: Study) -> str | None:
@@ -292,7 +295,7 @@ VOLTAGE_EXPONENT = Effect(
     unit="-",
     typical=1.0,
     also_looks_like=("loss of thrust as motors warm", "falling mass"),
-    needs=_needs_voltage,
+    needs=_needs_command,
     apply=_voltage_exponent,
 )
 THRUST_CURVATURE = Effect(
@@ -316,6 +319,13 @@ GROUND_EFFECT = Effect(
     also_looks_like=("thrust gain at one height",),
     apply=_ground_effect,
 )
+
+
+def voltage_exponent(command: str) -> Effect:
+    """The effect of the voltage that a command of another name holds."""
+    needs = partial(_needs_command, name=command)
+    apply = partial(_voltage_exponent, name=command)
+    return replace(VOLTAGE_EXPONENT, needs=needs, apply=apply)
 
 
 def weak_rotor(index: int) -> Effect:

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from diffsim.copter import FlightEffects
 from diffsim.copter.fleet import Fleet
+from diffsim.systems.multicopter.frames import Frames
 from diffsim.systems.multicopter.motion import Motion
 from diffsim.systems.multicopter.shooting import Windows
 
@@ -22,6 +23,10 @@ SENSORS = {
     "attitude": ("roll_rad", "pitch_rad", "yaw_rad"),
     "body_rates": ("p_rad_s", "q_rad_s", "r_rad_s"),
     "accelerometer": ("ax_m_s2", "ay_m_s2", "az_m_s2"),
+    "velocity": ("vx_m_s", "vy_m_s", "vz_m_s"),
+    "quaternion": ("qw", "qx", "qy", "qz"),
+    "specific_force_in_world": ("fx_m_s2", "fy_m_s2", "fz_m_s2"),
+    "acceleration": ("ax_world_m_s2", "ay_world_m_s2", "az_world_m_s2"),
 }
 
 CommandMap = Callable[[Tensor, float], Tensor]
@@ -50,6 +55,8 @@ class CopterFlight:
         commands: Thrusts at every sample, held until the next, (points, num_samples, n_rotors) [N].
         dt: Time between two samples [s].
         sensors: Groups of channels of the record, in order; keys of ``SENSORS``.
+        columns: Which reading each channel is, counted over the groups; None: all, in order.
+        frames: Frames that the record is written in.
         windows: The record in windows, whose initial states are fitted away.
         substeps: Integration steps per sample.
         flight_effects: Effects in flight, as :func:`diffsim.copter.fly` takes them; tensors with
@@ -69,7 +76,9 @@ class CopterFlight:
         position_scale, accelerometer_scale: Scale of the position and of the accelerometer
             readings, shown over true, (points,) [-].
         attitude_offset, body_rates_offset, accelerometer_offset: Added to what these show,
-            (points, 3) [rad], [rad/s], [m/s^2].
+            (points, 3) [rad], [rad/s], [m/s^2], in the recording's frames.
+        camera_delay: Age of the position, velocity and attitude that are shown, (points,) [s];
+            None: none.
     """
 
     vehicle: Fleet
@@ -77,6 +86,8 @@ class CopterFlight:
     dt: float
     sensors: tuple[str, ...]
     windows: Windows
+    columns: tuple[int, ...] | None = None
+    frames: Frames = field(default_factory=Frames)
     substeps: int = 2
     flight_effects: FlightEffects = field(default_factory=FlightEffects)
     terrain_height: float = 0.0
@@ -92,6 +103,7 @@ class CopterFlight:
     attitude_offset: Tensor = field(default_factory=_origin)
     body_rates_offset: Tensor = field(default_factory=_origin)
     accelerometer_offset: Tensor = field(default_factory=_origin)
+    camera_delay: Tensor | None = None
 
     def changed(self, **changes: Any) -> Self:
         """A copy with some entries replaced."""

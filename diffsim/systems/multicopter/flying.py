@@ -9,12 +9,10 @@ import torch
 from torch import Tensor
 
 from diffsim.copter import FlightEffects, fly
-from diffsim.copter.fleet import Fleet
-from diffsim.copter.vehicle import GRAVITY
 from diffsim.core.errors import ConvergenceError
-from diffsim.core.rotation import rpy_from_matrix
 from diffsim.systems.multicopter.flight import CopterFlight
-from diffsim.systems.multicopter.motion import Motion, turned_back
+from diffsim.systems.multicopter.motion import Motion
+from diffsim.systems.multicopter.readings import Record, read
 from diffsim.systems.multicopter.shooting import RIGID, flight_state
 
 _MAX_PASSES = 40  # over causes that depend on the motion
@@ -70,12 +68,12 @@ class Flyer:
         """
         scene = self.scene
         if not scene.schedules and not scene.air:
-            return _read(scene, self._fly(start, thrusts, None))
+            return read(scene, self._fly(start, thrusts, None))
         flown, air = self._last or (thrusts, thrusts.new_zeros(1))
         still = 0 if torch.is_grad_enabled() else _MORE_FOR_GRADIENTS
         for _ in range(_MAX_PASSES):
             record = self._fly(start, flown, air if air.dim() > 1 else None)
-            motion = record.motion(scene.vehicle)
+            motion = record.motion(scene.vehicle, flown, scene.dt)
             before, air_before = flown, air
             flown, air = self._scheduled(motion, thrusts), self._air(motion)
             with torch.no_grad():
@@ -84,7 +82,7 @@ class Flyer:
             if still > _MORE_FOR_GRADIENTS:
                 if not torch.is_grad_enabled():
                     self._last = flown, air
-                return _read(scene, record)
+                return read(scene, record)
         raise ConvergenceError(
             f"forces that depend on the motion still change by {change:.1e} N after "
             f"{_MAX_PASSES} passes; shorten the windows or reduce the effects' sizes",
@@ -104,7 +102,7 @@ class Flyer:
             total = total + force(motion)
         return total
 
-    def _fly(self, start: Tensor, thrusts: Tensor, air: Tensor | None) -> _Record:
+    def _fly(self, start: Tensor, thrusts: Tensor, air: Tensor | None) -> Record:
         """Flights under thrusts, and forces ``air`` in the world, (points, ..., 3) [N]."""
         scene, points = self.scene, self.points
         _, windows, length, rotors = thrusts.shape
@@ -125,10 +123,11 @@ class Flyer:
         def shaped(value: Tensor) -> Tensor:
             return value.reshape(points, windows, *value.shape[1:])
 
-        return _Record(
+        return Record(
             shaped(state.position) + frame.way,
             shaped(state.velocity) + frame.velocity,
             shaped(state.rotation),
+            shaped(state.quaternion),
             shaped(state.body_rates),
         )
 
@@ -164,24 +163,6 @@ def windowed(values: Tensor, windows: int, length: int) -> Tensor:
 
 
 @dataclass(frozen=True, eq=False)
-class _Record:
-    """States of windows, (points, num_windows, length + 1, ...), the one after the last too."""
-
-    position: Tensor
-    velocity: Tensor
-    rotation: Tensor
-    body_rates: Tensor
-
-    def motion(self, vehicle: Fleet) -> Motion:
-        """Motion in the middle of steps, where causes are right to second order."""
-        middle = [
-            0.5 * (value[:, :, :-1] + value[:, :, 1:])
-            for value in (self.position, self.velocity, self.rotation, self.body_rates)
-        ]
-        return Motion(vehicle, *middle)
-
-
-@dataclass(frozen=True, eq=False)
 class _Frame:
     """The accelerating frame in which forces in the world are absent.
 
@@ -199,35 +180,3 @@ class _Frame:
         velocity = torch.cat([zero, (dt * pull).cumsum(-2)], -2)
         steps = dt * (velocity[..., :-1, :] + 0.5 * dt * pull)
         return cls(torch.cat([zero, steps.cumsum(-2)], -2), velocity)
-
-
-def _read(scene: CopterFlight, record: _Record) -> Tensor:
-    """Readings of the sensors, (points, num_windows, length, num_channels)."""
-
-    def wide(value: Tensor) -> Tensor:
-        """(points, ...) against (points, num_windows, length, ...)."""
-        return value[:, None, None]
-
-    rotation = record.rotation[:, :, 1:]
-    seen = record.position[:, :, 1:] + (rotation * wide(scene.marker[:, None])).sum(-1)
-    # the mean over the step before
-    acceleration = record.velocity.diff(dim=2) / scene.dt
-    halfway = 0.5 * (record.rotation[:, :, :-1] + rotation)
-    gravity = seen.new_tensor([0.0, 0.0, GRAVITY])
-    specific = turned_back(halfway, acceleration - gravity)
-
-    def in_unit(value: Tensor) -> Tensor:
-        tilt, value = torch.broadcast_tensors(wide(scene.imu_tilt), value)
-        return value - torch.linalg.cross(tilt, value)
-
-    def scaled(scale: Tensor, value: Tensor) -> Tensor:
-        return wide(scale)[..., None] * value
-
-    channels = {
-        "position": scaled(scene.position_scale, seen),
-        "attitude": rpy_from_matrix(rotation) + wide(scene.attitude_offset),
-        "body_rates": in_unit(record.body_rates[:, :, 1:]) + wide(scene.body_rates_offset),
-        "accelerometer": scaled(scene.accelerometer_scale, in_unit(specific))
-        + wide(scene.accelerometer_offset),
-    }
-    return torch.cat([channels[name] for name in scene.sensors], -1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,9 +16,10 @@ from diffsim.copter.fleet import Fleet
 from diffsim.core.check import require_choice
 from diffsim.identify import Parameter
 from diffsim.identify.effect import Effect
-from diffsim.identify.model import Numerics, SimModel
-from diffsim.systems.multicopter.scene import SENSORS, CopterScene
-from diffsim.systems.multicopter.shooting import Windows, filled, guess_states
+from diffsim.identify.model import Build, Numerics, SimModel
+from diffsim.systems.multicopter.cutting import Cutter, spacing
+from diffsim.systems.multicopter.scene import CopterScene
+from diffsim.systems.multicopter.shooting import Windows
 from diffsim.systems.signals import held_lagged
 
 if TYPE_CHECKING:
@@ -29,6 +31,7 @@ FLIGHT_BASE = (
     Parameter("inertia_gain", 1.0, 0.1, log=True),
     Parameter("motor_time_constant", 0.03, 0.3, "s", log=True),
 )
+_GROUPS = ("position", "attitude", "body_rates", "accelerometer")
 _OFFSETS = ("attitude_offset", "body_rates_offset", "accelerometer_offset")
 BASE_NAMES = (
     *(p.name for p in FLIGHT_BASE),
@@ -52,7 +55,6 @@ def flight_nuisances(
 
 # Noise of a channel while nothing better is known: motion capture and a small inertial unit.
 SENSOR_SD = {"position": 2e-3, "attitude": 5e-3, "body_rates": 1e-2, "accelerometer": 0.1}
-_UNEVEN = 1e-3  # of the mean step
 THRUST_COEFFICIENT = 1e-5  # of a small propeller, where a design states none [N s^2]
 
 
@@ -64,7 +66,7 @@ class CopterModel(SimModel):
         base: Base parameters with their priors.
     """
 
-    def __init__(self, flights: Flights, base: Sequence[Parameter]):
+    def __init__(self, flights: Build, base: Sequence[Parameter]):
         super().__init__(flights, base, "multicopter")
 
     def simulate_many(
@@ -111,7 +113,7 @@ def flight_model(
     commands: Sequence[str],
     sensors: Sequence[str] = ("position", "attitude", "body_rates", "accelerometer"),
     sensor_sd: Mapping[str, float] | None = None,
-    window_s: float = 1.0,
+    window_s: float | None = None,
     substeps: int = 2,
     base: Sequence[Parameter] = FLIGHT_BASE,
     thrust_coefficient: float = THRUST_COEFFICIENT,
@@ -129,14 +131,14 @@ def flight_model(
         sensors: Groups of channels: "position" and "attitude", with "body_rates" and
             "accelerometer" if there are.
         sensor_sd: Noise by group, in the unit of the group; weighs the fit of initial states.
-        window_s: Length of a window [s].
+        window_s: Length of a window [s]; None: as long as the model allows, up to one second.
         substeps: Integration steps per sample.
         base: Any of thrust_gain, torque_gain (reaction torque), inertia_gain, mass_gain [-] and
             motor_time_constant [s]; without the last, motors follow at once. Nuisances as
             ``flight_nuisances`` makes them.
         thrust_coefficient: Thrust over the square of a rotor's speed [N s^2].
     """
-    groups = tuple(require_choice("sensors", s, SENSORS) for s in sensors)
+    groups = tuple(require_choice("sensors", s, _GROUPS) for s in sensors)
     if not {"position", "attitude"} <= set(groups):
         raise ValueError(f'sensors must have "position" and "attitude", got {list(groups)}')
     if len(commands) != vehicle.num_rotors:
@@ -150,9 +152,12 @@ def flight_model(
     flights = Flights(
         vehicle=Fleet.of([vehicle]),
         commands=tuple(commands),
-        sensors=groups,
-        sd=torch.tensor([sd_of[g] for g in groups for _ in range(3)], dtype=torch.float64),
-        window_s=window_s,
+        cutter=Cutter(
+            sensors=groups,
+            sd=torch.tensor([sd_of[g] for g in groups for _ in range(3)], dtype=torch.float64),
+            window_s=window_s,
+        ),
+        base=tuple(base),
         substeps=substeps,
         thrust_coefficient=thrust_coefficient,
     )
@@ -166,9 +171,8 @@ class Flights:
     Attributes:
         vehicle: Vehicle as designed, a fleet of one.
         commands: Names of the runs' commands, one per rotor.
-        sensors: Groups of channels of the record, in order, keys of ``SENSORS``.
-        sd: Noise of the channels, (num_channels,).
-        window_s: Length of a window [s].
+        cutter: Groups of channels of the record and how it is cut into windows.
+        base: Base parameters with their priors.
         substeps: Integration steps per sample.
         thrust_coefficient: Thrust over the square of a rotor's speed [N s^2].
         known: Windows of each run that was cut already.
@@ -176,19 +180,27 @@ class Flights:
 
     vehicle: Fleet
     commands: tuple[str, ...]
-    sensors: tuple[str, ...]
-    sd: Tensor
-    window_s: float
+    cutter: Cutter
+    base: tuple[Parameter, ...]
     substeps: int
     thrust_coefficient: float
     known: dict[Run, Windows] = field(default_factory=dict)
 
     def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> CopterScene:
         if run not in self.known:
-            self.known[run] = self._windows(run)
+            past = _columns(run, self.commands).mean(1)
+            nominal = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in self.base}
+            scene = partial(self._scene, nominal, run, Numerics())
+            self.known[run] = self.cutter.cut(run, past, scene)
+        return self._scene(values, run, numerics, self.known[run])
 
+    def _scene(
+        self, values: Mapping[str, Tensor], run: Run, numerics: Numerics, windows: Windows
+    ) -> CopterScene:
         def of(name: str) -> Tensor:
-            return values[name].reshape(-1) if name in values else self.sd.new_ones(1)
+            return (
+                values[name].reshape(-1) if name in values else torch.ones(1, dtype=torch.float64)
+            )
 
         gain = (of("thrust_gain") * of(f"thrust_gain@{run.name}"))[:, None, None]
         limits = self.vehicle.max_thrusts[:, None]
@@ -202,9 +214,9 @@ class Flights:
             attitude_offset=_vector(values, "attitude_offset"),
             body_rates_offset=_vector(values, "body_rates_offset"),
             accelerometer_offset=_vector(values, "accelerometer_offset"),
-            dt=_spacing(run),
-            sensors=self.sensors,
-            windows=self.known[run],
+            dt=spacing(run),
+            sensors=self.cutter.sensors,
+            windows=windows,
             substeps=max(1, round(self.substeps / numerics.time_step)),
             terrain_height=float(run.setup.get("terrain_height_m", 0.0)),
             thrust_coefficient=self.thrust_coefficient,
@@ -213,27 +225,6 @@ class Flights:
             tau = of("motor_time_constant")
             scene = scene.with_command(lambda u, dt: held_lagged(u, dt, tau))
         return scene
-
-    def _windows(self, run: Run) -> Windows:
-        """Start one sample early, for the accelerometer shows the mean over the step before."""
-        measured = torch.as_tensor(np.asarray(run.measured), dtype=torch.float64)
-        if measured.shape[1] != len(self.sd):
-            raise ValueError(
-                f"run {run.name} has {measured.shape[1]} channels, the sensors "
-                f"{list(self.sensors)} need {len(self.sd)}"
-            )
-        dt = _spacing(run)
-        length = min(max(5, round(self.window_s / dt)), len(measured))
-        windows = -(-len(measured) // length)
-        record = torch.full((windows * length, len(self.sd)), np.nan, dtype=torch.float64)
-        record[: len(measured)] = measured
-        whole = filled(measured)
-        groups = {g: whole[:, 3 * i : 3 * i + 3] for i, g in enumerate(self.sensors)}
-        states = guess_states(groups["position"], groups["attitude"], groups.get("body_rates"), dt)
-        before = (torch.arange(windows) * length - 1).clamp(min=0)
-        past = _columns(run, self.commands).mean(1).expand(windows, -1)
-        guess = torch.cat([states[before], past], 1)
-        return Windows(guess, record.reshape(windows, length, -1), self.sd, [])
 
 
 def _vector(values: Mapping[str, Tensor], name: str) -> Tensor:
@@ -249,14 +240,3 @@ def _columns(run: Run, names: Sequence[str]) -> Tensor:
         require_choice(f"run {run.name}: command", name, run.command)
     rows = [np.asarray(run.command[name], dtype=np.float64) for name in names]
     return torch.from_numpy(np.stack(rows, -1))[None]
-
-
-def _spacing(run: Run) -> float:
-    steps = np.diff(run.time_s)
-    dt = float(steps.mean())
-    if np.abs(steps - dt).max() > _UNEVEN * dt:
-        raise ValueError(
-            f"run {run.name}: flights need evenly spaced samples, got steps of {steps.min():.4g} "
-            f"to {steps.max():.4g} s; resample the record"
-        )
-    return dt

@@ -19,6 +19,8 @@ class Motion:
         velocity: World frame, of the same shape [m/s].
         rotation: World from body, (points, num_windows, length, 3, 3).
         body_rates: Angular velocity in the body frame, (points, num_windows, length, 3) [rad/s].
+        thrusts: Over the step, (points, num_windows, length, n_rotors) [N].
+        acceleration: Mean over the step, world frame, (points, num_windows, length, 3) [m/s^2].
     """
 
     vehicle: Fleet
@@ -26,6 +28,8 @@ class Motion:
     velocity: Tensor
     rotation: Tensor
     body_rates: Tensor
+    thrusts: Tensor | None = None
+    acceleration: Tensor | None = None
 
     @property
     def body_velocity(self) -> Tensor:

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from diffsim.systems.multicopter.flight import SENSORS, CopterFlight, amount, vector
 from diffsim.systems.multicopter.flying import Flyer
-from diffsim.systems.multicopter.shooting import Shooting
+from diffsim.systems.multicopter.shooting import MAX_STEPS, Shooting
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -19,9 +19,9 @@ class CopterScene(CopterFlight):
         """Predicted channels of one point, (num_samples, num_channels)."""
         return self.simulate_many(1, self.settled())[0]
 
-    def settled(self) -> Shooting:
-        """Best initial states of one point and their tangents there."""
-        return self.windows.settled(lambda starts: Flyer(self, len(starts))(starts))
+    def settled(self, max_steps: int = MAX_STEPS) -> Shooting:
+        """Best initial states of one point and their tangents there, found within some steps."""
+        return self.windows.settled(lambda starts: Flyer(self, len(starts))(starts), max_steps)
 
     def simulate_many(self, points: int, shooting: Shooting) -> Tensor:
         """Predicted channels with the best initial states.

@@ -19,13 +19,16 @@ from diffsim.core.rotation import body_rates_from_rpy_rates, quaternion_from_rpy
 
 RIGID = 12  # entries of the rigid body's state; thrusts held before the record follow
 # What is known of an initial state beyond its first guess: hardly anything.
-_SPREAD = (0.3, 0.2, 1.0, 1.0)  # [m, rad, m/s, rad/s]
-_PAST_SPREAD = 2.0  # of the thrusts before the record [N]
+SPREAD = (0.3, 0.2, 1.0, 1.0)  # [m, rad, m/s, rad/s]
+PAST_SPREAD = 2.0  # of the thrusts before the record [N]
 _NUDGE = 1e-4  # of the spread
 _SMOOTH_S = 0.15  # over which position is differentiated
-_MAX_STEPS = 12
+MAX_STEPS = 12
 _SETTLED = 1e-4  # step of an initial state over its spread
 _LINEAR = 1e-2  # likewise, where the tangents suffice without another flight
+
+
+Predict = Callable[[Tensor], Tensor]
 
 
 def flight_state(x12: Tensor) -> FlightState:
@@ -40,16 +43,18 @@ def guess_states(position: Tensor, rpy: Tensor, rates: Tensor | None, dt: float)
     Velocity is the slope of a quadratic fitted over 0.15 s; body rates, if there is no gyro, the
     same of roll, pitch and yaw.
     """
-    width = min(max(5, 2 * round(0.5 * _SMOOTH_S / dt) + 1), (position.shape[0] - 1) // 2 * 2 + 1)
-    if width < 5:
-        raise ValueError(f"a flight needs five samples or more, got {position.shape[0]}")
-
-    def slope(values: Tensor) -> Tensor:
-        return torch.from_numpy(savgol_filter(values.numpy(), width, 2, deriv=1, delta=dt, axis=0))
-
     if rates is None:
-        rates = body_rates_from_rpy_rates(rpy, slope(rpy))
-    return torch.cat([position, rpy, slope(position), rates], -1)
+        rates = body_rates_from_rpy_rates(rpy, slope(rpy, dt))
+    return torch.cat([position, rpy, slope(position, dt), rates], -1)
+
+
+def slope(values: Tensor, dt: float) -> Tensor:
+    """Change per second of noisy records (num_samples, width), by quadratics over 0.15 s."""
+    count = values.shape[0]
+    width = min(max(5, 2 * round(0.5 * _SMOOTH_S / dt) + 1), (count - 1) // 2 * 2 + 1)
+    if width < 5:
+        raise ValueError(f"a flight needs five samples or more, got {count}")
+    return torch.from_numpy(savgol_filter(values.numpy(), width, 2, deriv=1, delta=dt, axis=0))
 
 
 def filled(values: Tensor) -> Tensor:
@@ -76,32 +81,38 @@ class Windows:
         measured: (num_windows, length, num_channels), NaN where nothing was recorded.
         sd: Noise of the channels, (num_channels,).
         latest: The best states of the last search (or none): where the next search starts.
+        rigid_spread: Of position [m], angles [rad], velocity [m/s] and body rates [rad/s] about
+            the guess.
+        past_spread: Of the thrusts before the record [N].
     """
 
     guess: Tensor
     measured: Tensor
     sd: Tensor
     latest: list[Tensor]
+    rigid_spread: tuple[float, float, float, float] = SPREAD
+    past_spread: float = PAST_SPREAD
 
     @property
     def spread(self) -> Tensor:
         """Spread of the initial states about the guess, (12 + n_rotors,)."""
-        rigid = [s for s in _SPREAD for _ in range(3)]
-        return self.guess.new_tensor(rigid + [_PAST_SPREAD] * (self.guess.shape[1] - RIGID))
+        rigid = [s for s in self.rigid_spread for _ in range(3)]
+        return self.guess.new_tensor(rigid + [self.past_spread] * (self.guess.shape[1] - RIGID))
 
-    def settled(self, predict: Callable[[Tensor], Tensor]) -> Shooting:
+    def settled(self, predict: Predict, max_steps: int = MAX_STEPS) -> Shooting:
         """The best initial states for one model, by Gauss-Newton with new tangents at every step.
 
         Args:
             predict: Starts (1 + 2 (12 + n_rotors), num_windows, 12 + n_rotors) -> channels of the
                 same leading axes, (..., length, num_channels).
+            max_steps: Number of full steps; fewer ask for a model that is nearer to the record.
 
         Raises:
             ConvergenceError: the model is too far from the record for windows of this length.
         """
         with torch.no_grad():
             for change in [*(best - self.guess for best in self.latest), 0.0 * self.guess]:
-                for _ in range(_MAX_STEPS):
+                for _ in range(max_steps):
                     shooting, step = self._step(predict, change)
                     size = float((step / self.spread).abs().max())
                     if size < _SETTLED:
@@ -110,10 +121,10 @@ class Windows:
                     change = change + step / max(1.0, size)
         raise ConvergenceError(
             f"initial states of a flight still change by {size:.1e} of their spread after "
-            f"{_MAX_STEPS} steps; shorten the windows or reduce the effects' sizes",
+            f"{max_steps} steps; shorten the windows or reduce the effects' sizes",
             residual_norm=size,
             tolerance=_SETTLED,
-            num_iters=_MAX_STEPS,
+            num_iters=max_steps,
         )
 
     def _step(self, predict: Callable[[Tensor], Tensor], change: Tensor) -> tuple[Shooting, Tensor]:
@@ -176,7 +187,7 @@ class Shooting:
             ConvergenceError: a model is too far from that of the tangents.
         """
         windows, change = self.windows, self.change
-        for _ in range(_MAX_STEPS):
+        for _ in range(MAX_STEPS):
             here = predict(windows.guess + change.permute(2, 0, 1)).flatten(2).permute(1, 2, 0)
             better = self.better(here, change)
             size = float(((better - change).detach() / windows.spread[:, None]).abs().max())
@@ -186,8 +197,8 @@ class Shooting:
             change = better
         raise ConvergenceError(
             f"initial states of a flight still change by {size:.1e} of their spread after "
-            f"{_MAX_STEPS} steps with the tangents of another point",
+            f"{MAX_STEPS} steps with the tangents of another point",
             residual_norm=size,
             tolerance=_LINEAR,
-            num_iters=_MAX_STEPS,
+            num_iters=MAX_STEPS,
         )

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.copter.vehicle import GRAVITY
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
+from diffsim.identify.unknown import UnknownForce, smooth_covariance
 from diffsim.systems.multicopter.effects import torque_allocation
 from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.signals import straight
 
 _TORQUE_PER_FORCE = 0.02  # components share one unit: a torque of this per newton [m]
+
+
+_KNOT_S = 0.2
+_MOST_KNOTS = 30
 
 
 def _pushed(
@@ -48,3 +57,20 @@ def unknown_wrench(num_knots: int, until_s: float) -> Effect:
         apply=partial(_pushed, num_knots=num_knots, spacing=spacing),
         components=tuple(f"{a}_{k}" for a in axes for k in range(num_knots)),
     )
+
+
+def wrench_of(runs: Sequence[Run], weight: float) -> UnknownForce:
+    """The unknown wrench of a study: knots every 0.2 s, further apart in long runs.
+
+    Args:
+        runs: Recorded runs; the longest sets the knots.
+        weight: Of the vehicle [N]; sets what is usual.
+    """
+    longest = max(float(run.time_s[-1] - run.time_s[0]) for run in runs)
+    count = min(max(2, round(longest / _KNOT_S) + 1), _MOST_KNOTS)
+    knots = np.linspace(0.0, longest, count)
+    smooth = smooth_covariance(knots, 2.0 * float(knots[1]))
+    covariance = np.kron(np.eye(6), smooth).astype(np.float64)
+    effect = unknown_wrench(count, longest)
+    effect = replace(effect, typical=effect.typical * weight / GRAVITY)
+    return UnknownForce(effect, covariance, "unknown wrench")

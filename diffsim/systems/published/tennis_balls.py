@@ -11,52 +11,88 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from torch import Tensor
 
-from diffsim.data.study import Study
+from diffsim.data.study import Run, Study
 from diffsim.identify import Parameter
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
-from diffsim.identify.model import SimModel
 from diffsim.identify.setup import DiagnosisSetup
-from diffsim.systems.balls.camera import HEIGHT_PX, WIDTH_PX, on_plane, plain_camera, projected
-from diffsim.systems.balls.effects import BALL_EFFECTS
-from diffsim.systems.balls.scene import ball_scene
 from diffsim.systems.balls.soft import SoftBallModel, SoftBalls
+from diffsim.systems.rigid_body.camera import (
+    HEIGHT_PX,
+    WIDTH_PX,
+    on_plane,
+    plain_camera,
+    projected,
+)
+from diffsim.systems.rigid_body.description import RigidBodyDescription
 
 Array = NDArray[np.float64]
 
 
-def setup(study: Study, *, max_effects: int = 6) -> DiagnosisSetup:
+def setup(study: Study) -> DiagnosisSetup:
     """Plain: balls that glide without loss and rebound with a restitution.
 
     The camera is that of the authors with wide priors, the corners are fitted with the balls.
 
     Args:
-        study: Study as imported.
-        max_effects: Largest number of effects in one set.
+        study: Study as imported, which holds clicks beside the balls.
     """
+    described = RigidBodyDescription.model_validate(_described(study))
+    model = described.balls().model(study, {r.name: _corners(r) for r in study.runs})
+    settings = DiagnosisSettings(search=SearchSettings(max_effects=6))
+    return DiagnosisSetup(model, described.balls().library(), settings=settings)
+
+
+def _described(study: Study) -> dict[str, Any]:
     rotation, camera = camera_prior(study)
-    base = [
-        *camera,
-        Parameter("x0", 0.5275, 0.02, "m"),
-        Parameter("y0", 0.2875, 0.02, "m"),
-        Parameter("x1", 0.773, 0.02, "m"),
-        Parameter("y1", 0.291, 0.02, "m"),
-        Parameter("vx1", -1.2, 0.2, "m/s"),
-        Parameter("vy1", 0.17, 0.1, "m/s"),
-        Parameter("wx1", -1.0, 0.3, "m/s"),
-        Parameter("wy1", 0.17, 0.2, "m/s"),
-        Parameter("sidespin", 0.0, 0.3, "m/s"),
-        # rules of the game: 65.4 to 68.6 mm, felt included
-        Parameter("diameter", _diameter(study), 0.001, "m"),
-        Parameter("restitution", 0.75, 0.15, "-", lower=0.0, upper=1.0),
-    ]
-    model = SimModel(
-        lambda values, run, numerics: ball_scene(values, run, rotation),
-        base,
-        "two balls without friction, pinhole camera",
-        batched=True,
-    )
-    settings = DiagnosisSettings(search=SearchSettings(max_effects=max_effects))
-    return DiagnosisSetup(model, BALL_EFFECTS, settings=settings)
+    shift = [{"value": p.value, "sd": p.sd} for p in camera[-3:]]
+
+    def known(value: float, sd: float) -> dict[str, float]:
+        return {"value": value, "sd": sd}
+
+    return {
+        "system": "rigid_body",
+        "bodies": [
+            {
+                "name": "struck",
+                # rules of the game: 65.4 to 68.6 mm, felt included
+                "sphere": known(_diameter(study), 0.001),
+                "inertia_ratio": 0.52,
+                "begins": "at_rest",
+                "start": {"place": [known(0.5275, 0.02), known(0.2875, 0.02)]},
+            },
+            {
+                "name": "coming",
+                "like": "struck",
+                "begins": "on_ground",
+                "start": {
+                    "place": [known(0.773, 0.02), known(0.291, 0.02)],
+                    "velocity": [known(-1.2, 0.2), known(0.17, 0.1)],
+                    "roll": [known(-1.0, 0.3), known(0.17, 0.2)],
+                },
+            },
+        ],
+        "contacts": [
+            {
+                "between": ["struck", "coming"],
+                "restitution": {"value": 0.75, "sd": 0.15, "lower": 0.0, "upper": 1.0},
+            }
+        ],
+        "starts": {"per": "once"},
+        "camera": {
+            "size": list(_size_px(study)),
+            "focal": {"value": camera[0].value, "percent": 15.0},
+            "rotation": rotation.tolist(),
+            "shift": shift,
+        },
+        "measures": [
+            {"body": "struck", "pixels": ["ball0_u_px", "ball0_v_px"]},
+            {"body": "coming", "pixels": ["ball1_u_px", "ball1_v_px"]},
+        ],
+    }
+
+
+def _corners(run: Run) -> Array:
+    return np.column_stack([run.command[f"corner_{a}_m"] for a in "xyz"])
 
 
 def soft_model(

@@ -1,4 +1,4 @@
-"""Effects on a tossed cube and its cameras, beyond gravity, friction and restitution."""
+"""Effects on a tossed body and its cameras, beyond gravity, friction and restitution."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _tilted(scene: TossScene, size: Tensor, run: Run) -> TossScene:
 
 
 def _impact(study: Study) -> str | None:
-    if not any(run.setup["hits"] for run in study.runs):
+    if not any(run.setup.get("hits") for run in study.runs):
         return "tosses recorded through their impact"
     return None
 
@@ -60,7 +60,7 @@ CLOCK_SCALE = Effect(
 )
 GRAVITY = Effect(
     name="weaker_gravity",
-    form="Gravity is weaker by size: buoyancy of air would be 0.037 m/s^2.",
+    form="Gravity is weaker by size; typical: what air carries, with its added mass.",
     family="gravity",
     kind="environment",
     unit="m/s^2",
@@ -70,7 +70,7 @@ GRAVITY = Effect(
 )
 TILT = Effect(
     name="board_tilt",
-    form="The board is not level: gravity has components along it.",
+    form="The ground is not level: gravity has components along it.",
     family="gravity",
     kind="environment",
     unit="m/s^2",
@@ -91,7 +91,7 @@ SPECIFIC_LINEAR_DRAG = Effect(
 )
 SPECIFIC_QUADRATIC_DRAG = Effect(
     name="specific_quadratic_drag",
-    form="Deceleration size |v| v, |v| that of mid flight; a cube of C_d = 1: about 0.02 1/m.",
+    form="Deceleration size |v| v, |v| that of mid flight.",
     family="drag",
     kind="force",
     unit="1/m",
@@ -111,17 +111,17 @@ SPIN_DRAG = Effect(
 )
 GROUND_HEIGHT = Effect(
     name="ground_height",
-    form="The board lies at z = size.",
+    form="The ground lies at z = size.",
     family="ground",
     kind="environment",
     unit="m",
     typical=0.001,
-    also_looks_like=("height of the tags on the cube", "half width of the cube"),
+    also_looks_like=("height of the tags on the body", "half width of the body"),
     apply=_growing("ground_height"),
 )
 GROUND_SLOPE = Effect(
     name="ground_slope",
-    form="The board rises by size per meter along x and y.",
+    form="The ground rises by size per meter along x and y.",
     family="ground",
     kind="environment",
     unit="-",
@@ -132,7 +132,7 @@ GROUND_SLOPE = Effect(
 )
 HALF_WIDTH = Effect(
     name="half_width",
-    form="The cube is larger by the share size.",
+    form="The body is larger by the share size.",
     family="ground",
     kind="environment",
     unit="-",
@@ -152,14 +152,14 @@ CENTER_OFFSET = Effect(
 )
 CONTACT_TIME = Effect(
     name="contact_time",
-    form="The impulse takes size: a board that gives way.",
+    form="The impulse takes size: a ground that gives way.",
     family="contact",
     kind="force",
     unit="s",
     typical=0.005,
     signed=False,
     smooth=False,
-    also_looks_like=("compliance of the board", "lagging filter of the tracking"),
+    also_looks_like=("compliance of the ground", "lagging filter of the tracking"),
     needs=_impact,
     apply=_growing("contact_time"),
 )
@@ -208,7 +208,7 @@ FRICTION_SLOPE = Effect(
 )
 MOMENT_OF_INERTIA = Effect(
     name="moment_of_inertia",
-    form="Moment of inertia larger by the share size: a hollow cube would be 0.67 times larger.",
+    form="Moment of inertia larger by the share size: a hollow cube's is 0.67 times larger.",
     family="inertia",
     kind="material",
     unit="-",
@@ -216,6 +216,17 @@ MOMENT_OF_INERTIA = Effect(
     also_looks_like=("mass that is not spread evenly",),
     needs=_impact,
     apply=_growing("inertia"),
+)
+UNEQUAL_INERTIA = Effect(
+    name="unequal_inertia",
+    form="Moments of inertia about the body's x and y larger than stated by the shares size.",
+    family="inertia",
+    kind="material",
+    unit="-",
+    typical=0.1,
+    components=("x", "y"),
+    also_looks_like=("mass that is not spread evenly",),
+    apply=_growing("unequal_inertia"),
 )
 
 TOSS: tuple[Effect, ...] = (
@@ -236,4 +247,5 @@ TOSS: tuple[Effect, ...] = (
     REBOUND,
     FRICTION_SLOPE,
     MOMENT_OF_INERTIA,
+    UNEQUAL_INERTIA,
 )

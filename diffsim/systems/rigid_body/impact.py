@@ -11,11 +11,13 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from diffsim.core.rotation import skew
+
 
 def impulse(
     velocity: Tensor,
     arm: Tensor,
-    inertia: Tensor,
+    inverse_inertia: Tensor,
     restitution: Tensor,
     friction: Tensor,
     rebound: Tensor,
@@ -25,14 +27,15 @@ def impulse(
     Args:
         velocity: Velocity of the corner before the impact, (..., 3) [m/s].
         arm: Vector from the center of mass to the corner, (..., 3) [m].
-        inertia: Moment of inertia per mass, about any axis, (...) [m^2].
+        inverse_inertia: Inverse of the moment of inertia per mass, in the frame of the plane,
+            (..., 3, 3) [1/m^2].
         restitution: Restitution coefficient e, (...) [-].
         friction: Friction coefficient mu, (...) [-].
         rebound: Tangential restitution of a sticking corner, (...): 0 stops it.
     """
     eye = torch.eye(3, dtype=arm.dtype)
-    square = (arm * arm).sum(-1)[..., None, None] * eye - arm[..., :, None] * arm[..., None, :]
-    compliance = eye + square / inertia[..., None, None]
+    cross = skew(arm)
+    compliance = eye - cross @ inverse_inertia @ cross
     rebound, restitution = torch.broadcast_tensors(rebound, restitution)
     wanted = -velocity * torch.stack([1.0 + rebound, 1.0 + rebound, 1.0 + restitution], -1)
     stick = torch.linalg.solve(compliance, wanted[..., None])[..., 0]

@@ -1,4 +1,4 @@
-"""Candidate causes of the balls: the table, the impact, the camera, and the tracker."""
+"""Candidate causes of the balls: air, ground, impact, the camera, and the tracker."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ TABLE_TILT = Effect(
 )
 AIR_DRAG = Effect(
     name="air_drag",
-    form="Deceleration k v^2; a ball's k is about 0.02 1/m.",
+    form="Deceleration k v^2.",
     family="table",
     kind="environment",
     unit="1/m",
@@ -67,7 +67,7 @@ UNEQUAL_MASSES = Effect(
 )
 INERTIA = Effect(
     name="inertia_ratio",
-    form="Change of I / (m r^2) from 0.52: a solid ball has 0.40, a thin shell 0.67.",
+    form="Change of I / (m r^2): a solid ball has 0.40, a thin shell 0.67.",
     family="impact",
     kind="material",
     unit="-",
@@ -143,19 +143,73 @@ LIT_CENTER = Effect(
     apply=adding("lit_u", "lit_v"),
 )
 
+LIFT = Effect(
+    name="weaker_gravity",
+    form="Gravity is weaker by size; typical: what air carries, with its added mass.",
+    family="gravity",
+    kind="environment",
+    unit="m/s^2",
+    typical=0.05,
+    also_looks_like=("buoyancy and added mass of air",),
+    apply=adding("lift"),
+)
+GROUND_HEIGHT = Effect(
+    name="ground_height",
+    form="The ground lies higher by size.",
+    family="ground",
+    kind="environment",
+    unit="m",
+    typical=0.001,
+    also_looks_like=("radius of the ball",),
+    apply=adding("ground_height"),
+)
+RESTITUTION_SLOPE = Effect(
+    name="restitution_slope",
+    form="Restitution grows by exp(size) per m/s of the approach, stated for 1 m/s.",
+    family="impact",
+    kind="material",
+    unit="s/m",
+    typical=0.1,
+    also_looks_like=("plastic deformation", "viscous losses in the ball"),
+    apply=adding("restitution_slope"),
+)
+REBOUND = Effect(
+    name="tangential_rebound",
+    form="A contact that sticks leaves at -size times its tangential velocity.",
+    family="impact",
+    kind="material",
+    unit="-",
+    typical=0.2,
+    apply=adding("rebound"),
+)
+LENGTH_SCALE = Effect(
+    name="length_scale",
+    form="All tracked positions are (1 + size) times the true ones.",
+    family="scale",
+    kind="sensor",
+    unit="-",
+    typical=0.01,
+    also_looks_like=("focal length of the cameras",),
+    apply=adding("length_scale"),
+)
+CLOCK_SCALE = Effect(
+    name="clock_scale",
+    form="Samples are (1 + size) times as far apart as stated.",
+    family="scale",
+    kind="sensor",
+    unit="-",
+    typical=0.01,
+    apply=adding("clock"),
+)
+
+#: By what a study must have for them to act.
+GROUND = (SLIDING_FRICTION, ROLLING_RESISTANCE)
+BOUNCES = (RESTITUTION_SLOPE, REBOUND, GROUND_HEIGHT)
+EVERYWHERE = (TABLE_TILT, AIR_DRAG)
+PAIR = (BALL_FRICTION, UNEQUAL_MASSES, INERTIA, HOP)
+CAMERA = (LENS_DISTORTION, PRINCIPAL_POINT, FRAME_RATE, ROLLING_SHUTTER, LIT_CENTER)
+POSITIONS = (LENGTH_SCALE, CLOCK_SCALE)
 BALL_EFFECTS: tuple[Effect, ...] = (
-    SLIDING_FRICTION,
-    ROLLING_RESISTANCE,
-    TABLE_TILT,
-    AIR_DRAG,
-    BALL_FRICTION,
-    UNEQUAL_MASSES,
-    INERTIA,
-    HOP,
-    LENS_DISTORTION,
-    PRINCIPAL_POINT,
-    FRAME_RATE,
-    ROLLING_SHUTTER,
-    MERGED_REGIONS,
-    LIT_CENTER,
+    *(*GROUND, *EVERYWHERE, *PAIR, *CAMERA, MERGED_REGIONS),
+    *(LIFT, *BOUNCES, *POSITIONS),
 )

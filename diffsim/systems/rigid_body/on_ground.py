@@ -1,4 +1,4 @@
-"""Two rigid balls on a table: sliding, rolling and one impact with friction, in closed form.
+"""Rigid balls on the ground: sliding, rolling and one impact with friction, in closed form.
 
 A ball's spin about a horizontal axis is given as the velocity w of the rolling that it belongs to
 (spin z x w / r), that about the vertical as the speed of its equator. While it slips, friction acts
@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-GRAVITY = 9.81  # [m/s^2]
 NEWTON_STEPS = 12
 _TINY = 1e-9
 
@@ -33,7 +32,7 @@ class Ball:
 
 @dataclass(frozen=True, eq=False)
 class Laws:
-    """Parameters of the motion on the table.
+    """Parameters of the motion on the ground.
 
     Attributes:
         table_friction: Coulomb coefficient while a ball slips [-].
@@ -41,6 +40,7 @@ class Laws:
         tilt: (..., 2) slope of the table, downhill positive [rad].
         air_drag: Deceleration over speed squared [1/m].
         inertia: Moment of inertia over mass and squared radius, I / (m r^2) [-].
+        gravity: [m/s^2].
     """
 
     table_friction: Tensor
@@ -48,22 +48,22 @@ class Laws:
     tilt: Tensor
     air_drag: Tensor
     inertia: Tensor
+    gravity: Tensor
 
 
 def moved(ball: Ball, time: Tensor, laws: Laws) -> Ball:
     """The ball after ``time`` [s] (...,): slipping until it rolls, then rolling."""
     slip = ball.velocity - ball.rolling
     speed_of_slip = _length(slip)
-    push = laws.table_friction * GRAVITY
+    push = laws.table_friction * laws.gravity
     rate = push * (1.0 + 1.0 / laws.inertia)  # at which the slip falls
     slipping = torch.minimum(time, speed_of_slip / rate.clamp(min=_TINY))
     direction = slip / speed_of_slip[..., None]
-    sliding = _advance(
-        ball, slipping, -push[..., None] * direction + GRAVITY * laws.tilt + _loss(ball, laws)
-    )
+    downhill = laws.gravity[..., None] * laws.tilt
+    sliding = _advance(ball, slipping, -push[..., None] * direction + downhill + _loss(ball, laws))
     turned = ball.rolling + (push / laws.inertia * slipping)[..., None] * direction
     left = time - slipping
-    downhill = GRAVITY * laws.tilt / (1.0 + laws.inertia)[..., None]
+    downhill = downhill / (1.0 + laws.inertia)[..., None]
     rolled = _advance(sliding, left, downhill + _loss(sliding, laws))
     return Ball(
         rolled.place, rolled.velocity, torch.where((left > 0)[..., None], rolled.velocity, turned)
@@ -94,7 +94,7 @@ def impact(
 
     Args:
         resting, coming: States of the resting and of the coming ball at the impact.
-        laws: Parameters of the motion on the table.
+        laws: Parameters of the motion on the ground.
         values: "restitution", "ball_friction", "mass_ratio" (struck over coming), "sidespin"
             [m/s].
     """
@@ -143,7 +143,7 @@ def _advance(ball: Ball, time: Tensor, acceleration: Tensor) -> Ball:
 def _loss(ball: Ball, laws: Laws) -> Tensor:
     """Deceleration by rolling resistance and air, none at rest."""
     speed = torch.sqrt((ball.velocity**2).sum(-1) + 1e-6)
-    drag = laws.rolling_resistance * GRAVITY / speed + laws.air_drag * speed
+    drag = laws.rolling_resistance * laws.gravity / speed + laws.air_drag * speed
     return -drag[..., None] * ball.velocity
 
 

@@ -1,0 +1,244 @@
+"""``diffsim diagnose check``: every mistake that can be seen before a simulation, at once."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from diffsim.core.errors import DiffsimError
+from diffsim.core.units import factor
+from diffsim.data.study import Channel, Command, Run, Study
+from diffsim.data.study_check import Problem, check_study
+from diffsim.diagnose.separate import cut_in_two, require_separate
+from diffsim.systems.registry import description_of, setup_of
+
+MAX_RUNS = 24  # rows of the table
+MAX_FACTS = 3  # of a run that are shown
+NAMES_ITS_COLUMNS = ("ode", "bench", "soft_body", "rigid_body", "multicopter", "flow_network")
+
+
+class StudyError(DiffsimError):
+    """Recordings that cannot be diagnosed."""
+
+
+def check(study: Study, given: str) -> None:
+    """Show a study and what is wrong with it.
+
+    Args:
+        study: Study as it was read.
+        given: What the user called it, for messages.
+
+    Raises:
+        StudyError: the study has errors, printed above.
+    """
+    for line in (*_summary(study), ""):
+        print(line)
+    problems = problems_of(study)
+    if not any(p.severity == "error" for p in problems) and study.model is not None:
+        problems, made = [*problems, *(found := _of_setup(study))[0]], found[1]
+        print(made) if made else None
+    _tell(problems, given)
+    print("ready for a diagnosis: diffsim diagnose explain", given)
+
+
+def require_ready(study: Study, given: str) -> None:
+    """Print what is wrong with a study, and refuse one with errors.
+
+    Raises:
+        StudyError: the study has errors, printed above.
+    """
+    _tell(problems_of(study), given)
+
+
+def _tell(problems: Sequence[Problem], given: str) -> None:
+    ordered = sorted(problems, key=lambda p: p.severity != "error")
+    for problem in ordered:
+        print(problem)
+    errors = sum(problem.severity == "error" for problem in ordered)
+    if errors:
+        raise StudyError(f"{errors} of {len(ordered)} problems keep {given} from a diagnosis")
+
+
+def problems_of(study: Study) -> list[Problem]:
+    """All that is wrong with the recordings, with the description, and between both."""
+    found = check_study(study)
+    try:
+        require_separate(study)
+    except ValueError as error:
+        found.append(Problem("error", "study", str(error)))
+    for first, second in cut_in_two(study):
+        found.append(
+            Problem(
+                "warning",
+                f"run {second.name}",
+                f"it goes on where run {first.name} ends: it tests little beyond that one",
+            )
+        )
+    return [*found, *_of_model(study)]
+
+
+def _of_model(study: Study) -> Iterator[Problem]:
+    if study.model is None:
+        if "setup" not in study.metadata:
+            yield Problem(
+                "warning", "model", "is missing: only own setups (--setup FILE.py) can be judged"
+            )
+        return
+    try:
+        description = description_of(study)
+    except ImportError as error:
+        yield Problem("error", "model", f"this installation cannot read it: {error}")
+        return
+    except ValueError as error:
+        for line in str(error).splitlines():
+            where, _, message = line.partition(": model")
+            key, _, what = message.partition(": ")
+            yield Problem("error", f"model{key}" if message else where, what or line)
+        return
+    yield from description.problems(study)
+    if study.model.get("system") in NAMES_ITS_COLUMNS:
+        yield from _not_mentioned(study)
+
+
+def _not_mentioned(study: Study) -> Iterator[Problem]:
+    """Columns of which no word of the description speaks."""
+    words = {w for w in _words(study.model) if len(w) > 1}
+    commands = {name: "command" for run in study.runs for name in run.command}
+    for name, what in {**commands, **{c.name: "channel" for c in study.channels}}.items():
+        if name not in words and not any(w in name or name in w for w in words):
+            yield Problem(
+                "warning", f"{what} {name}", "the model does not mention it; is it of any use?"
+            )
+
+
+def _words(stated: Any) -> Iterator[str]:
+    if isinstance(stated, Mapping):
+        for key, value in stated.items():
+            yield from (str(key), *_words(value))
+    elif isinstance(stated, (list, tuple)):
+        for value in stated:
+            yield from _words(value)
+    elif isinstance(stated, str):
+        yield from re.findall(r"\w+", stated)
+
+
+def _of_setup(study: Study) -> tuple[list[Problem], str]:
+    """What making the model brings to light, and what the model is made of; nothing is run."""
+    try:
+        setup = setup_of(study)
+    except (ValueError, KeyError, TypeError, OSError, DiffsimError) as error:
+        return [Problem("error", "model", f"{type(error).__name__}: {error}")], ""
+    base, causes = setup.model.base, [e.name for e in setup.effects]
+    return [], (
+        f"model: {len(base)} base parameters ({_some([p.name for p in base])}), "
+        f"{len(causes)} candidate causes ({_some(causes)})"
+    )
+
+
+def _summary(study: Study) -> Iterator[str]:
+    """What the study holds, as tables, and what its uses of runs imply."""
+    yield f"{study.name}: {_count(study.runs, 'run')}, {_count(study.channels, 'channel')}"
+    yield ""
+    yield from _table(
+        ["channel", "unit", "kind", "noise sd", "smallest", "largest", "missing"],
+        [_channel_row(study, i, c) for i, c in enumerate(study.channels)],
+    )
+    known = {c.name: c for c in study.commands}
+    names = dict.fromkeys(name for run in study.runs for name in run.command)
+    if names:
+        yield ""
+        yield from _table(
+            ["command", "unit", "smallest", "largest", "limits", "rate"],
+            [_command_row(study, name, known.get(name, Command(name))) for name in names],
+        )
+    yield ""
+    rows = [_run_row(run) for run in sorted(study.runs, key=lambda r: r.order)]
+    yield from _table(["run", "use", "group", "samples", "step", "from .. to", "facts"], rows)
+    yield ""
+    yield from _uses(study)
+    repeats = {g: n for g, n in Counter(r.group for r in study.runs).items() if n > 1}
+    if repeats:
+        yield f"repeats: {_some([f'{n} runs of {g}' for g, n in repeats.items()])}"
+    for sentence in study.left_out[:8]:
+        yield f"not used: {sentence}"
+    if len(study.left_out) > 8:
+        yield f"not used: ... and {len(study.left_out) - 8} more"
+
+
+def _uses(study: Study) -> Iterator[str]:
+    """Which runs do what."""
+    fit, select, test = (study.runs_for(use) for use in ("fit", "select", "test"))
+    yield f"fit: {_count(fit, 'run')}; parameters are fitted to these"
+    yield (
+        f"select: {_some([r.name for r in select])}; these choose between causes"
+        if select
+        else "select: none; causes are chosen by leaving out one fit run (or block) at a time"
+    )
+    yield (
+        f"test: {_some([r.name for r in test])}; touched once, when the answer is frozen"
+        if test
+        else "test: none; nothing will show what the causes found are worth on unseen runs"
+    )
+
+
+def _channel_row(study: Study, at: int, channel: Channel) -> list[str]:
+    values = np.concatenate([r.measured[:, at] for r in study.runs] or [np.empty(0)])
+    unit, scale = _shown(channel)
+    sd = "from repeats" if channel.sd is None else f"{channel.sd * scale:.3g}"
+    missing = float(np.isnan(values).mean()) if len(values) else 0.0
+    share = f"{missing:.0%}" if missing else "-"
+    return [channel.name, unit, channel.kind, sd, *_range(values * scale), share]
+
+
+def _command_row(study: Study, name: str, command: Command) -> list[str]:
+    values = np.concatenate([r.command[name] for r in study.runs if name in r.command])
+    unit, scale = _shown(command)
+    ends = [command.lower, command.upper]
+    known = any(v is not None for v in ends)
+    limits = " .. ".join("?" if v is None else f"{v * scale:.4g}" for v in ends) if known else "-"
+    limits = "measured" if command.is_measured else limits
+    rate = "-" if command.rate is None else f"{command.rate * scale:.4g}"
+    return [name, unit, *_range(values * scale), limits, rate]
+
+
+def _shown(of: Channel | Command) -> tuple[str, float]:
+    """Unit in which a user reads a quantity, and how many of it are one of its own."""
+    if of.unit is None or of.shown_unit is None:
+        return of.unit or "?", 1.0
+    return of.shown_unit, factor(of.unit, of.shown_unit)
+
+
+def _range(values: np.ndarray) -> list[str]:
+    there = values[np.isfinite(values)]
+    return [f"{there.min():.4g}", f"{there.max():.4g}"] if len(there) else ["-", "-"]
+
+
+def _run_row(run: Run) -> list[str]:
+    t = run.time_s
+    step = f"{float(np.median(np.diff(t))):.3g} s" if len(t) > 1 else "-"
+    facts = [f"{k}={v:.4g}" if isinstance(v, float) else f"{k}={v}" for k, v in run.setup.items()]
+    group = run.group if run.group != run.name else "-"
+    ends = f"{t[0]:.4g} .. {t[-1]:.4g} s" if len(t) else "-"
+    return [run.name, run.use, group, str(len(t)), step, ends, _some(facts, MAX_FACTS)]
+
+
+def _table(header: list[str], rows: list[list[str]]) -> Iterator[str]:
+    shown = rows[:MAX_RUNS]
+    widths = [max(len(r[i]) for r in (header, *shown)) for i in range(len(header))]
+    for row in (header, *shown):
+        yield "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip()
+    if len(rows) > MAX_RUNS:
+        yield f"... and {len(rows) - MAX_RUNS} more"
+
+
+def _count(of: Sequence[Any], what: str) -> str:
+    return f"{len(of)} {what}{'' if len(of) == 1 else 's'}"
+
+
+def _some(names: Sequence[str], most: int = 8) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more

@@ -1,0 +1,284 @@
+"""Runs as a study file describes them: rows of CSV files, on their clock, in SI units."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.core.check import did_you_mean
+from diffsim.core.units import to_si
+from diffsim.data.columns import Rows, Table, require_increasing
+from diffsim.data.run_facts import facts_of
+from diffsim.data.run_plan import (
+    Case,
+    cases_of,
+    chosen_rows,
+    constants,
+    filled,
+    parts_by,
+    with_defaults,
+)
+from diffsim.data.run_samples import Samples, in_si, kept_rows, picked, unfilled, zero_of
+from diffsim.data.study import Run
+from diffsim.data.study_schema import ChannelEntry, CommandEntry, RunEntry, Source, StudyFile
+
+Array = NDArray[np.float64]
+BLOCK_OF = "block_of"  # fact of a run that is a piece of another: that one's name
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A run before its use, group and place are known.
+
+    Attributes:
+        run: The run, with its own name as its group.
+        labels: What may stand for it in ``use``, ``from_s``, ...: its name and value of ``split``.
+        group: Group that the entry states; None: none.
+    """
+
+    run: Run
+    labels: tuple[str, ...]
+    group: str | None
+
+
+class RunReader:
+    """Reads the runs of a study and collects what is wrong with them.
+
+    Args:
+        study: The study file.
+        root: Folder of the run files.
+
+    Attributes:
+        problems: What is wrong, one line each.
+        left_out: What is not used, one line each.
+    """
+
+    def __init__(self, study: StudyFile, root: Path):
+        self.study, self.root = study, root
+        self.problems: list[str] = []
+        self.left_out: list[str] = []
+        self.tables: dict[Path, Table] = {}
+
+    def runs(self) -> tuple[Run, ...]:
+        """All runs, those that cannot be read left out; ``problems`` tells them."""
+        made: list[tuple[Piece, RunEntry, str]] = []
+        for i, stated in enumerate(self.study.runs):
+            where, entry = f"runs[{i}]", with_defaults(stated, self.study.defaults)
+            try:
+                cases, left_out = cases_of(entry, where, self.root, self._table)
+            except (ValueError, FileNotFoundError) as error:
+                self._tell(error)
+                continue
+            self.left_out += [left_out] if left_out else []
+            pieces = [piece for case in cases for piece in self._pieces(case)]
+            for key in ("use", "from_s", "until_s", "zero_time"):
+                self._check_labels(f"{where}.{key}", getattr(entry, key), pieces, cases)
+            made += [(piece, entry, where) for piece in pieces]
+        groups = {piece.run.name: piece.group or piece.run.name for piece, _, _ in made}
+        out: list[Run] = []
+        for piece, entry, where in made:
+            try:
+                out += _placed(piece, entry, where, groups, len(out))
+            except ValueError as error:
+                self._tell(error)
+        return tuple(out)
+
+    def _tell(self, error: Exception) -> None:
+        if str(error) not in self.problems:
+            self.problems.append(str(error))
+
+    def _table(self, path: Path) -> Table:
+        if path not in self.tables:
+            form = self.study.table
+            self.tables[path] = Table(
+                path, "run", header_line=form.header_line, first_line=form.first_line
+            )
+        return self.tables[path]
+
+    def _pieces(self, case: Case) -> Iterator[Piece]:
+        """Runs of a file, by the values of ``split``."""
+        entry = case.entry
+        try:
+            table = self._table(case.files[0])
+            rows = np.arange(len(table))
+            if entry.table is None:
+                rows = chosen_rows(table, rows, entry.where, f"{case.where}.where")
+            parts = parts_by(table, rows, entry.split)
+            others = [self._table(path) for path in case.files[1:]]
+        except (ValueError, FileNotFoundError) as error:
+            self._tell(error)
+            return
+        if len(rows) < len(table):
+            self.left_out.append(
+                f"{table.path.name}: {len(table) - len(rows)} of {len(table)} rows, "
+                f"by {case.where}.where"
+            )
+        for values, part in parts:
+            texts = (entry.name or "", entry.group or "")
+            words = {**constants(table, part, texts), **case.words, **values}
+            default = "_".join([case.words["file"], *values.values()])
+            try:
+                name = filled(entry.name or default, words, f"{case.where}.name")
+                group = entry.group and filled(entry.group, words, f"{case.where}.group")
+                labels = (name, "_".join(values.values())) if values else (name,)
+                run = self._run(case, [table, *others], part, words, name, labels)
+            except (ValueError, FileNotFoundError) as error:
+                self._tell(error)
+                continue
+            yield Piece(run, labels, group)
+
+    def _run(
+        self,
+        case: Case,
+        tables: Sequence[Table],
+        rows: Rows,
+        words: Mapping[str, str],
+        name: str,
+        labels: Sequence[str],
+    ) -> Run:
+        entry, table = case.entry, tables[0]
+        clocks = [self._seconds(entry, t) for t in tables]
+        recorded = clocks[0][rows]
+        require_increasing(table, rows, recorded, self._time_name(entry))
+        samples = Samples(tables, clocks, rows, recorded)
+        facts = facts_of(entry.setup, samples, words, f"{case.where}.setup")
+        zero = zero_of(entry, samples.with_facts(facts), labels, case.where)
+        samples = samples.with_facts(facts).at(recorded - zero if zero else recorded)
+        keep = kept_rows(entry, samples, labels, f"{case.where}")
+        if len(keep) < len(rows) and entry.every == 1:
+            self.left_out.append(
+                f"run {name}: {len(rows) - len(keep)} of {len(rows)} samples, by its window"
+            )
+        facts = facts_of(entry.setup, samples.only(keep), words, f"{case.where}.setup")
+        samples = samples.with_facts(facts)
+        channels = [self._values(c, entry, samples) for c in self.study.channels]
+        measured = np.column_stack([*channels]) if channels else np.empty((len(rows), 0))
+        if entry.missing_if is not None:
+            measured[samples.formula(entry.missing_if) != 0.0] = np.nan
+        command = {c.name: self._values(c, entry, samples) for c in self.study.commands}
+        time_s, measured, command = picked(entry, samples.time_s, measured, command, keep)
+        return Run(name, time_s, measured, command, group=name, setup=facts)
+
+    def _values(
+        self, stated: ChannelEntry | CommandEntry, entry: RunEntry, samples: Samples
+    ) -> Array:
+        """A channel or command in SI units, at all rows of the run."""
+        source: Source | None = stated
+        if stated.name in entry.columns:
+            source = entry.columns[stated.name]
+            if source is None:
+                return np.full(len(samples.time_s), np.nan)
+        assert source is not None
+        raw = (
+            samples.formula(source.formula)
+            if source.formula is not None
+            else samples.column(source.column or stated.name)
+        )
+        values = in_si(raw, source, stated.unit)
+        if isinstance(stated, ChannelEntry) and stated.zero_s is not None:
+            start, end = stated.zero_s
+            rest = (samples.recorded_s >= start) & (samples.recorded_s < end)
+            if not np.isfinite(values[rest]).any():
+                raise ValueError(
+                    f"channel {stated.name}: zero_s: {samples.table.path.name} has no sample "
+                    f"from {start:g} to {end:g} s"
+                )
+            values = values - np.nanmean(values[rest])
+        if isinstance(stated, CommandEntry) and stated.fill is not None:
+            factor = to_si(stated.unit).factor if stated.unit else 1.0
+            values = unfilled(values, samples.time_s, stated.fill, factor)
+        return values
+
+    def _seconds(self, entry: RunEntry, table: Table) -> Array:
+        source = entry.time or self.study.time
+        factor = None if source.unit == "clock" else to_si(source.unit).factor
+        return table.seconds(source.column, factor, source.step)
+
+    def _time_name(self, entry: RunEntry) -> str:
+        return (entry.time or self.study.time).column or "time_s"
+
+    def _check_labels(
+        self, where: str, stated: Any, pieces: Sequence[Piece], cases: Sequence[Case]
+    ) -> None:
+        """Values of a mapping by run that no run has."""
+        if not isinstance(stated, Mapping) or len(pieces) < len(cases):
+            return
+        known = [piece.labels[-1] for piece in pieces]
+        by_run = not where.endswith("use")  # seconds by run, or runs by use
+        for label in stated if by_run else [v for values in stated.values() for v in values]:
+            if not any(_is_meant(str(label), piece.labels) for piece in pieces):
+                shown = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
+                close = did_you_mean(str(label), known)
+                self._tell(ValueError(f"{where}: no run {label}{close}; there are {shown}"))
+
+
+def _is_meant(given: str, labels: Sequence[str]) -> bool:
+    return any(fnmatch.fnmatchcase(label, given) for label in labels)
+
+
+def _use_of(stated: str | Mapping[str, Sequence[str]], piece: Piece, where: str) -> str:
+    if isinstance(stated, str):
+        return stated
+    uses = [use for use, given in stated.items() if any(_is_meant(v, piece.labels) for v in given)]
+    if len(uses) > 1:
+        raise ValueError(f"{where}.use: run {piece.run.name} is both {' and '.join(uses)}")
+    return uses[0] if uses else "fit"
+
+
+def _placed(
+    piece: Piece, entry: RunEntry, where: str, groups: Mapping[str, str], place: int
+) -> list[Run]:
+    """The run, or the blocks of it, with use, group and place in the order."""
+    use = _use_of(entry.use, piece, where)
+    group = piece.group or piece.run.name
+    if entry.repeat_of is not None:
+        if entry.repeat_of not in groups:
+            raise ValueError(
+                f"{where}.repeat_of: no run {entry.repeat_of!r}"
+                f"{did_you_mean(entry.repeat_of, groups)}"
+            )
+        group = groups[entry.repeat_of]
+    order = place if entry.order is None else entry.order
+    run = replace(piece.run, use=use, group=group, order=order)
+    return [run] if entry.blocks is None else _blocks(run, entry, where)
+
+
+def _blocks(run: Run, entry: RunEntry, where: str) -> list[Run]:
+    blocks = entry.blocks
+    assert blocks is not None
+    n = len(run.time_s)
+    if blocks.num is not None:
+        edges = np.linspace(0, n, blocks.num + 1).round().astype(int)
+    else:
+        assert blocks.length_s is not None
+        lengths = np.arange(run.time_s[0], run.time_s[-1], blocks.length_s)
+        edges = np.append(np.searchsorted(run.time_s, lengths - 1e-9), n)
+    by_number = {k: use for use, numbers in blocks.use.items() for k in numbers}
+    if too_large := [k for k in by_number if k > len(edges) - 1]:
+        raise ValueError(
+            f"{where}.blocks.use: no piece {too_large[0]}; run {run.name} has {len(edges) - 1}"
+        )
+    out = []
+    for k in range(1, len(edges)):
+        part = slice(edges[k - 1], edges[k])
+        time_s = run.time_s[part]
+        out.append(
+            replace(
+                run,
+                name=f"{run.name}_{k}",
+                group=f"{run.group}_{k}",
+                time_s=time_s - time_s[0] if blocks.restart_time else time_s,
+                measured=run.measured[part],
+                command={name: values[part] for name, values in run.command.items()},
+                order=run.order + k - 1,
+                use=by_number.get(k, run.use),
+                setup={**run.setup, BLOCK_OF: run.name},
+            )
+        )
+    return out

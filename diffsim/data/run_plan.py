@@ -1,0 +1,202 @@
+"""Entries of ``runs:`` spelled out: files that fit a pattern, rows of a table, names from both."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diffsim.core.check import did_you_mean
+from diffsim.data.columns import Rows, Table, as_label
+from diffsim.data.study_schema import RunEntry, RunKeys
+
+_FIELD = re.compile(r"\{(\w+)(?::[^}]*)?\}")
+_RANGE = ("at_least", "below")
+
+
+@dataclass(frozen=True)
+class Case:
+    """Files of one or, with ``split``, several runs.
+
+    Attributes:
+        where: Entry of the study file, such as "runs[2]".
+        entry: The entry with the study's defaults.
+        files: The run's file and those that are read at its clock.
+        words: What {name} stands for in texts of the entry.
+    """
+
+    where: str
+    entry: RunEntry
+    files: tuple[Path, ...]
+    words: Mapping[str, str] = field(default_factory=dict)
+
+
+def with_defaults(entry: RunEntry, defaults: RunKeys) -> RunEntry:
+    """The entry, with the defaults where it says nothing; ``setup`` and ``columns`` are joined."""
+    given = {k: getattr(defaults, k) for k in defaults.model_fields_set}
+    joined = {k: {**given[k], **getattr(entry, k)} for k in ("setup", "columns") if given.get(k)}
+    stated = {k: getattr(entry, k) for k in entry.model_fields_set}
+    return entry.model_copy(update={**given, **stated, **joined})
+
+
+def cases_of(
+    entry: RunEntry, where: str, root: Path, table: Callable[[Path], Table]
+) -> tuple[list[Case], str]:
+    """All files that an entry stands for.
+
+    Args:
+        entry: Entry of ``runs:``, with defaults.
+        where: What messages call it, such as "runs[2]".
+        root: Folder of the files.
+        table: Reads a CSV file.
+
+    Returns:
+        The files, and a sentence on rows of ``table`` that are left out, or "".
+
+    Raises:
+        ValueError: no file fits, or a word of a pattern is unknown.
+    """
+    rows: list[dict[str, str]] = [{}]
+    left_out = ""
+    if entry.table is not None:
+        listing = table(root / entry.table)
+        chosen = chosen_rows(listing, np.arange(len(listing)), entry.where, f"{where}.where")
+        columns = {name: listing.texts(name) for name in listing.header if name}
+        rows = [{name: cells[i] for name, cells in columns.items()} for i in chosen]
+        if fewer := len(listing) - len(chosen):
+            left_out = f"{entry.table}: {fewer} of {len(listing)} runs, by {where}.where"
+    cases = []
+    patterns = entry.file or (f"{entry.name}.csv",)
+    for words in rows:
+        first, *further = [_known(p, words) for p in patterns]
+        for path, found in _files(root, first, where):
+            all_words = {**words, **found, "file": path.stem}
+            others = (root / filled(p, all_words, f"{where}.file") for p in further)
+            cases.append(Case(where, entry, (path, *others), all_words))
+    return cases, left_out
+
+
+def _known(pattern: str, words: Mapping[str, str]) -> str:
+    return _FIELD.sub(lambda m: words.get(m.group(1), m.group(0)), pattern)
+
+
+def _files(root: Path, pattern: str, where: str) -> list[tuple[Path, dict[str, str]]]:
+    """Files of a pattern with ``*`` and {words}; a plain name is one file, whether there or not."""
+    if "*" not in pattern and not _FIELD.search(pattern):
+        return [(root / pattern, {})]
+    parts = re.split(r"(\*|\{\w+\})", pattern)
+    names = [p[1:-1] for p in parts if p.startswith("{")]
+    if len(set(names)) < len(names):
+        raise ValueError(f"{where}.file: a word occurs twice in {pattern!r}")
+    shape = re.compile(
+        "".join(
+            "[^/]*" if p == "*" else f"(?P<{p[1:-1]}>[^/]+?)" if p[:1] == "{" else re.escape(p)
+            for p in parts
+        )
+    )
+    found = []
+    for path in root.glob("".join("*" if p == "*" or p[:1] == "{" else p for p in parts)):
+        match = shape.fullmatch(path.relative_to(root).as_posix())
+        if match and path.is_file():
+            found.append((path, match.groupdict()))
+    if not found:
+        beside = sorted(p.name for p in root.glob("*.csv"))
+        raise ValueError(
+            f"{where}.file: no file fits {pattern!r}{did_you_mean(pattern, beside)}; "
+            f"{root} has {', '.join(beside[:12]) or 'no CSV files'}"
+        )
+    return sorted(found, key=lambda f: _natural(f[0].name))
+
+
+def _natural(name: str) -> list[tuple[int, int | str]]:
+    return [(0, int(p)) if p.isdigit() else (1, p) for p in re.split(r"(\d+)", name) if p]
+
+
+def filled(text: str, words: Mapping[str, str], where: str) -> str:
+    """A text with its {words} filled in; {toss:03d} writes a number with three digits.
+
+    Raises:
+        ValueError: a word that there is not.
+    """
+    try:
+        return text.format_map({k: as_label(v) if _is_plain(v) else v for k, v in words.items()})
+    except KeyError as error:
+        name = str(error.args[0])
+        raise ValueError(
+            f"{where}: {text!r} has {{{name}}}{did_you_mean(name, words)}; known: "
+            f"{', '.join(words) or 'nothing'}"
+        ) from None
+    except (ValueError, IndexError) as error:
+        raise ValueError(f"{where}: {text!r} cannot be filled in: {error}") from None
+
+
+def constants(table: Table, rows: Rows, texts: Sequence[str]) -> dict[str, str]:
+    """Columns that texts have in {} and that are constant over some rows: their value."""
+    asked = {m.group(1) for text in texts for m in _FIELD.finditer(text)}
+    out = {}
+    for name in asked.intersection(table.header):
+        cells = table.texts(name)
+        if len(found := {cells[i] for i in rows}) == 1:
+            out[name] = found.pop()
+    return out
+
+
+def _is_plain(cell: str) -> bool:
+    """Whether the number in a cell is written as numbers are: 7, not 007."""
+    return str(as_label(cell)) == cell
+
+
+def chosen_rows(table: Table, rows: Rows, where: Mapping[str, Any], path: str) -> Rows:
+    """Rows whose cells are as ``where`` says.
+
+    Args:
+        table: File with these columns.
+        rows: Rows to choose from.
+        where: Value, list of values, or {at_least, below}, by column.
+        path: What messages call it, such as "runs[2].where".
+
+    Raises:
+        ValueError: no such column, nothing is left, or a range that is none.
+    """
+    for column, wanted in where.items():
+        if isinstance(wanted, Mapping):
+            if not wanted or any(k not in _RANGE for k in wanted):
+                raise ValueError(f"{path}.{column} must be a value, a list or {{at_least, below}}")
+            values = table.numbers(column)[rows]
+            keep = values >= float(wanted.get("at_least", -np.inf))
+            keep &= values < float(wanted.get("below", np.inf))
+        else:
+            cells = [str(as_label(c)) for c in table.texts(column)]
+            listed = (
+                wanted if isinstance(wanted, Sequence) and not isinstance(wanted, str) else [wanted]
+            )
+            texts = {str(as_label(str(w))) for w in listed}
+            keep = np.array([cells[i] in texts for i in rows], dtype=bool)
+            if not keep.any():
+                there = sorted({cells[i] for i in rows})
+                raise ValueError(
+                    f"{path}.{column}: no row has {', '.join(sorted(texts))}"
+                    f"{did_you_mean(sorted(texts)[0], there)}; {table.path.name} has "
+                    f"{', '.join(there[:12])}{', ...' if len(there) > 12 else ''}"
+                )
+        rows = rows[keep]
+    if not len(rows):
+        raise ValueError(f"{path}: no row of {table.path.name} is left")
+    return rows
+
+
+def parts_by(table: Table, rows: Rows, columns: Sequence[str]) -> list[tuple[dict[str, str], Rows]]:
+    """Rows by the values of columns, in order of appearance; all of them without columns."""
+    if not columns:
+        return [({}, rows)]
+    cells = [table.texts(name) for name in columns]
+    parts: dict[tuple[str, ...], list[int]] = {}
+    for i in rows:
+        parts.setdefault(tuple(column[i] for column in cells), []).append(int(i))
+    return [
+        (dict(zip(columns, values, strict=True)), np.array(part)) for values, part in parts.items()
+    ]

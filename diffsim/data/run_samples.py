@@ -1,0 +1,196 @@
+"""Samples of one run: columns of its files on its clock, formulas of them, which rows are kept."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.core.units import to_si
+from diffsim.data.columns import Rows, Table
+from diffsim.data.formula import evaluate
+from diffsim.data.study_schema import RunEntry, Source
+
+Array = NDArray[np.float64]
+_SLACK_S = 1e-9  # times such as 0.30000000000000004 are 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Rows of a run.
+
+    Attributes:
+        tables: The run's file, and those that are read at its clock.
+        clocks: Clock of all rows of each, (num_rows,) [s].
+        rows: Rows of the first file that the run has.
+        recorded_s: Clock of the file at these rows, (num_samples,) [s].
+        time_s: Clock of the run at these rows, (num_samples,) [s].
+        facts: Facts of the run by name.
+    """
+
+    tables: Sequence[Table]
+    clocks: Sequence[Array]
+    rows: Rows
+    recorded_s: Array
+    time_s: Array = field(default_factory=lambda: np.empty(0))
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def table(self) -> Table:
+        """The run's own file."""
+        return self.tables[0]
+
+    def at(self, time_s: Array) -> Samples:
+        """The same rows on the clock of the run."""
+        return replace(self, time_s=time_s)
+
+    def with_facts(self, facts: Mapping[str, Any]) -> Samples:
+        """The same rows with facts that formulas may use."""
+        return replace(self, facts=facts)
+
+    def only(self, keep: Rows) -> Samples:
+        """Some of the rows."""
+        cut = self.time_s[keep] if len(self.time_s) else self.time_s
+        return replace(self, rows=self.rows[keep], recorded_s=self.recorded_s[keep], time_s=cut)
+
+    def column(self, name: str) -> Array:
+        """Numbers of a column, (num_samples,); of a further file, in between its samples."""
+        for table, clock in zip(self.tables[1:], self.clocks[1:], strict=True):
+            if name in table.header and name not in self.table.header:
+                values = table.numbers(name)
+                there = np.isfinite(values)
+                if not there.any():
+                    return np.full(len(self.rows), np.nan)
+                return np.interp(
+                    self.recorded_s, clock[there], values[there], left=np.nan, right=np.nan
+                )
+        return self.table.numbers(name)[self.rows]
+
+    def formula(self, text: str) -> Array:
+        """Samples of a formula, (num_samples,)."""
+        numbers = [k for k, v in self.facts.items() if isinstance(v, (int, float))]
+        columns = [name for table in self.tables for name in table.header]
+        clock = self.time_s if len(self.time_s) else self.recorded_s
+
+        def value_of(name: str) -> Array | float:
+            return float(self.facts[name]) if name in numbers else self.column(name)
+
+        try:
+            return evaluate(text, clock, value_of, dict.fromkeys([*columns, *numbers]))
+        except ValueError as error:
+            raise ValueError(f"{self.table.path}: {error}") from None
+
+
+def in_si(raw: Array, source: Source, unit: str | None) -> Array:
+    """Samples of a file in SI units; those that are in SI units stay as they are."""
+    if source.scale != 1.0 or source.offset != 0.0:
+        raw = source.scale * raw + source.offset
+    if unit is None:
+        return raw
+    si = to_si(unit)
+    return raw if (si.factor, si.offset) == (1.0, 0.0) else si.factor * raw + si.offset
+
+
+def unfilled(values: Array, time_s: Array, fill: str | float, factor: float) -> Array:
+    """A command without gaps: held, interpolated, or with a number in them."""
+    there = np.flatnonzero(np.isfinite(values))
+    if not isinstance(fill, str):
+        return np.where(np.isfinite(values), values, factor * fill)
+    if not len(there):
+        return values
+    if fill == "linear":
+        return np.interp(time_s, time_s[there], values[there])
+    last = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), -1))
+    return np.asarray(values[np.where(last < 0, there[0], last)])
+
+
+def _of_run(stated: float | Mapping[str, float] | None, labels: Sequence[str]) -> float | None:
+    """A number that may be stated by run."""
+    if isinstance(stated, Mapping):
+        return next((stated[label] for label in labels if label in stated), None)
+    return stated
+
+
+def zero_of(entry: RunEntry, samples: Samples, labels: Sequence[str], where: str) -> float:
+    """Time of the file that becomes 0 s."""
+    if entry.zero_when is not None:
+        true = samples.formula(entry.zero_when) > 0.0
+        if not true.any():
+            raise ValueError(f"{where}.zero_when: {entry.zero_when!r} is never true")
+        return float(samples.recorded_s[int(np.argmax(true))])
+    if entry.zero_time == "start":
+        keep = _window(entry, samples.recorded_s, labels)
+        return float(samples.recorded_s[int(np.argmax(keep))])
+    assert not isinstance(entry.zero_time, str)
+    return _of_run(entry.zero_time, labels) or 0.0
+
+
+def _window(entry: RunEntry, recorded_s: Array, labels: Sequence[str]) -> NDArray[np.bool_]:
+    keep = np.ones(len(recorded_s), dtype=bool)
+    if (start := _of_run(entry.from_s, labels)) is not None:
+        keep &= recorded_s >= start - _SLACK_S
+    if (end := _of_run(entry.until_s, labels)) is not None:
+        keep &= recorded_s < end - _SLACK_S
+    return keep
+
+
+def kept_rows(entry: RunEntry, samples: Samples, labels: Sequence[str], where: str) -> Rows:
+    """Indices of the samples in the windows of a run; with ``every``, of each n-th of them.
+
+    Raises:
+        ValueError: nothing is left.
+    """
+    keep = _window(entry, samples.recorded_s, labels)
+    if entry.before_zero_s is not None:
+        keep &= samples.time_s >= -entry.before_zero_s - _SLACK_S
+    if entry.after_zero_s is not None:
+        keep &= samples.time_s < entry.after_zero_s - _SLACK_S
+    rows = np.flatnonzero(keep)
+    if not len(rows):
+        first, last = samples.recorded_s[0], samples.recorded_s[-1]
+        raise ValueError(
+            f"{where}: no sample of {labels[0]} is left by from_s, until_s and the like; "
+            f"{samples.table.path.name} lasts from {first:g} to {last:g} s"
+        )
+    if entry.average or entry.every == 1:
+        return rows
+    if isinstance(entry.every, int):
+        return rows[:: entry.every]
+    step = np.ones(len(rows), dtype=int)
+    for start, n in sorted(entry.every.items()):
+        step[samples.time_s[rows] >= start - _SLACK_S] = n
+    kept, until_next = [], 0
+    for row, n in zip(rows, step, strict=True):
+        until_next = min(until_next, int(n) - 1)
+        if until_next <= 0:
+            kept.append(int(row))
+            until_next = int(n)
+        until_next -= 1
+    return np.array(kept)
+
+
+def picked(
+    entry: RunEntry, time_s: Array, measured: Array, command: Mapping[str, Array], keep: Rows
+) -> tuple[Array, Array, dict[str, Array]]:
+    """Kept samples, averaged over ``every`` where the entry says so."""
+    time_s, measured = time_s[keep], measured[keep]
+    command = {name: values[keep] for name, values in command.items()}
+    if not entry.average or entry.every == 1:
+        return time_s, measured, command
+    n = entry.every if isinstance(entry.every, int) else max(entry.every.values())
+    return (
+        _mean(time_s[:, None], n)[:, 0],
+        _mean(measured, n),
+        {name: _mean(values[:, None], n)[:, 0] for name, values in command.items()},
+    )
+
+
+def _mean(values: Array, n: int) -> Array:
+    """Means over n rows, gaps left out; a rest of fewer rows is left out."""
+    whole = values[: len(values) // n * n].reshape(-1, n, values.shape[1])
+    count = np.isfinite(whole).sum(axis=1)
+    total = np.nansum(whole, axis=1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)

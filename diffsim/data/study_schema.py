@@ -1,0 +1,307 @@
+"""Keys of ``study.yaml``: what was measured, what was commanded, which run is which rows of a file.
+
+Every key is told once, in its description; docs/study_keys.md is written from these.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, PlainValidator, field_validator, model_validator
+
+from diffsim.core.check import did_you_mean
+from diffsim.core.schema import Part
+from diffsim.core.units import to_si
+from diffsim.data.study import SYSTEMS
+from diffsim.data.study_types import (
+    Every,
+    FillValue,
+    Formula,
+    Number,
+    PerRun,
+    Positive,
+    Texts,
+    Unit,
+    UseOfBlocks,
+    UseOfRuns,
+    ZeroTime,
+    read_number,
+)
+
+
+def _read_system(given: Any) -> Any:
+    if given is not None and given not in SYSTEMS:
+        known = ", ".join(SYSTEMS)
+        raise ValueError(f"must be one of {known}, got {given!r}{did_you_mean(given, SYSTEMS)}")
+    return given
+
+
+def _read_value(given: Any) -> Any:
+    return given if isinstance(given, str) else read_number(given)
+
+
+def _named(given: Any) -> Any:
+    return {"name": given} if isinstance(given, str) else given
+
+
+class TimeSource(Part):
+    """Clock of the files."""
+
+    column: str | None = Field(None, description="Column that holds the time; default: `time_s`")
+    unit: str = Field(
+        "s", description="Unit of that column: s, ms, us, min; `clock` for 12:30:05.25 or a date"
+    )
+    step: Positive | None = Field(
+        None, description="Seconds between rows, where the files have no clock"
+    )
+
+    @field_validator("unit")
+    @classmethod
+    def _is_time(cls, unit: str) -> str:
+        if unit != "clock" and to_si(unit).unit != "s":
+            raise ValueError(f"must be a unit of time such as s or ms, or clock, got {unit!r}")
+        return unit
+
+    @model_validator(mode="after")
+    def _one_source(self) -> TimeSource:
+        if self.step is not None and self.column is not None:
+            raise ValueError("give column or step, not both")
+        return self
+
+
+class TableFormat(Part):
+    """Lay-out of CSV files; delimiter, decimal comma and encoding are recognized."""
+
+    header_line: int = Field(1, ge=1, description="Line of the file that has the names of columns")
+    first_line: int | None = Field(
+        None, ge=2, description="Line of the first sample; default: the one after the header"
+    )
+
+
+class Source(Part):
+    """Where the samples of a quantity are in the files."""
+
+    column: str | None = Field(None, description="Column of the files; default: the name")
+    formula: Formula | None = Field(
+        None,
+        description="Instead of a column: formula of columns, facts of `setup` and `t`, the time "
+        "of the run in s; other names than a_1 are written in backquotes: 0.5*(`x 1` + `x 2`)",
+    )
+    scale: Number = Field(1.0, description="The column is multiplied by this")
+    offset: Number = Field(0.0, description="Added after `scale`, in `unit`")
+
+    @model_validator(mode="after")
+    def _column_or_formula(self) -> Source:
+        if self.column is not None and self.formula is not None:
+            raise ValueError("give column or formula, not both")
+        return self
+
+
+class ChannelEntry(Source):
+    """A measured quantity."""
+
+    name: str = Field(description="Name that the model, reports and formulas use")
+    unit: Unit = Field(description="Unit of the files, such as mm, deg, mbar, rpm; - for none")
+    kind: str | None = Field(
+        None,
+        description="Kind of quantity: position, angle, velocity, force, pressure, flow, ...; "
+        "default: what the unit measures",
+    )
+    sd: Positive | None = Field(
+        None,
+        description="Standard deviation of the sensor's noise, in `unit`; default: from repeats",
+    )
+    zero_s: tuple[Number, Number] | None = Field(
+        None,
+        description="From and until [s, clock of the files]: the mean over this time is "
+        "subtracted, so that the channel is a change from a state at rest",
+    )
+    shown_unit: Unit | None = Field(
+        None, description="Unit in which reports show errors; default: `unit`"
+    )
+
+
+class CommandEntry(Source):
+    """A commanded quantity."""
+
+    name: str = Field(description="Name that the model, reports and formulas use")
+    unit: Unit | None = Field(
+        None, description="Unit of the files; default: SI, as the name should end (`force_N`)"
+    )
+    lower: Number | None = Field(None, description="Least value that can be commanded, in `unit`")
+    upper: Number | None = Field(None, description="Largest value that can be commanded, in `unit`")
+    rate: Positive | None = Field(None, description="Fastest change, in `unit` per second")
+    fill: FillValue | None = Field(
+        None,
+        description="Value where a cell is empty: hold (the last one; before the first, the "
+        "first), linear (in between), or a number in `unit`",
+    )
+    shown_unit: Unit | None = Field(
+        None, description="Unit in which reports show it; default: `unit`"
+    )
+    is_measured: bool = Field(
+        False,
+        description="Whether it was measured (the output of a controller): it then differs "
+        "between repeats, and nobody can command it",
+    )
+
+
+class Fact(Part):
+    """A fact of a run that is read from its file."""
+
+    column: str | None = Field(None, description="Column of the files; default: the fact's name")
+    formula: Formula | None = Field(None, description="Instead of a column: formula of columns")
+    value: Annotated[str | float, PlainValidator(_read_value)] | None = Field(
+        None, description="Instead of a column: a value with a `unit`, or a part of the file's name"
+    )
+    unit: Unit = Field("-", description="Unit of the file; the fact is held in SI units")
+    take: Literal["constant", "first", "last", "mean"] = Field(
+        "constant", description="Which sample: constant (all must agree), first, last or mean"
+    )
+
+
+class Blocks(Part):
+    """A long run cut into pieces, each a run of its own: name_1, name_2, ..."""
+
+    num: int | None = Field(None, ge=2, description="Number of pieces of equal length")
+    length_s: Positive | None = Field(None, description="Length of a piece [s], in place of `num`")
+    use: UseOfBlocks = Field(
+        {}, description="Pieces by use, counted from 1; all others have the run's `use`"
+    )
+    restart_time: bool = Field(False, description="Whether each piece begins at 0 s")
+
+    @model_validator(mode="after")
+    def _one_length(self) -> Blocks:
+        if (self.num is None) == (self.length_s is None):
+            raise ValueError("give num or length_s, one of them")
+        return self
+
+
+def _read_elsewhere(given: Any) -> Source | None:
+    if given is None:
+        return None
+    return Source.model_validate({"column": given} if isinstance(given, str) else given)
+
+
+Elsewhere = Annotated[Source | None, PlainValidator(_read_elsewhere)]
+
+
+class RunKeys(Part):
+    """What can be said of one run, or of all by ``defaults``."""
+
+    use: UseOfRuns = Field(
+        "fit",
+        description="fit, select (chooses between causes) or test (touched once, at the end); or "
+        "a mapping of uses to values of `split` or names of runs, others are fit: "
+        "{test: [7, 9], select: [3]}",
+    )
+    setup: dict[str, Any] = Field(
+        {},
+        description="Facts of the run by name: a number, a label, `column` (the constant of the "
+        "column of that name), or {column, unit, take}, {value, unit}, {formula, unit}",
+    )
+    time: TimeSource | None = Field(None, description="Clock of this run's file, if another")
+    from_s: PerRun | None = Field(
+        None, description="First time that is used [s, clock of the file]; by value of `split` too"
+    )
+    until_s: PerRun | None = Field(
+        None, description="Time from which on nothing is used [s, clock of the file]"
+    )
+    zero_time: ZeroTime | None = Field(
+        None, description="Time of the file that becomes 0 s; `start`: the first sample used"
+    )
+    zero_when: Formula | None = Field(
+        None, description="0 s is where this formula is true at first, such as pressure > 100"
+    )
+    before_zero_s: Number | None = Field(None, description="Time that is used before 0 s [s]")
+    after_zero_s: Number | None = Field(None, description="Time that is used after 0 s [s]")
+    every: Every = Field(
+        1,
+        description="Each n-th sample is used; or n by the time from which on it holds, "
+        "{0: 3, 1.5: 30}: each third, from 1.5 s on each thirtieth",
+    )
+    average: bool = Field(False, description="Whether `every` n samples are averaged into one")
+    missing_if: Formula | None = Field(
+        None, description="Where this formula is true, nothing was measured"
+    )
+    columns: dict[str, Elsewhere] = Field(
+        {},
+        description="Channels and commands that this file has elsewhere: {name: column}, "
+        "{name: {column, formula, scale}}, or {name: null} where it was not recorded",
+    )
+
+
+class RunEntry(RunKeys):
+    """One run, or all that a pattern, a table or the values of a column make."""
+
+    name: str | None = Field(
+        None,
+        description="Name; {file}, {toss} stand for the file's name and for values of `split`, "
+        "`table` or the file's pattern. Default: the file's name with the values",
+    )
+    file: Texts = Field(
+        (),
+        description="CSV file; `*` or {level} in it: each file that fits is a run. A list: further "
+        "files are read at the clock of the first. Default: the name with .csv",
+    )
+    table: str | None = Field(
+        None, description="CSV file that lists runs: each row is one, its cells are used as {cell}"
+    )
+    split: Texts = Field((), description="Columns: each value, or pair of values, is a run")
+    where: dict[str, Any] = Field(
+        {},
+        description="Rows that are used (of `table` if there is one), by column: a value, a list, "
+        "or {at_least, below}",
+    )
+    group: str | None = Field(
+        None,
+        description="Runs of one group executed the same command; {} as in `name`. Default: none",
+    )
+    repeat_of: str | None = Field(None, description="Run whose command was executed again")
+    order: int | None = Field(
+        None, description="Place in the sequence of experiments; default: place in the list"
+    )
+    blocks: Blocks | None = Field(None, description="Cut the run into pieces")
+
+    @model_validator(mode="after")
+    def _one_group(self) -> RunEntry:
+        if self.repeat_of is not None and self.group is not None:
+            raise ValueError("give group or repeat_of, not both")
+        if not self.file and self.name is None and self.table is None:
+            raise ValueError("has neither file nor name")
+        return self
+
+
+class StudyFile(Part):
+    """``study.yaml``."""
+
+    name: str = Field(description="Short name, as reports show it")
+    system: Annotated[str | None, PlainValidator(_read_system)] = Field(
+        None, description="Kind of system, of studies without `model`"
+    )
+    model: dict[str, Any] | None = Field(
+        None, description="Description of the system; its keys depend on `system`, see below"
+    )
+    data: str | None = Field(
+        None,
+        description="Folder of the files: of a published data set by name, or a path from here. "
+        "Default: the folder of study.yaml",
+    )
+    model_folder: str | None = Field(
+        None, description="Folder that files of `model` are in; default: that of `data`"
+    )
+    time: TimeSource = Field(TimeSource(), description="Clock of the files")
+    table: TableFormat = Field(TableFormat(), description="Lay-out of the files")
+    channels: tuple[ChannelEntry, ...] = Field(description="What was measured")
+    commands: tuple[Annotated[CommandEntry, BeforeValidator(_named)], ...] = Field(
+        (), description="What was commanded: a name, or a mapping"
+    )
+    defaults: RunKeys = Field(RunKeys(), description="Keys that hold for all runs")
+    runs: tuple[RunEntry, ...] = Field(description="Which rows of which files are which run")
+    metadata: dict[str, Any] = Field({}, description="Anything else worth keeping: source, licence")
+    todo: Texts = Field((), description="What is still to be stated; `check` repeats it")
+
+    @field_validator("commands", mode="before")
+    @classmethod
+    def _none_is_empty(cls, given: Any) -> Any:
+        return () if given is None else given

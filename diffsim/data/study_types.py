@@ -1,0 +1,123 @@
+"""Types of the keys of ``study.yaml``: one plain message for whatever cannot be read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, PlainValidator
+
+from diffsim.core.check import did_you_mean
+from diffsim.core.expression import parse_expression
+from diffsim.core.units import to_si
+from diffsim.data.formula import quoted_names
+from diffsim.data.study import USES
+
+Use = Literal["fit", "select", "test"]
+Fill = Literal["hold", "linear"]
+Start = Literal["start"]
+
+
+def read_number(given: Any) -> float:
+    """A number; YAML 1.1 reads 3e-6 (without a point) as text."""
+    if isinstance(given, bool) or not isinstance(given, (int, float, str)):
+        raise ValueError(f"must be a number, got {given!r}")
+    try:
+        value = float(given)
+    except ValueError:
+        raise ValueError(f"must be a number, got {given!r}") from None
+    if value != value or value in (float("inf"), float("-inf")):
+        raise ValueError(f"must be a finite number, got {given!r}")
+    return value
+
+
+def read_texts(given: Any) -> tuple[str, ...]:
+    """A list of texts; a single one is a list of one, and numbers are taken as written."""
+    if given is None:
+        return ()
+    if isinstance(given, Mapping):
+        raise ValueError("must be a list, got a mapping")
+    return tuple(str(v) for v in (given if isinstance(given, (list, tuple)) else [given]))
+
+
+def _read_per_run(given: Any) -> float | dict[str, float]:
+    if isinstance(given, Mapping):
+        return {str(k): read_number(v) for k, v in given.items()}
+    return read_number(given)
+
+
+def _read_zero(given: Any) -> float | dict[str, float] | str:
+    if given == "start":
+        return "start"
+    try:
+        return _read_per_run(given)
+    except ValueError as error:
+        raise ValueError(f"{error}; or start") from None
+
+
+def _read_fill(given: Any) -> float | str:
+    if given in ("hold", "linear"):
+        return str(given)
+    try:
+        return read_number(given)
+    except ValueError:
+        raise ValueError(f"must be hold, linear or a number, got {given!r}") from None
+
+
+def _read_every(given: Any) -> int | dict[float, int]:
+    if isinstance(given, Mapping):
+        return {read_number(k): _read_count(v) for k, v in given.items()}
+    return _read_count(given)
+
+
+def _read_count(given: Any) -> int:
+    if isinstance(given, bool) or not isinstance(given, int) or given < 1:
+        raise ValueError(f"must be a whole number, 1 or more, got {given!r}")
+    return given
+
+
+def _read_use(given: Any) -> str | dict[str, tuple[str, ...]]:
+    if isinstance(given, Mapping):
+        for key in given:
+            _require_use(key)
+        return {str(k): read_texts(v) for k, v in given.items()}
+    return _require_use(given)
+
+
+def _require_use(given: Any) -> str:
+    if given not in USES:
+        known = ", ".join(USES)
+        raise ValueError(f"must be one of {known}, got {given!r}{did_you_mean(str(given), USES)}")
+    return str(given)
+
+
+def _read_blocks_by_use(given: Any) -> dict[str, tuple[int, ...]]:
+    if not isinstance(given, Mapping):
+        raise ValueError("must be a mapping of uses to pieces, such as {test: [6]}")
+    return {
+        _require_use(k): tuple(_read_count(n) for n in (v if isinstance(v, list) else [v]))
+        for k, v in given.items()
+    }
+
+
+def _read_unit(given: Any) -> str:
+    to_si(str(given))
+    return str(given)
+
+
+def _read_formula(given: Any) -> str:
+    parse_expression(quoted_names(str(given))[0])
+    return str(given)
+
+
+Number = Annotated[float, PlainValidator(read_number)]
+Positive = Annotated[float, BeforeValidator(read_number), Field(gt=0)]
+Unit = Annotated[str, PlainValidator(_read_unit)]
+Formula = Annotated[str, PlainValidator(_read_formula)]
+Texts = Annotated[tuple[str, ...], PlainValidator(read_texts)]
+PerRun = Annotated[float | dict[str, float], PlainValidator(_read_per_run)]
+ZeroTime = Annotated[Start | float | dict[str, float], PlainValidator(_read_zero)]
+FillValue = Annotated[Fill | float, PlainValidator(_read_fill)]
+Every = Annotated[int | dict[float, int], PlainValidator(_read_every)]
+UseOfRuns = Annotated[Use | dict[str, tuple[str, ...]], PlainValidator(_read_use)]
+UseOfBlocks = Annotated[dict[str, tuple[int, ...]], PlainValidator(_read_blocks_by_use)]

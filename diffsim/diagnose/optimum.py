@@ -1,0 +1,115 @@
+"""Quadratic misfit with the prior of base parameters (normal) and sizes (heavy-tailed); no
+simulation.
+
+All in scaled coordinates v: the misfit is v'Gv - 2 b'v + const, the prior |q|^2 of base parameters
+and x(u)^2 of sizes (``identify.sizes``).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, optimize
+
+from diffsim.identify.sizes import coordinate_of, precision_at, scaled_at
+
+Array = NDArray[np.float64]
+MAX_REWEIGHTS = 60
+REWEIGHT_TOLERANCE = 1e-7  # of a coordinate, relative above one
+FREE = 1e-6  # precision of a size that is nearly without a prior
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
+_PANELS = np.linspace(-10.0, 10.0, 41)
+_NEAR_ZERO = np.geomspace(1e-7, 1.0, 15)
+_PEAK = np.arange(-9.0, 10.0)
+
+
+def optimum(
+    gram: Array, b: Array, low: Array, high: Array, sizes: NDArray[np.bool_], start: Array
+) -> Array:
+    """argmin v'Gv - 2 b'v + |q|^2 + |x(u)|^2 within bounds, by reweighted least squares.
+
+    The prior may make two valleys: one near small sizes, one where the misfit alone is least. Both
+    are followed, and the lower end is taken.
+
+    Args:
+        gram, b: Quadratic and linear part of the misfit, (n, n) and (n,).
+        low, high: Bounds, (n,).
+        sizes: Whether a coordinate is a scaled size, (n,) bool.
+        start: Scaled coordinates that give the first weights, (n,).
+    """
+    weights = np.ones(len(b))
+    if not sizes.any():
+        return quadratic_optimum(gram + np.eye(len(b)), b, low, high)
+    ends = []
+    for first in (precision_at(start[sizes]), np.full(int(sizes.sum()), FREE)):
+        weights[sizes] = first
+        before = None
+        for _ in range(MAX_REWEIGHTS):
+            v = quadratic_optimum(gram + np.diag(weights), b, low, high)
+            if before is not None and np.all(
+                np.abs(v - before) <= REWEIGHT_TOLERANCE * np.maximum(np.abs(v), 1.0)
+            ):
+                break
+            weights[sizes], before = precision_at(v[sizes]), v
+        ends.append(v)
+
+    def cost(v: Array) -> float:
+        x = coordinate_of(v[sizes])
+        return float(v @ gram @ v - 2.0 * b @ v + v[~sizes] @ v[~sizes] + x @ x)
+
+    return min(ends, key=cost)
+
+
+def quadratic_optimum(hessian: Array, b: Array, low: Array, high: Array) -> Array:
+    """argmin v'Hv - 2 b'v within bounds, by active sets; H must be positive definite."""
+    active = np.zeros(len(b), dtype=int)  # -1: at the lower bound, 1: at the upper
+    v = np.zeros(len(b))
+    for _ in range(3 * len(b) + 3):
+        v = np.where(active < 0, low, np.where(active > 0, high, 0.0))
+        free = active == 0
+        if free.any():
+            right = b[free] - hessian[np.ix_(free, ~free)] @ v[~free]
+            v[free] = linalg.solve(hessian[np.ix_(free, free)], right, assume_a="pos")
+        beyond = np.where(free & (v < low), -1, np.where(free & (v > high), 1, 0))
+        if beyond.any():
+            active = active + beyond
+            continue
+        inward = active * (hessian @ v - b)  # above 0: the misfit falls off the bound
+        if (worst := int(np.argmax(inward))) >= 0 and inward[worst] > 1e-12 * (1.0 + abs(b[worst])):
+            active[worst] = 0
+            continue
+        return v
+    root = linalg.cholesky(hessian)
+    right = linalg.solve_triangular(root, b, trans="T")
+    return np.asarray(optimize.lsq_linear(root, right, (low, high), method="bvls").x)
+
+
+def log_tilt(mean: float, sd: float, precision: float, signed: bool) -> float:
+    """ln of what the heavy-tailed prior of a size makes of the evidence under its normal stand-in.
+
+    The normal stand-in N(0, 1 / precision) is taken out of the posterior N(mean, sd^2), and the
+    true prior is put in: ln of the ratio of both integrals. Exact for one size in a problem that is
+    linear in the sizes; with several, each is integrated with the others at their stand-ins.
+
+    Args:
+        mean, sd: Posterior under the stand-in, without bounds, in units of the stand-in's sd.
+        precision: Of the stand-in, in scaled sizes.
+        signed: Whether the size may be negative; else twice the prior above zero.
+    """
+    width = 1.0 / np.sqrt(precision)
+    curvature = max(1.0 / sd**2 - 1.0, 0.0) / width**2  # of the likelihood alone
+    slope = mean / sd**2 / width
+    edges = _PANELS
+    if curvature * width**2 > 1e-10:
+        place = (slope + np.sqrt(curvature) * _PEAK) / curvature
+        edges = np.concatenate([edges, coordinate_of(place)])
+    if not signed:
+        edges = np.concatenate([np.clip(edges, 0.0, None), _NEAR_ZERO])
+    edges = np.unique(edges)
+    half = 0.5 * np.diff(edges)[:, None]
+    x = (edges[:-1, None] + half) + half * _NODES
+    u = scaled_at(x)
+    logs = slope * u - 0.5 * curvature * u * u - 0.5 * x * x - 0.5 * np.log(2.0 * np.pi)
+    top = float(logs.max())
+    area = float(np.sum(np.exp(logs - top) * half * _WEIGHTS)) * (1.0 if signed else 2.0)
+    return top + float(np.log(area)) - float(np.log(sd)) - 0.5 * (mean / sd) ** 2

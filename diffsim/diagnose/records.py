@@ -1,0 +1,159 @@
+"""What a diagnosis says, as records: causes, base parameters, errors on unseen runs.
+
+They are the content of ``report.json`` under ``causes``, ``base``, ``errors`` and ``outside``.
+Every interval is one of 90 %.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from diffsim.diagnose.gain import Gain
+
+CERTAIN, LIKELY, UNTOLD = "certain", "likely", "cannot be told from"
+REFUTED, HIDDEN, UNJUDGED = "refuted", "not visible below", "not judged"
+UNNEEDED = "not needed"
+STATUSES = (CERTAIN, LIKELY, UNTOLD, REFUTED, UNNEEDED, HIDDEN, UNJUDGED)
+EFFECT, DATA_SHEET, UNKNOWN = "effect", "data sheet", "unknown"
+ORIGINS = (EFFECT, DATA_SHEET, UNKNOWN)
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A value with its 90 % interval.
+
+    Attributes:
+        value: Mean over the sets of causes that were weighed, in the row's unit.
+        low, high: 90 % interval, in the row's unit.
+    """
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class CauseRow:
+    """What is known of one candidate cause.
+
+    Attributes:
+        name: Name of the effect, the base parameter or the unknown cause.
+        words: The same in plain words, such as "sliding friction".
+        origin: "effect" of the library, "data sheet" (a base parameter beyond 3 prior standard
+            deviations), or "unknown" (a smooth force or drift without a name).
+        status: One of ``STATUSES``. "certain": in every set of causes within reach; "likely":
+            in sets of 80 % probability; "cannot be told from": of the causes in ``rivals``;
+            "refuted": by runs that it was not fitted to, or by the evidence although it would be
+            visible; "not needed": visible, but the data neither ask for it nor rule it out;
+            "not visible below": the data could not show it below ``smallest_visible``.
+        probability: Probability that it acts, over all sets that were weighed; None: not weighed.
+        size: Size by component, averaged over the sets that hold it; empty without one. A
+            "data sheet" cause has its value here, under its own name.
+        unit: SI unit of the size, "-" if none.
+        rivals: Names of the causes that it cannot be told from, or that act in its place.
+        smallest_visible: Smallest size that these runs could show, by component, in ``unit``.
+        gain: Share of the error that it removes from runs that it was not fitted to (those with
+            use: select, or fit runs left out one after the other); None: not computed.
+        helps: Whether the extended model holds it although it is not certain: it removes error, its
+            name is not known.
+        factor: How many times wider the interval is than noise alone would make it.
+        note: What else is to be said, in a sentence.
+    """
+
+    name: str
+    words: str
+    origin: str
+    status: str
+    probability: float | None
+    size: Mapping[str, Interval]
+    unit: str
+    rivals: tuple[str, ...] = ()
+    smallest_visible: Mapping[str, float] = field(default_factory=dict)
+    gain: Gain | None = None
+    helps: bool = False
+    factor: float = 1.0
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class BaseRow:
+    """A base parameter: what the data sheet says and what the recordings say.
+
+    Attributes:
+        name: Name of the parameter; "offset@run_3" is one of run_3 only.
+        words: The same in plain words.
+        unit: SI unit, "-" if none.
+        value: Fitted value, in ``unit``.
+        sd: Its standard deviation, in ``unit``.
+        low, high: 90 % interval, in ``unit``.
+        prior_value: Value of the data sheet, in ``unit``.
+        prior_sd: Its standard deviation, in ``unit``.
+        pull: Distance from the data sheet in prior standard deviations, with sign.
+        run: Run that it belongs to; None: all runs.
+        finding: Whether it is a cause of its own: beyond 3 prior standard deviations.
+    """
+
+    name: str
+    words: str
+    unit: str
+    value: float
+    sd: float
+    low: float
+    high: float
+    prior_value: float
+    prior_sd: float
+    pull: float
+    run: str | None = None
+    finding: bool = False
+
+
+@dataclass(frozen=True)
+class ErrorRow:
+    """Error on a run that was not fitted, root mean square over channels of one kind.
+
+    Attributes:
+        run: Name of the run.
+        kind: Kind of the channels, such as "position".
+        unit: Unit of the recordings' file.
+        before: Error of the plain model at its own fit.
+        after: Error of the extended model.
+        noise: What noise alone leaves.
+        num_samples: Number of samples that were compared.
+        num_fitted: Number of values that were fitted to this run for either model: what the study
+            declares unknown per run.
+        use: "test", or "select" where there is no test run.
+    """
+
+    run: str
+    kind: str
+    unit: str
+    before: float
+    after: float
+    noise: float
+    num_samples: int
+    num_fitted: int
+    use: str = "test"
+
+
+@dataclass(frozen=True)
+class OutsideRow:
+    """A quantity of a test run beside the range that was fitted.
+
+    Attributes:
+        run: Name of the test run.
+        what: What was compared, such as "amplitude of force_N", "rate of force_N", "payload_kg".
+        value: Value in the test run; a label as text.
+        low, high: Range over the fitted runs; None for labels.
+        times: How far outside: the value over the nearest end of the range, from its middle; at
+            most 1 is inside; infinite for a label that no fitted run has.
+        unit: Unit of value and range.
+    """
+
+    run: str
+    what: str
+    value: float | str
+    low: float | None
+    high: float | None
+    times: float
+    unit: str = ""

@@ -1,0 +1,168 @@
+"""Scans over decades: where fits of effects with kinks start.
+
+The slope at zero of a slack, a dead band or a rate limit says little about large sizes, and of two
+that hide each other neither helps alone. Their sizes are simulated from a tenth to thirty times the
+typical one, all else refitted linearly; the best is linearized and serves as a center of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.core.errors import DiffsimError
+from diffsim.diagnose.optimum import optimum
+from diffsim.identify import Problem
+from diffsim.identify.effect import Effect
+from diffsim.identify.linearization import (
+    Linearization,
+    linearization_at,
+    measured_of,
+    records_at,
+    whitened,
+)
+from diffsim.identify.numerics import NumericalEffect
+from diffsim.identify.sizes import PRIOR_WIDTH, coordinate_of
+
+Array = NDArray[np.float64]
+Members = frozenset[int]
+TIMES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # of the typical size
+COARSE_TIMES = (0.3, 1.0, 3.0, 10.0, 30.0)  # in pairs, and for effects of several components
+SCAN_NATS = 10.0  # misfit below which nothing large can hide
+BORROWED = 1.0  # relative error that slopes from elsewhere are taken to have
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """Sizes that were tried for a group of effects at a center.
+
+    Attributes:
+        at: Linearization at the best sizes, in wide coordinates with all slopes; None where none
+            is better than zero.
+        num_points: Number of sizes that were simulated.
+    """
+
+    at: Linearization | None
+    num_points: int
+
+
+def groups(effects: Sequence[Effect], members: Members, room: int) -> Iterator[Members]:
+    """Effects with kinks outside a set; then pairs of effects that mask each other.
+
+    Args:
+        effects: All candidates.
+        members: The set at the center.
+        room: Number of effects that may still be added.
+    """
+    if room < 1:
+        return
+    outside = [i for i in range(len(effects)) if i not in members]
+    for i in outside:
+        if not effects[i].smooth and not isinstance(effects[i], NumericalEffect):
+            yield frozenset({i})
+    yield from masking_pairs(effects, members, room)
+
+
+def masking_pairs(effects: Sequence[Effect], members: Members, room: int) -> Iterator[Members]:
+    """Pairs of effects outside a set that mask each other, if there is room for two."""
+    if room < 2:
+        return
+    for i, j in product(range(len(effects)), repeat=2):
+        if i < j and not {i, j} & members and _mask(effects[i], effects[j]):
+            yield frozenset({i, j})
+
+
+def num_points(effects: Sequence[Effect]) -> int:
+    """Number of sizes that a scan of a group tries."""
+    return len(_combined(effects))
+
+
+def scan(wide: Problem, own: Sequence[int], center: Linearization, group: Sequence[int]) -> Scan:
+    """Try sizes of a group of effects at a center.
+
+    Args:
+        wide: Problem with all candidate effects.
+        own: Wide coordinates of base parameters and of the set at the center.
+        center: Linearization there, with all slopes.
+        group: Indices of the effects whose sizes are tried, ascending.
+    """
+    effects = [wide.effects[i] for i in group]
+    columns = [c for e in effects for c in wide.columns_of(e)]
+    tried = _combined(effects)
+    coordinates = sorted({*own, *columns})
+    narrow = _narrow(wide, coordinates)
+    points = np.tile(center.x, (len(tried), 1))
+    points[:, columns] = tried
+    records = records_at(narrow, points[:, coordinates])
+    rest = [c for c in own if c not in columns]
+    costs = _costs(wide, center, rest, records, points[:, columns])
+    here = _costs(wide, center, rest, center.record[None], np.zeros((1, len(columns))))[0]
+    best = int(np.argmin(costs))
+    if not costs[best] < here - 2.0:  # within a nat of what no size of theirs does
+        return Scan(None, len(tried))
+    try:
+        place = {c: k for k, c in enumerate(coordinates)}
+        at = linearization_at(narrow, points[best][coordinates], [place[c] for c in columns])
+    except DiffsimError:  # it cannot be moved there: fits start elsewhere
+        return Scan(None, len(tried))
+    slopes = center.slopes(range(len(center.x))).copy()
+    slopes[:, columns] = at.columns
+    everything = tuple(range(len(center.x)))
+    found = Linearization(points[best], at.record, everything, slopes, BORROWED)
+    return Scan(found, len(tried))
+
+
+def _mask(a: Effect, b: Effect) -> bool:
+    return a.name in b.masks or b.name in a.masks
+
+
+def _combined(effects: Sequence[Effect]) -> Array:
+    """Standardized coordinates to try, (num_points, num_components)."""
+    is_coarse = len(effects) > 1
+    parts = [_tried(e, is_coarse or len(e.components) > 1) for e in effects]
+    return np.array([np.concatenate(p) for p in product(*parts)])
+
+
+def _tried(effect: Effect, is_coarse: bool) -> list[Array]:
+    """Coordinates of one effect: each component alone, of both signs where it may have them."""
+    times = np.array(COARSE_TIMES if is_coarse else TIMES)
+    signs = (1.0, -1.0) if effect.signed else (1.0,)
+    count = len(effect.components)
+    values = [coordinate_of(s * times / PRIOR_WIDTH) for s in signs]
+    return [v * unit for unit in np.eye(count) for part in values for v in part]
+
+
+def _narrow(wide: Problem, coordinates: Sequence[int]) -> Problem:
+    inside = set(coordinates)
+    return replace(
+        wide, effects=tuple(e for e in wide.effects if set(wide.columns_of(e)) <= inside)
+    )
+
+
+def _costs(
+    wide: Problem, center: Linearization, rest: Sequence[int], records: Array, sizes: Array
+) -> Array:
+    """chi2 and prior of records after a linear refit of the rest, (num_points,)."""
+    slopes = whitened(wide, center.slopes(rest))
+    u = wide.scaled(center.x)[list(rest)]
+    low, high = (bound[list(rest)] for bound in wide.bounds)
+    is_size = np.array(rest) >= wide.num_base
+    gram, measured = slopes.T @ slopes, measured_of(wide)
+    costs = np.full(len(records), np.inf)
+    for k, record in enumerate(records):
+        if not np.isfinite(record).all():
+            continue
+        residual = whitened(wide, measured - record)
+        v = optimum(gram, slopes.T @ residual + gram @ u, low, high, is_size, u)
+        left = residual - slopes @ (v - u)
+        x = np.where(is_size, coordinate_of(v), v)
+        costs[k] = left @ left + x @ x + sizes[k] @ sizes[k]
+    return costs
+
+
+Scans = Mapping[tuple[Members, Members], Scan]
+"""By members of the center and group."""

@@ -1,0 +1,138 @@
+"""Are runs of different uses different recordings? Judged by their samples, not by their names.
+
+Samples of a sensor with noise do not repeat: a stretch that is equal to the last digit in two runs
+was recorded once. Of two runs that were cut from one recording the second begins where the first
+ends, one step later on the same clock and within the noise.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.data.signal import noise_std
+from diffsim.data.study import Run, Study
+
+Array = NDArray[np.float64]
+Place = tuple[int, int]  # run and sample
+SHARED_BITS = 60.0  # of the changes along an equal stretch: no chance explains them
+COMMON = 50  # places of a row from which it says nothing, such as a sensor at rest
+BLOCK_OF = "block_of"  # fact of ``setup``: the recording that a run is a declared block of
+STEP_RTOL = 0.02  # of the clock's step between the end of one run and the beginning of the next
+JOINT = 6.0  # noise sd and usual changes from sample to sample
+
+
+def require_separate(study: Study) -> None:
+    """Refuse runs of different uses that share samples, unless declared as blocks of one run.
+
+    Raises:
+        ValueError: two runs share samples; the message names both.
+    """
+    for ours, theirs in _uses(study):
+        index = _rows_by_content(ours)
+        for b in theirs:
+            for a, count in _shared(index, ours, b):
+                if not _declared(a, b):
+                    raise ValueError(
+                        f"run {b.name} (use: {b.use}) and run {a.name} (use: {a.use}) share "
+                        f"{count} samples: they are one recording. Give both the same use, leave "
+                        f"one out, or declare them as blocks of one run with setup: "
+                        f"{{{BLOCK_OF}: NAME}}"
+                    )
+
+
+def shared_samples(a: Run, b: Run) -> int:
+    """Length of the longest stretch of ``b`` that ``a`` holds, too; 0 if chance may explain it.
+
+    Whole rows are compared, all channels to the last digit; missing channels equal each other.
+    """
+    return max((count for _, count in _shared(_rows_by_content([a]), [a], b)), default=0)
+
+
+def cut_in_two(study: Study) -> list[tuple[Run, Run]]:
+    """Pairs of runs of different uses of which the second goes on where the first ends."""
+    return [
+        (first, second)
+        for ours, theirs in _uses(study)
+        for pair in (*_on_one_clock(ours, theirs), *_on_one_clock(theirs, ours))
+        for first, second in [pair]
+        if not _declared(first, second) and _goes_on(first, second)
+    ]
+
+
+def _on_one_clock(first: Sequence[Run], second: Sequence[Run]) -> list[tuple[Run, Run]]:
+    """Pairs of which the second begins one step of the clock after the first ends."""
+    first = [run for run in first if len(run.time_s) > 2]
+    if not first or not second:
+        return []
+    step = np.array([np.median(np.diff(run.time_s)) for run in first])[:, None]
+    end = np.array([run.time_s[-1] for run in first])[:, None]
+    gap = np.array([run.time_s[0] for run in second]) - end
+    return [(first[i], second[k]) for i, k in np.argwhere(abs(gap - step) <= STEP_RTOL * step)]
+
+
+def _uses(study: Study) -> Iterator[tuple[Sequence[Run], Sequence[Run]]]:
+    """Runs of one use and of another."""
+    yield study.fit_runs, study.select_runs
+    yield study.fit_runs, study.test_runs
+    yield study.select_runs, study.test_runs
+
+
+def _declared(a: Run, b: Run) -> bool:
+    """Whether both runs are declared as blocks of one recording."""
+    return BLOCK_OF in a.setup and a.setup[BLOCK_OF] == b.setup.get(BLOCK_OF)
+
+
+def _rows_by_content(runs: Sequence[Run]) -> dict[bytes, list[Place]]:
+    """Places of every row by its content, those left out that many samples have."""
+    out: dict[bytes, list[Place]] = {}
+    for k, run in enumerate(runs):
+        for i, row in enumerate(run.measured):
+            if np.isfinite(row).any():
+                out.setdefault(_key(row), []).append((k, i))
+    return {key: places for key, places in out.items() if len(places) <= COMMON}
+
+
+def _shared(
+    index: dict[bytes, list[Place]], runs: Sequence[Run], b: Run
+) -> Iterator[tuple[Run, int]]:
+    """Runs with a stretch of ``b`` that was recorded once, and its length."""
+    longest: dict[int, Place] = {}  # by run: length of the stretch and its end in b
+    running: dict[Place, int] = {}
+    for end, row in enumerate(b.measured):
+        # for each place: how many rows up to it were equal, too
+        running = {(k, i): running.get((k, i - 1), 0) + 1 for k, i in index.get(_key(row), ())}
+        for (k, _), count in running.items():
+            longest[k] = max(longest.get(k, (0, 0)), (count, end + 1))
+    for k, (count, end) in longest.items():
+        if _bits(b.measured[end - count : end]) > SHARED_BITS:
+            yield runs[k], count
+
+
+def _bits(rows: Array) -> float:
+    """Information in the changes from row to row: none in a constant or a steady ramp."""
+    steps = np.diff(rows, axis=0)
+    largest = np.nanmax(np.abs(steps), axis=0, initial=0.0)
+    steps = np.round(steps / np.where(largest > 0.0, largest, 1.0), 6)  # rounding is no change
+    counts = np.array(list(Counter(_key(d) for d in steps).values()), dtype=np.float64)
+    return float(-(counts * np.log2(counts / counts.sum())).sum())
+
+
+def _key(row: Array) -> bytes:
+    return np.where(np.isfinite(row), row + 0.0, np.nan).tobytes()
+
+
+def _goes_on(first: Run, second: Run) -> bool:
+    """Whether a run begins at the place where another ends."""
+    if first.measured.shape[1] != second.measured.shape[1]:
+        return False
+    for values, start in zip(first.measured.T, second.measured[0], strict=True):
+        usual = np.abs(np.diff(values[np.isfinite(values)]))
+        if len(usual) < 2 or not (np.isfinite(values[-1]) and np.isfinite(start)):
+            continue
+        if abs(start - values[-1]) > JOINT * (noise_std(values) + float(np.median(usual))):
+            return False
+    return True

@@ -1,0 +1,211 @@
+"""A described multicopter put together: quantities by name, law of thrusts, windows, causes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import torch
+
+from diffsim.copter import Multicopter
+from diffsim.copter.design_file import load_design
+from diffsim.copter.rotor import RotorModel, rotor_model
+from diffsim.copter.vehicle import GRAVITY
+from diffsim.data.study import Study
+from diffsim.systems.description import BaseParameters, Quantity
+from diffsim.systems.multicopter.candidates import Vehicle
+from diffsim.systems.multicopter.cutting import Cutter
+from diffsim.systems.multicopter.described import DescribedFlights
+from diffsim.systems.multicopter.frames import Frames
+from diffsim.systems.multicopter.model import THRUST_COEFFICIENT
+from diffsim.systems.multicopter.sensing import sensing_of
+from diffsim.systems.multicopter.shooting import SPREAD
+from diffsim.systems.multicopter.thrust_law import ThrustLaw
+
+if TYPE_CHECKING:
+    from diffsim.systems.multicopter.description import MulticopterDescription
+
+_PAST = 0.5  # spread of the thrusts before the record, over what hovers
+_GAINS = {"thrust_gain": 5.0, "torque_gain": 20.0, "inertia_gain": 10.0}  # [%]
+
+
+def assembled(of: MulticopterDescription, study: Study) -> DescribedFlights:
+    """Recipe of the scenes of a study's runs.
+
+    Args:
+        of: Description of the multicopter.
+        study: Study whose channels and commands the description names.
+    """
+    design, rotor = _designed(of, study), _rotor(of)
+    frames = Frames(of.frames.world, of.frames.body)
+    parameters = BaseParameters(dict(_quantities(of, design, rotor)), study.runs)
+    law = ThrustLaw(commands=of.commands, thrust=of.thrust, rotor=rotor, battery=of.battery)
+    known = {k: torch.tensor(q.value).double() for k, q in parameters.quantities.items()}
+    mass, count = float(known["mass"]), len(of.commands.columns)
+    hover = mass * GRAVITY / count
+    asked = max(float(law.thrusts(run, known).max()) for run in study.runs)
+    sensing = sensing_of(of.sensors, study)
+    is_squared = law.is_speed and law.exponent == 2.0 and "thrust_coefficient" in known
+    lag_of = of.lag_of or ("thrust" if of.commands.meaning == "thrust" else "speed")
+    return DescribedFlights(
+        parameters=parameters,
+        law=law,
+        rotors=of.rotors,
+        design=design,
+        cutter=Cutter(
+            sensors=sensing.groups,
+            columns=sensing.columns,
+            frames=frames,
+            sd=sensing.sd,
+            window_s=of.windows.length,
+            rigid_spread=SPREAD,
+            past_spread=_PAST * hover,
+        ),
+        substeps=of.windows.substeps,
+        radius=_radius(of, rotor),
+        max_thrust=of.max_thrust,
+        full_thrust=of.max_thrust or max(asked, 2.0 * hover),
+        thrust_coefficient=float(known["thrust_coefficient"])
+        if is_squared and of.commands.meaning == "speed"
+        else THRUST_COEFFICIENT,
+        lags_speed=lag_of == "speed",
+    )
+
+
+def vehicle_of(of: MulticopterDescription, flights: DescribedFlights) -> Vehicle:
+    """What decides which causes there are.
+
+    Args:
+        of: Description of the multicopter.
+        flights: The same, assembled.
+    """
+    q = flights.parameters.quantities
+    fleet = flights.nominal_fleet()
+    return Vehicle(
+        num_rotors=fleet.num_rotors,
+        mass=float(fleet.mass),
+        arm=float(fleet.positions[..., :2].norm(dim=-1).max()),
+        frames=flights.cutter.frames,
+        sensors=flights.cutter.sensors,
+        has_radius=bool((fleet.radii > 0.0).all()),
+        has_lag="motor_lag" in q and q["motor_lag"].is_fitted,
+        has_clock="clock" in q,
+        has_center=any(q[f"center_of_mass_{axis}"].is_fitted for axis in "xy"),
+        battery=of.battery,
+    )
+
+
+def _quantities(
+    of: MulticopterDescription, design: Multicopter | None, rotor: RotorModel | None
+) -> Iterator[tuple[str, Quantity]]:
+    """Everything that may be fitted, by name of the base parameter."""
+    if of.mass is not None:
+        yield "mass", of.mass
+    elif design is not None:
+        yield "mass", Quantity(value=float(design.mass), unit="kg")
+    for axis in "xyz":
+        yield f"center_of_mass_{axis}", getattr(of.center_of_mass, axis)
+    for i in range(len(of.commands.columns)):
+        one = Quantity(value=1.0)
+        yield f"rotor_{i + 1}_share", of.rotors[i].share if of.rotors else one
+    for i, place in enumerate(of.rotors):
+        for axis in "xyz":
+            yield f"rotor_{i + 1}_{axis}", getattr(place.at, axis)
+    if of.inertia is not None:
+        for entry in ("xx", "yy", "zz", "xy", "xz", "yz"):
+            yield f"inertia_{entry}", getattr(of.inertia, entry)
+    if of.thrust is not None and of.thrust.coefficient is not None:
+        yield "thrust_coefficient", of.thrust.coefficient
+    if (ratio := _torque_ratio(of, rotor)) is not None:
+        yield "torque_ratio", ratio
+    yield from _gains(of)
+    if of.motor_lag is not None:
+        yield "motor_lag", of.motor_lag
+    yield from _nuisances(of)
+
+
+def _gains(of: MulticopterDescription) -> Iterator[tuple[str, Quantity]]:
+    """Factors; each is held by default where what it multiplies is fitted itself."""
+    inertia = of.inertia
+    fitted = {
+        "thrust_gain": of.thrust is not None
+        and of.thrust.coefficient is not None
+        and of.thrust.coefficient.is_fitted,
+        "torque_gain": of.torque_ratio is not None and of.torque_ratio.is_fitted,
+        "inertia_gain": inertia is not None
+        and any(getattr(inertia, e).is_fitted for e in type(inertia).model_fields),
+    }
+    for name, percent in _GAINS.items():
+        given: Quantity | None = getattr(of, name)
+        default = Quantity(value=1.0, percent=None if fitted[name] else percent)
+        yield name, default if given is None else given
+
+
+def _nuisances(of: MulticopterDescription) -> Iterator[tuple[str, Quantity]]:
+    keys = of.nuisances
+    gain = 100.0 * keys.run_thrust_gain
+    yield (
+        "run_thrust_gain",
+        Quantity(value=1.0, percent=gain, per="run") if gain > 0.0 else Quantity(value=1.0),
+    )
+    sensors = of.sensors
+    force = (sensors.specific_force, sensors.specific_force_in_world, sensors.acceleration)
+    offsets = {
+        "attitude_offset": (keys.attitude_offset, "rad", _sees_attitude(of)),
+        "body_rates_offset": (keys.body_rates_offset, "rad/s", sensors.body_rates is not None),
+        "specific_force_offset": (
+            keys.specific_force_offset,
+            "m/s^2",
+            any(f is not None for f in force),
+        ),
+    }
+    for name, (sd, unit, is_there) in offsets.items():
+        for axis in "xyz":
+            if is_there and sd > 0.0:
+                yield f"{name}_{axis}", Quantity(value=0.0, sd=sd, unit=unit)
+    if keys.clock > 0.0:
+        yield "clock", Quantity(value=0.0, sd=keys.clock, unit="s", per="run")
+
+
+def _sees_attitude(of: MulticopterDescription) -> bool:
+    return of.sensors.quaternion is not None or of.sensors.roll_pitch_yaw is not None
+
+
+def _torque_ratio(of: MulticopterDescription, rotor: RotorModel | None) -> Quantity | None:
+    if of.torque_ratio is not None:
+        given: Quantity = of.torque_ratio
+        return given
+    if of.torque_coefficient is not None:
+        assert of.thrust is not None and of.thrust.coefficient is not None
+        ratio = of.torque_coefficient / of.thrust.coefficient.value
+        return Quantity(value=ratio, unit="m")
+    if rotor is not None and of.design is None:
+        if rotor.torque_ratio is None:
+            raise ValueError(f"the torque of {rotor.name} was not measured; give torque_ratio")
+        return Quantity(value=float(rotor.torque_ratio), unit="m")
+    return None
+
+
+def _radius(of: MulticopterDescription, rotor: RotorModel | None) -> float:
+    if of.radius is not None:
+        return float(of.radius)
+    return 0.0 if rotor is None else float(rotor.radius)
+
+
+def _rotor(of: MulticopterDescription) -> RotorModel | None:
+    return None if of.rotor_model is None else rotor_model(of.rotor_model)
+
+
+def _designed(of: MulticopterDescription, study: Study) -> Multicopter | None:
+    """The vehicle of the design file, beside study.yaml or shipped."""
+    if of.design is None:
+        return None
+    path = None if study.folder is None else study.folder / of.design
+    design = load_design(path if path is not None and path.is_file() else of.design)
+    vehicle = design.multicopter().detach()
+    if vehicle.num_rotors != len(of.commands.columns):
+        raise ValueError(
+            f"model.commands.columns: design {of.design} has {vehicle.num_rotors} rotors, got "
+            f"{len(of.commands.columns)} columns"
+        )
+    return vehicle

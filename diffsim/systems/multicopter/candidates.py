@@ -1,0 +1,132 @@
+"""Candidate causes of a described multicopter: those that its recording can show, in its frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+from torch import Tensor
+
+from diffsim.data.study import Run
+from diffsim.identify.effect import Effect
+from diffsim.systems.actuator import HELD_DELAY, HELD_LAG
+from diffsim.systems.multicopter import effects as causes
+from diffsim.systems.multicopter import sensors as seen
+from diffsim.systems.multicopter.frames import Frames
+from diffsim.systems.multicopter.scene import CopterScene, vector
+
+_MASS, _ARM = 1.0, 0.25  # of the vehicle that typical sizes are written for [kg], [m]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Vehicle:
+    """What decides which causes there are, and how large they may be.
+
+    Attributes:
+        num_rotors: Number of rotors.
+        mass: [kg].
+        arm: Largest distance of a rotor from the center of mass [m].
+        frames: Frames of the recording.
+        sensors: Groups of readings.
+        has_radius: Whether the size of the propellers is known.
+        has_lag: Whether a lag of the motors is fitted already.
+        has_clock: Whether the clock of the commands is fitted already.
+        has_center: Whether the center of mass is fitted already.
+        battery: Name of the command that is the battery's voltage; None: none.
+    """
+
+    num_rotors: int
+    mass: float
+    arm: float
+    frames: Frames
+    sensors: tuple[str, ...]
+    has_radius: bool
+    has_lag: bool
+    has_clock: bool
+    has_center: bool
+    battery: str | None
+
+
+def candidate_causes(of: Vehicle) -> tuple[Effect, ...]:
+    """All candidates, their usual sizes by the mass and size of the vehicle."""
+    mass, arm = of.mass / _MASS, of.arm / _ARM
+    in_world = partial(_turned, turn=of.frames.in_world)
+    in_body = partial(_turned, turn=of.frames.in_body)
+    out = [
+        causes.ROTOR_DRAG,
+        _scaled(causes.BODY_DRAG, mass),
+        _scaled(causes.PARASITIC_DRAG, mass),
+        _scaled(in_world(_named(causes.WIND, of.frames)), mass),
+        in_body(causes.BODY_TILT),
+        causes.INFLOW,
+        causes.WAKE,
+        causes.THRUST_CURVATURE,
+        *_of_vehicle(of, mass, arm, in_body),
+        *_of_sensors(of, arm, in_body),
+        *(causes.weak_rotor(i) for i in range(of.num_rotors)),
+    ]
+    if not of.has_lag:
+        out.append(HELD_LAG)
+    if not of.has_clock:
+        out.append(HELD_DELAY)
+    return tuple(out)
+
+
+def _of_vehicle(
+    of: Vehicle, mass: float, arm: float, in_body: Callable[[Effect], Effect]
+) -> Iterator[Effect]:
+    if not of.has_center:
+        yield _scaled(in_body(causes.CENTER_OF_MASS), arm)
+    if of.num_rotors >= 4:
+        yield replace(_scaled(causes.GYROSCOPIC, mass * arm**2), needs=_nothing)
+    if of.battery is not None:
+        yield causes.voltage_exponent(of.battery)
+    if of.has_radius and "position" in of.sensors:
+        yield causes.GROUND_EFFECT
+
+
+def _of_sensors(of: Vehicle, arm: float, in_body: Callable[[Effect], Effect]) -> Iterator[Effect]:
+    force = {"accelerometer", "specific_force_in_world", "acceleration"} & set(of.sensors)
+    if "position" in of.sensors:
+        yield _scaled(in_body(seen.MARKER_PLACEMENT), arm)
+        yield seen.POSITION_SCALE
+    if "body_rates" in of.sensors:
+        yield seen.GYRO_OFFSET
+    if "body_rates" in of.sensors or force:
+        yield in_body(seen.IMU_TILT)
+    if force:
+        yield seen.ACCELEROMETER_SCALE
+
+
+def _nothing(study: object) -> str | None:
+    return None
+
+
+def _scaled(effect: Effect, factor: float) -> Effect:
+    return replace(effect, typical=effect.typical * factor)
+
+
+def _named(effect: Effect, frames: Frames) -> Effect:
+    """Components by what a reader of the recording calls them."""
+    if frames.world == "NED":
+        return effect
+    return replace(
+        effect, components=("x", "y"), form="Constant force in the world, along x and y."
+    )
+
+
+def _turned(effect: Effect, turn: Callable[[Tensor], Tensor]) -> Effect:
+    """The effect with components along the axes of the recording."""
+    return replace(effect, apply=partial(_apply_turned, inner=effect.apply, turn=turn))
+
+
+def _apply_turned(
+    scene: CopterScene,
+    size: Tensor,
+    run: Run,
+    *,
+    inner: Callable[[CopterScene, Tensor, Run], CopterScene],
+    turn: Callable[[Tensor], Tensor],
+) -> CopterScene:
+    return inner(scene, turn(vector(size)), run)

@@ -1,0 +1,114 @@
+"""Records of flights cut into windows, whose length may follow from the model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim.core.errors import DiffsimError
+from diffsim.data.study import Run
+from diffsim.systems.multicopter.flight import SENSORS
+from diffsim.systems.multicopter.frames import Frames
+from diffsim.systems.multicopter.scene import CopterScene
+from diffsim.systems.multicopter.shooting import PAST_SPREAD, SPREAD, Windows, filled
+from diffsim.systems.multicopter.starts import states_of
+
+LONGEST_S = 1.0  # of a window whose length is left to the model
+_FEWEST = 5  # samples of a window
+_EASY_STEPS = 6  # in which initial states settle where windows are not too long
+_UNEVEN = 1e-3  # of the mean step
+
+
+def spacing(run: Run) -> float:
+    """Time between two samples [s].
+
+    Raises:
+        ValueError: the samples are not evenly spaced.
+    """
+    steps = np.diff(run.time_s)
+    dt = float(steps.mean())
+    if np.abs(steps - dt).max() > _UNEVEN * dt:
+        raise ValueError(
+            f"run {run.name}: flights need evenly spaced samples, got steps of {steps.min():.4g} "
+            f"to {steps.max():.4g} s; resample the record"
+        )
+    return dt
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cutter:
+    """How the records of a study are cut.
+
+    Attributes:
+        sensors: Groups of readings, keys of ``SENSORS``.
+        columns: Which reading each channel is, counted over the groups; None: all, in order.
+        frames: Frames that the record is written in.
+        sd: Noise of the channels, (num_channels,).
+        window_s: Length of a window [s]; None: as long as the model allows, up to one second.
+        rigid_spread, past_spread: Of the initial states, as :class:`Windows` has them.
+    """
+
+    sensors: tuple[str, ...]
+    sd: Tensor
+    window_s: float | None
+    columns: tuple[int, ...] | None = None
+    frames: Frames = field(default_factory=Frames)
+    rigid_spread: tuple[float, float, float, float] = SPREAD
+    past_spread: float = PAST_SPREAD
+
+    def cut(self, run: Run, past: Tensor, scene: Callable[[Windows], CopterScene]) -> Windows:
+        """Windows of a run.
+
+        Args:
+            run: Recorded run.
+            past: Guess of the thrusts before the record, (1, n_rotors) [N].
+            scene: Function of windows: the run in them, as the model with its prior flies it.
+        """
+        dt = spacing(run)
+        length = min(max(_FEWEST, round((self.window_s or LONGEST_S) / dt)), len(run.time_s))
+        windows = self._windows(run, past, length)
+        while self.window_s is None and length > _FEWEST:
+            try:
+                scene(windows).settled(_EASY_STEPS)
+            except DiffsimError:  # the model leaves the record within a window
+                length = max(_FEWEST, length // 2)
+                windows = self._windows(run, past, length)
+            else:
+                windows.latest.clear()
+                break
+        return windows
+
+    def _windows(self, run: Run, past: Tensor, length: int) -> Windows:
+        """Start one sample early, for the accelerometer shows the mean over the step before."""
+        measured = torch.as_tensor(np.asarray(run.measured), dtype=torch.float64)
+        if measured.shape[1] != len(self.sd):
+            raise ValueError(
+                f"run {run.name} has {measured.shape[1]} channels, the sensors "
+                f"{list(self.sensors)} need {len(self.sd)}"
+            )
+        windows = -(-len(measured) // length)
+        record = torch.full((windows * length, len(self.sd)), np.nan, dtype=torch.float64)
+        record[: len(measured)] = measured
+        states = states_of(self._groups(filled(measured)), self.frames, spacing(run))
+        before = (torch.arange(windows) * length - 1).clamp(min=0)
+        return Windows(
+            guess=torch.cat([states[before], past.expand(windows, -1)], 1),
+            measured=record.reshape(windows, length, -1),
+            sd=self.sd,
+            latest=[],
+            rigid_spread=self.rigid_spread,
+            past_spread=self.past_spread,
+        )
+
+    def _groups(self, whole: Tensor) -> dict[str, Tensor]:
+        """Readings by group; NaN in columns that were not recorded."""
+        widths = [len(SENSORS[g]) for g in self.sensors]
+        if self.columns is not None:
+            readings = whole.new_full((len(whole), sum(widths)), torch.nan)
+            readings[:, list(self.columns)] = whole
+            whole = readings
+        return dict(zip(self.sensors, whole.split(widths, 1), strict=True))

@@ -1,0 +1,138 @@
+"""The scene of a run of a described multicopter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from diffsim.copter import Multicopter
+from diffsim.copter.fleet import Fleet
+from diffsim.data.study import Run
+from diffsim.identify.model import Numerics
+from diffsim.systems.description import BaseParameters
+from diffsim.systems.multicopter.cutting import Cutter, spacing
+from diffsim.systems.multicopter.keys import RotorKeys
+from diffsim.systems.multicopter.lag import speed_lagged
+from diffsim.systems.multicopter.scene import CopterScene
+from diffsim.systems.multicopter.shooting import Windows
+from diffsim.systems.multicopter.thrust_law import ThrustLaw, described_fleet, designed_fleet
+from diffsim.systems.signals import held_delayed, held_lagged
+
+PAYLOAD, TERRAIN = "payload_kg", "terrain_height_m"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DescribedFlights:
+    """Makes the scene of a run at values of the base parameters, () or (points,) each.
+
+    Attributes:
+        parameters: Quantities of the description by name.
+        law: From commands to thrusts.
+        rotors: Places, senses and axes; empty with a design.
+        design: Vehicle as designed; None: its quantities are given.
+        cutter: Groups of readings, and how records are cut into windows.
+        substeps: Integration steps per sample.
+        radius: Of the propellers [m]; 0: unknown.
+        max_thrust: Of a rotor, beyond which no command goes; None: unlimited [N].
+        full_thrust: To which the curvature of the thrust refers [N].
+        thrust_coefficient: Thrust over the square of a rotor's speed [N s^2].
+        lags_speed: Whether it is the speed, not the thrust, that lags.
+        known: Windows of each run that was cut already.
+    """
+
+    parameters: BaseParameters
+    law: ThrustLaw
+    rotors: tuple[RotorKeys, ...]
+    design: Multicopter | None
+    cutter: Cutter
+    substeps: int
+    radius: float
+    max_thrust: float | None
+    full_thrust: float
+    thrust_coefficient: float
+    lags_speed: bool
+    known: dict[Run, Windows] = field(default_factory=dict)
+
+    def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> CopterScene:
+        if run not in self.known:
+            nominal = self.nominal()
+            past = self._thrusts(run, self.parameters.in_run(nominal, run)).mean(1)
+            self.known[run] = self.cutter.cut(
+                run, past, partial(self._scene, nominal, run, Numerics())
+            )
+        return self._scene(values, run, numerics, self.known[run])
+
+    def nominal(self) -> dict[str, Tensor]:
+        """Best guesses of the base parameters beforehand."""
+        return {p.name: torch.tensor(p.value, dtype=torch.float64) for p in self.parameters.base}
+
+    def _thrusts(self, run: Run, v: Mapping[str, Tensor]) -> Tensor:
+        """Thrusts that are asked for, (points, num_samples, n_rotors) [N]."""
+        count = len(self.law.commands.columns)
+        shares = [v[f"rotor_{i + 1}_share"].reshape(-1) for i in range(count)]
+        gain = (v["thrust_gain"] * v["run_thrust_gain"]).reshape(-1)
+        gains = gain[:, None] * torch.stack(torch.broadcast_tensors(*shares), -1)
+        thrusts = self.law.thrusts(run, v)
+        if self.max_thrust is not None:
+            thrusts = thrusts.clamp(max=self.max_thrust)
+        return thrusts * gains[:, None]
+
+    def nominal_fleet(self) -> Fleet:
+        """The vehicle as best known beforehand, (1, ...)."""
+        known = {k: q.value for k, q in self.parameters.quantities.items()}
+        return self._fleet({k: torch.tensor(v, dtype=torch.float64) for k, v in known.items()})
+
+    def _fleet(self, v: Mapping[str, Tensor]) -> Fleet:
+        if self.design is None:
+            return described_fleet(v, self.rotors, self.cutter.frames, self.radius)
+        return designed_fleet(v, self.design, self.cutter.frames)
+
+    def _scene(
+        self, values: Mapping[str, Tensor], run: Run, numerics: Numerics, windows: Windows
+    ) -> CopterScene:
+        v = self.parameters.in_run(values, run)
+        fleet = self._fleet(v)
+        fleet = fleet.replace(
+            mass=fleet.mass + float(run.setup.get(PAYLOAD, 0.0)),
+            inertia=fleet.inertia * v["inertia_gain"].reshape(-1, 1, 1),
+            torque_ratios=fleet.torque_ratios * v["torque_gain"].reshape(-1, 1),
+            max_thrusts=torch.full_like(fleet.max_thrusts, self.full_thrust),
+        )
+        scene = CopterScene(
+            vehicle=fleet,
+            commands=self._thrusts(run, v),
+            dt=spacing(run),
+            sensors=self.cutter.sensors,
+            windows=windows,
+            columns=self.cutter.columns,
+            frames=self.cutter.frames,
+            substeps=max(1, round(self.substeps / numerics.time_step)),
+            terrain_height=float(run.setup.get(TERRAIN, 0.0)),
+            thrust_coefficient=self.thrust_coefficient,
+            attitude_offset=_vector(v, "attitude_offset"),
+            body_rates_offset=_vector(v, "body_rates_offset"),
+            accelerometer_offset=_vector(v, "specific_force_offset"),
+        )
+        return self._on_the_way(scene, v)
+
+    def _on_the_way(self, scene: CopterScene, v: Mapping[str, Tensor]) -> CopterScene:
+        """Clock and lag of the commands."""
+        if "clock" in v:
+            late = v["clock"].reshape(-1)
+            scene = scene.with_command(lambda u, dt: held_delayed(u, dt, late))
+        if "motor_lag" in v:
+            tau = v["motor_lag"].reshape(-1)
+            lagged = speed_lagged if self.lags_speed else held_lagged
+            scene = scene.with_command(lambda u, dt: lagged(u, dt, tau))
+        return scene
+
+
+def _vector(v: Mapping[str, Tensor], name: str) -> Tensor:
+    """(points, 3) of the quantities name_x, name_y, name_z; 0 where there are none."""
+    zero = torch.zeros(1, dtype=torch.float64)
+    parts = [v.get(f"{name}_{axis}", zero).reshape(-1) for axis in "xyz"]
+    return torch.stack(torch.broadcast_tensors(*parts), -1)

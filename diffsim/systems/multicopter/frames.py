@@ -1,0 +1,76 @@
+"""Frames of recordings against those of the model, north-east-down and forward-right-down."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from diffsim.core.rotation import (
+    matrix_from_quaternion,
+    quaternion_conjugate,
+    quaternion_product,
+)
+
+_HALF = 0.5**0.5
+# Each is a half turn of the model's frame (or none), so that it is its own inverse.
+_TURNS = {
+    "NED": (1.0, 0.0, 0.0, 0.0),
+    "ENU": (0.0, _HALF, _HALF, 0.0),
+    "NWU": (0.0, 1.0, 0.0, 0.0),
+    "FRD": (1.0, 0.0, 0.0, 0.0),
+    "FLU": (0.0, 1.0, 0.0, 0.0),
+}
+WORLDS = ("NED", "ENU", "NWU")
+BODIES = ("FRD", "FLU")
+
+
+@dataclass(frozen=True)
+class Frames:
+    """World and body frame that a recording is written in.
+
+    Attributes:
+        world: One of ``WORLDS``: x, y and z point north, east, down; east, north, up; or north,
+            west, up. Without a compass "north" is where x (ENU: y) happens to point.
+        body: One of ``BODIES``: forward, right, down; or forward, left, up.
+    """
+
+    world: str = "NED"
+    body: str = "FRD"
+
+    def in_world(self, vectors: Tensor) -> Tensor:
+        """World vectors (..., 3) of the model as the recording writes them, and back."""
+        return vectors if self.world == "NED" else vectors @ _matrix(self.world)
+
+    def in_body(self, vectors: Tensor) -> Tensor:
+        """Body vectors (..., 3) of the model as the recording writes them, and back."""
+        return vectors if self.body == "FRD" else vectors @ _matrix(self.body)
+
+    def rotation(self, rotation: Tensor) -> Tensor:
+        """World from body (..., 3, 3) of the model as the recording writes it, and back."""
+        if self.world != "NED":
+            rotation = _matrix(self.world) @ rotation
+        return rotation if self.body == "FRD" else rotation @ _matrix(self.body)
+
+    def quaternion(self, quaternion: Tensor) -> Tensor:
+        """World from body (w, x, y, z), (..., 4), of the model as the recording writes it."""
+        if self.world != "NED":
+            quaternion = quaternion_product(_turn(self.world), quaternion)
+        if self.body != "FRD":
+            quaternion = quaternion_product(quaternion, quaternion_conjugate(_turn(self.body)))
+        return quaternion
+
+    def inertia(self, inertia: Tensor) -> Tensor:
+        """Inertia (..., 3, 3) about body axes of the recording in those of the model."""
+        turn = _matrix(self.body)
+        return turn @ inertia @ turn.mT
+
+
+def _turn(name: str) -> Tensor:
+    return torch.tensor(_TURNS[name], dtype=torch.float64)
+
+
+def _matrix(name: str) -> Tensor:
+    """The half turn (3, 3): symmetric, and its own inverse."""
+    return matrix_from_quaternion(_turn(name)).round()

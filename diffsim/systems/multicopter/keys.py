@@ -1,0 +1,267 @@
+"""Keys of ``model: {system: multicopter}``, below the topmost ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+from pydantic import Field, model_validator
+
+from diffsim.core.schema import Part, number
+from diffsim.systems.description import Quantity, quantity
+
+if TYPE_CHECKING:
+    Mass: TypeAlias = Quantity
+    Inertia: TypeAlias = Quantity
+    Length: TypeAlias = Quantity
+    Time: TypeAlias = Quantity
+    Plain: TypeAlias = Quantity
+    Seconds: TypeAlias = float
+    Newtons: TypeAlias = float
+    Volts: TypeAlias = float
+    Meters: TypeAlias = float
+    Ratio: TypeAlias = float
+    Angle: TypeAlias = float
+    Rate: TypeAlias = float
+    Acceleration: TypeAlias = float
+else:  # quantities may be fitted, numbers are known
+    Mass = quantity("kg")
+    Inertia = quantity("kg m^2")
+    Length = quantity("m")
+    Time = quantity("s")
+    Plain = quantity("-")
+    Seconds = number("s")
+    Newtons = number("N")
+    Volts = number("V")
+    Meters = number("m")
+    Ratio = number("-")
+    Angle = number("rad")
+    Rate = number("rad/s")
+    Acceleration = number("m/s^2")
+
+_NONE = Quantity(value=0.0)
+
+
+class FrameKeys(Part):
+    """Frames that the recordings, and all places below, are written in."""
+
+    world: Literal["NED", "ENU", "NWU"] = Field(
+        description="What x, y, z of the world are: NED (z down), ENU or NWU (z up). In a room "
+        "without a compass take NWU if x points ahead and y to the left"
+    )
+    body: Literal["FRD", "FLU"] = Field(
+        description="What x, y, z of the body are: FRD (forward, right, down) or FLU (forward, "
+        "left, up)"
+    )
+
+
+class InertiaKeys(Part):
+    """Inertia about the center of mass, along the body's axes."""
+
+    xx: Inertia = Field(description="About x [kg m^2]")
+    yy: Inertia = Field(description="About y [kg m^2]")
+    zz: Inertia = Field(description="About z [kg m^2]")
+    xy: Inertia = Field(_NONE, description="Entry of row x and column y [kg m^2]")
+    xz: Inertia = Field(_NONE, description="Entry of row x and column z [kg m^2]")
+    yz: Inertia = Field(_NONE, description="Entry of row y and column z [kg m^2]")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_list(cls, given: Any) -> Any:
+        return _named("inertia", given, ("xx", "yy", "zz", "xy", "xz", "yz"), (3, 6))
+
+
+class PlaceKeys(Part):
+    """A point in the body frame."""
+
+    x: Length = Field(_NONE, description="Along the body's x [m]")
+    y: Length = Field(_NONE, description="Along the body's y [m]")
+    z: Length = Field(_NONE, description="Along the body's z [m]")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_list(cls, given: Any) -> Any:
+        return _named("a place", given, ("x", "y", "z"), (3,))
+
+
+class RotorKeys(Part):
+    """One rotor, in the order of the commands."""
+
+    at: PlaceKeys = Field(
+        description="Center of the propeller, in the frame that `center_of_mass` is given in [m]"
+    )
+    spin: Literal["cw", "ccw"] = Field(
+        description="Sense of rotation seen against its thrust (from above, if upright)"
+    )
+    axis: tuple[float, float, float] | None = Field(
+        None, description="Direction of the thrust in the body frame; default: up"
+    )
+    share: Plain = Field(
+        Quantity(value=1.0), description="Its thrust over that of the others, such as 1 [-]"
+    )
+
+
+class ThrustKeys(Part):
+    """Thrust of a rotor by its command: coefficient * u^exponent + offset, or a curve.
+
+    u is the command: a thrust [N], a speed [rad/s], or a throttle from 0 to 1.
+    """
+
+    coefficient: Quantity | None = Field(
+        None, description="Thrust over u^exponent: N s^2 for speeds and exponent 2, N for throttles"
+    )
+    exponent: float | None = Field(
+        None, gt=0, description="Power of u; default 2 for speeds and throttles, 1 for thrusts"
+    )
+    offset: Newtons = Field(0.0, description="Added to it [N]")
+    curve: tuple[tuple[float, float], ...] = Field(
+        (), description="In place of a coefficient: rows (u, thrust in N), u rising; straight lines"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _coefficient(cls, given: Any) -> Any:
+        if isinstance(given, Mapping) and isinstance(given.get("coefficient"), (int, float, str)):
+            return {**given, "coefficient": {"value": float(given["coefficient"])}}
+        return given
+
+    @model_validator(mode="after")
+    def _one_law(self) -> ThrustKeys:
+        if (self.coefficient is None) == (not self.curve):
+            raise ValueError("give either coefficient or curve")
+        if self.curve and any(b[0] <= a[0] for a, b in pairwise(self.curve)):
+            raise ValueError("the first column of curve must rise from row to row")
+        return self
+
+
+class CommandKeys(Part):
+    """Recorded commands of the rotors."""
+
+    columns: tuple[str, ...] = Field(
+        description="Names of the study's commands, one per rotor, in the order of `rotors`"
+    )
+    meaning: Literal["thrust", "speed", "throttle", "pulse"] = Field(
+        alias="as",
+        description="What they are: thrust [N]; speed [rad/s] (state `unit: rpm` with the command "
+        "where the file has rpm); throttle, from `low` to `high`; or pulse [us], which needs "
+        "`rotor_model`",
+    )
+    low: float = Field(0.0, description="Throttle at which nothing turns, such as 1000 us")
+    high: float = Field(1.0, description="Full throttle, such as 2000 us or 65535")
+    per_voltage: Volts | None = Field(
+        None,
+        description="Battery voltage at which the throttle means what `thrust` says; the throttle "
+        "is scaled by `battery` over this. Leave out where the firmware does so itself",
+    )
+
+    @model_validator(mode="after")
+    def _range(self) -> CommandKeys:
+        if self.high <= self.low:
+            raise ValueError(f"high must be above low, got {self.high:g} and {self.low:g}")
+        if len(set(self.columns)) < len(self.columns):
+            raise ValueError(f"a column is named twice: {', '.join(self.columns)}")
+        return self
+
+
+Columns = tuple[str | None, str | None, str | None]
+
+
+class QuaternionKeys(Part):
+    """Attitude as a quaternion that takes body vectors to the world."""
+
+    columns: tuple[str, str, str, str] = Field(description="Channels, in the stated order")
+    order: Literal["wxyz", "xyzw"] = Field(
+        description="Order of the channels: scalar part first (wxyz) or last (xyzw)"
+    )
+
+
+class SensorKeys(Part):
+    """Channels by what they measure: three names each, null where there is none."""
+
+    position: Columns | None = Field(None, description="x, y, z in the world [m]")
+    velocity: Columns | None = Field(None, description="x, y, z in the world [m/s]")
+    quaternion: QuaternionKeys | None = Field(None, description="Attitude as a quaternion")
+    roll_pitch_yaw: Columns | None = Field(
+        None, description="Angles of R = Rz(yaw) Ry(pitch) Rx(roll), body to world [rad]"
+    )
+    body_rates: Columns | None = Field(None, description="Gyro, x, y, z of the body [rad/s]")
+    specific_force: Columns | None = Field(
+        None, description="Accelerometer, x, y, z of the body; 9.81 upwards at rest [m/s^2]"
+    )
+    specific_force_in_world: Columns | None = Field(
+        None, description="The same turned to the world: (0, 0, 9.81) at rest if z is up [m/s^2]"
+    )
+    acceleration: Columns | None = Field(
+        None, description="Acceleration in the world, gravity taken off: zero at rest [m/s^2]"
+    )
+
+    @model_validator(mode="after")
+    def _enough(self) -> SensorKeys:
+        if self.position is None and self.velocity is None:
+            raise ValueError("name the channels of position or velocity; a flight needs one")
+        names = self.names
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"channel {name} is named twice")
+        return self
+
+    @property
+    def names(self) -> list[str]:
+        """All channels that are named."""
+        columns: list[Sequence[str | None]] = [
+            c
+            for c in (
+                self.position,
+                self.velocity,
+                self.roll_pitch_yaw,
+                self.body_rates,
+                self.specific_force,
+                self.specific_force_in_world,
+                self.acceleration,
+                None if self.quaternion is None else self.quaternion.columns,
+            )
+            if c is not None
+        ]
+        return [name for group in columns for name in group if name is not None]
+
+
+class WindowKeys(Part):
+    """A flight is cut into windows, and the state at the start of each is fitted away."""
+
+    length: Seconds | None = Field(
+        None, gt=0, description="Length [s]; default: 1 s, shorter where the model needs it"
+    )
+    substeps: int = Field(2, ge=1, description="Integration steps per sample")
+
+
+class NuisanceKeys(Part):
+    """What no flight is without, as standard deviations; 0 leaves one out."""
+
+    run_thrust_gain: Ratio = Field(
+        0.005, ge=0, description="Factor on all thrusts, of its own in every run: battery, air"
+    )
+    attitude_offset: Angle = Field(
+        3e-3, ge=0, description="Constant error of the measured attitude, per axis [rad]"
+    )
+    body_rates_offset: Rate = Field(
+        0.0, ge=0, description="Zero of the gyro, per axis [rad/s]; 0: a candidate cause instead"
+    )
+    specific_force_offset: Acceleration = Field(
+        0.03, ge=0, description="Zero of the accelerometer, per axis [m/s^2]"
+    )
+    clock: Seconds = Field(
+        0.0, ge=0, description="Clock of the commands against that of the sensors, per run [s]"
+    )
+
+
+def _named(what: str, given: Any, names: Sequence[str], counts: Sequence[int]) -> Any:
+    """A list of numbers as a mapping."""
+    if not isinstance(given, (list, tuple)):
+        return given
+    if len(given) not in counts:
+        raise ValueError(
+            f"{what} needs {' or '.join(map(str, counts))} numbers ({', '.join(names)}), "
+            f"got {len(given)}"
+        )
+    return dict(zip(names, given, strict=False))

@@ -1,0 +1,176 @@
+"""What the sensors of a multicopter show, in the frames and columns of the recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from diffsim.copter.fleet import Fleet
+from diffsim.copter.vehicle import GRAVITY
+from diffsim.core.rotation import (
+    matrix_from_quaternion,
+    quaternion_from_rotation_vector,
+    quaternion_product,
+    rpy_from_matrix,
+)
+from diffsim.systems.multicopter.flight import SENSORS, CopterFlight
+from diffsim.systems.multicopter.motion import Motion, turned_back
+
+_CIRCLE = 2.0 * torch.pi
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """States of windows, (points, num_windows, length + 1, ...), the one after the last too."""
+
+    position: Tensor
+    velocity: Tensor
+    rotation: Tensor
+    quaternion: Tensor
+    body_rates: Tensor
+
+    def motion(self, vehicle: Fleet, thrusts: Tensor, dt: float) -> Motion:
+        """Motion in the middle of steps, where causes are right to second order."""
+        place, velocity, rotation, rates = (
+            0.5 * (value[:, :, :-1] + value[:, :, 1:])
+            for value in (self.position, self.velocity, self.rotation, self.body_rates)
+        )
+        mean = self.velocity.diff(dim=2) / dt
+        return Motion(vehicle, place, velocity, rotation, rates, thrusts, mean)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """What sensors see at the end of every step, (points, num_windows, length, ...).
+
+    Attributes:
+        scene: Run that was flown.
+        position, velocity, rotation, quaternion: As cameras show them, late where they are.
+        body_rates: Angular velocity in the body frame [rad/s].
+        acceleration: Mean over the step, gravity not counted, world frame [m/s^2].
+        halfway: World from body in the middle of the step.
+    """
+
+    scene: CopterFlight
+    position: Tensor
+    velocity: Tensor
+    rotation: Tensor
+    quaternion: Tensor
+    body_rates: Tensor
+    acceleration: Tensor
+    halfway: Tensor
+
+    @classmethod
+    def of(cls, scene: CopterFlight, record: Record) -> _Shown:
+        rotation, quaternion = record.rotation[:, :, 1:], record.quaternion[:, :, 1:]
+        position, velocity = record.position[:, :, 1:], record.velocity[:, :, 1:]
+        body_rates = record.body_rates[:, :, 1:]
+        acceleration = record.velocity.diff(dim=2) / scene.dt
+        halfway = 0.5 * (record.rotation[:, :, :-1] + rotation)
+        if scene.camera_delay is not None:
+            late = _wide(scene.camera_delay)[..., None]
+            position = position - late * (velocity - 0.5 * late * acceleration)
+            velocity = velocity - late * acceleration
+            back = quaternion_from_rotation_vector(-late * body_rates)
+            quaternion = quaternion_product(quaternion, back)
+            rotation = matrix_from_quaternion(quaternion)
+        return cls(
+            scene, position, velocity, rotation, quaternion, body_rates, acceleration, halfway
+        )
+
+    def in_unit(self, value: Tensor) -> Tensor:
+        """A body vector in the axes of the inertial unit."""
+        tilt, value = torch.broadcast_tensors(_wide(self.scene.imu_tilt), value)
+        return value - torch.linalg.cross(tilt, value)
+
+    def shown_position(self) -> Tensor:
+        """Place of the marker in the recording's world."""
+        scene = self.scene
+        seen = self.position + (self.rotation * _wide(scene.marker[:, None])).sum(-1)
+        return scene.frames.in_world(_wide(scene.position_scale)[..., None] * seen)
+
+    def shown_velocity(self) -> Tensor:
+        """Velocity of the center of mass in the recording's world."""
+        return self.scene.frames.in_world(self.velocity)
+
+    def shown_attitude(self) -> Tensor:
+        """Roll, pitch, yaw; whole turns as in the record."""
+        rpy = rpy_from_matrix(self.scene.frames.rotation(self.rotation))
+        rpy = rpy + _wide(self.scene.attitude_offset)
+        measured = self._measured("attitude")
+        return rpy + _CIRCLE * ((measured - rpy) / _CIRCLE).nan_to_num(0.0).round().detach()
+
+    def shown_quaternion(self) -> Tensor:
+        """Quaternion of the recorded sign and length: neither says anything of the attitude."""
+        back = quaternion_from_rotation_vector(_wide(self.scene.attitude_offset))
+        shown = quaternion_product(self.scene.frames.quaternion(self.quaternion), back)
+        measured = self._measured("quaternion")
+        sign = (measured * shown.detach()).nan_to_num(0.0).sum(-1, keepdim=True)
+        length = measured.norm(dim=-1, keepdim=True)
+        length = torch.where(torch.isfinite(length) & (length > 0.0), length, 1.0)
+        return torch.where(sign < 0.0, -length, length) * shown
+
+    def shown_body_rates(self) -> Tensor:
+        """Gyro in the recording's body frame."""
+        rates = self.scene.frames.in_body(self.in_unit(self.body_rates))
+        return rates + _wide(self.scene.body_rates_offset)
+
+    def shown_specific_force(self) -> Tensor:
+        """Accelerometer in the recording's body frame, mean over the step before."""
+        gravity = self.position.new_tensor([0.0, 0.0, GRAVITY])
+        specific = turned_back(self.halfway, self.acceleration - gravity)
+        scale = _wide(self.scene.accelerometer_scale)[..., None]
+        shown = self.scene.frames.in_body(scale * self.in_unit(specific))
+        return shown + _wide(self.scene.accelerometer_offset)
+
+    def shown_specific_force_in_world(self) -> Tensor:
+        """The accelerometer's reading, turned into the recording's world."""
+        frames = self.scene.frames
+        reading = self.shown_specific_force()
+        return (frames.rotation(self.halfway) * reading[..., None, :]).sum(-1)
+
+    def shown_acceleration(self) -> Tensor:
+        """Likewise, with gravity taken off: zero at rest."""
+        gravity = self.position.new_tensor([0.0, 0.0, GRAVITY])
+        return self.shown_specific_force_in_world() + self.scene.frames.in_world(gravity)
+
+    def _measured(self, group: str) -> Tensor:
+        """Readings of a group in the record, (num_windows, length, width); NaN where none."""
+        scene = self.scene
+        start = sum(len(SENSORS[g]) for g in scene.sensors[: scene.sensors.index(group)])
+        columns = range(start, start + len(SENSORS[group]))
+        measured = scene.windows.measured
+        if scene.columns is None:
+            return measured[..., list(columns)]
+        out = measured.new_full((*measured.shape[:2], len(columns)), torch.nan)
+        for channel, column in enumerate(scene.columns):
+            if column in columns:
+                out[..., column - start] = measured[..., channel]
+        return out
+
+
+_GROUPS: dict[str, Callable[[_Shown], Tensor]] = {
+    "position": _Shown.shown_position,
+    "velocity": _Shown.shown_velocity,
+    "attitude": _Shown.shown_attitude,
+    "quaternion": _Shown.shown_quaternion,
+    "body_rates": _Shown.shown_body_rates,
+    "accelerometer": _Shown.shown_specific_force,
+    "specific_force_in_world": _Shown.shown_specific_force_in_world,
+    "acceleration": _Shown.shown_acceleration,
+}
+
+
+def read(scene: CopterFlight, record: Record) -> Tensor:
+    """Readings of the sensors, (points, num_windows, length, num_channels)."""
+    shown = _Shown.of(scene, record)
+    out = torch.cat([_GROUPS[name](shown) for name in scene.sensors], -1)
+    return out if scene.columns is None else out[..., list(scene.columns)]
+
+
+def _wide(value: Tensor) -> Tensor:
+    """(points, ...) against (points, num_windows, length, ...)."""
+    return value[:, None, None]

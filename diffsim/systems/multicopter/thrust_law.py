@@ -1,0 +1,146 @@
+"""From recorded commands to thrusts, and from named quantities to a vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim.copter import Multicopter
+from diffsim.copter.fleet import Fleet
+from diffsim.copter.rotor import RotorModel
+from diffsim.core.check import require_choice
+from diffsim.data.study import Run
+from diffsim.systems.multicopter.frames import Frames
+from diffsim.systems.multicopter.keys import CommandKeys, RotorKeys, ThrustKeys
+
+Values = Mapping[str, Tensor]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ThrustLaw:
+    """Thrusts that a run's commands ask for.
+
+    Attributes:
+        commands: Which columns, and what they mean.
+        thrust: Law of thrusts; None: commands are thrusts, or ``rotor`` has the law.
+        rotor: Model of motor and propeller; None: none given.
+        battery: Name of the command that is the battery's voltage; None: none.
+    """
+
+    commands: CommandKeys
+    thrust: ThrustKeys | None
+    rotor: RotorModel | None
+    battery: str | None
+
+    def thrusts(self, run: Run, values: Values) -> Tensor:
+        """(points, num_samples, n_rotors) [N], before lag, gains and shares.
+
+        Args:
+            run: Recorded run.
+            values: ``thrust_coefficient``, () or (points,), where the law has one.
+        """
+        u = self._input(run)
+        if self.thrust is None:
+            if self.commands.meaning == "thrust":
+                return u.clamp(min=0.0)
+            assert self.rotor is not None
+            return self.rotor.thrust(u).clamp(min=0.0)
+        if self.thrust.curve:
+            rows = np.asarray(self.thrust.curve, dtype=np.float64)
+            found = np.interp(u.numpy(), rows[:, 0], rows[:, 1])
+            return torch.from_numpy(found).clamp(min=0.0)
+        power = u.clamp(min=0.0) ** self.exponent
+        coefficient = values["thrust_coefficient"].reshape(-1, 1, 1)
+        turning = torch.where(power > 0.0, self.thrust.offset, 0.0)
+        return (coefficient * power + turning).clamp(min=0.0)
+
+    @property
+    def exponent(self) -> float:
+        """Power of the command in the thrust."""
+        if self.thrust is None or self.thrust.exponent is None:
+            return 1.0 if self.commands.meaning == "thrust" else 2.0
+        return self.thrust.exponent
+
+    @property
+    def is_speed(self) -> bool:
+        """Whether the command tells the rotors' speed rather than their thrust."""
+        return self.commands.meaning != "thrust" and self.exponent != 1.0
+
+    def _input(self, run: Run) -> Tensor:
+        """The law's u, (1, num_samples, n_rotors)."""
+        keys = self.commands
+        for name in (*keys.columns, *([self.battery] if self.battery else [])):
+            require_choice(f"run {run.name}: command", name, run.command)
+        rows = [np.asarray(run.command[name], dtype=np.float64) for name in keys.columns]
+        u = torch.from_numpy(np.stack(rows, -1))[None]
+        voltage = None
+        if self.battery is not None:
+            given = np.asarray(run.command[self.battery], dtype=np.float64)
+            voltage = torch.from_numpy(given)[None, :, None]
+        if keys.meaning == "throttle":
+            u = (u - keys.low) / (keys.high - keys.low)
+            if keys.per_voltage is not None and voltage is not None:
+                u = u * voltage / keys.per_voltage
+        if keys.meaning == "pulse":
+            assert self.rotor is not None
+            u = self.rotor.speed_at(u, voltage)
+        return u
+
+
+def described_fleet(
+    values: Values, rotors: tuple[RotorKeys, ...], frames: Frames, radius: float
+) -> Fleet:
+    """The vehicle of named quantities, in the model's frames, (points or 1, ...).
+
+    Args:
+        values: ``mass``, ``inertia_xx`` ... ``inertia_yz``, ``center_of_mass_x`` ...,
+            ``rotor_1_x`` ... and ``torque_ratio``, () or (points,) each.
+        rotors: Senses and axes, in order.
+        frames: Frames that places and axes are written in.
+        radius: Of the propellers [m].
+    """
+
+    def vector(stem: str) -> Tensor:
+        return _stacked([values[f"{stem}_{axis}"] for axis in "xyz"])
+
+    up = [0.0, 0.0, 1.0 if frames.body == "FLU" else -1.0]
+    axes = torch.tensor([r.axis or up for r in rotors], dtype=torch.float64)
+    axes = axes / axes.norm(dim=-1, keepdim=True)
+    entries = [
+        values[f"inertia_{e}"] for e in ("xx", "xy", "xz", "xy", "yy", "yz", "xz", "yz", "zz")
+    ]
+    inertia = _stacked(entries).reshape(-1, 3, 3)
+    places = [vector(f"rotor_{i + 1}") for i in range(len(rotors))]
+    places = [place - vector("center_of_mass") for place in places]
+    positions = torch.stack(torch.broadcast_tensors(*places), 1)
+    spins = torch.tensor([1.0 if r.spin == "cw" else -1.0 for r in rotors], dtype=torch.float64)
+    n = len(rotors)
+    return Fleet(
+        mass=values["mass"].reshape(-1),
+        inertia=frames.inertia(inertia),
+        positions=frames.in_body(positions),
+        directions=frames.in_body(axes)[None],
+        spins=spins[None],
+        torque_ratios=values["torque_ratio"].reshape(-1, 1).expand(-1, n),
+        max_thrusts=torch.ones(1, n, dtype=torch.float64),
+        radii=torch.full((1, n), radius, dtype=torch.float64),
+    )
+
+
+def designed_fleet(values: Values, design: Multicopter, frames: Frames) -> Fleet:
+    """The vehicle of a design file, its mass and center of mass moved by named quantities."""
+    shift = _stacked([values[f"center_of_mass_{axis}"] for axis in "xyz"])
+    fleet = Fleet.of([design])
+    return fleet.replace(
+        mass=values["mass"].reshape(-1),
+        positions=fleet.positions - frames.in_body(shift)[:, None],
+    )
+
+
+def _stacked(values: list[Tensor]) -> Tensor:
+    """(points, k)."""
+    return torch.stack(torch.broadcast_tensors(*(v.reshape(-1) for v in values)), -1)

@@ -1,0 +1,25 @@
+"""Any simulator: a function of parameters and a run, with the hooks that it offers to causes."""
+
+from diffsim.systems.outside.description import OutsideDescription
+from diffsim.systems.outside.effects import outside_library, unknown_forces
+from diffsim.systems.outside.forces import PlaceForces
+from diffsim.systems.outside.hooks import Hooks, Place, command_groups, output_groups
+from diffsim.systems.outside.model import OutsideModel, SimulatorError
+from diffsim.systems.outside.setup import outside_setup
+from diffsim.systems.outside.source import Environment, Source
+
+__all__ = [
+    "Environment",
+    "Hooks",
+    "OutsideDescription",
+    "OutsideModel",
+    "Place",
+    "PlaceForces",
+    "SimulatorError",
+    "Source",
+    "command_groups",
+    "output_groups",
+    "outside_library",
+    "outside_setup",
+    "unknown_forces",
+]

@@ -1,0 +1,174 @@
+"""``model: {system: outside}``: keys that describe a simulator of the user's own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from diffsim.data.study import Study
+from diffsim.data.study_check import Problem
+from diffsim.identify.setup import DiagnosisSetup
+from diffsim.systems.description import (
+    Description,
+    Part,
+    Quantity,
+    chosen_effects,
+    settings_with,
+)
+from diffsim.systems.outside import hooks as hooks_of
+from diffsim.systems.outside.setup import outside_setup
+from diffsim.systems.outside.source import Environment, Source
+
+
+def _as_quantity(given: Any) -> Any:
+    """A plain number is a known quantity; the unit is the user's own."""
+    is_number = isinstance(given, (int, float)) and not isinstance(given, bool)
+    return Quantity(value=float(given)) if is_number else given
+
+
+AnyQuantity = Annotated[Quantity, BeforeValidator(_as_quantity)]
+
+
+class PlaceKeys(Part):
+    """A place where the simulator adds a force."""
+
+    unit: Literal["N", "N m"] = Field(description="N for a force, N m for a moment")
+    typical: float = Field(gt=0, description="Force that would be no surprise, in that unit")
+    distance: float | None = Field(
+        None, gt=0, description="Usual displacement from zero, m or rad; none: no springs are tried"
+    )
+    speed: float | None = Field(
+        None, gt=0, description="Usual speed, m/s or rad/s; none: no friction or drag is tried"
+    )
+
+
+class HookKeys(Part):
+    """What causes may act on."""
+
+    command: dict[str, tuple[str, ...]] | None = Field(
+        None,
+        description="Commands of each driver, by a name of its own; they share lag, delay, ... "
+        "Default: all commands are of one driver",
+    )
+    force: dict[str, PlaceKeys] = Field(
+        {}, description="Places where predict(parameters, run, force) adds forces, by name"
+    )
+    output: dict[str, tuple[str, ...]] | None = Field(
+        None,
+        description="Channels of each instrument, by a name of its own; they share scale, delay, "
+        "... Default: channels of one kind",
+    )
+
+
+class EnvironmentKeys(Part):
+    """How a simulator with reset and step is read."""
+
+    time_step: float | None = Field(
+        None, gt=0, description="Time between two steps in s; default: the attribute dt"
+    )
+    observation: tuple[int, ...] = Field(
+        (), description="Entry of the observation for each channel; default: in their order"
+    )
+    action: tuple[str, ...] = Field(
+        (), description="Commands that make the action, in order; default: all commands"
+    )
+
+
+class OutsideDescription(Description):
+    """A simulator of the user's own: any function, class or Gymnasium environment."""
+
+    system: Literal["outside"] = Field(description="outside")
+    simulator: str = Field(
+        description="FILE.py:NAME beside study.yaml, MODULE:NAME, or gym:ID. NAME is a function "
+        "predict(parameters, run), or a class with such a method, or with reset and step"
+    )
+    options: dict[str, Any] = Field(
+        {}, description="Keyword arguments that the class is made with, such as a model file"
+    )
+    parameters: dict[str, AnyQuantity] = Field(
+        {}, description="What the simulator gets by name, each in the simulator's own unit"
+    )
+    start: dict[str, AnyQuantity] = Field(
+        {}, description="Start values that it gets by name too; usually `per: run`"
+    )
+    commands_are: Literal["straight", "held"] = Field(
+        "straight",
+        description="Between two samples: straight lines, or held until the next sample",
+    )
+    hooks: HookKeys = Field(HookKeys(), description="What causes may act on")
+    environment: EnvironmentKeys = Field(
+        EnvironmentKeys(), description="How a simulator with reset and step is read"
+    )
+    workers: int = Field(1, ge=1, description="Processes that simulate side by side")
+
+    @model_validator(mode="after")
+    def _names_once(self) -> OutsideDescription:
+        if both := set(self.parameters) & set(self.start):
+            raise ValueError(f"{', '.join(sorted(both))}: in parameters or in start, not in both")
+        return self
+
+    def source(self, folder: Path | None) -> Source:
+        """Where the simulator is.
+
+        Args:
+            folder: Folder of the study.
+        """
+        reading = Environment(**self.environment.model_dump())
+        return Source(self.simulator, folder, self._options(folder), reading)
+
+    def problems(self, study: Study) -> list[Problem]:
+        """A simulator that is not there, hooks that no column has; nothing is run."""
+        out = []
+        if problem := self.source(study.folder).problem():
+            out.append(Problem("error", "model", problem))
+        for check in (
+            lambda: hooks_of.command_groups(study, self.hooks.command),
+            lambda: hooks_of.output_groups(study, self.hooks.output),
+        ):
+            try:
+                check()
+            except ValueError as error:
+                out.append(Problem("error", "model", str(error)))
+        known = {name for run in study.runs for name in run.command}
+        for name in self.environment.action:
+            if name not in known:
+                out.append(Problem("error", "model", f"environment.action: no command {name!r}"))
+        count = len(self.environment.observation)
+        if count and count != len(study.channels):
+            message = f"environment.observation has {count} entries for {len(study.channels)} "
+            out.append(Problem("error", "model", message + "channels"))
+        return out
+
+    def setup(self, study: Study) -> DiagnosisSetup:
+        """Model, candidate causes and options for a study."""
+        made = outside_setup(
+            study,
+            self.source(study.folder),
+            {**self.parameters, **self.start},
+            places=[
+                hooks_of.Place(name, p.unit, p.typical, p.distance, p.speed)
+                for name, p in self.hooks.force.items()
+            ],
+            commands=self.hooks.command,
+            outputs=self.hooks.output,
+            held=self.commands_are == "held",
+            workers=self.workers,
+        )
+        return DiagnosisSetup(
+            model=made.model,
+            effects=chosen_effects(made.effects, self.effects),
+            unknowns=made.unknowns,
+            settings=settings_with(made.settings, self.effort),
+        )
+
+    def _options(self, folder: Path | None) -> Mapping[str, Any]:
+        """Options; those that name a file beside the study get its folder."""
+        if folder is None:
+            return self.options
+        return {
+            k: str(folder / v) if isinstance(v, str) and (folder / v).is_file() else v
+            for k, v in self.options.items()
+        }

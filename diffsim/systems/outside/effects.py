@@ -1,0 +1,77 @@
+"""Causes that act on the hooks of an outside simulator: on commands, at places, on channels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from torch import Tensor
+
+from diffsim.data.study import Run
+from diffsim.identify.effect import Effect
+from diffsim.identify.unknown import UnknownForce, smooth_covariance
+from diffsim.systems.outside.command_effects import command_effects
+from diffsim.systems.outside.forces import Knots
+from diffsim.systems.outside.hooks import Hooks, plain
+from diffsim.systems.outside.model import OutsideScene
+from diffsim.systems.outside.output_effects import output_effects
+from diffsim.systems.outside.place_effects import place_effects
+
+MAX_KNOTS = 24
+
+
+def outside_library(hooks: Hooks, channels: Sequence[str], *, held: bool = False) -> list[Effect]:
+    """Candidate causes that these hooks allow.
+
+    Args:
+        hooks: Groups of commands, places of forces, instruments.
+        channels: Names of all channels, in the order of the record.
+        held: Commands are held from sample to sample; else straight lines join the samples.
+    """
+    out: list[Effect] = []
+    for group in hooks.commands:
+        out += command_effects(group, held)
+    for i, place in enumerate(hooks.places):
+        out += place_effects(place, i)
+    # alone and at rest before, a late instrument is a late command
+    may_be_late = len(hooks.outputs) > 1 or not hooks.commands
+    for group in hooks.outputs:
+        idx = tuple(channels.index(c) for c in group.columns)
+        out += output_effects(group, idx, may_be_late)
+    return out
+
+
+def unknown_forces(hooks: Hooks, runs: Sequence[Run]) -> tuple[UnknownForce, ...]:
+    """A smooth force without a form at each place; over the longest run.
+
+    Args:
+        hooks: Hooks with the places.
+        runs: Runs of the study.
+    """
+    longest = max(float(run.time_s[-1] - run.time_s[0]) for run in runs)
+    count = MAX_KNOTS
+    spacing = longest / (count - 1)
+    covariance = smooth_covariance(np.linspace(0.0, longest, count), 2.0 * spacing)
+    out = []
+    for i, place in enumerate(hooks.places):
+        effect = Effect(
+            name=f"unknown_force_of_{plain(place.name)}",
+            form=f"Force at {place.name}, one component per knot in time.",
+            family="unknown",
+            kind="force",
+            unit=place.unit,
+            typical=place.typical,
+            also_looks_like=("anything",),
+            apply=partial(_pushed, place=i, spacing=spacing),
+            components=tuple(f"knot_{k}" for k in range(count)),
+        )
+        out.append(UnknownForce(effect, covariance, f"unknown force at {place.name}"))
+    return tuple(out)
+
+
+def _pushed(
+    scene: OutsideScene, size: Tensor, run: Run, *, place: int, spacing: float
+) -> OutsideScene:
+    values = tuple(size.detach().tolist())
+    return scene.with_knots(Knots(place, float(run.time_s[0]), spacing, values))

@@ -1,0 +1,129 @@
+"""Forces that a simulator is asked to add at its places, by their law; plain numbers, no tensors.
+
+A simulator knows its state, and calls back at each of its steps. So laws that depend on speed or
+displacement are exact, whatever the integrator.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+SHARP = 0.01  # of the usual speed: below it Coulomb friction is viscous
+Law = Callable[[float, float, float, float], float]
+
+
+def viscous(size: float, x: float, v: float, scale: float) -> float:
+    """-size v."""
+    return -size * v
+
+
+def quadratic(size: float, x: float, v: float, scale: float) -> float:
+    """-size |v| v."""
+    return -size * abs(v) * v
+
+
+def coulomb(size: float, x: float, v: float, scale: float) -> float:
+    """-size sign(v), smooth within a hundredth of the usual speed ``scale``."""
+    return -size * math.tanh(v / (SHARP * scale))
+
+
+def constant(size: float, x: float, v: float, scale: float) -> float:
+    """size."""
+    return size
+
+
+def stiff(size: float, x: float, v: float, scale: float) -> float:
+    """-size x."""
+    return -size * x
+
+
+def cubic(size: float, x: float, v: float, scale: float) -> float:
+    """-size x^3."""
+    return -size * x * x * x
+
+
+@dataclass(frozen=True)
+class Term:
+    """One force at one place.
+
+    Attributes:
+        place: Index of the place.
+        law: Function (size, position, velocity, scale) -> force.
+        size: Size of the law, in the effect's unit.
+        scale: Usual speed of the place; laws that are smoothed use it.
+    """
+
+    place: int
+    law: Law
+    size: float
+    scale: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Knots:
+    """A force at one place that follows straight lines between knots in time.
+
+    Attributes:
+        place: Index of the place.
+        start: Time of the first knot [s].
+        spacing: Time between two knots [s].
+        values: Force at the knots, (num_knots,).
+    """
+
+    place: int
+    start: float
+    spacing: float
+    values: tuple[float, ...]
+
+    def at(self, time: float) -> float:
+        """Force at a time [s], held beyond the ends."""
+        last = len(self.values) - 1
+        at = min(max((time - self.start) / self.spacing, 0.0), float(last))
+        left = min(int(at), last - 1)
+        return self.values[left] + (at - left) * (self.values[left + 1] - self.values[left])
+
+
+class PlaceForces:
+    """What a simulator adds at its places: call it at each step.
+
+    Args:
+        places: Names of the places, in the order of the returned forces.
+        terms: Forces by law.
+        knots: Forces over time.
+
+    Attributes:
+        places: Names of the places.
+        acts: Whether any force is there; if not, a simulator may skip the call.
+    """
+
+    def __init__(self, places: Sequence[str], terms: Sequence[Term], knots: Sequence[Knots] = ()):
+        self.places = tuple(places)
+        self._terms = tuple(t for t in terms if t.size != 0.0)
+        self._knots = tuple(k for k in knots if any(k.values))
+        self.acts = bool(self._terms or self._knots)
+
+    def __call__(
+        self,
+        time: float,
+        positions: Sequence[float] | NDArray[np.float64],
+        velocities: Sequence[float] | NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Generalized forces at the places, (num_places,), in the units of the description.
+
+        Args:
+            time: Time on the clock of the run's ``time_s`` [s].
+            positions: Position or angle of each place, in the order of ``places``.
+            velocities: Their rates.
+        """
+        out = np.zeros(len(self.places))
+        for t in self._terms:
+            i = t.place
+            out[i] += t.law(t.size, float(positions[i]), float(velocities[i]), t.scale)
+        for k in self._knots:
+            out[k.place] += k.at(time)
+        return out

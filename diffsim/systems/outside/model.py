@@ -1,0 +1,255 @@
+"""A simulator that diffsim knows nothing about, as a model with hooks for causes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from diffsim.data.study import Run
+from diffsim.identify.model import Parameter, SimModel
+from diffsim.identify.numerics import Numerics
+from diffsim.identify.problem import PredictionError
+from diffsim.systems import signals
+from diffsim.systems.outside.forces import Knots, PlaceForces, Term
+from diffsim.systems.outside.source import Predict, Source, offers_of
+
+Array = NDArray[np.float64]
+CommandMap = Callable[[Tensor, float], Tensor]
+OutputMap = Callable[[Tensor, Tensor], Tensor]  # channels and times since the start -> channels
+EVEN = 1e-6  # of the step: sample times that differ by less are evenly spaced
+
+
+class SimulatorError(PredictionError):
+    """A user's simulator failed; the message names the run and the parameters that caused it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """One call of a simulator, ready to be sent to another process.
+
+    Attributes:
+        run: Run with the commands as the actuators hear them.
+        values: Value of every parameter, by name.
+        forces: Forces that the simulator is asked to add; None: it takes none.
+        numerics: Factors on its own settings.
+        channels: Names of the channels.
+    """
+
+    run: Run
+    values: Mapping[str, float]
+    forces: PlaceForces | None
+    numerics: Numerics
+    channels: tuple[str, ...]
+
+
+def call(predict: Predict, label: str, job: Job) -> Array:
+    """Channels that a simulator predicts, (num_samples, num_channels).
+
+    Raises:
+        SimulatorError: the simulator failed.
+        ValueError: it returned something else than the channels.
+    """
+    offers = offers_of(predict)
+    more: dict[str, Any] = {}
+    if "force" in offers and job.forces is not None:
+        more["force"] = job.forces
+    if "time_step" in offers:
+        more["time_step"] = job.numerics.time_step
+    try:
+        given = predict(dict(job.values), job.run, **more)
+    except Exception as error:
+        at = ", ".join(f"{k} = {v:.6g}" for k, v in job.values.items()) or "no parameters"
+        raise SimulatorError(
+            f"simulator {label} failed in run {job.run.name} at {at}: "
+            f"{type(error).__name__}: {error}"
+        ) from error
+    return _shaped(given, label, job)
+
+
+def _shaped(given: Any, label: str, job: Job) -> Array:
+    """What was returned as an array, refused where it cannot be the channels."""
+    where = f"simulator {label} returned"
+    names, count = job.channels, len(job.run.time_s)
+    if isinstance(given, Mapping):
+        if missing := [n for n in names if n not in given]:
+            raise ValueError(
+                f"{where} a mapping without {', '.join(missing)} for run {job.run.name}; "
+                f"it has {', '.join(map(str, given))}"
+            )
+        given = np.column_stack([np.asarray(given[n], dtype=np.float64) for n in names])
+    out = np.asarray(given, dtype=np.float64)
+    out = out[:, None] if out.ndim == 1 and len(names) == 1 else out
+    if out.shape != (count, len(names)):
+        raise ValueError(
+            f"{where} the shape {out.shape} for run {job.run.name}; it must return "
+            f"({count}, {len(names)}): a row for each of the run's time_s, a column for each of "
+            f"{', '.join(names)}"
+        )
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class OutsideScene:
+    """One run of an outside simulator; effects change commands, forces and channels.
+
+    Attributes:
+        model: Model that the scene belongs to.
+        values: Value of each parameter in this run, () each.
+        run: Run as recorded.
+        numerics: Factors on the simulator's own settings.
+        command_maps: Names of commands, and what happens to them on their way.
+        terms: Forces by law.
+        knots: Forces over time.
+        output_maps: Indices of channels, and what happens to them.
+    """
+
+    model: OutsideModel
+    values: Mapping[str, Tensor]
+    run: Run
+    numerics: Numerics
+    command_maps: tuple[tuple[tuple[str, ...], CommandMap], ...] = ()
+    terms: tuple[Term, ...] = ()
+    knots: tuple[Knots, ...] = ()
+    output_maps: tuple[tuple[tuple[int, ...], OutputMap], ...] = ()
+
+    def with_command(self, names: tuple[str, ...], change: CommandMap) -> OutsideScene:
+        """A copy with one more map f(commands (num_samples, width), dt) of some commands."""
+        return replace(self, command_maps=(*self.command_maps, (names, change)))
+
+    def with_output(self, channels: tuple[int, ...], change: OutputMap) -> OutsideScene:
+        """A copy with one more map f(channels (num_samples, width), times) of some channels."""
+        return replace(self, output_maps=(*self.output_maps, (channels, change)))
+
+    def with_term(self, term: Term) -> OutsideScene:
+        """A copy with one more force."""
+        return replace(self, terms=(*self.terms, term))
+
+    def with_knots(self, knots: Knots) -> OutsideScene:
+        """A copy with one more force over time."""
+        return replace(self, knots=(*self.knots, knots))
+
+    def simulate(self) -> Tensor:
+        """(num_samples, num_channels) predicted channels."""
+        return self.read(call(self.model.predict_run, self.model.source.label, self.job()))
+
+    def job(self) -> Job:
+        """The call of the simulator that this scene asks for."""
+        model = self.model
+        forces = PlaceForces(model.places, self.terms, self.knots) if model.places else None
+        values = {name: float(v.detach()) for name, v in self.values.items()}
+        run = replace(self.run, command=self._commands())
+        return Job(run, values, forces, self.numerics, model.channels)
+
+    def read(self, predicted: Array) -> Tensor:
+        """Channels as the sensors show them.
+
+        Args:
+            predicted: What the simulator returned, (num_samples, num_channels).
+        """
+        out = torch.from_numpy(predicted)
+        time = torch.from_numpy(np.asarray(self.run.time_s - self.run.time_s[0], dtype=np.float64))
+        for channels, change in self.output_maps:
+            idx = list(channels)
+            out = out.clone()
+            out[:, idx] = change(out[:, idx], time)
+        return out
+
+    def _commands(self) -> dict[str, Array]:
+        """Commands as the actuators hear them, at the run's times."""
+        commands = {name: np.asarray(v, dtype=np.float64) for name, v in self.run.command.items()}
+        for names, change in self.command_maps:
+            held = [n for n in names if n in commands]
+            if not held:
+                continue
+            columns = torch.from_numpy(np.column_stack([commands[n] for n in held]))
+            moved = on_even_times(columns, self.run.time_s, change).numpy()
+            commands |= dict(zip(held, moved.T.copy(), strict=True))
+        return commands
+
+
+def on_even_times(columns: Tensor, time_s: Array, change: CommandMap) -> Tensor:
+    """A map of evenly sampled signals, for signals at any times.
+
+    Args:
+        columns: Signals, (num_samples, width).
+        time_s: Times of the samples, (num_samples,) [s].
+        change: Function (signals, dt) -> signals.
+    """
+    step = np.diff(time_s)
+    dt = float(np.median(step))
+    if (np.abs(step - dt) <= EVEN * dt).all():
+        return change(columns, dt)
+    count = int(np.ceil((time_s[-1] - time_s[0]) / dt)) + 1
+    even = time_s[0] + dt * np.arange(count)
+    resampled = np.column_stack([np.interp(even, time_s, c) for c in columns.numpy().T])
+    moved = change(torch.from_numpy(resampled), dt)
+    return signals.straight(moved, dt, torch.from_numpy(time_s - time_s[0]))
+
+
+class OutsideModel(SimModel):
+    """A simulator from outside, with base parameters.
+
+    Args:
+        source: Place of the simulator.
+        base: Base parameters.
+        in_run: Function (values of the base parameters, run) -> values that the simulator gets.
+        channels: Names of the channels.
+        places: Names of the places where the simulator can add forces.
+        workers: Processes that simulate side by side; each makes a simulator of its own.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        base: Sequence[Parameter],
+        in_run: Callable[[Mapping[str, Tensor], Run], Mapping[str, Tensor]],
+        *,
+        channels: Sequence[str],
+        places: Sequence[str] = (),
+        workers: int = 1,
+    ):
+        super().__init__(self._scene, base, source.label)
+        self.source, self.in_run = source, in_run
+        self.channels, self.places, self.workers = tuple(channels), tuple(places), workers
+        self.predict_run = source.make()
+        if places and "force" not in offers_of(self.predict_run):
+            raise ValueError(
+                f"hooks.force names {', '.join(places)}, but predict of simulator {source.label} "
+                "takes no force; write predict(parameters, run, force) and call "
+                "force(time, positions, velocities) at each step"
+            )
+        self._pool: ProcessPoolExecutor | None = None
+
+    def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
+        """Predictions of several scenes, side by side where there are workers."""
+        if self.workers < 2 or len(scenes) < 2:
+            return [scene.simulate() for scene in scenes]
+        if self._pool is None:
+            self._pool = ProcessPoolExecutor(
+                self.workers, get_context("spawn"), initializer=_begin, initargs=(self.source,)
+            )
+        done = self._pool.map(_work, [scene.job() for scene in scenes])
+        return [scene.read(record) for scene, record in zip(scenes, done, strict=True)]
+
+    def _scene(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> OutsideScene:
+        return OutsideScene(self, self.in_run(values, run), run, numerics)
+
+
+_OWN: dict[str, Any] = {}
+
+
+def _begin(source: Source) -> None:
+    """Make the simulator of this process."""
+    _OWN["predict"], _OWN["label"] = source.make(), source.label
+
+
+def _work(job: Job) -> Array:
+    return call(_OWN["predict"], _OWN["label"], job)

@@ -1,0 +1,94 @@
+"""A simulator given in Python, ready to be diagnosed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from torch import Tensor
+
+from diffsim.data.study import Run, Study
+from diffsim.identify.effect import Effect
+from diffsim.identify.effort import DiagnosisSettings
+from diffsim.identify.model import Parameter
+from diffsim.identify.setup import DiagnosisSetup
+from diffsim.systems.description import BaseParameters, Quantity
+from diffsim.systems.outside.effects import outside_library, unknown_forces
+from diffsim.systems.outside.hooks import Hooks, Place, command_groups, output_groups
+from diffsim.systems.outside.model import OutsideModel
+from diffsim.systems.outside.source import Environment, Source
+
+InRun = Callable[[Mapping[str, Tensor], Run], Mapping[str, Tensor]]
+
+
+def outside_setup(
+    study: Study,
+    simulator: Any,
+    parameters: Sequence[Parameter] | Mapping[str, Quantity],
+    *,
+    places: Sequence[Place] = (),
+    commands: Mapping[str, Sequence[str]] | None = None,
+    outputs: Mapping[str, Sequence[str]] | None = None,
+    held: bool = False,
+    environment: Environment | None = None,
+    more_effects: Sequence[Effect] = (),
+    settings: DiagnosisSettings | None = None,
+    workers: int = 1,
+) -> DiagnosisSetup:
+    """Model, candidate causes and unknown forces of a simulator from outside.
+
+    Args:
+        study: Recorded runs.
+        simulator: Function predict(parameters, run), an object with such a method, or one with
+            ``reset`` and ``step``; or a ``Source``.
+        parameters: Base parameters, or quantities by name, that the simulator gets by name. A base
+            parameter "angle@run_3" reaches it as "angle" in that run.
+        places: Places where predict(parameters, run, force) adds forces.
+        commands: Commands of each group that goes one way; None: all commands as one group.
+        outputs: Channels of each instrument; None: those of one kind.
+        held: Commands are held from sample to sample; else straight lines join the samples.
+        environment: How ``reset`` and ``step`` are read.
+        more_effects: Causes of the user's own, whose scenes are ``OutsideScene``.
+        settings: Effort; None: the defaults.
+        workers: Processes that simulate side by side; the simulator must then be importable.
+
+    Raises:
+        ValueError: the simulator cannot be used; the message says what it lacks.
+    """
+    source = simulator
+    if not isinstance(simulator, Source):
+        label = getattr(simulator, "__qualname__", type(simulator).__qualname__)
+        source = Source(label, given=simulator, environment=environment or Environment())
+    base, in_run = _parameters(parameters, study)
+    names = tuple(c.name for c in study.channels)
+    hooks = Hooks(command_groups(study, commands), tuple(places), output_groups(study, outputs))
+    model = OutsideModel(
+        source,
+        base,
+        in_run,
+        channels=names,
+        places=[p.name for p in places],
+        workers=workers,
+    )
+    return DiagnosisSetup(
+        model=model,
+        effects=(*outside_library(hooks, names, held=held), *more_effects),
+        unknowns=unknown_forces(hooks, study.runs),
+        settings=settings or DiagnosisSettings(),
+    )
+
+
+def _parameters(
+    given: Sequence[Parameter] | Mapping[str, Quantity], study: Study
+) -> tuple[tuple[Parameter, ...], InRun]:
+    if isinstance(given, Mapping):
+        quantities = BaseParameters(given, study.runs)
+        return quantities.base, quantities.in_run
+    return tuple(given), _by_run
+
+
+def _by_run(values: Mapping[str, Tensor], run: Run) -> dict[str, Tensor]:
+    """Values by name in a run: "angle@run_3" is "angle" there, and nothing elsewhere."""
+    shared = {name: v for name, v in values.items() if "@" not in name}
+    own = {n.split("@")[0]: v for n, v in values.items() if n.endswith(f"@{run.name}")}
+    return {**shared, **own}

@@ -1,0 +1,327 @@
+"""Balls in one run as channels: their motion, what a camera sees, what a tracker makes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from diffsim.systems.rigid_body import on_ground
+from diffsim.systems.rigid_body.bouncing import Bounces, Thrown, bounced
+from diffsim.systems.rigid_body.camera import projected
+from diffsim.systems.rigid_body.on_ground import Ball, Laws
+
+#: What effects change, with its value in the plain model.
+PLAIN = {
+    "table_friction": 0.0,
+    "rolling_resistance": 0.0,
+    "tilt_x": 0.0,
+    "tilt_y": 0.0,
+    "air_drag": 0.0,
+    "inertia": 0.0,
+    "ball_friction": 0.0,
+    "mass_ratio": 0.0,
+    "hop": 0.0,
+    "lift": 0.0,
+    "ground_height": 0.0,
+    "restitution_slope": 0.0,
+    "rebound": 0.0,
+    "length_scale": 0.0,
+    "radial": 0.0,
+    "center_u": 0.0,
+    "center_v": 0.0,
+    "clock": 0.0,
+    "readout": 0.0,
+    "merge": 0.0,
+    "lit_u": 0.0,
+    "lit_v": 0.0,
+}
+MERGE_LENGTH = 0.004  # [m] gap over which two regions stop touching
+
+
+@dataclass(frozen=True)
+class BallBody:
+    """One ball as the scene knows it; keys are names of the scene's values.
+
+    Attributes:
+        name: Name of the ball, before its place and velocity in the values: "coming_vx".
+        begins: "flying", "on_ground" or "at_rest".
+        diameter: Key of its diameter.
+        restitution, friction: Keys of its contact with the ground; None: it flies for ever.
+        inertia: I / (m r^2) [-].
+    """
+
+    name: str
+    begins: str
+    diameter: str
+    restitution: str | None
+    friction: str | None
+    inertia: float
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two balls that meet once, on the ground.
+
+    Attributes:
+        bodies: Indices of the ball that is struck and of the one that comes.
+        restitution, friction: Keys of their contact.
+        mass_ratio: Mass of the struck ball over that of the other [-].
+    """
+
+    bodies: tuple[int, int]
+    restitution: str
+    friction: str
+    mass_ratio: float
+
+
+@dataclass(frozen=True, eq=False)
+class Eye:
+    """The camera, but for what is fitted of it.
+
+    Attributes:
+        rotation: (3, 3) before its small turn.
+        height_px: Height of the picture.
+        plain: Its numbers without distortion.
+        corners: (T, 3) places of clicked points [m] where the run holds them, else None.
+    """
+
+    rotation: Tensor
+    height_px: float
+    plain: Mapping[str, Tensor]
+    corners: Tensor | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """What all runs of a study have in common.
+
+    Attributes:
+        bodies: The balls.
+        pair: Two of them that meet; None: none do.
+        rows: Kind of measure, ball and component of each channel; "click" for clicked points.
+        frame: (3, 3) from the world, z up, to the recorded frame.
+        eye: Camera; None: no channel is in pixels.
+    """
+
+    bodies: Sequence[BallBody]
+    pair: Pair | None
+    rows: Sequence[tuple[str, int, int]]
+    frame: Tensor
+    eye: Eye | None
+
+
+@dataclass(frozen=True, eq=False)
+class Paths:
+    """Centers of all balls over time: places and velocities (K, T, 3) by ball [m, m/s]."""
+
+    places: Sequence[Tensor]
+    velocities: Sequence[Tensor]
+
+
+@dataclass(frozen=True, eq=False)
+class BallScene:
+    """One run of the balls, or the points clicked in the camera's picture.
+
+    Attributes:
+        values: Quantities, start of the balls, camera, and ``PLAIN``, (...,) each.
+        time: Times of the samples since the start, (T,) [s].
+        stage: What all runs have in common.
+    """
+
+    values: Mapping[str, Tensor]
+    time: Tensor
+    stage: Stage
+
+    def with_added(self, name: str, size: Tensor) -> BallScene:
+        """A copy with one number larger by ``size`` (...,)."""
+        return replace(self, values={**self.values, name: self.values[name] + size})
+
+    def simulate(self) -> Tensor:
+        """(..., T, num_channels)."""
+        batch = torch.broadcast_shapes(*(v.shape for v in self.values.values()))
+        wide = {n: v.expand(batch or (1,)) for n, v in self.values.items()}
+        out = replace(self, values=wide)._channels()
+        return out if batch else out[0]
+
+    def _channels(self) -> Tensor:
+        time = self.time * (1.0 + self._of("clock"))
+        shown = self._clicks(time)
+        paths = self.paths(time)
+        scale = 1.0 + self._of("length_scale")[..., None]
+        for kind, b, _ in self.stage.rows:
+            if (kind, b) in shown or b >= len(paths.places):
+                continue
+            if kind == "pixels":
+                shown[kind, b] = self._pixels(time, paths, b)
+            else:
+                path = paths.places if kind == "position" else paths.velocities
+                shown[kind, b] = scale * (path[b] @ self.stage.frame.mT)
+        zero = torch.zeros_like(time)
+        rows = [shown[k, b][..., i] if (k, b) in shown else zero for k, b, i in self.stage.rows]
+        return torch.stack(rows, -1)
+
+    def _clicks(self, time: Tensor) -> dict[tuple[str, int], Tensor]:
+        """Pixels of the points that the run holds, (K, T, 2)."""
+        eye = self.stage.eye
+        if eye is None or eye.corners is None:
+            return {}
+        corners = eye.corners.expand(len(time), -1, 3)
+        return {("click", 0): projected(self.values, eye.rotation, corners)}
+
+    def _pixels(self, time: Tensor, paths: Paths, b: int) -> Tensor:
+        """(K, T, 2) of one ball; each row of the picture is read a little later."""
+        assert self.stage.eye is not None
+        first = self._seen(paths)[b]
+        if not bool((self.values["readout"] != 0.0).any()) and not self._needs_grad("readout"):
+            return first
+        # one fixed-point step is ample
+        late = self._of("readout") * first[..., 1] / self.stage.eye.height_px
+        return self._seen(self.paths(time + late))[b]
+
+    def _needs_grad(self, name: str) -> bool:
+        return self.values[name].requires_grad
+
+    def _seen(self, paths: Paths) -> list[Tensor]:
+        """(K, T, 2) pixels of the centers as tracked."""
+        eye, pair = self.stage.eye, self.stage.pair
+        assert eye is not None
+        pixels = [projected(self.values, eye.rotation, p) for p in paths.places]
+        pulls = [torch.zeros_like(p) for p in pixels]
+        if pair is not None:
+            i, j = pair.bodies
+            towards = (paths.places[j] - paths.places[i])[..., :2]
+            gap = torch.sqrt((towards**2).sum(-1)) - self._reach(pair)
+            touching = self._of("merge") * torch.exp(-((gap / MERGE_LENGTH) ** 2))
+            apart = pixels[j] - pixels[i]
+            pull = touching[..., None] * apart / torch.sqrt((apart**2).sum(-1, keepdim=True))
+            pulls[i], pulls[j] = pull, -pull
+        lit = torch.stack([self._of("lit_u"), self._of("lit_v")], -1)
+        out = []
+        for body, place, center, pull in zip(
+            self.stage.bodies, paths.places, pixels, pulls, strict=True
+        ):
+            radius = 0.5 * self._of(body.diameter)
+            along = place[..., :2] @ eye.rotation[2, :2] + radius * eye.rotation[2, 2]
+            depth = (along + self._of("shift_z")).abs()
+            size = self._of("focal") * radius / depth
+            out.append(center + pull + size[..., None] * lit)
+        return out
+
+    def paths(self, time: Tensor) -> Paths:
+        """Centers of all balls at times (K, T) [s]."""
+        pair = self.stage.pair
+        met = {} if pair is None else self._met(pair, time)
+        both = [
+            met[b] if b in met else self._alone(body, time)
+            for b, body in enumerate(self.stage.bodies)
+        ]
+        return Paths([p for p, _ in both], [v for _, v in both])
+
+    def _alone(self, body: BallBody, time: Tensor) -> tuple[Tensor, Tensor]:
+        v = self.values
+        laws = self._laws(body)
+        level = 0.5 * v[body.diameter] + v["ground"] + v["ground_height"]
+        lands = body.restitution is not None
+        ball = self._start(body)
+        if body.begins != "flying":
+            return self._rolled(ball, laws, level, time)
+        up = torch.stack([v[f"{body.name}_z"], v[f"{body.name}_vz"]], -1)
+        ground = Bounces(
+            laws,
+            v["lift"],
+            level,
+            v[body.restitution] if body.restitution else torch.zeros_like(level),
+            v["restitution_slope"],
+            v["rebound"],
+            lands,
+        )
+        thrown = Thrown(
+            torch.cat([ball.place, up[:, :1]], -1),
+            torch.cat([ball.velocity, up[:, 1:]], -1),
+            ball.rolling,
+        )
+        return bounced(thrown, time, ground)
+
+    def _met(self, pair: Pair, time: Tensor) -> dict[int, tuple[Tensor, Tensor]]:
+        """Two balls on the ground before and after their one impact."""
+        v = self.values
+        bodies = [self.stage.bodies[b] for b in pair.bodies]
+        laws = [self._laws(body) for body in bodies]
+        resting, coming = (self._start(body) for body in bodies)
+        start = on_ground.time_of_impact(resting, coming, self._reach(pair)[:, 0], laws[0])
+        law = {
+            "restitution": v[pair.restitution],
+            "ball_friction": v[pair.friction] + v["ball_friction"],
+            "mass_ratio": pair.mass_ratio + v["mass_ratio"],
+            "sidespin": v["sidespin"],
+        }
+        struck, came, lift = on_ground.impact(
+            on_ground.moved(resting, start, laws[0]),
+            on_ground.moved(coming, start, laws[1]),
+            laws[0],
+            law,
+        )
+        after = (time - start[:, None]).clamp(min=0.0)
+        before = torch.minimum(time, start[:, None].expand_as(time))
+        is_after = (time > start[:, None])[..., None]
+        up = (lift + v["hop"])[:, None]
+        height = (up * after - 0.5 * v["gravity"][:, None] * after**2).clamp(min=0.0)
+        out = {}
+        for b, body, law_of, first, later, rise in zip(
+            pair.bodies,
+            bodies,
+            laws,
+            (resting, coming),
+            (struck, came),
+            (torch.zeros_like(height), height),
+            strict=True,
+        ):
+            level = 0.5 * v[body.diameter] + v["ground"] + v["ground_height"]
+            one = self._rolled(later, law_of, level, after)
+            two = self._rolled(first, law_of, level, before)
+            place, speed = (torch.where(is_after, a, c) for a, c in zip(one, two, strict=True))
+            lifted = torch.zeros_like(place)
+            lifted[..., 2] = rise
+            out[b] = (place + lifted, speed)
+        return out
+
+    def _rolled(self, ball: Ball, laws: Laws, level: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
+        wide = Ball(*(y[:, None] for y in (ball.place, ball.velocity, ball.rolling)))
+        law = Laws(*(getattr(laws, n)[:, None] for n in Laws.__dataclass_fields__))
+        end = on_ground.moved(wide, time, law)
+        height = level[:, None, None].expand_as(end.place[..., :1])
+        return (
+            torch.cat([end.place, height], -1),
+            torch.cat([end.velocity, torch.zeros_like(height)], -1),
+        )
+
+    def _start(self, body: BallBody) -> Ball:
+        v, n = self.values, body.name
+        place = torch.stack([v[f"{n}_x"], v[f"{n}_y"]], -1)
+        if body.begins == "at_rest":
+            return Ball(place, torch.zeros_like(place), torch.zeros_like(place))
+        velocity = torch.stack([v[f"{n}_vx"], v[f"{n}_vy"]], -1)
+        return Ball(place, velocity, torch.stack([v[f"{n}_roll_x"], v[f"{n}_roll_y"]], -1))
+
+    def _laws(self, body: BallBody) -> Laws:
+        v = self.values
+        friction = v["table_friction"] + (v[body.friction] if body.friction else 0.0)
+        return Laws(
+            friction,
+            v["rolling_resistance"],
+            torch.stack([v["tilt_x"], v["tilt_y"]], -1),
+            v["air_drag"],
+            body.inertia + v["inertia"],
+            v["gravity"],
+        )
+
+    def _reach(self, pair: Pair) -> Tensor:
+        """Distance of the centers at the impact, (K, 1) [m]."""
+        both = [self._of(self.stage.bodies[b].diameter) for b in pair.bodies]
+        return 0.5 * (both[0] + both[1])
+
+    def _of(self, name: str) -> Tensor:
+        return self.values[name][:, None]

@@ -1,0 +1,312 @@
+"""From a description and its recordings to the model of balls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from diffsim.data.calibration import calibrate
+from diffsim.data.importers.common import read_columns
+from diffsim.data.study import Channel, Run, Study
+from diffsim.identify.effect import Effect
+from diffsim.identify.model import Numerics, SimModel
+from diffsim.systems.description import BaseParameters, Quantity
+from diffsim.systems.rigid_body import ball_effects as causes
+from diffsim.systems.rigid_body.ball_scene import (
+    PLAIN,
+    BallBody,
+    BallScene,
+    Eye,
+    Pair,
+    Stage,
+)
+from diffsim.systems.rigid_body.ball_starts import SPIN_SD, BallStarts
+from diffsim.systems.rigid_body.camera import on_plane, plain_camera
+from diffsim.systems.rigid_body.parts import GROUND, Body, Camera, Contact, Measure, Starts
+from diffsim.systems.rigid_body.tossing import UP
+
+Array = NDArray[np.float64]
+CLICKS = "calibration_points"
+CLICK_CHANNELS = ("clicked_u_px", "clicked_v_px")
+FOCAL_SD, SHIFT_SD = 0.15, 0.1
+SOLID = 0.4
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Clicked points: pixels (n, 2) [px] and their places (n, 3) [m]."""
+
+    pixels: Array
+    places: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Balls:
+    """Balls as a description states them.
+
+    Attributes:
+        bodies: The balls.
+        contacts: Which of them touch what.
+        height: Height of the ground [m]; None: no ground.
+        gravity: [m/s^2].
+        measures: What the channels show.
+        up: Axis of the recorded frame that points up.
+        starts: Which runs share a start.
+        camera: Camera of the channels in pixels.
+    """
+
+    bodies: Sequence[Body]
+    contacts: Sequence[Contact]
+    height: float | None
+    gravity: Quantity
+    measures: Sequence[Measure]
+    up: str
+    starts: Starts
+    camera: Camera | None
+
+    def with_clicks(self, study: Study) -> Study:
+        """The study with the camera's points as a run and two channels of their own."""
+        points = self._points(study)
+        if points is None or self.camera is None or self.camera.points is None:
+            return study
+        sd = self.camera.points.sd
+        width = len(study.channels)
+        runs = [
+            replace(r, measured=np.pad(r.measured, ((0, 0), (0, 2)), constant_values=np.nan))
+            for r in study.runs
+        ]
+        measured = np.full((len(points.pixels), width + 2), np.nan)
+        measured[:, width:] = points.pixels
+        order = min(r.order for r in runs) - 1
+        no_command = {n: np.zeros(len(measured)) for n in runs[0].command}
+        clicks = Run(
+            CLICKS, np.arange(float(len(measured))), measured, no_command, CLICKS, order, "fit"
+        )
+        channels = [*study.channels, *(Channel(c, "px", "image", sd) for c in CLICK_CHANNELS)]
+        return replace(study, channels=tuple(channels), runs=(clicks, *runs))
+
+    def model(self, study: Study, clicks: Mapping[str, Array] | None = None) -> SimModel:
+        """Model of a study with clicks.
+
+        Args:
+            study: Runs, that of the clicks among them.
+            clicks: Places of clicked points that runs hold beside their balls, one per sample,
+                (num_samples, 3) [m] by name of the run.
+        """
+        points = self._points(study)
+        runs = [r for r in study.runs if r.name != CLICKS]
+        eye, camera = self._eye(points)
+        stage = self._stage([c.name for c in study.channels], eye)
+        quantities = BaseParameters({**self._quantities(), **camera}, runs)
+        starts = BallStarts(
+            self.bodies,
+            self.starts,
+            runs,
+            lambda run, body: self._seen(run, body, study, eye, camera),
+            self.gravity.value,
+        )
+        zero = torch.zeros((), dtype=torch.float64)
+        plain = {n: zero + v for n, v in PLAIN.items()} | ({} if eye is None else dict(eye.plain))
+        stages = {run.name: stage for run in runs}
+        if eye is not None:
+            for name, places in (clicks or {}).items():
+                corners = torch.from_numpy(np.ascontiguousarray(places))
+                stages[name] = replace(stage, eye=replace(eye, corners=corners))
+            if points is not None:
+                corners = torch.from_numpy(np.ascontiguousarray(points.places))
+                only = replace(stage, bodies=(), pair=None)
+                stages[CLICKS] = replace(only, eye=replace(eye, corners=corners))
+
+        def build(values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> BallScene:
+            is_clicks = run.name == CLICKS
+            known = quantities.in_run(values, runs[0] if is_clicks else run)
+            start = {} if is_clicks else starts.in_run(values, run)
+            since = 0.0 if is_clicks else starts.at(run)
+            time = torch.from_numpy(np.asarray(run.time_s, dtype=np.float64) - since)
+            return BallScene({**plain, **known, **start}, time, stages[run.name])
+
+        base = (*quantities.base, *starts.base)
+        return SimModel(build, base, "balls", batched=True)
+
+    def library(self) -> tuple[Effect, ...]:
+        """Candidate causes that these balls may have."""
+        seen = {kind for m in self.measures for kind, _, _ in m.rows()}
+        flies = any(b.begins == "flying" for b in self.bodies)
+        bounces = flies and any(GROUND in c.between for c in self.contacts)
+        grounded = bounces or any(b.begins != "flying" for b in self.bodies)
+        out: list[Effect] = [*causes.EVERYWHERE]
+        if grounded:
+            out += [e for e in causes.GROUND if not self._states_friction(e)]
+        if flies and not self.gravity.is_fitted:
+            out.append(causes.LIFT)
+        if bounces:
+            out += causes.BOUNCES
+        if self._pair is not None:
+            out += [e for e in causes.PAIR if not self._states_friction(e)]
+        if "pixels" in seen:
+            out += causes.CAMERA
+            out += [causes.MERGED_REGIONS] if self._pair is not None else []
+        if seen & {"position", "velocity"}:
+            out += causes.POSITIONS
+        in_air = next((a for b in self.bodies if (a := b.in_air()) is not None), None)
+        if in_air is None:
+            return tuple(out)
+        typical = {causes.LIFT: in_air[0] * self.gravity.value, causes.AIR_DRAG: in_air[1]}
+        return tuple(replace(e, typical=typical[e]) if e in typical else e for e in out)
+
+    def _states_friction(self, effect: Effect) -> bool:
+        """Whether a contact's own friction is what an effect would add."""
+        with_ground = effect is causes.SLIDING_FRICTION
+        if not with_ground and effect is not causes.BALL_FRICTION:
+            return False
+        return any(
+            c.friction is not None for c in self.contacts if (GROUND in c.between) == with_ground
+        )
+
+    @property
+    def _pair(self) -> Contact | None:
+        return next((c for c in self.contacts if GROUND not in c.between), None)
+
+    def _shape(self, body: Body) -> Body:
+        """The body whose diameter and inertia this one has."""
+        if body.like is None:
+            return body
+        return next(b for b in self.bodies if b.name == body.like)
+
+    def _key(self, contact: Contact, what: str) -> str:
+        """Name of a contact's quantity: plain if there is only one contact."""
+        if len(self.contacts) == 1:
+            return what
+        names = [n for n in contact.between if n != GROUND]
+        return f"{what}_{'_'.join(names)}" + ("_ground" if GROUND in contact.between else "")
+
+    def _diameter(self, body: Body) -> str:
+        shapes = {self._shape(b).name for b in self.bodies}
+        return "diameter" if len(shapes) == 1 else f"{self._shape(body).name}_diameter"
+
+    def _quantities(self) -> dict[str, Quantity]:
+        out = {"gravity": self.gravity, "ground": Quantity(value=self.height or 0.0)}
+        for body in self.bodies:
+            if body.sphere is not None:
+                out[self._diameter(body)] = body.sphere
+        for contact in self.contacts:
+            out[self._key(contact, "restitution")] = contact.restitution
+            friction = contact.friction or Quantity(value=0.0)
+            out[self._key(contact, "friction")] = friction
+        if self._pair is not None:
+            out["sidespin"] = Quantity(value=0.0, sd=SPIN_SD, unit="m/s")
+        return out
+
+    def _stage(self, channels: Sequence[str], eye: Eye | None) -> Stage:
+        index = {b.name: i for i, b in enumerate(self.bodies)}
+        rows = {c: (k, index[m.body], i) for m in self.measures for k, i, c in m.rows()}
+        for names in (CLICK_CHANNELS, ("corner_u_px", "corner_v_px")):
+            rows |= {c: ("click", 0, i) for i, c in enumerate(names)}
+        frame = Rotation.from_rotvec(UP[self.up]).as_matrix().T
+        bodies = []
+        for body in self.bodies:
+            touch = next(
+                (c for c in self.contacts if GROUND in c.between and body.name in c.between), None
+            )
+            shape = self._shape(body)
+            bodies.append(
+                BallBody(
+                    body.name,
+                    body.begins,
+                    self._diameter(body),
+                    None if touch is None else self._key(touch, "restitution"),
+                    None if touch is None else self._key(touch, "friction"),
+                    shape.inertia_ratio or SOLID,
+                )
+            )
+        return Stage(
+            bodies,
+            self._pair_of(index),
+            [rows[c] for c in channels],
+            torch.from_numpy(np.ascontiguousarray(frame)),
+            eye,
+        )
+
+    def _pair_of(self, index: Mapping[str, int]) -> Pair | None:
+        contact = self._pair
+        if contact is None:
+            return None
+        i, j = (index[n] for n in contact.between)
+        if self.bodies[i].begins != "at_rest":  # the one that rests is struck
+            i, j = (j, i) if self.bodies[j].begins == "at_rest" else (i, j)
+        masses = [self._shape(self.bodies[b]).mass or 1.0 for b in (i, j)]
+        own = [self.bodies[b].mass or m for b, m in zip((i, j), masses, strict=True)]
+        keys = [self._key(contact, what) for what in ("restitution", "friction")]
+        return Pair((i, j), keys[0], keys[1], own[0] / own[1])
+
+    def _points(self, study: Study) -> Points | None:
+        if self.camera is None or self.camera.points is None:
+            return None
+        given = self.camera.points
+        path = (study.folder or Path()) / given.file
+        data, _ = read_columns(path, list(given.columns))
+        table = np.column_stack([data[c] for c in given.columns])
+        return Points(table[:, :2], table[:, 2:])
+
+    def _eye(self, points: Points | None) -> tuple[Eye | None, dict[str, Quantity]]:
+        """The camera before its fit, and what is fitted of it."""
+        camera = self.camera
+        if camera is None:
+            return None, {}
+        focal, rotation, shift = camera.focal, camera.rotation, camera.shift
+        if focal is None or rotation is None or shift is None:
+            assert points is not None
+            found = calibrate(
+                points.places, points.pixels, (int(camera.size[0]), int(camera.size[1]))
+            )
+            focal = focal or Quantity(value=found["alpha_px"], percent=100.0 * FOCAL_SD, unit="px")
+            rotation = rotation or found["R"]
+            shift = shift or tuple(
+                Quantity(value=float(t), sd=SHIFT_SD, unit="m") for t in found["T_m"]
+            )
+        eye = Eye(
+            torch.tensor(rotation, dtype=torch.float64), camera.size[1], plain_camera(camera.size)
+        )
+        turn = Quantity(value=0.0, sd=camera.turn_sd, unit="rad")
+        named = {"focal": focal} | {f"turn_{a}": turn for a in "xyz"}
+        return eye, named | {f"shift_{a}": q for a, q in zip("xyz", shift, strict=True)}
+
+    def _seen(
+        self,
+        run: Run,
+        body: Body,
+        study: Study,
+        eye: Eye | None,
+        camera: Mapping[str, Quantity],
+    ) -> Array:
+        """Places of a ball as a run shows them, (num_samples, 3) [m] with z up; NaN if unseen."""
+        names = [c.name for c in study.channels]
+        place = np.full((len(run.time_s), 3), np.nan)
+        for measure in self.measures:
+            if measure.body != body.name:
+                continue
+            for axis, channel in measure.position.items():
+                place[:, "xyz".index(axis)] = run.measured[:, names.index(channel)]
+            if measure.pixels and eye is not None:
+                pixels = run.measured[:, [names.index(c) for c in measure.pixels]]
+                values = {n: torch.tensor(q.value).double() for n, q in camera.items()}
+                diameter = self._shape(body).sphere
+                assert diameter is not None
+                level = 0.5 * diameter.value + (self.height or 0.0)
+                flat = on_plane(
+                    {**eye.plain, **values}, eye.rotation, torch.from_numpy(pixels), level
+                )
+                return np.column_stack([flat.numpy(), np.full(len(flat), level)])
+        frame = np.nan_to_num(Rotation.from_rotvec(UP[self.up]).as_matrix().round())
+        world = np.zeros_like(place)
+        for i, row in enumerate(frame):
+            j = int(np.argmax(np.abs(row)))
+            world[:, i] = row[j] * place[:, j]
+        return world

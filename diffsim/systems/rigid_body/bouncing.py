@@ -1,0 +1,137 @@
+"""A ball that flies, bounces, and stays on the ground when it bounces no more."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from diffsim.systems.rigid_body.flight import Flight, fall_time, span_of
+from diffsim.systems.rigid_body.on_ground import Ball, Laws, moved
+
+MAX_BOUNCES = 60
+SETTLES = 0.03  # [m/s] of the rebound: a bounce of 0.05 mm
+REFERENCE_SPEED = 1.0  # [m/s] where the slope of the restitution does nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Bounces:
+    """What a ball meets in the air and where it lands, (K,) each unless said otherwise.
+
+    Attributes:
+        laws: Motion on the ground, and air drag, gravity and friction of bounces.
+        lift: Acceleration upwards [m/s^2].
+        level: Height of the ball's center on the ground [m].
+        restitution: At 1 m/s [-].
+        restitution_slope: Growth of its logarithm per m/s [s/m].
+        rebound: Tangential restitution of a contact that sticks [-].
+        lands: Whether there is a ground.
+    """
+
+    laws: Laws
+    lift: Tensor
+    level: Tensor
+    restitution: Tensor
+    restitution_slope: Tensor
+    rebound: Tensor
+    lands: bool = True
+
+    def acceleration(self, velocity: Tensor) -> Tensor:
+        """Of a ball in flight, (K, n, 3) of velocities (K, n, 3)."""
+        laws = self.laws
+        fall = torch.cat(
+            [laws.gravity[:, None] * laws.tilt, (self.lift - laws.gravity)[:, None]], -1
+        )
+        speed = torch.sqrt((velocity**2).sum(-1, keepdim=True) + 1e-12)
+        return fall[:, None] - laws.air_drag[:, None, None] * speed * velocity
+
+
+@dataclass(frozen=True, eq=False)
+class Thrown:
+    """A ball in flight.
+
+    Attributes:
+        place, velocity: (K, 3) [m, m/s].
+        rolling: (K, 2) velocity at which it would roll with its spin [m/s].
+    """
+
+    place: Tensor
+    velocity: Tensor
+    rolling: Tensor
+
+
+def bounced(ball: Thrown, time: Tensor, ground: Bounces) -> tuple[Tensor, Tensor]:
+    """Place and velocity of the center, (K, T, 3) each [m, m/s].
+
+    Args:
+        ball: At time 0.
+        time: (K, T) [s], from 0.
+        ground: Air and ground.
+    """
+    end = time.detach().amax(-1)
+    begun = torch.zeros_like(end)
+    settled = torch.zeros_like(end, dtype=torch.bool)
+    shape = (*time.shape, 3)
+    place, velocity = ball.place[:, None].expand(shape), ball.velocity[:, None].expand(shape)
+    for _ in range(MAX_BOUNCES):
+        height = ball.place[:, 2] - ground.level
+        fall = fall_time(height, ball.velocity[:, 2], ground.laws.gravity)
+        span = span_of(fall) if ground.lands else (end + 1e-3).expand_as(fall)
+        flight = Flight.over(ball.place, ball.velocity, ground.acceleration, span)
+        now = (time >= begun[:, None])[..., None] & ~settled[:, None, None]
+        there, speed = flight.at(time - begun[:, None])
+        place, velocity = torch.where(now, there, place), torch.where(now, speed, velocity)
+        if not ground.lands:
+            return place, velocity
+        landing = flight.landing(ground.level, fall)
+        ball = _unless(settled, ball, _rebounded(flight, landing, ball.rolling, ground))
+        begun = torch.where(settled, begun, begun + landing)
+        settled = settled | (ball.velocity[:, 2] < SETTLES)
+        if bool((settled | (begun > end)).all()):
+            break
+    return _on_ground(ball, time - begun[:, None], settled, ground, (place, velocity))
+
+
+def _rebounded(flight: Flight, landing: Tensor, rolling: Tensor, ground: Bounces) -> Thrown:
+    """The ball after an impact with the ground: restitution, and Coulomb friction or sticking."""
+    place, velocity = (y[:, 0] for y in flight.at(landing[:, None]))
+    approach = (-velocity[:, 2]).clamp(min=0.0)
+    growth = ground.restitution_slope * (approach - REFERENCE_SPEED)
+    rise = ground.restitution * torch.exp(growth) * approach
+    slip = velocity[:, :2] - rolling
+    size = torch.sqrt((slip**2).sum(-1) + 1e-18)
+    stick = (1.0 + ground.rebound) * size / (1.0 + 1.0 / ground.laws.inertia)
+    rub = torch.minimum(ground.laws.table_friction * (approach + rise), stick)
+    step = (rub / size)[:, None] * slip
+    return Thrown(
+        torch.cat([place[:, :2], ground.level[:, None]], -1),
+        torch.cat([velocity[:, :2] - step, rise[:, None]], -1),
+        rolling + step / ground.laws.inertia[:, None],
+    )
+
+
+def _unless(settled: Tensor, old: Thrown, new: Thrown) -> Thrown:
+    keep = settled[:, None]
+    return Thrown(
+        torch.where(keep, old.place, new.place),
+        torch.where(keep, old.velocity, new.velocity),
+        torch.where(keep, old.rolling, new.rolling),
+    )
+
+
+def _on_ground(
+    ball: Thrown, since: Tensor, settled: Tensor, ground: Bounces, flown: tuple[Tensor, Tensor]
+) -> tuple[Tensor, Tensor]:
+    """The flown motion, with the rest of it on the ground where the ball has settled."""
+    now = (since >= 0.0)[..., None] & settled[:, None, None]
+    if not bool(now.any()):
+        return flown
+    laws = ground.laws
+    wide = Laws(*(getattr(laws, n)[:, None] for n in Laws.__dataclass_fields__))
+    start = Ball(ball.place[:, None, :2], ball.velocity[:, None, :2], ball.rolling[:, None])
+    end = moved(start, since.clamp(min=0.0), wide)
+    level = ground.level[:, None, None].expand_as(end.place[..., :1])
+    there = torch.cat([end.place, level], -1)
+    speed = torch.cat([end.velocity, torch.zeros_like(level)], -1)
+    return torch.where(now, there, flown[0]), torch.where(now, speed, flown[1])

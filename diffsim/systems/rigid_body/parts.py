@@ -1,0 +1,251 @@
+"""Blocks of the description of rigid bodies: their keys, and what the keys say together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from diffsim.systems.description import Part, Quantity, number, quantity
+
+GROUND = "ground"
+AXES = ("x", "y", "z")
+_RHO_AIR = 1.2  # [kg/m^3]
+_DRAG_OF_BOX, _DRAG_OF_SPHERE = 1.0, 0.5
+
+
+class Start(Part):
+    """First guess of a ball's start, where the recording does not give it."""
+
+    place: tuple[quantity("m"), ...] = Field((), description="Its center: x, y and, in flight, z")  # type: ignore[valid-type]
+    velocity: tuple[quantity("m/s"), ...] = Field((), description="Along the same axes")  # type: ignore[valid-type]
+    roll: tuple[quantity("m/s"), ...] = Field(  # type: ignore[valid-type]
+        (), description="Velocity at which it would roll with its spin: x and y"
+    )
+
+
+class Body(Part):
+    """One rigid body."""
+
+    name: str = Field(description="Name of the body")
+    box: tuple[quantity("m"), ...] | None = Field(  # type: ignore[valid-type]
+        None, description="Lengths of a box's three edges, or one for a cube"
+    )
+    sphere: quantity("m") | None = Field(None, description="Diameter of a ball")  # type: ignore[valid-type]
+    like: str | None = Field(
+        None, description="Another ball that this one equals: the same diameter and inertia"
+    )
+    mass: number("kg") | None = Field(None, description="Mass; sizes what air may do")  # type: ignore[valid-type]
+    inertia: tuple[number("kg m^2"), ...] | None = Field(  # type: ignore[valid-type]
+        None, description="Moments of inertia about the body's x, y, z; needs mass"
+    )
+    inertia_ratio: float | None = Field(
+        None, gt=0, description="Of a ball: I / (m r^2); solid 0.4 (default), thin shell 0.67 [-]"
+    )
+    begins: Literal["flying", "on_ground", "at_rest"] = Field(
+        "flying", description="flying, on_ground (it slides or rolls) or at_rest (on the ground)"
+    )
+    start: Start = Field(Start(), description="First guess of a ball's start; default: the data's")
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> Body:
+        shapes = [k for k in ("box", "sphere", "like") if getattr(self, k) is not None]
+        if len(shapes) > 1:
+            raise ValueError(f"give one of box, sphere and like, got {' and '.join(shapes)}")
+        if self.box is not None and len(self.box) not in (1, 3):
+            raise ValueError(f"box has three edges, or one for a cube, got {len(self.box)}")
+        if not shapes and self.inertia is None:
+            raise ValueError("give a box, a sphere, or mass and inertia")
+        if self.inertia is not None and (self.mass is None or len(self.inertia) != 3):
+            raise ValueError("inertia needs three moments and the mass")
+        return self
+
+    @property
+    def is_ball(self) -> bool:
+        """Whether its turn does not matter."""
+        return self.sphere is not None or self.like is not None
+
+    @property
+    def edges(self) -> tuple[Quantity, ...]:
+        """Three edges of a box."""
+        box = self.box or ()
+        return box * 3 if len(box) == 1 else box
+
+    def volume_and_area(self) -> tuple[float, float]:
+        """Volume [m^3], and area against the air times its coefficient [m^2]; 0 if unknown."""
+        if self.sphere is not None:
+            d = self.sphere.value
+            return math.pi / 6.0 * d**3, _DRAG_OF_SPHERE * math.pi / 4.0 * d**2
+        if self.box is not None:
+            a, b, c = (q.value for q in self.edges)
+            # mean shadow of a box that tumbles: a quarter of its surface
+            return a * b * c, _DRAG_OF_BOX * 0.5 * (a * b + b * c + c * a)
+        return 0.0, 0.0
+
+    def in_air(self) -> tuple[float, float] | None:
+        """Share of the weight that air carries, added mass included [-], and deceleration over
+        speed squared [1/m]; None where mass or shape is not stated."""
+        volume, area = self.volume_and_area()
+        if self.mass is None or volume == 0.0:
+            return None
+        return 1.5 * _RHO_AIR * volume / self.mass, 0.5 * _RHO_AIR * area / self.mass
+
+
+class Ground(Part):
+    """The plane below, level unless an effect tilts it."""
+
+    height: number("m") = Field(0.0, description="Height of the plane in the recorded frame")  # type: ignore[valid-type]
+
+
+class Contact(Part):
+    """What two bodies, or a body and the ground, do where they touch."""
+
+    between: tuple[str, str] = Field(description="Two bodies, or a body and `ground`")
+    restitution: quantity("-") = Field(  # type: ignore[valid-type]
+        Quantity(value=0.5, sd=0.25, lower=0.0, upper=1.0),
+        description="Speed of separation over that of approach [-]",
+    )
+    friction: quantity("-") | None = Field(  # type: ignore[valid-type]
+        None, description="Coulomb coefficient [-]; left out: none, but a candidate cause"
+    )
+
+
+class Measure(Part):
+    """Which channels show what of a body; give one of its keys beside `body`."""
+
+    body: str = Field(description="Name of the body")
+    position: dict[str, str] = Field({}, description="Channel of its center by axis: {x: x_m}")
+    velocity: dict[str, str] = Field({}, description="Channel of its velocity by axis")
+    quaternion: tuple[str, ...] = Field((), description="Four channels, scalar part first")
+    angles: dict[str, str] = Field(
+        {}, description="Channels by roll, pitch, yaw: R = Rz(yaw) Ry(pitch) Rx(roll) [rad]"
+    )
+    spin: dict[str, str] = Field({}, description="Channels of the body rates by body axis [rad/s]")
+    pixels: tuple[str, ...] = Field((), description="Channels u (right) and v (down) of a camera")
+
+    @model_validator(mode="after")
+    def _complete(self) -> Measure:
+        given = [k for k in KINDS if getattr(self, k)]
+        if len(given) != 1:
+            raise ValueError(
+                f"give one of {', '.join(KINDS)} per entry, got {', '.join(given) or 'none'}"
+            )
+        for key, count in (("quaternion", 4), ("pixels", 2)):
+            names = getattr(self, key)
+            if names and len(names) != count:
+                raise ValueError(f"{key} needs {count} channels, got {len(names)}")
+        for key, axes in (
+            ("position", AXES),
+            ("velocity", AXES),
+            ("spin", AXES),
+            ("angles", ANGLES),
+        ):
+            for axis in getattr(self, key):
+                if axis not in axes:
+                    raise ValueError(f"{key} has no {axis!r}; known: {', '.join(axes)}")
+        return self
+
+    def rows(self) -> Iterator[tuple[str, int, str]]:
+        """Kind, component and channel of every entry."""
+        for key, axes in (
+            ("position", AXES),
+            ("velocity", AXES),
+            ("spin", AXES),
+            ("angles", ANGLES),
+        ):
+            for axis, channel in getattr(self, key).items():
+                yield key, axes.index(axis), channel
+        for key in ("quaternion", "pixels"):
+            for i, channel in enumerate(getattr(self, key)):
+                yield key, i, channel
+
+
+KINDS = ("position", "velocity", "quaternion", "angles", "spin", "pixels")
+ANGLES = ("roll", "pitch", "yaw")
+
+
+class Points(Part):
+    """Points whose places are known, clicked in a picture of the camera."""
+
+    file: str = Field(description="CSV beside the recordings")
+    columns: tuple[str, str, str, str, str] = Field(
+        ("u_px", "v_px", "x_m", "y_m", "z_m"), description="Columns of u, v [px] and x, y, z [m]"
+    )
+    sd: float = Field(1.0, gt=0, description="How well a point is clicked [px]")
+
+
+class Camera(Part):
+    """A pinhole: Y = turn R p + shift, u = u0 + f Y0 / Y2, v = v0 - f Y1 / Y2 (Y2 < 0 in front)."""
+
+    size: tuple[float, float] = Field(description="Width and height of the picture [px]")
+    focal: quantity("px") | None = Field(None, description="Focal length [px]; default: by points")  # type: ignore[valid-type]
+    rotation: tuple[tuple[float, float, float], ...] | None = Field(
+        None, description="First guess of R, rows of three; default: by points"
+    )
+    shift: tuple[quantity("m"), ...] | None = Field(  # type: ignore[valid-type]
+        None, description="First guess of the shift; default: by points"
+    )
+    turn_sd: number("rad") = Field(  # type: ignore[valid-type]
+        0.1, gt=0, description="How far R may be off, about each axis [rad]"
+    )
+    points: Points | None = Field(None, description="Clicked points that calibrate it")
+
+    @model_validator(mode="after")
+    def _known(self) -> Camera:
+        given = [k for k in ("focal", "rotation", "shift") if getattr(self, k) is not None]
+        if len(given) < 3 and self.points is None:
+            raise ValueError("give focal, rotation and shift, or points to find them by")
+        if self.rotation is not None and len(self.rotation) != 3:
+            raise ValueError(f"rotation needs three rows, got {len(self.rotation)}")
+        return self
+
+
+class Starts(Part):
+    """Which runs share the state that their motion starts from."""
+
+    per: str = Field(
+        "run",
+        description="run: each its own; once: all runs are parts of one motion; or a fact of the "
+        "runs' setup: one for each of its values",
+    )
+    at: number("s") = Field(  # type: ignore[valid-type]
+        0.0, description="Time of the start where runs share it; else each run's first sample"
+    )
+
+
+class Window(Part):
+    """How much of a toss counts; it ends where the body's next contact is not modeled."""
+
+    until: Literal["touch", "rebound"] = Field(
+        "touch",
+        description="touch: just before the first contact; rebound: through the impact of the "
+        "corner that hits first, until another one comes down",
+    )
+    near: number("m") | None = Field(  # type: ignore[valid-type]
+        None, gt=0, description="Height of a corner that counts as touching; default: 3 % of edge"
+    )
+    spared: int = Field(1, ge=0, description="Frames left out before the touch")
+    rest_frames: int = Field(
+        0,
+        ge=0,
+        description="Number of frames at the end in which the body rests on the ground: their "
+        "median height counts as one more sample; 0: none",
+    )
+    rest_sd: number("m") | None = Field(  # type: ignore[valid-type]
+        None, gt=0, description="Noise of that height; default: its scatter over the runs"
+    )
+
+
+__all__ = [
+    "Body",
+    "Camera",
+    "Contact",
+    "Ground",
+    "Measure",
+    "Points",
+    "Start",
+    "Starts",
+    "Window",
+]

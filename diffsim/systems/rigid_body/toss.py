@@ -1,0 +1,254 @@
+"""Tossed bodies: flight, impact of the first corner, flight; and the height at which they rest.
+
+Plain: gravity, Coulomb friction, restitution, level ground. A body whose moments of inertia are
+equal turns about a fixed axis in flight: all is in closed form, no time step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim.core.rotation import (
+    matrix_from_quaternion,
+    quaternion_conjugate,
+    quaternion_from_rotation_vector,
+    quaternion_product,
+    rotate_by_quaternion,
+)
+from diffsim.data.study import Run
+from diffsim.systems.rigid_body.impact import impulse
+from diffsim.systems.rigid_body.layout import Flown, Layout
+from diffsim.systems.rigid_body.turning import turned
+from diffsim.systems.rigid_body.windows import CORNERS, TURN, TWIST
+
+NEWTON_STEPS = 6
+SHORTEST = 1e-9  # [s] of a contact: instant
+#: Terms that effects may add, with their number of components.
+TERMS = {
+    "length_scale": 1,
+    "clock_scale": 1,
+    "gravity": 3,
+    "drag": 1,
+    "quadratic_drag": 1,
+    "spin_drag": 1,
+    "ground_height": 1,
+    "ground_slope": 2,
+    "half_width": 1,
+    "center": 3,
+    "contact_time": 1,
+    "smoothing": 1,
+    "restitution_slope": 1,
+    "rebound": 1,
+    "friction_slope": 1,
+    "inertia": 1,
+    "unequal_inertia": 2,
+}
+REFERENCE_SPEED = 1.0  # [m/s] where the slopes of restitution and friction do nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Mass:
+    """What is known of the body's mass beside the edges of a box.
+
+    Attributes:
+        inertia: Moments of inertia per mass, (3,) [m^2]; None: those of a box of even density.
+        is_even: Whether the three moments are equal.
+        has_corners: Whether it is a box, which may touch the ground.
+    """
+
+    inertia: tuple[float, float, float] | None = None
+    is_even: bool = True
+    has_corners: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Tosses:
+    """Several tosses side by side, padded to the longest.
+
+    Attributes:
+        time_s: (num_tosses, length) from 0; padded by its last frame.
+        corner: (num_tosses, 3) the one that hits first, entries 1 or -1.
+        touch_s: (num_tosses, 1) when it is near the ground.
+        turn: (num_tosses, 4) first quaternion, scalar part first.
+        hits: (num_tosses, 1) 1 where the record goes on through the impact, else 0.
+        measured: (num_tosses, length, num_channels), NaN in the padding.
+        start: (num_tosses, 12) first guess: position, turn, velocity, body rates.
+    """
+
+    time_s: Tensor
+    corner: Tensor
+    touch_s: Tensor
+    turn: Tensor
+    hits: Tensor
+    measured: Tensor
+    start: Tensor
+
+    @classmethod
+    def of(cls, runs: Sequence[Run]) -> Tosses:
+        """From recordings with what ``windows`` found of them in their ``setup``."""
+        length = max(len(r.time_s) for r in runs)
+        times, poses = [], []
+        for run in runs:
+            more = length - len(run.time_s)
+            times.append(np.pad(run.time_s - run.time_s[0], (0, more), mode="edge"))
+            poses.append(np.pad(run.measured, ((0, more), (0, 0)), constant_values=np.nan))
+        turn = torch.tensor([[r.setup[f"start_{c}"] for c in TURN] for r in runs]).double()
+        first = torch.tensor([[r.setup[f"start_{c}"] for c in TWIST] for r in runs]).double()
+        return cls(
+            torch.from_numpy(np.stack(times)),
+            torch.from_numpy(CORNERS[[int(r.setup["corner"]) for r in runs]]),
+            torch.tensor([[r.setup["touch_s"] - r.time_s[0]] for r in runs]).double(),
+            turn / turn.norm(dim=-1, keepdim=True),
+            torch.tensor([[r.setup["hits"]] for r in runs]).double(),
+            torch.from_numpy(np.stack(poses)),
+            torch.cat([first[:, :3], torch.zeros_like(first[:, :3]), first[:, 3:]], -1),
+        )
+
+    def only(self, index: int) -> Tosses:
+        """A copy with one of the tosses."""
+        return Tosses(*(getattr(self, f.name)[index : index + 1] for f in fields(self)))
+
+    def fly(
+        self,
+        start: Tensor,
+        values: Mapping[str, Tensor],
+        terms: Mapping[str, Tensor],
+        mass: Mass,
+        layout: Layout,
+    ) -> Tensor:
+        """Channels of all tosses, (K, num_tosses, length, num_channels).
+
+        Args:
+            start: Start states of K points, (K, num_tosses, 12).
+            values: restitution, friction, gravity [m/s^2], ground [m] and edge_x, edge_y, edge_z
+                [m], (K,) or ().
+            terms: Sizes of what effects add, (K, num_components) or (num_components,); ``TERMS``.
+            mass: What is known of the body's mass.
+            layout: What the channels show.
+        """
+        k = len(start)
+        get = {name: _sized(terms, name, k) for name in TERMS}
+        value = {n: v.expand(k)[:, None] for n, v in values.items()}  # (K, 1)
+        stretch = 1.0 + get["clock_scale"]
+        time = self.time_s * stretch  # (K, R, n)
+        x0, turn, v0, rates = start.split(3, -1)
+        q0 = quaternion_product(self.turn, quaternion_from_rotation_vector(turn))
+        down = torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)
+        gravity = get["gravity"] + value["gravity"][..., None] * down
+        middle = v0 + 0.5 * gravity * time[..., -1:]
+        drag = get["drag"] + get["quadratic_drag"] * middle.norm(dim=-1, keepdim=True)
+        spin = get["spin_drag"]
+        bigger = 1.0 + get["half_width"]
+        half = torch.stack([0.5 * value[f"edge_{a}"] for a in "xyz"], -1)  # (K, 1, 3)
+        moments = _moments(mass, half, get["unequal_inertia"])
+        even = None if mass.is_even and "unequal_inertia" not in terms else moments
+        per_mass = moments * (1.0 + get["inertia"])
+        ground = value["ground"][..., None] + get["ground_height"]
+
+        hit = self.touch_s * stretch
+        kick = torch.zeros_like(x0)
+        twist = torch.zeros_like(x0)
+        if mass.has_corners and bool((self.hits > 0.0).any()):
+            arm_body = self.corner * half * bigger - get["center"]
+
+            def at(t: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+                """Gap of the corner, its velocity, its arm, and the turn at times (K, R, 1)."""
+                x, v = _ballistic(x0, v0, gravity, drag, t)
+                step, now = turned(rates, _slowed(t, spin)[..., 0], even)
+                q = quaternion_product(q0, step)
+                arm = rotate_by_quaternion(q, arm_body)
+                rate = rotate_by_quaternion(q, now * (1.0 - spin * t))
+                place, speed = x + arm, v + torch.linalg.cross(rate, arm)
+                level = ground + (place[..., :2] * get["ground_slope"]).sum(-1, True)
+                return place[..., 2:] - level, speed, arm, q
+
+            for _ in range(NEWTON_STEPS):
+                gap, speed, _, _ = at(hit)
+                hit = hit - gap / speed[..., 2:].clamp(max=-0.1)
+            _, speed, arm, q_hit = at(hit)
+            e, mu = value["restitution"], value["friction"]
+            e = e * torch.exp(get["restitution_slope"][..., 0] * (-speed[..., 2] - REFERENCE_SPEED))
+            slip = speed[..., :2].square().sum(-1).clamp(min=1e-12).sqrt()
+            mu = mu * torch.exp(get["friction_slope"][..., 0] * (slip - REFERENCE_SPEED))
+            turn_hit = matrix_from_quaternion(q_hit)
+            inverse = (turn_hit / per_mass[..., None, :]) @ turn_hit.mT
+            kick = impulse(speed, arm, inverse, e, mu, get["rebound"][..., 0])
+            spun = (inverse @ torch.linalg.cross(arm, kick)[..., None])[..., 0]
+            twist = rotate_by_quaternion(quaternion_conjugate(q_hit), spun)
+
+        since = _ramp(time - hit, get["contact_time"], get["smoothing"]) * self.hits
+        since = since[..., None]
+        near, fast, pull, slow = (y[..., None, :] for y in (x0, v0, gravity, drag))
+        x, v = _ballistic(near, fast, pull, slow, time[..., None])
+        x = x + kick[..., None, :] * since
+        is_after = since > 0.0
+        v = torch.where(is_after, v + kick[..., None, :], v)
+        # the body turns freely before and after the impact
+        whole, before = _slowed(time, spin), _slowed(hit, spin)
+        wide = None if even is None else even[..., None, :]
+        until = torch.where(is_after[..., 0], before, whole)
+        step, rate_hit = turned(rates[..., None, :], until, wide)
+        gone = torch.where(is_after[..., 0], whole - before, 0.0)[..., None]
+        kicked = torch.where(is_after, twist[..., None, :] * since, 0.0)
+        if wide is None:
+            rest = quaternion_from_rotation_vector(rate_hit * gone + kicked)
+            now = rate_hit + torch.where(is_after, twist[..., None, :], 0.0)
+        else:  # the mean rate since the impact, where a contact takes its time
+            share = torch.where(gone.abs() < SHORTEST, SHORTEST, gone)
+            rest, now = turned(rate_hit + kicked / share, gone[..., 0], wide)
+        q = quaternion_product(quaternion_product(q0[..., None, :], step), rest)
+        # at rest on a face, wherever that is: the slope of the ground is left out
+        rest_height = half[..., 2:] * bigger + ground
+        x = x + rotate_by_quaternion(q, get["center"][..., None, :])
+        scale = 1.0 + get["length_scale"][..., None]
+        flown = Flown(
+            scale * x,
+            q,
+            scale * v,
+            now * (1.0 - spin * time)[..., None],
+            (scale * rest_height[..., None]).expand_as(q[..., :1]),
+        )
+        return layout.channels(flown, self.measured)
+
+
+def _moments(mass: Mass, half: Tensor, unequal: Tensor) -> Tensor:
+    """Moments of inertia per mass, (K, 1, 3) [m^2]."""
+    if mass.inertia is not None:
+        moments = torch.tensor(mass.inertia, dtype=torch.float64).expand_as(half)
+    else:
+        square = half**2
+        moments = (square.sum(-1, keepdim=True) - square) / 3.0
+    return moments * (1.0 + torch.cat([unequal, torch.zeros_like(unequal[..., :1])], -1))
+
+
+def _sized(terms: Mapping[str, Tensor], name: str, k: int) -> Tensor:
+    """(K, 1, num_components) of a term, zero where no effect has set it."""
+    size = terms.get(name, torch.zeros(TERMS[name], dtype=torch.float64))
+    return size.expand(k, TERMS[name])[:, None]
+
+
+def _ballistic(
+    x: Tensor, v: Tensor, gravity: Tensor, drag: Tensor, t: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Place and velocity under gravity and v' = g - drag v, to first order in drag t."""
+    place = x + v * (t - drag * t**2 / 2.0) + gravity * (t**2 / 2.0 - drag * t**3 / 6.0)
+    return place, v * (1.0 - drag * t) + gravity * (t - drag * t**2 / 2.0)
+
+
+def _slowed(t: Tensor, drag: Tensor) -> Tensor:
+    """Integral of 1 - drag t."""
+    return t - drag * t**2 / 2.0
+
+
+def _ramp(since: Tensor, contact: Tensor, width: Tensor) -> Tensor:
+    """Time since the impact that counts: integral of a step, of a ramp over ``contact`` after it,
+    or of one over ``width`` about it (then the camera's smoothing, not the contact)."""
+    length = (contact + width).clamp(min=SHORTEST)
+    s = since + width / 2.0
+    inside = s.clamp(min=0.0) ** 2 / (2.0 * length)
+    return torch.where(s > length, s - length / 2.0, inside)

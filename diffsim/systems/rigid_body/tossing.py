@@ -1,0 +1,212 @@
+"""From a description and its recordings to the model of one tossed body."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from diffsim.data.study import Channel, Run, Study
+from diffsim.identify.effect import Effect
+from diffsim.systems.description import BaseParameters, Quantity
+from diffsim.systems.rigid_body import effects as causes
+from diffsim.systems.rigid_body.layout import REST, Layout
+from diffsim.systems.rigid_body.model import Thrown, TossModel
+from diffsim.systems.rigid_body.parts import ANGLES, Body, Contact, Measure, Window
+from diffsim.systems.rigid_body.toss import Mass
+from diffsim.systems.rigid_body.windows import (
+    MIN_FRAMES,
+    Poses,
+    angles_to_quaternions,
+    continuous,
+    cut,
+    first_touch,
+    rest_height,
+    start_facts,
+)
+
+Array = NDArray[np.float64]
+NEAR = 0.03  # of the shortest edge
+#: Turn from the recorded frame to the one whose z points up, as a rotation vector [rad].
+UP = {
+    "z": (0.0, 0.0, 0.0),
+    "-z": (np.pi, 0.0, 0.0),
+    "y": (0.5 * np.pi, 0.0, 0.0),
+    "-y": (-0.5 * np.pi, 0.0, 0.0),
+    "x": (0.0, -0.5 * np.pi, 0.0),
+    "-x": (0.0, 0.5 * np.pi, 0.0),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Tossed:
+    """A tossed body as a description states it.
+
+    Attributes:
+        body: The body.
+        ground: Its contact with the ground; None: it is never touched.
+        height: Height of the ground [m].
+        gravity: [m/s^2].
+        measures: What the channels show.
+        up: Axis of the recorded frame that points up.
+        window: How much of a toss counts; None: all, in free flight.
+    """
+
+    body: Body
+    ground: Contact | None
+    height: float
+    gravity: Quantity
+    measures: Sequence[Measure]
+    up: str
+    window: Window | None
+
+    def cut_study(self, study: Study) -> Study:
+        """Each toss until its window ends; too short ones are left out."""
+        names = [c.name for c in study.channels]
+        turn = Rotation.from_rotvec(UP[self.up])
+        runs, rests = [], []
+        for run in study.runs:
+            run = self._with_continuous(run, names)
+            poses = self._poses(run, names, turn)
+            short = self._window_of(run, poses)
+            if short is None:
+                continue
+            rest = np.full((len(short.time_s), 1), np.nan)
+            if self._rest_frames:
+                assert self.window is not None
+                rest[-1] = rest_height(poses, self.window.rest_frames) - self.height
+                rests.append(rest[-1, 0])
+                short = replace(short, measured=np.hstack([short.measured, rest]))
+            runs.append(short)
+        if not runs:
+            raise ValueError(
+                f"study {study.name}: no run has {MIN_FRAMES} frames of flight before its first "
+                "contact; check the ground's height, the body's edges and the axis ``up``"
+            )
+        channels = list(study.channels)
+        if self._rest_frames:
+            assert self.window is not None
+            sd = self.window.rest_sd or max(float(np.std(rests)), 1e-6)
+            channels.append(Channel(REST, "m", "position", sd))
+        return replace(study, channels=tuple(channels), runs=tuple(runs))
+
+    def model(self, study: Study) -> TossModel:
+        """Model of a cut study."""
+        turn = Rotation.from_rotvec(UP[self.up]).as_quat()[[3, 0, 1, 2]]
+        rows = {c: (k, i) for m in self.measures for k, i, c in m.rows()} | {REST: ("rest", 0)}
+        layout = Layout([rows[c.name] for c in study.channels], torch.from_numpy(turn))
+        parameters = BaseParameters(self._quantities(), study.runs)
+        return TossModel(study.runs, study.channels, Thrown(parameters, self._mass(), layout))
+
+    def library(self) -> tuple[Effect, ...]:
+        """Candidate causes that this toss may have."""
+        out: list[Effect] = []
+        in_air = self.body.in_air()
+        for effect in causes.TOSS:
+            if effect.name in self._left_out():
+                continue
+            if in_air is not None and effect is causes.GRAVITY:
+                effect = replace(effect, typical=in_air[0] * self.gravity.value)
+            if in_air is not None and effect is causes.SPECIFIC_QUADRATIC_DRAG:
+                effect = replace(effect, typical=in_air[1])
+            out.append(effect)
+        return tuple(out)
+
+    def _left_out(self) -> set[str]:
+        """Causes that a prior of the description already holds, or that nothing could show."""
+        out = set()
+        if self.gravity.is_fitted:
+            out.add(causes.GRAVITY.name)
+        if self.body.box is None or any(q.is_fitted for q in self.body.edges):
+            out.add(causes.HALF_WIDTH.name)
+        if self.ground is None or not (self._through or self._rest_frames):
+            out.add(causes.GROUND_HEIGHT.name)
+        return out
+
+    @property
+    def _through(self) -> bool:
+        return self.window is not None and self.window.until == "rebound"
+
+    @property
+    def _rest_frames(self) -> int:
+        return 0 if self.window is None else self.window.rest_frames
+
+    def _quantities(self) -> dict[str, Quantity]:
+        """All numbers of the model; those that no run can show are known."""
+        edges = self.body.edges or (Quantity(value=1.0),) * 3
+        same = self.body.box is not None and len(self.body.box) == 1
+        out = {"gravity": self.gravity, "ground": Quantity(value=self.height)}
+        out |= {f"edge_{a}": q for a, q in zip("xyz", edges, strict=True)}
+        if same:
+            out |= {"edge_x": edges[0]}
+        contact = self.ground or Contact(between=(self.body.name, "ground"))
+        friction = contact.friction or Quantity(value=0.0)
+        pair = {"restitution": contact.restitution, "friction": friction}
+        if not self._through:
+            pair = {n: Quantity(value=q.value) for n, q in pair.items()}
+        return {**pair, **out}
+
+    def _mass(self) -> Mass:
+        body = self.body
+        if body.inertia is not None:
+            assert body.mass is not None
+            a, b, c = (i / body.mass for i in body.inertia)
+            even = max(a, b, c) - min(a, b, c) < 1e-9 * max(a, b, c)
+            return Mass((a, b, c), even, body.box is not None)
+        edges = [q.value for q in body.edges]
+        free = any(q.is_fitted for q in body.edges) and len(body.box or ()) == 3
+        return Mass(None, max(edges) - min(edges) < 1e-12 and not free, True)
+
+    def _with_continuous(self, run: Run, names: Sequence[str]) -> Run:
+        """Quaternions without jumps of sign, angles without jumps of a turn."""
+        measured = run.measured.copy()
+        for measure in self.measures:
+            if measure.quaternion:
+                at = [names.index(c) for c in measure.quaternion]
+                measured[:, at] = continuous(measured[:, at])
+        return replace(run, measured=measured)
+
+    def _poses(self, run: Run, names: Sequence[str], up: Rotation) -> Poses:
+        place = np.full((len(run.time_s), 3), np.nan)
+        turn = None
+        for measure in self.measures:
+            for axis, channel in measure.position.items():
+                place[:, "xyz".index(axis)] = run.measured[:, names.index(channel)]
+            if measure.quaternion:
+                turn = run.measured[:, [names.index(c) for c in measure.quaternion]]
+            if measure.angles:
+                columns = [run.measured[:, names.index(measure.angles[a])] for a in ANGLES]
+                turn = angles_to_quaternions(columns)
+        if turn is not None:
+            seen = np.isfinite(turn).all(axis=1)
+            turned = np.full_like(turn, np.nan)
+            whole = up * Rotation.from_quat(turn[seen][:, [1, 2, 3, 0]])
+            turned[seen] = whole.as_quat()[:, [3, 0, 1, 2]]
+            turn = continuous(turned)
+        matrix = up.as_matrix()
+        rows = [[i for i in range(3) if abs(row[i]) > 0.5] for row in matrix]
+        signs = [float(np.sign(row[i[0]])) for row, i in zip(matrix, rows, strict=True)]
+        world = np.column_stack([s * place[:, i[0]] for s, i in zip(signs, rows, strict=True)])
+        return Poses(world, turn)
+
+    def _window_of(self, run: Run, poses: Poses) -> Run | None:
+        """The run as far as it counts; None if too little of it does."""
+        facts = start_facts(run, poses, self.gravity.value)
+        end, corner, touch, hits = len(run.time_s), 0, len(run.time_s) - 1, False
+        window = self.window
+        if window is not None and self.body.box is not None and poses.turn is not None:
+            half = np.array([0.5 * q.value for q in self.body.edges])
+            near = window.near or NEAR * 2.0 * float(half.min())
+            found = first_touch(poses, half, near, self.height)
+            if found is not None:
+                corner, touch = found.corner, found.touch
+                hits = window.until == "rebound" and found.end > touch
+                end = found.end if hits else touch - window.spared
+        if end < MIN_FRAMES:
+            return None
+        more = {"corner": float(corner), "touch_s": float(run.time_s[touch]), "hits": float(hits)}
+        return cut(run, end, {**facts, **more})

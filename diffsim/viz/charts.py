@@ -1,0 +1,153 @@
+"""Interactive charts of pages: plotly, zoomed by dragging and read by hovering.
+
+The page holds plotly's script once, so it needs no network. Lines of more than ``MAX_POINTS``
+samples are thinned evenly; zoom shows what is drawn, not what was recorded in between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.viz._require import optional
+from diffsim.viz.figures import COLORS, INK, LINE, SOFT
+
+Array = NDArray[np.float64]
+MAX_POINTS = 2500  # of a line: what a screen can show, and a page of a few megabytes
+DIGITS = 5  # of the numbers in the page
+ROW_PX = 230
+
+NULL, EXTENDED = COLORS["published"], COLORS["fitted"]
+
+
+def graph_objects() -> Any:
+    """plotly's ``graph_objects``.
+
+    Raises:
+        ImportError: plotly is not installed.
+    """
+    return optional("plotly.graph_objects", purpose="an interactive page")
+
+
+def grid(rows: int, columns: int = 1, *, titles: Sequence[str] = (), **options: Any) -> Any:
+    """An empty figure of panels in the style of the pages.
+
+    Args:
+        rows, columns: Number of panels down and across.
+        titles: Title of each panel, row by row.
+        **options: Passed to plotly's ``make_subplots``.
+    """
+    subplots = optional("plotly.subplots", purpose="an interactive page")
+    figure = subplots.make_subplots(
+        rows=rows, cols=columns, subplot_titles=list(titles) or None, **options
+    )
+    return styled(figure, height=ROW_PX * rows + 110)
+
+
+def styled(figure: Any, *, height: int) -> Any:
+    """The figure with colors, fonts and margins of the pages.
+
+    Args:
+        figure: A plotly figure, changed in place.
+        height: Height [px].
+    """
+    figure.update_layout(
+        height=height,
+        template="plotly_white",
+        font={"family": "system-ui, Segoe UI, Helvetica Neue, sans-serif", "size": 12},
+        font_color=INK,
+        margin={"l": 70, "r": 20, "t": 80, "b": 50},
+        paper_bgcolor="rgba(0,0,0,0)",
+        plot_bgcolor="rgba(0,0,0,0)",
+        legend={"orientation": "h", "yanchor": "bottom", "y": 1.07, "x": 0.0},
+        hovermode="closest",
+    )
+    figure.update_xaxes(gridcolor=LINE, zerolinecolor=LINE)
+    figure.update_yaxes(gridcolor=LINE, zerolinecolor=LINE)
+    figure.update_annotations(font_size=12, font_color=SOFT)
+    return figure
+
+
+def line(x: Array, y: Array, name: str, color: str, **options: Any) -> Any:
+    """One line or cloud of dots, thinned and rounded.
+
+    Args:
+        x, y: Samples, (n,); what is not finite is a gap.
+        name: Text in the legend and in the hover box.
+        color: CSS color.
+        **options: Passed to plotly's ``Scatter``.
+    """
+    keep = thinned(len(x))
+    return graph_objects().Scatter(
+        x=rounded(x[keep]),
+        y=rounded(y[keep]),
+        name=name,
+        legendgroup=name,
+        **{"mode": "lines", "line": {"color": color, "width": 1.6}, **options},
+    )
+
+
+def dots(color: str, size: float = 4.0, opacity: float = 0.8) -> dict[str, Any]:
+    """Options of ``line`` that draw dots."""
+    return {"mode": "markers", "marker": {"color": color, "size": size, "opacity": opacity}}
+
+
+def thinned(count: int) -> NDArray[np.int64]:
+    """Indices of at most ``MAX_POINTS`` of ``count`` samples, evenly."""
+    return np.unique(np.linspace(0, count - 1, min(count, MAX_POINTS)).round().astype(np.int64))
+
+
+def rounded(values: Array) -> list[float | None]:
+    """Numbers of ``DIGITS`` digits; None where not finite."""
+    return [
+        float(f"{v:.{DIGITS}g}") if np.isfinite(v) else None
+        for v in np.asarray(values, dtype=np.float64)
+    ]
+
+
+def chooser(labels: Sequence[str], owners: Sequence[int], num_always: int = 0) -> dict[str, Any]:
+    """A drop-down menu that shows the lines of one label at a time.
+
+    Args:
+        labels: Entries of the menu; the first is shown at the start.
+        owners: Index of the label that each line belongs to, in the order of the lines.
+        num_always: Number of lines before them that always show.
+    """
+    buttons = [
+        {
+            "label": label,
+            "method": "update",
+            "args": [{"visible": [True] * num_always + [owner == k for owner in owners]}],
+        }
+        for k, label in enumerate(labels)
+    ]
+    return {
+        "buttons": buttons,
+        "direction": "down",
+        "x": 1.0,
+        "xanchor": "right",
+        "y": 1.07,
+        "yanchor": "bottom",
+        "showactive": True,
+    }
+
+
+def to_html(figure: Any) -> str:
+    """The figure as HTML without plotly's script."""
+    made: str = figure.to_html(
+        full_html=False,
+        include_plotlyjs=False,
+        default_width="100%",
+        config={"displayModeBar": False, "responsive": True},
+    )
+    return made
+
+
+def script() -> str:
+    """plotly's script, to stand once in a page."""
+    offline = optional("plotly.offline", purpose="an interactive page")
+    made: str = offline.get_plotlyjs()
+    return made

@@ -1,0 +1,318 @@
+"""Interactive charts of a diagnosis: runs, residuals, force map, confounding, next runs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from diffsim.data.study import Channel
+from diffsim.viz import charts
+from diffsim.viz.charts import EXTENDED, NULL
+from diffsim.viz.diagnosis_series import (
+    CONFOUNDED,
+    PredictedRun,
+    binned_rms,
+    blocks_of,
+    command_phase,
+    mean_periodogram,
+    rms_of,
+)
+from diffsim.viz.figures import INK, LINE, SOFT
+
+Array = NDArray[np.float64]
+_KNOT = re.compile(r"(?P<shape>.*?)(?P<knot>\d+)")
+MAX_PANELS = 24  # channels in one chart; more are drawn by their misfit, and said
+_BAND = 1.96  # 95 % of noise alone
+_SCALE = [[0.0, "#2a6f97"], [0.5, "#f7f7f5"], [1.0, "#b3362a"]]
+
+
+def runs_over_time(runs: Sequence[PredictedRun], channels: Sequence[Channel]) -> Any:
+    """Measured and predicted channels over time, a menu for the run, a panel per channel.
+
+    Args:
+        runs: Runs with their predictions, one or more.
+        channels: Channels of the study, in the order of the records, with their noise.
+    """
+    shown = list(range(len(channels)))[:MAX_PANELS]
+    columns = 1 if len(shown) < 4 else 2
+    rows = -(-len(shown) // columns)
+    figure = charts.grid(
+        rows,
+        columns,
+        titles=[f"{channels[i].name} [{channels[i].unit}]" for i in shown],
+        shared_xaxes="all",
+        vertical_spacing=0.35 / max(rows, 2),
+    )
+    owners = []
+    for k, run in enumerate(runs):
+        for panel, i in enumerate(shown):
+            lines = _of_channel(run, i, channels[i], is_first=panel == 0)
+            for drawn in lines:
+                drawn.visible = k == 0
+                figure.add_trace(drawn, row=panel // columns + 1, col=panel % columns + 1)
+            owners += [k] * len(lines)
+    if len(runs) > 1:
+        menu = charts.chooser([_label(run) for run in runs], owners)
+        figure.update_layout(updatemenus=[menu])
+    figure.update_xaxes(title_text="time [s]", row=rows)
+    return figure
+
+
+def _label(run: PredictedRun) -> str:
+    return f"{run.name} ({run.use})"
+
+
+def _of_channel(run: PredictedRun, i: int, channel: Channel, *, is_first: bool) -> list[Any]:
+    """Lines of one channel in one run."""
+    t = run.time_s
+    lines = [
+        charts.line(
+            t, run.null[:, i], "model before", NULL,
+            line={"color": NULL, "width": 1.4, "dash": "dash"},
+        )
+    ]  # fmt: skip
+    if run.extended is not None:
+        lines.append(charts.line(t, run.extended[:, i], "extended model", EXTENDED))
+    error = None
+    if channel.sd is not None:
+        error = {"type": "constant", "value": channel.sd, "thickness": 0.7, "width": 0}
+    lines.append(
+        charts.line(
+            t, run.measured[:, i], "measured ± noise", INK, error_y=error, **charts.dots(INK)
+        )
+    )
+    for drawn in lines:
+        drawn.showlegend = is_first
+    return lines
+
+
+def residual_views(
+    runs: Sequence[PredictedRun], channels: Sequence[Channel], command: str | None = None
+) -> Any:
+    """Residuals in noise standard deviations over time, command, frequency and channel.
+
+    Args:
+        runs: Runs with their predictions, one or more.
+        channels: All channels of the study, with their noise.
+        command: Command whose value and rate give the phase; None: the first one that changes.
+    """
+    varying = (n for n in runs[0].command if any(np.ptp(r.command[n]) > 0.0 for r in runs))
+    command = command or next(varying, None)
+    figure = charts.grid(
+        2,
+        2,
+        titles=[
+            "over time [s]",
+            "no command changes" if command is None else _phase_title(runs, command),
+            "spectrum over frequency [Hz]; 1: white noise",
+            "rms per channel; 1: noise",
+        ],
+        vertical_spacing=0.16,
+    )
+    kinds = _kinds(runs, channels)
+    for name, color, left in kinds:
+        options = charts.dots(color, 3.0, 0.45)
+        t = np.concatenate([np.repeat(r.time_s, left[r.name].shape[1]) for r in runs])
+        y = np.concatenate([left[r.name].ravel() for r in runs])
+        figure.add_trace(charts.line(t, y, name, color, **options), row=1, col=1)
+        if command is not None:
+            x = np.concatenate(
+                [np.repeat(_phase(runs, r, command), left[r.name].shape[1]) for r in runs]
+            )
+            figure.add_trace(
+                charts.line(x, y, name, color, showlegend=False, **options), row=1, col=2
+            )
+        frequency, power = mean_periodogram([(r.time_s, left[r.name]) for r in runs])
+        figure.add_trace(
+            charts.line(frequency[1:], power[1:], name, color, showlegend=False), row=2, col=1
+        )
+        rms = rms_of(np.concatenate([left[r.name] for r in runs]))
+        bar = charts.graph_objects().Bar(
+            x=[c.name for c in channels],
+            y=charts.rounded(rms),
+            name=name,
+            legendgroup=name,
+            showlegend=False,
+            marker_color=color,
+        )
+        figure.add_trace(bar, row=2, col=2)
+    for column in (1, 2):
+        figure.add_hrect(
+            y0=-_BAND, y1=_BAND, fillcolor=LINE, opacity=0.6, line_width=0, layer="below",
+            row=1, col=column,
+        )  # fmt: skip
+    count = 2 * len(runs) * len(channels)
+    low, high = stats.chi2.ppf([0.025, 0.975], count) / count
+    figure.add_hrect(
+        y0=low, y1=high, fillcolor=LINE, opacity=0.6, line_width=0,
+        layer="below", row=2, col=1,
+    )  # fmt: skip
+    figure.add_hline(y=1.0, line={"color": SOFT, "width": 1, "dash": "dot"}, row=2, col=2)
+    figure.update_yaxes(title_text="residual [noise sd]", row=1)
+    figure.update_yaxes(type="log", title_text="power [noise variances]", row=2, col=1)
+    figure.update_yaxes(title_text="rms [noise sd]", row=2, col=2)
+    return figure
+
+
+def over_position(
+    runs: Sequence[PredictedRun], channels: Sequence[Channel], most: int = 3
+) -> Any | None:
+    """Residuals of all channels over where the system is, a panel per position channel.
+
+    Lines: rms in ten equally filled bins; noise alone has 1.
+
+    Args:
+        runs: Runs with their predictions, one or more.
+        channels: All channels of the study; positions are those of kind "position".
+        most: Largest number of panels; channels of the largest range come first.
+
+    Returns:
+        None where no position was measured.
+    """
+    places = [i for i, c in enumerate(channels) if c.kind == "position"]
+    if not places:
+        return None
+    spans = {i: float(np.ptp(np.concatenate([run.null[:, i] for run in runs]))) for i in places}
+    places = sorted(places, key=lambda i: -spans[i])[:most]
+    titles = [f"over {channels[i].name} as predicted [{channels[i].unit}]" for i in places]
+    figure = charts.grid(1, len(places), titles=titles)
+    for name, color, left in _kinds(runs, channels):
+        stacked = np.concatenate([left[r.name] for r in runs])
+        for panel, i in enumerate(places):
+            x = np.concatenate([r.null[:, i] for r in runs])
+            wide = np.repeat(x[:, None], stacked.shape[1], 1)
+            cloud = charts.line(
+                wide.ravel(), stacked.ravel(), name, color, showlegend=False,
+                **charts.dots(color, 2.5, 0.25),
+            )  # fmt: skip
+            middle, rms = binned_rms(x, stacked)
+            curve = charts.line(
+                middle, rms, name, color, mode="lines+markers", showlegend=panel == 0
+            )
+            figure.add_traces([cloud, curve], rows=[1, 1], cols=[panel + 1] * 2)
+            figure.add_hrect(
+                y0=-_BAND, y1=_BAND, fillcolor=LINE, opacity=0.6, line_width=0, layer="below",
+                row=1, col=panel + 1,
+            )  # fmt: skip
+    figure.update_yaxes(title_text="residual [noise sd]", col=1)
+    figure.update_layout(height=360)
+    return figure
+
+
+def confounding_matrix(names: Sequence[str], confounding: Array, bar: str = "cosine") -> Any:
+    """Cosines between the responses of candidates; sets that the data hardly part are boxed.
+
+    Args:
+        names: Names of the components, (n,).
+        confounding: Cosines between the responses of components, (n, n), in the order of ``names``.
+        bar: What the colors mean.
+    """
+    blocks = blocks_of(confounding, CONFOUNDED)
+    grouped = [i for block in blocks for i in block]
+    order = grouped + [i for i in range(len(names)) if i not in set(grouped)]
+    labels = [names[i] for i in order]
+    figure = _heat_map(confounding[np.ix_(order, order)], labels, labels, 1.0, bar)
+    start = 0
+    for block in blocks:
+        a, b = start - 0.5, start + len(block) - 0.5
+        figure.add_shape(type="rect", x0=a, x1=b, y0=a, y1=b, line={"color": INK, "width": 2})
+        start += len(block)
+    figure.update_yaxes(autorange="reversed")
+    return charts.styled(figure, height=min(260 + 20 * len(names), 900))
+
+
+def force_map(components: Sequence[str], groups: Sequence[str], z: Array) -> Any:
+    """Scores of a generic force: a menu for the command, a row per shape, knots in time.
+
+    Args:
+        components: Names of the force's components; a number at the end is the knot in time.
+        groups: Names of the commands.
+        z: Scores, (num_groups, num_components) [noise standard deviations].
+    """
+    parts = [_KNOT.fullmatch(name) for name in components]
+    shapes = [m["shape"].strip("_") if m else n for m, n in zip(parts, components, strict=True)]
+    knots = [int(m["knot"]) if m else 0 for m in parts]
+    rows = list(dict.fromkeys(shapes))
+    high = max(float(np.abs(z).max(initial=0.0)), 5.0)  # noise alone stays pale
+    figure = charts.graph_objects().Figure()
+    for k, scores in enumerate(z):
+        table = np.full((len(rows), max(knots) + 1), np.nan)
+        for shape, knot, score in zip(shapes, knots, scores, strict=True):
+            table[rows.index(shape), knot] = score
+        drawn = _heat(table, [str(i) for i in range(table.shape[1])], rows, high, "score")
+        drawn.visible = k == 0
+        figure.add_trace(drawn)
+    if len(groups) > 1:
+        menu = charts.chooser(list(groups), list(range(len(groups))))
+        figure.update_layout(updatemenus=[menu])
+    figure.update_xaxes(title_text="knot in time")
+    return charts.styled(figure, height=200 + 40 * len(rows))
+
+
+def next_run_bars(chi2_gain: Mapping[str, float], best: str) -> Any:
+    """Expected chi2 that each run would add to the distance of the rivals, as bars.
+
+    Args:
+        chi2_gain: Expected chi2 between the nearest rivals by name of the run.
+        best: Name of the run that is advised.
+    """
+    names = sorted(chi2_gain, key=lambda name: chi2_gain[name])
+    bars = charts.graph_objects().Bar(
+        x=charts.rounded(np.array([chi2_gain[n] for n in names])),
+        y=names,
+        orientation="h",
+        marker_color=[EXTENDED if n == best else SOFT for n in names],
+    )
+    figure = charts.graph_objects().Figure(bars)
+    figure.update_xaxes(title_text="expected chi2 between the nearest rivals")
+    return charts.styled(figure, height=140 + 26 * len(names))
+
+
+def _heat_map(table: Array, x: Sequence[str], y: Sequence[str], high: float, bar: str) -> Any:
+    return charts.graph_objects().Figure(_heat(table, x, y, high, bar))
+
+
+def _heat(table: Array, x: Sequence[str], y: Sequence[str], high: float, bar: str) -> Any:
+    return charts.graph_objects().Heatmap(
+        z=[charts.rounded(row) for row in table],
+        x=list(x),
+        y=list(y),
+        zmin=-high,
+        zmax=high,
+        colorscale=_SCALE,
+        colorbar={"title": bar},
+        hovertemplate="%{y} / %{x}: %{z:.3g}<extra></extra>",
+    )
+
+
+def _kinds(
+    runs: Sequence[PredictedRun], channels: Sequence[Channel]
+) -> list[tuple[str, str, dict[str, Array]]]:
+    """Label, color and residuals by run [noise sd], of the models before and after."""
+    sd = np.array([c.sd for c in channels])
+    out = [("model before", NULL, {r.name: (r.measured - r.null) / sd for r in runs})]
+    if all(r.extended is not None for r in runs):
+        after = {r.name: (r.measured - np.asarray(r.extended)) / sd for r in runs}
+        out.append(("extended model", EXTENDED, after))
+    return out
+
+
+def _turning(runs: Sequence[PredictedRun], command: str) -> bool:
+    return all(command_phase(r.time_s, r.command[command]) is not None for r in runs)
+
+
+def _phase_title(runs: Sequence[PredictedRun], command: str) -> str:
+    what = "phase of" if _turning(runs, command) else "value of"
+    return f"over the {what} {command}"
+
+
+def _phase(runs: Sequence[PredictedRun], run: PredictedRun, command: str) -> Array:
+    """Phase angle of the command where it turns in all runs; else its value."""
+    values = run.command[command]
+    phase = command_phase(run.time_s, values) if _turning(runs, command) else None
+    return values if phase is None else phase

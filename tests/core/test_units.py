@@ -1,0 +1,50 @@
+"""Units as people write them, and the SI units they stand for."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from diffsim.core.units import factor, in_unit, to_si
+
+
+@pytest.mark.parametrize(
+    ("unit", "si", "size"),
+    [
+        ("mm", "m", 1e-3),
+        ("m", "m", 1.0),
+        ("deg", "rad", math.pi / 180.0),
+        ("rpm", "rad/s", 2.0 * math.pi / 60.0),
+        ("mbar", "Pa", 100.0),
+        ("mN m", "N m", 1e-3),
+        ("N m", "N m", 1.0),
+        ("Nm", "Nm", 1.0),  # coherent: as it was written
+        ("m/s2", "m/s2", 1.0),
+        ("mm/s^2", "m/s^2", 1e-3),
+        ("ml/s", "m^3/s", 1e-6),
+        ("mV", "V", 1e-3),
+        ("kHz", "Hz", 1e3),
+        ("%", "-", 1e-2),
+        ("-", "-", 1.0),
+        ("px", "px", 1.0),
+    ],
+)
+def test_si_of_a_unit(unit, si, size):
+    found = to_si(unit)
+    assert (found.unit, found.offset) == (si, 0.0)
+    assert found.factor == pytest.approx(size, rel=1e-14)
+
+
+def test_degrees_celsius_have_an_offset():
+    assert to_si("degC") == ("K", 1.0, 273.15)
+
+
+def test_a_coherent_unit_means_the_same_in_any_spelling():
+    assert factor("m/s2", "m/s^2") == 1.0
+    assert in_unit("30 mm3", "m^3") == pytest.approx(3e-8, rel=1e-14)
+
+
+def test_an_unknown_unit_is_told():
+    with pytest.raises(ValueError, match="unit 'furlongs/fn' is unknown"):
+        to_si("furlongs/fn")

@@ -1,0 +1,104 @@
+"""MuJoCo models as simulators, where MuJoCo is installed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diffsim.systems.outside.forces import PlaceForces, Term, quadratic, stiff, viscous
+from tests.systems.outside import scenes
+from tests.systems.outside.pendulum_sim import Pendulum
+
+pytest.importorskip("mujoco", reason="MuJoCo is not installed (pip install mujoco)")
+
+from diffsim.systems.outside.mjcf import Mjcf
+
+MASS, LENGTH = 0.4, 0.5
+XML = """
+<mujoco>
+  <option timestep="0.005" integrator="RK4"/>
+  <worldbody>
+    <body name="rod">
+      <inertial mass="0.4" pos="0 0 -0.5" diaginertia="0.02 0.02 0.001"/>
+      <joint name="hinge" axis="0 -1 0" damping="0.06"/>
+      <site name="tip" pos="0 0 -0.5"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="motor" joint="hinge"/></actuator>
+  <sensor>
+    <jointvel name="rate" joint="hinge"/>
+    <framepos name="tip" objtype="site" objname="tip"/>
+    <jointpos name="angle" joint="hinge"/>
+  </sensor>
+</mujoco>
+"""
+CHANNELS = {"angle_rad": "angle", "rate_rad_s": "rate"}
+OWN = {
+    "inertia": 0.02 + MASS * LENGTH**2,
+    "damping": 0.06,
+    "gravity_moment": MASS * LENGTH * 9.81,
+}
+
+
+def test_a_pendulum_equals_the_closed_equation():
+    run, sim = scenes.run_of("chirp"), Mjcf(XML, CHANNELS)
+    want = Pendulum(8).predict(OWN, run)
+    coarse = np.abs(sim.predict({}, run) - want).max()
+    fine = np.abs(sim.predict({}, run, time_step=0.5) - want).max()
+    # commands are held over each of MuJoCo's steps, at their middle: second order
+    assert coarse < 5e-4 and fine < 0.3 * coarse
+
+
+def test_parameters_act_as_in_the_closed_equation_and_are_forgotten():
+    run, sim = scenes.run_of("sine"), Mjcf(XML, CHANNELS)
+    before = sim.predict({}, run)
+    given = {"body.rod.mass": 0.6, "joint.hinge.damping": 0.1, "gravity": 5.0}
+    want = {"inertia": 1.5 * OWN["inertia"], "damping": 0.1, "gravity_moment": 0.6 * LENGTH * 5.0}
+    np.testing.assert_allclose(sim.predict(given, run), Pendulum(8).predict(want, run), atol=2e-4)
+    np.testing.assert_array_equal(sim.predict({}, run), before)
+
+
+LAWS = [(viscous, 0.1), (quadratic, 0.05), (stiff, 0.5)]
+
+
+@pytest.mark.parametrize(("law", "size"), LAWS)
+def test_forces_at_a_joint_act_as_in_the_closed_equation(law, size):
+    run, forces = scenes.run_of("sine"), PlaceForces(["hinge"], [Term(0, law, size)])
+    want = Pendulum(8).predict(OWN, run, forces)
+    # forces are held over each of MuJoCo's steps: first order
+    coarse = Mjcf(XML, CHANNELS).predict({}, run, forces)
+    fine = Mjcf(XML, CHANNELS).predict({}, run, forces, time_step=0.25)
+    assert np.abs(fine - want).max() < 0.35 * np.abs(coarse - want).max() < 0.02
+
+
+def test_a_start_and_an_entry_of_a_vector():
+    run = replace(scenes.run_of("sine"), command={"moment_Nm": np.zeros(len(scenes.TIME))})
+    sim = Mjcf(XML, {"angle_rad": "angle", "x_m": "tip[0]"})
+    out = sim.predict({"joint.hinge.start": 0.3, "joint.hinge.start_rate": 0.5}, run)
+    assert out[0, 0] == pytest.approx(0.3)
+    assert (out[1, 0] - out[0, 0]) / 0.02 == pytest.approx(0.5, abs=0.2)
+    np.testing.assert_allclose(np.abs(out[:, 1]), LENGTH * np.abs(np.sin(out[:, 0])), atol=1e-9)
+
+
+def test_commands_go_to_actuators_by_name():
+    run, sim = scenes.run_of("sine"), Mjcf(XML, CHANNELS, {"moment_Nm": "motor"})
+    np.testing.assert_array_equal(sim.predict({}, run), Mjcf(XML, CHANNELS).predict({}, run))
+    assert not np.array_equal(sim.predict({}, run), Mjcf(XML, CHANNELS, held=True).predict({}, run))
+
+
+@pytest.mark.parametrize(
+    ("settings", "parameters", "message"),
+    [
+        ({"channels": {"angle_rad": "angel"}}, {}, "no sensor 'angel'; did you mean 'angle'"),
+        ({"commands": {"moment_Nm": "moter"}}, {}, "no actuator 'moter'; did you mean 'motor'"),
+        ({}, {}, "5 sensor values for 2 channels"),
+        ({"channels": CHANNELS}, {"body.rood.mass": 1.0}, "no body 'rood'; did you mean 'rod'"),
+        ({"channels": CHANNELS}, {"joint.hinge.dampng": 1.0}, "did you mean 'damping'"),
+        ({"channels": CHANNELS}, {"rod.mass": 1.0}, "is none of body.NAME.mass"),
+    ],
+)
+def test_names_that_the_mjcf_lacks_are_said(settings, parameters, message):
+    with pytest.raises(ValueError, match=message):
+        Mjcf(XML, **settings).predict(parameters, scenes.run_of("sine"))

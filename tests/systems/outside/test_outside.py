@@ -1,0 +1,312 @@
+"""A simulator of the user's own: how it is found, called, changed and blamed."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from diffsim.data.study import Channel, Run, Study
+from diffsim.diagnose import diagnose
+from diffsim.identify import Parameter
+from diffsim.identify.problem import PredictionError
+from diffsim.systems.outside import Environment, Place, SimulatorError, outside_setup
+from diffsim.systems.outside.forces import Knots, PlaceForces, Term, coulomb, stiff, viscous
+from diffsim.systems.registry import description_of, setup_of
+from tests.systems.outside import scenes
+from tests.systems.outside.pendulum_sim import Cart, Pendulum, fails_when_heavy
+
+
+def study_with(**changes) -> Study:
+    """The recorded pendulum with other keys under ``model``."""
+    study = scenes.recorded()
+    return replace(study, model={**study.model, **changes})
+
+
+def effect_of(setup, name):
+    return next(e for e in setup.effects if e.name == name)
+
+
+def predicted(setup, run, name, *size):
+    sizes = {effect_of(setup, name): torch.tensor(size, dtype=torch.float64)}
+    return setup.model.predict(run, setup.model.at_prior(), sizes).numpy()
+
+
+def test_friction_at_a_hinge_is_named_with_its_size():
+    study = scenes.recorded(Term(0, coulomb, 0.04, scale=3.0))
+    setup = setup_of(study)
+    report = diagnose(study, setup.model, setup.effects, unknowns=setup.unknowns, seed=0)
+    assert report.verdict == "named", report.sentences
+    assert report.named == ("dry_friction_of_hinge",)
+    size = report.best.values["dry_friction_of_hinge"]
+    sd = report.best.sd["dry_friction_of_hinge"]
+    assert abs(size - 0.04) < 3.0 * sd < 0.01
+
+
+def test_forces_that_the_simulator_adds_equal_those_of_its_own():
+    run = scenes.run_of("sine")
+    own = Pendulum(4).predict({**scenes.TRUTH, "damping": 0.09}, run)
+    added = Pendulum(4).predict(
+        {**scenes.TRUTH, "damping": 0.0}, run, PlaceForces(["hinge"], [Term(0, viscous, 0.09)])
+    )
+    np.testing.assert_allclose(added, own, atol=1e-12)
+
+
+def test_every_effect_is_nothing_at_size_zero_and_something_beyond():
+    study = scenes.recorded()
+    setup = setup_of(study)
+    run = study.runs[4]  # the largest command
+    plain = setup.model.predict(run, setup.model.at_prior()).numpy()
+    for effect in setup.effects:
+        zero = [0.0] * len(effect.components)
+        np.testing.assert_array_equal(predicted(setup, run, effect.name, *zero), plain)
+        some = [effect.typical] * len(effect.components)
+        moved = predicted(setup, run, effect.name, *some) - plain
+        assert np.abs(moved).max() > 1e-4, effect.name
+
+
+def test_names_that_the_hooks_ask_for():
+    names = {e.name for e in setup_of(scenes.recorded()).effects}
+    assert {"lag", "delay", "dead_band", "backlash", "saturation", "rate_limit"} <= names
+    assert {"constant_force_of_hinge", "added_spring_of_hinge", "square_drag_of_hinge"} <= names
+    assert {"sensor_scale_of_angle", "sensor_delay_of_velocity", "sensor_drift_of_angle"} <= names
+    hooks = {
+        "force": {"hinge": {"unit": "N m", "typical": 0.05}},
+        "output": {"disk": ["angle_rad"]},
+    }
+    fewer = {e.name for e in setup_of(study_with(hooks=hooks)).effects}
+    assert "constant_force_of_hinge" in fewer and "sensor_scale_of_disk" in fewer
+    assert not any(n.startswith(("added", "viscous", "sensor_scale_of_angle")) for n in fewer)
+
+
+def test_commands_that_are_never_negative_have_slack_instead_of_a_dead_band():
+    study = scenes.recorded()
+    pulled = [replace(r, command={"moment_Nm": abs(r.command["moment_Nm"])}) for r in study.runs]
+    names = {e.name for e in setup_of(replace(study, runs=tuple(pulled))).effects}
+    assert "slack" in names and "dead_band" not in names
+
+
+def test_a_late_command_is_the_response_later():
+    run = scenes.run_of("chirp")
+    setup = setup_of(scenes.recorded())
+    plain = setup.model.predict(run, setup.model.at_prior()).numpy()
+    late = predicted(setup, run, "delay", 0.04)  # two samples
+    np.testing.assert_allclose(late[2:], plain[:-2], atol=2e-3)
+
+
+def test_a_rate_limit_holds_the_command_back():
+    run = scenes.run_of("steps")
+    setup = setup_of(scenes.recorded())
+    scene = setup.model.scene(
+        run,
+        setup.model.at_prior(),
+        {effect_of(setup, "rate_limit"): torch.tensor([1.0 / 3.0], dtype=torch.float64)},
+    )
+    heard = scene.job().run.command["moment_Nm"]
+    most = 3.0 * 0.02  # per sample
+    assert np.abs(np.diff(heard)).max() == pytest.approx(most, rel=1e-4)
+    assert run.command["moment_Nm"] is not heard
+
+
+def test_commands_at_uneven_times_are_delayed_alike():
+    run = scenes.run_of("sine")
+    time = run.time_s + 0.004 * np.sin(np.arange(len(run.time_s)))
+    uneven = replace(run, time_s=time, command={"moment_Nm": 1.2 * np.sin(5.0 * time)})
+    setup = setup_of(scenes.recorded())
+    sizes = {effect_of(setup, "delay"): torch.tensor([0.1], dtype=torch.float64)}
+    heard = setup.model.scene(uneven, setup.model.at_prior(), sizes).job().run.command["moment_Nm"]
+    want = 1.2 * np.sin(5.0 * (time - 0.1))
+    np.testing.assert_allclose(heard[10:-2], want[10:-2], atol=5e-3)
+
+
+def test_channels_are_read_through_their_instrument():
+    study = scenes.recorded()
+    setup, run = setup_of(study), study.runs[0]
+    plain = setup.model.predict(run, setup.model.at_prior()).numpy()
+    scaled = predicted(setup, run, "sensor_scale_of_velocity", 0.1)
+    np.testing.assert_allclose(scaled[:, 1], 1.1 * plain[:, 1])
+    np.testing.assert_array_equal(scaled[:, 0], plain[:, 0])
+    drifted = predicted(setup, run, "sensor_drift_of_angle", 0.2)
+    np.testing.assert_allclose(drifted[:, 0] - plain[:, 0], 0.2 * run.time_s / run.time_s[-1])
+
+
+def test_a_start_value_of_each_run_reaches_the_simulator_by_its_plain_name():
+    start = {"angle": {"value": 0.0, "sd": 0.1, "per": "run"}}
+    setup = setup_of(study_with(start=start))
+    names = [p.name for p in setup.model.base]
+    assert {"angle@sine_a", "angle@chirp"} <= set(names)
+    q = setup.model.at_prior()
+    q[names.index("angle@sine_a")] = 2.0
+    study = scenes.recorded()
+    moved = setup.model.predict(study.runs[0], q).numpy()
+    assert moved[0, 0] == pytest.approx(0.2)
+    assert setup.model.predict(study.runs[2], q).numpy()[0, 0] == 0.0
+
+
+def test_unknown_forces_follow_their_knots():
+    knots = Knots(0, 1.0, 0.5, (0.0, 2.0, 1.0))
+    assert [knots.at(t) for t in (0.0, 1.25, 1.5, 1.75, 9.0)] == [0.0, 1.0, 2.0, 1.5, 1.0]
+    (unknown,) = setup_of(scenes.recorded()).unknowns
+    assert unknown.name == "unknown force at hinge"
+
+
+def test_a_failing_simulator_is_reported_with_run_and_parameters():
+    study = scenes.recorded()
+    setup = outside_setup(study, fails_when_heavy, [Parameter("inertia", 1.0, 0.1)])
+    with pytest.raises(SimulatorError, match=r"run sine_a at inertia = 1.*ZeroDivisionError: too"):
+        setup.model.predict(study.runs[0], setup.model.at_prior())
+    assert issubclass(SimulatorError, PredictionError)  # a search goes on with other sets
+
+
+@pytest.mark.parametrize(
+    ("returned", "message"),
+    [
+        (np.zeros((120, 3)), r"shape \(120, 3\) for run sine_a; it must return \(120, 2\)"),
+        (np.zeros(120), r"shape \(120,\)"),
+        ({"angle_rad": np.zeros(120)}, "without rate_rad_s"),
+    ],
+)
+def test_a_wrong_shape_is_said_at_the_boundary(returned, message):
+    study = scenes.recorded()
+    setup = outside_setup(study, lambda parameters, run: returned, [])
+    with pytest.raises(ValueError, match=message):
+        setup.model.predict(study.runs[0], setup.model.at_prior())
+
+
+def test_channels_by_name_are_taken_in_the_order_of_the_study():
+    study = scenes.recorded()
+    by_name = {"rate_rad_s": np.ones(120), "angle_rad": np.zeros(120)}
+    setup = outside_setup(study, lambda parameters, run: by_name, [])
+    out = setup.model.predict(study.runs[0], setup.model.at_prior()).numpy()
+    np.testing.assert_array_equal(out[0], [0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"simulator": "absent.py:Pendulum"}, "no file .*absent.py"),
+        ({"simulator": "pendulum_sim.py"}, "must read FILE.py:NAME"),
+        ({"hooks": {"command": {"motor": ["torque_Nm"]}}}, "hooks.command.motor: no 'torque_Nm'"),
+        ({"hooks": {"output": {"disk": ["angel_rad"]}}}, "hooks.output.disk: no 'angel_rad'"),
+        ({"environment": {"action": ["torque"]}}, "environment.action: no command 'torque'"),
+        ({"environment": {"observation": [0]}}, "1 entries for 2 channels"),
+    ],
+)
+def test_check_finds_it_without_running_the_simulator(changes, message):
+    study = study_with(**changes)
+    (found,) = description_of(study).problems(study)
+    assert re.search(message, found.message)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"simulator": "pendulum_sim.py:Pendulm"}, "has no 'Pendulm'; did you mean 'Pendulum'"),
+        ({"options": {"step": 2}}, "cannot be made from options"),
+        ({"hook": {}}, "no key 'hook' here"),
+        ({"start": {"inertia": 1.0}}, "in parameters or in start, not in both"),
+        ({"hooks": {"force": {"a": {"unit": "kg", "typical": 1}}}}, "hooks.force.a.unit"),
+        (
+            {"simulator": "pendulum_sim.py:Cart", "environment": {"time_step": 0.01}},
+            "takes no force",
+        ),
+    ],
+)
+def test_what_cannot_be_used_is_said(changes, message):
+    with pytest.raises(ValueError, match=message):
+        setup_of(study_with(**changes))
+
+
+def test_a_changed_file_is_another_model(tmp_path):
+    text = (scenes.HERE / "pendulum_sim.py").read_text(encoding="utf-8")
+    (tmp_path / "pendulum_sim.py").write_text(text, encoding="utf-8")
+    before = setup_of(replace(scenes.recorded(), folder=tmp_path)).model.name
+    (tmp_path / "pendulum_sim.py").write_text(text + "\n", encoding="utf-8")
+    assert setup_of(replace(scenes.recorded(), folder=tmp_path)).model.name != before
+
+
+def test_numerics_reach_a_simulator_that_takes_a_time_step():
+    from diffsim.identify.numerics import Numerics
+
+    study = scenes.recorded()
+    setup, run = setup_of(study), study.runs[0]
+    q = setup.model.at_prior()
+    coarse = setup.model.predict(run, q, numerics=Numerics(time_step=2.0)).numpy()
+    fine = setup.model.predict(run, q, numerics=Numerics(time_step=0.25)).numpy()
+    plain = setup.model.predict(run, q).numpy()
+    assert 0.0 < np.abs(plain - fine).max() < 0.1 * np.abs(coarse - fine).max()
+
+
+def test_workers_predict_the_same():
+    study = study_with(workers=2)
+    one, two = setup_of(scenes.recorded()), setup_of(study)
+    q = torch.zeros(3, len(one.model.base), dtype=torch.float64)
+    q[:, 0] = torch.tensor([-1.0, 0.0, 1.0])
+    sizes = {effect_of(two, "added_spring_of_hinge"): torch.full((3, 1), 0.1, dtype=torch.float64)}
+    own = {effect_of(one, "added_spring_of_hinge"): torch.full((3, 1), 0.1, dtype=torch.float64)}
+    run = study.runs[0]
+    many = two.model.predict_many(run, q, sizes)
+    assert torch.equal(many, one.model.predict_many(run, q, own))
+
+
+def cart_study() -> Study:
+    time = 0.02 * np.arange(60)
+    channels = (Channel("position_m", "m", "position", sd=1e-3),)
+    push = np.where(time < 0.6, 1.0, -1.0)
+    runs = [
+        Run(n, time, np.zeros((60, 1)), {"force_N": push}, n, i) for i, n in enumerate(("a", "b"))
+    ]
+    return Study("cart", "outside", channels, tuple(runs))
+
+
+def test_an_environment_is_stepped_under_the_commands():
+    study = cart_study()
+    setup = outside_setup(
+        study,
+        Cart(),
+        [Parameter("mass", 2.0, 0.1), Parameter("damping", 0.0, 0.1)],
+        environment=Environment(observation=(0,)),
+        held=True,
+    )
+    out = setup.model.predict(study.runs[0], setup.model.at_prior()).numpy()[:, 0]
+    time, dt = study.runs[0].time_s, Cart.dt
+    # explicit Euler under 1 N on 2 kg: half of t (t - dt) times the acceleration
+    early = time < 0.6
+    np.testing.assert_allclose(out[early], 0.25 * time[early] * (time[early] - dt), atol=1e-12)
+
+
+def test_entries_of_an_environment_are_set_after_reset():
+    study = cart_study()
+    start = [Parameter("state[0]", 0.3, 0.1), Parameter("state[1]", 1.0, 0.1)]
+    more = [Parameter("mass", 1.0, 0.1), Parameter("damping", 0.0, 0.1)]
+    setup = outside_setup(study, Cart(), [*start, *more], environment=Environment(observation=(0,)))
+    still = replace(study.runs[0], command={"force_N": np.zeros(60)})
+    out = setup.model.predict(still, setup.model.at_prior()).numpy()[:, 0]
+    np.testing.assert_allclose(out, 0.3 + study.runs[0].time_s, atol=1e-12)
+
+
+def test_an_attribute_that_an_environment_lacks_is_said():
+    study = cart_study()
+    setup = outside_setup(study, Cart(), [Parameter("weight", 1.0, 0.1)])
+    with pytest.raises(SimulatorError, match="Cart has no attribute 'weight'"):
+        setup.model.predict(study.runs[0], setup.model.at_prior())
+
+
+def test_a_place_from_python():
+    study = scenes.recorded()
+    setup = outside_setup(
+        study,
+        Pendulum(),
+        [Parameter("inertia", 0.2, 0.1, log=True), Parameter("damping", 0.05, 0.02)],
+        places=[Place("hinge", "N m", 0.05, distance=0.5)],
+    )
+    run = study.runs[0]
+    sizes = {effect_of(setup, "added_spring_of_hinge"): torch.tensor([0.3], dtype=torch.float64)}
+    want = Pendulum().predict(
+        {"inertia": 0.2, "damping": 0.05}, run, PlaceForces(["hinge"], [Term(0, stiff, 0.3)])
+    )
+    got = setup.model.predict(run, setup.model.at_prior(), sizes).numpy()
+    np.testing.assert_array_equal(got, want)

@@ -1,0 +1,103 @@
+"""A bouncing, rolling ball against an integrator, and its description."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import solve_ivp
+
+from diffsim.systems.rigid_body.bouncing import Bounces, Thrown, bounced
+from diffsim.systems.rigid_body.on_ground import Laws
+
+G, LEVEL = 9.81, 0.03
+
+
+def numbers(*values):
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def ground(restitution=0.8, friction=0.0, drag=0.0, slope=0.0, rolling=0.0):
+    laws = Laws(
+        numbers(friction),
+        numbers(rolling),
+        torch.zeros(1, 2, dtype=torch.float64),
+        numbers(drag),
+        numbers(0.4),
+        numbers(G),
+    )
+    zero = numbers(0.0)
+    return Bounces(laws, zero, numbers(LEVEL), numbers(restitution), numbers(slope), zero)
+
+
+def thrown(place, velocity, rolling=(0.0, 0.0)):
+    return Thrown(numbers(place), numbers(velocity), numbers(rolling))
+
+
+def integrated(time, place, velocity, restitution, drag):
+    """By DOP853 from impact to impact; no friction."""
+
+    def slope(t, y):
+        v = y[3:]
+        return np.concatenate([v, [0.0, 0.0, -G] - drag * np.linalg.norm(v) * v])
+
+    def gap(t, y):
+        return y[2] - LEVEL
+
+    gap.terminal, gap.direction = True, -1
+    out, begin, state = np.full((len(time), 3), np.nan), 0.0, np.array([*place, *velocity])
+    while begin < time[-1]:
+        part = solve_ivp(
+            slope,
+            (begin, time[-1] + 1.0),
+            state,
+            events=gap,
+            dense_output=True,
+            method="DOP853",
+            rtol=1e-11,
+            atol=1e-12,
+        )
+        end = part.t_events[0][0]
+        inside = (time >= begin) & (time <= end)
+        out[inside] = part.sol(time[inside])[:3].T
+        state = part.y_events[0][0].copy()
+        state[5] *= -restitution
+        begin = end
+    return out
+
+
+@pytest.mark.parametrize("drag", [0.0, 0.15])
+def test_bounces_agree_with_an_integrator(drag):
+    time = np.linspace(0.0, 1.5, 151)
+    place, velocity = (0.1, -0.2, 0.8), (2.0, -1.0, 1.5)
+    found, speed = bounced(
+        thrown(place, velocity), torch.from_numpy(time)[None], ground(0.8, drag=drag)
+    )
+    expected = integrated(time, place, velocity, 0.8, drag)
+    np.testing.assert_allclose(found[0].numpy(), expected, atol=5e-6)
+    rise = np.gradient(expected[:, 0], time)
+    np.testing.assert_allclose(speed[0, 5:-5, 0].numpy(), rise[5:-5], atol=0.05)
+
+
+def test_a_ball_settles_and_rolls():
+    """It slips until 5/7 of its speed is left, bounces included, and then rolls."""
+    time = numbers(*np.linspace(0.0, 6.0, 61))[None]
+    ball = thrown((0.0, 0.0, LEVEL + 0.2), (1.4, 0.0, 0.0))
+    place, velocity = bounced(ball, time, ground(0.5, friction=0.3))
+    assert float(place[0, -1, 2]) == pytest.approx(LEVEL)
+    assert float(velocity[0, -1, 0]) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_restitution_falls_with_speed():
+    high, low = (
+        bounced(
+            thrown((0.0, 0.0, LEVEL + h), (0.0, 0.0, 0.0)),
+            numbers(*np.linspace(0.0, 1.0, 400))[None],
+            ground(0.8, slope=-0.1),
+        )[1]
+        for h in (0.8, 0.0509684)  # 4 m/s, 1 m/s
+    )
+    assert float(low[0, :, 2].max()) == pytest.approx(0.8, abs=0.01)
+    speed = np.sqrt(2.0 * G * 0.8)
+    expected = 0.8 * np.exp(-0.1 * (speed - 1.0)) * speed
+    assert float(high[0, :, 2].max()) == pytest.approx(expected, abs=0.03)
