@@ -17,6 +17,9 @@ Array = NDArray[np.float64]
 MAX_REWEIGHTS = 60
 REWEIGHT_TOLERANCE = 1e-7  # of a coordinate, relative above one
 FREE = 1e-6  # precision of a size that is nearly without a prior
+CONVEX = 0.5  # scaled size below which the prior's penalty is convex
+SAME_VALLEY = 0.1
+ROUNDING = 1e-13
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 _PANELS = np.linspace(-10.0, 10.0, 41)
 _NEAR_ZERO = np.geomspace(1e-7, 1.0, 15)
@@ -37,27 +40,61 @@ def optimum(
         sizes: Whether a coordinate is a scaled size, (n,) bool.
         start: Scaled coordinates that give the first weights, (n,).
     """
-    weights = np.ones(len(b))
+    gram = kept_definite(gram)
     if not sizes.any():
         return quadratic_optimum(gram + np.eye(len(b)), b, low, high)
-    ends = []
-    for first in (precision_at(start[sizes]), np.full(int(sizes.sum()), FREE)):
-        weights[sizes] = first
-        before = None
-        for _ in range(MAX_REWEIGHTS):
-            v = quadratic_optimum(gram + np.diag(weights), b, low, high)
-            if before is not None and np.all(
-                np.abs(v - before) <= REWEIGHT_TOLERANCE * np.maximum(np.abs(v), 1.0)
-            ):
-                break
-            weights[sizes], before = precision_at(v[sizes]), v
-        ends.append(v)
+    base = ~sizes
+    if not base.any():
+        return _sizes_optimum(gram, b, low, high, start)
+    # base parameters at their best for any sizes, as long as none is at a bound
+    inner = linalg.cho_factor(gram[np.ix_(base, base)] + np.eye(int(base.sum())))
+    outer = gram[np.ix_(base, sizes)]
+    solved = linalg.cho_solve(inner, np.column_stack([outer, b[base]]))
+    own = gram[np.ix_(sizes, sizes)] - outer.T @ solved[:, :-1], b[sizes] - outer.T @ solved[:, -1]
+    v = np.zeros(len(b))
+    v[sizes] = _sizes_optimum(*own, low[sizes], high[sizes], start[sizes])
+    v[base] = solved[:, -1] - solved[:, :-1] @ v[sizes]
+    if (v[base] < low[base]).any() or (v[base] > high[base]).any():
+        first = np.ones(len(b))
+        first[sizes] = precision_at(v[sizes])
+        v = _reweighted(gram, b, low, high, sizes, first)
+    return v
 
-    def cost(v: Array) -> float:
-        x = coordinate_of(v[sizes])
-        return float(v @ gram @ v - 2.0 * b @ v + v[~sizes] @ v[~sizes] + x @ x)
 
-    return min(ends, key=cost)
+def kept_definite(gram: Array) -> Array:
+    """A Gram matrix whose rounding cannot make it indefinite: columns that others make up leave
+    differences of large numbers, and a size far out has hardly a prior to add."""
+    return gram + np.diag(ROUNDING * np.diag(gram))
+
+
+def _sizes_optimum(gram: Array, b: Array, low: Array, high: Array, start: Array) -> Array:
+    """The optimum where all coordinates are sizes: the lower end of two valleys."""
+    every = np.ones(len(b), dtype=bool)
+    near = _reweighted(gram, b, low, high, every, precision_at(start))
+    free = quadratic_optimum(gram + FREE * np.eye(len(b)), b, low, high)
+    if (np.abs(free) < CONVEX).all() or np.allclose(free, near, rtol=SAME_VALLEY, atol=SAME_VALLEY):
+        return near  # there is but one valley
+    far = _reweighted(gram, b, low, high, every, precision_at(free))
+
+    def cost(u: Array) -> float:
+        x = coordinate_of(u)
+        return float(u @ gram @ u - 2.0 * b @ u + x @ x)
+
+    return min(near, far, key=cost)
+
+
+def _reweighted(
+    gram: Array, b: Array, low: Array, high: Array, sizes: NDArray[np.bool_], weights: Array
+) -> Array:
+    """Least squares, reweighted until the sizes stand."""
+    weights = weights.copy()
+    v = np.full(len(b), np.inf)
+    for _ in range(MAX_REWEIGHTS):
+        before, v = v, quadratic_optimum(gram + np.diag(weights), b, low, high)
+        if np.all(np.abs(v - before) <= REWEIGHT_TOLERANCE * np.maximum(np.abs(v), 1.0)):
+            break
+        weights[sizes] = precision_at(v[sizes])
+    return v
 
 
 def quadratic_optimum(hessian: Array, b: Array, low: Array, high: Array) -> Array:
@@ -67,7 +104,9 @@ def quadratic_optimum(hessian: Array, b: Array, low: Array, high: Array) -> Arra
     for _ in range(3 * len(b) + 3):
         v = np.where(active < 0, low, np.where(active > 0, high, 0.0))
         free = active == 0
-        if free.any():
+        if free.all():
+            v = linalg.solve(hessian, b, assume_a="pos", check_finite=False)
+        elif free.any():
             right = b[free] - hessian[np.ix_(free, ~free)] @ v[~free]
             v[free] = linalg.solve(hessian[np.ix_(free, free)], right, assume_a="pos")
         beyond = np.where(free & (v < low), -1, np.where(free & (v > high), 1, 0))
