@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, optimize
 
-from diffsim.identify.sizes import coordinate_of, precision_at, scaled_at
+from diffsim.identify.sizes import TAIL, coordinate_of, precision_at, scaled_at
 
 Array = NDArray[np.float64]
 MAX_REWEIGHTS = 60
+SAFE_STEPS = 2  # before Newton's
 REWEIGHT_TOLERANCE = 1e-7  # of a coordinate, relative above one
 FREE = 1e-6  # precision of a size that is nearly without a prior
 CONVEX = 0.5  # scaled size below which the prior's penalty is convex
@@ -86,15 +87,41 @@ def _sizes_optimum(gram: Array, b: Array, low: Array, high: Array, start: Array)
 def _reweighted(
     gram: Array, b: Array, low: Array, high: Array, sizes: NDArray[np.bool_], weights: Array
 ) -> Array:
-    """Least squares, reweighted until the sizes stand."""
+    """Least squares, reweighted until the sizes stand; Newton's steps where the prior's penalty is
+    convex, as long as they lead down."""
     weights = weights.copy()
-    v = np.full(len(b), np.inf)
-    for _ in range(MAX_REWEIGHTS):
-        before, v = v, quadratic_optimum(gram + np.diag(weights), b, low, high)
-        if np.all(np.abs(v - before) <= REWEIGHT_TOLERANCE * np.maximum(np.abs(v), 1.0)):
+
+    def cost(v: Array) -> float:
+        x = coordinate_of(v[sizes])
+        return float(v @ gram @ v - 2.0 * b @ v + v[~sizes] @ v[~sizes] + x @ x)
+
+    v, here = np.full(len(b), np.inf), np.inf
+    for step in range(MAX_REWEIGHTS):
+        after, there = v, np.inf
+        if step >= SAFE_STEPS:
+            curvature, push = np.ones(len(b)), np.zeros(len(b))
+            curvature[sizes], push[sizes] = _newton(v[sizes], weights[sizes])
+            after = quadratic_optimum(gram + np.diag(curvature), b + push, low, high)
+            there = cost(after)
+        if not there < here:
+            after = quadratic_optimum(gram + np.diag(weights), b, low, high)
+            there = cost(after)
+        close = REWEIGHT_TOLERANCE * np.maximum(np.abs(after), 1.0)
+        is_end = bool(np.all(np.abs(after - v) <= close))
+        v, here = after, there
+        if is_end:
             break
         weights[sizes] = precision_at(v[sizes])
     return v
+
+
+def _newton(u: Array, weights: Array) -> tuple[Array, Array]:
+    """Curvature of x(u)^2 / 2 and what its slope pushes beyond that; the weights where concave."""
+    x, root = coordinate_of(u), np.sqrt(1.0 + (TAIL * u) ** 2)
+    curvature = 1.0 / root**2 - x * TAIL**2 * u / root**3
+    is_convex = curvature > 0.1 * weights
+    push = np.where(is_convex, curvature * u - x / root, 0.0)
+    return np.where(is_convex, curvature, weights), push
 
 
 def quadratic_optimum(hessian: Array, b: Array, low: Array, high: Array) -> Array:
