@@ -286,7 +286,7 @@ class RunEntry(RunKeys):
 
 
 class StudyFile(Part):
-    """``study.yaml``."""
+    """What was measured, what was commanded, in which runs, of which system."""
 
     name: str = Field(description="Short name, as reports show it")
     system: Annotated[
