@@ -132,7 +132,8 @@ def _rate(s: np.ndarray, command: np.ndarray, causes: Causes, t: float) -> np.nd
     if causes.speed_drag:
         hubs = turn.T @ s[3:6] + np.cross(rates, arms)
         forces[:, :2] -= causes.speed_drag * speed[:, None] * hubs[:, :2]
-    torque = np.cross(arms, forces).sum(0) + [0.0, 0.0, TORQUE_RATIO * REACTION @ thrusts]
+    torque = np.cross(arms, forces).sum(0)
+    torque[2] += TORQUE_RATIO * REACTION @ thrusts
     mass = MASS + causes.extra_mass
     outside = np.array(causes.wind)
     outside[0] += causes.gust[0] * np.sin(2 * np.pi * causes.gust[1] * t)
