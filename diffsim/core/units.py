@@ -128,9 +128,10 @@ def in_si(value: float | int | str, unit: str = NO_UNIT) -> tuple[float, str]:
         ValueError: not a number, or an unknown unit.
     """
     matched = _QUANTITY.fullmatch(str(value))
-    own = matched.group(2) if matched is not None else ""
-    into = to_si(own or unit).unit
-    return in_unit(value if own else f"{value} {unit}", into), into
+    if matched is None or isinstance(value, bool):
+        raise ValueError(f"must be a number, or one with its unit, got {value!r}")
+    si = to_si(matched.group(2) or unit)
+    return si.factor * float(matched.group(1)), si.unit
 
 
 def in_unit(value: float | int | str, unit: str) -> float:

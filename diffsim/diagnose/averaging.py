@@ -178,7 +178,7 @@ def widening(fit: Fit, folds: Folds) -> Widening:
 
     The spread of K linear refits, each without one part, gives the variance of the whole fit by the
     jackknife, (K - 1) / K sum (x_k - mean)^2, without any model of the noise. It has K - 1 degrees
-    of freedom; four more come from the ratio that is usual among the parameters of this fit.
+    of freedom; where it is small, four more come from what is usual among the fit's parameters.
 
     Returns:
         Factors, at least 1, of coordinates that all runs share.
@@ -197,7 +197,8 @@ def widening(fit: Fit, folds: Folds) -> Widening:
     usual = float(np.median(ratio[known])) if known.any() else 1.0
     usual /= float(stats.chi2.ppf(0.5, freedom)) / freedom
     pooled = (freedom * ratio + POOLED_FREEDOM * usual) / (freedom + POOLED_FREEDOM)
-    factors = np.sqrt(np.maximum(pooled, 1.0))
+    # a spread of its own is never shrunk: a size may differ from run to run where others do not
+    factors = np.sqrt(np.maximum(np.maximum(ratio, pooled), 1.0))
     names = [(i, name) for i, name in enumerate(problem.names) if shared[i]]
     return Widening(
         {name: float(factors[i]) for i, name in names},

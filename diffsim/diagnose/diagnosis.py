@@ -18,13 +18,12 @@ from diffsim.diagnose.gates import (
     data_gate,
     gradient_gate,
     numerical_effects,
-    numerics_changes,
-    numerics_gate,
     repeatability_gate,
 )
 from diffsim.diagnose.judge import Decision, Judgment, decision_of, judge
 from diffsim.diagnose.noise import noise_floor
 from diffsim.diagnose.referee import Referee, referee_of
+from diffsim.diagnose.refine import checked_numerics
 from diffsim.diagnose.report import Report
 from diffsim.diagnose.screen import Screen, screen
 from diffsim.diagnose.search import Search, begin, search_sets
@@ -146,8 +145,9 @@ def _checked(
     null: Null, gates: tuple[GateResult, ...], cache: str | Path | None
 ) -> tuple[Null, Checks, Simulations]:
     """Numerical settings and gradients at the null fit, everything linearized there."""
-    changes = numerics_changes(null.fit.problem, null.at)
-    gates = (*gates, *numerics_gate(null.fit, changes))
+    refined = checked_numerics(null)
+    null, changes = refined.null, refined.changes
+    gates = (*gates, *refined.gates)
     case = null.case
     if case.settings.accept_numerics:
         case = replace(case, effects=(*case.effects, *numerical_effects(null.fit, changes)))
@@ -184,4 +184,5 @@ def _key(case: Case) -> str:
     """Hash of everything that changes a simulation."""
     causes = [(e.name, e.kind, e.unit, e.typical, e.components) for e in case.effects]
     generic = [(u.name, type(u).__qualname__) for u in case.unknowns]
-    return key_of(case.study, case.model, causes, generic, case.settings.jacobian, __version__)
+    settings = (case.settings.jacobian, case.numerics)
+    return key_of(case.study, case.model, causes, generic, *settings, __version__)

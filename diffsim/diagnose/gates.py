@@ -20,7 +20,7 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.fitting import posterior_covariance
 from diffsim.identify.linearization import Linearization, record_at, whitened
 from diffsim.identify.model import has_tangents
-from diffsim.identify.numerics import REFINEMENTS, NumericalEffect, coarse
+from diffsim.identify.numerics import REFINEMENTS, NumericalEffect, Numerics, coarse
 
 Array = NDArray[np.float64]
 GRADIENT_RTOL = 1e-4
@@ -195,8 +195,9 @@ def numerics_changes(problem: Problem, at: Linearization) -> dict[str, Array]:
         problem: Fitting problem whose runs are simulated again.
         at: Record with the settings in use, and where.
     """
+    here = problem.numerics or Numerics()
     return {
-        name: record_at(replace(problem, numerics=finer), at.x) - at.record
+        name: record_at(replace(problem, numerics=here.refined(finer)), at.x) - at.record
         for name, finer in REFINEMENTS.items()
     }
 

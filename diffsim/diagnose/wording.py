@@ -133,7 +133,7 @@ def _on_unseen(errors: Sequence[ErrorRow], changed: bool) -> list[str]:
     """What becomes of the error, the longest first."""
     if not errors:
         return [". No gain is known: no run is kept for a test", "; no run tests it"]
-    row = _worst_kind(errors)
+    row = _telling_kind(errors, changed)
     where = "unseen runs" if row.use == "test" else "the runs that chose"
     before, after, noise = (f"{v:.3g}" for v in (row.before, row.after, row.noise))
     if not changed:
@@ -146,8 +146,9 @@ def _on_unseen(errors: Sequence[ErrorRow], changed: bool) -> list[str]:
     ]
 
 
-def _worst_kind(errors: Sequence[ErrorRow]) -> ErrorRow:
-    """All runs together, of the kind of channel whose error is largest over its noise."""
+def _telling_kind(errors: Sequence[ErrorRow], changed: bool) -> ErrorRow:
+    """All runs together, of the kind of channel whose error falls most, or is largest, over its
+    noise."""
     kinds: dict[tuple[str, str], list[ErrorRow]] = {}
     for row in errors:
         kinds.setdefault((row.kind, row.unit), []).append(row)
@@ -172,7 +173,10 @@ def _worst_kind(errors: Sequence[ErrorRow]) -> ErrorRow:
             first.use,
         )
 
-    return max((pooled(rows) for rows in kinds.values()), key=lambda r: r.before / r.noise)
+    return max(
+        (pooled(rows) for rows in kinds.values()),
+        key=lambda r: (r.before - (r.after if changed else 0.0)) / r.noise,
+    )
 
 
 def sentences(answer: Answer, gained: Gain | None, unseen: Sequence[ErrorRow]) -> tuple[str, ...]:

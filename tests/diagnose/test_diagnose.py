@@ -89,7 +89,7 @@ def test_null_gives_none_and_says_what_it_could_have_seen():
 
 
 def test_coarse_time_step_is_numerical():
-    report = solve(12, step=0.02)
+    report = solve(12, step=0.02, settings=replace(QUICK, refine_budget=1.0))
     assert report.verdict == "numerical"
     gate = next(g for g in report.gates if g.name == "time_step")
     assert not gate.passed and gate.value > 2.0

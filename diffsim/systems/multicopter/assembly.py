@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import torch
 
@@ -20,20 +19,18 @@ from diffsim.systems.multicopter.described import DescribedFlights
 from diffsim.systems.multicopter.frames import Frames
 from diffsim.systems.multicopter.loads import SLING_M
 from diffsim.systems.multicopter.model import THRUST_COEFFICIENT
+from diffsim.systems.multicopter.model_keys import MulticopterKeys
 from diffsim.systems.multicopter.sensing import sensing_of
 from diffsim.systems.multicopter.shooting import SPREAD
 from diffsim.systems.multicopter.spectrum import strongest_frequency
 from diffsim.systems.multicopter.thrust_law import ThrustLaw
-
-if TYPE_CHECKING:
-    from diffsim.systems.multicopter.description import MulticopterDescription
 
 _PAST = 0.5  # spread of the thrusts before the record, over what hovers
 _WIDE = 5.0  # [%]: a mass no better known needs no cause that adds to it
 _GAINS = {"thrust_gain": 5.0, "torque_gain": 20.0, "inertia_gain": 10.0}  # [%]
 
 
-def assembled(of: MulticopterDescription, study: Study) -> DescribedFlights:
+def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
     """Recipe of the scenes of a study's runs.
 
     Args:
@@ -76,7 +73,7 @@ def assembled(of: MulticopterDescription, study: Study) -> DescribedFlights:
 
 
 def with_shapes(
-    of: MulticopterDescription, flights: DescribedFlights, study: Study, causes: Sequence[str]
+    of: MulticopterKeys, flights: DescribedFlights, study: Study, causes: Sequence[str]
 ) -> DescribedFlights:
     """The recipe with what causes need beside a size: length of a string, frequency of a gust.
 
@@ -99,7 +96,7 @@ def with_shapes(
     return replace(flights, parameters=BaseParameters(quantities, study.runs))
 
 
-def vehicle_of(of: MulticopterDescription, flights: DescribedFlights) -> Vehicle:
+def vehicle_of(of: MulticopterKeys, flights: DescribedFlights) -> Vehicle:
     """What decides which causes there are.
 
     Args:
@@ -126,7 +123,7 @@ def vehicle_of(of: MulticopterDescription, flights: DescribedFlights) -> Vehicle
 
 
 def _quantities(
-    of: MulticopterDescription, design: Multicopter | None, rotor: RotorModel | None
+    of: MulticopterKeys, design: Multicopter | None, rotor: RotorModel | None
 ) -> Iterator[tuple[str, Quantity]]:
     """Everything that may be fitted, by name of the base parameter."""
     if of.mass is not None:
@@ -154,7 +151,7 @@ def _quantities(
     yield from _nuisances(of)
 
 
-def _gains(of: MulticopterDescription) -> Iterator[tuple[str, Quantity]]:
+def _gains(of: MulticopterKeys) -> Iterator[tuple[str, Quantity]]:
     """Factors; each is held by default where what it multiplies is fitted itself."""
     inertia = of.inertia
     fitted = {
@@ -171,7 +168,7 @@ def _gains(of: MulticopterDescription) -> Iterator[tuple[str, Quantity]]:
         yield name, default if given is None else given
 
 
-def _nuisances(of: MulticopterDescription) -> Iterator[tuple[str, Quantity]]:
+def _nuisances(of: MulticopterKeys) -> Iterator[tuple[str, Quantity]]:
     keys = of.nuisances
     gain = 100.0 * keys.run_thrust_gain
     yield (
@@ -197,11 +194,11 @@ def _nuisances(of: MulticopterDescription) -> Iterator[tuple[str, Quantity]]:
         yield "clock", Quantity(value=0.0, sd=keys.clock, unit="s", per="run")
 
 
-def _sees_attitude(of: MulticopterDescription) -> bool:
+def _sees_attitude(of: MulticopterKeys) -> bool:
     return of.sensors.quaternion is not None or of.sensors.roll_pitch_yaw is not None
 
 
-def _torque_ratio(of: MulticopterDescription, rotor: RotorModel | None) -> Quantity | None:
+def _torque_ratio(of: MulticopterKeys, rotor: RotorModel | None) -> Quantity | None:
     if of.torque_ratio is not None:
         given: Quantity = of.torque_ratio
         return given
@@ -216,17 +213,17 @@ def _torque_ratio(of: MulticopterDescription, rotor: RotorModel | None) -> Quant
     return None
 
 
-def _radius(of: MulticopterDescription, rotor: RotorModel | None) -> float:
+def _radius(of: MulticopterKeys, rotor: RotorModel | None) -> float:
     if of.radius is not None:
         return float(of.radius)
     return 0.0 if rotor is None else float(rotor.radius)
 
 
-def _rotor(of: MulticopterDescription) -> RotorModel | None:
+def _rotor(of: MulticopterKeys) -> RotorModel | None:
     return None if of.rotor_model is None else rotor_model(of.rotor_model)
 
 
-def _designed(of: MulticopterDescription, study: Study) -> Multicopter | None:
+def _designed(of: MulticopterKeys, study: Study) -> Multicopter | None:
     """The vehicle of the design file, beside study.yaml or shipped."""
     if of.design is None:
         return None

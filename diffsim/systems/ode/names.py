@@ -22,7 +22,7 @@ _RESERVED = (TIME, RUN_ORDER, "reading", "size", "pi", "e", *FUNCTIONS)
 
 def where_of(study: Study) -> str:
     """How messages call the description of a study."""
-    return "study.yaml: model" if study.folder is None else f"{study.folder / 'study.yaml'}: model"
+    return "study.yaml: model" if study.file is None else f"{study.file}: model"
 
 
 def facts_of(run: Run) -> dict[str, float]:
