@@ -93,7 +93,7 @@ def diagnose(
     screened = _screened(search.plain)
     case.progress("gain", 0.88, "unseen runs")
     select = search.null.case.study.select_runs
-    referee = referee_of(search.fit_of(NONE).problem, select)
+    referee = referee_of(search.fit_of(NONE), select)
     checks, judgment = _judged(search, checks, referee, seed)
     frozen = report_of(search.null, checks, judgment, screened, seed, bank, referee)
     # only now test runs are looked at, once
