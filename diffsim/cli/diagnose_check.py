@@ -12,7 +12,7 @@ import numpy as np
 from diffsim.core.errors import DiffsimError
 from diffsim.core.units import factor
 from diffsim.data.study import Channel, Command, Run, Study
-from diffsim.data.study_check import Problem, check_study
+from diffsim.data.study_check import TODO, Problem, check_study
 from diffsim.diagnose.separate import cut_in_two, require_separate
 from diffsim.systems.registry import description_of, setup_of
 
@@ -102,6 +102,8 @@ def _of_model(study: Study) -> Iterator[Problem]:
         for line in str(error).splitlines():
             where, _, message = line.partition(": model")
             key, _, what = message.partition(": ")
+            if TODO in what:  # told already
+                continue
             yield Problem("error", f"model{key}" if message else where, what or line)
         return
     yield from description.problems(study)
@@ -195,7 +197,7 @@ def _channel_row(study: Study, at: int, channel: Channel) -> list[str]:
     unit, scale = _shown(channel)
     sd = "from repeats" if channel.sd is None else f"{channel.sd * scale:.3g}"
     missing = float(np.isnan(values).mean()) if len(values) else 0.0
-    share = f"{missing:.0%}" if missing else "-"
+    share = f"{100.0 * missing:.2g} %" if missing else "-"
     return [channel.name, unit, channel.kind, sd, *_range(values * scale), share]
 
 
