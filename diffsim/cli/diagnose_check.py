@@ -61,11 +61,24 @@ def require_ready(study: Study, given: str, *, plan: bool = True) -> None:
 
 def _tell(problems: Sequence[Problem], given: str) -> None:
     ordered = sorted(problems, key=lambda p: p.severity != "error")
-    for problem in ordered:
-        print(problem)
+    for line in _grouped(ordered):
+        print(line)
     errors = sum(problem.severity == "error" for problem in ordered)
     if errors:
         raise StudyError(f"{errors} of {len(ordered)} problems keep {given} from a diagnosis")
+
+
+def _grouped(problems: Sequence[Problem]) -> Iterator[str]:
+    """A line for each problem; one for all runs that have the same, but for its numbers."""
+    alike: dict[tuple[str, ...], list[Problem]] = {}
+    for problem in problems:
+        is_run = problem.where.startswith("run ")
+        where = "run" if is_run else problem.where
+        message = re.sub(r"[-+]?\d[\d.e+-]*", "#", problem.message) if is_run else problem.message
+        alike.setdefault((problem.severity, where, message), []).append(problem)
+    for first, *others in alike.values():
+        names = [problem.where.removeprefix("run ") for problem in others]
+        yield f"{first}" + (f" (likewise {_some(names)})" if names else "")
 
 
 def problems_of(study: Study) -> list[Problem]:
