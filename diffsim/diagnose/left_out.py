@@ -20,7 +20,7 @@ from scipy import optimize
 
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
-from diffsim.diagnose.fit import gauss_newton
+from diffsim.diagnose.gauss_newton import gauss_newton
 from diffsim.diagnose.noise import ArWhitener
 from diffsim.diagnose.optimum import optimum
 from diffsim.identify import Fit, Problem

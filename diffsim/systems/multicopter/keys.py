@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     Length: TypeAlias = Quantity
     Time: TypeAlias = Quantity
     Plain: TypeAlias = Quantity
+    Hertz: TypeAlias = Quantity
     Seconds: TypeAlias = float
     Newtons: TypeAlias = float
     Volts: TypeAlias = float
@@ -31,6 +32,7 @@ else:  # quantities may be fitted, numbers are known
     Length = quantity("m")
     Time = quantity("s")
     Plain = quantity("-")
+    Hertz = quantity("Hz")
     Seconds = number("s")
     Newtons = number("N")
     Volts = number("V")
