@@ -6,9 +6,11 @@ from collections.abc import Mapping
 
 from tests.hidden.outside.arms import ARMS
 from tests.hidden.outside.case import Maker
+from tests.hidden.outside.flights import FLIGHTS
 from tests.hidden.outside.mechanisms import MECHANISMS
 
 CASES: Mapping[str, tuple[str, Maker]] = {
     **{name: ("mujoco", make) for name, make in MECHANISMS.items()},
     **{name: ("mujoco", make) for name, make in ARMS.items()},
+    **{name: ("rotorpy", make) for name, make in FLIGHTS.items()},
 }
