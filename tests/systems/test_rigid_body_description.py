@@ -190,7 +190,9 @@ def test_a_box_of_unequal_edges_flies_as_euler_says():
 
 def test_lengths_are_named_and_gravity_is_not():
     """Two per cent in all lengths look like two per cent less gravity, but for the rest."""
-    report = judged(box_study(scale=0.98))
+    study = box_study(scale=0.98)
+    only = ["length_scale", "weaker_gravity", "clock_scale", "ground_height", "half_width"]
+    report = judged(replace(study, model={**study.model, "effects": {"only": only}}))
     assert report.named == ("length_scale",)
     assert report.best.values["length_scale"] == pytest.approx(-0.02, abs=0.001)
     status = {c.name: c.status for c in report.causes}["weaker_gravity"]
@@ -233,3 +235,72 @@ def test_angles_are_as_good_as_quaternions():
         seen = s.model.predict(run, s.model.at_prior()).numpy()
     off = (seen - run.measured)[:, 3:6]
     assert np.nanmax(np.abs(off)) < 0.02
+
+
+# A rolling ball ----------------------------------------------------------------------------------
+
+CAMERA_AT, FOCAL = np.array([0.5, -0.6, 1.2]), 1000.0
+
+
+def seen_from(place):
+    """Pixels (u right, v down) of a camera that looks down at the table's middle, 1280 x 720."""
+    ahead = np.array([0.5, 0.3, 0.0]) - CAMERA_AT
+    ahead /= np.linalg.norm(ahead)
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    axes = np.array([-right, np.cross(ahead, right), -ahead])  # Y2 is below 0 in front
+    y = (place - CAMERA_AT) @ axes.T
+    pixels = np.column_stack([640 + FOCAL * y[:, 0] / y[:, 2], 360 - FOCAL * y[:, 1] / y[:, 2]])
+    return pixels, axes, -axes @ CAMERA_AT
+
+
+def rolling_place(resistance, velocity, seconds=0.9):
+    time = np.arange(0.0, seconds, 1.0 / 60.0)
+    speed = np.linalg.norm(velocity)
+    gone = speed * time - 0.5 * resistance * GRAVITY * time**2
+    place = np.array([0.1, 0.1, RADIUS]) + gone[:, None] * np.array([*velocity, 0.0]) / speed
+    return time, place
+
+
+def rolling_study(folder, resistance):
+    """Four balls that roll through a camera's picture; eight points are clicked."""
+    rng = np.random.default_rng(5)
+    corners = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 0.6) for z in (0.0, 0.2)])
+    clicks, axes, shift = seen_from(corners)
+    table = np.column_stack([clicks + rng.normal(0.0, 0.5, clicks.shape), corners])
+    np.savetxt(
+        folder / "points.csv", table, delimiter=",", header="u,v,x,y,z", comments="", fmt="%.5f"
+    )
+    runs = []
+    for i, (use, velocity) in enumerate(
+        (("fit", (1.0, 0.2)), ("fit", (0.6, 0.4)), ("select", (0.8, 0.3)), ("test", (0.7, 0.5)))
+    ):
+        time, place = rolling_place(resistance, np.array(velocity))
+        pixels = seen_from(place)[0] + rng.normal(0.0, 0.3, (len(time), 2))
+        runs.append(Run(f"roll_{i}", time, pixels, {}, f"roll_{i}", i, use))
+    model = {
+        "system": "rigid_body",
+        "bodies": [{"name": "ball", "sphere": "40 mm", "begins": "on_ground"}],
+        "camera": {
+            "size": [1280, 720],
+            "focal": {"value": 1050.0, "percent": 10},
+            "rotation": axes.tolist(),
+            "shift": [{"value": float(s), "sd": 0.05} for s in shift],
+            "points": {"file": "points.csv", "columns": ["u", "v", "x", "y", "z"], "sd": 0.5},
+        },
+        "measures": [{"body": "ball", "pixels": ["u", "v"]}],
+    }
+    channels = tuple(Channel(n, "px", "image", 0.3) for n in "uv")
+    return Study("rolling", "rigid_body", channels, tuple(runs), model=model, folder=folder)
+
+
+def test_rolling_resistance_is_seen_through_a_camera(tmp_path):
+    report = judged(rolling_study(tmp_path, 0.02))
+    assert report.named == ("rolling_resistance",)
+    assert report.best.values["rolling_resistance"] == pytest.approx(0.02, rel=0.1)
+    assert report.best.values["focal"] == pytest.approx(FOCAL, rel=0.01)
+
+
+def test_a_ball_that_rolls_freely_says_nothing(tmp_path):
+    report = judged(rolling_study(tmp_path, 0.0))
+    assert report.named == ()
