@@ -30,11 +30,9 @@ _LABORATORIES = ("lab_beam", "lab_copter", "lab_network")
 _PUBLISHED = (
     "silicone_beam",
     "starfish",
-    "tennis_balls",
     "pneumatic_arm",
     "fish_tail",
     "rotor_bench",
-    "cube_toss",
     "silicone_tensile",
 )
 SETUPS = (*_LABORATORIES, *_PUBLISHED)
