@@ -117,6 +117,23 @@ def to_si(unit: str) -> SI:
     return SI(_COHERENT.get(name, short), size, offset)
 
 
+def in_si(value: float | int | str, unit: str = NO_UNIT) -> tuple[float, str]:
+    """A number, or a number with a unit as text, in SI, and the unit that it then has.
+
+    Args:
+        value: 0.003, or "3 mm".
+        unit: Unit of a bare number.
+
+    Raises:
+        ValueError: not a number, or an unknown unit.
+    """
+    matched = _QUANTITY.fullmatch(str(value))
+    if matched is None or isinstance(value, bool):
+        raise ValueError(f"must be a number, or one with its unit, got {value!r}")
+    si = to_si(matched.group(2) or unit)
+    return si.factor * float(matched.group(1)), si.unit
+
+
 def in_unit(value: float | int | str, unit: str) -> float:
     """A number, or a number with a unit as text, in a given unit.
 

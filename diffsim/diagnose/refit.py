@@ -133,26 +133,36 @@ def extend(inputs: Inputs, saved: SavedModel) -> Extension:
 def rival_sets(report: Mapping[str, Any]) -> tuple[list[tuple[str, ...]], str]:
     """Sets of effects between which a report leaves the choice, and that in words.
 
+    An unknown cause predicts no new run: where it is the only rival, the plain model stands for it,
+    for a run on which the names make the largest difference is the one to tell.
+
     Args:
         report: Content of ``report.json``.
     """
     effects = {row["effect"] for row in report["table"]}
-    sets = [tuple(report["named"])]
-    sets += [tuple(r) for r in report["rivals"] if set(r) <= effects]
-    left_out = len(report["rivals"]) + 1 - len(sets)
-    note = (
-        f" ({left_out} with an unknown cause left out: it predicts no new run)" if left_out else ""
-    )
+    named, verdict = tuple(report["named"]), report["verdict"]
+    # of a verdict that names what all rivals share, the rivals are all the sets
+    given = [tuple(r) for r in report["rivals"]]
+    sets = list(dict.fromkeys(given if verdict == "named" and given else [named, *given]))
+    known = [r for r in sets if set(r) <= effects]
+    unknown = len(sets) - len(known)
+    if not named:
+        return [], f"verdict {verdict}: no set of effects stands, none can be settled"
     if len(sets) > 1:
-        return sets, "open: " + ", or ".join(_words(s) for s in sets) + note
-    if not report["named"]:
-        return [], f"verdict {report['verdict']}: no set of effects stands, none can be settled"
+        note = ""
+        if unknown:
+            note = f", or one of {unknown} with an unknown cause, which predicts no new run"
+        if len(known) < 2:
+            note += "; the plain model stands for it"
+            known = [*known, ()]
+        surely = f"{_words(named)} is certain; " if verdict == "named" else ""
+        return known, f"{surely}open: " + ", or ".join(_words(s) for s in known if s) + note
     for row in report["hypotheses"]:
         rival = tuple(row["effects"])
-        if row["unknown"] is None and not set(rival) >= set(sets[0]):
-            why = f"{_words(sets[0])} stands alone; against the nearest other set, {_words(rival)}"
-            return [*sets, rival], why + note
-    return sets, f"{_words(sets[0])} stands alone, and nothing else was refitted{note}"
+        if row["unknown"] is None and not set(rival) >= set(named):
+            why = f"{_words(named)} stands alone; against the nearest other set, {_words(rival)}"
+            return [named, rival], why
+    return [named], f"{_words(named)} stands alone, and nothing else was refitted"
 
 
 def advise(inputs: Inputs, sets: Sequence[Sequence[str]]) -> NextRun:

@@ -25,7 +25,8 @@ from diffsim.diagnose.evidence import (
     families,
     unrealized,
 )
-from diffsim.diagnose.fit import MISFIT_RTOL, Null
+from diffsim.diagnose.fit import Null
+from diffsim.diagnose.gauss_newton import MISFIT_RTOL
 from diffsim.diagnose.scan import BORROWED, SCAN_NATS, masking_pairs
 from diffsim.diagnose.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Fit, Problem

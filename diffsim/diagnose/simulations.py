@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from diffsim.diagnose.evidence import Hypothesis, LaplaceEvidence, Weighed
-from diffsim.diagnose.fit import Null, gauss_newton
+from diffsim.diagnose.fit import Null
+from diffsim.diagnose.gauss_newton import gauss_newton
 from diffsim.diagnose.scan import Scan, groups, num_points, scan
 from diffsim.diagnose.store import Store
 from diffsim.identify import Fit, Problem

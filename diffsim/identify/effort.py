@@ -42,6 +42,10 @@ class DiagnosisSettings:
         jacobian: Method and step of the derivatives of predictions.
         workers: Number of threads over runs.
         accept_numerics: Whether to go on although the numerics gate fails.
+        refine_budget: Cost of a simulation, over that with the model's own settings, up to which
+            time step, mesh and tolerance are refined where the numerics gate fails; 1: never.
+        windows: Shares of each run that the plain model is fitted to first, ascending, where a fit
+            to whole runs fails or ends far above what short ones leave; (): never.
         noise_rounds: Largest number of searches; the noise floor is estimated again after each.
     """
 
@@ -49,4 +53,6 @@ class DiagnosisSettings:
     jacobian: Jacobian = field(default_factory=Jacobian)
     workers: int = 1
     accept_numerics: bool = False
+    refine_budget: float = 8.0
+    windows: tuple[float, ...] = (0.25, 0.5)
     noise_rounds: int = 3

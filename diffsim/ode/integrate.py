@@ -26,7 +26,7 @@ class Ode:
     """x' = f(t, x, u, p), y = g(t, x, u, p), with f and g as formulas of named quantities.
 
     Attributes:
-        rates: Formula of the time derivative of every state, by the state's name.
+        rates: Formula of the time derivative of every state, by the state's name; text, or parsed.
         readings: Formula of every channel, by the channel's name; time is ``t``.
         inputs: Names of the inputs.
         parameters: Names of the parameters.
@@ -37,8 +37,8 @@ class Ode:
         ValueError: a formula cannot be read or names an unknown quantity, or names repeat.
     """
 
-    rates: Mapping[str, str]
-    readings: Mapping[str, str]
+    rates: Mapping[str, str | Expression]
+    readings: Mapping[str, str | Expression]
     inputs: Sequence[str] = ()
     parameters: Sequence[str] = ()
     held: Sequence[str] = ()
@@ -68,11 +68,16 @@ class Ode:
             self.names, [self._parsed("rate", self.rates), self._parsed("reading", self.readings)]
         )
 
-    def _parsed(self, what: str, formulas: Mapping[str, str]) -> list[Expression]:
+    def _parsed(self, what: str, formulas: Mapping[str, str | Expression]) -> list[Expression]:
         out = []
-        for name, text in formulas.items():
+        for name, given in formulas.items():
+            if isinstance(given, Expression):
+                for needed in given.names:
+                    require_choice(f"{what} of {name}: quantity", needed, self.names)
+                out.append(given)
+                continue
             try:
-                out.append(parse_expression(text, self.names))
+                out.append(parse_expression(given, self.names))
             except ValueError as error:
                 raise ValueError(f"{what} of {name}: {error}") from None
         return out

@@ -40,45 +40,51 @@ def make_tapes(names: Sequence[str], groups: Sequence[Sequence[Expression]]) -> 
         groups: Formulas of these names; each group becomes a tape of its own.
     """
     constants: dict[float, int] = {}
+    seen: set[int] = set()
     for group in groups:
         for formula in group:
-            _collect(formula.root, constants)
-    num_given = len(names) + len(constants)
+            _collect(formula.root, constants, seen)
     place = {name: i for i, name in enumerate(names)}
-    number = {value: len(names) + i for value, i in constants.items()}
+    place_of_number = {value: len(names) + i for value, i in constants.items()}
     code, outputs = [], []
     for group in groups:
-        known: dict[Node, int] = {}
-        rows: list[list[int]] = []
-        found = [_emit(f.root, known, rows, place, number, num_given) for f in group]
-        code.append(torch.tensor(rows, dtype=torch.int64).reshape(-1, 4))
+        tape = _Writer(place, place_of_number)
+        found = [tape.register(f.root) for f in group]
+        code.append(torch.tensor(tape.rows, dtype=torch.int64).reshape(-1, 4))
         outputs.append(torch.tensor(found, dtype=torch.int64))
     return Tapes(torch.tensor(list(constants), dtype=torch.float64), tuple(code), tuple(outputs))
 
 
-def _collect(node: Node, constants: dict[float, int]) -> None:
+def _collect(node: Node, constants: dict[float, int], seen: set[int]) -> None:
     if isinstance(node, Number):
         constants.setdefault(node.value, len(constants))
-    elif isinstance(node, Apply):
+    elif isinstance(node, Apply) and id(node) not in seen:
+        seen.add(id(node))
         for part in node.parts:
-            _collect(part, constants)
+            _collect(part, constants, seen)
 
 
-def _emit(
-    node: Node,
-    known: dict[Node, int],
-    rows: list[list[int]],
-    place: dict[str, int],
-    number: dict[float, int],
-    num_given: int,
-) -> int:
-    """Register of a part; instructions that it needs are added to ``rows``."""
-    if isinstance(node, Number):
-        return number[node.value]
-    if isinstance(node, Name):
-        return place[node.name]
-    if node not in known:
-        parts = [_emit(part, known, rows, place, number, num_given) for part in node.parts]
-        rows.append([_CODES[node.operation], *parts, *([0] * (3 - len(parts)))])
-        known[node] = num_given + len(rows) - 1
-    return known[node]
+class _Writer:
+    """Instructions of one tape; parts that are equal, or the same object, are computed once."""
+
+    def __init__(self, place: dict[str, int], number: dict[float, int]):
+        self._place, self._number = place, number
+        self._known: dict[tuple[int, ...], int] = {}  # instruction -> its register
+        self._visited: dict[int, int] = {}  # id of a part -> its register
+        self.rows: list[list[int]] = []
+
+    def register(self, node: Node) -> int:
+        """Register of a part; instructions that it needs are added to ``rows``."""
+        if isinstance(node, Number):
+            return self._number[node.value]
+        if isinstance(node, Name):
+            return self._place[node.name]
+        if id(node) not in self._visited:
+            parts = [self.register(part) for part in node.parts]
+            row = [_CODES[node.operation], *parts, *([0] * (3 - len(parts)))]
+            if tuple(row) not in self._known:
+                self.rows.append(row)
+                num_given = len(self._place) + len(self._number)
+                self._known[tuple(row)] = num_given + len(self.rows) - 1
+            self._visited[id(node)] = self._known[tuple(row)]
+        return self._visited[id(node)]

@@ -67,7 +67,7 @@ def description_of(study: Study) -> Description:
         ValueError: no model, no such system, or keys that are wrong; the message has a line for
             each, with its path in the file.
     """
-    where = "model" if study.file is None else f"{study.file}: model"
+    where = "study.yaml: model" if study.file is None else f"{study.file}: model"
     if study.model is None:
         raise ValueError(f"study {study.name} has no model; describe its system under ``model:``")
     if "system" not in study.model:

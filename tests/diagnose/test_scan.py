@@ -8,7 +8,8 @@ import torch
 
 from diffsim.data.study import Study
 from diffsim.diagnose.evidence import Hypothesis
-from diffsim.diagnose.fit import Case, Null, gauss_newton
+from diffsim.diagnose.fit import Case, Null
+from diffsim.diagnose.gauss_newton import gauss_newton
 from diffsim.diagnose.noise import noise_floor
 from diffsim.diagnose.scan import groups, num_points, scan
 from diffsim.diagnose.search import begin, repaired, search_sets

@@ -1,0 +1,115 @@
+"""How effects reach a scene: by formulas with their sizes, by signals on the way in or out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from torch import Tensor
+
+from diffsim.data.study import Run, Study
+from diffsim.identify.effect import Apply
+from diffsim.systems.ode.grid import Grid
+from diffsim.systems.ode.network import Change
+from diffsim.systems.ode.scene import OdeScene
+
+#: (signal on the grid, grid, size () or (K,)) -> the same signal, changed
+SizedMap = Callable[[Tensor, Grid, Tensor], Tensor]
+
+
+def symbol(effect: str) -> str:
+    """What the size of an effect is called in formulas that users cannot write."""
+    return f"size of {effect}"
+
+
+def by_formulas(change: Change, *symbols: str) -> Apply:
+    """An effect that changes formulas.
+
+    Args:
+        change: Formulas in which the sizes are called ``symbols``.
+        symbols: One for each component, in order.
+    """
+    return partial(_changed, change=change, symbols=symbols)
+
+
+def _changed(
+    scene: OdeScene, size: Tensor, run: Run, *, change: Change, symbols: Sequence[str]
+) -> OdeScene:
+    return scene.with_change(change, {s: size[..., i] for i, s in enumerate(symbols)})
+
+
+@dataclass(frozen=True)
+class Groups:
+    """One size for all, and what each group of runs has beside it.
+
+    A group that nobody has fitted is like all.
+
+    Attributes:
+        per: "run", or the fact of the runs whose values are the groups; None: no groups.
+        labels: Values of that fact in the study.
+    """
+
+    per: str | None = None
+    labels: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, per: str | None, study: Study) -> Groups:
+        """Groups of a study's runs."""
+        if per is None:
+            return cls()
+        return cls(per, tuple(dict.fromkeys(_label(per, run) for run in study.runs)))
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Names of the sizes."""
+        if len(self.labels) < 2:
+            return ("size",)
+        return ("all", *(f"[{self.per}={label}]" for label in self.labels))
+
+    def size_in(self, run: Run, size: Tensor) -> Tensor:
+        """Size in a run, () or (K,), of all sizes (..., num_components)."""
+        own = size[..., 0]
+        if self.per is None or len(self.labels) < 2:
+            return own
+        label = _label(self.per, run)
+        if label not in self.labels:
+            return own
+        return own + size[..., 1 + self.labels.index(label)]
+
+
+def _label(per: str, run: Run) -> str:
+    return run.name if per == "run" else str(run.setup.get(per))
+
+
+def by_formulas_in(change: Change, symbol: str, groups: Groups) -> Apply:
+    """An effect that changes formulas, its size that of the run's group."""
+    return partial(_changed_in, change=change, symbol=symbol, groups=groups)
+
+
+def _changed_in(
+    scene: OdeScene, size: Tensor, run: Run, *, change: Change, symbol: str, groups: Groups
+) -> OdeScene:
+    return scene.with_change(change, {symbol: groups.size_in(run, size)})
+
+
+def by_input(name: str, change: SizedMap) -> Apply:
+    """An effect that changes an input on its way: f(input, grid, size)."""
+    return partial(_driven, name=name, change=change)
+
+
+def _driven(scene: OdeScene, size: Tensor, run: Run, *, name: str, change: SizedMap) -> OdeScene:
+    return scene.with_input(name, lambda u, grid: change(u, grid, size[..., 0]))
+
+
+def by_reading(channels: Sequence[str], change: SizedMap) -> Apply:
+    """An effect that changes channels alike: f(channel, grid, size)."""
+    return partial(_read, channels=tuple(channels), change=change)
+
+
+def _read(
+    scene: OdeScene, size: Tensor, run: Run, *, channels: Sequence[str], change: SizedMap
+) -> OdeScene:
+    for channel in channels:
+        scene = scene.with_reading(channel, lambda y, grid: change(y, grid, size[..., 0]))
+    return scene

@@ -1,0 +1,97 @@
+"""``model: {system: ode}``: states, rates and readings as formulas."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import Field, field_validator
+
+from diffsim.data.study import Study
+from diffsim.data.study_check import Problem
+from diffsim.identify.effort import DiagnosisSettings
+from diffsim.identify.setup import DiagnosisSetup
+from diffsim.systems.description import chosen_effects, settings_with
+from diffsim.systems.ode.described import Described, Motion
+from diffsim.systems.ode.effects import ode_effects
+from diffsim.systems.ode.keys import (
+    AnyQuantity,
+    Formula,
+    FormulaKeys,
+    Inputs,
+    Place,
+    Seconds,
+    States,
+    Store,
+)
+from diffsim.systems.ode.library import Library, magnitudes
+from diffsim.systems.ode.names import Reader
+from diffsim.systems.ode.unknown import unknown_forces
+
+
+class OdeDescription(FormulaKeys):
+    """States with rates, driven by inputs, read by formulas; everything in SI units."""
+
+    system: Literal["ode"] = Field("ode", description="Kind of system: `ode`")
+    states: States = Field(
+        description="Start value of every state: a number with unit, a formula of parameters and "
+        "first_CHANNEL, or a quantity with a prior"
+    )
+    rates: dict[str, Formula] = Field(description="Rate of every state, its derivative in time")
+    inputs: Inputs = Field((), description="What drives the system: commands, or formulas of them")
+    limits: dict[str, tuple[float, float]] = Field(
+        {}, description="Lower and upper limit of states that have some"
+    )
+    places: tuple[Place, ...] = Field((), description="Where forces may act; opens their effects")
+    stores: tuple[Store, ...] = Field((), description="What fills and empties; opens leaks")
+    time_step: Seconds | None = Field(  # type: ignore[valid-type]
+        None, gt=0, description="Longest step of the integrator [s]; none: the sample interval"
+    )
+    slow_time: AnyQuantity | None = Field(
+        None, description="Time in which slow shares of inputs and forces come; none: fitted"
+    )
+
+    @field_validator("states", "rates", mode="before")
+    @classmethod
+    def _names_as_text(cls, given: Any) -> Any:
+        return {str(k): v for k, v in given.items()} if isinstance(given, Mapping) else given
+
+    def problems(self, study: Study) -> list[Problem]:
+        """Mistakes in names, formulas and units, found without a simulation."""
+        reader = Reader(study)
+        self._described(study, reader)
+        return list(reader.problems)
+
+    def _described(self, study: Study, reader: Reader) -> Described:
+        motion = Motion(
+            states=self.states,
+            rates=self.rates,
+            limits=self.limits,
+            places=self.places,
+            stores=self.stores,
+            time_step=self.time_step,
+            slow_time=self.slow_time,
+        )
+        return Described(self, self.inputs, motion, study, reader)
+
+    def setup(self, study: Study) -> DiagnosisSetup:
+        """Model, candidate causes and options for a study."""
+        reader = Reader(study)
+        read = self._described(study, reader)
+        reader.finish()
+        model = read.model()
+        usual = magnitudes(study, model, read.network, read.known, self.places, self.stores)
+        library = Library(
+            study=study,
+            known=read.known,
+            held=read.input_held,
+            places=tuple((p, usual.places[p.name]) for p in self.places),
+            stores=tuple((s, usual.stores[s.name]) for s in self.stores),
+            inputs=usual.inputs,
+        )
+        effects = chosen_effects((*ode_effects(library), *read.own), self.effects)
+        settings = settings_with(DiagnosisSettings(), self.effort)
+        return DiagnosisSetup(model, effects, unknown_forces(library), settings=settings)
+
+
+__all__ = ["OdeDescription"]

@@ -1,0 +1,251 @@
+"""Signals on the times of an integrator, which need not be evenly spaced: (..., num_times) each.
+
+All changes are the identity at size 0. Many sizes at once, (K,), give (K, num_times).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+_SHORTEST = 1e-3  # of the shortest step: a lag below it is none
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Times of the integrator in a run.
+
+    Attributes:
+        times: (num_times,) increasing [s].
+        samples: (num_samples,) indices of the times at which something was measured.
+        seconds: (num_samples,) the run's own times [s].
+    """
+
+    times: Tensor
+    samples: Tensor
+    seconds: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, seconds: NDArray[np.float64], step: float) -> Grid:
+        """Samples with as many equal steps between two of them that none is longer than ``step``.
+
+        Args:
+            seconds: (num_samples,) times of the samples [s].
+            step: Longest step of the integrator [s].
+        """
+        gaps = np.diff(seconds)
+        counts = np.maximum(np.ceil(gaps / step - 1e-6), 1.0).astype(int)
+        parts = [
+            start + gap * np.arange(count) / count
+            for start, gap, count in zip(seconds, gaps, counts, strict=False)
+        ]
+        samples = np.concatenate([[0], np.cumsum(counts)])
+        times = np.concatenate([*parts, seconds[-1:]])
+        times[samples] = seconds
+        return cls(torch.from_numpy(times), torch.from_numpy(samples), seconds)
+
+    def resampled(self, values: NDArray[np.float64], *, held: bool) -> Tensor:
+        """Values at the samples, at the times of the integrator."""
+        if held:
+            at = np.searchsorted(self.seconds, self.times.numpy(), side="right") - 1
+            return torch.from_numpy(np.ascontiguousarray(values[at]))
+        return torch.from_numpy(np.interp(self.times.numpy(), self.seconds, values))
+
+
+def delayed(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
+    """u(t - delay) of straight lines between times, so that a step comes as late as it should.
+
+    Args:
+        u: Signal, (..., num_times); held beyond the ends.
+        grid: Times of the signal.
+        delay: () or (K,) [s].
+    """
+    t = grid.times
+    ends = u[..., :1], u[..., -1:]
+    return _read_at(torch.cat([ends[0], u, ends[1]], -1), t, t - delay[..., None])
+
+
+def smoothly_delayed(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
+    """u(t - delay) by monotone cubics, smooth in the delay; for signals without steps.
+
+    Args:
+        u: Signal, (..., num_times); held beyond the ends.
+        grid: Times of the signal.
+        delay: () or (K,) [s].
+    """
+    t = grid.times
+    place = (t - delay[..., None]).clamp(float(t[0]), float(t[-1]))
+    left = _left_of(t, place)
+    h = t.diff()[left]
+    s = (place - t[left]) / h
+    slopes = _monotone_slopes(u, t)
+    y0, y1 = _at(u, left), _at(u, left + 1)
+    d0, d1 = _at(slopes, left), _at(slopes, left + 1)
+    d0, d1, rise = d0 * h, d1 * h, y1 - y0
+    return y0 + s * (d0 + s * (3.0 * rise - 2.0 * d0 - d1 + s * (d0 + d1 - 2.0 * rise)))
+
+
+def held_delayed(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
+    """A command that is held over each step, late by ``delay``: mean over the step.
+
+    Args:
+        u: Command, (..., num_times); each value lasts until the next time.
+        grid: Times of the command.
+        delay: () or (K,) [s].
+    """
+    t = grid.times
+    steps = t.diff()
+    area = torch.cat([torch.zeros_like(u[..., :1]), (u[..., :-1] * steps).cumsum(-1)], -1)
+    far = _beyond(t)
+    ends = -far * u[..., :1], area[..., -1:] + far * u[..., -1:]
+    whole = _read_at(torch.cat([ends[0], area, ends[1]], -1), t, t - delay[..., None])
+    mean = whole.diff(dim=-1) / steps
+    return torch.cat([mean, u[..., -1:].expand(*mean.shape[:-1], 1)], -1)
+
+
+def lagged(u: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:
+    """First-order lag, exact for straight lines between times; at rest in the beginning.
+
+    Args:
+        u: Signal, (..., num_times).
+        grid: Times of the signal.
+        time_constant: () or (K,) [s].
+    """
+    steps, decay = _decay(grid, time_constant)
+    target = time_constant[..., None] * u.diff(dim=-1) / steps
+    # e = u - y: e' = u' - e / tau, from one time to the next target + (e - target) * decay
+    error = _recursion(decay, target * (1.0 - decay))
+    return u - torch.cat([torch.zeros_like(error[..., :1]), error], -1)
+
+
+def held_lagged(u: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:
+    """First-order lag of a command that is held over each step: mean over the step.
+
+    Args:
+        u: Command, (..., num_times); each value lasts until the next time.
+        grid: Times of the command.
+        time_constant: () or (K,) [s].
+    """
+    steps, decay = _decay(grid, time_constant)
+    fall = -u.diff(dim=-1)
+    # e = y - u at the start of each step; it jumps where the command does
+    error = _recursion(decay, fall)
+    error = torch.cat([torch.zeros_like(error[..., :1]), error], -1)
+    share = time_constant[..., None] / steps * (1.0 - decay)
+    share = torch.cat([share, share[..., -1:]], -1)
+    return u + error * share
+
+
+def slowed(u: Tensor, grid: Grid, rate: Tensor) -> Tensor:
+    """Followed at no more than ``rate``, () or (K,) [1/s]."""
+    most = (rate[..., None] * grid.times.diff()).movedim(-1, 0)
+    return _walked(u, most, lambda now, target, d: _clip(target, now - d, now + d))
+
+
+def with_play(u: Tensor, half_gap: Tensor) -> Tensor:
+    """Play: rests until the signal has crossed the gap; half_gap is () or (K,)."""
+    gaps = half_gap.expand(u.shape[-1] - 1, *half_gap.shape)
+    return _walked(u, gaps, lambda now, target, g: _clip(now, target - g, target + g))
+
+
+def affine_scan(factor: Tensor, term: Tensor) -> Tensor:
+    """x_k = factor_k x_(k-1) + term_k from x = 0, along the last axis; log2(n) vectorized steps."""
+    factor, term = torch.broadcast_tensors(factor, term)
+    shift = 1
+    while shift < term.shape[-1]:
+        one = torch.ones_like(factor[..., :shift])
+        earlier = torch.cat([torch.zeros_like(one), term[..., :-shift]], -1)
+        term = term + factor * earlier
+        factor = factor * torch.cat([one, factor[..., :-shift]], -1)
+        shift *= 2
+    return term
+
+
+def _recursion(decay: Tensor, term: Tensor) -> Tensor:
+    return affine_scan(decay, term)
+
+
+def _decay(grid: Grid, time_constant: Tensor) -> tuple[Tensor, Tensor]:
+    steps = grid.times.diff()
+    shortest = _SHORTEST * float(steps.min())
+    return steps, torch.exp(-steps / time_constant[..., None].clamp(min=shortest))
+
+
+def _clip(value: Any, low: Any, high: Any) -> Any:
+    if isinstance(high, Tensor):
+        return torch.minimum(torch.maximum(value, low), high)
+    return np.minimum(np.maximum(value, low), high)
+
+
+def _walked(u: Tensor, numbers: Tensor, rule: Callable[..., Tensor]) -> Tensor:
+    """State after each time; in numpy where nobody differentiates, ten times quicker."""
+    lead = torch.broadcast_shapes(u.shape[:-1], numbers.shape[1:])
+    targets = u.expand(*lead, u.shape[-1]).movedim(-1, 0)
+    if u.requires_grad or numbers.requires_grad:
+        now = targets[0]
+        out = [now]
+        for target, number in zip(targets[1:], numbers, strict=True):
+            now = rule(now, target, number)
+            out.append(now)
+        return torch.stack(out, -1)
+    plain, given = targets.numpy(), numbers.numpy()
+    walked = np.empty((len(plain), *lead))
+    state = walked[0] = plain[0]
+    for k in range(1, len(plain)):
+        state = walked[k] = rule(state, plain[k], given[k - 1])
+    return torch.from_numpy(np.moveaxis(walked, 0, -1).copy())
+
+
+def _left_of(times: Tensor, place: Tensor, of_equal: str = "right") -> Tensor:
+    """Index of the interval that holds each place."""
+    found = torch.searchsorted(times, place.detach().contiguous(), right=of_equal == "right")
+    return (found - 1).clamp(0, len(times) - 2)
+
+
+def _at(values: Tensor, index: Tensor) -> Tensor:
+    """values[..., index] with broadcast leading axes."""
+    if index.ndim == 1:
+        return values[..., index]
+    return values.expand(*index.shape[:-1], values.shape[-1]).gather(-1, index)
+
+
+def _beyond(times: Tensor) -> float:
+    """How far a signal is continued beyond its ends [s]."""
+    return 10.0 * float(times[-1] - times[0])
+
+
+def _read_at(values: Tensor, times: Tensor, place: Tensor) -> Tensor:
+    """Straight lines through values that begin and end ``_beyond`` the times.
+
+    At a time of the grid the slope is the mean of both sides, as it is for central differences.
+    """
+    far = _beyond(times)
+    wide = torch.cat([times[:1] - far, times, times[-1:] + far])
+    place = place.clamp(float(wide[0]), float(wide[-1]))
+    above = _straight(values, wide, place, _left_of(wide, place))
+    return 0.5 * (above + _straight(values, wide, place, _left_of(wide, place, "left")))
+
+
+def _straight(values: Tensor, times: Tensor, place: Tensor, left: Tensor) -> Tensor:
+    share = (place - times[left]) / (times[left + 1] - times[left])
+    y0 = _at(values, left)
+    return y0 + share * (_at(values, left + 1) - y0)
+
+
+def _monotone_slopes(u: Tensor, times: Tensor) -> Tensor:
+    """Slopes of Fritsch and Carlson (1980): no overshoot; flat at the ends."""
+    h = times.diff()
+    slope = u.diff(dim=-1) / h
+    before, after = slope[..., :-1], slope[..., 1:]
+    w1, w2 = 2.0 * h[1:] + h[:-1], h[1:] + 2.0 * h[:-1]
+    alike = before * after > 0.0
+    safe_before, safe_after = torch.where(alike, before, 1.0), torch.where(alike, after, 1.0)
+    inner = torch.where(alike, (w1 + w2) / (w1 / safe_before + w2 / safe_after), 0.0)
+    flat = torch.zeros_like(u[..., :1])
+    return torch.cat([flat, inner, flat], -1)

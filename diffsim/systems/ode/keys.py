@@ -1,0 +1,213 @@
+"""Keys of ``model: {system: ode}``, block by block; what they mean stands in each key."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+
+from diffsim.core.expression import parse_expression
+from diffsim.core.units import in_si
+from diffsim.identify.effect import KINDS
+from diffsim.systems.description import Description, EffectChoice, Part, Quantity, number
+
+_IN_UNIT = ("value", "sd", "lower", "upper")
+
+
+def _checked(text: str) -> str:
+    parse_expression(text)
+    return text
+
+
+#: A formula: its spelling is checked here, its names where the study is known.
+Formula = Annotated[str, BeforeValidator(str), AfterValidator(_checked)]
+
+
+def _quantity(given: Any) -> Any:
+    """A number with whatever unit it has, in SI."""
+    if isinstance(given, Quantity):
+        return given
+    if not isinstance(given, Mapping):
+        value, unit = in_si(given)
+        return Quantity(value=value, unit=unit)
+    own = str(given.get("unit", "-"))
+    unit = next((in_si(given[k], own)[1] for k in _IN_UNIT if k in given), own)
+    return {**given, **{k: in_si(v, own)[0] for k, v in given.items() if k in _IN_UNIT}} | {
+        "unit": unit
+    }
+
+
+#: A quantity in any unit.
+AnyQuantity = Annotated[Quantity, BeforeValidator(_quantity)]
+
+
+def _start(given: Any) -> Any:
+    """A quantity where it has a prior or a unit, else a formula."""
+    if isinstance(given, (Quantity, Mapping)):
+        return _quantity(given)
+    try:
+        parse_expression(str(given))
+    except ValueError:
+        return _quantity(given)
+    return str(given)
+
+
+class Input(Part):
+    """What drives the system."""
+
+    name: str = Field(description="Name in formulas")
+    formula: Formula | None = Field(
+        None,
+        description="Formula of commands, parameters, facts and `t`; none: the command so named",
+    )
+    held: bool = Field(
+        False, description="Whether it keeps its value until the next sample; else straight lines"
+    )
+    delay: AnyQuantity | None = Field(
+        None, description="Time by which it comes later than recorded [s]; with sd it is fitted"
+    )
+
+
+def _as_input(given: Any) -> Any:
+    return {"name": given} if isinstance(given, str) else given
+
+
+class Place(Part):
+    """Where a force, or whatever changes a velocity, may act."""
+
+    name: str = Field("axis", description="Name, shown where there are several")
+    position: str = Field(description="State that is the position")
+    velocity: str = Field(description="State that is the velocity; forces change its rate")
+    inertia: Formula = Field(
+        "1", description="What a force is divided by to give the velocity's rate: a mass, say"
+    )
+    unit: str = Field("N", description="Unit of the force: N, N m, or any text")
+    position_unit: str = Field("m", description="Unit of the position")
+    stick_velocity: float | None = Field(
+        None,
+        gt=0,
+        description="Velocity below which dry friction fades [unit of the velocity]; "
+        "none: fitted, about 1 % of the usual velocity",
+    )
+    unknown_knots_per_s: float | None = Field(
+        None, gt=0, description="How fast an unknown force may change; none: 40 knots in all"
+    )
+
+
+class Store(Part):
+    """Something that fills and empties: a tank, a charge, a heat."""
+
+    name: str = Field("store", description="Name, shown where there are several")
+    level: str = Field(description="State that is the level")
+    area: Formula = Field("1", description="What a flow is divided by to give the level's rate")
+    empty: float = Field(0.0, description="Level at which nothing flows out any more")
+    unit: str = Field("-", description="Unit of the level")
+    spills_into: str | None = Field(
+        None, description="Name of the store that gets what spills over; none: it is lost"
+    )
+
+
+class Rest(Part):
+    """Window of each run in which the system rests."""
+
+    from_s: Formula = Field("0", description="Begin of the window: number or formula of facts [s]")
+    until_s: Formula = Field(description="End of the window: number or formula of facts [s]")
+
+
+class Table(Part):
+    """A measured curve: straight lines between its points, held beyond the ends."""
+
+    of: Formula = Field(description="Formula that the curve is read at")
+    at: tuple[float, ...] = Field(min_length=2, description="Places of the points, increasing")
+    values: tuple[float, ...] = Field(description="Values there, equally many")
+
+    @model_validator(mode="after")
+    def _pairs(self) -> Table:
+        if len(self.at) != len(self.values):
+            raise ValueError(f"{len(self.at)} places, but {len(self.values)} values")
+        if any(b <= a for a, b in zip(self.at, self.at[1:], strict=False)):
+            raise ValueError("at must increase from point to point")
+        return self
+
+
+class OwnState(Part):
+    """A state that an own effect adds."""
+
+    rate: Formula = Field(description="Its rate")
+    start: Formula = Field("0", description="Its start value")
+
+
+class OwnEffect(Part):
+    """A cause of your own; in its formulas ``size`` is what is fitted, 0 in the plain model."""
+
+    name: str = Field(description="Name, in small letters with underscores")
+    adds_to: str | None = Field(
+        None, description="Where `term` is added: a state (its rate), definition, input or channel"
+    )
+    multiplies: str | None = Field(
+        None, description="What `term` is a factor of, instead: 1 where size is 0"
+    )
+    term: Formula | None = Field(None, description="Formula of the term or factor")
+    changes: dict[str, Formula] = Field(
+        {},
+        description="New formulas instead, by name of a definition, input, parameter or channel; "
+        "the name itself is the old value",
+    )
+    states: dict[str, OwnState] = Field({}, description="States that the effect needs")
+    size: str = Field("size", description="Name of the size in these formulas")
+    per: str | None = Field(
+        None, description="Fact of the runs: a size for each value of it, beside a common one"
+    )
+    unit: str = Field("-", description="Unit of the size")
+    typical: float = Field(gt=0, description="Size that would be no surprise")
+    signed: bool = Field(True, description="Whether the size may be negative")
+    smooth: bool = Field(True, description="False where the response has a kink at size 0")
+    family: str = Field("own", description="Effects of one family are alternatives of each other")
+    kind: Literal["force", "actuator", "sensor", "material", "environment"] = Field(
+        "force", description=f"Where it enters, one of {', '.join(KINDS[:-1])}"
+    )
+    form: str = Field("", description="What it does, in a sentence")
+    also_looks_like: tuple[str, ...] = Field((), description="What data may not tell from it")
+
+    @model_validator(mode="after")
+    def _one_way(self) -> OwnEffect:
+        if self.adds_to is not None and self.multiplies is not None:
+            raise ValueError("give adds_to or multiplies, not both")
+        has_target = self.adds_to is not None or self.multiplies is not None
+        if has_target != (self.term is not None):
+            raise ValueError("adds_to or multiplies needs a term, and a term one of them")
+        if not has_target and not self.changes:
+            raise ValueError("it changes nothing; give adds_to or multiplies with term, or changes")
+        return self
+
+
+class OwnEffects(EffectChoice):
+    """Which candidate causes are judged, and causes of your own."""
+
+    own: tuple[OwnEffect, ...] = Field((), description="Causes of your own")
+
+
+class FormulaKeys(Description):
+    """Keys that systems of formulas share."""
+
+    parameters: dict[str, AnyQuantity] = Field(
+        {}, description="Known and imperfectly known numbers by name"
+    )
+    define: dict[str, Formula] = Field({}, description="Named formulas that others may use")
+    tables: dict[str, Table] = Field({}, description="Measured curves that formulas may use")
+    readings: dict[str, Formula] = Field(description="Formula of every channel")
+    effects: OwnEffects = Field(OwnEffects(), description="Which candidate causes are judged")
+    rest: Rest | None = Field(
+        None, description="Window of rest: the mean of a channel in it is rest_CHANNEL in formulas"
+    )
+
+    @field_validator("define", "readings", mode="before")
+    @classmethod
+    def _plain_keys(cls, given: Any) -> Any:
+        return {str(k): v for k, v in given.items()} if isinstance(given, Mapping) else given
+
+
+States = dict[str, Annotated["str | Quantity", BeforeValidator(_start)]]
+Inputs = tuple[Annotated[Input, BeforeValidator(_as_input)], ...]
+Seconds = number("s")

@@ -1,0 +1,190 @@
+"""What the candidate causes of a system are made from: its names and usual magnitudes.
+
+Sizes that would be no surprise follow from one simulation of the plain model, so that nobody has to
+state how large a friction could be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from diffsim.core.expression import Expression, parse_expression
+from diffsim.data.study import Study
+from diffsim.identify.model import SimModel
+from diffsim.systems.ode.keys import Place, Store
+from diffsim.systems.ode.network import Network, product
+from diffsim.systems.ode.scene import OdeScene
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PlaceScale:
+    """Usual magnitudes at a place in the plain model, over the runs to fit.
+
+    Attributes:
+        force: Rms of inertia times rate of the velocity [unit of the force].
+        inertia: Inertia at the start [unit of the inertia].
+        position: Rms distance of the position from its start.
+        velocity: Rms velocity.
+        low, high: Least and greatest position.
+    """
+
+    force: float
+    inertia: float
+    position: float
+    velocity: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class StoreScale:
+    """Usual magnitudes of a store in the plain model, over the runs to fit.
+
+    Attributes:
+        level: Rms level.
+        rate: Rms rate of the level [1/s].
+        high: Greatest level.
+    """
+
+    level: float
+    rate: float
+    high: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Library:
+    """Names and magnitudes of a described system.
+
+    Attributes:
+        study: Study with the recordings.
+        known: Names that formulas may use.
+        held: Inputs, with whether they are held between samples.
+        places: Where forces may act, each with its usual magnitudes.
+        stores: What fills and empties, each with its usual magnitudes.
+        inputs: Greatest magnitude of each input, by its name.
+    """
+
+    study: Study
+    known: tuple[str, ...]
+    held: Mapping[str, bool]
+    places: tuple[tuple[Place, PlaceScale], ...]
+    stores: tuple[tuple[Store, StoreScale], ...]
+    inputs: Mapping[str, float]
+
+    @property
+    def longest(self) -> float:
+        """Duration of the longest run [s]."""
+        return max(float(r.time_s[-1] - r.time_s[0]) for r in self.study.runs)
+
+    @property
+    def several_runs(self) -> bool:
+        """Whether something may drift from run to run."""
+        return len({r.order for r in self.study.fit_runs}) > 2
+
+    def spread(self, channel: int) -> float:
+        """Range of a channel over the runs to fit [unit of the channel]."""
+        columns = [r.measured[:, channel] for r in self.study.fit_runs or self.study.runs]
+        seen = _finite(columns)
+        return float(np.ptp(seen)) if len(seen) and np.ptp(seen) > 0.0 else 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Magnitudes:
+    """Usual magnitudes of a plain model, over the runs to fit."""
+
+    places: Mapping[str, PlaceScale]
+    stores: Mapping[str, StoreScale]
+    inputs: Mapping[str, float]
+
+
+def magnitudes(
+    study: Study,
+    model: SimModel,
+    network: Network,
+    known: Sequence[str],
+    places: Sequence[Place],
+    stores: Sequence[Store],
+) -> Magnitudes:
+    """From one simulation of each run to fit, with the best guess of everything.
+
+    Args:
+        study: Study with the recordings.
+        model: Model whose scenes are :class:`OdeScene`.
+        network: Its formulas.
+        known: Names that formulas may use.
+        places: Where forces may act.
+        stores: What fills and empties.
+    """
+    read = network.with_readings(_inside(network, known, places, stores))
+    columns: dict[str, list[Array]] = {}
+    inputs: dict[str, float] = {}
+    for run in study.fit_runs or study.runs:
+        scene = model.scene(run, model.at_prior())
+        assert isinstance(scene, OdeScene)
+        with torch.no_grad():
+            readings, _ = scene.solved(read)
+        for name, column in zip(read.readings, readings.unbind(-1), strict=True):
+            columns.setdefault(name, []).append(column.numpy())
+        for name, u in scene.inputs.items():
+            inputs[name] = max(inputs.get(name, 0.0), float(u.abs().max()))
+    return Magnitudes(
+        {p.name: _place_scale(p, columns) for p in places},
+        {s.name: _store_scale(s, columns) for s in stores},
+        {name: most or 1.0 for name, most in inputs.items()},
+    )
+
+
+def _inside(
+    network: Network, known: Sequence[str], places: Sequence[Place], stores: Sequence[Store]
+) -> dict[str, Expression]:
+    """Readings of the magnitudes inside: forces, inertias, positions, velocities, levels."""
+    out = {}
+    for place in places:
+        inertia = parse_expression(place.inertia, known)
+        out[f"{place.name} force"] = product(network.rates[place.velocity], inertia)
+        out[f"{place.name} inertia"] = inertia
+        out[f"{place.name} position"] = parse_expression(place.position, known)
+        out[f"{place.name} velocity"] = parse_expression(place.velocity, known)
+    for store in stores:
+        out[f"{store.name} level"] = parse_expression(store.level, known)
+        out[f"{store.name} rate"] = network.rates[store.level]
+    return out
+
+
+def _finite(parts: Sequence[Array]) -> Array:
+    values = np.concatenate(parts)
+    return np.asarray(values[np.isfinite(values)])
+
+
+def _rms(parts: Sequence[Array]) -> float:
+    """Rms; 1 where that is no number or zero."""
+    values = _finite(parts)
+    with np.errstate(over="ignore"):
+        found = float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
+    return found if np.isfinite(found) and found > 0.0 else 1.0
+
+
+def _place_scale(place: Place, columns: Mapping[str, list[Array]]) -> PlaceScale:
+    path = columns[f"{place.name} position"]
+    return PlaceScale(
+        force=_rms(columns[f"{place.name} force"]),
+        inertia=_rms([i[:1] for i in columns[f"{place.name} inertia"]]),
+        position=_rms([p - p[0] for p in path]),
+        velocity=_rms(columns[f"{place.name} velocity"]),
+        low=float(_finite(path).min(initial=0.0)),
+        high=float(_finite(path).max(initial=0.0)),
+    )
+
+
+def _store_scale(store: Store, columns: Mapping[str, list[Array]]) -> StoreScale:
+    levels = columns[f"{store.name} level"]
+    return StoreScale(
+        _rms(levels), _rms(columns[f"{store.name} rate"]), float(_finite(levels).max(initial=0.0))
+    )

@@ -1,0 +1,162 @@
+"""Names that formulas of a description may use in a study, and the facts behind some of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim.core.check import did_you_mean
+from diffsim.core.expression import FUNCTIONS, Expression, parse_expression
+from diffsim.data.study import Run, Study
+from diffsim.data.study_check import Problem
+from diffsim.systems.ode.keys import FormulaKeys, Rest
+from diffsim.systems.ode.network import TIME
+
+RUN_ORDER = "run_order"
+_RESERVED = (TIME, RUN_ORDER, "reading", "size", "pi", "e", *FUNCTIONS)
+
+
+def where_of(study: Study) -> str:
+    """How messages call the description of a study."""
+    return "study.yaml: model" if study.file is None else f"{study.file}: model"
+
+
+def facts_of(run: Run) -> dict[str, float]:
+    """Numbers that are known of a run: its facts, its place in the order."""
+    numbers = {
+        k: float(v)
+        for k, v in run.setup.items()
+        if isinstance(v, (int, float)) and not isinstance(v, bool)
+    }
+    return {**numbers, RUN_ORDER: float(run.order)}
+
+
+def fact_names(study: Study) -> tuple[str, ...]:
+    """Names of the numbers that every run has."""
+    shared: dict[str, None] = dict.fromkeys(facts_of(study.runs[0]))
+    for run in study.runs:
+        own = facts_of(run)
+        shared = {name: None for name in shared if name in own}
+    return tuple(shared)
+
+
+def data_names(study: Study, rest: Rest | None) -> tuple[str, ...]:
+    """Names of what is taken from the measured samples."""
+    names = [f"first_{c.name}" for c in study.channels]
+    return (*names, *(f"rest_{c.name}" for c in study.channels)) if rest else tuple(names)
+
+
+def data_values(study: Study, run: Run, rest: Rest | None) -> dict[str, float]:
+    """First samples of the channels, and their means while the system rests.
+
+    Raises:
+        ValueError: nothing was measured while it should rest.
+    """
+    out = {}
+    for channel, column in zip(study.channels, run.measured.T, strict=True):
+        seen = column[np.isfinite(column)]
+        out[f"first_{channel.name}"] = float(seen[0]) if len(seen) else 0.0
+        if rest is not None:
+            low, high = (_fact(formula, run) for formula in (rest.from_s, rest.until_s))
+            inside = column[(run.time_s >= low) & (run.time_s <= high) & np.isfinite(column)]
+            if not len(inside):
+                raise ValueError(
+                    f"{where_of(study)}.rest: run {run.name} has no sample of {channel.name} "
+                    f"from {low:g} to {high:g} s"
+                )
+            out[f"rest_{channel.name}"] = float(inside.mean())
+    return out
+
+
+def _fact(formula: str, run: Run) -> float:
+    facts = facts_of(run)
+    values = {k: torch.tensor(v, dtype=torch.float64) for k, v in facts.items()}
+    return float(parse_expression(formula, facts)(values))
+
+
+def scalars(values: Mapping[str, float]) -> dict[str, Tensor]:
+    """The same numbers as tensors ()."""
+    return {k: torch.tensor(v, dtype=torch.float64) for k, v in values.items()}
+
+
+class Reader:
+    """Parses formulas of a description; mistakes are collected with their place in the file.
+
+    Args:
+        study: Study with the description as its ``model``.
+    """
+
+    def __init__(self, study: Study):
+        self.study, self.problems = study, []  # type: ignore[var-annotated]
+
+    def report(self, key: str, message: str) -> None:
+        """Add a mistake at a key such as "rates.v"."""
+        self.problems.append(Problem("error", f"{where_of(self.study)}.{key}", message))
+
+    def parse(self, key: str, text: str, known: Iterable[str]) -> Expression:
+        """The formula; that of zero where it is mistaken."""
+        try:
+            return parse_expression(text, known)
+        except ValueError as error:
+            self.report(key, str(error))
+            return parse_expression("0")
+
+    def require_names(self, groups: Mapping[str, Iterable[str]]) -> None:
+        """Names must be plain words, and one thing each.
+
+        Args:
+            groups: Names by the key that gives them.
+        """
+        given: dict[str, str] = {}
+        for key, names in groups.items():
+            for name in names:
+                if not name.isidentifier():
+                    self.report(key, f"{name!r} cannot stand in a formula; use letters, digits, _")
+                elif name in _RESERVED:
+                    self.report(key, f"{name!r} has a meaning of its own in formulas; rename it")
+                elif name in given:
+                    self.report(key, f"{name!r} is also a name of {given[name]}; names must differ")
+                given.setdefault(name, key)
+
+    def require_channels(self, keys: FormulaKeys) -> None:
+        """Every channel has a reading, every reading a channel."""
+        channels = [c.name for c in self.study.channels]
+        for name in keys.readings:
+            if name not in channels:
+                self.report(
+                    f"readings.{name}",
+                    f"no channel {name!r}{did_you_mean(name, channels)}; "
+                    f"the study has {', '.join(channels)}",
+                )
+        for name in channels:
+            if name not in keys.readings:
+                self.report("readings", f"channel {name} has no formula; add `{name}: ...`")
+
+    def require_per(self, key: str, per: str | None) -> None:
+        """``per`` names a fact that every run states."""
+        if per is None or per == "run":
+            return
+        for run in self.study.runs:
+            if per not in run.setup:
+                hint = did_you_mean(per, [str(k) for k in run.setup])
+                self.report(key, f"per: run {run.name} states no {per} in its setup{hint}")
+                return
+
+    def finish(self) -> None:
+        """Raise what was collected.
+
+        Raises:
+            ValueError: a line for each mistake.
+        """
+        errors = [p for p in self.problems if p.severity == "error"]
+        if errors:
+            raise ValueError("\n".join(f"{p.where}: {p.message}" for p in errors))
+
+
+def longest(runs: Iterable[Run]) -> float:
+    """Duration of the longest run [s]."""
+    return max((float(r.time_s[-1] - r.time_s[0]) for r in runs), default=math.nan)

@@ -1,0 +1,263 @@
+"""Formulas of a system by name, and what effects change in them.
+
+Named are the rate of each state, the readings, and quantities in between (definitions, inputs,
+parameters). A :class:`Change` gives a name another formula, in which the name itself stands for
+what it was before, so that several changes of one name act one after the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from threading import Lock
+
+from diffsim.core.expression import Apply, Expression, Name, Node, Number
+from diffsim.ode import Ode
+
+TIME = "t"
+_RAW = "{}~"  # an input or parameter as given, where a change stands for its name
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What an effect does to formulas.
+
+    Attributes:
+        rates: Terms that are added to the rates of states, by state.
+        factors: Factors on the rates of states, by state.
+        names: New formulas of definitions, inputs and parameters, by name, made of the old value.
+        readings: New formulas of channels, made of ``reading``, the old one.
+        states: Rates of further states, by name.
+        starts: Start values of those, by name; 0 if absent.
+        inputs: Names of further inputs.
+    """
+
+    rates: Mapping[str, Expression] = field(default_factory=dict)
+    factors: Mapping[str, Expression] = field(default_factory=dict)
+    names: Mapping[str, Expression] = field(default_factory=dict)
+    readings: Mapping[str, Expression] = field(default_factory=dict)
+    states: Mapping[str, Expression] = field(default_factory=dict)
+    starts: Mapping[str, Expression] = field(default_factory=dict)
+    inputs: tuple[str, ...] = ()
+
+
+READING = "reading"
+
+
+@dataclass(frozen=True, eq=False)
+class Solver:
+    """Formulas as the integrator takes them.
+
+    Attributes:
+        ode: The integrator.
+        inputs: Names whose values it takes as inputs.
+        parameters: Names whose values it takes as parameters.
+        starts: Start values of states that changes have added, by name.
+    """
+
+    ode: Ode
+    inputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+    starts: Mapping[str, Expression]
+
+
+class Network:
+    """Formulas of a system.
+
+    Args:
+        rates: Rate of every state.
+        readings: Formula of every channel.
+        definitions: Named formulas that others may use.
+        inputs: Names of inputs, with whether they are held between samples.
+        limits: Lower and upper limits of states.
+    """
+
+    def __init__(
+        self,
+        rates: Mapping[str, Expression],
+        readings: Mapping[str, Expression],
+        definitions: Mapping[str, Expression],
+        inputs: Mapping[str, bool],
+        limits: Mapping[str, tuple[float, float]],
+    ):
+        self.rates, self.readings = dict(rates), dict(readings)
+        self.definitions, self.inputs, self.limits = dict(definitions), dict(inputs), dict(limits)
+        self._made: dict[tuple[Change, ...], Solver] = {}
+        self._lock = Lock()
+
+    def solver(self, changes: tuple[Change, ...]) -> Solver:
+        """The integrator of the formulas as changed; made once for each set of changes."""
+        with self._lock:
+            if changes not in self._made:
+                self._made[changes] = self._compiled(changes)
+            return self._made[changes]
+
+    def with_readings(self, readings: Mapping[str, Expression]) -> Network:
+        """The same system, read otherwise."""
+        return Network(self.rates, readings, self.definitions, self.inputs, self.limits)
+
+    def _compiled(self, changes: tuple[Change, ...]) -> Solver:
+        rates = {s: e.root for s, e in self.rates.items()}
+        readings = {c: e.root for c, e in self.readings.items()}
+        bodies = {n: e.root for n, e in self.definitions.items()}
+        inputs = dict(self.inputs)
+        starts: dict[str, Expression] = {}
+        for change in changes:
+            rates |= {s: e.root for s, e in change.states.items()}
+            starts |= change.starts
+            inputs |= dict.fromkeys(change.inputs, False)
+            for state, term in change.rates.items():
+                rates[state] = Apply("add", (rates[state], term.root))
+            for state, factor in change.factors.items():
+                rates[state] = Apply("mul", (rates[state], factor.root))
+            for name, formula in change.names.items():
+                before = bodies.get(name, Name(_RAW.format(name)))
+                # what is made of the name means in its new formula what it was before
+                old = _Resolved(bodies)
+                parts = {n: old(Name(n)) for n in formula.names if n != name and n in bodies}
+                circular = {n: e for n, e in parts.items() if name in _needed_by(n, bodies)}
+                bodies[name] = _substituted(formula.root, {**circular, name: before}, {})
+            for channel, formula in change.readings.items():
+                readings[channel] = _substituted(formula.root, {READING: readings[channel]}, {})
+        raw = {_RAW.format(n): n for n in bodies if n not in self.definitions}
+        resolved = _Resolved(bodies)
+        own_rates = {s: _expression(resolved(n)) for s, n in rates.items()}
+        own_readings = {c: _expression(resolved(n)) for c, n in readings.items()}
+        needed = dict.fromkeys(
+            n for e in (*own_rates.values(), *own_readings.values()) for n in e.names
+        )
+        plain = {n: raw.get(n, n) for n in needed if n != TIME and n not in own_rates}
+        of_kernel = {n: p for n, p in plain.items() if p in inputs}
+        parameters = {n: p for n, p in plain.items() if p not in inputs}
+        ode = Ode(
+            rates=own_rates,
+            readings=own_readings,
+            inputs=list(of_kernel),
+            parameters=list(parameters),
+            held=[n for n, p in of_kernel.items() if inputs[p]],
+            limits=self.limits,
+        )
+        return Solver(ode, tuple(of_kernel.values()), tuple(parameters.values()), starts)
+
+
+def _needed_by(name: str, bodies: Mapping[str, Node]) -> set[str]:
+    """All names that a definition needs, directly or by other definitions."""
+    found: set[str] = set()
+    left = [name]
+    while left:
+        for needed in _expression(bodies[left.pop()]).names:
+            if needed not in found:
+                found.add(needed)
+                left += [needed] if needed in bodies else []
+    return found
+
+
+class _Resolved:
+    """Formulas with every definition written out; equal parts stay one object."""
+
+    def __init__(self, bodies: Mapping[str, Node]):
+        self._bodies = dict(bodies)
+        self._done: dict[str, Node] = {}
+        self._memo: dict[int, tuple[Node, Node]] = {}  # the node is kept, so that ids stay unique
+
+    def __call__(self, node: Node) -> Node:
+        if isinstance(node, Name):
+            return self._of_name(node)
+        if not isinstance(node, Apply):
+            return node
+        if id(node) not in self._memo:
+            made = Apply(node.operation, tuple(self(part) for part in node.parts))
+            self._memo[id(node)] = (node, made)
+        return self._memo[id(node)][1]
+
+    def _of_name(self, node: Name) -> Node:
+        if node.name not in self._bodies:
+            return node
+        if node.name not in self._done:
+            self._done[node.name] = self(self._bodies[node.name])
+        return self._done[node.name]
+
+
+def _substituted(node: Node, new: Mapping[str, Node], memo: dict[int, Node]) -> Node:
+    """A formula with names replaced, their replacements left as they are."""
+    if isinstance(node, Name):
+        return new.get(node.name, node)
+    if not isinstance(node, Apply):
+        return node
+    if id(node) not in memo:
+        memo[id(node)] = Apply(
+            node.operation, tuple(_substituted(part, new, memo) for part in node.parts)
+        )
+    return memo[id(node)]
+
+
+def _expression(root: Node) -> Expression:
+    names: dict[str, None] = {}
+    seen: set[int] = set()
+
+    def walk(node: Node) -> None:
+        if isinstance(node, Name):
+            names[node.name] = None
+        elif isinstance(node, Apply) and id(node) not in seen:
+            seen.add(id(node))
+            for part in node.parts:
+                walk(part)
+
+    walk(root)
+    return Expression("", tuple(names), root)
+
+
+def named(name: str) -> Expression:
+    """The formula that is a name; any text, also one that users cannot write."""
+    return Expression(name, (name,), Name(name))
+
+
+def filled(formula: Expression, parts: Mapping[str, Expression]) -> Expression:
+    """A formula with names of it replaced by formulas."""
+    return _expression(_substituted(formula.root, {k: e.root for k, e in parts.items()}, {}))
+
+
+def product(a: Expression, b: Expression) -> Expression:
+    """a times b."""
+    return _expression(Apply("mul", (a.root, b.root)))
+
+
+def piecewise(of: Expression, at: Sequence[float], values: Sequence[float]) -> Expression:
+    """Straight lines through (at, values), held beyond the ends.
+
+    Args:
+        of: What the table is read at.
+        at: Increasing places.
+        values: Values there, equally many.
+    """
+    total: Node = Number(values[0])
+    for low, high, before, after in zip(at, at[1:], values, values[1:], strict=False):
+        above = Apply("max", (Apply("sub", (of.root, Number(low))), Number(0.0)))
+        inside = Apply("min", (above, Number(high - low)))
+        slope = Number((after - before) / (high - low))
+        total = Apply("add", (total, Apply("mul", (slope, inside))))
+    return _expression(total)
+
+
+def ordered(definitions: Mapping[str, Expression]) -> list[str]:
+    """Names of definitions, each after those that it needs.
+
+    Raises:
+        ValueError: definitions that need each other in a circle.
+    """
+    out: list[str] = []
+
+    def visit(name: str, above: tuple[str, ...]) -> None:
+        if name in above:
+            circle = " -> ".join((*above[above.index(name) :], name))
+            raise ValueError(f"definitions need each other in a circle: {circle}")
+        if name in out:
+            return
+        for needed in definitions[name].names:
+            if needed in definitions:
+                visit(needed, (*above, name))
+        out.append(name)
+
+    for name in definitions:
+        visit(name, ())
+    return out

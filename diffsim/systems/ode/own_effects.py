@@ -1,0 +1,120 @@
+"""Causes that a user writes as formulas in the study."""
+
+from __future__ import annotations
+
+from diffsim.core.expression import Expression, parse_expression
+from diffsim.data.study import Study
+from diffsim.identify.effect import Effect
+from diffsim.systems.ode.applying import Groups, by_formulas_in, symbol
+from diffsim.systems.ode.keys import OwnEffect
+from diffsim.systems.ode.names import Reader
+from diffsim.systems.ode.network import READING, Change, filled, named
+
+
+def own_effects(
+    own: tuple[OwnEffect, ...],
+    study: Study,
+    known: tuple[str, ...],
+    states: tuple[str, ...],
+    reader: Reader,
+) -> tuple[Effect, ...]:
+    """Effects from the blocks ``effects.own``.
+
+    Args:
+        own: The blocks.
+        study: Study with the recordings.
+        known: Names that formulas may use.
+        states: Those of them that are states.
+        reader: Receives the mistakes.
+    """
+    return tuple(
+        _effect(f"effects.own[{i}]", block, study, known, states, reader)
+        for i, block in enumerate(own)
+    )
+
+
+def _effect(
+    where: str,
+    block: OwnEffect,
+    study: Study,
+    known: tuple[str, ...],
+    states: tuple[str, ...],
+    reader: Reader,
+) -> Effect:
+    reader.require_per(where, block.per)
+    groups = Groups.of(block.per, study)
+    return Effect(
+        name=block.name,
+        form=block.form or _form(block),
+        family=block.family,
+        kind=block.kind,
+        unit=block.unit,
+        typical=block.typical,
+        signed=block.signed,
+        smooth=block.smooth,
+        also_looks_like=block.also_looks_like,
+        components=groups.components,
+        apply=by_formulas_in(
+            _change(where, block, study, known, states, reader), symbol(block.name), groups
+        ),
+    )
+
+
+def _form(block: OwnEffect) -> str:
+    if block.adds_to is not None:
+        return f"{block.term} is added to {block.adds_to}."
+    if block.multiplies is not None:
+        return f"{block.multiplies} times {block.term}."
+    return "; ".join(f"{k} becomes {v}" for k, v in block.changes.items()) + "."
+
+
+def _change(
+    where: str,
+    block: OwnEffect,
+    study: Study,
+    known: tuple[str, ...],
+    states: tuple[str, ...],
+    reader: Reader,
+) -> Change:
+    channels = [c.name for c in study.channels]
+    names = tuple(dict.fromkeys((*known, *channels, *block.states, block.size)))
+    own_states = {s: f"{s} of {block.name}" for s in block.states}
+    parts = {block.size: named(symbol(block.name))} | {s: named(n) for s, n in own_states.items()}
+
+    def read(key: str, text: str) -> Expression:
+        return filled(reader.parse(f"{where}.{key}", text, names), parts)
+
+    rates: dict[str, Expression] = {}
+    factors: dict[str, Expression] = {}
+    new, readings = {}, {}
+    changes = dict(block.changes)
+    key = "changes"
+    target = block.adds_to or block.multiplies
+    if target is not None:
+        operator = "+" if block.adds_to else "*"
+        if target in states:
+            into = rates if block.adds_to else factors
+            into[target] = read("term", str(block.term))
+        else:
+            changes[target] = f"{target} {operator} ({block.term})"
+            key = "adds_to" if block.adds_to else "multiplies"
+    for name, text in changes.items():
+        if name in channels:
+            readings[name] = filled(read(f"changes.{name}", text), {name: named(READING)})
+        elif name in known and name not in states:
+            new[name] = read(f"changes.{name}", text)
+        else:
+            reader.report(
+                f"{where}.{key}",
+                f"{name!r} is no state, definition, input, parameter or channel of the model"
+                if name not in states
+                else f"{name!r} is a state: change its rate by adds_to or multiplies",
+            )
+    return Change(
+        rates=rates,
+        factors=factors,
+        names=new,
+        readings=readings,
+        states={own_states[s]: read(f"states.{s}.rate", b.rate) for s, b in block.states.items()},
+        starts={own_states[s]: parse_expression(b.start) for s, b in block.states.items()},
+    )

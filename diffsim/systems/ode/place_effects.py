@@ -1,0 +1,259 @@
+"""Causes at a place: friction, springs, stops, inertia."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from diffsim.core.expression import parse_expression
+from diffsim.identify.effect import Effect
+from diffsim.systems.ode.applying import by_formulas, symbol
+from diffsim.systems.ode.keys import Place
+from diffsim.systems.ode.library import Library, PlaceScale
+from diffsim.systems.ode.network import Change, filled, named
+from diffsim.systems.ode.scene import at_start
+
+STICK = 0.01  # of the usual velocity: below it dry friction fades
+STRIBECK = 0.2  # of the usual velocity: where friction has fallen to that of sliding
+SHARE = 0.1  # of the usual force that a cause may be without surprise
+STOP_STIFFNESS = 50.0  # usual forces per usual distance
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Force:
+    """A force at a place.
+
+    Attributes:
+        name, form, family, kind, signed, smooth, also: As of the effect.
+        force: Formula of position x, velocity v, size, and the numbers of ``_numbers``.
+        unit: Unit of the size, with F for that of the force and X for that of the position.
+        typical: Size that would be no surprise.
+    """
+
+    name: str
+    form: str
+    family: str
+    kind: str = "force"
+    force: str
+    unit: str
+    typical: float
+    signed: bool = True
+    smooth: bool = True
+    also: tuple[str, ...] = ()
+
+
+def _forces(scale: PlaceScale) -> Iterator[_Force]:
+    f, x, v = SHARE * scale.force, scale.position, scale.velocity
+    yield _Force(
+        name="viscous_friction",
+        form="Force -size v.",
+        family="damping",
+        force="-size*v",
+        unit="F s/X",
+        typical=f / v,
+        signed=False,
+        also=("back EMF of a motor", "loss in the material"),
+    )
+    yield _Force(
+        name="dry_friction",
+        form="Force size against the motion (Coulomb).",
+        family="damping",
+        force="-size*tanh(v/w)",
+        unit="F",
+        typical=f,
+        signed=False,
+        also=("hysteresis of the material", "viscous friction at one speed"),
+    )
+    yield _Force(
+        name="friction_asymmetry",
+        form="Dry friction is size larger forwards and size less backwards.",
+        family="asymmetry",
+        force="-size*tanh(v/w)**2",
+        unit="F",
+        typical=0.5 * f,
+        also=("constant force, where it moves all the time",),
+    )
+    yield _Force(
+        name="stribeck_friction",
+        form="Friction is size higher near standstill, and falls with speed.",
+        family="damping",
+        force="-size*tanh(v/w)*exp(-(v/vs)**2)",
+        unit="F",
+        typical=f,
+        also=("stiction", "friction of a fresh contact"),
+    )
+    yield _Force(
+        name="square_drag",
+        form="Force -size v |v|.",
+        family="damping",
+        kind="environment",
+        force="-size*v*abs(v)",
+        unit="F s^2/X^2",
+        typical=f / v**2,
+        signed=False,
+        also=("drag of the air or water",),
+    )
+    yield _Force(
+        name="added_spring",
+        form="Force -size x.",
+        family="stiffness",
+        kind="material",
+        force="-size*x",
+        unit="F/X",
+        typical=f / x,
+        also=("gravity on a lever, close to its rest",),
+    )
+    yield _Force(
+        name="quadratic_stiffness",
+        form="Force -size x^2: stiffer on one side.",
+        family="stiffness",
+        kind="material",
+        force="-size*x*x",
+        unit="F/X^2",
+        typical=f / x**2,
+    )
+    yield _Force(
+        name="cubic_stiffness",
+        form="Force -size x^3: stiffening, or softening if negative.",
+        family="stiffness",
+        kind="material",
+        force="-size*x*x*x",
+        unit="F/X^3",
+        typical=f / x**3,
+    )
+    yield _Force(
+        name="constant_force",
+        form="Force size, always.",
+        family="constant",
+        kind="environment",
+        force="size",
+        unit="F",
+        typical=f,
+        also=("weight on a slope", "offset of the drive"),
+    )
+    yield _Force(
+        name="stop_above",
+        form="A stop, size inside the greatest position that the plain model reaches.",
+        family="stop",
+        force="-stop*max(x - (high - size), 0)*(size > 0)",
+        unit="X",
+        typical=0.1 * x,
+        signed=False,
+        smooth=False,
+        also=("stiffening", "saturation of the drive"),
+    )
+    yield _Force(
+        name="stop_below",
+        form="A stop, size inside the least position that the plain model reaches.",
+        family="stop",
+        force="stop*max((low + size) - x, 0)*(size > 0)",
+        unit="X",
+        typical=0.1 * x,
+        signed=False,
+        smooth=False,
+        also=("stiffening", "saturation of the drive"),
+    )
+    yield _Force(
+        name="relaxing_spring",
+        form="A spring of stiffness size whose force is lost within ``slow_time``.",
+        family="creep",
+        kind="material",
+        force="-size*(x - slow)",
+        unit="F/X",
+        typical=f / x,
+        signed=False,
+        also=("creep", "loss in the material"),
+    )
+
+
+def place_effects(library: Library) -> tuple[Effect, ...]:
+    """Forces and inertias at every place of a system."""
+    out = []
+    for place, scale in library.places:
+        plain = (place.unit, place.position_unit) == ("N", "m")
+        tail = "" if plain and len(library.places) == 1 else f"_at_{place.name}"
+        out += [_effect(library, place, scale, force, tail) for force in _forces(scale)]
+        out.append(_inertia(library, place, scale, tail))
+    return tuple(out)
+
+
+def sticking(place: Place) -> str:
+    """Name of the factor on the velocity below which dry friction fades, where nobody stated it."""
+    return f"sticking_at_{place.name}"
+
+
+def _numbers(place: Place, scale: PlaceScale) -> dict[str, float]:
+    return {
+        "width": place.stick_velocity or STICK * scale.velocity,
+        "vs": STRIBECK * scale.velocity,
+        "stop": STOP_STIFFNESS * scale.force / scale.position,
+        "low": scale.low,
+        "high": scale.high,
+    }
+
+
+def _effect(library: Library, place: Place, scale: PlaceScale, force: _Force, tail: str) -> Effect:
+    name = force.name + tail
+    numbers, slow = _numbers(place, scale), f"slow state of {name}"
+    letters = parse_expression(
+        f"({force.force})/inertia", ("x", "v", "w", "slow", "size", "inertia", *numbers)
+    )
+    parts = {k: parse_expression(repr(number)) for k, number in numbers.items()} | {
+        "x": named(place.position),
+        "v": named(place.velocity),
+        "slow": named(slow),
+        "size": named(symbol(name)),
+        "inertia": parse_expression(place.inertia, library.known),
+    }
+    width = "width" if place.stick_velocity else f"width*{sticking(place)}"
+    parts["w"] = filled(parse_expression(width), parts)
+    states = {}
+    if "slow" in letters.names:
+        rate = parse_expression("(x - slow)/tau")
+        states[slow] = filled(rate, {**parts, "tau": named("slow_time")})
+    change = Change(
+        rates={place.velocity: filled(letters, parts)},
+        states=states,
+        starts={slow: named(at_start(place.position))} if states else {},
+    )
+    return Effect(
+        name=name,
+        form=force.form,
+        family=force.family,
+        kind=force.kind,
+        unit=_unit(force.unit, place),
+        typical=force.typical,
+        signed=force.signed,
+        smooth=force.smooth,
+        also_looks_like=force.also,
+        apply=by_formulas(change, symbol(name)),
+    )
+
+
+def _inertia(library: Library, place: Place, scale: PlaceScale, tail: str) -> Effect:
+    name = "extra_inertia" + tail
+    factor = filled(
+        parse_expression("inertia/max(inertia + size, 0.05*inertia)"),
+        {
+            "inertia": parse_expression(place.inertia, library.known),
+            "size": named(symbol(name)),
+        },
+    )
+    unit = "kg" if not tail or place.unit == "N" else _unit("F s^2/X", place)
+    return Effect(
+        name=name,
+        form="The inertia is larger by size.",
+        family="inertia",
+        kind="material",
+        unit=unit,
+        typical=SHARE * scale.inertia,
+        also_looks_like=("gain of the drive, with friction and stiffness to match",),
+        apply=by_formulas(Change(factors={place.velocity: factor}), symbol(name)),
+    )
+
+
+def _unit(pattern: str, place: Place) -> str:
+    """ "F s/X" -> "N s/m"."""
+    if place.position_unit == "-":
+        pattern = pattern.split("/X")[0].replace("X", "-")
+    return pattern.replace("F", place.unit).replace("X", place.position_unit)

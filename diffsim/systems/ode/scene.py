@@ -1,0 +1,118 @@
+"""One run of a system of formulas, ready to be simulated, many points at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+
+from diffsim.core.expression import Expression
+from diffsim.data.study import Run
+from diffsim.systems.ode.grid import Grid
+from diffsim.systems.ode.network import TIME, Change, Network
+
+#: (signal on the grid (..., num_times), grid) -> the same
+SignalMap = Callable[[Tensor, Grid], Tensor]
+
+
+@dataclass(frozen=True, eq=False)
+class OdeScene:
+    """States start, inputs drive, formulas are integrated, readings come out.
+
+    Attributes:
+        run: Recorded run.
+        network: Formulas.
+        grid: Times of the integrator.
+        values: Parameters, facts and sizes of effects by name, () or (K,) each.
+        starts: Start value of every state, formulas of the values.
+        inputs: Inputs by name, (num_times,) or (K, num_times).
+        changes: What effects have changed in the formulas.
+        readers: What effects do to channels: name of the channel, function.
+        channels: Names of the channels in order.
+    """
+
+    run: Run
+    network: Network
+    grid: Grid
+    values: Mapping[str, Tensor]
+    starts: Mapping[str, Expression]
+    inputs: Mapping[str, Tensor]
+    changes: tuple[Change, ...] = ()
+    readers: tuple[tuple[str, SignalMap], ...] = ()
+    channels: tuple[str, ...] = field(default=())
+
+    def with_change(self, change: Change, sizes: Mapping[str, Tensor]) -> OdeScene:
+        """A copy with other formulas; ``sizes`` are values of the symbols in them."""
+        return replace(self, changes=(*self.changes, change), values={**self.values, **sizes})
+
+    def with_input(self, name: str, change: SignalMap) -> OdeScene:
+        """A copy in which an input is f(input, grid)."""
+        changed = change(self.inputs[name], self.grid)
+        return replace(self, inputs={**self.inputs, name: changed})
+
+    def with_further_input(self, name: str, values: Tensor, change: Change) -> OdeScene:
+        """A copy with one more input (..., num_times), which ``change`` puts into formulas."""
+        return replace(self, inputs={**self.inputs, name: values}, changes=(*self.changes, change))
+
+    def with_reading(self, channel: str, change: SignalMap) -> OdeScene:
+        """A copy in which a channel is f(channel, grid)."""
+        return replace(self, readers=(*self.readers, (channel, change)))
+
+    def simulate(self) -> Tensor:
+        """Predicted channels, (num_samples, num_channels) or (K, num_samples, num_channels)."""
+        readings, _ = self.solved()
+        readings = readings[..., [list(self.network.readings).index(c) for c in self.channels]]
+        if self.readers:
+            columns = dict(zip(self.channels, readings.unbind(-1), strict=True))
+            for channel, change in self.readers:
+                columns[channel] = change(columns[channel], self.grid)
+            readings = torch.stack(torch.broadcast_tensors(*columns.values()), -1)
+        if readings.shape[-2] == len(self.grid.samples):
+            return readings
+        return readings[..., self.grid.samples, :]
+
+    def solved(self, network: Network | None = None) -> tuple[Tensor, Tensor]:
+        """Readings and states at all times of the grid.
+
+        Args:
+            network: The same system, read otherwise; None: the scene's own.
+        """
+        solver = (network or self.network).solver(self.changes)
+        states = list(solver.ode.rates)
+        starts = self._starts(states, solver.starts)
+        parameters = [self.values[n] for n in solver.parameters]
+        inputs = [self.inputs[n] for n in solver.inputs]
+        lead = torch.broadcast_shapes(
+            *(v.shape for v in (*starts, *parameters)), *(u.shape[:-1] for u in inputs)
+        )
+        steps = len(self.grid.times)
+        # inputs that no point changes are stored once
+        own = torch.broadcast_shapes(*(u.shape[:-1] for u in inputs))
+        return solver.ode.solve(
+            self.grid.times,
+            _stacked(starts, lead),
+            torch.stack([u.expand(*own, steps) for u in inputs], -1) if inputs else None,
+            _stacked(parameters, lead),
+        )
+
+    def _starts(self, states: Sequence[str], further: Mapping[str, Expression]) -> list[Tensor]:
+        """Start values: those of the system, then those of states that effects have added."""
+        first = {n: u[..., 0] for n, u in self.inputs.items()}
+        known = {**self.values, **first, TIME: self.grid.times[0]}
+        out = {s: formula(known) for s, formula in self.starts.items()}
+        known |= {at_start(s): value for s, value in out.items()}
+        zero = torch.zeros((), dtype=torch.float64)
+        return [out[s] if s in out else further[s](known) if s in further else zero for s in states]
+
+
+def at_start(state: str) -> str:
+    """What the start value of a state is called in start values of further states."""
+    return f"{state} at start"
+
+
+def _stacked(values: list[Tensor], lead: torch.Size) -> Tensor:
+    if not values:
+        return torch.zeros((*lead, 0), dtype=torch.float64)
+    return torch.stack([v.expand(lead) for v in values], -1)

@@ -1,0 +1,89 @@
+"""Generic causes: a smooth force at each place, or a smooth change of each input."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim.core.expression import parse_expression
+from diffsim.data.study import Run
+from diffsim.identify.effect import Effect
+from diffsim.identify.unknown import Unknown, UnknownForce, smooth_covariance
+from diffsim.systems.ode.library import Library
+from diffsim.systems.ode.network import Change, filled, named
+from diffsim.systems.ode.scene import OdeScene
+
+KNOTS, MOST_KNOTS = 40, 120  # over the longest run
+
+
+def unknown_forces(library: Library) -> tuple[Unknown, ...]:
+    """One for each place; for each input where there is no place; else for each state's rate."""
+    out: list[Unknown] = []
+    for place, scale in library.places:
+        inertia = parse_expression(place.inertia, library.known)
+        name = f"unknown_force_at_{place.name}"
+        term = filled(parse_expression("u/inertia"), {"u": named(name), "inertia": inertia})
+        change = Change(rates={place.velocity: term}, inputs=(name,))
+        said = "unknown force" if len(library.places) == 1 else f"unknown force at {place.name}"
+        size, knots = 0.1 * scale.force, place.unknown_knots_per_s
+        out.append(_smooth(library, name, said, change, place.unit, size, knots))
+    for store, usual in library.stores:
+        name = f"unknown_flow_of_{store.name}"
+        change = Change(rates={store.level: named(name)}, inputs=(name,))
+        said, typical = f"unknown flow of {store.name}", 0.1 * usual.rate
+        unit = "1/s" if store.unit == "-" else f"{store.unit}/s"
+        out.append(_smooth(library, name, said, change, unit, typical))
+    if out:
+        return tuple(out)
+    for name, most in library.inputs.items():
+        own = f"unknown_change_of_{name}"
+        total = filled(parse_expression("u + v"), {"u": named(name), "v": named(own)})
+        change = Change(names={name: total}, inputs=(own,))
+        out.append(
+            _smooth(library, own, f"unknown change of {name}", change, "command", 0.05 * most)
+        )
+    return tuple(out)
+
+
+def _smooth(
+    library: Library,
+    name: str,
+    said: str,
+    change: Change,
+    unit: str,
+    typical: float,
+    knots_per_s: float | None = None,
+) -> UnknownForce:
+    longest = library.longest
+    wanted = KNOTS if knots_per_s is None else round(longest * knots_per_s) + 1
+    count = min(max(wanted, 4), MOST_KNOTS)
+    spacing = longest / (count - 1)
+    effect = Effect(
+        name=name,
+        form="Any smooth course, one component per knot in time.",
+        family="unknown",
+        kind="force",
+        unit=unit,
+        typical=typical,
+        also_looks_like=("anything",),
+        components=tuple(f"knot_{k}" for k in range(count)),
+        apply=partial(_pushed, name=name, change=change, spacing=spacing),
+    )
+    knots = np.linspace(0.0, longest, count)
+    return UnknownForce(effect, smooth_covariance(knots, 2.0 * spacing), said)
+
+
+def _pushed(
+    scene: OdeScene, size: Tensor, run: Run, *, name: str, change: Change, spacing: float
+) -> OdeScene:
+    place = (scene.grid.times - scene.grid.times[0]) / spacing
+    left = place.floor().long().clamp(max=size.shape[-1] - 2)
+    share = (place - left).clamp(max=1.0)
+    weights = torch.zeros(size.shape[-1], len(place), dtype=torch.float64)
+    columns = torch.arange(len(place))
+    weights[left, columns] = 1.0 - share
+    weights[left + 1, columns] += share
+    return scene.with_further_input(name, size @ weights, change)

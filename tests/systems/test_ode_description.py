@@ -1,0 +1,245 @@
+"""Systems that a study describes by formulas: the plain model, its causes, and mistakes in it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import solve_ivp
+
+from diffsim.data.study import Run
+from diffsim.diagnose import diagnose
+from diffsim.identify import Numerics, Problem, WhiteNoise
+from diffsim.systems.registry import setup_of
+from tests.systems.toy_cart import TIME, cart_study, described
+
+PLAIN = cart_study(noise=1e-12)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return setup_of(PLAIN)
+
+
+def found(study):
+    s = setup_of(study)
+    return diagnose(study, s.model, s.effects, seed=0, unknowns=s.unknowns, settings=s.settings)
+
+
+def effect(setup, name):
+    return next(e for e in setup.effects if e.name == name)
+
+
+@pytest.mark.reference
+def test_plain_model_is_the_equation(plain):
+    values = {"m": 1.01, "c": 0.85, "k": 41.0}
+    q = torch.tensor(
+        [p.coordinate_of(values.get(p.name, p.value)) for p in plain.model.base],
+        dtype=torch.float64,
+    )
+    for run in PLAIN.runs:
+        predicted = plain.model.predict(run, q).numpy()
+        np.testing.assert_allclose(predicted, run.measured, atol=2e-5)
+
+
+def test_every_cause_is_nothing_at_zero_and_something_at_its_usual_size(plain):
+    run, q = PLAIN.fit_runs[2], plain.model.at_prior()
+    before = plain.model.predict(run, q)
+    assert len(plain.effects) > 25
+    for e in plain.effects:
+        zero = torch.zeros(len(e.components), dtype=torch.float64)
+        torch.testing.assert_close(
+            plain.model.predict(run, q, {e: zero}), before, rtol=0, atol=1e-12
+        )
+        moved = plain.model.predict(run, q, {e: zero + e.typical}) - before
+        assert 1e-7 < moved.abs().max() < 1.0, e.name
+
+
+def test_many_points_at_once_are_the_points_one_by_one(plain):
+    run = PLAIN.fit_runs[0]
+    torch.manual_seed(0)
+    q = 0.3 * torch.randn(3, len(plain.model.base), dtype=torch.float64)
+    sizes = {
+        e: e.typical * torch.rand(3, len(e.components), dtype=torch.float64) for e in plain.effects
+    }
+    many = plain.model.predict_many(run, q, sizes)
+    for k in range(3):
+        one = plain.model.predict(run, q[k], {e: s[k] for e, s in sizes.items()})
+        torch.testing.assert_close(many[k], one, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.grad
+def test_gradient_of_every_smooth_cause(plain):
+    smooth = tuple(e for e in plain.effects if e.smooth)
+    study = cart_study(force=lambda x, v: -0.4 * np.tanh(v / 0.01))
+    problem = Problem(plain.model, study.fit_runs[1:2], WhiteNoise(study.channels), smooth)
+    x = np.zeros(len(problem.names))
+    x[: problem.num_base] = 0.1
+    residual, jacobian = problem.linearize(x)
+    _, gradient = problem.gradient(x)
+    scale = np.linalg.norm(residual) * np.linalg.norm(jacobian, axis=0) + 1e-9
+    assert np.abs((gradient + jacobian.T @ residual) / scale).max() < 1e-3
+
+
+def test_finer_steps_change_little(plain):
+    run, q = PLAIN.fit_runs[2], plain.model.at_prior()
+    fine = plain.model.predict(run, q, numerics=Numerics(time_step=0.25))
+    assert 0.0 < (fine - plain.model.predict(run, q)).abs().max() < 1e-5
+
+
+def test_samples_may_be_spaced_unevenly(plain):
+    run = PLAIN.fit_runs[2]
+    kept = np.r_[0:40, 40:190:5, 190:210, 210:300:5]
+    few = Run(
+        "few", run.time_s[kept], run.measured[kept], {"force": run.command["force"][kept]}, "few"
+    )
+    q = plain.model.at_prior()
+    full = plain.model.predict(run, q)[kept]
+    assert (plain.model.predict(few, q) - full).abs().max() < 1e-4
+
+
+HIDDEN = {
+    "dry_friction": (0.6, {"force": lambda x, v: -0.6 * np.tanh(v / 0.01)}),
+    "cubic_stiffness": (60.0, {"force": lambda x, v: -60.0 * x**3}),
+    "delay": (0.03, {"drive": lambda u: np.interp(TIME - 0.03, TIME, u)}),
+    "dead_band": (1.0, {"drive": lambda u: np.sign(u) * np.maximum(np.abs(u) - 1.0, 0.0)}),
+}
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_a_hidden_cause_is_named_with_its_size(name):
+    size, hidden = HIDDEN[name]
+    report = found(cart_study(**hidden))
+    assert (report.verdict, report.named) == ("named", (name,))
+    assert abs(report.best.values[name] - size) < 1.645 * report.best.sd[name] + 0.01 * size
+    assert report.gain is not None and report.gain.low > 0.9
+
+
+def test_nothing_is_named_where_nothing_is_hidden():
+    report = found(cart_study())
+    assert report.named == ()
+    assert report.verdict == "none"
+
+
+def test_a_cause_of_ones_own_is_found():
+    own = {
+        "own": [
+            {
+                "name": "wind_up",
+                "adds_to": "v",
+                "term": "-a*x*abs(v)/m",
+                "size": "a",
+                "unit": "N s/m^2",
+                "typical": 1.0,
+                "form": "Force -size x |v|.",
+            }
+        ],
+        "only": ["wind_up", "dry_friction", "cubic_stiffness", "lag"],
+    }
+    report = found(cart_study(force=lambda x, v: -5.0 * x * abs(v), model=described(effects=own)))
+    assert report.named == ("wind_up",)
+    assert report.best.values["wind_up"] == pytest.approx(5.0, rel=0.05)
+
+
+def test_own_causes_change_definitions_parameters_and_add_states():
+    model = described(
+        define={"pull": "2*force/2"},
+        rates={"x": "v", "v": "(pull - c*v - k*x)/m"},
+        effects={
+            "own": [
+                {"name": "weak", "multiplies": "pull", "term": "1 - size", "typical": 0.1},
+                {"name": "soft", "changes": {"k": "k*(1 - size)"}, "typical": 0.1},
+                {"name": "far", "changes": {"position_m": "position_m + size"}, "typical": 0.1},
+                {
+                    "name": "slow",
+                    "multiplies": "pull",
+                    "term": "1 + size*z",
+                    "states": {"z": {"rate": "(x - z)/0.2"}},
+                    "typical": 0.1,
+                },
+            ]
+        },
+    )
+    study = replace(PLAIN, model=model)
+    s, run = setup_of(study), PLAIN.fit_runs[2]
+    q = s.model.at_prior()
+
+    def moved(name, size):
+        return s.model.predict(run, q, {effect(s, name): torch.tensor([size]).double()})[:, 0]
+
+    before = s.model.predict(run, q)[:, 0]
+    torch.testing.assert_close(moved("weak", 0.25), 0.75 * before)  # a linear system
+    torch.testing.assert_close(moved("far", 0.25), before + 0.25)
+    soft = setup_of(replace(study, model=described(parameters={**model["parameters"], "k": 30.0})))
+    torch.testing.assert_close(
+        moved("soft", 0.25), soft.model.predict(run, soft.model.at_prior())[:, 0]
+    )
+    u = run.command["force"]
+
+    def rate(t, y):
+        pull = np.interp(t, TIME, u) * (1.0 + 0.5 * y[2])
+        return [y[1], pull - 0.8 * y[1] - 40.0 * y[0], (y[0] - y[2]) / 0.2]
+
+    exact = solve_ivp(rate, (0, TIME[-1]), [0, 0, 0], t_eval=TIME, max_step=0.005, rtol=1e-8).y[0]
+    np.testing.assert_allclose(moved("slow", 0.5).numpy(), exact, atol=3e-5)
+
+
+def test_values_per_run_and_from_the_data():
+    model = described(
+        states={"x": {"value": "0 mm", "sd": "20 mm", "per": "run"}, "v": "0"},
+        define={"shown": "rest_position_m + x"},
+        readings={"position_m": "shown"},
+        rest={"until_s": "0.2"},
+    )
+    moved = replace(PLAIN.runs[0], measured=PLAIN.runs[0].measured + 0.5)
+    s = setup_of(replace(PLAIN, runs=(moved, *PLAIN.runs[1:]), model=model))
+    starts = [p for p in s.model.base if p.name.startswith("x_start@")]
+    assert [p.name for p in starts] == [f"x_start@{r.name}" for r in PLAIN.runs]
+    assert {(p.sd, p.unit) for p in starts} == {(0.02, "m")}
+    assert s.model.predict(moved, s.model.at_prior())[0, 0] == pytest.approx(0.5, abs=1e-9)
+
+
+MISTAKES = {
+    "rates.v: formula '(force - c*v - kk*x)/m', column 16: 'kk' is not known here": {
+        "rates": {"x": "v", "v": "(force - c*v - kk*x)/m"}
+    },
+    "rates.v: formula '(force' cannot be read at column 1": {"rates": {"x": "v", "v": "(force"}},
+    "rates: state v has no rate": {"rates": {"x": "v"}},
+    "readings: channel position_m has no formula": {"readings": {}},
+    "readings.position: no channel 'position'; did you mean 'position_m'?": {
+        "readings": {"position_m": "x", "position": "x"}
+    },
+    "inputs[0]: no command 'forc'": {"inputs": ["forc"]},
+    "places[0].velocity: no state 'w'": {"places": [{"position": "x", "velocity": "w"}]},
+    "parameters.m.sd: must be above 0": {
+        "parameters": {"m": {"value": 1, "sd": -1}}
+    },
+    "parameters.k: unit 'parsnips' is unknown": {"parameters": {"k": "3 parsnips"}},
+    "parameters.k: per: run step states no frame in its setup": {
+        "parameters": {"k": {"value": 1, "sd": 1, "per": "frame"}, "m": 1, "c": 1}
+    },
+    "define: definitions need each other in a circle: a -> b -> a": {
+        "define": {"a": "b", "b": "a"}
+    },
+    "define: 'x' is also a name of states": {"define": {"x": "1"}},
+    "effects.own[0].term: formula 'size*y'": {
+        "effects": {"own": [{"name": "a", "adds_to": "v", "term": "size*y", "typical": 1}]}
+    },
+    "effects.own[0].adds_to: 'w' is no state": {
+        "effects": {"own": [{"name": "a", "adds_to": "w", "term": "size", "typical": 1}]}
+    },
+    "effects.only: no cause 'dry_fiction'; did you mean 'dry_friction'": {
+        "effects": {"only": ["dry_fiction"]}
+    },
+    "no key 'state' here; did you mean 'states'": {"state": {}},
+}
+
+
+@pytest.mark.parametrize("message", MISTAKES)
+def test_a_mistake_is_told_with_its_place_in_the_file(message):
+    with pytest.raises(ValueError) as refused:
+        setup_of(cart_study(model=described(**MISTAKES[message])))
+    assert message in str(refused.value)
+    assert str(refused.value).startswith(("study.yaml: model", "model", "effects"))
