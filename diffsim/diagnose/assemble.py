@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim.data.study import Run, Study
-from diffsim.diagnose.averaging import Averaged, Widening, averaged, widening
+from diffsim.diagnose.averaging import Averaged, averaged, widening
 from diffsim.diagnose.causes import Told, cause_rows, certain_of
 from diffsim.diagnose.data_sheet import base_rows
 from diffsim.diagnose.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
@@ -21,7 +21,6 @@ from diffsim.diagnose.fit import Null
 from diffsim.diagnose.force_map import ForceMap, force_map
 from diffsim.diagnose.gates import NUMERICS_GATES, GateResult
 from diffsim.diagnose.judge import EXPLAINED, NAMES, Judgment
-from diffsim.diagnose.left_out import folds_of
 from diffsim.diagnose.next_run import next_run
 from diffsim.diagnose.noise import UNREPEATABLE
 from diffsim.diagnose.outside import spans_of
@@ -145,6 +144,7 @@ def report_of(
             rivals=rivals,
             gates=gates,
             noise=null.noise,
+            named=tuple(effects[i].name for i in sorted(named)),
             best_names=tuple(effects[i].name for i in sorted(decision.best)),
             beside=_beside(judgment),
             chosen_by="" if referee is None else referee.words,
@@ -192,15 +192,12 @@ def _averaged(
 ) -> Averaged | None:
     if search is None:
         return None
-    folds = folds_of(best.problem)
-    return averaged(search, judgment.withdrawn, judgment.refuted, best, folds, checks.changes)
+    return averaged(search, judgment.withdrawn, judgment.refuted, best, checks.changes)
 
 
 def _base(best: Fit, judgment: Judgment) -> tuple[BaseRow, ...]:
-    folds = folds_of(best.problem)
-    wider = Widening() if folds is None else widening(best, folds)
     judged = judgment.decision.verdict not in ("unrepeatable", "numerical")
-    return base_rows(best, best.problem.runs, wider, judged=judged)
+    return base_rows(best, best.problem.runs, widening(best), judged=judged)
 
 
 def _verdict(

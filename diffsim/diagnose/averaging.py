@@ -17,7 +17,14 @@ from scipy import optimize, special, stats
 
 from diffsim.diagnose.evidence import ALONE_NATS, Hypothesis, Weighed
 from diffsim.diagnose.gates import numerical_shift
-from diffsim.diagnose.left_out import Folds, moved
+from diffsim.diagnose.left_out import (
+    Folds,
+    blocks_of,
+    determined,
+    groups_of,
+    known_alone,
+    moved,
+)
 from diffsim.diagnose.records import Interval
 from diffsim.diagnose.search import Search
 from diffsim.identify import Fit
@@ -27,7 +34,6 @@ Array = NDArray[np.float64]
 MODEL_FORM = 0.01  # relative uncertainty of a size, beside the statistical one
 HALF_90 = 1.645  # half-width of a 90 % interval in standard deviations
 POOLED_FREEDOM = 4.0  # degrees of freedom that the other parameters lend to a parameter's spread
-DETERMINED = 0.9  # posterior sd over the prior's; above, the data hardly determine a parameter
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +142,6 @@ def averaged(
     withdrawn: frozenset[int],
     refuted: frozenset[int],
     fit: Fit,
-    folds: Folds | None,
     changes: Mapping[str, Array],
 ) -> Averaged:
     """Weights of all sets and the widening of intervals.
@@ -146,12 +151,11 @@ def averaged(
         withdrawn: Effects that unseen runs refuted; sets with them are out of play.
         refuted: Unknown causes, by index, that repeats refuted.
         fit: Fit of the best set, whose parts are left out one after the other.
-        folds: These parts; None: intervals are not widened.
         changes: Change of the record by refining each numerical setting.
     """
     nats = {h: w.nats for h, w in {**search.linear, **search.weighed}.items()}
     nats = {h: e for h, e in nats.items() if not h.effects & withdrawn}
-    wider = Widening() if folds is None else widening(fit, folds)
+    wider = widening(fit)
     kept = {h: e for h, e in nats.items() if h.unknown is None or h.unknown not in refuted}
     return Averaged(
         search,
@@ -173,38 +177,47 @@ class Widening:
     usual: float = 1.0
 
 
-def widening(fit: Fit, folds: Folds) -> Widening:
+def widening(fit: Fit) -> Widening:
     """How many times wider than noise alone makes them intervals have to be, by coordinate.
 
     The spread of K linear refits, each without one part, gives the variance of the whole fit by the
     jackknife, (K - 1) / K sum (x_k - mean)^2, without any model of the noise. It has K - 1 degrees
     of freedom; where it is small, four more come from what is usual among the fit's parameters.
+    Parts are groups of runs; blocks of time for what is known from one group alone.
 
     Returns:
         Factors, at least 1, of coordinates that all runs share.
     """
+    known = determined(fit)
+    groups, blocks = groups_of(fit.problem), blocks_of(fit.problem)
+    alone = dict.fromkeys(known, True)
+    if groups is not None:
+        alone = dict(zip(known, known_alone(fit, groups).tolist(), strict=True))
+    sd = np.sqrt(np.diag(fit.covariance)) * fit.problem.stretch(fit.x)
+    factors: dict[str, float] = {}
+    for folds, own in (
+        (groups, [i for i in known if not alone[i]]),
+        (blocks, [i for i in known if alone[i]]),
+    ):
+        if folds is not None and own:
+            found = _factors(fit, folds, own)
+            factors |= {fit.problem.names[i]: f for i, f in zip(own, found, strict=True)}
+    usual = float(np.median(list(factors.values()))) if factors else 1.0
+    place = {name: i for i, name in enumerate(fit.problem.names)}
+    return Widening(factors, {n: f * float(sd[place[n]]) for n, f in factors.items()}, usual)
+
+
+def _factors(fit: Fit, folds: Folds, own: Sequence[int]) -> list[float]:
+    """Factors of some coordinates by leaving out parts."""
     problem, count = fit.problem, len(folds.parts)
-    if count < 2 or not len(fit.x):
-        return Widening()
-    stretch = problem.stretch(fit.x)
-    ends = np.array([problem.scaled(moved(fit, ~fold.rows)) for fold in folds.parts])
+    ends = np.array([problem.scaled(moved(fit, ~fold.rows))[own] for fold in folds.parts])
     variance = (count - 1) / count * np.sum((ends - ends.mean(axis=0)) ** 2, axis=0)
-    sd = np.sqrt(np.diag(fit.covariance))
-    ratio = variance / (sd * stretch) ** 2
-    shared = np.array(["@" not in name for name in problem.names])
-    known = shared & (sd < DETERMINED)
-    freedom = count - 1.0
-    usual = float(np.median(ratio[known])) if known.any() else 1.0
-    usual /= float(stats.chi2.ppf(0.5, freedom)) / freedom
+    sd = (np.sqrt(np.diag(fit.covariance)) * problem.stretch(fit.x))[own]
+    ratio, freedom = variance / sd**2, count - 1.0
+    usual = float(np.median(ratio)) / (float(stats.chi2.ppf(0.5, freedom)) / freedom)
     pooled = (freedom * ratio + POOLED_FREEDOM * usual) / (freedom + POOLED_FREEDOM)
     # a spread of its own is never shrunk: a size may differ from run to run where others do not
-    factors = np.sqrt(np.maximum(np.maximum(ratio, pooled), 1.0))
-    names = [(i, name) for i, name in enumerate(problem.names) if shared[i]]
-    return Widening(
-        {name: float(factors[i]) for i, name in names},
-        {name: float((factors * sd * stretch)[i]) for i, name in names},
-        float(np.sqrt(max(usual, 1.0))),
-    )
+    return np.sqrt(np.maximum(np.maximum(ratio, pooled), 1.0)).tolist()
 
 
 def _weights(nats: Mapping[Hypothesis, float]) -> dict[Hypothesis, float]:

@@ -24,6 +24,7 @@ from diffsim.diagnose.records import (
 
 MAX_RIVALS = 3  # rival sets in a sentence; the page lists all
 MAX_NAMES = 2  # names in the headline
+MAX_OPEN = 9  # words for what cannot be told apart
 MAX_WORDS = 25
 
 
@@ -38,6 +39,7 @@ class Answer:
         rivals: Names of the rival sets.
         gates: Checks.
         noise: Noise floor of the fitted runs.
+        named: Effects that the verdict names.
         best_names: Effects of the best set.
         beside: Name of an unknown cause that leads beside the named set; empty if none.
         chosen_by: What chose between causes.
@@ -49,6 +51,7 @@ class Answer:
     rivals: tuple[tuple[str, ...], ...]
     gates: tuple[GateResult, ...]
     noise: NoiseFloor
+    named: tuple[str, ...] = ()
     best_names: tuple[str, ...] = ()
     beside: str = ""
     chosen_by: str = ""
@@ -83,7 +86,9 @@ def headline(answer: Answer, errors: Sequence[ErrorRow]) -> str:
 
 def _said(answer: Answer) -> list[str]:
     """What is wrong, without a full stop; shorter ones later."""
-    named = answer.told(CERTAIN, LIKELY)
+    named = [
+        r for r in answer.told(CERTAIN, LIKELY) if r.origin != EFFECT or r.name in answer.named
+    ]
     if answer.verdict == "unrepeatable":
         return ["Repeats differ more than the sensor's noise, so no cause can be judged"]
     if answer.verdict == "numerical":
@@ -96,18 +101,29 @@ def _said(answer: Answer) -> list[str]:
             "Something unknown is missing",
         ]
     if answer.verdict == "ambiguous":
-        names = [" with ".join(_plain(answer, n) for n in s) for s in _alternatives(answer)]
-        shown = " or ".join(names[:MAX_NAMES]) + (" or another cause" if len(names) > 2 else "")
-        return [f"{_capital(shown)} is missing; these runs cannot tell which", f"{_capital(shown)}"]
+        return _open(answer)
     if named:
         return _missing(named)
     return ["Nothing is missing that these runs could show"]
+
+
+def _open(answer: Answer) -> list[str]:
+    """Sets of causes that cannot be told apart, without what they share."""
+    sets = [answer.best_names, *answer.rivals]
+    common = set(sets[0]).intersection(*sets[1:])
+    parts = [[_plain(answer, n) for n in s if n not in common] for s in sets]
+    names = list(dict.fromkeys(" with ".join(p) for p in parts if p))
+    shown = " or ".join(names[:MAX_NAMES]) + (" or another cause" if len(names) > MAX_NAMES else "")
+    if not names or len(shown.split()) > MAX_OPEN:
+        shown = "one of several causes"
+    return [f"{_capital(shown)} is missing; these runs cannot tell which"]
 
 
 def _missing(named: Sequence[CauseRow]) -> list[str]:
     """Sentences on causes that are named, the longest first."""
     sheet = [row for row in named if row.origin == DATA_SHEET]
     effects = [row for row in named if row.origin == EFFECT]
+    effects = [row for row in effects if row.status == CERTAIN] or effects
     if not effects:
         row = sheet[0]
         value, unit = next(iter(row.size.values())), "" if row.unit == "-" else f" {row.unit}"
@@ -136,13 +152,13 @@ def _on_unseen(errors: Sequence[ErrorRow], changed: bool) -> list[str]:
     row = _telling_kind(errors, changed)
     where = "unseen runs" if row.use == "test" else "the runs that chose"
     before, after, noise = (f"{v:.3g}" for v in (row.before, row.after, row.noise))
+    unit = "" if row.unit == "-" else f" {row.unit}"
     if not changed:
-        return [f"; the error on {where} is {before} {row.unit}, noise {noise} {row.unit}"]
+        return [f"; the error on {where} is {before}{unit}, noise {noise}{unit}"]
     return [
-        f". It takes the error on {where} from {before} to {after} {row.unit}; "
-        f"{noise} {row.unit} are noise",
-        f": error on {where} {before} to {after} {row.unit}, noise {noise} {row.unit}",
-        f": error {before} to {after} {row.unit}, noise {noise}",
+        f". It takes the error on {where} from {before} to {after}{unit}; {noise}{unit} are noise",
+        f": error on {where} {before} to {after}{unit}, noise {noise}{unit}",
+        f": error {before} to {after}{unit}, noise {noise}",
     ]
 
 
@@ -209,7 +225,7 @@ def sentences(answer: Answer, gained: Gain | None, unseen: Sequence[ErrorRow]) -
 
 def _first(answer: Answer) -> str:
     named = _effects(answer)
-    sure = [row for row in named if row.status in (CERTAIN, LIKELY)]
+    sure = [row for row in named if row.name in answer.named]
     helping = [row for row in named if row.helps]
     if answer.verdict == "none":
         return "The misfit is noise: no effect of the library pays for itself."
@@ -282,10 +298,6 @@ def _effects(answer: Answer) -> list[CauseRow]:
 def _members(answer: Answer) -> list[CauseRow]:
     """Effects of the best set."""
     return [row for row in _effects(answer) if row.name in answer.best_names]
-
-
-def _alternatives(answer: Answer) -> list[tuple[str, ...]]:
-    return [answer.best_names, *answer.rivals]
 
 
 def _plain(answer: Answer, name: str) -> str:

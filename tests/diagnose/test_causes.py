@@ -163,10 +163,10 @@ def test_intervals_cover_where_runs_differ_by_more_than_noise():
         sizes = rng.normal(1.0, 0.4, 6)
         runs = [recorded(f"r{k}", 100 * seed + k, {PUSH: s}) for k, s in enumerate(sizes)]
         found = fit(linear.model(), runs, linear.CHANNELS, effects=(PUSH,))
-        folds = folds_of(found.problem)
+        folds = folds_of(found)
         assert folds is not None
         away, half = abs(found.values["push"] - 1.0), 1.645 * found.sd["push"]
-        inside += away <= half * widening(found, folds).factors["push"]
+        inside += away <= half * widening(found).factors["push"]
         narrow += away <= half
     # 90 % of 20 is 18 +- 1.3
     assert narrow <= 15 < 16 <= inside
@@ -177,7 +177,7 @@ def test_intervals_of_a_right_model_are_hardly_widened():
     for seed in range(8):
         runs = [recorded(f"r{k}", 100 * seed + k, {PUSH: 1.0}) for k in range(6)]
         found = fit(linear.model(), runs, linear.CHANNELS, effects=(PUSH,))
-        factors.append(widening(found, folds_of(found.problem)).factors["push"])
+        factors.append(widening(found).factors["push"])
     assert np.median(factors) < 1.25 and min(factors) == 1.0
 
 

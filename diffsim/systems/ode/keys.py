@@ -115,6 +115,22 @@ class Rest(Part):
     until_s: Formula = Field(description="End of the window: number or formula of facts [s]")
 
 
+class Table(Part):
+    """A measured curve: straight lines between its points, held beyond the ends."""
+
+    of: Formula = Field(description="Formula that the curve is read at")
+    at: tuple[float, ...] = Field(min_length=2, description="Places of the points, increasing")
+    values: tuple[float, ...] = Field(description="Values there, equally many")
+
+    @model_validator(mode="after")
+    def _pairs(self) -> Table:
+        if len(self.at) != len(self.values):
+            raise ValueError(f"{len(self.at)} places, but {len(self.values)} values")
+        if any(b <= a for a, b in zip(self.at, self.at[1:], strict=False)):
+            raise ValueError("at must increase from point to point")
+        return self
+
+
 class OwnState(Part):
     """A state that an own effect adds."""
 
@@ -179,6 +195,7 @@ class FormulaKeys(Description):
         {}, description="Known and imperfectly known numbers by name"
     )
     define: dict[str, Formula] = Field({}, description="Named formulas that others may use")
+    tables: dict[str, Table] = Field({}, description="Measured curves that formulas may use")
     readings: dict[str, Formula] = Field(description="Formula of every channel")
     effects: OwnEffects = Field(OwnEffects(), description="Which candidate causes are judged")
     rest: Rest | None = Field(

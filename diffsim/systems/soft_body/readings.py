@@ -8,7 +8,14 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    TypeAdapter,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 from torch import Tensor
 
 from diffsim.core.rotation import matrix_from_rotation_vector
@@ -65,12 +72,18 @@ class Reading(Part):
     about: Literal["x", "y", "z"] | None = Field(
         None, description="Instead of `axis`: the rotation of the markers about it [rad]"
     )
-    zero: quantity("-") = Field(  # type: ignore[valid-type]
-        Quantity(value=0.0), description="What it reads at no displacement, in its unit"
+    zero: Quantity = Field(
+        Quantity(value=0.0), description="What it reads at no displacement [m], or rotation [rad]"
     )
     scale: quantity("-") = Field(  # type: ignore[valid-type]
         Quantity(value=1.0), description="Factor on what it reads"
     )
+
+    @field_validator("zero", mode="before")
+    @classmethod
+    def _in_its_unit(cls, given: Any, info: ValidationInfo) -> Any:
+        unit = "m" if info.data.get("about") is None else "rad"
+        return TypeAdapter(quantity(unit)).validate_python(given)
 
     @model_validator(mode="after")
     def _one_motion(self) -> Reading:
