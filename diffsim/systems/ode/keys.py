@@ -208,6 +208,6 @@ class FormulaKeys(Description):
         return {str(k): v for k, v in given.items()} if isinstance(given, Mapping) else given
 
 
-States = dict[str, Annotated["str | Quantity", BeforeValidator(_start)]]
+States = dict[str, Annotated[str | Quantity, BeforeValidator(_start)]]
 Inputs = tuple[Annotated[Input, BeforeValidator(_as_input)], ...]
 Seconds = number("s")
