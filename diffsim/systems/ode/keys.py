@@ -111,7 +111,9 @@ class Store(Part):
 class Rest(Part):
     """Window of each run in which the system rests."""
 
-    from_s: Formula = Field("0", description="Begin of the window: number or formula of facts [s]")
+    from_s: Formula | None = Field(
+        None, description="Begin of the window: number or formula of facts [s]; none: of the run"
+    )
     until_s: Formula = Field(description="End of the window: number or formula of facts [s]")
 
 
@@ -208,6 +210,6 @@ class FormulaKeys(Description):
         return {str(k): v for k, v in given.items()} if isinstance(given, Mapping) else given
 
 
-States = dict[str, Annotated["str | Quantity", BeforeValidator(_start)]]
+States = dict[str, Annotated[str | Quantity, BeforeValidator(_start)]]
 Inputs = tuple[Annotated[Input, BeforeValidator(_as_input)], ...]
 Seconds = number("s")
