@@ -126,6 +126,8 @@ def _newton(u: Array, weights: Array) -> tuple[Array, Array]:
 
 def quadratic_optimum(hessian: Array, b: Array, low: Array, high: Array) -> Array:
     """argmin v'Hv - 2 b'v within bounds, by active sets; H must be positive definite."""
+    if not len(b):
+        return np.zeros(0)
     active = np.zeros(len(b), dtype=int)  # -1: at the lower bound, 1: at the upper
     v = np.zeros(len(b))
     for _ in range(3 * len(b) + 3):
