@@ -1,18 +1,21 @@
 """Show what a simulator gets wrong, name the cause, extend the model, measure the gain.
 
-From ``study.yaml`` to the verdict one channel passes through 25 files, to be read in this order:
+From ``study.yaml`` to the verdict one channel passes through these files, to be read in this
+order:
 
 1. Recordings: ``data/study_file``, ``data/table``, ``data/study``, ``core/check``; the chosen model
    and causes: ``cli/diagnose_inputs``.
-2. What is fitted: ``identify/model``, ``effect``, ``problem``, ``jacobian``, ``linearization``,
-   ``fitting``, ``unknown``.
+2. What is fitted: ``identify/model``, ``effect``, ``sizes``, ``problem``, ``jacobian``,
+   ``linearization``, ``fitting``, ``unknown``.
 3. The pipeline, in the order of its steps: ``diagnose/diagnosis``.
-4. ``gates``: data, gradients, numerical settings, repeatability.
+4. ``gates``, ``gradients``, ``refine``: data, repeatability, gradients, numerical settings, which
+   are refined where they are too coarse.
 5. ``noise``: the noise floor and its whitening.
-6. ``fit``: the plain model, by Gauss-Newton in a trust region with Broyden updates.
+6. ``fit``, ``windows``: the plain model, over growing parts of the runs where it must be;
+   ``gauss_newton``, ``optimum``: in a trust region with Broyden updates.
 7. ``screen``: scores of all candidates at the null fit.
-8. ``evidence``, ``simulations``, ``search``: Laplace evidence of sets of effects, and what was
-   simulated for it.
+8. ``evidence``, ``simulations``, ``scan``, ``search``: Laplace evidence of sets of effects, what
+   was simulated for it, and where fits of effects with kinks start.
 9. ``judge``, ``gain``: one verdict; unknown causes face the repeats (``crosscheck``), names face
    held-out runs.
 10. ``records``, ``tables``, ``report``, ``force_map``: the evidence as it is read and saved.
