@@ -126,10 +126,11 @@ def _of_model(study: Study) -> Iterator[Problem]:
 
 def _not_mentioned(study: Study) -> Iterator[Problem]:
     """Columns of which no word of the description speaks."""
-    words = {w for w in _words(study.model) if len(w) > 1}
+    every = set(_words(study.model))
+    words = {w for w in every if len(w) > 1}  # a letter may stand in any name
     commands = {name: "command" for run in study.runs for name in run.command}
     for name, what in {**commands, **{c.name: "channel" for c in study.channels}}.items():
-        if name not in words and not any(w in name or name in w for w in words):
+        if name not in every and not any(w in name or name in w for w in words):
             yield Problem(
                 "warning", f"{what} {name}", "the model does not mention it; is it of any use?"
             )
