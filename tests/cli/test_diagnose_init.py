@@ -9,6 +9,8 @@ import pytest
 
 from diffsim import cli
 from diffsim.data import load_study
+from diffsim.data.study_check import TODO
+from diffsim.systems.registry import DESCRIPTIONS
 
 
 def write(path: Path, header: str, columns, mark: str = ",", point: str = ".") -> None:
@@ -183,7 +185,15 @@ def test_a_folder_without_recordings(tmp_path, capsys):
     assert "has no table with a header line and rows of numbers" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("system", ["ode", "soft_body", "multicopter", "bench", "rigid_body"])
+@pytest.mark.parametrize("system", sorted(DESCRIPTIONS))
 def test_a_first_study_of_any_system_is_read(steps, system):
     assert init(steps, "--system", system) == 0
-    assert load_study(steps).system == system
+    study = load_study(steps)
+    assert study.system == system
+    assert TODO in str(study.model) and not empty(study.model)
+
+
+def empty(stated) -> bool:
+    """Whether a block is there without anything in it."""
+    inner = stated.values() if isinstance(stated, dict) else stated
+    return stated is None or (isinstance(stated, (dict, list)) and any(map(empty, inner)))
