@@ -131,6 +131,13 @@ def test_headlines_are_short_and_say_the_error(sizes, effects, tests):
     assert tests or any("No gain is known" in s for s in report.sentences)
 
 
+def test_a_cause_may_say_its_size_in_words():
+    limit = replace(PUSH, name="rate_limit", words=lambda s: f"a speed limit near {1 / s:.1g} m/s")
+    report = diagnosed({PUSH: 1.0}, (limit,))
+    # the shapes of a linear effect go by the name that it was made with
+    assert report.headline.startswith("A speed limit near 1 m/s is missing.")
+
+
 def test_with_an_unknown_cause_the_extended_model_holds_what_helps():
     curve = np.sin(2.0 * np.pi * np.linspace(0.0, 1.0, linear.NUM_SAMPLES))
 
