@@ -93,7 +93,7 @@ class Extension:
     Attributes:
         study: Study that the model was fitted to.
         null, fit: Fits without and with the effects, to the same runs with the same noise.
-        gain: Gain on held-out runs; None without any.
+        gain: Gain on test runs; None without any.
         verdict: Verdict of the diagnosis that made the model.
     """
 
