@@ -166,6 +166,9 @@ def _on_unseen(errors: Sequence[ErrorRow], changed: bool, subject: str) -> list[
     unit = "" if row.unit == "-" else f" {row.unit}"
     if not changed:
         return [f"; the error on {where} is {before}{unit}, noise {noise}{unit}"]
+    if row.after > 0.99 * row.before:
+        verb = "stays at" if row.after <= 1.01 * row.before else f"rises from {before} to"
+        return [f"; but the error on {where} {verb} {after}{unit}, noise {noise}{unit}"]
     return [
         f". {subject} the error on {where} from {before} to {after}{unit}; {noise}{unit} is noise",
         f": error on {where} {before} to {after}{unit}, noise {noise}{unit}",
