@@ -9,10 +9,12 @@ from diffsim.cli.arguments import DIAGNOSES, names, positive
 
 HELP = "what a simulation gets wrong against recorded runs"
 STEPS = {
-    "check": "are the runs fit to be judged: clocks, shapes, repeats, held-out runs",
+    "init": "look at a folder of recordings and write a first study.yaml",
+    "check": "what the study holds, and every mistake that can be seen before a simulation",
     "fit": "fit the model without effects, and say what misfit is left",
     "explain": "find the cause: verdict, evidence, report.html",
-    "extend": "refit a saved extended model, and measure its gain on held-out runs",
+    "extend": "refit a saved extended model, and measure its gain on test runs",
+    "judge": "errors of a saved model on new runs; nothing is fitted",
     "next": "which run to record next to settle what is open",
 }
 
@@ -24,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser, common: argparse.ArgumentPars
         name: steps.add_parser(name, parents=[common], help=what, description=what)
         for name, what in STEPS.items()
     }
+    _starting(made.pop("init"))
     for name, step in made.items():
         step.add_argument(
             "study", metavar="STUDY", help="study.yaml, its folder, or a published data set's name"
@@ -34,14 +37,29 @@ def add_arguments(parser: argparse.ArgumentParser, common: argparse.ArgumentPars
     made["explain"].add_argument(
         "--force", action="store_true", help="diagnose again although --out holds the answer"
     )
-    for name in ("extend", "next"):
+    made["judge"].add_argument(
+        "--runs", type=names, default=(), metavar="A,B", help="default: all with use: test"
+    )
+    made["next"].add_argument(
+        "--csv", action="store_true", help="write the commands of the best run to OUT/next.csv"
+    )
+    for name in ("extend", "judge", "next"):
         made[name].add_argument(
-            "--model" if name == "extend" else "--report",
+            "--report" if name == "next" else "--model",
             dest="saved",
             type=Path,
             metavar="FILE",
             help="of an earlier `explain` (default: the one in --out)",
         )
+
+
+def _starting(step: argparse.ArgumentParser) -> None:
+    step.add_argument("folder", metavar="FOLDER", type=Path, help="folder of your CSV files")
+    step.add_argument("--out", type=Path, help="file to write (default: FOLDER/study.yaml)")
+    step.add_argument(
+        "--system", default="ode", metavar="KIND", help="kind of system, as `ode` (the default)"
+    )
+    step.add_argument("--force", action="store_true", help="replace a file that is there")
 
 
 def _judging(step: argparse.ArgumentParser) -> None:

@@ -1,19 +1,22 @@
-"""The steps of ``diffsim diagnose check|fit|explain|extend|next STUDY``."""
+"""The steps of ``diffsim diagnose init|check|fit|explain|extend|judge|next STUDY``."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from diffsim.cli.arguments import DIAGNOSES
 from diffsim.cli.diagnose_check import check, require_ready
+from diffsim.cli.diagnose_init import init
 from diffsim.cli.diagnose_inputs import changed, inputs_of, read_study
-from diffsim.core.files import write_json_atomic
+from diffsim.core.files import write_json_atomic, write_text_atomic
+from diffsim.data.bank import command_table
 from diffsim.diagnose.diagnosis import diagnose
+from diffsim.diagnose.frozen import judge_saved
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.progress import progress_bar
 from diffsim.diagnose.refit import advise, extend, fit_null, rival_sets
@@ -21,6 +24,8 @@ from diffsim.diagnose.report import Report
 from diffsim.identify.model_file import MODEL_FILE, read_extended
 
 INPUTS_FILE, REPORT_FILE, CACHE = "inputs.json", "report.json", "interrupted"
+JUDGE_FILE = "judge.json"
+MAX_OUTSIDE = 8  # lines; the file holds all
 
 
 def run_step(args: argparse.Namespace) -> None:
@@ -28,15 +33,20 @@ def run_step(args: argparse.Namespace) -> None:
     STEPS[args.step](args)
 
 
+def _init(args: argparse.Namespace) -> None:
+    """Write a first study of a folder."""
+    init(args.folder, args.out, system=args.system, force=args.force)
+
+
 def _check(args: argparse.Namespace) -> None:
     """Show the study and what is wrong with it."""
     check(read_study(args.study), args.study)
 
 
-def _inputs(args: argparse.Namespace) -> tuple[Inputs, Path]:
+def _inputs(args: argparse.Namespace, *, with_bank: bool = False) -> tuple[Inputs, Path]:
     """Study and setup as chosen; the folder of the results."""
     study = read_study(args.study)
-    require_ready(study, args.study)
+    require_ready(study, args.study, plan=args.step != "judge")
     inputs = inputs_of(
         study,
         seed=args.seed,
@@ -46,6 +56,7 @@ def _inputs(args: argparse.Namespace) -> tuple[Inputs, Path]:
         quick=args.quick,
         workers=args.workers,
         accept_numerics=args.accept_numerics,
+        with_bank=with_bank,
     )
     return inputs, args.out or Path(DIAGNOSES) / study.name
 
@@ -85,7 +96,7 @@ def _fit(args: argparse.Namespace) -> None:
 
 def _explain(args: argparse.Namespace) -> None:
     inputs, out = _inputs(args)
-    before = _read_json(out / INPUTS_FILE)
+    before = _read_json(out / INPUTS_FILE)  # written last: it says that all files are there
     if before is not None and (out / REPORT_FILE).is_file() and not args.force:
         differs = changed(before, inputs.fingerprint)
         if not differs:
@@ -112,15 +123,23 @@ def _explain(args: argparse.Namespace) -> None:
         )
     _write(report, inputs, out)
     shutil.rmtree(out / CACHE, ignore_errors=True)
-    print(f"verdict: {report.verdict}")
-    for sentence in report.sentences[:2]:
+    _tell(report.headline, report.verdict, report.sentences)
+
+
+def _tell(headline: str, verdict: str, sentences: Sequence[str]) -> None:
+    print(headline)
+    print(f"verdict: {verdict}")
+    for sentence in sentences[:2]:
         print(sentence)
 
 
 def _write(report: Report, inputs: Inputs, out: Path) -> None:
-    """Answer first, pictures last: what cannot be drawn must not lose the answer."""
+    """Answer first, then pictures: what cannot be drawn must not lose the answer.
+
+    The file of the inputs comes last: until it is there, the same command goes on from the cache.
+    """
+    (out / INPUTS_FILE).unlink(missing_ok=True)
     report.save(out)
-    write_json_atomic(out / INPUTS_FILE, dict(inputs.fingerprint))
     print(f"wrote {out / REPORT_FILE} and {out / MODEL_FILE}")
 
     def page() -> Path:
@@ -135,14 +154,13 @@ def _write(report: Report, inputs: Inputs, out: Path) -> None:
 
     _if_installed(page)
     _if_installed(recording)
+    write_json_atomic(out / INPUTS_FILE, dict(inputs.fingerprint))
 
 
 def _say_again(out: Path) -> None:
     saved = _read_json(out / REPORT_FILE) or {}
     print(f"{out} holds the answer to exactly this already; --force diagnoses again")
-    print(f"verdict: {saved['verdict']}")
-    for sentence in saved["sentences"][:2]:
-        print(sentence)
+    _tell(saved.get("headline", ""), saved["verdict"], saved["sentences"])
 
 
 def _extend(args: argparse.Namespace) -> None:
@@ -161,18 +179,33 @@ def _extend(args: argparse.Namespace) -> None:
     before, after = extension.null.chi2, extension.fit.chi2
     print(f"chi2 of the runs fitted: {before:.6g} before, {after:.6g} extended")
     if extension.gain is None:
-        print("no run is held out, so no gain is known: a smaller training error proves nothing")
+        print("no test run, so no gain is known: a smaller training error proves nothing")
     else:
-        g = extension.gain
-        print(
-            f"held-out runs: {g.value:.1%} of the error above the noise removed "
-            f"(90 %: {g.low:.1%} to {g.high:.1%}): {g.status}"
-        )
+        print(extension.gain.words)
     print(f"wrote {path}")
 
 
-def _next(args: argparse.Namespace) -> None:
+def _judge(args: argparse.Namespace) -> None:
+    """Errors of a saved model on runs that it has not seen."""
     inputs, out = _inputs(args)
+    saved = read_extended(args.saved or out)
+    found = judge_saved(inputs, saved, args.runs)
+    print(f"{'run':<24} {'quantity':<14} {'before':>9} {'after':>9} {'noise':>9}  fitted to it")
+    for row in found.errors:
+        numbers = " ".join(f"{v:>9.3g}" for v in (row.before, row.after, row.noise))
+        print(f"{row.run:<24} {row.kind:<14} {numbers} {row.unit}, {row.num_fitted} values")
+    if saved.components and found.gain is not None:
+        print(found.gain.words)
+    for far in found.outside[:MAX_OUTSIDE]:
+        print(far.words)
+    if len(found.outside) > MAX_OUTSIDE:
+        print(f"and {len(found.outside) - MAX_OUTSIDE} more outside of what was fitted")
+    content = {"study": inputs.study.name, "model": str(saved.path), **found.to_dict()}
+    print(f"wrote {write_json_atomic(out / JUDGE_FILE, content)}")
+
+
+def _next(args: argparse.Namespace) -> None:
+    inputs, out = _inputs(args, with_bank=True)
     path = args.saved or out / REPORT_FILE
     saved = _read_json(path)
     if saved is None:
@@ -184,13 +217,17 @@ def _next(args: argparse.Namespace) -> None:
     if len(sets) < 2:
         return
     advice = advise(inputs, sets)
+    width = max(32, *(len(name) for name in advice.chi2_gain))
     for name, chi2 in sorted(advice.chi2_gain.items(), key=lambda item: -item[1]):
-        print(f"{name:<32} {chi2:>12.4g}")
+        print(f"{name:<{width}} {chi2:>12.4g}")
     times = f"{advice.over_median:.3g} times the bank's median"
     print(f"record {advice.best}: expected chi2 {advice.chi2_gain[advice.best]:.4g}, {times}")
     content = {"rivals": sets, "why": why, "best": advice.best, "chi2_gain": advice.chi2_gain}
     write_json_atomic(out / "next.json", {**content, "over_median": advice.over_median})
     print(f"wrote {out / 'next.json'}")
+    if args.csv:
+        best = next(run for run in inputs.setup.bank if run.name == advice.best)
+        print(f"wrote {write_text_atomic(out / 'next.csv', command_table(best, inputs.study))}")
 
 
 def _if_installed(write: Callable[[], Path]) -> None:
@@ -214,9 +251,11 @@ def _read_json(path: Path) -> Mapping[str, Any] | None:
 
 
 STEPS: dict[str, Callable[[argparse.Namespace], None]] = {
+    "init": _init,
     "check": _check,
     "fit": _fit,
     "explain": _explain,
     "extend": _extend,
+    "judge": _judge,
     "next": _next,
 }

@@ -8,12 +8,24 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, model_validator
 
 from diffsim.core.check import did_you_mean
 from diffsim.core.units import in_unit
+
+
+@dataclass(frozen=True)
+class Said:
+    """What a type of keys is called in messages to people, kept in its annotation.
+
+    Attributes:
+        words: Such as "formula" or "number in kg".
+    """
+
+    words: str
 
 
 class Part(BaseModel):
@@ -37,7 +49,8 @@ class Part(BaseModel):
 
 def number(unit: str) -> Any:
     """Type of a key that is a known number in a unit; text with another unit is converted."""
-    return Annotated[float, BeforeValidator(lambda given: in_unit(given, unit))]
+    said = Said("number" if unit == "-" else f"number in {unit}")
+    return Annotated[float, BeforeValidator(lambda given: in_unit(given, unit)), said]
 
 
 _PLAIN = (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +101,7 @@ class Study:
         file: File that the study was read from; None: made in memory.
         left_out: What of the study's folder is not used, a sentence each.
         todo: What the study says is still to be stated, a sentence each.
+        allows: Facts of ``setup`` that can be changed for a next run, with possible values.
     """
 
     name: str
@@ -114,6 +115,7 @@ class Study:
     file: Path | None = None
     left_out: tuple[str, ...] = ()
     todo: tuple[str, ...] = ()
+    allows: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
 
     @property
     def fit_runs(self) -> tuple[Run, ...]:
@@ -129,6 +131,10 @@ class Study:
     def test_runs(self) -> tuple[Run, ...]:
         """Runs that neither a fit nor the choice of causes has seen, by order."""
         return self.runs_for("test")
+
+    def without_tests(self) -> Study:
+        """The study as a diagnosis may see it before its answer is frozen."""
+        return replace(self, runs=tuple(r for r in self.runs if r.use != "test"))
 
     def runs_for(self, use: str) -> tuple[Run, ...]:
         """Runs of one use, by order."""

@@ -154,6 +154,8 @@ def _jitter(study: Study, channel: Channel) -> str:
 
 def _said_unit(channel: Channel) -> str | None:
     """Unit at the end of a channel's name if it contradicts the channel's own."""
+    if channel.unit == "-":  # a share or a scaled reading of what the name says
+        return None
     for suffix in _SUFFIXES:
         if channel.name.endswith(f"_{suffix}"):
             unit = suffix.replace("_", "/")

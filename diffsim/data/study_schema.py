@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, PlainValidator, field_validator, model_validator
 
 from diffsim.core.check import did_you_mean
-from diffsim.core.schema import Part
+from diffsim.core.schema import Part, Said
 from diffsim.core.units import to_si
 from diffsim.data.study import SYSTEMS
 from diffsim.data.study_types import (
@@ -42,6 +42,17 @@ def _read_value(given: Any) -> Any:
 
 def _named(given: Any) -> Any:
     return {"name": given} if isinstance(given, str) else given
+
+
+def _read_values(given: Any) -> Any:
+    listed = given if isinstance(given, (list, tuple)) else [given]
+    return tuple(_read_value(v) for v in listed)
+
+
+Values = Annotated[
+    tuple[str | float, ...], PlainValidator(_read_values), Said("list of numbers or texts")
+]
+Value = Annotated[str | float, PlainValidator(_read_value), Said("number or text")]
 
 
 class TimeSource(Part):
@@ -151,7 +162,7 @@ class Fact(Part):
 
     column: str | None = Field(None, description="Column of the files; default: the fact's name")
     formula: Formula | None = Field(None, description="Instead of a column: formula of columns")
-    value: Annotated[str | float, PlainValidator(_read_value)] | None = Field(
+    value: Value | None = Field(
         None, description="Instead of a column: a value with a `unit`, or a part of the file's name"
     )
     unit: Unit = Field("-", description="Unit of the file; the fact is held in SI units")
@@ -177,13 +188,23 @@ class Blocks(Part):
         return self
 
 
-def _read_elsewhere(given: Any) -> Source | None:
+class OtherSource(Source):
+    """Where a channel or command is in a file that has it elsewhere."""
+
+    unit: Unit | None = Field(
+        None, description="Unit of this file, of the same quantity; default: that of the channel"
+    )
+
+
+def _read_elsewhere(given: Any) -> OtherSource | None:
     if given is None:
         return None
-    return Source.model_validate({"column": given} if isinstance(given, str) else given)
+    return OtherSource.model_validate({"column": given} if isinstance(given, str) else given)
 
 
-Elsewhere = Annotated[Source | None, PlainValidator(_read_elsewhere)]
+Elsewhere = Annotated[
+    OtherSource | None, PlainValidator(_read_elsewhere), Said("column, OtherSource or null")
+]
 
 
 class RunKeys(Part):
@@ -227,7 +248,7 @@ class RunKeys(Part):
     columns: dict[str, Elsewhere] = Field(
         {},
         description="Channels and commands that this file has elsewhere: {name: column}, "
-        "{name: {column, formula, scale}}, or {name: null} where it was not recorded",
+        "{name: {column, formula, unit}}, or {name: null} where it was not recorded",
     )
 
 
@@ -273,12 +294,12 @@ class RunEntry(RunKeys):
 
 
 class StudyFile(Part):
-    """``study.yaml``."""
+    """What was measured, what was commanded, in which runs, of which system."""
 
     name: str = Field(description="Short name, as reports show it")
-    system: Annotated[str | None, PlainValidator(_read_system)] = Field(
-        None, description="Kind of system, of studies without `model`"
-    )
+    system: Annotated[
+        str | None, PlainValidator(_read_system), Said(f"one of {', '.join(SYSTEMS)}")
+    ] = Field(None, description="Kind of system, of studies without `model`")
     model: dict[str, Any] | None = Field(
         None, description="Description of the system; its keys depend on `system`, see below"
     )
@@ -298,6 +319,11 @@ class StudyFile(Part):
     )
     defaults: RunKeys = Field(RunKeys(), description="Keys that hold for all runs")
     runs: tuple[RunEntry, ...] = Field(description="Which rows of which files are which run")
+    allows: dict[str, Values] = Field(
+        {},
+        description="Facts of `setup` that can be changed for a next run, with possible values: "
+        "{payload_kg: [0, 0.1, 0.3]}",
+    )
     metadata: dict[str, Any] = Field({}, description="Anything else worth keeping: source, licence")
     todo: Texts = Field((), description="What is still to be stated; `check` repeats it")
 

@@ -4,17 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize
 
 from diffsim.data.study import Run
-from diffsim.identify import Fit
+from diffsim.diagnose.left_out import own_point
+from diffsim.identify import Problem
 
 Array = NDArray[np.float64]
 MIN_BLOCKS = 4  # per run
+LEAST = 0.005  # share that is a gain at all: less is shown as 0 %
 BLOCK_S = 0.3  # longer than the memory of what the models leave
+
+
+class Frozen(Protocol):
+    """A problem at coordinates that are not fitted any more; a ``Fit`` is one."""
+
+    @property
+    def problem(self) -> Problem: ...
+
+    @property
+    def x(self) -> Array: ...
 
 
 @dataclass(frozen=True)
@@ -37,14 +49,33 @@ class Gain:
 
     @property
     def status(self) -> str:
-        """ "confirmed", "not confirmed" (the interval holds zero) or "withdrawn" (below zero)."""
+        """Where the interval lies: "confirmed" (above zero), "not confirmed", "withdrawn" (below);
+        or "nothing to gain": the plain model's error is noise alone."""
         if self.high < 0.0:
             return "withdrawn"
-        return "confirmed" if self.low > 0.0 else "not confirmed"
+        if self.excess <= 0.0:
+            return "nothing to gain"
+        return "confirmed" if self.low >= LEAST and self.value >= LEAST else "not confirmed"
+
+    @property
+    def words(self) -> str:
+        """The gain in a sentence."""
+        if self.status == "nothing to gain":
+            return "On unseen runs the plain model's error is noise alone: nothing is to be gained."
+        shares = [_percent(v) for v in (self.value, self.low, self.high)]
+        return (
+            f"On unseen runs {shares[0]} of the error above the noise is removed (90 % interval: "
+            f"{shares[1]} to {shares[2]}): {self.status}."
+        )
+
+
+def _percent(share: float) -> str:
+    """A share, as exact as it is small."""
+    return f"{share:.0%}" if abs(share) >= 0.095 or share == 0.0 else f"{share:.1%}"
 
 
 def gain(
-    runs: Sequence[Run], null: Fit, extended: Fit, *, seed: int, block_s: float = BLOCK_S
+    runs: Sequence[Run], null: Frozen, extended: Frozen, *, seed: int, block_s: float = BLOCK_S
 ) -> Gain:
     """Compare two fits on held-out runs.
 
@@ -52,8 +83,8 @@ def gain(
 
     Args:
         runs: Runs that no fit has seen.
-        null: Fit without effects.
-        extended: Fit of the same model with effects.
+        null: Frozen without effects.
+        extended: Frozen of the same model with effects.
         seed: Seed of the bootstrap.
         block_s: Length of a resampled block [s].
     """
@@ -65,7 +96,7 @@ def gain(
 
 def compared(
     runs: Sequence[Run],
-    null: Fit,
+    null: Frozen,
     before: Sequence[Array],
     after: Sequence[Array],
     *,
@@ -90,7 +121,7 @@ def compared(
     return share_removed(np.concatenate(pairs), seed=seed, draws=draws)
 
 
-def held_out_residuals(fit: Fit, runs: Sequence[Run]) -> list[Array]:
+def held_out_residuals(fit: Frozen, runs: Sequence[Run]) -> list[Array]:
     """``held_out_residual`` of every run."""
     return [held_out_residual(fit, run) for run in runs]
 
@@ -116,36 +147,17 @@ def share_removed(blocks: Array, *, seed: int, draws: int = 1000) -> Gain:
     return Gain(float(value), float(low), float(high), float(excess), len(blocks))
 
 
-def held_out_residual(fit: Fit, run: Run) -> Array:
+def held_out_residual(fit: Frozen, run: Run) -> Array:
     """(num_valid,) whitened residual with the fit's parameters, nuisances of this run refitted."""
     return replace(fit.problem, runs=(run,)).residual(held_out_point(fit, run))
 
 
-def held_out_point(fit: Fit, run: Run) -> Array:
+def held_out_point(fit: Frozen, run: Run) -> Array:
     """The fit's coordinates with nuisances of a held-out run ("offset@run") fitted to it."""
-    problem = replace(fit.problem, runs=(run,))
-    own = [i for i, n in enumerate(problem.names) if n.endswith(f"@{run.name}")]
-    if not own:
-        return fit.x
-
-    def full(part: Array) -> Array:
-        x = fit.x.copy()
-        x[own] = part
-        return x
-
-    # nuisances act almost linearly: slopes of their start serve for all steps
-    slopes = -problem.linearize(full(np.zeros(len(own))), only=own)[1][:, own]
-    solution = optimize.least_squares(
-        lambda part: np.concatenate([problem.residual(full(part)), part]),
-        np.zeros(len(own)),
-        jac=lambda part: np.vstack([slopes, np.eye(len(own))]),
-        method="trf",
-        max_nfev=20,
-    )
-    return full(solution.x)
+    return own_point(replace(fit.problem, runs=(run,)), fit.x, run)
 
 
-def _blocks(run: Run, block_s: float, null: Array, extended: Array, fit: Fit) -> Array:
+def _blocks(run: Run, block_s: float, null: Array, extended: Array, fit: Frozen) -> Array:
     """(num_blocks, 3) sums over blocks of time."""
     matrix = fit.problem.whitener.matrix(run)
     # a short run has four blocks at least: one block would have an interval of no width

@@ -1,22 +1,23 @@
-"""From evidence to one verdict; unknown causes face the repeats, names face held-out runs."""
+"""From evidence to one verdict; unknown causes face the repeats, names face a referee.
+
+The referee is runs with use: select, else fit runs that are left out one after the other.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.data.study import Run
 from diffsim.diagnose.crosscheck import swap_probability
 from diffsim.diagnose.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
-from diffsim.diagnose.gain import Gain, compared, held_out_residuals
+from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.gates import GateResult
+from diffsim.diagnose.referee import Referee, gain_over
 from diffsim.diagnose.search import Search, refit, weigh_unknowns_beside
 from diffsim.diagnose.simulations import Members
-from diffsim.identify import Fit
 
 Array = NDArray[np.float64]
 EXPLAINED = 0.8  # share of the misfit that a named set explains
@@ -25,6 +26,8 @@ SWAP_LIMIT = 0.02  # of noise alone: about three of 200 swapped draws may reach 
 # 0.03 and 0.05 in six blocks); above, their scatter explains what the best set leaves
 SWAP_OPEN = 0.1
 NAMES = ("named", "ambiguous")
+MAX_HELPERS = 6  # sets that are tried beside an unknown cause
+MAX_SINGLES = 2  # of them, effects that the search has not refitted alone
 
 
 @dataclass(frozen=True)
@@ -109,16 +112,19 @@ def _is_kept(nats: Mapping[Hypothesis, float], h: Hypothesis) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Judgment:
-    """Decision after the checks on held-out runs and repeats.
+    """Decision after the checks by the referee and on repeats.
 
     Attributes:
         decision: Decision after all checks.
         search: Behind it, with what was refitted for the checks; None if nothing was searched.
-        gain: Gain of the best set on held-out runs; None without such runs, or without a name.
-        gains: Gain on held-out runs of each member of the sets that were considered, by index of
+        gain: Gain of the best set before the referee; None without one, or without a name.
+        gains: Gain before the referee of each member of the sets that were considered, by index of
             the effect.
-        withdrawn: Effects that the evidence asked for and held-out runs refuted.
+        withdrawn: Effects that the evidence asked for and the referee refuted.
         gates: Checks of unknown causes against repeats.
+        refuted: Unknown causes, by index, that repeats refuted.
+        helps: Effects that remove error from what they were not fitted to although the verdict is
+            "unknown": the extended model holds them, their names are not known.
     """
 
     decision: Decision
@@ -127,48 +133,93 @@ class Judgment:
     gains: Mapping[int, Gain] = field(default_factory=dict)
     withdrawn: frozenset[int] = frozenset()
     gates: tuple[GateResult, ...] = ()
+    refuted: frozenset[int] = frozenset()
+    helps: frozenset[int] = frozenset()
 
 
-def judge(search: Search, held_out: Sequence[Run], seed: int) -> Judgment:
-    """Decide; while a name of the best set makes held-out runs worse, withdraw the worst one.
+def judge(search: Search, referee: Referee | None, seed: int) -> Judgment:
+    """Decide; while a name of the best set makes unseen runs worse, withdraw the worst one.
 
     One at a time: members that share a misfit look bad together, and the rest may be good once one
     of them is gone. What is withdrawn takes all sets with it, so evidence decides anew.
 
     Args:
         search: Search with all sets that were weighed.
-        held_out: Runs that no fit has seen.
+        referee: What names are held against; None: the evidence alone decides.
         seed: Seed of the bootstraps.
     """
-    residuals = cache(lambda fit: held_out_residuals(fit, held_out))
     gains: dict[int, Gain] = {}
     gates: tuple[GateResult, ...] = ()
     withdrawn: frozenset[int] = frozenset()
-
-    def gain_over(without: Fit, best: Fit) -> Gain:
-        return compared(held_out, without, residuals(without), residuals(best), seed=seed)
-
+    refuted: frozenset[int] = frozenset()
     while True:
-        decision, checks = confirmed(decision_of(search, withdrawn), search, seed)
+        asked = decision_of(search, withdrawn)
+        decision, checks = confirmed(asked, search, seed)
+        refuted |= _refuted(asked, decision)
         gates = (*gates, *(g for g in checks if g not in gates))
         if withdrawn and decision.verdict == "none":
             decision = replace(decision, verdict="unknown")
-        if not held_out or decision.verdict not in NAMES:
-            return Judgment(decision, search, None, gains, withdrawn, gates)
+        judgment = Judgment(decision, search, None, gains, withdrawn, gates, refuted)
+        if referee is None:
+            return judgment
+        if decision.verdict not in NAMES:
+            return _with_help(judgment, referee, seed)
         best = search.fit_of(decision.best)
         now: dict[int, Gain] = {}
-        for i in decision.best:
+        for i in sorted(decision.best):
             search = refit(search, decision.best - {i})
             without = search.weighed.get(Hypothesis(decision.best - {i}))
             if without is not None and without.fit is not None:
-                now[i] = gain_over(without.fit, best)
+                now[i] = gain_over(referee, without.fit, best, seed)
         gains = gains | now
         harmful = [i for i, g in now.items() if g.status == "withdrawn"]
         if not harmful:
-            total = gain_over(search.fit_of(frozenset()), best)
-            return Judgment(decision, search, total, gains, withdrawn, gates)
+            total = gain_over(referee, search.fit_of(frozenset()), best, seed)
+            return replace(judgment, search=search, gain=total, gains=gains)
         withdrawn |= {min(harmful, key=lambda i: now[i].value)}
         search = _ready_without(search, decision.best - withdrawn)
+
+
+def _refuted(asked: Decision, decision: Decision) -> frozenset[int]:
+    """The unknown cause that the evidence asked for and repeats refuted."""
+    h = asked.unknown
+    is_open = decision.unknown is not None or h in decision.rivals
+    return frozenset() if h is None or h.unknown is None or is_open else frozenset({h.unknown})
+
+
+def _with_help(judgment: Judgment, referee: Referee, seed: int) -> Judgment:
+    """With the set of effects that removes most error where an unknown cause has the verdict."""
+    search, withdrawn = judgment.search, judgment.withdrawn
+    if judgment.decision.verdict != "unknown" or search is None:
+        return judgment
+    search = _with_singles(search, withdrawn)
+    fits = {
+        h.effects: w.fit
+        for h, w in search.weighed.items()
+        if h.unknown is None and h.effects and not h.effects & withdrawn and w.fit is not None
+    }
+    plain = search.fit_of(frozenset())
+    nearest = sorted(fits, key=lambda members: -search.nats(Hypothesis(members)))[:MAX_HELPERS]
+    gains = {members: gain_over(referee, plain, fits[members], seed) for members in nearest}
+    helpful = [m for m in nearest if gains[m].status == "confirmed"]
+    if not helpful:
+        return replace(judgment, search=search)
+    best = max(helpful, key=lambda m: (gains[m].low, -len(m)))
+    single = {i: gains[frozenset({i})] for i in best if frozenset({i}) in gains}
+    return replace(
+        judgment, search=search, helps=best, gain=gains[best], gains={**judgment.gains, **single}
+    )
+
+
+def _with_singles(search: Search, withdrawn: frozenset[int]) -> Search:
+    """The search with the most promising effects refitted alone, where none is yet."""
+    ranked = sorted(
+        (h for h in search.linear if len(h.effects) == 1 and not h.effects & withdrawn),
+        key=lambda h: -search.linear[h].nats,
+    )
+    for h in ranked[:MAX_SINGLES]:
+        search = refit(search, h.effects)
+    return search
 
 
 def _ready_without(search: Search, rest: Members) -> Search:

@@ -13,8 +13,7 @@ from diffsim.diagnose.gain import Gain
 
 CERTAIN, LIKELY, UNTOLD = "certain", "likely", "cannot be told from"
 REFUTED, HIDDEN, UNJUDGED = "refuted", "not visible below", "not judged"
-UNNEEDED = "not needed"
-STATUSES = (CERTAIN, LIKELY, UNTOLD, REFUTED, UNNEEDED, HIDDEN, UNJUDGED)
+STATUSES = (CERTAIN, LIKELY, UNTOLD, REFUTED, HIDDEN, UNJUDGED)
 EFFECT, DATA_SHEET, UNKNOWN = "effect", "data sheet", "unknown"
 ORIGINS = (EFFECT, DATA_SHEET, UNKNOWN)
 
@@ -45,8 +44,8 @@ class CauseRow:
         status: One of ``STATUSES``. "certain": in every set of causes within reach; "likely":
             in sets of 80 % probability; "cannot be told from": of the causes in ``rivals``;
             "refuted": by runs that it was not fitted to, or by the evidence although it would be
-            visible; "not needed": visible, but the data neither ask for it nor rule it out;
-            "not visible below": the data could not show it below ``smallest_visible``.
+            visible; "not visible below": the data do not ask for it, and could not show it below
+            ``smallest_visible``.
         probability: Probability that it acts, over all sets that were weighed; None: not weighed.
         size: Size by component, averaged over the sets that hold it; empty without one. A
             "data sheet" cause has its value here, under its own name.
@@ -157,3 +156,12 @@ class OutsideRow:
     high: float | None
     times: float
     unit: str = ""
+
+    @property
+    def words(self) -> str:
+        """The row in a sentence."""
+        unit = f" {self.unit}" if self.unit else ""
+        if isinstance(self.value, str) or self.low is None or self.high is None:
+            return f"Run {self.run}: no fitted run has {self.what} {self.value}."
+        where = f"{self.low:.3g} to {self.high:.3g}{unit}"
+        return f"Run {self.run}: {self.what} is {self.value:.3g}{unit}, fitted runs have {where}."

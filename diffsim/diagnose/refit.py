@@ -12,18 +12,19 @@ from numpy.typing import NDArray
 
 from diffsim.core.check import require_choice
 from diffsim.core.files import to_plain, write_json_atomic
+from diffsim.core.threads import one_blas_thread
 from diffsim.data.study import Study
 from diffsim.diagnose.fit import Case, null_fit
 from diffsim.diagnose.gain import Gain, gain
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.next_run import NextRun, next_run
 from diffsim.diagnose.noise import NoiseFloor
-from diffsim.diagnose.report import fit_to_dict
+from diffsim.diagnose.report import fit_to_dict, save_model
 from diffsim.identify import Fit
 from diffsim.identify import fit as fit_runs
 from diffsim.identify.effect import Effect
 from diffsim.identify.extended import ExtendedModel, extended_model
-from diffsim.identify.model_file import MODEL_FILE, SavedModel, effects_of, save_extended
+from diffsim.identify.model_file import SavedModel, effects_of
 from diffsim.identify.problem import effect_coordinates
 from diffsim.identify.sizes import PRIOR_WIDTH, coordinate_of
 
@@ -74,6 +75,7 @@ class NullFit:
         )
 
 
+@one_blas_thread
 def fit_null(inputs: Inputs) -> NullFit:
     """Noise floor and fit of the plain model."""
     null = null_fit(_case(inputs))
@@ -111,9 +113,10 @@ class Extension:
             "extended": fit_to_dict(self.fit),
         }
         write_json_atomic(folder / "extend.json", content)
-        return save_extended(self.fit, folder / MODEL_FILE, study=self.study, verdict=self.verdict)
+        return save_model(self.fit, self.null, folder, study=self.study, verdict=self.verdict)
 
 
+@one_blas_thread
 def extend(inputs: Inputs, saved: SavedModel) -> Extension:
     """Refit a saved model's parameters and sizes jointly on the runs for fitting.
 
@@ -125,7 +128,7 @@ def extend(inputs: Inputs, saved: SavedModel) -> Extension:
     effects = effects_of(saved, inputs.setup.effects)
     null = fit_null(inputs)
     refitted = refit(null, effects, inputs, saved.values)
-    runs = null.study.test_runs
+    runs = inputs.study.test_runs
     gained = gain(runs, null.fit, refitted, seed=inputs.seed) if runs and effects else None
     return Extension(null.study, null.fit, refitted, gained, saved.verdict)
 
@@ -133,28 +136,39 @@ def extend(inputs: Inputs, saved: SavedModel) -> Extension:
 def rival_sets(report: Mapping[str, Any]) -> tuple[list[tuple[str, ...]], str]:
     """Sets of effects between which a report leaves the choice, and that in words.
 
+    An unknown cause predicts no new run: where it is the only rival, the plain model stands for it,
+    for a run on which the names make the largest difference is the one to tell.
+
     Args:
         report: Content of ``report.json``.
     """
     effects = {row["effect"] for row in report["table"]}
-    sets = [tuple(report["named"])]
-    sets += [tuple(r) for r in report["rivals"] if set(r) <= effects]
-    left_out = len(report["rivals"]) + 1 - len(sets)
-    note = (
-        f" ({left_out} with an unknown cause left out: it predicts no new run)" if left_out else ""
-    )
+    named, verdict = tuple(report["named"]), report["verdict"]
+    # of a verdict that names what all rivals share, the rivals are all the sets
+    given = [tuple(r) for r in report["rivals"]]
+    sets = list(dict.fromkeys(given if verdict == "named" and given else [named, *given]))
+    known = [r for r in sets if set(r) <= effects]
+    unknown = len(sets) - len(known)
+    if not named:
+        return [], f"verdict {verdict}: no set of effects stands, none can be settled"
     if len(sets) > 1:
-        return sets, "open: " + ", or ".join(_words(s) for s in sets) + note
-    if not report["named"]:
-        return [], f"verdict {report['verdict']}: no set of effects stands, none can be settled"
+        note = ""
+        if unknown:
+            note = f", or one of {unknown} with an unknown cause, which predicts no new run"
+        if len(known) < 2:
+            note += "; the plain model stands for it"
+            known = [*known, ()]
+        surely = f"{_words(named)} is certain; " if verdict == "named" else ""
+        return known, f"{surely}open: " + ", or ".join(_words(s) for s in known if s) + note
     for row in report["hypotheses"]:
         rival = tuple(row["effects"])
-        if row["unknown"] is None and not set(rival) >= set(sets[0]):
-            why = f"{_words(sets[0])} stands alone; against the nearest other set, {_words(rival)}"
-            return [*sets, rival], why + note
-    return sets, f"{_words(sets[0])} stands alone, and nothing else was refitted{note}"
+        if row["unknown"] is None and not set(rival) >= set(named):
+            why = f"{_words(named)} stands alone; against the nearest other set, {_words(rival)}"
+            return [named, rival], why
+    return [named], f"{_words(named)} stands alone, and nothing else was refitted"
 
 
+@one_blas_thread
 def advise(inputs: Inputs, sets: Sequence[Sequence[str]]) -> NextRun:
     """Refit each set and take the run of the setup's bank on which they differ most.
 
@@ -203,7 +217,8 @@ def refit(
 
 def _case(inputs: Inputs) -> Case:
     setup = inputs.setup
-    return Case(inputs.study, setup.model, setup.effects, setup.unknowns, setup.settings)
+    study = inputs.study.without_tests()
+    return Case(study, setup.model, setup.effects, setup.unknowns, setup.settings)
 
 
 def _words(names: Sequence[str]) -> str:

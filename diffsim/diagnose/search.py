@@ -25,7 +25,8 @@ from diffsim.diagnose.evidence import (
     families,
     unrealized,
 )
-from diffsim.diagnose.fit import MISFIT_RTOL, Null
+from diffsim.diagnose.fit import Null
+from diffsim.diagnose.gauss_newton import MISFIT_RTOL
 from diffsim.diagnose.scan import BORROWED, SCAN_NATS, masking_pairs
 from diffsim.diagnose.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Fit, Problem
@@ -280,9 +281,7 @@ def _scanned(search: Search, center: Center) -> tuple[Center, Search]:
     fit, settings = search.fit_of(center.members), search.settings
     if 0.5 * (fit.chi2 - fit.num_samples) < SCAN_NATS:
         return center, search
-    center, made = search.simulations.scanned(
-        center, settings.max_effects, settings.scan_points, search.num_families
-    )
+    center, made = search.simulations.scanned(center, settings, search.num_families)
     return center, replace(search, simulations=made)
 
 

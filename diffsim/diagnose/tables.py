@@ -32,7 +32,7 @@ class EffectRow:
     Attributes:
         effect, family, kind, unit: Name, family, kind and unit of the effect.
         status: "named", "rival", "mimic" (explains part of an unknown cause), "withdrawn" (the
-            evidence asked for it, held-out runs refuted it), "screened", or "not judged".
+            evidence asked for it, unseen runs refuted it), "screened", or "not judged".
         size: Size by component, in the effect's unit; from the refit where there was one, else from
             the screen.
         sd: Standard deviation of the sizes: statistical, numerical (shift under refined settings)
@@ -41,7 +41,8 @@ class EffectRow:
         z: Score over its standard deviation at the null fit, the length for a vector.
         smallest_visible: Smallest visible size by component, in the effect's unit: 6 /
             sqrt(information).
-        gain: Gain on held-out runs of having this effect in the best set; None if not computed.
+        gain: Gain on runs with use: select, or on fit runs left out, of having this effect in the
+            best set; None if not computed.
         share: Share of the misfit, chi2_null - N, that this effect alone explains; None if it was
             not refitted alone.
         aliases: Physical causes that these data may not distinguish from it.
@@ -170,15 +171,29 @@ def hypothesis_rows(
 
 
 def cannot_see(
-    effects: Sequence[Effect], screened: Screen, unmet: Mapping[str, str]
+    effects: Sequence[Effect],
+    screened: Screen,
+    unmet: Mapping[str, str],
+    rows: Sequence[EffectRow] = (),
 ) -> dict[str, str]:
-    """Effects that these data could not show, and why."""
+    """Effects that these data could not show, and why.
+
+    Args:
+        effects: Candidates that were judged.
+        screened: Scores at the plain model.
+        unmet: What the study lacks for candidates that were left out, by name.
+        rows: Candidates by evidence; those that were considered with a size have been seen.
+    """
+    seen = {row.effect for row in rows if row.status in ("named", "rival", "mimic", "withdrawn")}
     out = {name: f"not judged: {why}" for name, why in unmet.items()}
     names = effect_coordinates(effects)
     units = [(e.unit, e.typical) for e in effects for _ in e.components]
-    for name, (unit, typical), smallest in zip(
-        names, units, screened.smallest_visible, strict=True
+    owners = [e.name for e in effects for _ in e.components]
+    for name, owner, (unit, typical), smallest in zip(
+        names, owners, units, screened.smallest_visible, strict=True
     ):
+        if owner in seen:
+            continue
         if not np.isfinite(smallest):
             out[name] = "leaves no trace that the base parameters could not absorb"
         elif smallest > BLIND * typical:
@@ -228,7 +243,7 @@ def _share_alone(search: Search, i: int) -> float | None:
 
 def _note(i: int, gained: Gain | None, withdrawn: Set[int]) -> str:
     if i in withdrawn:
-        return "worse on held-out runs"
+        return "worse on unseen runs"
     return "" if gained is None or gained.status == "confirmed" else gained.status
 
 

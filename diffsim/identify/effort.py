@@ -19,6 +19,7 @@ class SearchSettings:
             behind the best one is not refitted [nats].
         linear_error: Further error of linear evidence, as a share of the misfit [-].
         scan_points: Largest number of sizes of effects with kinks that are tried before fits.
+        scan_seconds: CPU time of these trials after which no further effect is tried [s].
         num_starts: Largest number of starts of a fit that disappoints.
         unknown_steps: Number of Gauss-Newton steps of a set together with an unknown cause.
     """
@@ -29,6 +30,7 @@ class SearchSettings:
     rival_nats: float = 6.0
     linear_error: float = 0.1
     scan_points: int = 400
+    scan_seconds: float = 150.0
     num_starts: int = 3
     unknown_steps: int = 3
 
@@ -42,6 +44,10 @@ class DiagnosisSettings:
         jacobian: Method and step of the derivatives of predictions.
         workers: Number of threads over runs.
         accept_numerics: Whether to go on although the numerics gate fails.
+        refine_budget: Cost of a simulation, over that with the model's own settings, up to which
+            time step, mesh and tolerance are refined where the numerics gate fails; 1: never.
+        windows: Shares of each run that the plain model is fitted to first, ascending, where a fit
+            to whole runs fails or ends far above what short ones leave; (): never.
         noise_rounds: Largest number of searches; the noise floor is estimated again after each.
     """
 
@@ -49,4 +55,6 @@ class DiagnosisSettings:
     jacobian: Jacobian = field(default_factory=Jacobian)
     workers: int = 1
     accept_numerics: bool = False
+    refine_budget: float = 8.0
+    windows: tuple[float, ...] = (0.25, 0.5)
     noise_rounds: int = 3

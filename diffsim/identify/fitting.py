@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from diffsim.data.study import Channel, Run
     from diffsim.identify.effect import Effect
     from diffsim.identify.model import SimModel
+    from diffsim.identify.numerics import Numerics
 
 Array = NDArray[np.float64]
 METHODS = ("gauss_newton", "lbfgs")
@@ -86,6 +87,7 @@ def fit(
     gradient: str = "differences",
     workers: int = 1,
     max_evaluations: int = 40,
+    numerics: Numerics | None = None,
 ) -> Fit:
     """Most probable parameters: the minimum of |W (y - S(x))|^2 + |x|^2 within the bounds.
 
@@ -102,6 +104,7 @@ def fit(
             is differentiable.
         workers: Number of threads over runs.
         max_evaluations: Largest number of evaluations of the residual.
+        numerics: Factors on time step, mesh and tolerance; None: the model's own.
 
     Returns:
         ``Fit``; look at ``converged``.
@@ -116,7 +119,8 @@ def fit(
         whitener or WhiteNoise(channels),
         tuple(effects),
         jacobian or Jacobian(),
-        workers=workers,
+        numerics,
+        workers,
     )
     n = len(problem.names)
     x0 = np.zeros(n) if start is None else np.array(start, dtype=np.float64)

@@ -241,6 +241,14 @@ class SimModel:
         """
         return self
 
+    def shortened(self) -> SimModel | None:
+        """The model with shorter windows of its own, where it cuts runs and starts anew in each.
+
+        Returns:
+            None where windows are as short as they may be, or there are none.
+        """
+        return None
+
     def at_prior(self) -> Tensor:
         """Standardized coordinates of the best guess, (num_base,)."""
         return torch.zeros(len(self.base), dtype=torch.float64)

@@ -11,12 +11,15 @@
       mass: {value: 1.41, sd: 0.004, unit: kg}
     effects:                     # sizes; components of vector effects as "wind.north"
       wind.north: {value: 0.31, sd: 0.01, unit: N}
+    plain:                       # parameters of the plain model at its own fit
+      mass: {value: 1.52, sd: 0.003, unit: kg}
+    facts: ...                   # noise floor, fitted runs and their range: to judge new runs by
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +55,9 @@ class SavedModel:
         setup: Setup that the study named, as text or settings.
         units: Unit by name of parameter or component.
         prepared_at: Standardized parameters at which the model prepared what it prepares once.
+        plain: Parameters of the plain model at its own fit, by name, in their units; empty in
+            files of before.
+        facts: What judging new runs needs beside the model: noise floor, fitted runs, their range.
     """
 
     path: Path
@@ -63,9 +69,19 @@ class SavedModel:
     setup: Any = None
     units: Mapping[str, str] = field(default_factory=dict)
     prepared_at: Mapping[str, float] | None = None
+    plain: Mapping[str, float] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict)
 
 
-def save_extended(fit: Fit, path: str | Path, *, study: Study, verdict: str) -> Path:
+def save_extended(
+    fit: Fit,
+    path: str | Path,
+    *,
+    study: Study,
+    verdict: str,
+    plain: Fit | None = None,
+    facts: Mapping[str, Any] | None = None,
+) -> Path:
     """Write a fit as an extended model.
 
     Args:
@@ -73,13 +89,11 @@ def save_extended(fit: Fit, path: str | Path, *, study: Study, verdict: str) -> 
         path: File to be written.
         study: Study that was fitted.
         verdict: Verdict of the diagnosis that fitted the model.
+        plain: Fit of the plain model, to compare with; None: ``fit`` without its effects is not
+            compared with anything.
+        facts: What judging new runs needs beside the model, in types that YAML has.
     """
-    problem = fit.problem
-    units = [p.unit for p in problem.model.base] + [e.unit for e, _ in problem.owners]
-    entries = {
-        name: {"value": fit.values[name], "sd": fit.sd[name], "unit": unit}
-        for name, unit in zip(problem.names, units, strict=True)
-    }
+    problem, entries = fit.problem, _entries(fit)
     count, prepared = problem.num_base, problem.model.prepared_q
     content = {
         "model": problem.model.name,
@@ -91,8 +105,20 @@ def save_extended(fit: Fit, path: str | Path, *, study: Study, verdict: str) -> 
         else dict(zip(problem.names, prepared.tolist(), strict=False)),
         "parameters": dict(list(entries.items())[:count]),
         "effects": dict(list(entries.items())[count:]),
+        **({} if plain is None else {"plain": _entries(plain)}),
+        **({} if facts is None else {"facts": dict(facts)}),
     }
     return write_text_atomic(path, yaml.safe_dump(to_plain(content), sort_keys=False))
+
+
+def _entries(fit: Fit) -> dict[str, dict[str, Any]]:
+    """Value, sd and unit of every coordinate of a fit."""
+    problem = fit.problem
+    units = [p.unit for p in problem.model.base] + [e.unit for e, _ in problem.owners]
+    return {
+        name: {"value": fit.values[name], "sd": fit.sd[name], "unit": unit}
+        for name, unit in zip(problem.names, units, strict=True)
+    }
 
 
 def read_extended(path: str | Path) -> SavedModel:
@@ -113,13 +139,15 @@ def read_extended(path: str | Path) -> SavedModel:
     except yaml.YAMLError as error:
         raise ValueError(f"{path}: not YAML: {error}") from None
     parts: dict[str, dict[str, Any]] = {}
-    for part in ("parameters", "effects"):
+    for part in ("parameters", "effects", "plain"):
         given = content.get(part) if isinstance(content, dict) else None
+        if given is None and part == "plain" and isinstance(content, dict):
+            given = {}
         if not isinstance(given, dict):
             raise ValueError(f"{path}: {part} must be a mapping of names to value, sd and unit")
         parts[part] = given
     entries = {**parts["parameters"], **parts["effects"]}
-    for name, entry in entries.items():
+    for name, entry in (*entries.items(), *parts["plain"].items()):
         if not isinstance(entry, dict) or not all(
             isinstance(entry.get(key), (int, float)) for key in ("value", "sd")
         ):
@@ -134,7 +162,23 @@ def read_extended(path: str | Path) -> SavedModel:
         setup=content.get("setup"),
         units={name: str(entry.get("unit", "-")) for name, entry in entries.items()},
         prepared_at=content.get("prepared_at"),
+        plain={name: float(entry["value"]) for name, entry in parts["plain"].items()},
+        facts=content.get("facts") or {},
     )
+
+
+def without_effects(saved: SavedModel) -> SavedModel:
+    """The plain model of a file, at its own fit.
+
+    Raises:
+        ValueError: a file of before, which does not hold it.
+    """
+    if not saved.plain:
+        raise ValueError(
+            f"{saved.path}: holds no plain model to compare with; write it again with "
+            "`diffsim diagnose explain` or `extend`"
+        )
+    return replace(saved, values=saved.plain, parameters=tuple(saved.plain), components=())
 
 
 def rebuilt(saved: SavedModel, setup: DiagnosisSetup) -> ExtendedModel:

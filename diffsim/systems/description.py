@@ -17,7 +17,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from torch import Tensor
 
 from diffsim.core.check import did_you_mean
-from diffsim.core.schema import Part, number
+from diffsim.core.schema import Part, Said, number
 from diffsim.core.units import in_unit
 from diffsim.data.study import Run, Study
 from diffsim.data.study_check import Problem
@@ -94,7 +94,8 @@ def quantity(unit: str) -> Any:
         }
         return {**given, **numbers, "unit": unit}
 
-    return Annotated[Quantity, BeforeValidator(read)]
+    said = Said("quantity" if unit == "-" else f"quantity in {unit}")
+    return Annotated[Quantity, BeforeValidator(read), said]
 
 
 class EffectChoice(Part):

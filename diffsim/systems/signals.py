@@ -35,6 +35,27 @@ def sample(values: Tensor, dt: float, times: Tensor, start_rate: Tensor | None =
     return _cubic(values, slopes, times / dt)
 
 
+def curved(values: Tensor, dt: float, times: Tensor) -> Tensor:
+    """Values (num_samples, width), five or more, at any times by cubics; straight lines beyond.
+
+    Args:
+        values: Samples at 0, dt, 2 dt, ...
+        dt: Spacing of the samples [s], or of whatever they lie along.
+        times: Where values are wanted, (num_times,).
+    """
+    slopes = torch.cat([_end_slope(values)[None], _slopes(values)[1:]])
+    inside = _cubic(values, slopes, times / dt)
+    last = values.shape[0] - 1
+    place = times / dt
+    before, after = place.clamp(max=0.0), (place - last).clamp(min=0.0)
+    return inside + before[:, None] * slopes[0] + after[:, None] * slopes[-1]
+
+
+def _end_slope(y: Tensor) -> Tensor:
+    """Change per step at the first sample, of fourth order."""
+    return (-25.0 * y[0] + 48.0 * y[1] - 36.0 * y[2] + 16.0 * y[3] - 3.0 * y[4]) / 12.0
+
+
 def _cubic(values: Tensor, slope: Tensor, place: Tensor) -> Tensor:
     """Cubics through values with slopes per step, at places counted in steps; ends held."""
     last = values.shape[0] - 1

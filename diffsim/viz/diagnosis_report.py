@@ -132,7 +132,7 @@ def _numbers(r: Report) -> list[page.Number]:
                 value=f"{100 * g.value:.0f}",
                 unit="%",
                 note=f"90 % interval {100 * g.low:.0f} to {100 * g.high:.0f} %",
-                tone=tones[g.status],
+                tone=tones.get(g.status, "fair"),
             )
         )
     return shown

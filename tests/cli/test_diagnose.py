@@ -76,7 +76,7 @@ def test_explain_again_tells_and_keeps(explained, study_folder, capsys):
 
 def test_an_interrupted_explanation_goes_on(study_folder, tmp_path, monkeypatch, capsys):
     # interrupted while the gain is computed: all that was fitted is kept
-    monkeypatch.setattr("diffsim.diagnose.diagnosis._report", stopped_report)
+    monkeypatch.setattr("diffsim.diagnose.diagnosis.report_of", stopped_report)
     assert run("explain", study_folder, tmp_path, "--quick") == 130
     assert "go on with: diffsim diagnose explain" in capsys.readouterr().err
     kept = list((tmp_path / "interrupted").rglob("*.npz"))
@@ -89,8 +89,41 @@ def test_an_interrupted_explanation_goes_on(study_folder, tmp_path, monkeypatch,
     assert again["named"] == ["drag"]
 
 
-def stopped_report(*_):
+def stopped_report(*_, **__):
     raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    "stopped",
+    [
+        "diffsim.diagnose.diagnosis.tested",
+        "diffsim.diagnose.report.save_model",
+        "diffsim.viz.diagnosis_report.write_diagnosis",
+        "diffsim.viz.diagnosis_recording.write_recording_of",
+    ],
+)
+def test_an_interruption_while_files_are_written_goes_on(
+    study_folder, explained, tmp_path, monkeypatch, capsys, stopped
+):
+    """Other inputs' files lie there already: none of them may pass for the answer."""
+    for name in ("inputs.json", "report.json", "extended_model.yaml"):
+        (tmp_path / name).write_bytes((explained / name).read_bytes())
+    options = ("--quick", "--effects", "drag,bias")
+    pytest.importorskip("matplotlib", reason="pages need pip install 'diffsim-robot[viz]'")
+    monkeypatch.setattr(stopped, stopped_report)
+    assert run("explain", study_folder, tmp_path, *options) == 130
+    monkeypatch.undo()
+    capsys.readouterr()
+    assert run("explain", study_folder, tmp_path, *options) == 0
+    assert "going on with what an interrupted diagnosis left" in capsys.readouterr().out
+    assert run("explain", study_folder, tmp_path, *options) == 0
+    assert "holds the answer to exactly this already" in capsys.readouterr().out
+    assert {
+        row["effect"] for row in json.loads((tmp_path / "report.json").read_text())["table"]
+    } == {
+        "drag",
+        "bias",
+    }
 
 
 def test_changed_inputs_are_named():
@@ -228,10 +261,28 @@ def test_rivals_of_a_saved_report():
     ]
     report = {"table": table, "hypotheses": hypotheses, "named": ["a"], "verdict": "ambiguous"}
     sets, why = rival_sets({**report, "rivals": [["b"], ["unknown force"]]})
-    assert sets == [("a",), ("b",)] and "1 with an unknown cause left out" in why
+    assert sets == [("a",), ("b",)] and "1 with an unknown cause" in why
     sets, why = rival_sets({**report, "verdict": "named", "rivals": []})
     assert sets == [("a",), ("b",)] and "stands alone" in why  # a + b holds a: it is no rival
     assert rival_sets({**report, "verdict": "none", "named": [], "rivals": []})[0] == []
+
+
+@pytest.mark.parametrize(
+    ("verdict", "named", "rivals", "sets"),
+    [
+        ("ambiguous", ["a"], [["unknown force"]], [("a",), ()]),
+        ("named", ["a"], [["a", "b"], ["a", "c"]], [("a", "b"), ("a", "c")]),
+        ("named", ["a"], [["a", "b"], ["a", "unknown force"]], [("a", "b"), ()]),
+    ],
+)
+def test_the_next_run_never_contradicts_the_verdict(verdict, named, rivals, sets):
+    """What cannot be told does not stand alone."""
+    table = [{"effect": name} for name in ("a", "b", "c")]
+    report = {"table": table, "hypotheses": [], "named": named, "verdict": verdict}
+    found, why = rival_sets({**report, "rivals": rivals})
+    assert found == sets
+    assert "stands alone" not in why and "open: " in why
+    assert ("a is certain" in why) == (verdict == "named")
 
 
 def test_loaded_model_is_differentiable_in_parameters_and_sizes(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.diagnose.fit import gauss_newton
+from diffsim.diagnose.gauss_newton import gauss_newton
 from diffsim.diagnose.simulations import NONE, Simulations
 from diffsim.identify import Parameter, Problem, SimModel, WhiteNoise, fit
 from diffsim.identify.linearization import (

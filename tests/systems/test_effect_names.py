@@ -15,6 +15,8 @@ from diffsim.systems.bending.effects import BENDING_EFFECTS
 from diffsim.systems.flow_network.effects import stokes_library
 from diffsim.systems.laboratories.lab_beam_causes import causes
 from diffsim.systems.multicopter import unknown_wrench
+from diffsim.systems.multicopter.candidates import Vehicle, candidate_causes
+from diffsim.systems.multicopter.frames import Frames
 from diffsim.systems.registry import library, setup_of
 from diffsim.systems.rigid_body.ball_effects import BALL_EFFECTS
 from diffsim.systems.rigid_body.effects import TOSS
@@ -23,12 +25,29 @@ from diffsim.systems.soft_body.hanging import SLACK_STRING
 from diffsim.systems.starfish.effects import STARFISH_EFFECTS, unknown_pull, unknown_push
 from diffsim.systems.tensile.effects import TENSILE
 
+DESCRIBED = Vehicle(
+    num_rotors=4,
+    mass=1.0,
+    arm=0.2,
+    frames=Frames("ENU", "FLU"),
+    sensors=("position", "quaternion", "body_rates", "accelerometer"),
+    has_radius=True,
+    has_lag=False,
+    has_clock=False,
+    has_center=False,
+    has_mass=False,
+    has_speed=True,
+    lags_speed=True,
+    battery="voltage",
+)
+
 
 @pytest.fixture(scope="module")
 def libraries() -> dict[str, tuple[Effect, ...]]:
     return {
         "soft_body": (*library("soft_body"), SLACK_STRING),
         "multicopter": tuple(library("copter", num_rotors=6)),
+        "described multicopter": candidate_causes(DESCRIBED),
         "flow_device": stokes_library(),
         "flow_network": setup_of(NetworkLab()(1)).effects,
         "laboratory beam": causes(1.0),

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import torch
 
@@ -17,19 +17,20 @@ from diffsim.systems.multicopter.candidates import Vehicle
 from diffsim.systems.multicopter.cutting import Cutter
 from diffsim.systems.multicopter.described import DescribedFlights
 from diffsim.systems.multicopter.frames import Frames
+from diffsim.systems.multicopter.loads import SLING_M
 from diffsim.systems.multicopter.model import THRUST_COEFFICIENT
+from diffsim.systems.multicopter.model_keys import MulticopterKeys
 from diffsim.systems.multicopter.sensing import sensing_of
 from diffsim.systems.multicopter.shooting import SPREAD
+from diffsim.systems.multicopter.spectrum import strongest_frequency
 from diffsim.systems.multicopter.thrust_law import ThrustLaw
 
-if TYPE_CHECKING:
-    from diffsim.systems.multicopter.description import MulticopterDescription
-
 _PAST = 0.5  # spread of the thrusts before the record, over what hovers
+_WIDE = 5.0  # [%]: a mass no better known needs no cause that adds to it
 _GAINS = {"thrust_gain": 5.0, "torque_gain": 20.0, "inertia_gain": 10.0}  # [%]
 
 
-def assembled(of: MulticopterDescription, study: Study) -> DescribedFlights:
+def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
     """Recipe of the scenes of a study's runs.
 
     Args:
@@ -45,7 +46,6 @@ def assembled(of: MulticopterDescription, study: Study) -> DescribedFlights:
     hover = mass * GRAVITY / count
     asked = max(float(law.thrusts(run, known).max()) for run in study.runs)
     sensing = sensing_of(of.sensors, study)
-    is_squared = law.is_speed and law.exponent == 2.0 and "thrust_coefficient" in known
     lag_of = of.lag_of or ("thrust" if of.commands.meaning == "thrust" else "speed")
     return DescribedFlights(
         parameters=parameters,
@@ -66,13 +66,37 @@ def assembled(of: MulticopterDescription, study: Study) -> DescribedFlights:
         max_thrust=of.max_thrust,
         full_thrust=of.max_thrust or max(asked, 2.0 * hover),
         thrust_coefficient=float(known["thrust_coefficient"])
-        if is_squared and of.commands.meaning == "speed"
+        if law.is_squared
         else THRUST_COEFFICIENT,
         lags_speed=lag_of == "speed",
     )
 
 
-def vehicle_of(of: MulticopterDescription, flights: DescribedFlights) -> Vehicle:
+def with_shapes(
+    of: MulticopterKeys, flights: DescribedFlights, study: Study, causes: Sequence[str]
+) -> DescribedFlights:
+    """The recipe with what causes need beside a size: length of a string, frequency of a gust.
+
+    Args:
+        of: Description of the multicopter.
+        flights: The same, assembled.
+        study: Study with the runs to be fitted.
+        causes: Names of the candidate causes.
+    """
+    more: dict[str, Quantity] = {}
+    if "slung_load" in causes:
+        more["sling_length"] = of.sling_length or Quantity(value=SLING_M, percent=60.0, unit="m")
+    if "gust" in causes:
+        given: Quantity | None = of.gust_frequency
+        if given is None:
+            value, sd = strongest_frequency(flights, study.fit_runs)
+            given = Quantity(value=value, sd=sd, lower=0.1 * value, unit="Hz")
+        more["gust_frequency"] = given
+    quantities = {**flights.parameters.quantities, **more}
+    return replace(flights, parameters=BaseParameters(quantities, study.runs))
+
+
+def vehicle_of(of: MulticopterKeys, flights: DescribedFlights) -> Vehicle:
     """What decides which causes there are.
 
     Args:
@@ -91,12 +115,15 @@ def vehicle_of(of: MulticopterDescription, flights: DescribedFlights) -> Vehicle
         has_lag="motor_lag" in q and q["motor_lag"].is_fitted,
         has_clock="clock" in q,
         has_center=any(q[f"center_of_mass_{axis}"].is_fitted for axis in "xy"),
+        has_mass=q["mass"].is_fitted and (q["mass"].percent or 0.0) >= _WIDE,
+        has_speed=of.commands.meaning == "speed" and flights.law.is_squared,
+        lags_speed=flights.lags_speed,
         battery=of.battery,
     )
 
 
 def _quantities(
-    of: MulticopterDescription, design: Multicopter | None, rotor: RotorModel | None
+    of: MulticopterKeys, design: Multicopter | None, rotor: RotorModel | None
 ) -> Iterator[tuple[str, Quantity]]:
     """Everything that may be fitted, by name of the base parameter."""
     if of.mass is not None:
@@ -124,7 +151,7 @@ def _quantities(
     yield from _nuisances(of)
 
 
-def _gains(of: MulticopterDescription) -> Iterator[tuple[str, Quantity]]:
+def _gains(of: MulticopterKeys) -> Iterator[tuple[str, Quantity]]:
     """Factors; each is held by default where what it multiplies is fitted itself."""
     inertia = of.inertia
     fitted = {
@@ -141,7 +168,7 @@ def _gains(of: MulticopterDescription) -> Iterator[tuple[str, Quantity]]:
         yield name, default if given is None else given
 
 
-def _nuisances(of: MulticopterDescription) -> Iterator[tuple[str, Quantity]]:
+def _nuisances(of: MulticopterKeys) -> Iterator[tuple[str, Quantity]]:
     keys = of.nuisances
     gain = 100.0 * keys.run_thrust_gain
     yield (
@@ -167,11 +194,11 @@ def _nuisances(of: MulticopterDescription) -> Iterator[tuple[str, Quantity]]:
         yield "clock", Quantity(value=0.0, sd=keys.clock, unit="s", per="run")
 
 
-def _sees_attitude(of: MulticopterDescription) -> bool:
+def _sees_attitude(of: MulticopterKeys) -> bool:
     return of.sensors.quaternion is not None or of.sensors.roll_pitch_yaw is not None
 
 
-def _torque_ratio(of: MulticopterDescription, rotor: RotorModel | None) -> Quantity | None:
+def _torque_ratio(of: MulticopterKeys, rotor: RotorModel | None) -> Quantity | None:
     if of.torque_ratio is not None:
         given: Quantity = of.torque_ratio
         return given
@@ -186,17 +213,17 @@ def _torque_ratio(of: MulticopterDescription, rotor: RotorModel | None) -> Quant
     return None
 
 
-def _radius(of: MulticopterDescription, rotor: RotorModel | None) -> float:
+def _radius(of: MulticopterKeys, rotor: RotorModel | None) -> float:
     if of.radius is not None:
         return float(of.radius)
     return 0.0 if rotor is None else float(rotor.radius)
 
 
-def _rotor(of: MulticopterDescription) -> RotorModel | None:
+def _rotor(of: MulticopterKeys) -> RotorModel | None:
     return None if of.rotor_model is None else rotor_model(of.rotor_model)
 
 
-def _designed(of: MulticopterDescription, study: Study) -> Multicopter | None:
+def _designed(of: MulticopterKeys, study: Study) -> Multicopter | None:
     """The vehicle of the design file, beside study.yaml or shipped."""
     if of.design is None:
         return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -14,8 +14,11 @@ from diffsim.systems.actuator import HELD_DELAY, HELD_LAG
 from diffsim.systems.multicopter import effects as causes
 from diffsim.systems.multicopter import sensors as seen
 from diffsim.systems.multicopter.frames import Frames
+from diffsim.systems.multicopter.loads import EXTRA_MASS, GUST, SLUNG_LOAD
+from diffsim.systems.multicopter.rotors import ROTOR_SPEED_DRAG, SPEED_LAG
 from diffsim.systems.multicopter.scene import CopterScene, vector
 
+_CAMERAS = {"position", "velocity", "attitude", "quaternion"}
 _MASS, _ARM = 1.0, 0.25  # of the vehicle that typical sizes are written for [kg], [m]
 
 
@@ -33,6 +36,9 @@ class Vehicle:
         has_lag: Whether a lag of the motors is fitted already.
         has_clock: Whether the clock of the commands is fitted already.
         has_center: Whether the center of mass is fitted already.
+        has_mass: Whether a mass of which little is known is fitted already.
+        has_speed: Whether commands tell the rotors' speed in rad/s.
+        lags_speed: Whether it is the speed, not the thrust, that lags.
         battery: Name of the command that is the battery's voltage; None: none.
     """
 
@@ -45,6 +51,9 @@ class Vehicle:
     has_lag: bool
     has_clock: bool
     has_center: bool
+    has_mass: bool
+    has_speed: bool
+    lags_speed: bool
     battery: str | None
 
 
@@ -67,15 +76,43 @@ def candidate_causes(of: Vehicle) -> tuple[Effect, ...]:
         *(causes.weak_rotor(i) for i in range(of.num_rotors)),
     ]
     if not of.has_lag:
-        out.append(HELD_LAG)
+        out.append(SPEED_LAG if of.lags_speed else HELD_LAG)
     if not of.has_clock:
         out.append(HELD_DELAY)
     return tuple(out)
 
 
+def acting_in(effect: Effect, facts: Mapping[str, str | float]) -> Effect:
+    """The effect in those runs only whose set-up states some facts.
+
+    Args:
+        effect: Candidate cause.
+        facts: Values by name of the fact, such as {"propeller": "cut"}.
+    """
+    return replace(effect, apply=partial(_apply_there, inner=effect.apply, facts=dict(facts)))
+
+
+def _apply_there(
+    scene: CopterScene,
+    size: Tensor,
+    run: Run,
+    *,
+    inner: Callable[[CopterScene, Tensor, Run], CopterScene],
+    facts: Mapping[str, str | float],
+) -> CopterScene:
+    is_there = all(run.setup.get(fact) == value for fact, value in facts.items())
+    return inner(scene, size, run) if is_there else scene
+
+
 def _of_vehicle(
     of: Vehicle, mass: float, arm: float, in_body: Callable[[Effect], Effect]
 ) -> Iterator[Effect]:
+    yield _scaled(SLUNG_LOAD, mass)
+    yield _scaled(GUST, mass)
+    if not of.has_mass:
+        yield _scaled(EXTRA_MASS, mass)
+    if of.has_speed:
+        yield _scaled(ROTOR_SPEED_DRAG, mass)
     if not of.has_center:
         yield _scaled(in_body(causes.CENTER_OF_MASS), arm)
     if of.num_rotors >= 4:
@@ -95,6 +132,8 @@ def _of_sensors(of: Vehicle, arm: float, in_body: Callable[[Effect], Effect]) ->
         yield seen.GYRO_OFFSET
     if "body_rates" in of.sensors or force:
         yield in_body(seen.IMU_TILT)
+    if ("body_rates" in of.sensors or force) and _CAMERAS & set(of.sensors):
+        yield seen.CAMERA_DELAY
     if force:
         yield seen.ACCELEROMETER_SCALE
 

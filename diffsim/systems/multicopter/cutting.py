@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -15,7 +16,7 @@ from diffsim.systems.multicopter.flight import SENSORS
 from diffsim.systems.multicopter.frames import Frames
 from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.multicopter.shooting import PAST_SPREAD, SPREAD, Windows, filled
-from diffsim.systems.multicopter.starts import states_of
+from diffsim.systems.multicopter.starts import acceleration_of, states_of
 
 LONGEST_S = 1.0  # of a window whose length is left to the model
 _FEWEST = 5  # samples of a window
@@ -37,6 +38,13 @@ def spacing(run: Run) -> float:
             f"to {steps.max():.4g} s; resample the record"
         )
     return dt
+
+
+class Recorded(NamedTuple):
+    """States of 12 at every sample, (num_samples, 12), and accelerations, (num_samples, 3), NED."""
+
+    states: Tensor
+    acceleration: Tensor
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,16 +101,25 @@ class Cutter:
         windows = -(-len(measured) // length)
         record = torch.full((windows * length, len(self.sd)), np.nan, dtype=torch.float64)
         record[: len(measured)] = measured
-        states = states_of(self._groups(filled(measured)), self.frames, spacing(run))
+        motion = self.record(run)
+        states = motion.states
         before = (torch.arange(windows) * length - 1).clamp(min=0)
         return Windows(
             guess=torch.cat([states[before], past.expand(windows, -1)], 1),
             measured=record.reshape(windows, length, -1),
             sd=self.sd,
             latest=[],
+            acceleration=motion.acceleration,
             rigid_spread=self.rigid_spread,
             past_spread=self.past_spread,
         )
+
+    def record(self, run: Run) -> Recorded:
+        """The motion that a run's record shows by itself."""
+        measured = torch.as_tensor(np.asarray(run.measured), dtype=torch.float64)
+        dt, groups = spacing(run), self._groups(filled(measured))
+        states = states_of(groups, self.frames, dt)
+        return Recorded(states, acceleration_of(groups, self.frames, states, dt))
 
     def _groups(self, whole: Tensor) -> dict[str, Tensor]:
         """Readings by group; NaN in columns that were not recorded."""

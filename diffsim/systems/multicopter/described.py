@@ -60,7 +60,7 @@ class DescribedFlights:
     def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> CopterScene:
         if run not in self.known:
             nominal = self.nominal()
-            past = self._thrusts(run, self.parameters.in_run(nominal, run)).mean(1)
+            past = self.asked(run, self.parameters.in_run(nominal, run)).mean(1)
             self.known[run] = self.cutter.cut(
                 run, past, partial(self._scene, nominal, run, Numerics())
             )
@@ -70,8 +70,13 @@ class DescribedFlights:
         """Best guesses of the base parameters beforehand."""
         return {p.name: torch.tensor(p.value, dtype=torch.float64) for p in self.parameters.base}
 
-    def _thrusts(self, run: Run, v: Mapping[str, Tensor]) -> Tensor:
-        """Thrusts that are asked for, (points, num_samples, n_rotors) [N]."""
+    def asked(self, run: Run, v: Mapping[str, Tensor]) -> Tensor:
+        """Thrusts that are asked for, (points, num_samples, n_rotors) [N].
+
+        Args:
+            run: Recorded run.
+            v: Quantities of the run by name, () or (points,) each.
+        """
         count = len(self.law.commands.columns)
         shares = [v[f"rotor_{i + 1}_share"].reshape(-1) for i in range(count)]
         gain = (v["thrust_gain"] * v["run_thrust_gain"]).reshape(-1)
@@ -104,7 +109,7 @@ class DescribedFlights:
         )
         scene = CopterScene(
             vehicle=fleet,
-            commands=self._thrusts(run, v),
+            commands=self.asked(run, v),
             dt=spacing(run),
             sensors=self.cutter.sensors,
             windows=windows,
@@ -116,6 +121,10 @@ class DescribedFlights:
             attitude_offset=_vector(v, "attitude_offset"),
             body_rates_offset=_vector(v, "body_rates_offset"),
             accelerometer_offset=_vector(v, "specific_force_offset"),
+        )
+        scene = scene.changed(
+            sling_length=v["sling_length"].reshape(-1) if "sling_length" in v else None,
+            gust_frequency=v["gust_frequency"].reshape(-1) if "gust_frequency" in v else None,
         )
         return self._on_the_way(scene, v)
 

@@ -79,6 +79,8 @@ class CopterFlight:
             (points, 3) [rad], [rad/s], [m/s^2], in the recording's frames.
         camera_delay: Age of the position, velocity and attitude that are shown, (points,) [s];
             None: none.
+        sling_length: Of a string that a load may hang on, (points,) [m]; None: 0.5 m.
+        gust_frequency: Of a gust that there may be, (points,) [Hz]; None: no gust.
     """
 
     vehicle: Fleet
@@ -104,6 +106,8 @@ class CopterFlight:
     body_rates_offset: Tensor = field(default_factory=_origin)
     accelerometer_offset: Tensor = field(default_factory=_origin)
     camera_delay: Tensor | None = None
+    sling_length: Tensor | None = None
+    gust_frequency: Tensor | None = None
 
     def changed(self, **changes: Any) -> Self:
         """A copy with some entries replaced."""

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     Length: TypeAlias = Quantity
     Time: TypeAlias = Quantity
     Plain: TypeAlias = Quantity
+    Hertz: TypeAlias = Quantity
     Seconds: TypeAlias = float
     Newtons: TypeAlias = float
     Volts: TypeAlias = float
@@ -25,12 +26,14 @@ if TYPE_CHECKING:
     Angle: TypeAlias = float
     Rate: TypeAlias = float
     Acceleration: TypeAlias = float
+    PerSecond: TypeAlias = float
 else:  # quantities may be fitted, numbers are known
     Mass = quantity("kg")
     Inertia = quantity("kg m^2")
     Length = quantity("m")
     Time = quantity("s")
     Plain = quantity("-")
+    Hertz = quantity("Hz")
     Seconds = number("s")
     Newtons = number("N")
     Volts = number("V")
@@ -39,6 +42,7 @@ else:  # quantities may be fitted, numbers are known
     Angle = number("rad")
     Rate = number("rad/s")
     Acceleration = number("m/s^2")
+    PerSecond = number("Hz")
 
 _NONE = Quantity(value=0.0)
 

@@ -21,10 +21,9 @@ def speed_lagged(thrusts: Tensor, dt: float, time_constant: Tensor) -> Tensor:
         time_constant: tau, () or (points,) [s]; at first the rotors turn as commanded.
     """
     root = thrusts.clamp(min=_LEAST_N).sqrt()
-    tau = time_constant.clamp(min=_SHORTEST * dt)
-    decay = torch.exp(-dt / tau)[..., None]
-    once = (tau / dt)[..., None] * (1.0 - decay)
-    twice = (0.5 * tau / dt)[..., None] * (1.0 - decay**2)
+    decay = torch.exp(-dt / time_constant.clamp(min=_SHORTEST * dt))[..., None]
+    share = (time_constant / dt)[..., None]
+    once, twice = share * (1.0 - decay), 0.5 * share * (1.0 - decay**2)
     error, errors = torch.zeros_like(root[..., 0, :]), [torch.zeros_like(root[..., 0, :])]
     for fall in (-root.diff(dim=-2)).unbind(-2):
         error = error * decay + fall

@@ -19,7 +19,7 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.model import Build, Numerics, SimModel
 from diffsim.systems.multicopter.cutting import Cutter, spacing
 from diffsim.systems.multicopter.scene import CopterScene
-from diffsim.systems.multicopter.shooting import Windows
+from diffsim.systems.multicopter.shooting import RIGID, Windows
 from diffsim.systems.signals import held_lagged
 
 if TYPE_CHECKING:
@@ -68,6 +68,13 @@ class CopterModel(SimModel):
 
     def __init__(self, flights: Build, base: Sequence[Parameter]):
         super().__init__(flights, base, "multicopter")
+
+    def num_fitted_inside(self, run: Run) -> int:
+        """Number of values that are fitted to a run whatever it is used for: start states."""
+        scene = self.scene(run, self.at_prior())
+        assert isinstance(scene, CopterScene)
+        guess = scene.windows.guess
+        return len(guess) * RIGID + guess.shape[1] - RIGID
 
     def simulate_many(
         self,

@@ -28,8 +28,8 @@ class Motion:
     velocity: Tensor
     rotation: Tensor
     body_rates: Tensor
-    thrusts: Tensor | None = None
-    acceleration: Tensor | None = None
+    thrusts: Tensor
+    acceleration: Tensor
 
     @property
     def body_velocity(self) -> Tensor:

@@ -30,6 +30,11 @@ def _gyro_offset(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     return scene.changed(body_rates_offset=scene.body_rates_offset + vector(size))
 
 
+def _camera_delay(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+    before = 0.0 if scene.camera_delay is None else scene.camera_delay
+    return scene.changed(camera_delay=before + amount(size, 0))
+
+
 MARKER_PLACEMENT = Effect(
     name="placement",
     form="The captured point lies at size in the body frame instead of the center of mass.",
@@ -82,4 +87,15 @@ GYRO_OFFSET = Effect(
     components=("x", "y", "z"),
     also_looks_like=("warming gyro",),
     apply=_gyro_offset,
+)
+CAMERA_DELAY = Effect(
+    name="camera_delay",
+    form="Position, velocity and attitude show what was size ago; gyro and accelerometer do not.",
+    family="timing",
+    kind="sensor",
+    unit="s",
+    typical=0.02,
+    signed=False,
+    also_looks_like=("filter of a motion capture", "clock of the cameras"),
+    apply=_camera_delay,
 )

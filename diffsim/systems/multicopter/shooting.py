@@ -6,7 +6,7 @@ The state of 12 here: position, roll-pitch-yaw, velocity (world), body rates, wo
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -24,7 +24,9 @@ PAST_SPREAD = 2.0  # of the thrusts before the record [N]
 _NUDGE = 1e-4  # of the spread
 _SMOOTH_S = 0.15  # over which position is differentiated
 MAX_STEPS = 12
-_SETTLED = 1e-4  # step of an initial state over its spread
+_MAX_CREEPING = 40
+_LEAST_SHARE = 1e-3  # of a step
+_SETTLED = 3e-5  # step of an initial state over its spread
 _LINEAR = 1e-2  # likewise, where the tangents suffice without another flight
 
 
@@ -81,6 +83,7 @@ class Windows:
         measured: (num_windows, length, num_channels), NaN where nothing was recorded.
         sd: Noise of the channels, (num_channels,).
         latest: The best states of the last search (or none): where the next search starts.
+        acceleration: Recorded acceleration of the vehicle, (num_samples, 3), NED [m/s^2].
         rigid_spread: Of position [m], angles [rad], velocity [m/s] and body rates [rad/s] about
             the guess.
         past_spread: Of the thrusts before the record [N].
@@ -90,6 +93,7 @@ class Windows:
     measured: Tensor
     sd: Tensor
     latest: list[Tensor]
+    acceleration: Tensor = field(default_factory=lambda: torch.zeros(1, 3, dtype=torch.float64))
     rigid_spread: tuple[float, float, float, float] = SPREAD
     past_spread: float = PAST_SPREAD
 
@@ -119,6 +123,10 @@ class Windows:
                         self.latest[:] = [self.guess + change]
                         return shooting
                     change = change + step / max(1.0, size)
+            if max_steps >= MAX_STEPS:
+                shooting, size = self._crept(predict, 0.0 * self.guess)
+                if size < _SETTLED:
+                    return shooting
         raise ConvergenceError(
             f"initial states of a flight still change by {size:.1e} of their spread after "
             f"{max_steps} steps; shorten the windows or reduce the effects' sizes",
@@ -126,6 +134,29 @@ class Windows:
             tolerance=_SETTLED,
             num_iters=max_steps,
         )
+
+    def _crept(self, predict: Predict, change: Tensor) -> tuple[Shooting, float]:
+        """Steps that are halved until the fit is better; slower, and sure to go down.
+
+        Returns:
+            Tangents at the best states found, and the step that was wanted there, over the spread.
+        """
+        for _ in range(_MAX_CREEPING):
+            shooting, step = self._step(predict, change)
+            size = float((step / self.spread).abs().max())
+            if size < _SETTLED:
+                self.latest[:] = [self.guess + change]
+                break
+            here, share = self._cost(predict, change), 1.0 / max(1.0, size)
+            while share > _LEAST_SHARE and self._cost(predict, change + share * step) > here:
+                share *= 0.5
+            change = change + share * step
+        return shooting, size
+
+    def _cost(self, predict: Predict, change: Tensor) -> float:
+        """Misfit and departure from the guess, in units of their spreads, squared."""
+        off = (predict((self.guess + change)[None])[0] - self.measured) / self.sd
+        return float(off.nan_to_num(0.0).square().sum() + (change / self.spread).square().sum())
 
     def _step(self, predict: Callable[[Tensor], Tensor], change: Tensor) -> tuple[Shooting, Tensor]:
         """Tangents by central differences, and the step to be taken, (num_windows, m)."""

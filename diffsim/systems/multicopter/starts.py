@@ -39,6 +39,28 @@ def states_of(groups: Mapping[str, Tensor], frames: Frames, dt: float) -> Tensor
     return states
 
 
+def acceleration_of(
+    groups: Mapping[str, Tensor], frames: Frames, states: Tensor, dt: float
+) -> Tensor:
+    """Acceleration of the vehicle at every sample, (num_samples, 3), world frame of the model.
+
+    By the accelerometer, if there is one, else the slope of the velocity.
+
+    Args:
+        groups: Readings by group, as of ``states_of``.
+        frames: Frames of the recording.
+        states: States of 12 at every sample, (num_samples, 12).
+        dt: Time between two samples [s].
+    """
+    specific = groups.get("accelerometer")
+    if specific is not None and not bool(specific.isnan().any()):
+        rotation = matrix_from_rpy(states[:, 3:6])
+        found = (rotation * frames.in_body(specific)[:, None]).sum(-1)
+    else:
+        found = _thrust(groups, frames, states[:, 6:9], dt)
+    return found + _DOWN
+
+
 def _way(groups: Mapping[str, Tensor], frames: Frames, dt: float) -> tuple[Tensor, Tensor]:
     """Position and velocity, (num_samples, 3) each."""
     place, speed = groups.get("position"), groups.get("velocity")

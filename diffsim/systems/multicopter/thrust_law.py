@@ -66,9 +66,10 @@ class ThrustLaw:
         return self.thrust.exponent
 
     @property
-    def is_speed(self) -> bool:
-        """Whether the command tells the rotors' speed rather than their thrust."""
-        return self.commands.meaning != "thrust" and self.exponent != 1.0
+    def is_squared(self) -> bool:
+        """Whether the command is a speed in rad/s, and the thrust in proportion to its square."""
+        has_coefficient = self.thrust is not None and self.thrust.coefficient is not None
+        return self.commands.meaning == "speed" and has_coefficient and self.exponent == 2.0
 
     def _input(self, run: Run) -> Tensor:
         """The law's u, (1, num_samples, n_rotors)."""

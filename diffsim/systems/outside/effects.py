@@ -56,7 +56,7 @@ def unknown_forces(hooks: Hooks, runs: Sequence[Run]) -> tuple[UnknownForce, ...
     out = []
     for i, place in enumerate(hooks.places):
         effect = Effect(
-            name=f"unknown_force_of_{plain(place.name)}",
+            name=f"unknown_force_at_{plain(place.name)}",
             form=f"Force at {place.name}, one component per knot in time.",
             family="unknown",
             kind="force",

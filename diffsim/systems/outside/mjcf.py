@@ -74,7 +74,7 @@ class Mjcf:
         run: Run,
         force: PlaceForces | None = None,
         time_step: float = 1.0,
-    ) -> dict[str, Array] | Array:
+    ) -> Array:
         """Sensors at the samples.
 
         Args:
@@ -97,28 +97,30 @@ class Mjcf:
                 data.qpos[self.model.joint(name).qposadr[0]] = value
             else:
                 data.qvel[self.model.joint(name).dofadr[0]] = value
-        return self._stepped(data, run, force, time_step)
+        if force is None or not force.acts:
+            return self._stepped(data, run, time_step)
+        # called at every stage of an integrator, so that forces are as exact as the step
+        before = self.mujoco.get_mjcb_passive()
+        self.mujoco.set_mjcb_passive(self._pushing(force))
+        try:
+            return self._stepped(data, run, time_step)
+        finally:
+            self.mujoco.set_mjcb_passive(before)
 
-    def _stepped(
-        self, data: Any, run: Run, force: PlaceForces | None, time_step: float
-    ) -> dict[str, Array] | Array:
+    def _stepped(self, data: Any, run: Run, time_step: float) -> Array:
         model, mj_step = self.model, self.mujoco.mj_step
         controls = self._controls(run)
         readers = self._readers(run)
-        pushes = self._joints(force) if force is not None and force.acts else None
+        data.time = float(run.time_s[0])
         longest = float(self.plain.opt.timestep) * time_step
         rows = [self._read(data, readers, controls[0])]
         for k in range(len(run.time_s) - 1):
             gap = float(run.time_s[k + 1] - run.time_s[k])
             count = max(int(np.ceil(gap / longest - 1e-6)), 1)
-            model.opt.timestep = h = gap / count
+            model.opt.timestep = gap / count
             rise = 0.0 if self.held else (controls[k + 1] - controls[k]) / count
             for s in range(count):
                 data.ctrl[:] = controls[k] + (s + 0.5) * rise
-                if pushes is not None and force is not None:
-                    dof, pos = pushes
-                    now = float(run.time_s[k]) + s * h
-                    data.qfrc_applied[dof] = force(now, data.qpos[pos], data.qvel[dof])
                 mj_step(model, data)
             rows.append(self._read(data, readers, controls[k + 1]))
         return np.array(rows)
@@ -157,11 +159,16 @@ class Mjcf:
                 out[:, self._named("actuator", name, "options.commands")] = run.command[command]
         return out
 
-    def _joints(self, force: PlaceForces) -> tuple[list[int], list[int]]:
-        """Indices of rates and of positions of the places."""
+    def _pushing(self, force: PlaceForces) -> Callable[[Any, Any], None]:
+        """What MuJoCo calls for passive forces: the forces at the joints that are the places."""
         joints = [self._named("joint", name, "hooks.force") for name in force.places]
-        m = self.model
-        return [int(m.jnt_dofadr[j]) for j in joints], [int(m.jnt_qposadr[j]) for j in joints]
+        rates = [int(self.model.jnt_dofadr[j]) for j in joints]
+        places = [int(self.model.jnt_qposadr[j]) for j in joints]
+
+        def push(model: Any, data: Any) -> None:
+            data.qfrc_passive[rates] += force(data.time, data.qpos[places], data.qvel[rates])
+
+        return push
 
     def _reset(self) -> None:
         """Numbers that parameters may have changed, as the file has them."""

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -138,7 +139,9 @@ class OutsideScene:
 
     def simulate(self) -> Tensor:
         """(num_samples, num_channels) predicted channels."""
-        return self.read(call(self.model.predict_run, self.model.source.label, self.job()))
+        with self.model.one_at_a_time:  # most simulators hold state, and threads share this one
+            record = call(self.model.predict_run, self.model.source.label, self.job())
+        return self.read(record)
 
     def job(self) -> Job:
         """The call of the simulator that this scene asks for."""
@@ -219,7 +222,7 @@ class OutsideModel(SimModel):
         super().__init__(self._scene, base, source.label)
         self.source, self.in_run = source, in_run
         self.channels, self.places, self.workers = tuple(channels), tuple(places), workers
-        self.predict_run = source.make()
+        self.predict_run, self.one_at_a_time = source.make(), Lock()
         if places and "force" not in offers_of(self.predict_run):
             raise ValueError(
                 f"hooks.force names {', '.join(places)}, but predict of simulator {source.label} "

@@ -54,7 +54,7 @@ def output_effects(group: Group, idx: tuple[int, ...], may_be_late: bool) -> lis
     made = [
         effect(
             "sensor_scale",
-            "scale",
+            "sensor",
             "-",
             SHARE,
             "It shows (1 + size) times the true value.",

@@ -119,7 +119,7 @@ def _place_effect(
 ) -> Effect:
     """An effect that adds one law at one place."""
     return Effect(
-        name=f"{name}_of_{plain(place.name)}",
+        name=f"{name}_at_{plain(place.name)}",
         form=form,
         family=family,
         kind="force",

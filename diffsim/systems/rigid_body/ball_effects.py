@@ -84,6 +84,18 @@ HOP = Effect(
     signed=False,
     apply=adding("hop"),
 )
+CONTACT_TIME = Effect(
+    name="contact_time",
+    form="The blow takes size: balls that give way.",
+    family="contact",
+    kind="force",
+    unit="s",
+    typical=0.005,
+    signed=False,
+    smooth=False,
+    also_looks_like=("smaller diameter", "merged regions"),
+    apply=adding("contact_time"),
+)
 LENS_DISTORTION = Effect(
     name="lens_distortion",
     form="Radial distortion k r^2, r in focal lengths.",
@@ -206,7 +218,7 @@ CLOCK_SCALE = Effect(
 GROUND = (SLIDING_FRICTION, ROLLING_RESISTANCE)
 BOUNCES = (RESTITUTION_SLOPE, REBOUND, GROUND_HEIGHT)
 EVERYWHERE = (TABLE_TILT, AIR_DRAG)
-PAIR = (BALL_FRICTION, UNEQUAL_MASSES, INERTIA, HOP)
+PAIR = (BALL_FRICTION, UNEQUAL_MASSES, INERTIA, HOP, CONTACT_TIME)
 CAMERA = (LENS_DISTORTION, PRINCIPAL_POINT, FRAME_RATE, ROLLING_SHUTTER, LIT_CENTER)
 POSITIONS = (LENGTH_SCALE, CLOCK_SCALE)
 BALL_EFFECTS: tuple[Effect, ...] = (

@@ -24,6 +24,7 @@ PLAIN = {
     "ball_friction": 0.0,
     "mass_ratio": 0.0,
     "hop": 0.0,
+    "contact_time": 0.0,
     "lift": 0.0,
     "ground_height": 0.0,
     "restitution_slope": 0.0,
@@ -264,9 +265,11 @@ class BallScene:
             laws[0],
             law,
         )
-        after = (time - start[:, None]).clamp(min=0.0)
-        before = torch.minimum(time, start[:, None].expand_as(time))
-        is_after = (time > start[:, None])[..., None]
+        since = (time - start[:, None]).clamp(min=0.0)
+        # a blow of constant force: first half of it with the old velocity, then with the new one
+        after = _eased(since, self._of("contact_time"))
+        before = torch.minimum(time, start[:, None].expand_as(time)) + since - after
+        is_after = (since > 0.0)[..., None]
         up = (lift + v["hop"])[:, None]
         height = (up * after - 0.5 * v["gravity"][:, None] * after**2).clamp(min=0.0)
         out = {}
@@ -280,12 +283,13 @@ class BallScene:
             strict=True,
         ):
             level = 0.5 * v[body.diameter] + v["ground"] + v["ground_height"]
-            one = self._rolled(later, law_of, level, after)
-            two = self._rolled(first, law_of, level, before)
-            place, speed = (torch.where(is_after, a, c) for a, c in zip(one, two, strict=True))
+            one, speed = self._rolled(later, law_of, level, after)
+            two, slower = self._rolled(first, law_of, level, before)
+            met = torch.cat([later.place, level[:, None]], -1)[:, None]
+            place = torch.where(is_after, one + two - met, two)
             lifted = torch.zeros_like(place)
             lifted[..., 2] = rise
-            out[b] = (place + lifted, speed)
+            out[b] = (place + lifted, torch.where(is_after, speed, slower))
         return out
 
     def _rolled(self, ball: Ball, laws: Laws, level: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
@@ -325,3 +329,9 @@ class BallScene:
 
     def _of(self, name: str) -> Tensor:
         return self.values[name][:, None]
+
+
+def _eased(since: Tensor, duration: Tensor) -> Tensor:
+    """Time that counts as after a blow which takes its time: the integral of a ramp (K, T) [s]."""
+    length = duration.clamp(min=1e-9)
+    return torch.where(since > length, since - 0.5 * length, since**2 / (2.0 * length))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 from pydantic import Field, model_validator
@@ -10,6 +11,7 @@ from diffsim.core.check import did_you_mean
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
+from diffsim.identify.jacobian import Jacobian
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import (
     Description,
@@ -40,6 +42,7 @@ _TOSS = SearchSettings(
     unknown_steps=1,  # drifts of each run are many columns
 )
 _BALLS = SearchSettings(max_effects=6)
+_STEP = 1e-4
 
 
 class RigidBodyDescription(Description):
@@ -143,9 +146,16 @@ class RigidBodyDescription(Description):
         return DiagnosisSetup(
             balls.model(study),
             chosen_effects(balls.library(), self.effects),
-            settings=settings_with(DiagnosisSettings(search=_BALLS), self.effort),
+            settings=settings_with(self._settings_of_balls(), self.effort),
             study=study,
         )
+
+    def _settings_of_balls(self) -> DiagnosisSettings:
+        settings = DiagnosisSettings(search=_BALLS)
+        if any(b.begins == "flying" for b in self.bodies):
+            # a wide step would carry bounces past samples, where the motion has a kink
+            settings = replace(settings, jacobian=Jacobian(step=_STEP))
+        return settings
 
     def setup_of_cut(self, study: Study) -> DiagnosisSetup:
         """Setup of tosses that are cut already."""

@@ -76,6 +76,7 @@ class Tosses:
         touch_s: (num_tosses, 1) when it is near the ground.
         turn: (num_tosses, 4) first quaternion, scalar part first.
         hits: (num_tosses, 1) 1 where the record goes on through the impact, else 0.
+        face: (num_tosses, 3) 1 for the axis of the body that is upright at rest, else 0.
         measured: (num_tosses, length, num_channels), NaN in the padding.
         start: (num_tosses, 12) first guess: position, turn, velocity, body rates.
     """
@@ -85,6 +86,7 @@ class Tosses:
     touch_s: Tensor
     turn: Tensor
     hits: Tensor
+    face: Tensor
     measured: Tensor
     start: Tensor
 
@@ -105,6 +107,7 @@ class Tosses:
             torch.tensor([[r.setup["touch_s"] - r.time_s[0]] for r in runs]).double(),
             turn / turn.norm(dim=-1, keepdim=True),
             torch.tensor([[r.setup["hits"]] for r in runs]).double(),
+            torch.eye(3).double()[[int(r.setup.get("face", 2)) for r in runs]],
             torch.from_numpy(np.stack(poses)),
             torch.cat([first[:, :3], torch.zeros_like(first[:, :3]), first[:, 3:]], -1),
         )
@@ -125,8 +128,8 @@ class Tosses:
 
         Args:
             start: Start states of K points, (K, num_tosses, 12).
-            values: restitution, friction, gravity [m/s^2], ground [m] and edge_x, edge_y, edge_z
-                [m], (K,) or ().
+            values: restitution, friction, gravity [m/s^2], ground [m] and edge (or edge_x,
+                edge_y, edge_z) [m], (K,) or ().
             terms: Sizes of what effects add, (K, num_components) or (num_components,); ``TERMS``.
             mass: What is known of the body's mass.
             layout: What the channels show.
@@ -144,7 +147,8 @@ class Tosses:
         drag = get["drag"] + get["quadratic_drag"] * middle.norm(dim=-1, keepdim=True)
         spin = get["spin_drag"]
         bigger = 1.0 + get["half_width"]
-        half = torch.stack([0.5 * value[f"edge_{a}"] for a in "xyz"], -1)  # (K, 1, 3)
+        edges = [value["edge" if "edge" in value else f"edge_{a}"] for a in "xyz"]
+        half = 0.5 * torch.stack(edges, -1)  # (K, 1, 3)
         moments = _moments(mass, half, get["unequal_inertia"])
         even = None if mass.is_even and "unequal_inertia" not in terms else moments
         per_mass = moments * (1.0 + get["inertia"])
@@ -203,7 +207,8 @@ class Tosses:
             rest, now = turned(rate_hit + kicked / share, gone[..., 0], wide)
         q = quaternion_product(quaternion_product(q0[..., None, :], step), rest)
         # at rest on a face, wherever that is: the slope of the ground is left out
-        rest_height = half[..., 2:] * bigger + ground
+        upright = (half * self.face).sum(-1, keepdim=True)
+        rest_height = upright * bigger + ground
         x = x + rotate_by_quaternion(q, get["center"][..., None, :])
         scale = 1.0 + get["length_scale"][..., None]
         flown = Flown(

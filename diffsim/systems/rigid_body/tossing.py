@@ -24,6 +24,8 @@ from diffsim.systems.rigid_body.windows import (
     angles_to_quaternions,
     continuous,
     cut,
+    face_below,
+    filled,
     first_touch,
     rest_height,
     start_facts,
@@ -140,9 +142,10 @@ class Tossed:
         edges = self.body.edges or (Quantity(value=1.0),) * 3
         same = self.body.box is not None and len(self.body.box) == 1
         out = {"gravity": self.gravity, "ground": Quantity(value=self.height)}
-        out |= {f"edge_{a}": q for a, q in zip("xyz", edges, strict=True)}
         if same:
-            out |= {"edge_x": edges[0]}
+            out["edge"] = edges[0]
+        else:
+            out |= {f"edge_{a}": q for a, q in zip("xyz", edges, strict=True)}
         contact = self.ground or Contact(between=(self.body.name, "ground"))
         friction = contact.friction or Quantity(value=0.0)
         pair = {"restitution": contact.restitution, "friction": friction}
@@ -198,10 +201,11 @@ class Tossed:
         facts = start_facts(run, poses, self.gravity.value)
         end, corner, touch, hits = len(run.time_s), 0, len(run.time_s) - 1, False
         window = self.window
-        if window is not None and self.body.box is not None and poses.turn is not None:
+        complete = poses.turn is not None and np.isfinite(poses.place).any(axis=0).all()
+        if window is not None and self.body.box is not None and complete:
             half = np.array([0.5 * q.value for q in self.body.edges])
             near = window.near or NEAR * 2.0 * float(half.min())
-            found = first_touch(poses, half, near, self.height)
+            found = first_touch(filled(poses), half, near, self.height)
             if found is not None:
                 corner, touch = found.corner, found.touch
                 hits = window.until == "rebound" and found.end > touch
@@ -209,4 +213,5 @@ class Tossed:
         if end < MIN_FRAMES:
             return None
         more = {"corner": float(corner), "touch_s": float(run.time_s[touch]), "hits": float(hits)}
+        more["face"] = float(face_below(poses))
         return cut(run, end, {**facts, **more})

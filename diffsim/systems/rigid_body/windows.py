@@ -52,10 +52,23 @@ class Poses:
 
 def continuous(quaternions: Array) -> Array:
     """The same rotations, (num_frames, 4), without jumps of sign."""
-    filled = np.nan_to_num(quaternions)
-    flips = np.sign(np.sum(filled[1:] * filled[:-1], axis=1))
-    flips[flips == 0.0] = 1.0
-    return np.asarray(quaternions * np.cumprod([1.0, *flips])[:, None])
+    out = quaternions.copy()
+    seen = np.flatnonzero(np.isfinite(quaternions).all(axis=1))
+    products = np.sum(quaternions[seen[1:]] * quaternions[seen[:-1]], axis=1)
+    out[seen] *= np.cumprod([1.0, *np.where(products < 0.0, -1.0, 1.0)])[: len(seen), None]
+    return out
+
+
+def filled(poses: Poses) -> Poses:
+    """Poses with straight lines over frames in which the body was not tracked."""
+    columns = poses.place if poses.turn is None else np.hstack([poses.place, poses.turn])
+    frames = np.arange(len(columns))
+    out = columns.copy()
+    for column in out.T:
+        seen = np.isfinite(column)
+        if seen.any():
+            column[~seen] = np.interp(frames[~seen], frames[seen], column[seen])
+    return Poses(out[:, :3], None if poses.turn is None else out[:, 3:])
 
 
 def first_touch(poses: Poses, half: Array, near: float, ground: float) -> Touch | None:
@@ -127,6 +140,14 @@ def start_facts(run: Run, poses: Poses, gravity: float) -> dict[str, float]:
 def rest_height(poses: Poses, frames: int) -> float:
     """Median height of the last frames [m]."""
     return float(np.nanmedian(poses.place[-frames:, 2]))
+
+
+def face_below(poses: Poses) -> int:
+    """Axis of the body that is upright at the end: it rests on a face across that one."""
+    if poses.turn is None or not np.isfinite(poses.turn).all(axis=1).any():
+        return 2
+    last = poses.turn[np.isfinite(poses.turn).all(axis=1)][-1:]
+    return int(np.argmax(np.abs(_matrices(last)[0, 2])))
 
 
 def _lines(time: Array, values: Array) -> tuple[Array, Array]:

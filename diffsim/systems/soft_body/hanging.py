@@ -100,7 +100,7 @@ class SlackScene(SoftScene):
         x, v = self._at_catch(fall, last)
         load, gravity = self.parameter("attached_mass"), self.parameter("gravity")
         down = gravity / gravity.norm()
-        own = self.parameter("density") * self.body.nodal_volume
+        own = self.solid_mass
         gap = (gravity * self.slack_s - v) @ down
         return self._plain(
             start="given",
@@ -120,9 +120,7 @@ class SlackScene(SoftScene):
         early = sample(torch.stack([self.observe(p.reshape(-1, 3)) for p in fall]), dt, times)
         late = sample(swing, dt, times - self.slack_s, start_rate=rate)
         channels = torch.where((times < self.slack_s)[:, None], early, late)
-        for change in self.output_maps:
-            channels = change(channels, self.sample_times)
-        return channels
+        return self.shown(channels)
 
     def _plain(self, **changes: Any) -> SoftScene:
         kept = {f.name: getattr(self, f.name) for f in fields(SoftScene)}

@@ -105,6 +105,7 @@ def same_surroundings(a: SoftScene, b: SoftScene, reads: tuple[str, ...] | None)
         (a.holding_force, b.holding_force),
         (a.start_position, b.start_position),
         (a.start_velocity, b.start_velocity),
+        (a.hung_mass, b.hung_mass),
     ]
     names = {*a.parameters, *b.parameters} if reads is None else reads
     values += [(a.parameter(n), b.parameter(n)) for n in names]

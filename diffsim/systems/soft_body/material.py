@@ -87,8 +87,7 @@ class _Relaxation(Force):
         """(num_branches, ..., num_vertices, 3) [N]."""
         if scene.history is None:
             return force.expand(len(self._tau), *force.shape)
-        mass = scene.parameter("density") * scene.body.nodal_volume
-        mass = mass + scene.parameter("attached_mass")
+        mass = scene.solid_mass + scene.parameter("attached_mass")
         weight = mass[:, None] * scene.parameter("gravity")
         return scene.history.memory(force, weight, self._tau)
 

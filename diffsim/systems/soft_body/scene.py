@@ -11,9 +11,11 @@ import torch
 from torch import Tensor
 
 from diffsim import soft
+from diffsim.contact import Obstacle
 from diffsim.core.errors import ConvergenceError
 from diffsim.soft.forces import elastic_gradient
 from diffsim.soft.inputs import check_inputs
+from diffsim.soft.physics import LumpedVolume
 from diffsim.systems.signals import sample, straight
 from diffsim.systems.soft_body.history import History
 
@@ -99,8 +101,15 @@ class SoftScene:
         friction_shares: (num_vertices,) of dry friction, summing to 1; None: evenly by volume.
         time_scale: True seconds per second of the record.
         clock_offset: The record's clock is late by this [s].
+        place_maps: Functions of what is observed (num_samples, width) and sample times that change
+            it before the output maps, in order.
+        rest_places: (width,) what is observed of the body at rest, where that is places of markers,
+            x, y and z of each; None: something else is observed.
         output_maps: Functions of channels (num_samples, num_channels) and sample times that change
             the channels, in order.
+        pressurize: Commands (n, width) -> pressures (n, num_chambers) [Pa]; None: no chambers.
+        hung_mass: (num_vertices,) what hangs from each node as a force only [kg]; None: nothing.
+        obstacles: What the body meets; see :class:`diffsim.contact.Obstacle`.
     """
 
     body: soft.SoftBody
@@ -127,7 +136,12 @@ class SoftScene:
     friction_shares: Tensor | None = None
     time_scale: Tensor = field(default_factory=lambda: torch.ones((), dtype=torch.float64))
     clock_offset: Tensor = field(default_factory=lambda: torch.zeros((), dtype=torch.float64))
+    place_maps: tuple[OutputMap, ...] = ()
+    rest_places: Tensor | None = None
     output_maps: tuple[OutputMap, ...] = ()
+    pressurize: Callable[[Tensor], Tensor] | None = None
+    hung_mass: Tensor | None = None
+    obstacles: tuple[Obstacle, ...] = ()
 
     def changed(self, **changes: Any) -> SoftScene:
         """A copy with some entries replaced."""
@@ -150,9 +164,22 @@ class SoftScene:
         """A copy whose command is changed on its way: f(command, dt) -> command."""
         return self.changed(command_maps=(*self.command_maps, change))
 
+    def with_places(self, change: OutputMap) -> SoftScene:
+        """A copy whose observed places are changed: f(places, times) -> places."""
+        return self.changed(place_maps=(*self.place_maps, change))
+
     def with_output(self, change: OutputMap) -> SoftScene:
         """A copy whose channels are changed: f(channels, times) -> channels."""
         return self.changed(output_maps=(*self.output_maps, change))
+
+    @property
+    def solid_mass(self) -> Tensor:
+        """Mass of the solid at each node, (num_vertices,) [kg]."""
+        body, density = self.body, self.parameter("density")
+        volume = LumpedVolume(
+            elements=body.mesh.elements, shares=body.nodal_shares, nodal=body.nodal_volume
+        )
+        return volume.mass(density)
 
     def solid_force(self) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
         """Force of the solid without fibers, as a function of x (..., num_vertices, 3) [m].
@@ -174,7 +201,7 @@ class SoftScene:
 
     def motion(self, num_steps: int) -> Tensor:
         """Observed channels at every step, (num_steps + 1, ...)."""
-        activations = self.activations(num_steps)
+        activations, pressures = self.activations(num_steps), self.pressures(num_steps)
         physics = self.body.physics(**self.parameters)
         return soft.rollout(
             self.body,
@@ -182,6 +209,8 @@ class SoftScene:
             num_steps,
             external_force=self._external_force(),
             activation=None if activations is None else lambda k, state: activations[k],
+            pressure=None if pressures is None else lambda k, state: pressures[k],
+            obstacles=list(self.obstacles) or None,
             physics=physics,
             keep=lambda state: self.observe(state.x),
         ).x
@@ -193,10 +222,13 @@ class SoftScene:
 
     def channels(self, observed: Tensor) -> Tensor:
         """Recorded channels from (num_steps + 1, num_channels), observed at every step."""
-        channels = sample(observed, self.body.dt, self._times())
-        for change in self.output_maps:
-            channels = change(channels, self.sample_times)
-        return channels
+        return self.shown(sample(observed, self.body.dt, self._times()))
+
+    def shown(self, observed: Tensor) -> Tensor:
+        """Recorded channels from what is observed at the sample times."""
+        for change in (*self.place_maps, *self.output_maps):
+            observed = change(observed, self.sample_times)
+        return observed
 
     def _times(self) -> Tensor:
         return (self.sample_times - self.clock_offset) * self.time_scale
@@ -210,13 +242,35 @@ class SoftScene:
         return soft.State(x, state.v if self.start_velocity is None else self.start_velocity)
 
     def _equilibrium(self, activation: Tensor | None, physics: soft.Physics) -> soft.State:
-        """At rest under the first activation, the holding force and all hooks' forces."""
+        """At rest under the first command, the holding force and all hooks' forces."""
+        pressures = self.pressures(1)
+        pressure = None if pressures is None else pressures[0]
+        return self.equilibrium(activation, physics, pressure=pressure)
+
+    def equilibrium(
+        self,
+        activation: Tensor | None,
+        physics: soft.Physics,
+        *,
+        pressure: Tensor | None = None,
+        guess: Tensor | None = None,
+    ) -> soft.State:
+        """At rest under commands, the holding force and all hooks' forces at time 0.
+
+        Args:
+            activation: Activations of the muscles, (num_muscles,); None: none.
+            physics: Parameters of the body.
+            pressure: Pressures of the chambers, (num_chambers,) [Pa]; None: none.
+            guess: Places to begin from, (num_vertices, 3) [m]; None: the unstrained shape.
+        """
         held = self.holding_force
-        guess = (
-            self.body.physics(**{**self.parameters, **self.relaxed}) if self.relaxed else physics
-        )
+        relaxed = {**self.parameters, **self.relaxed}
+        loads = {"activation": activation, "pressure": pressure}
         state = self.body.static_equilibrium(
-            external_force=held, activation=activation, physics=guess
+            guess=guess,
+            external_force=held,
+            physics=self.body.physics(**relaxed) if self.relaxed else physics,
+            **loads,
         )
         if not self.forces and self.water is None:
             return state
@@ -226,8 +280,8 @@ class SoftScene:
             state = self.body.static_equilibrium(
                 guess=before,
                 external_force=force if held is None else force + held,
-                activation=activation,
                 physics=physics,
+                **loads,
             )
             change = float((state.x.detach() - before).abs().max())
             if change <= _STATIC_RTOL * float((before - self.body.x_rest).abs().max()):
@@ -242,16 +296,29 @@ class SoftScene:
 
     def activations(self, num_steps: int) -> Tensor | None:
         """Activation of every step: the command where the integrator wants it."""
-        if self.command is None:
+        if self.command is None or not self.body.muscles.num_muscles:
             return None
-        command = self.command
-        for change in self.command_maps:
-            command = change(command, self.command_dt)
-        times = self.body.dt * (torch.arange(num_steps, dtype=torch.float64) + self.ahead)
-        at_steps = straight(command, self.command_dt, times)
+        at_steps = self.commands(num_steps)
         if self.actuate is None or self.actuates_rows:
             return at_steps if self.actuate is None else self.actuate(at_steps)
         return torch.stack([self.actuate(row) for row in at_steps])
+
+    def pressures(self, num_steps: int) -> Tensor | None:
+        """Pressure of every chamber in every step, (num_steps, num_chambers) [Pa]."""
+        return None if self.pressurize is None else self.pressurize(self.commands(num_steps))
+
+    def changed_command(self) -> Tensor:
+        """The command (num_commands, width) as it arrives."""
+        assert self.command is not None
+        command = self.command
+        for change in self.command_maps:
+            command = change(command, self.command_dt)
+        return command
+
+    def commands(self, num_steps: int) -> Tensor:
+        """The command as it arrives, in every step, (num_steps, width)."""
+        times = self.body.dt * (torch.arange(num_steps, dtype=torch.float64) + self.ahead)
+        return straight(self.changed_command(), self.command_dt, times)
 
     @property
     def ahead(self) -> float:

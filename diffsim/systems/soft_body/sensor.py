@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
@@ -28,24 +30,24 @@ def _placement(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
 
 
 def _sensor_tilt(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-    _require_triples(scene, "sensor_tilt")
-
-    def turned(y: Tensor, t: Tensor) -> Tensor:
-        points = y.reshape(y.shape[0], -1, 3)
-        return (points + torch.linalg.cross(size.expand_as(points), points)).reshape(y.shape)
-
-    return scene.with_output(turned)
+    return _on_points(scene, "sensor_tilt", lambda u: u + torch.linalg.cross(size.expand_as(u), u))
 
 
 def _lens(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-    _require_triples(scene, "lens")
+    return _on_points(scene, "lens", lambda u: u * (1.0 + size[0] * (u * u).sum(-1, keepdim=True)))
 
-    def distorted(y: Tensor, t: Tensor) -> Tensor:
-        points = y.reshape(y.shape[0], -1, 3)
-        radius = (points * points).sum(-1, keepdim=True)
-        return (points * (1.0 + size[0] * radius)).reshape(y.shape)
 
-    return scene.with_output(distorted)
+def _on_points(scene: SoftScene, effect: str, change: Callable[[Tensor], Tensor]) -> SoftScene:
+    """Change displacements (num_samples, num_points, 3): of markers, else of the channels."""
+    rest = scene.rest_places
+    if rest is None:
+        _require_triples(scene, effect)
+        return scene.with_output(lambda y, t: change(_triples(y)).reshape(y.shape))
+    return scene.with_places(lambda y, t: rest + change(_triples(y - rest)).reshape(y.shape))
+
+
+def _triples(y: Tensor) -> Tensor:
+    return y.reshape(len(y), -1, 3)
 
 
 def _require_triples(scene: SoftScene, effect: str) -> None:

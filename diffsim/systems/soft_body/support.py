@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from scipy.interpolate import make_interp_spline
+from scipy.signal import butter, filtfilt
 from torch import Tensor
 
 from diffsim.identify.effect import Effect
@@ -18,7 +20,9 @@ if TYPE_CHECKING:
 COMMANDS = ("support_x_m", "support_z_m")  # recorded places of the support: along the bar, up
 
 
-def _support_motion(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+def _support_motion(
+    scene: SoftScene, size: Tensor, run: Run, *, names: tuple[str, str], faster_hz: float | None
+) -> SoftScene:
     """Move the support: shift times what its markers show, and turn.
 
     ``shift``: 1 if the markers show it all. ``turn``: rotation about y per forward displacement,
@@ -28,48 +32,72 @@ def _support_motion(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
 
     The record of the support is an input, as a command is: on runs held out, too.
     """
-    path = _Path(run, scene, size)
+    path = _Path(_places(run, names, faster_hz), run, scene, size)
     if not path.moves:
         return scene
     rest = scene.body.x_rest
-    # channels are linear in the places
+    # what is observed is linear in the places
     shown = torch.stack([scene.observe(rest + m) for m in path.modes]) - scene.observe(rest)
 
     def seen(y: Tensor, times: Tensor) -> Tensor:
         return y + path.amplitudes(times.detach().numpy(), 0) @ shown
 
-    return scene.with_force(lambda: _Inertia(path)).with_output(seen)
+    return scene.with_force(lambda: _Inertia(path)).with_places(seen)
 
 
-def _needs_record(study: Study) -> str | None:
-    if not all(set(COMMANDS) <= set(run.command) for run in study.runs):
-        return f"the support's recorded motion in every run (commands {', '.join(COMMANDS)})"
+def _places(run: Run, names: tuple[str, str], faster_hz: float | None) -> np.ndarray:
+    """(num_samples, 2) forward and up, without what is faster than ``faster_hz``: no delay.
+
+    The support's acceleration is what acts; differences of a noisy record would be all noise.
+    """
+    places = np.column_stack([run.command[name] for name in names])
+    rate_hz = 1.0 / float(np.median(np.diff(run.time_s)))
+    if faster_hz is None or 2.0 * faster_hz >= rate_hz:
+        return places
+    return np.asarray(filtfilt(*butter(4, faster_hz, fs=rate_hz), places, axis=0))
+
+
+def _needs_record(study: Study, names: tuple[str, str]) -> str | None:
+    if not all(set(names) <= set(run.command) for run in study.runs):
+        return f"the support's recorded motion in every run (commands {', '.join(names)})"
     return None
 
 
-SUPPORT_MOTION = Effect(
-    name="support_motion",
-    form="What holds the body moves: shift times what its markers show, and turns as it goes.",
-    family="support",
-    kind="environment",
-    unit="-",
-    typical=1.0,
-    components=("shift", "turn"),
-    also_looks_like=(
-        "a stand that resonates with the body",
-        "floor vibration",
-        "cameras that sway",
-    ),
-    needs=_needs_record,
-    apply=_support_motion,
-)
+def support_motion(x: str, z: str, faster_hz: float | None = None) -> Effect:
+    """The effect of a support that moves as its markers show.
+
+    Args:
+        x, z: Commands with its places along the body and up [m].
+        faster_hz: What is faster is noise [Hz]; None: nothing is.
+    """
+    names = (x, z)
+    return Effect(
+        name="support_motion",
+        form="What holds the body moves: shift times what its markers show, and turns as it goes.",
+        family="support",
+        kind="environment",
+        unit="-",
+        typical=1.0,
+        components=("shift", "turn"),
+        also_looks_like=(
+            "a stand that resonates with the body",
+            "floor vibration",
+            "cameras that sway",
+        ),
+        needs=partial(_needs_record, names=names),
+        apply=partial(_support_motion, names=names, faster_hz=faster_hz),
+    )
+
+
+SUPPORT_MOTION = support_motion(*COMMANDS)
 
 
 class _Path:
     """Rigid motion of a support, small: shift of its middle forward and up, rotation about y.
 
     Args:
-        run: Run with the record of the support's motion.
+        places: (num_samples, 2) recorded places of the support, forward and up [m].
+        run: Run with the times of the record.
         scene: Scene whose fixed nodes are the support.
         size: Shift [m] and turn [rad] of the support, (2,).
 
@@ -79,14 +107,14 @@ class _Path:
             and rotation [m].
     """
 
-    def __init__(self, run: Run, scene: SoftScene, size: Tensor):
-        places = np.column_stack([run.command[name] for name in COMMANDS])
+    def __init__(self, places: np.ndarray, run: Run, scene: SoftScene, size: Tensor):
         self.moves = bool((places != places[0]).any())
-        time = np.asarray(run.time_s) - run.time_s[0]
+        # on the clock of the scene
+        time = np.asarray(run.time_s) - run.time_s[0] + float(scene.sample_times[0])
         self._spline: Any = make_interp_spline(time, places, k=5)
         rest = scene.body.x_rest
         length = float((rest.amax(0) - rest.amin(0)).max())
-        self._last, self._size, self._turn = float(time[-1]), size, size[1] / length
+        self._ends, self._size, self._turn = (time[0], time[-1]), size, size[1] / length
         arm = rest - rest[scene.body.fixed.all(-1)].mean(0)
         one, none = torch.ones_like(arm[:, 0]), torch.zeros_like(arm[:, 0])
         fields = [(one, none, none), (none, none, one), (arm[:, 2], none, -arm[:, 0])]
@@ -94,9 +122,10 @@ class _Path:
 
     def amplitudes(self, times: np.ndarray, order: int) -> Tensor:
         """(num_times, 3) of the modes, or a derivative in time; the support rests in the end."""
-        at = self._spline(np.clip(times, 0.0, self._last), order)
+        first, last = self._ends
+        at = self._spline(np.clip(times, first, last), order)
         if order:
-            at = at * ((times >= 0.0) & (times <= self._last))[:, None]
+            at = at * ((times >= first) & (times <= last))[:, None]
         x, z = torch.from_numpy(at).unbind(-1)
         return torch.stack([self._size[0] * x, self._size[0] * z, self._turn * x], -1)
 
@@ -110,7 +139,7 @@ class _Inertia(Force):
         self._path = path
 
     def __call__(self, scene: SoftScene, moment: Moment) -> Tensor:
-        mass = scene.parameter("density") * scene.body.nodal_volume
+        mass = scene.solid_mass
         mass = mass + scene.parameter("attached_mass") + scene.parameter("added_mass")
         rates = self._path.amplitudes(np.array([moment.time]), 2)[0]
         frame = torch.tensordot(rates, self._path.modes, 1)

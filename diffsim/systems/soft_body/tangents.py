@@ -31,6 +31,8 @@ def scene_tangents(base: OwnedScene, lines: Sequence[SceneLine]) -> tuple[Tensor
     scene = base.scene
     if scene.body.integrator not in IMPLICIT or type(scene) is not SoftScene:
         return None
+    if scene.obstacles or scene.pressurize is not None:
+        return None
     alike = [n for n in lines if _alike(scene, n)]
     observed, tangents = motion_tangents(base, alike)
     computed = {
@@ -64,6 +66,7 @@ def _alike(scene: SoftScene, line: SceneLine) -> bool:
         type(s) is SoftScene
         and s.body is scene.body
         and s.start == scene.start
+        and not s.obstacles
         and (s.water is None) == (scene.water is None)
         and (s.command is None) == (scene.command is None)
         for s in (p.scene for p in line.points)

@@ -40,9 +40,9 @@ def test_friction_at_a_hinge_is_named_with_its_size():
     setup = setup_of(study)
     report = diagnose(study, setup.model, setup.effects, unknowns=setup.unknowns, seed=0)
     assert report.verdict == "named", report.sentences
-    assert report.named == ("dry_friction_of_hinge",)
-    size = report.best.values["dry_friction_of_hinge"]
-    sd = report.best.sd["dry_friction_of_hinge"]
+    assert report.named == ("dry_friction_at_hinge",)
+    size = report.best.values["dry_friction_at_hinge"]
+    sd = report.best.sd["dry_friction_at_hinge"]
     assert abs(size - 0.04) < 3.0 * sd < 0.01
 
 
@@ -71,14 +71,14 @@ def test_every_effect_is_nothing_at_size_zero_and_something_beyond():
 def test_names_that_the_hooks_ask_for():
     names = {e.name for e in setup_of(scenes.recorded()).effects}
     assert {"lag", "delay", "dead_band", "backlash", "saturation", "rate_limit"} <= names
-    assert {"constant_force_of_hinge", "added_spring_of_hinge", "square_drag_of_hinge"} <= names
+    assert {"constant_force_at_hinge", "added_spring_at_hinge", "square_drag_at_hinge"} <= names
     assert {"sensor_scale_of_angle", "sensor_delay_of_velocity", "sensor_drift_of_angle"} <= names
     hooks = {
         "force": {"hinge": {"unit": "N m", "typical": 0.05}},
         "output": {"disk": ["angle_rad"]},
     }
     fewer = {e.name for e in setup_of(study_with(hooks=hooks)).effects}
-    assert "constant_force_of_hinge" in fewer and "sensor_scale_of_disk" in fewer
+    assert "constant_force_at_hinge" in fewer and "sensor_scale_of_disk" in fewer
     assert not any(n.startswith(("added", "viscous", "sensor_scale_of_angle")) for n in fewer)
 
 
@@ -176,6 +176,16 @@ def test_a_wrong_shape_is_said_at_the_boundary(returned, message):
         setup.model.predict(study.runs[0], setup.model.at_prior())
 
 
+def test_what_a_simulator_offers_may_have_no_default():
+    study = scenes.recorded()
+
+    def predict(parameters, run, force):
+        return np.full((len(run.time_s), 2), force(0.0, [0.0], [0.0])[0])
+
+    setup = outside_setup(study, predict, [], places=[Place("hinge", "N m", 0.05)])
+    assert (predicted(setup, study.runs[0], "constant_force_at_hinge", 0.3) == 0.3).all()
+
+
 def test_channels_by_name_are_taken_in_the_order_of_the_study():
     study = scenes.recorded()
     by_name = {"rate_rad_s": np.ones(120), "angle_rad": np.zeros(120)}
@@ -245,8 +255,8 @@ def test_workers_predict_the_same():
     one, two = setup_of(scenes.recorded()), setup_of(study)
     q = torch.zeros(3, len(one.model.base), dtype=torch.float64)
     q[:, 0] = torch.tensor([-1.0, 0.0, 1.0])
-    sizes = {effect_of(two, "added_spring_of_hinge"): torch.full((3, 1), 0.1, dtype=torch.float64)}
-    own = {effect_of(one, "added_spring_of_hinge"): torch.full((3, 1), 0.1, dtype=torch.float64)}
+    sizes = {effect_of(two, "added_spring_at_hinge"): torch.full((3, 1), 0.1, dtype=torch.float64)}
+    own = {effect_of(one, "added_spring_at_hinge"): torch.full((3, 1), 0.1, dtype=torch.float64)}
     run = study.runs[0]
     many = two.model.predict_many(run, q, sizes)
     assert torch.equal(many, one.model.predict_many(run, q, own))
@@ -304,7 +314,7 @@ def test_a_place_from_python():
         places=[Place("hinge", "N m", 0.05, distance=0.5)],
     )
     run = study.runs[0]
-    sizes = {effect_of(setup, "added_spring_of_hinge"): torch.tensor([0.3], dtype=torch.float64)}
+    sizes = {effect_of(setup, "added_spring_at_hinge"): torch.tensor([0.3], dtype=torch.float64)}
     want = Pendulum().predict(
         {"inertia": 0.2, "damping": 0.05}, run, PlaceForces(["hinge"], [Term(0, stiff, 0.3)])
     )

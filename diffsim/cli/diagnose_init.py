@@ -1,0 +1,242 @@
+"""``diffsim diagnose init``: a first study.yaml for a folder of recordings, guesses told."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from diffsim.cli.diagnose_inputs import described
+from diffsim.core.check import require_choice
+from diffsim.core.files import write_text_atomic
+from diffsim.core.schema import Part
+from diffsim.core.schema_keys import Key, keys_of
+from diffsim.data.study_check import TODO
+from diffsim.data.study_file import STUDY_FILE, load_study
+from diffsim.data.study_guess import Guess, GuessedRun, Quantity, guess_study
+from diffsim.systems.registry import DESCRIPTIONS
+
+WIDTH = 96
+EXAMPLES = {
+    "ode": """\
+For a cart on a spring that a command `force` pushes, with a channel `position`:
+  parameters: {m: {value: 1.2, percent: 3, unit: kg}, c: {value: 0.8, percent: 30}, k: 40 N/m}
+  inputs: [force]
+  states: {x: "0", v: "0"}
+  rates: {x: v, v: (force - c*v - k*x)/m}
+  readings: {position: x}
+  places: [{name: cart, position: x, velocity: v, inertia: m}]   # where forces may act""",
+}
+SKIPPED = ("system", "effects", "effort")  # every description has them, and few need them
+
+
+def init(
+    folder: Path, out: Path | None = None, *, system: str = "ode", force: bool = False
+) -> Path:
+    """Write a first study of a folder; what was guessed is printed and stands in the file.
+
+    Args:
+        folder: Folder with the recordings.
+        out: File to be written; by default study.yaml in the folder.
+        system: Kind of system, a key of ``DESCRIPTIONS``.
+        force: Replace a file that is there.
+
+    Returns:
+        The file written.
+
+    Raises:
+        FileExistsError: the file is there, and ``force`` is not given.
+        ValueError: nothing in the folder looks like a recording, or no such kind of system.
+    """
+    require_choice("--system", system, DESCRIPTIONS)
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{folder}: no such folder; give the folder of your recordings")
+    out = out or folder / STUDY_FILE
+    if out.exists() and not force:
+        raise FileExistsError(f"{out} is there already; --force replaces it")
+    guess = guess_study(folder)
+    text = study_text(guess, folder, out, system)
+    write_text_atomic(out, text)
+    study = load_study(out)
+    for sentence in guess.said:
+        print(f"guessed: {sentence}")
+    print(f"wrote {out}: {len(study.runs)} runs, {len(study.channels)} channels")
+    print(f"still to be stated: the model, and {len(guess.todo)} more; see {TODO} in the file, or")
+    print(f"    diffsim diagnose check {out}")
+    return out
+
+
+def study_text(guess: Guess, folder: Path, out: Path, system: str) -> str:
+    """The study as commented YAML.
+
+    Args:
+        guess: What the folder seems to hold.
+        folder: Folder of the recordings.
+        out: File that the text is for; paths are relative to its folder.
+        system: Kind of system.
+    """
+    lines = [
+        f"# A first study of {folder.resolve().name}, guessed from its files.",
+        f"# Mend what is wrong, fill in what says {TODO}, then: diffsim diagnose check {out.name}",
+        "# All keys: docs/study_keys.md",
+        "",
+        f"name: {_inline(folder.resolve().name)}",
+    ]
+    relative = os.path.relpath(folder.resolve(), out.resolve().parent)
+    if relative != ".":
+        lines.append(f"data: {_inline(relative)}    # folder of the files")
+    lines += ["", "# The system that was recorded.", *_model(system), ""]
+    lines += ["# The clock of the files.", f"time: {_inline(guess.time)}"]
+    layout = guess.layout
+    if (layout.header_line, layout.first_line) != (1, 2):
+        form = {"header_line": layout.header_line, "first_line": layout.first_line}
+        lines.append(f"table: {_inline(form)}    # lines of the files, from 1")
+    lines += ["", "# What was measured; sd is the noise, guessed from the scatter between samples."]
+    lines += ["channels:", *(f"  - {_inline(_channel(q))}" for q in guess.channels)]
+    lines += ["", *_commands(guess), "", *_runs(guess)]
+    lines += ["", "# `check` repeats these until you take them out.", "todo:"]
+    lines += [f"  - {_inline(sentence)}" for sentence in guess.todo]
+    lines += [] if guess.todo else ["  []"]
+    return "\n".join(lines) + "\n"
+
+
+def _commands(guess: Guess) -> Iterator[str]:
+    yield "# What was commanded. lower and upper are what was seen: state what is possible, and"
+    yield "# rate (the fastest change per second), so that `next` can propose runs."
+    if not guess.commands:
+        yield "commands: []"
+        return
+    yield "commands:"
+    for q in guess.commands:
+        yield f"  - {_inline(_command(q))}    # looks commanded {q.why}"
+
+
+def _runs(guess: Guess) -> Iterator[str]:
+    """Runs, each with a line of its own; facts that all share stand in ``defaults``."""
+    facts = {c.base: _fact(c.name, c.base, c.unit) for c in guess.facts}
+    shared: dict[str, Any] = {"setup": facts} if facts else {}
+    if guess.every > 1:
+        shared["every"] = guess.every
+    if shared:
+        yield "# For all runs: facts are columns that are constant in each run."
+        yield "defaults:"
+        yield from (f"  {key}: {_inline(value)}" for key, value in shared.items())
+        yield ""
+    yield "# use: fit, select (chooses between causes) or test (touched once, at the end)."
+    yield "runs:"
+    if guess.split is not None:
+        yield from _split_runs(guess)
+    elif len(guess.runs) == 1:
+        entry = {**_entry(guess.runs[0]), "blocks": {"num": 6, "use": {"select": [4], "test": [6]}}}
+        yield f"  - {_inline(entry)}    # one long run, cut into six pieces"
+    else:
+        yield from (f"  - {_inline(_entry(run))}" for run in guess.runs)
+
+
+def _split_runs(guess: Guess) -> Iterator[str]:
+    assert guess.split is not None
+    for file in dict.fromkeys(run.file for run in guess.runs):
+        runs = [run for run in guess.runs if run.file == file]
+        entry: dict[str, Any] = {"file": file, "split": guess.split.name}
+        uses = {u: [r.value for r in runs if r.use == u] for u in ("select", "test")}
+        if any(uses.values()):
+            entry["use"] = {use: values for use, values in uses.items() if values}
+        yield f"  - {_inline(entry)}"
+
+
+def _entry(run: GuessedRun) -> dict[str, Any]:
+    entry: dict[str, Any] = {"name": run.name, "file": run.file}
+    if run.use != "fit":
+        entry["use"] = run.use
+    if run.repeat_of is not None:
+        entry["repeat_of"] = run.repeat_of
+    return {**entry, "setup": run.setup} if run.setup else entry
+
+
+def _channel(q: Quantity) -> dict[str, Any]:
+    return _quantity(q) | ({} if q.sd is None else {"sd": q.sd})
+
+
+def _command(q: Quantity) -> dict[str, Any]:
+    ends = {
+        k: float(f"{v:.4g}") for k, v in (("lower", q.lower), ("upper", q.upper)) if v is not None
+    }
+    return _quantity(q) | ({"is_measured": True} if q.is_measured else ends)
+
+
+def _quantity(q: Quantity) -> dict[str, Any]:
+    column = {} if q.column.name == q.name else {"column": q.column.name}
+    return {"name": q.name, **column, "unit": q.unit}
+
+
+def _fact(column: str, name: str, unit: str | None) -> Any:
+    if column == name and unit is None:
+        return "column"
+    return {"column": column, **({"unit": unit} if unit else {})}
+
+
+def _model(system: str) -> Iterator[str]:
+    """Keys of the description, those that it needs to be filled in, others as comments."""
+    yield "model:"
+    yield f"  system: {system}    # one of {', '.join(DESCRIPTIONS)}"
+    module, name = DESCRIPTIONS[system]
+    try:
+        description: type[Part] = getattr(import_module(module), name)
+    except ImportError:
+        yield f"  description: {TODO}"
+        return
+    worked = [path.stem for path in described() if f"system: {system}\n" in path.read_text("utf-8")]
+    if worked:
+        yield _cut(f"  # Worked examples: diffsim/systems/published/ {', '.join(worked)} (.yaml)")
+    for line in EXAMPLES.get(system, "").splitlines():
+        yield f"  # {line}"
+    yield from _keys(description, "  ")
+
+
+def _keys(part: type[Part], indent: str, skipped: tuple[str, ...] = SKIPPED) -> Iterator[str]:
+    keys = [key for key in keys_of(part) if key.name not in skipped]
+    for key in keys:
+        if key.default is None:
+            yield from _needed(key, indent)
+    for key in keys:
+        if key.default is not None:
+            yield _cut(f"{indent}# {key.name}: {_kind(key)}; {key.meaning}")
+
+
+def _needed(key: Key, indent: str) -> Iterator[str]:
+    """A key that must be given, its block spelled out where it is one."""
+    yield _cut(f"{indent}# {key.meaning}; {key.kind}")
+    name = key.parts[0].__name__ if len(key.parts) == 1 else ""
+    if name and name != "Quantity" and key.kind in (name, f"list of {name}"):
+        yield f"{indent}{key.name}:"
+        inner = list(_keys(key.parts[0], indent + ("    " if name != key.kind else "  "), ()))
+        if name != key.kind:  # the first line that is no comment begins the entry
+            first = next((i for i, line in enumerate(inner) if "#" not in line), None)
+            if first is None:
+                inner.insert(0, f"{indent}  - {{}}")
+            else:
+                inner[first] = f"{indent}  - {inner[first].lstrip()}"
+        yield from inner
+    else:
+        yield f"{indent}{key.name}: {TODO}"
+
+
+def _kind(key: Key) -> str:
+    return key.kind if key.default == "-" else f"{key.default} ({key.kind})"
+
+
+def _cut(line: str) -> str:
+    return line if len(line) <= WIDTH else line[: WIDTH - 3].rsplit(" ", 1)[0] + " .."
+
+
+def _inline(value: Any) -> str:
+    """A value on one line of YAML."""
+    style = isinstance(value, (Mapping, list))
+    text = yaml.safe_dump(
+        value, default_flow_style=style, width=10_000, sort_keys=False, allow_unicode=True
+    )
+    return str(text).removesuffix("\n").removesuffix("\n...")

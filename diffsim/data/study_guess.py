@@ -1,0 +1,309 @@
+"""A first study of an unknown folder: which columns and files look like what, and why."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.core.units import to_si
+from diffsim.data.columns import Table
+from diffsim.data.runs_guess import (
+    GuessedRun,
+    Quantity,
+    facts_of_name,
+    find_repeats,
+    give_uses,
+    say,
+)
+from diffsim.data.table_guess import Column, Layout, column_of, layout_of, tables_in
+
+Array = NDArray[np.float64]
+_TIME = re.compile(r"^(t|time|timestamp|zeit|temps|tiempo|seconds|elapsed|clock)(_|$)", re.I)
+_COUNTER = re.compile(r"^(frame|sample|index|idx|i|n|row|count|counter|seq|nr|no)$", re.I)
+_COMMAND = re.compile(
+    r"(^|_)(cmd|command|commanded|set|setpoint|desired|des|ref|reference|target|input|pwm|duty|"
+    r"throttle|esc|signal|demand|action|control|controller|drive|pump|valve|contraction|soll|"
+    r"sollwert|consigne)(_|\d|$)"
+    r"|^u\d*$",
+    re.I,
+)
+_FLAG = re.compile(r"(^|_)(repeated|valid|invalid|flag|status|missing|ok|error)(_|\d|$)", re.I)
+_MEASURED = re.compile(r"control|controller|pwm|duty|feedback", re.I)
+_SET_UNITS = ("N", "N m", "Pa", "V", "A", "Hz")  # what drives, rather than what moves
+_SMOOTH = 1e-5  # of the range: a sensor scatters by more
+_HELD = 0.5  # share of samples that repeat the one before, from which on a column looks commanded
+_LARGE = 0.05  # of the range: changes of what is held and looks commanded
+MAX_SIZE = 100_000  # samples of all channels and runs, from which on only each n-th is used
+
+
+@dataclass
+class Guess:
+    """What a folder seems to hold.
+
+    Attributes:
+        layout: Lay-out of the files that are used.
+        time: Keys of ``time``.
+        channels: Columns that look measured.
+        commands: Columns that look commanded.
+        facts: Columns that are constant in every run.
+        runs: Runs, one for each file or value of ``split``.
+        split: Column whose values are runs; None: each file is one.
+        every: Each n-th sample is enough.
+        said: What was guessed, a sentence each.
+        todo: What the user must say, a sentence each.
+    """
+
+    layout: Layout
+    time: dict[str, Any]
+    channels: list[Quantity]
+    commands: list[Quantity]
+    facts: list[Column]
+    runs: list[GuessedRun]
+    split: Column | None
+    every: int
+    said: list[str]
+    todo: list[str]
+
+
+def guess_study(folder: Path) -> Guess:
+    """Look at the tables of a folder; nothing is asked, everything guessed is said.
+
+    Args:
+        folder: Folder with the user's CSV files.
+
+    Raises:
+        ValueError: no table that looks like a recording.
+    """
+    said: list[str] = []
+    todo: list[str] = []
+    layout, tables = _largest_family(folder, said)
+    time, clock, clock_todo = _time(layout, tables, said)
+    todo += clock_todo
+    split = _split(layout, tables, clock, said)
+    runs = _runs(tables, split, said)
+    numeric = [
+        c
+        for c in layout.columns
+        if c.name and c not in (clock, split) and all(t.is_number[c.name] for t in tables)
+    ]
+    facts = [c for c in layout.columns if c.name and c is not split and _is_fact(c, runs)]
+    idle = [c for c in numeric if _is_counter(c, runs) or _FLAG.search(c.base)]
+    moving = [c for c in numeric if c not in facts and c not in idle]
+    say(said, "counters and flags, not used (see missing_if)", [c.name for c in idle])
+    say(said, "facts, constant in each run", [c.name for c in facts])
+    commands, channels = _sorted_out(moving, runs, said, todo)
+    for run in runs:
+        run.setup = facts_of_name(run.file)
+    find_repeats(runs, commands, facts, said)
+    give_uses(runs, said)
+    size = sum(len(run.rows) for run in runs) * max(len(channels), 1)
+    every = max(1, round(size / MAX_SIZE))
+    if every > 1:
+        said.append(
+            f"{size} samples cost time: one of {every} is used; a window or fewer runs do better"
+        )
+    return Guess(layout, time, channels, commands, facts, runs, split, every, said, todo)
+
+
+def _largest_family(folder: Path, said: list[str]) -> tuple[Layout, list[Table]]:
+    """Files with the same header: those that most files, then most bytes, have."""
+    layouts = {path: layout for path in tables_in(folder) if (layout := layout_of(path))}
+    families: dict[tuple[Any, ...], list[Path]] = {}
+    for path, layout in layouts.items():
+        names = tuple(c.name for c in layout.columns)
+        families.setdefault((layout.header_line, layout.first_line, names), []).append(path)
+    timed = {k: v for k, v in families.items() if any(_TIME.match(_bare(n)) for n in k[2])}
+    if not families:
+        raise ValueError(
+            f"{folder} has no table with a header line and rows of numbers; expected files such as "
+            "run_1.csv with columns divided by comma, semicolon or tab"
+        )
+    best = max(
+        (timed or families).values(), key=lambda p: (len(p), sum(f.stat().st_size for f in p))
+    )
+    others = [p.name for p in layouts if p not in best]
+    say(said, "files with other columns, not used", others)
+    layout = layouts[best[0]]
+    form = {"header_line": layout.header_line, "first_line": layout.first_line}
+    return layout, [Table(path, "run", **form) for path in best]
+
+
+def _bare(name: str) -> str:
+    return column_of(name).base
+
+
+def _time(
+    layout: Layout, tables: Sequence[Table], said: list[str]
+) -> tuple[dict[str, Any], Column | None, list[str]]:
+    """The clock: a column that is called so, or the first one that only grows."""
+    for column in layout.columns:
+        if _TIME.match(column.base):
+            if not tables[0].is_number[column.name]:
+                said.append(f"clock: column {column.name}, as times of day or dates")
+                return {"column": column.name, "unit": "clock"}, column, []
+            return _numeric_time(column, tables, said)
+    for column in layout.columns:
+        if column.name and tables[0].is_number[column.name] and not _COUNTER.match(column.base):
+            step = np.diff(tables[0].numbers(column.name))
+            if len(step) and (step > 0.0).all() and np.ptp(step) < 0.5 * np.median(step):
+                said.append(f"clock: column {column.name}, the first that only grows")
+                return _numeric_time(column, tables, said)
+    said.append("clock: no column looks like one; rows are 0.01 s apart until you say otherwise")
+    return {"step": 0.01}, None, ["time.step: seconds between two rows"]
+
+
+def _numeric_time(
+    column: Column, tables: Sequence[Table], said: list[str]
+) -> tuple[dict[str, Any], Column, list[str]]:
+    step = float(np.nanmedian(np.abs(np.diff(tables[0].numbers(column.name)))))
+    unit, todo = column.unit, []
+    if unit is None or (unit != "-" and to_si(unit).unit != "s") or unit == "-":
+        # recordings step by 0.1 ms to some seconds, and nobody counts seconds in thousands
+        unit = "s" if step < 0.5 else "ms" if step < 500.0 else "us"
+        todo = [f"time.unit: column {column.name} states none; {unit} is a guess by its steps"]
+    said.append(f"clock: column {column.name} in {unit}, steps of {step:.4g} {unit}")
+    return {"column": column.name, "unit": unit}, column, todo
+
+
+def _split(
+    layout: Layout, tables: Sequence[Table], clock: Column | None, said: list[str]
+) -> Column | None:
+    """Column whose value changes wherever the clock starts again."""
+    if clock is None or not tables[0].is_number[clock.name]:
+        return None
+    table = tables[0]
+    back = np.flatnonzero(np.diff(table.numbers(clock.name)) <= 0.0)
+    if not len(back):
+        return None
+    for column in layout.columns:
+        if not column.name or column is clock:
+            continue
+        cells = np.array(table.texts(column.name))
+        changes = np.flatnonzero(cells[1:] != cells[:-1])
+        if set(back) <= set(changes) and len(changes) <= 2 * len(back) + 2 < len(cells):
+            said.append(f"runs: the clock starts again where {column.name} changes: one run each")
+            return column
+    said.append(
+        f"the clock of {table.path.name} goes back {len(back)} times, but no column changes there"
+    )
+    return None
+
+
+def _runs(tables: Sequence[Table], split: Column | None, said: list[str]) -> list[GuessedRun]:
+    runs = []
+    for table in tables:
+        stem, rows = table.path.stem, np.arange(len(table))
+        if split is None:
+            runs.append(GuessedRun(stem, table.path.name, table, rows))
+            continue
+        cells = np.array(table.texts(split.name))
+        for value in dict.fromkeys(cells.tolist()):
+            name = f"{stem}_{value}"
+            part = rows[cells == value]
+            runs.append(GuessedRun(name, table.path.name, table, part, value))
+    if split is None:
+        said.append(f"runs: one for each of {len(runs)} files" if len(runs) > 1 else "runs: one")
+    return runs
+
+
+def _is_fact(column: Column, runs: Sequence[GuessedRun]) -> bool:
+    """Whether a column is constant in every run, and says something."""
+    for run in runs:
+        cells = run.table.texts(column.name)
+        if len({cells[i] for i in run.rows}) != 1 or not cells[run.rows[0]]:
+            return False
+    return True
+
+
+def _is_counter(column: Column, runs: Sequence[GuessedRun]) -> bool:
+    if not _COUNTER.match(column.base):
+        return False
+    step = np.diff(runs[0].table.numbers(column.name)[runs[0].rows])
+    return bool(len(step)) and bool((step == np.round(step)).all())
+
+
+def _sorted_out(
+    columns: Sequence[Column], runs: Sequence[GuessedRun], said: list[str], todo: list[str]
+) -> tuple[list[Quantity], list[Quantity]]:
+    """Commands and channels; what is held for many samples, or called so, looks commanded."""
+    commands: list[Quantity] = []
+    channels: list[Quantity] = []
+    for column in columns:
+        values = [run.table.numbers(column.name)[run.rows] for run in runs]
+        why = _commanded(column, values)
+        name = column.name if _keeps_name(column) else column.base
+        taken = {q.name for q in (*commands, *channels)}
+        name = name if name not in taken else f"{name}_{len(taken)}"
+        if column.unit is None:
+            todo.append(f"unit of column {column.name}: the header states none")
+        unit = column.unit or "-"
+        if why:
+            found = [v[np.isfinite(v)] for v in values]
+            lower = min((float(v.min()) for v in found if len(v)), default=None)
+            upper = max((float(v.max()) for v in found if len(v)), default=None)
+            is_measured = bool(_MEASURED.search(column.base)) and "held" not in why
+            commands.append(Quantity(name, column, unit, why, None, lower, upper, is_measured))
+        else:
+            channels.append(Quantity(name, column, unit, "", _noise(values)))
+    if not channels and commands:
+        last = commands.pop()
+        channels.append(Quantity(last.name, last.column, last.unit, "", None))
+    said += [f"command: {q.name}, {q.why}" for q in commands]
+    say(said, "channels: what is left", [q.name for q in channels])
+    if len({q.is_measured for q in commands}) == 2:
+        todo.append(
+            "commands: some look asked for, some given out by a controller (is_measured); keep "
+            "those that drive your model"
+        )
+    if not commands:
+        todo.append("commands: no column looks commanded; which of the channels did you set?")
+    if channels:
+        todo.append("sd of each channel: the noise is a guess from the scatter between samples")
+    return commands, channels
+
+
+def _keeps_name(column: Column) -> bool:
+    """Whether the header itself is a name for formulas, with an SI unit at its end or none."""
+    if column.is_said or not re.fullmatch(r"[A-Za-z_]\w*", column.name, re.ASCII):
+        return False
+    return column.unit is None or to_si(column.unit)[1:] == (1.0, 0.0)
+
+
+def _commanded(column: Column, values: Sequence[Array]) -> str:
+    """Why a column looks commanded; empty: it does not."""
+    if _COMMAND.search(column.base):
+        return "by its name"
+    repeats = [np.diff(v) == 0.0 for v in values if len(v) > 1]
+    held = float(np.mean(np.concatenate(repeats))) if repeats else 0.0
+    steps = np.concatenate([np.abs(np.diff(v[np.isfinite(v)])) for v in values])
+    there = np.concatenate([v[np.isfinite(v)] for v in values])
+    if not (steps > 0.0).any():
+        return ""
+    # a slow or coarse sensor is held, too, but changes by little
+    if held > _HELD and float(np.median(steps[steps > 0.0])) > _LARGE * float(np.ptp(there)):
+        return "held for many samples"
+    if column.unit is not None and to_si(column.unit).unit in _SET_UNITS:
+        second = np.concatenate([np.abs(np.diff(v[np.isfinite(v)], n=2)) for v in values])
+        if len(second) and float(np.median(second)) < _SMOOTH * float(np.ptp(there)):
+            return "by its lack of noise"
+    return ""
+
+
+def _noise(values: Sequence[Array]) -> float | None:
+    """Scatter from sample to sample, with two digits; at least that of rounding."""
+    levels = []
+    for v in values:
+        second = np.abs(np.diff(v, n=2))
+        second = second[np.isfinite(second)]
+        if len(second) >= 8:
+            levels.append(float(np.median(second)) / 0.6745 / np.sqrt(6.0))
+    there = np.unique(np.concatenate([v[np.isfinite(v)] for v in values]))
+    step = float(np.min(np.diff(there))) if 1 < len(there) < 2000 else 0.0
+    level = max(float(np.median(levels)) if levels else 0.0, step / np.sqrt(12.0))
+    return float(f"{level:.2g}") if level > 0.0 else None

@@ -1,0 +1,142 @@
+"""What an unknown CSV file seems to hold: where its header is, which units its columns have."""
+
+from __future__ import annotations
+
+import csv
+import re
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+from diffsim.core.units import to_si
+from diffsim.data.table import delimiter_of, open_text
+
+FIRST_LINES = 60  # in which the header must be
+TABLES = (".csv", ".tsv", ".txt", ".dat")
+_NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*")
+_BRACKETS = re.compile(r"^(.*?)\s*[(\[{<]\s*([^)\]}>]*?)\s*[)\]}>]\s*$")
+_AFTER = re.compile(r"^(.*\S)\s+(?:/|in)\s+(\S+)$")
+#: Endings of names that are units, longest first; some only after a word that speaks of them.
+_ENDINGS = {
+    "rad_s2": "rad/s^2", "m_s2": "m/s^2", "mm_s2": "mm/s^2", "m3_s": "m^3/s", "m2_s": "m^2/s",
+    "rad_s": "rad/s", "deg_s": "deg/s", "m_s": "m/s", "mm_s": "mm/s", "cm_s": "cm/s",
+    "px_s": "px/s", "ml_s": "ml/s", "ml_min": "ml/min", "l_min": "l/min", "mNm": "mN m",
+    "Nm": "N m", "mm": "mm", "cm": "cm", "um": "um", "km": "km", "m": "m", "ms": "ms", "us": "us",
+    "s": "s", "min": "min", "mN": "mN", "kN": "kN", "N": "N", "MPa": "MPa", "kPa": "kPa",
+    "hPa": "hPa", "Pa": "Pa", "mbar": "mbar", "bar": "bar", "psi": "psi", "mrad": "mrad",
+    "rad": "rad", "deg": "deg", "rpm": "rpm", "kHz": "kHz", "Hz": "Hz", "mV": "mV", "V": "V",
+    "mA": "mA", "W": "W", "kg": "kg", "px": "px", "ml": "ml", "degC": "degC", "percent": "%",
+}  # fmt: skip
+_ENDINGS_AFTER = {
+    "A": ("A", r"cur|amp|(^|_)i$"),
+    "C": ("degC", r"temp"),
+    "K": ("K", r"temp"),
+    "g": ("g", r"mass|load|weight"),
+}
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column by its header.
+
+    Attributes:
+        name: Header as it stands in the file.
+        base: Name without its unit, fit for formulas.
+        unit: Unit that the header states; None: none.
+        is_said: Whether the unit stands apart, in brackets or a row of units; else it is the
+            ending of the name.
+    """
+
+    name: str
+    base: str
+    unit: str | None
+    is_said: bool
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the header of a file is.
+
+    Attributes:
+        header_line: Line of the names, from 1.
+        first_line: Line of the first sample.
+        columns: Columns in order.
+    """
+
+    header_line: int
+    first_line: int
+    columns: tuple[Column, ...]
+
+
+def layout_of(path: Path) -> Layout | None:
+    """Header of a file: the lines of as many cells, without numbers, above the first numbers.
+
+    Returns:
+        None where no header with at least two names is found.
+    """
+    with open_text(path) as file:
+        lines = [line.rstrip("\r\n") for line in islice(file, FIRST_LINES)]
+    rows = [_cells(line) for line in lines]
+    first = next((i for i, row in enumerate(rows) if len(row) > 1 and _is_numeric(row)), None)
+    if first is None:
+        return None
+    above: list[int] = []
+    for i in range(first - 1, -1, -1):
+        if len(rows[i]) != len(rows[first]) or any(_NUMBER.fullmatch(c) for c in rows[i]):
+            break
+        above.insert(0, i)
+    if not above:
+        return None
+    names = rows[above[0]]
+    units = rows[above[1]] if len(above) > 1 else [""] * len(names)
+    columns = tuple(column_of(n, u) for n, u in zip(names, units, strict=True))
+    return Layout(above[0] + 1, first + 1, columns)
+
+
+def column_of(name: str, unit_cell: str = "") -> Column:
+    """A column by its header and, if there is one, the cell of the row of units below it."""
+    name = name.strip()
+    in_cell = unit_cell.strip().strip("()[]{}<>").strip()
+    if in_cell and _is_unit(in_cell):
+        return Column(name, _word(name), in_cell, True)
+    for pattern in (_BRACKETS, _AFTER):
+        match = pattern.match(name)
+        if match and _is_unit(match.group(2) or "-"):
+            return Column(name, _word(match.group(1)), match.group(2) or "-", True)
+    for ending, unit in _ENDINGS.items():
+        if name.endswith(f"_{ending}"):
+            return Column(name, _word(name[: -len(ending) - 1]), unit, False)
+    for ending, (unit, after) in _ENDINGS_AFTER.items():
+        base = name.removesuffix(f"_{ending}")
+        if base != name and re.search(after, base, re.IGNORECASE):
+            return Column(name, _word(base), unit, False)
+    return Column(name, _word(name), None, False)
+
+
+def tables_in(folder: Path) -> list[Path]:
+    """Files of a folder that may hold tables, by name."""
+    return sorted(p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in TABLES)
+
+
+def _cells(line: str) -> list[str]:
+    row = next(csv.reader([line], delimiter=delimiter_of(line)), [])
+    return [cell.strip() for cell in (row[:-1] if row and not row[-1].strip() else row)]
+
+
+def _is_numeric(row: list[str]) -> bool:
+    filled = [cell for cell in row if cell]
+    return bool(filled) and 2 * sum(bool(_NUMBER.fullmatch(c)) for c in filled) >= len(filled)
+
+
+def _is_unit(text: str) -> bool:
+    try:
+        to_si(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _word(text: str) -> str:
+    """A name that formulas can use."""
+    word = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_") or "column"
+    return f"c_{word}" if word[0].isdigit() else word

@@ -1,0 +1,303 @@
+"""A verdict on every cause: effects of the library, base parameters, unknown causes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diffsim.diagnose.averaging import HALF_90, Averaged
+from diffsim.diagnose.data_sheet import PULLED, words_of
+from diffsim.diagnose.evidence import KEEP_NATS, Hypothesis
+from diffsim.diagnose.judge import NAMES, Decision, Judgment
+from diffsim.diagnose.records import (
+    CERTAIN,
+    DATA_SHEET,
+    EFFECT,
+    HIDDEN,
+    LIKELY,
+    REFUTED,
+    UNJUDGED,
+    UNKNOWN,
+    UNTOLD,
+    BaseRow,
+    CauseRow,
+    Interval,
+)
+from diffsim.diagnose.screen import VISIBLE, Screen
+from diffsim.identify.effect import Effect
+
+SURE, PROBABLE, POSSIBLE = 0.99, 0.8, 0.2  # probabilities over all sets
+NOISE = "noise"
+REST = "what else is missing"
+ORDER = (CERTAIN, LIKELY, UNTOLD, REFUTED, HIDDEN, UNJUDGED)
+
+
+def certain_of(decision: Decision, about: Averaged, judgment: Judgment) -> frozenset[int]:
+    """Effects in every set within reach, with a probability of 99 % over all sets.
+
+    None where an unknown cause beside the best set is a rival: the set explains too little then.
+    None either where larger sets were not fitted although they have the evidence: what they would
+    hold may replace a member.
+    """
+    if decision.verdict not in NAMES or _is_cut_off(decision, about):
+        return frozenset()
+    if any(h.unknown is not None and h.effects >= decision.best for h in decision.rivals):
+        return frozenset()
+    return frozenset(
+        i
+        for i in decision.best
+        if about.probability(i) >= SURE
+        and all(i in h.effects for h in about.reach)
+        and not (i in judgment.gains and judgment.gains[i].status == "withdrawn")
+    )
+
+
+def _is_cut_off(decision: Decision, about: Averaged) -> bool:
+    """Whether the largest set that is allowed is not enough."""
+    search = about.search
+    if len(decision.best) < search.settings.max_effects:
+        return False
+    others = set(range(len(search.wide.effects))) - decision.best
+    return any(about.added(decision.best, i) >= KEEP_NATS for i in others)
+
+
+def open_rivals(
+    decision: Decision, about: Averaged, certain: frozenset[int]
+) -> tuple[Hypothesis, ...]:
+    """Sets that the choice is open to; where some effects are certain, those within reach."""
+    if not certain:
+        return decision.rivals
+    return tuple(h for h in about.reach if not h.effects >= decision.best)
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What the rows of causes are made from.
+
+    Attributes:
+        judgment: The verdict and the search behind it.
+        about: Probabilities and sizes over all sets; None: nothing was searched.
+        screened: Scores at the plain model.
+        effects: Candidates, in the order of their indices.
+        members: Effects that the extended model holds, by index.
+        unmet: What the study lacks for candidates that were left out, by name.
+        certain: Effects that are certain, by index.
+        rivals: Sets that the choice is open to.
+    """
+
+    judgment: Judgment
+    about: Averaged | None
+    screened: Screen
+    effects: Sequence[Effect]
+    members: frozenset[int]
+    unmet: Mapping[str, str]
+    certain: frozenset[int] = frozenset()
+    rivals: tuple[Hypothesis, ...] = ()
+
+
+def cause_rows(told: Told, base: Sequence[BaseRow]) -> tuple[CauseRow, ...]:
+    """One row per candidate, per data sheet that is contradicted, and per unknown cause in play.
+
+    Args:
+        told: Verdict, probabilities and candidates.
+        base: Base parameters, findings among them.
+    """
+    rows = [_effect_row(told, i) for i in range(len(told.effects))]
+    rows += [_unjudged(name, why) for name, why in told.unmet.items()]
+    rows += [_finding_row(told, row) for row in base if row.finding]
+    rows += _unknown_rows(told)
+    return tuple(sorted(rows, key=_rank))
+
+
+def _rank(row: CauseRow) -> tuple[int, float, float]:
+    """By status, by probability, and by what a cause explains."""
+    gained = 0.0 if row.gain is None else row.gain.value
+    return ORDER.index(row.status), -round(row.probability or 0.0, 3), -gained
+
+
+def _effect_row(told: Told, i: int) -> CauseRow:
+    effect, about = told.effects[i], told.about
+    decision, gains = told.judgment.decision, told.judgment.gains
+    smallest = _smallest_visible(told, i)
+    row = CauseRow(
+        name=effect.name,
+        words=words_of(effect.name),
+        origin=EFFECT,
+        status=UNJUDGED,
+        probability=None,
+        size=_screened_size(told, i),
+        unit=effect.unit,
+        smallest_visible=smallest,
+        gain=gains.get(i),
+        note=effect.form,
+    )
+    if about is None or decision.verdict == "unrepeatable":
+        why = "repeats differ more than the noise" if about else "numerical settings come first"
+        return replace(row, note=f"not judged: {why}")
+    p = about.probability(i)
+    status, rivals = _status(told, about, i, p)
+    helps = i in told.members and status not in (CERTAIN, LIKELY)
+    return replace(
+        row,
+        status=status,
+        probability=p,
+        size=about.size(i) or row.size,
+        rivals=rivals,
+        helps=helps,
+        factor=about.factor(i),
+    )
+
+
+def _status(told: Told, about: Averaged, i: int, p: float) -> tuple[str, tuple[str, ...]]:
+    """Status of an effect, and what it cannot be told from."""
+    judgment, decision = told.judgment, told.judgment.decision
+    if i in judgment.withdrawn:
+        return REFUTED, ()
+    if decision.verdict == "unknown":
+        if i in decision.best or i in told.members:
+            return UNTOLD, _unknown_names(told, decision)
+    elif i in told.certain:
+        return CERTAIN, ()
+    elif i in decision.best or any(i in h.effects for h in told.rivals):
+        rivals, is_best = _rivals_of(told, decision, i), i in decision.best
+        is_named = is_best and (decision.verdict == "named" or p >= PROBABLE)
+        return (LIKELY if is_named else UNTOLD), rivals
+    if p >= POSSIBLE:
+        return UNTOLD, (NOISE,)
+    added = about.added(decision.best | told.members, i)
+    if added >= KEEP_NATS:  # sets of so many causes were not fitted
+        return UNTOLD, (REST,)
+    visible = [s <= 1.5 * told.effects[i].typical for s in _smallest_visible(told, i).values()]
+    return (REFUTED if added < -KEEP_NATS and any(visible) else HIDDEN), ()
+
+
+def _rivals_of(told: Told, decision: Decision, i: int) -> tuple[str, ...]:
+    """Causes that act in the place of an effect in rival sets."""
+    names: dict[str, None] = {}
+    for h in told.rivals:
+        if i in h.effects and i in decision.best:
+            continue
+        if i in decision.best:
+            others, unknown = h.effects - decision.best, h.unknown
+        elif i in h.effects:
+            others, unknown = decision.best - h.effects, None
+        else:
+            continue
+        names |= dict.fromkeys(told.effects[k].name for k in sorted(others))
+        if unknown is not None:
+            names[_unknown_name(told, unknown)] = None
+        if not others and unknown is None:
+            names[NOISE] = None
+    return tuple(names)
+
+
+def _unknown_names(told: Told, decision: Decision) -> tuple[str, ...]:
+    h = decision.unknown
+    return () if h is None or h.unknown is None else (_unknown_name(told, h.unknown),)
+
+
+def _unknown_name(told: Told, u: int) -> str:
+    search = told.judgment.search
+    assert search is not None  # unknown causes are weighed in a search only
+    return search.unknowns[u].name
+
+
+def _smallest_visible(told: Told, i: int) -> dict[str, float]:
+    """Smallest visible size by component: at the plain model, or beside the best set if less.
+
+    What was named with a size has been seen: it is not listed as invisible above that.
+    """
+    effect, k = told.effects[i], sum(len(e.components) for e in told.effects[:i])
+    screened = told.screened.smallest_visible[k : k + len(effect.components)]
+    out = dict(zip(effect.components, (float(s) for s in screened), strict=True))
+    search = told.judgment.search
+    if search is None:
+        return out
+    for h, w in search.weighed.items():
+        if i in h.effects and w.fit is not None and w.fit.converged:
+            own = w.fit.problem.columns_of(effect)
+            names = [w.fit.problem.names[c] for c in own]
+            for component, name in zip(effect.components, names, strict=True):
+                out[component] = min(out[component], VISIBLE * w.fit.sd[name])
+    return out
+
+
+def _screened_size(told: Told, i: int) -> dict[str, Interval]:
+    """Size as the plain model's scores ask for it; no fit was made."""
+    effect, k = told.effects[i], sum(len(e.components) for e in told.effects[:i])
+    out = {}
+    for c, component in enumerate(effect.components, start=k):
+        value = float(told.screened.size[c])
+        half = HALF_90 * float(told.screened.smallest_visible[c]) / VISIBLE
+        if np.isfinite([value, half]).all():
+            low = value - half if effect.signed else max(value - half, 0.0)
+            out[component] = Interval(value, low, max(value + half, 0.0))
+    return out
+
+
+def _unjudged(name: str, why: str) -> CauseRow:
+    return CauseRow(name, words_of(name), EFFECT, UNJUDGED, None, {}, "-", note=why)
+
+
+def _finding_row(told: Told, row: BaseRow) -> CauseRow:
+    """A base parameter that the recordings pull off its data sheet."""
+    decision, about = told.judgment.decision, told.about
+    rivals: tuple[str, ...] = ()
+    if decision.verdict == "unknown":
+        status, rivals = UNTOLD, _unknown_names(told, decision)
+    else:
+        half = HALF_90 * row.sd / row.prior_sd if row.prior_sd else 0.0
+        status = CERTAIN if abs(row.pull) - half > PULLED else LIKELY
+        others = _sets_without_pull(told, about, row.name)
+        if others:
+            status, rivals = UNTOLD, others
+    words = row.words if row.run is None else f"{words_of(row.name.partition('@')[0])} in all runs"
+    return CauseRow(
+        name=row.name,
+        words=words,
+        origin=DATA_SHEET,
+        status=status,
+        probability=None,
+        size={"size": Interval(row.value, row.low, row.high)},
+        unit=row.unit,
+        rivals=rivals,
+        note=f"data sheet: {row.prior_value:.4g} +- {row.prior_sd:.2g} (one standard deviation)",
+    )
+
+
+def _sets_without_pull(told: Told, about: Averaged | None, name: str) -> tuple[str, ...]:
+    """Causes of the sets within reach in which the parameter stays near its data sheet."""
+    names: dict[str, None] = {}
+    for h in () if about is None else about.reach:
+        fit = about.search.weighed[h].fit if about and h in about.search.weighed else None
+        if fit is None or name not in fit.problem.names:
+            continue
+        if abs(fit.x[fit.problem.names.index(name)]) <= PULLED:
+            more = h.effects - told.judgment.decision.best
+            names |= dict.fromkeys(told.effects[k].name for k in sorted(more))
+    return tuple(names)
+
+
+def _unknown_rows(told: Told) -> list[CauseRow]:
+    """Unknown causes behind the verdict, or with a probability that counts."""
+    about, search = told.about, told.judgment.search
+    if about is None or search is None or told.judgment.decision.verdict == "unrepeatable":
+        return []
+    decision, rows = told.judgment.decision, []
+    shown = {h.unknown for h in (decision.unknown, decision.beside, *decision.rivals) if h}
+    for u, cause in enumerate(search.unknowns):
+        p = about.unknown_probability(u)
+        if u in shown or (p >= PROBABLE and u not in told.judgment.refuted):
+            is_verdict = decision.unknown is not None and decision.unknown.unknown == u
+            status = CERTAIN if is_verdict and p >= SURE else LIKELY if p >= PROBABLE else UNTOLD
+            rivals = _beside_unknown(told, decision) if status == UNTOLD else ()
+            rows.append(
+                CauseRow(cause.name, cause.name, UNKNOWN, status, p, {}, "-", rivals=rivals)
+            )
+    return rows
+
+
+def _beside_unknown(told: Told, decision: Decision) -> tuple[str, ...]:
+    return tuple(told.effects[i].name for i in sorted(decision.best))

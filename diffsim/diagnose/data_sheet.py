@@ -1,0 +1,91 @@
+"""Base parameters beside their data sheets: those far off are findings, like causes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from diffsim.data.study import Run
+from diffsim.diagnose.averaging import HALF_90, Widening
+from diffsim.diagnose.records import BaseRow
+from diffsim.identify import Fit
+from diffsim.identify.model import Parameter
+
+PULLED = 3.0  # prior standard deviations from the data sheet that are a finding
+TOGETHER = 4  # runs whose own parameters must all lie on one side to be a finding
+
+
+def words_of(name: str) -> str:
+    """A code name in plain words: "drag[frame=A]" is "drag (frame A)"."""
+    stem, _, run = name.partition("@")
+    stem, _, fact = stem.partition("[")
+    words = stem.replace("_", " ").replace(".", " ")
+    if fact:
+        words += f" ({fact.rstrip(']').replace('=', ' ')})"
+    return f"{words} of {run}" if run else words
+
+
+def base_rows(
+    fit: Fit, runs: Sequence[Run], wider: Widening, *, judged: bool
+) -> tuple[BaseRow, ...]:
+    """Base parameters of the runs that were fitted, with what their data sheets say.
+
+    Args:
+        fit: Fit of the best set.
+        runs: Runs that were fitted.
+        wider: Widening of intervals.
+        judged: Whether findings may be stated: repeats and numerical settings are in order.
+    """
+    sd, names = np.sqrt(np.diag(fit.covariance)), {run.name for run in runs}
+    rows = []
+    for i, p in enumerate(fit.problem.model.base):
+        run = p.name.partition("@")[2] or None
+        if run is not None and run not in names:
+            continue
+        factor = wider.factors.get(p.name, wider.usual if run is None else 1.0)
+        rows.append(_base_row(p, float(fit.x[i]), float(sd[i]) * factor, run))
+    if not judged:
+        return tuple(rows)
+    together = _pulled_together(rows)
+    return tuple(
+        replace(r, finding=abs(r.pull) > PULLED if r.run is None else r.name in together)
+        for r in rows
+    )
+
+
+def _base_row(p: Parameter, x: float, sd: float, run: str | None) -> BaseRow:
+    def at(q: float) -> float:
+        return float(p.value_at(torch.tensor(q, dtype=torch.float64)))
+
+    scale = at(x) * p.sd if p.log else p.sd
+    return BaseRow(
+        name=p.name,
+        words=words_of(p.name),
+        unit=p.unit,
+        value=at(x),
+        sd=scale * sd,
+        low=at(x - HALF_90 * sd),
+        high=at(x + HALF_90 * sd),
+        prior_value=p.value,
+        prior_sd=p.sd * p.value if p.log else p.sd,
+        pull=x,
+        run=run,
+    )
+
+
+def _pulled_together(rows: Sequence[BaseRow]) -> set[str]:
+    """Parameters of single runs that lie on one side of their data sheet in all runs."""
+    stems: dict[str, list[BaseRow]] = {}
+    for row in rows:
+        if row.run is not None:
+            stems.setdefault(row.name.partition("@")[0], []).append(row)
+    found: set[str] = set()
+    for own in stems.values():
+        pulls = np.array([row.pull for row in own])
+        same_side = len(own) >= TOGETHER and abs(np.sign(pulls).sum()) == len(own)
+        if same_side and abs(pulls.mean()) * np.sqrt(len(own)) > PULLED:
+            found |= {max(own, key=lambda row: abs(row.pull)).name}
+    return found

@@ -1,0 +1,136 @@
+"""Numerical settings, refined until the gate passes or a budget is spent.
+
+A diagnosis with coarse settings would name causes for what the solver does wrong. So each setting
+that moves the record by more than its limit is refined, as long as one simulation costs less than
+``DiagnosisSettings.refine_budget`` times what it did. All that follows uses the refined settings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from time import process_time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.diagnose.fit import Null
+from diffsim.diagnose.gates import GateResult, numerics_changes, numerics_gate
+from diffsim.diagnose.gauss_newton import gauss_newton
+from diffsim.diagnose.noise import noise_floor
+from diffsim.identify import Problem
+from diffsim.identify.linearization import (
+    Linearization,
+    linearization_at,
+    record_at,
+    residuals_by_run,
+)
+from diffsim.identify.numerics import REFINEMENTS, Numerics
+
+Array = NDArray[np.float64]
+MAX_REFITS = 3  # of the plain model: each may show that settings are still too coarse for it
+TIMINGS = 2  # of the plain simulation; the shorter counts
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """The plain model under settings that are fine enough, or as fine as the budget allows.
+
+    Attributes:
+        null: Fit of the plain model under these settings.
+        changes: Change of the record by refining each setting further, by its name, (N,) each.
+        gates: The numerics gate at the end; notes say what was refined and what it costs.
+    """
+
+    null: Null
+    changes: dict[str, Array]
+    gates: tuple[GateResult, ...]
+
+
+def checked_numerics(null: Null) -> Refined:
+    """Check the settings at the null fit; refine and fit again where the gate fails.
+
+    Args:
+        null: The plain model, fitted with the model's own settings.
+    """
+    changes = numerics_changes(null.fit.problem, null.at)
+    gates = tuple(numerics_gate(null.fit, changes))
+    settings = null.case.settings
+    if settings.accept_numerics or settings.refine_budget <= 1.0 or not _failing(gates):
+        return Refined(null, changes, gates)
+    once = min(_timed(null.fit.problem, null.at.x)[1] for _ in range(TIMINGS))
+    paid = 1.0
+    for _ in range(MAX_REFITS):
+        null.case.progress("null fit", 0.1, f"refining {', '.join(_failing(gates))}")
+        numerics, changes, gates, ratio = _refined(null, changes, gates, once)
+        paid = max(paid, ratio)
+        if numerics == (null.fit.problem.numerics or Numerics()):
+            break  # the budget allows no finer ones
+        null = _under(null, numerics)
+        changes = numerics_changes(null.fit.problem, null.at)
+        gates = tuple(numerics_gate(null.fit, changes))
+        if not _failing(gates):
+            break
+    return Refined(
+        null, changes, _noted(gates, null.fit.problem.numerics, paid, settings.refine_budget)
+    )
+
+
+def _refined(
+    null: Null, changes: dict[str, Array], gates: tuple[GateResult, ...], once: float
+) -> tuple[Numerics, dict[str, Array], tuple[GateResult, ...], float]:
+    """Settings from which the gate passes at the same parameters, within the budget.
+
+    Returns:
+        The settings, the changes and gates there, and the cost of a simulation over the plain one.
+    """
+    problem, x, paid = null.fit.problem, null.at.x, 1.0
+    numerics = problem.numerics or Numerics()
+    while failing := _failing(gates):
+        finer = numerics
+        for name in failing:
+            finer = finer.refined(REFINEMENTS[name])
+        record, seconds = _timed(replace(problem, numerics=finer), x)
+        if seconds > null.case.settings.refine_budget * once:
+            break
+        numerics, paid = finer, seconds / once
+        there = Linearization(x, record, (), np.zeros((len(record), 0)))
+        changes = numerics_changes(replace(problem, numerics=numerics), there)
+        gates = tuple(numerics_gate(null.fit, changes))
+    return numerics, changes, gates, paid
+
+
+def _under(null: Null, numerics: Numerics) -> Null:
+    """The plain model fitted again under other settings, with the noise of what it leaves."""
+    case = replace(null.case, numerics=numerics)
+    problem = case.problem(null.noise.whitener)
+    fit, at = gauss_newton(problem, linearization_at(problem, null.at.x))
+    residuals = residuals_by_run(case.study.fit_runs, at.record)
+    noise = noise_floor(case.study.fit_runs, case.study.channels, residuals)
+    return replace(null, case=case, fit=fit, at=at).under(noise)
+
+
+def _failing(gates: Sequence[GateResult]) -> list[str]:
+    return [g.name for g in gates if not g.passed]
+
+
+def _timed(problem: Problem, x: Array) -> tuple[Array, float]:
+    """Record at x and the CPU seconds that it took."""
+    start = process_time()
+    record = record_at(problem, x)
+    return record, max(process_time() - start, 1e-9)
+
+
+def _noted(
+    gates: Sequence[GateResult], numerics: Numerics | None, paid: float, budget: float
+) -> tuple[GateResult, ...]:
+    out = []
+    for gate in gates:
+        factor = getattr(numerics or Numerics(), gate.name)
+        note = gate.note
+        if factor != 1.0:
+            note += f"; refined by {1.0 / factor:g}, a simulation costs {paid:.2g} times as much"
+        if not gate.passed:
+            note += f"; finer would cost more than the budget of {budget:g} times"
+        out.append(replace(gate, note=note))
+    return tuple(out)

@@ -1,0 +1,99 @@
+"""``model: {system: soft_body}``: any soft body, described in a study."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from diffsim.core.check import did_you_mean
+from diffsim.data.study import Run, Study
+from diffsim.data.study_check import Problem
+from diffsim.identify import Jacobian
+from diffsim.identify.effort import DiagnosisSettings, SearchSettings
+from diffsim.identify.setup import DiagnosisSetup
+from diffsim.systems.description import BaseParameters, chosen_effects, settings_with
+from diffsim.systems.soft_body.body_keys import SoftBodyKeys
+from diffsim.systems.soft_body.causes import commanded_reach, library, unknowns
+from diffsim.systems.soft_body.described import DescribedModel
+
+DIFFERENCE = 1e-4  # prior sd: a larger step sees tendons go slack and taut again
+
+
+class SoftBodyDescription(SoftBodyKeys):
+    """A described soft body, checked against recordings and made into a model."""
+
+    def problems(self, study: Study) -> list[Problem]:
+        """Channels and commands without a meaning, regions without nodes, points outside."""
+        found = [*self._of_channels(study), *self._of_runs(study.runs)]
+        if not any(p.severity == "error" for p in found):
+            try:
+                self._described(study).rig()
+            except (ValueError, OSError) as error:
+                found.append(Problem("error", "model", str(error)))
+        return found
+
+    def _of_channels(self, study: Study) -> Iterator[Problem]:
+        for channel in study.channels:
+            if channel.name not in self.channels:
+                guess = did_you_mean(channel.name, self.channels)
+                yield Problem(
+                    "error",
+                    f"model.channels.{channel.name}",
+                    f"is not described{guess}; say which marker and axis it shows",
+                )
+        for name in self.channels:
+            if name not in [c.name for c in study.channels]:
+                yield Problem("error", f"model.channels.{name}", "the study has no such channel")
+
+    def _of_runs(self, runs: Sequence[Run]) -> Iterator[Problem]:
+        wanted = [(f"model.{k}[{i}].command", d.command) for k in ("tendons", "muscles", "chambers")
+                  for i, d in enumerate(getattr(self, k))]  # fmt: skip
+        if self.support is not None:
+            wanted += [("model.support.x", self.support.x), ("model.support.z", self.support.z)]
+        for run in runs:
+            for key, command in wanted:
+                if command not in run.command:
+                    guess = did_you_mean(command, run.command)
+                    yield Problem("error", key, f"run {run.name} has no command {command!r}{guess}")
+        for i, load in enumerate(self.masses):
+            have = [load.mass_from in run.setup for run in runs]
+            if load.mass_from is not None and not any(have):
+                yield Problem(
+                    "error",
+                    f"model.masses[{i}].mass_from",
+                    f"no run states {load.mass_from!r} in its setup",
+                )
+        for key, q in self.quantities().items():
+            if q.per not in (None, "run") and any(q.per not in r.setup for r in runs):
+                yield Problem(
+                    "error", f"model: {key}", f"is stated per {q.per}, which not all runs state"
+                )
+
+    def setup(self, study: Study) -> DiagnosisSetup:
+        """Model of the body, causes that its parts allow, and options."""
+        wrong = [p for p in self.problems(study) if p.severity == "error"]
+        if wrong:
+            raise ValueError("\n".join(str(p) for p in wrong))
+        described = self._described(study)
+        model = described.model()
+        rig = described.rig()
+        mass_kg = float(rig.volume.sum()) * self.material.density.value
+        advised = DiagnosisSettings(
+            search=SearchSettings(max_effects=3, num_refits=2, max_rounds=4),
+            jacobian=Jacobian(step=DIFFERENCE) if self.tendons else Jacobian(),
+            noise_rounds=1,
+        )
+        return DiagnosisSetup(
+            model,
+            chosen_effects(library(self, study, mass_kg), self.effects),
+            unknowns=unknowns(self, study),
+            settings=settings_with(advised, self.effort),
+        )
+
+    def _described(self, study: Study) -> DescribedModel:
+        parameters = BaseParameters(self.quantities(), study.runs)
+        names = [c.name for c in study.channels]
+        reach = commanded_reach(study, self.commands) if len(self.commands) == 1 else None
+        return DescribedModel(self, study.folder, names, parameters, reach)
+
+
+__all__ = ["SoftBodyDescription"]

@@ -1,0 +1,94 @@
+"""A soft body that follows its commands through equilibria: poses, and slow motions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from diffsim.systems.signals import curved, straight
+from diffsim.systems.soft_body.loads import HungWeight
+from diffsim.systems.soft_body.scene import SoftScene
+
+Key = tuple[float, ...]
+MOST_KEPT = 256
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PosedScene(SoftScene):
+    """A scene that is in equilibrium under its command at every sample.
+
+    With one command, poses are computed at evenly spaced values of it, each from the one before,
+    and others by cubics between them; else every pose by itself.
+
+    Attributes:
+        pose_commands: (num_poses,) values of the only command at which poses are computed; None:
+            at every sample.
+        kept: Poses that were computed before, by what they depend on.
+    """
+
+    pose_commands: Tensor | None = None
+    kept: dict[Key, Tensor] = field(default_factory=dict)
+
+    def simulate(self) -> Tensor:
+        """Predicted channels, (num_samples, num_channels)."""
+        times = self._times()
+        if self.command is None:
+            still = self._poses(torch.zeros(1, 0, dtype=torch.float64))
+            return self.shown(still.expand(len(times), -1))
+        wanted = straight(self.changed_command(), self.command_dt, times)
+        if self.pose_commands is None:
+            return self.shown(self._poses(wanted))
+        knots = self.pose_commands
+        places = self._poses(knots[:, None])
+        spacing = float(knots[1] - knots[0])
+        return self.shown(curved(places, spacing, wanted[:, 0] - float(knots[0])))
+
+    def _poses(self, commands: Tensor) -> Tensor:
+        """What is observed in equilibrium under each row of commands, (num_rows, width)."""
+        drives = self.actuate(commands) if self.actuate is not None else commands
+        pressures = None if self.pressurize is None else self.pressurize(commands)
+        key = self._key([drives, *([] if pressures is None else [pressures])])
+        if key is not None and key in self.kept:
+            return self.kept[key]
+        physics = self.body.physics(**self.parameters)
+        order = commands.detach().norm(dim=-1).argsort().tolist()
+        found: dict[int, Tensor] = {}
+        guess = None
+        for k in order:
+            activation = drives[k] if self.body.muscles.num_muscles else None
+            pressure = None if pressures is None else pressures[k]
+            state = self.equilibrium(activation, physics, pressure=pressure, guess=guess)
+            guess, found[k] = state.x.detach(), self.observe(state.x)
+        places = torch.stack([found[k] for k in range(len(order))])
+        if key is not None:
+            if len(self.kept) >= MOST_KEPT:
+                self.kept.clear()
+            self.kept[key] = places
+        return places
+
+    def _key(self, drives: list[Tensor]) -> Key | None:
+        """All that poses depend on; None where it is not known, or gradients are wanted."""
+        if any(make is not HungWeight for make in self.forces) or self.water is not None:
+            return None
+        given = [*self.parameters.values(), *drives]
+        given += [] if self.hung_mass is None else [self.hung_mass]
+        if torch.is_grad_enabled() and any(v.requires_grad for v in given):
+            return None
+        return tuple(v for one in given for v in one.detach().flatten().tolist())
+
+
+def posed(scene: SoftScene, commands: Tensor | None, kept: dict[Key, Tensor]) -> PosedScene:
+    """The scene as a sequence of equilibria.
+
+    Args:
+        scene: Scene of a run.
+        commands: Values of the only command at which poses are computed; None: at every sample.
+        kept: Where poses are kept, shared by all scenes of a body.
+    """
+    own = {name: getattr(scene, name) for name in SoftScene.__dataclass_fields__}
+    return PosedScene(**own, pose_commands=commands, kept=kept)
+
+
+__all__ = ["PosedScene", "posed"]

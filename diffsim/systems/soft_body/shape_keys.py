@@ -1,0 +1,185 @@
+"""Shape of a soft body as a description states it: a bar, a rod, or a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from pydantic import Field, model_validator
+from scipy.spatial.transform import Rotation
+
+from diffsim import mesh as meshes
+from diffsim.core.schema import Part, number
+from diffsim.core.units import factor
+from diffsim.mesh import HexMesh, TetMesh
+from diffsim.systems.soft_body.places import Array, Point, Region
+
+VOLUMES = (".msh", ".vtk", ".vtu", ".inp", ".mesh")
+_UNIT_SPACING = 0.785  # of a rod's section of radius 1: a core of two by two cells and one ring
+
+
+class Section(Part):
+    """Cross-section of a bar at one place."""
+
+    at: number("m") = Field(description="Place along x [m]")  # type: ignore[valid-type]
+    y: tuple[number("m"), number("m")] = Field(description="From and to across [m]")  # type: ignore[valid-type]
+    z: tuple[number("m"), number("m")] = Field(description="From and to up [m]")  # type: ignore[valid-type]
+
+
+class Bar(Part):
+    """A bar along x of cuboid cells, straight or with sections that change along it."""
+
+    size: Point | None = Field(None, description="Length, width and height, along x, y, z [m]")
+    corner: Point = Field((0.0, 0.0, 0.0), description="Its lowest corner [m]")
+    sections: tuple[Section, ...] = Field(
+        (), description="Instead of `size`: two sections or more by place, straight between them"
+    )
+    cells: tuple[int, int, int] = Field(
+        (10, 2, 2), description="Number of cells along x, y and z; more are slower and more exact"
+    )
+    floor_layer: number("m") | None = Field(  # type: ignore[valid-type]
+        None,
+        description="Thickness of the lowest layer of cells, the same everywhere [m]: tendons act "
+        "along the middle of the cells that they pass",
+    )
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> Bar:
+        if (self.size is None) == (not self.sections):
+            raise ValueError("give either size or sections")
+        if len(self.sections) == 1:
+            raise ValueError("sections: two or more, the first and the last are the ends")
+        if min(self.cells) < 1:
+            raise ValueError(f"cells must be 1 or more along each axis, got {list(self.cells)}")
+        return self
+
+    def mesh(self, coarser: float) -> HexMesh:
+        """The bar with cells ``coarser`` times as long."""
+        nx, ny, nz = (max(1, round(n / coarser)) for n in self.cells)
+        grid = meshes.hex_box((nx, ny, nz))
+        u = grid.x_rest.numpy()
+        at, y, z = self._stations()
+        x = at[0] + u[:, 0] * (at[-1] - at[0])
+        low, high = (np.stack([np.interp(x, at, e[:, i]) for e in (y, z)], 1) for i in (0, 1))
+        across = low + u[:, 1:] * (high - low)
+        if self.floor_layer is not None and nz > 1:
+            layer = np.rint(u[:, 2] * nz)
+            top, floor = high[:, 1], low[:, 1] + self.floor_layer
+            above = floor + (layer - 1) / (nz - 1) * (top - floor)
+            across[:, 1] = np.where(layer == 0, low[:, 1], above)
+        points = torch.from_numpy(np.column_stack([x, across]))
+        return HexMesh(points, grid.hexes)
+
+    def _stations(self) -> tuple[Array, Array, Array]:
+        if self.size is not None:
+            low, size = np.array(self.corner), np.array(self.size)
+            ends = np.stack([low, low + size], 1)
+            return ends[0], np.stack([ends[1]] * 2), np.stack([ends[2]] * 2)
+        ordered = sorted(self.sections, key=lambda s: s.at)
+        return (
+            np.array([s.at for s in ordered]),
+            np.array([s.y for s in ordered]),
+            np.array([s.z for s in ordered]),
+        )
+
+
+class Station(Part):
+    """Radius of a rod at one place."""
+
+    at: number("m") = Field(description="Place along x [m]")  # type: ignore[valid-type]
+    radius: number("m") = Field(gt=0, description="Radius there [m]")  # type: ignore[valid-type]
+
+
+class Rod(Part):
+    """A rod along x with a round section, its axis on y = z = 0."""
+
+    stations: tuple[Station, ...] = Field(
+        min_length=2, description="Radius at two places or more, straight between them"
+    )
+    cells: int = Field(20, ge=1, description="Number of cells along; twelve fill a section")
+
+    def mesh(self, coarser: float) -> HexMesh:
+        """The rod with cells ``coarser`` times as long."""
+        along = max(1, round(self.cells / coarser))
+        spacing = _UNIT_SPACING if coarser >= 1.0 else _UNIT_SPACING * coarser
+        rod = meshes.hex_cylinder(1.0, along * spacing, spacing)
+        at = np.array([s.at for s in self.stations])
+        radii = np.array([s.radius for s in self.stations])
+        order = np.argsort(at)
+        u = rod.x_rest.numpy()
+        x = at.min() + (u[:, 2] / (along * spacing) + 0.5) * np.ptp(at)
+        radius = np.interp(x, at[order], radii[order])
+        points = np.column_stack([x, u[:, 0] * radius, u[:, 1] * radius])
+        return HexMesh(torch.from_numpy(points), rod.hexes)
+
+
+class MeshFile(Part):
+    """A body from a file: a mesh of cells, or a closed surface that is filled with cells."""
+
+    path: str = Field(description="File, relative to the study: .msh, .vtk, .stl, .obj, ...")
+    unit: str = Field("m", description="Unit of its coordinates")
+    spacing: number("m") | None = Field(  # type: ignore[valid-type]
+        None, gt=0, description="Length of the cells that fill a surface [m]"
+    )
+    cells: Literal["cubes", "tetrahedra"] = Field("cubes", description="What fills a surface")
+    keep: Region | None = Field(None, description="Keep only the cells there, half of a body, say")
+
+    def mesh(self, coarser: float, folder: Path | None) -> HexMesh | TetMesh:
+        """The body, a filled surface with cells ``coarser`` times as long."""
+        path = Path(self.path) if folder is None else folder / self.path
+        scale = factor(self.unit, "m")
+        if path.suffix.lower() in VOLUMES:
+            return self._kept(meshes.load(path, scale))
+        if self.spacing is None:
+            raise ValueError(f"{self.path} is a surface; give the length of the cells, spacing")
+        surface, spacing = meshes.load_surface(path, scale), self.spacing * coarser
+        fill = meshes.voxelize if self.cells == "cubes" else meshes.tetrahedralize
+        return self._kept(fill(surface, spacing))
+
+    def _kept(self, made: HexMesh | TetMesh) -> HexMesh | TetMesh:
+        if self.keep is None:
+            return made
+        chosen = made.elements[self.keep.elements(made)]
+        used, local = torch.unique(chosen, return_inverse=True)
+        return type(made)(made.x_rest[used], local)
+
+
+class BodyShape(Part):
+    """Shape and placement of the body at rest."""
+
+    bar: Bar | None = Field(None, description="A bar along x")
+    rod: Rod | None = Field(None, description="A rod along x with a round section")
+    file: MeshFile | None = Field(None, description="A mesh or a surface from a file")
+    rotation: tuple[number("rad"), number("rad"), number("rad")] = Field(  # type: ignore[valid-type]
+        (0.0, 0.0, 0.0), description="Rotation vector that turns it about the origin [rad]"
+    )
+    shift: Point = Field((0.0, 0.0, 0.0), description="Moved by, after the rotation [m]")
+
+    @model_validator(mode="after")
+    def _one(self) -> BodyShape:
+        if sum(s is not None for s in (self.bar, self.rod, self.file)) != 1:
+            raise ValueError("give one of bar, rod and file")
+        return self
+
+    @property
+    def can_refine(self) -> bool:
+        """Whether meshes of any cell size can be made."""
+        is_volume = self.file is not None and Path(self.file.path).suffix.lower() in VOLUMES
+        return not is_volume
+
+    def mesh(self, coarser: float, folder: Path | None) -> HexMesh | TetMesh:
+        """The body where it is at rest, cells ``coarser`` times as long as stated."""
+        made: HexMesh | TetMesh
+        if self.bar is not None:
+            made = self.bar.mesh(coarser)
+        elif self.rod is not None:
+            made = self.rod.mesh(coarser)
+        else:
+            assert self.file is not None
+            made = self.file.mesh(coarser, folder)
+        if not any(self.rotation) and not any(self.shift):
+            return made
+        turned = Rotation.from_rotvec(self.rotation).apply(made.x_rest.numpy())
+        return type(made)(torch.from_numpy(turned + np.array(self.shift)), made.elements)

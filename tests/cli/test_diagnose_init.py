@@ -1,0 +1,165 @@
+"""``diffsim diagnose init``: a stranger's folder becomes a study that is read at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from diffsim import cli
+from diffsim.data import load_study
+
+
+def write(path: Path, header: str, columns, mark: str = ",", point: str = ".") -> None:
+    rows = zip(*columns, strict=True)
+    lines = [mark.join(_cell(c, point) for c in row) for row in rows]
+    path.write_bytes(("\n".join([header, *lines]) + "\n").encode("cp1252"))
+
+
+def _cell(value, point: str) -> str:
+    return value if isinstance(value, str) else f"{value:.9g}".replace(".", point)
+
+
+def init(folder: Path, *more: str) -> int:
+    return cli.main(["diagnose", "init", str(folder), *more])
+
+
+T = np.arange(60) * 10.0
+
+
+def noisy(seed: int, size: float = 0.1):
+    return size * np.random.default_rng(seed).normal(size=60)
+
+
+@pytest.fixture
+def steps(tmp_path):
+    """Four files of a logger: two commands, one of them twice; a payload that is constant."""
+    for seed, (name, level, load) in enumerate(
+        [("slow_1", 1.0, 0.2), ("slow_2", 1.0, 0.2), ("fast", 2.0, 0.2), ("heavy", 2.0, 0.5)]
+    ):
+        force = np.where(T > 200.0, level, 0.0) + np.where(T > 400.0, 0.5, 0.0)
+        x = 30.0 * force + noisy(seed)
+        write(
+            tmp_path / f"{name}.csv",
+            "Zeit (ms);Weg [mm];F_N;Nutzlast (kg);frame",
+            [T, x, force, np.full(60, load), np.arange(60.0)],
+            mark=";",
+            point=",",
+        )
+    return tmp_path
+
+
+def test_a_loggers_folder_becomes_a_study(steps, capsys):
+    assert init(steps) == 0
+    out = capsys.readouterr().out
+    study = load_study(steps)
+    assert [c.name for c in study.channels] == ["Weg"]
+    assert (study.channels[0].unit, study.channels[0].shown_unit) == ("m", "mm")
+    assert study.channels[0].sd == pytest.approx(1e-4, rel=0.5)
+    assert [(c.name, c.unit, c.upper) for c in study.commands] == [("F_N", "N", 2.5)]
+    runs = {r.name: r for r in study.runs}
+    assert list(runs) == ["fast", "heavy", "slow_1", "slow_2"]
+    assert runs["slow_2"].group == runs["slow_1"].group == "slow_1"
+    assert runs["heavy"].group == "heavy"  # the same force, but another payload
+    assert [r.use for r in study.runs] == ["fit", "fit", "test", "test"]
+    assert runs["heavy"].setup == {"Nutzlast": 0.5}
+    np.testing.assert_allclose(runs["fast"].time_s, T * 1e-3, rtol=1e-12)
+    assert "guessed: command: F_N, held for many samples" in out
+    assert "guessed: repeats, by equal commands: slow_2 of slow_1" in out
+    assert "counters and flags, not used (see missing_if): frame" in out
+
+
+def test_what_is_to_be_filled_in_is_told_by_check(steps, capsys):
+    assert init(steps, "--system", "outside") == 0
+    text = (steps / "study.yaml").read_text()
+    assert "simulator: TODO" in text and "# workers: 1 (whole number)" in text
+    capsys.readouterr()
+    assert cli.main(["diagnose", "check", str(steps)]) == 2
+    out = capsys.readouterr().out
+    assert "error: model.simulator: is still to be filled in: TODO" in out
+    assert out.count("model.simulator") == 1
+    assert "warning: study: still to be stated: sd of each channel" in out
+
+
+def test_a_file_that_is_there_is_kept(steps, capsys):
+    (steps / "study.yaml").write_text("mine")
+    assert init(steps) == 2
+    assert "--force replaces it" in capsys.readouterr().err
+    assert (steps / "study.yaml").read_text() == "mine"
+    assert init(steps, "--force") == 0
+    assert load_study(steps).runs
+
+
+def test_a_study_elsewhere_finds_its_files(steps, tmp_path_factory):
+    out = tmp_path_factory.mktemp("elsewhere") / "deep" / "my.yaml"
+    assert init(steps, "--out", str(out)) == 0
+    assert len(load_study(out).runs) == 4
+    assert not (steps / "study.yaml").exists()
+
+
+def test_one_file_of_many_trials(tmp_path):
+    trials = [str(k) for k in (3, 4, 7, 9, 12, 15, 20) for _ in range(60)]
+    t = np.tile(T * 1e-3, 7)
+    x = np.concatenate([np.sin(k + T / 100.0) + noisy(k, 1e-3) for k in range(7)])
+    write(tmp_path / "all.csv", "trial,time,angle_deg,temp_C", [trials, t, x, np.tile(noisy(9), 7)])
+    assert init(tmp_path) == 0
+    study = load_study(tmp_path)
+    assert [r.name for r in study.runs][:2] == ["all_3", "all_4"]
+    assert [r.use for r in study.runs] == ["fit"] * 3 + ["select"] + ["fit"] * 2 + ["test"]
+    assert [(c.name, c.unit) for c in study.channels] == [("angle", "rad"), ("temp", "K")]
+    assert study.commands == ()
+    assert any("no column looks commanded" in sentence for sentence in study.todo)
+
+
+def test_what_drives_without_noise_looks_commanded(tmp_path):
+    t = np.linspace(0.0, 2.0, 60)
+    smooth = np.sin(t * 1e-3 + 2.0)
+    for seed, name in enumerate("ab"):
+        columns = [t, smooth + noisy(seed, 1e-3), smooth, smooth]
+        write(tmp_path / f"{name}.csv", "t (s),x (m),Kraft (N),angle (rad)", columns)
+    assert init(tmp_path) == 0
+    study = load_study(tmp_path)
+    assert [c.name for c in study.commands] == ["Kraft"]
+    assert [c.name for c in study.channels] == ["x", "angle"]  # motions may be smooth
+
+
+def test_one_long_run_is_cut_into_blocks(tmp_path):
+    write(tmp_path / "long.csv", "t,u,y", [T * 1e-3, np.repeat(np.arange(6.0), 10), noisy(0)])
+    assert init(tmp_path) == 0
+    study = load_study(tmp_path)
+    assert [r.use for r in study.runs] == ["fit", "fit", "fit", "select", "fit", "test"]
+    assert [c.name for c in study.commands] == ["u"] and [c.name for c in study.channels] == ["y"]
+    assert any(sentence.startswith("time.unit: column t states none") for sentence in study.todo)
+    assert any("unit of column y" in sentence for sentence in study.todo)
+
+
+def test_a_row_of_units_and_lines_before_the_header(tmp_path):
+    lines = ["Logger 3", "", "time,pos,cmd", "s,mm,N", *(f"{k / 100},{k % 7},0" for k in range(40))]
+    (tmp_path / "log.txt").write_text("\n".join(lines) + "\n")
+    assert init(tmp_path) == 0
+    study = load_study(tmp_path)
+    assert (study.channels[0].name, study.channels[0].shown_unit) == ("pos", "mm")
+    assert sum(len(r.time_s) for r in study.runs) == 40
+
+
+def test_numbers_in_file_names_are_facts(tmp_path):
+    for level in (100, 150):
+        write(tmp_path / f"step_{level}mbar.csv", "time_s,x_m", [T * 1e-3, noisy(level)])
+    assert init(tmp_path) == 0
+    assert [r.setup for r in load_study(tmp_path).runs] == [
+        {"mbar_in_name": 10000.0},
+        {"mbar_in_name": 15000.0},
+    ]
+
+
+def test_a_folder_without_recordings(tmp_path, capsys):
+    (tmp_path / "notes.txt").write_text("we pulled\nand it moved\n")
+    assert init(tmp_path) == 2
+    assert "has no table with a header line and rows of numbers" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("system", ["ode", "soft_body", "multicopter", "bench", "rigid_body"])
+def test_a_first_study_of_any_system_is_read(steps, system):
+    assert init(steps, "--system", system) == 0
+    assert load_study(steps).system == system

@@ -1,0 +1,118 @@
+"""``diffsim diagnose judge``: a frozen model on runs that the diagnosis did not have."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from diffsim import cli
+from diffsim.cli.diagnose_inputs import inputs_of
+from diffsim.data import save_study
+from diffsim.data.study_file import load_study
+from diffsim.diagnose.frozen import judge_saved
+from diffsim.diagnose.gain import held_out_residual
+from diffsim.diagnose.refit import extend, fit_null
+from diffsim.identify.model_file import SavedModel, read_extended
+from tests.diagnose import toy, toy_setup
+
+SETUP = str(Path(toy_setup.__file__))
+TRUTH = {"drag": 0.2}
+
+
+@pytest.fixture(scope="module")
+def study():
+    return toy.generate(2, TRUTH)
+
+
+@pytest.fixture(scope="module")
+def model_folder(study, tmp_path_factory):
+    """An extended model, without a search."""
+    out = tmp_path_factory.mktemp("model")
+    inputs = inputs_of(study, seed=0, setup_file=Path(SETUP))
+    drag = SavedModel(out, {"drag": 0.2}, {}, (), ("drag",), "named")
+    extend(inputs, drag).save(out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def new_folder(study, tmp_path_factory):
+    """Another study of the same rig: one run, three times as large a command."""
+    folder = tmp_path_factory.mktemp("new") / "study"
+    held = study.test_runs[0]
+    fresh = replace(held, name="fresh", group="fresh", setup={"payload_kg": 0.2})
+    save_study(replace(study, name="later", runs=(fresh,)), folder)
+    return folder
+
+
+def judge(study, out, model, *more):
+    folders = ["--out", str(out), "--model", str(model)]
+    return cli.main(["diagnose", "judge", str(study), "--setup", SETUP, "--debug", *folders, *more])
+
+
+def test_a_new_study_is_judged_and_nothing_is_fitted(model_folder, new_folder, tmp_path, capsys):
+    before = (model_folder / "extended_model.yaml").read_bytes()
+    assert judge(new_folder, tmp_path, model_folder) == 0
+    said = capsys.readouterr().out
+    assert "fresh" in said and "confirmed" in said and "2 values" in said
+    found = json.loads((tmp_path / "judge.json").read_text())
+    assert found["runs"] == ["fresh"]
+    rows = {row["kind"]: row for row in found["errors"]}
+    assert rows["position"]["noise"] == pytest.approx(0.03, rel=0.1)
+    assert rows["position"]["after"] < 1.15 * rows["position"]["noise"]
+    assert rows["position"]["before"] > 1.15 * rows["position"]["after"]
+    assert rows["position"]["num_fitted"] == 2  # its offset and its gain, as declared
+    assert found["gain"]["low"] > 0.5 and found["gains"]["fresh"] == found["gain"]
+    assert (model_folder / "extended_model.yaml").read_bytes() == before
+
+
+def test_a_saved_model_judges_as_the_fits_do(model_folder, study):
+    inputs = inputs_of(study, seed=0, setup_file=Path(SETUP))
+    saved = read_extended(model_folder)
+    found = judge_saved(inputs, saved)
+    null = fit_null(inputs)
+    held = study.test_runs[0]
+    excess = np.sum(held_out_residual(null.fit, held) ** 2) / held.measured.size - 1.0
+    assert found.gain is not None
+    assert found.gain.excess == pytest.approx(excess, rel=1e-3)
+
+
+def test_how_far_outside_is_told(model_folder, new_folder, tmp_path):
+    study = load_study(new_folder)
+    run = study.runs[0]
+    far = replace(run, command={"u": 3.0 * run.command["u"]}, setup={"payload_kg": 0.2})
+    inputs = inputs_of(replace(study, runs=(far,)), seed=0, setup_file=Path(SETUP))
+    rows = {row.what: row for row in judge_saved(inputs, read_extended(model_folder)).outside}
+    largest = rows["largest u"]
+    assert largest.value == pytest.approx(2.7, rel=0.01) and largest.high < 1.01
+    # the fitted ends are 0.35 and 1: the middle 0.67, half the width 0.33
+    assert largest.times == pytest.approx((2.7 - 0.675) / 0.325, rel=0.1)
+    assert "fitted runs have" in largest.words
+    assert not any(row.what.startswith("smallest") and row.times <= 1.0 for row in rows.values())
+
+
+def test_what_was_fitted_proves_nothing(model_folder, study, tmp_path):
+    inputs = inputs_of(study, seed=0, setup_file=Path(SETUP))
+    saved = read_extended(model_folder)
+    with pytest.raises(ValueError, match="run chirp_a was used to fit the model"):
+        judge_saved(inputs, saved, ["chirp_a"])
+    renamed = replace(study.runs[0], name="new_name", use="test")
+    inputs = inputs_of(replace(study, runs=(renamed,)), seed=0, setup_file=Path(SETUP))
+    with pytest.raises(ValueError, match=r"run new_name was used to fit the model \(as chirp_a\)"):
+        judge_saved(inputs, saved)
+    with pytest.raises(ValueError, match="--runs must be one of"):
+        judge_saved(inputs, saved, ["old_name"])
+
+
+def test_a_file_without_the_plain_fit_is_refused(model_folder, new_folder, tmp_path):
+    content = yaml.safe_load((model_folder / "extended_model.yaml").read_text())
+    assert set(content["plain"]) == set(content["parameters"])
+    del content["plain"]
+    (tmp_path / "extended_model.yaml").write_text(yaml.safe_dump(content))
+    inputs = inputs_of(load_study(new_folder), seed=0, setup_file=Path(SETUP))
+    with pytest.raises(ValueError, match="holds no plain model to compare with"):
+        judge_saved(inputs, read_extended(tmp_path))

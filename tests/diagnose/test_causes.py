@@ -1,0 +1,187 @@
+"""A verdict on every cause: what is certain, what cannot be told, what a data sheet has wrong."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+
+from diffsim.data.study import Study
+from diffsim.diagnose import Report, diagnose
+from diffsim.diagnose.averaging import _interval, widening
+from diffsim.diagnose.data_sheet import words_of
+from diffsim.diagnose.left_out import folds_of
+from diffsim.diagnose.records import CauseRow
+from diffsim.identify import DiagnosisSettings, SearchSettings, fit
+from tests.diagnose import linear
+
+QUICK = DiagnosisSettings(search=SearchSettings(num_refits=4))
+PUSH, OTHER = linear.line("push"), linear.line("other", family="twins")
+DOUBLE = replace(OTHER, name="double")
+"""Exactly the other one under another name."""
+
+
+def recorded(name, seed, sizes, base=(0.0, 0.0), **changes):
+    """A run with effects of known sizes, base parameters some prior sd off."""
+    run, model = linear.run(name, seed, **changes), linear.model()
+    given = {effect: torch.tensor([size]).double() for effect, size in sizes.items()}
+    clean = model.predict(run, torch.tensor(base, dtype=torch.float64), given)
+    return replace(run, measured=run.measured + clean.numpy())
+
+
+def diagnosed(sizes, effects, num=6, tests=2, **options) -> Report:
+    runs = [recorded(f"r{k}", k, sizes, **options) for k in range(num)]
+    runs += [recorded(f"t{k}", 50 + k, sizes, use="test", **options) for k in range(tests)]
+    study = Study("lines", "copter", linear.CHANNELS, tuple(runs))
+    return diagnose(study, linear.model(), effects, seed=0, settings=QUICK)
+
+
+def causes(report: Report) -> dict[str, CauseRow]:
+    return {row.name: row for row in report.causes}
+
+
+@pytest.fixture(scope="module")
+def shared():
+    """A certain push beside one of two causes that no data can tell apart."""
+    return diagnosed({PUSH: 1.0, OTHER: 0.8}, (PUSH, OTHER, DOUBLE))
+
+
+def test_what_all_rivals_share_is_certain_though_the_rest_cannot_be_told(shared):
+    found = causes(shared)
+    assert (shared.verdict, shared.named) == ("named", ("push",))
+    assert {frozenset(r) for r in shared.rivals} == {
+        frozenset({"push", "other"}),
+        frozenset({"push", "double"}),
+    }
+    assert found["push"].status == "certain" and found["push"].probability > 0.99
+    for name, twin in (("other", "double"), ("double", "other")):
+        assert (found[name].status, found[name].rivals) == ("cannot be told from", (twin,))
+        # half each, and the sets that hold both
+        assert 0.5 <= found[name].probability < 0.7
+    # the extended model holds one of the two: it helps, its name is not known
+    assert {e.name for e in shared.best.problem.effects} > {"push"}
+    assert sum(found[name].helps for name in ("other", "double")) == 1
+
+
+def test_probabilities_are_shares_of_evidence(shared):
+    evidence = np.array([np.exp(h.nats) for h in shared.hypotheses])
+    for name, row in causes(shared).items():
+        holding = np.array([name in h.effects for h in shared.hypotheses])
+        assert row.probability == pytest.approx(evidence[holding].sum() / evidence.sum(), rel=1e-6)
+
+
+def test_sizes_hold_the_truth_and_nothing_named_is_invisible(shared):
+    push = causes(shared)["push"].size["size"]
+    assert push.low < 1.0 < push.high and push.high - push.low < 0.6
+    assert not set(shared.cannot_see) & {"push", "other", "double"}
+    for row in shared.causes:
+        if row.status == "certain":
+            assert all(abs(row.size[c].value) > s for c, s in row.smallest_visible.items())
+
+
+def test_quantiles_are_those_of_the_mixture():
+    weights, mean, sd = np.array([0.3, 0.7]), np.array([1.0, 3.0]), np.array([0.2, 0.5])
+    found = _interval(weights, mean, sd, PUSH)
+    for q, p in ((found.low, 0.05), (found.high, 0.95)):
+        assert weights @ stats.norm.cdf((q - mean) / sd) == pytest.approx(p, abs=1e-6)
+    assert found.value == pytest.approx(2.4)
+    cut = _interval(np.ones(1), np.array([0.1]), np.array([1.0]), replace(PUSH, signed=False))
+    assert cut.low == 0.0
+
+
+def test_a_data_sheet_that_is_wrong_is_a_finding_and_never_noise():
+    report = diagnosed({}, (PUSH,), base=(6.0, 0.5))
+    assert (report.verdict, report.named, report.findings) == ("named", (), ("mass",))
+    row = causes(report)["mass"]
+    assert (row.origin, row.status, row.unit) == ("data sheet", "certain", "kg")
+    assert row.size["size"].low < 0.3 + 6.0 * 0.7 < row.size["size"].high
+    assert not any("noise: no effect" in s for s in report.sentences)
+    assert any("the data sheet says 0.3 +- 0.7 kg" in s for s in report.sentences)
+    assert report.headline.startswith("Mass is 4.") and "data sheet" in report.headline
+    base = {b.name: b for b in report.base}
+    assert base["mass"].finding and base["mass"].pull == pytest.approx(6.0, abs=0.5)
+    assert not base["gain"].finding
+
+
+def test_a_null_has_no_cause_and_no_finding():
+    report = diagnosed({}, (PUSH, OTHER))
+    assert (report.verdict, report.findings) == ("none", ())
+    assert all(row.status not in ("certain", "likely") for row in report.causes)
+    assert report.headline.startswith("Nothing is missing that these runs could show")
+
+
+@pytest.mark.parametrize("tests", [0, 2])
+@pytest.mark.parametrize(
+    ("sizes", "effects"),
+    [
+        ({}, (PUSH,)),
+        ({PUSH: 1.0}, (PUSH,)),
+        ({OTHER: 1.0}, (OTHER, DOUBLE)),
+        ({PUSH: 1.0, OTHER: 1.0}, (PUSH, OTHER)),
+    ],
+)
+def test_headlines_are_short_and_say_the_error(sizes, effects, tests):
+    report = diagnosed(sizes, effects, tests=tests)
+    assert len(report.headline.split()) <= 25 and report.headline.endswith(".")
+    assert "_" not in report.headline
+    assert bool(re.search(r"\d m\b", report.headline)) == bool(tests)
+    assert tests or "test" in report.headline
+    assert tests or any("No gain is known" in s for s in report.sentences)
+
+
+def test_with_an_unknown_cause_the_extended_model_holds_what_helps():
+    curve = np.sin(2.0 * np.pi * np.linspace(0.0, 1.0, linear.NUM_SAMPLES))
+
+    def drifting(name, seed, amplitude, **changes):
+        run = recorded(name, seed, {PUSH: 0.9}, **changes)
+        moved = run.measured.copy()
+        moved[:, 0] += amplitude * curve
+        return replace(run, measured=moved)
+
+    runs = [
+        replace(drifting(f"r{k}", k, (3.0, -4.0, 3.5)[k // 2]), group=f"g{k // 2}")
+        for k in range(6)
+    ]
+    runs.append(drifting("last", 9, -3.0, use="test"))
+    study = Study("drifting", "copter", linear.CHANNELS, tuple(runs))
+    report = diagnose(study, linear.model(), (PUSH,), seed=0, settings=QUICK)
+    row = causes(report)["push"]
+    assert (report.verdict, report.named) == ("unknown", ())
+    assert row.status == "cannot be told from" and "unknown drift of a" in row.rivals
+    assert row.helps and [e.name for e in report.best.problem.effects] == ["push"]
+    assert any("helps, but is not named" in s for s in report.sentences)
+    assert report.gain is not None and report.gain.value > 0.0
+    assert 0.2 < report.unknown_share < 1.0
+
+
+def test_intervals_cover_where_runs_differ_by_more_than_noise():
+    """The push differs from run to run: noise alone would make the interval too narrow."""
+    rng, inside, narrow = np.random.default_rng(0), 0, 0
+    for seed in range(20):
+        sizes = rng.normal(1.0, 0.4, 6)
+        runs = [recorded(f"r{k}", 100 * seed + k, {PUSH: s}) for k, s in enumerate(sizes)]
+        found = fit(linear.model(), runs, linear.CHANNELS, effects=(PUSH,))
+        folds = folds_of(found)
+        assert folds is not None
+        away, half = abs(found.values["push"] - 1.0), 1.645 * found.sd["push"]
+        inside += away <= half * widening(found).factors["push"]
+        narrow += away <= half
+    # 90 % of 20 is 18 +- 1.3
+    assert narrow <= 15 < 16 <= inside
+
+
+def test_intervals_of_a_right_model_are_hardly_widened():
+    factors = []
+    for seed in range(8):
+        runs = [recorded(f"r{k}", 100 * seed + k, {PUSH: 1.0}) for k in range(6)]
+        found = fit(linear.model(), runs, linear.CHANNELS, effects=(PUSH,))
+        factors.append(widening(found).factors["push"])
+    assert np.median(factors) < 1.25 and min(factors) == 1.0
+
+
+def test_code_names_become_words():
+    assert words_of("sliding_friction") == "sliding friction"
+    assert words_of("thrust_exponent[propeller=A]") == "thrust exponent (propeller A)"
+    assert words_of("offset@run_3") == "offset of run_3"

@@ -1,0 +1,71 @@
+"""Coarse settings are refined within a budget, and everything goes on with the refined ones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diffsim.diagnose import diagnose
+from diffsim.diagnose.fit import Case, null_fit
+from diffsim.diagnose.gates import numerics_changes
+from diffsim.diagnose.refine import checked_numerics
+from diffsim.identify import DiagnosisSettings, Numerics, SearchSettings
+from tests.diagnose import toy
+
+QUICK = DiagnosisSettings(search=SearchSettings(max_effects=2, num_refits=2))
+
+
+def noisy(hidden=None):
+    """Ten times the noise of the toy: a step of 10 ms is too coarse by a factor of four."""
+    study = toy.generate(12, hidden, noise=10.0)
+    channels = tuple(replace(c, sd=10.0 * c.sd) for c in study.channels)
+    return replace(study, channels=channels)
+
+
+def case(settings=QUICK, step=0.01):
+    study = noisy()
+    return Case(study, toy.model(study.runs, step), (toy.DELAY, toy.BIAS), (), settings)
+
+
+def test_a_coarse_time_step_is_refined_until_it_passes():
+    null = null_fit(case())
+    found = checked_numerics(null)
+    assert all(g.passed for g in found.gates)
+    numerics = found.null.case.numerics
+    assert 1 / 16 <= numerics.time_step <= 0.5 and numerics.mesh == numerics.tolerance == 1.0
+    assert found.null.fit.problem.numerics == numerics
+    gate = next(g for g in found.gates if g.name == "time_step")
+    assert f"refined by {1 / numerics.time_step:g}" in gate.note
+    # a first-order method: what refining still changes falls with the step
+    before = np.linalg.norm(numerics_changes(null.fit.problem, null.at)["time_step"])
+    assert np.linalg.norm(found.changes["time_step"]) < 0.6 * before
+
+
+def test_a_budget_that_is_spent_is_said_with_figures():
+    found = checked_numerics(null_fit(case(replace(QUICK, refine_budget=1.2))))
+    gate = next(g for g in found.gates if g.name == "time_step")
+    assert not gate.passed and "budget of 1.2 times" in gate.note
+
+
+@pytest.mark.parametrize("settings", [replace(QUICK, accept_numerics=True), QUICK])
+def test_settings_that_pass_or_are_accepted_stay(settings):
+    step = 0.01 if settings.accept_numerics else None
+    null = null_fit(case(settings, step))
+    found = checked_numerics(null)
+    assert found.null is null and null.case.numerics is None
+
+
+def test_a_diagnosis_goes_on_with_refined_settings():
+    study = noisy({"bias": 0.3})
+    model = toy.model(study.runs, 0.01)
+    report = diagnose(
+        study,
+        model,
+        (toy.BIAS, toy.DELAY),
+        seed=0,
+        settings=QUICK,
+    )
+    assert report.named == ("bias",)
+    finer = Numerics(**report.settings["numerics"])
+    assert finer.time_step < 1.0
+    assert report.best.problem.numerics == report.null.problem.numerics == finer

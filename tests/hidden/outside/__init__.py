@@ -1,0 +1,1 @@
+"""Cases made by other people's simulators: MuJoCo, RotorPy, PyElastica; optional packages."""

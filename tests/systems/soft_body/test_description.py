@@ -1,0 +1,161 @@
+"""Soft bodies described in a study: keys, what they make, and what is wrong in terms of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from diffsim import mesh
+from diffsim.data.study import Channel
+from diffsim.identify import Problem, WhiteNoise
+from diffsim.systems.registry import setup_of
+
+from .described import BAR, TENDON, described, predicted, run_of, study_of
+
+TIMES = np.arange(-1, 24) * 0.02
+LIGHT, HEAVY = run_of("light", TIMES, load_kg=0.0), run_of("heavy", TIMES, load_kg=0.03)
+
+
+def pulled(amount_m: float = 4e-3) -> np.ndarray:
+    return amount_m * 0.5 * (1.0 - np.cos(2 * np.pi * np.arange(24) / 12))
+
+
+PULLED = run_of("pulled", np.arange(24) * 0.05, command={"pull_m": pulled()})
+
+
+def test_what_a_description_makes():
+    study = study_of(BAR, (LIGHT, HEAVY))
+    made = described(study)
+    assert not made.problems(study)
+    setup = setup_of(study)
+    assert [p.name for p in setup.model.base] == ["youngs_modulus", "rayleigh_beta"]
+    names = {e.name for e in setup.effects}
+    assert {"load_inertia", "tip_mass", "loss_factor", "body_scale", "delay"} <= names
+    # a base parameter is no cause beside itself, and nothing pulls here
+    assert not {"stiffness_damping", "tendon_slack", "rate_limit", "current"} & names
+
+
+def test_a_hung_weight_pulls_and_its_inertia_slows():
+    study = study_of(BAR, (LIGHT, HEAVY))
+    light, plain = predicted(study)
+    heavy = predicted(study, {"load_inertia": 1.0})[1]
+    assert light[0] == plain[0] == 0.0  # held until the start
+    first_dip = {k: int(y[:, 0].argmin()) for k, y in (("plain", plain), ("heavy", heavy))}
+    assert float(plain.min()) < 1.5 * float(light.min()) < 0.0
+    assert first_dip["heavy"] > first_dip["plain"]
+
+
+def test_a_load_as_a_mass_is_a_weight_with_its_inertia():
+    study = study_of(BAR, (LIGHT, HEAVY))
+    load = {"name": "weight", "where": {"x": 0.08}, "mass_from": "load_kg", "acts_as": "mass"}
+    as_mass = predicted(study_of(BAR, (LIGHT, HEAVY), masses=[load]))[1]
+    assert torch.allclose(predicted(study, {"load_inertia": 1.0})[1], as_mass, atol=1e-9)
+
+
+def test_columns_are_those_of_differences():
+    study = study_of(BAR, (HEAVY,))
+    setup = setup_of(study)
+    kept = [
+        e for e in setup.effects if e.name in ("load_inertia", "tip_mass", "body_scale", "lens")
+    ]
+    problem = Problem(setup.model, study.runs, WhiteNoise(study.channels), tuple(kept))
+    x = np.full(len(problem.names), 0.1)
+    columns = problem.linearize(x)[1]
+    for i in range(len(x)):
+        step = np.eye(len(x))[i] * 2e-4
+        slope = -(problem.residual(x + step) - problem.residual(x - step)) / 4e-4
+        assert np.abs(columns[:, i] - slope).max() < 2e-3 * np.abs(slope).max(), problem.names[i]
+
+
+def test_a_density_per_part_goes_with_hooks():
+    region = {"name": "head", "where": {"x": [0.06, None]}, "density": 2000.0}
+    study = study_of(BAR, (LIGHT,), regions=[region], vibration={"frequency": 5.0})
+    at_rest = predicted(study)[0]
+    assert not torch.allclose(at_rest, predicted(study_of(BAR, (LIGHT,)))[0])
+    assert not torch.allclose(at_rest, predicted(study, {"creep": 0.05})[0])
+
+
+def test_poses_follow_the_command_and_are_computed_once():
+    study = study_of(TENDON, (PULLED,))
+    (there,) = predicted(study)
+    # the same command, the same pose: there and back
+    assert torch.allclose(there[1:12], there[1:12].flip(0), atol=1e-9)
+    late = predicted(study, {"delay": 0.1})[0]
+    assert torch.allclose(late[4:], there[2:-2], atol=1e-5)
+
+
+def test_a_commanded_force_bends_as_its_moment_does():
+    cable = {
+        "name": "cable", "command": "pull_N", "means": "force",
+        "path": [[0, 0.005, 0.002], [0.08, 0.005, 0.002]],
+    }  # fmt: skip
+    run = run_of("pulled", np.arange(6) * 1.0, command={"pull_N": np.full(6, 0.05)})
+    study = study_of(TENDON, (run,), tendons=[cable])
+    study.model["body"] = {"bar": {"size": [0.08, 0.01, 0.016], "cells": [10, 2, 4]}}
+    study.model["numerics"] |= {"correct_mesh": True}
+    tip = float(predicted(study)[0][-1, 0])
+    inertia = 0.01 * 0.016**3 / 12
+    wanted = -0.05 * 0.006 * 0.08**2 / (2 * 0.3e6 * inertia)  # M L^2 / (2 E I)
+    assert tip == pytest.approx(wanted, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"fixed": [{"x": 0.2}]}, r"fixed\[0\]: no node of the body lies there; it spans x 0 to"),
+        ({"markers": {"tip": [0.2, 0.0, 0.0]}}, r"markers.tip: \(0.2, 0, 0\) m lies outside"),
+        ({"masses": [{"where": {"x": 0.08}, "mass_from": "weight"}]}, r"no run states 'weight'"),
+        ({"channels": {}}, "channels.tip_z_m: is not described"),
+        ({"support": {"x": "clamp_x", "z": "clamp_z"}}, "support.x: run light has no command"),
+        (
+            {"regions": [{"name": "a", "where": {"z": 5.0}, "density": 1}]},
+            r"regions\[0\].where: no",
+        ),
+    ],
+)
+def test_errors_in_terms_of_the_keys(changes, message):
+    study = study_of(BAR, (LIGHT,), **changes)
+    with pytest.raises(ValueError, match=message):
+        setup_of(study)
+
+
+def test_a_missing_command_and_a_path_outside():
+    cable = {"name": "cable", "command": "pul_m", "axial_stiffness": 100.0}
+    path = [[0, 0.005, 0.004], [0.08, 0.005, 0.004]]
+    study = study_of(TENDON, (PULLED,), tendons=[cable | {"path": path}])
+    with pytest.raises(ValueError, match=r"tendons\[0\].command: run pulled has no"):
+        setup_of(study)
+    outside = cable | {"command": "pull_m", "path": [[0, 0.0, 0.1], [0.08, 0.0, 0.1]]}
+    with pytest.raises(ValueError, match=r"tendons\[0\].path: path must lie inside the mesh"):
+        setup_of(study_of(TENDON, (PULLED,), tendons=[outside]))
+
+
+def test_shapes_of_all_kinds(tmp_path):
+    stations = [{"at": 0, "radius": "10 mm"}, {"at": "80 mm", "radius": "5 mm"}]
+    rod = {"rod": {"stations": stations, "cells": 6}, "rotation": [0, "90 deg", 0]}
+    study = study_of(
+        BAR, (LIGHT,), body=rod, fixed=[{"z": 0}], masses=[], start={},
+        markers={"tip": [0, 0, "-79 mm"]},
+    )  # fmt: skip
+    assert not described(study).problems(study)
+    mesh.save(mesh.hex_box((4, 1, 1), (80.0, 16.0, 16.0)), tmp_path / "bar.vtu")
+    study = replace(
+        study_of(BAR, (LIGHT,), body={"file": {"path": "bar.vtu", "unit": "mm"}}), folder=tmp_path
+    )
+    assert not described(study).problems(study)
+
+
+def test_a_rotation_is_read_in_radians():
+    reading = {"markers": ["low", "high"], "about": "y"}
+    markers = {"low": [0.08, 0.008, 0.0], "high": [0.08, 0.008, 0.016]}
+    channels = (Channel("pitch_rad", "rad", "angle", 1e-3),)
+    study = study_of(
+        BAR, (LIGHT,), channels, markers=markers, channels={"pitch_rad": reading}
+    )  # fmt: skip
+    pitch = predicted(study)[0][:, 0]
+    drop = predicted(study_of(BAR, (LIGHT,)))[0][:, 0]
+    last = float(pitch[-1] / (-drop[-1] / 0.08))  # a sagging tip turns nose down, about +y
+    assert 1.0 < last < 1.6  # 4/3 under its own weight

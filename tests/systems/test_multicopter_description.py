@@ -1,0 +1,396 @@
+"""Flights described in YAML: keys, frames, sensors and causes against a simulator of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from diffsim.data.study import Channel, Run, Study
+from diffsim.diagnose import diagnose
+from diffsim.systems.multicopter.frames import Frames
+from diffsim.systems.multicopter.lag import speed_lagged
+from diffsim.systems.multicopter.loads import _swing
+from diffsim.systems.registry import description_of, setup_of
+from tests.systems import small_copter
+from tests.systems.small_copter import Causes, Flight
+
+f64 = torch.float64
+SPEEDS = ["n1", "n2", "n3", "n4"]
+MODEL = {
+    "system": "multicopter",
+    "frames": {"world": "ENU", "body": "FLU"},
+    "mass": {"value": small_copter.MASS, "percent": 1},
+    "inertia": np.diag(small_copter.INERTIA).tolist(),
+    "rotors": [
+        {"at": place.tolist(), "spin": spin}
+        for place, spin in zip(small_copter.PLACES, small_copter.SPINS, strict=True)
+    ],
+    "thrust": {"coefficient": small_copter.COEFFICIENT},
+    "torque_ratio": small_copter.TORQUE_RATIO,
+    "commands": {"columns": SPEEDS, "as": "speed"},
+    "sensors": {
+        "position": ["x", "y", "z"],
+        "quaternion": {"columns": ["qx", "qy", "qz", "qw"], "order": "xyzw"},
+        "body_rates": ["p", "q", "r"],
+        "specific_force": ["fx", "fy", "fz"],
+    },
+}
+NOISE = {"m": 1e-3, "-": 2e-3, "rad": 3e-3, "rad/s": 5e-3, "m/s": 5e-3, "m/s^2": 0.05}
+
+
+@lru_cache
+def flight(kind: str, causes: Causes) -> Flight:
+    return small_copter.fly(kind, causes, seconds=2.0, fine=4)
+
+
+def up(f: Flight) -> dict[str, tuple[str, np.ndarray]]:
+    """Columns of a recording in ENU and FLU: name -> unit and values."""
+    angles = Rotation.from_matrix(f.rotation).as_euler("ZYX")[:, ::-1]
+    steps = np.diff(f.velocity, axis=0) / (f.time[1] - f.time[0])
+    acceleration = np.concatenate([steps[:1], steps])
+    groups = {
+        ("x", "y", "z"): ("m", f.position),
+        ("vx", "vy", "vz"): ("m/s", f.velocity),
+        ("qw", "qx", "qy", "qz"): ("-", f.quaternion),
+        ("roll", "pitch", "yaw"): ("rad", angles),
+        ("p", "q", "r"): ("rad/s", f.rates),
+        ("fx", "fy", "fz"): ("m/s^2", f.specific),
+        ("ax", "ay", "az"): ("m/s^2", acceleration),
+    }
+    return {
+        name: (unit, values[:, i])
+        for names, (unit, values) in groups.items()
+        for i, name in enumerate(names)
+    }
+
+
+def down(f: Flight) -> dict[str, tuple[str, np.ndarray]]:
+    """The same in NED and FRD: east-north-up written with x and y swapped, z turned over."""
+    c = up(f)
+    swap = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    turned = swap @ f.rotation @ np.diag([1.0, -1.0, -1.0])
+    roll, pitch, yaw = np.unwrap(Rotation.from_matrix(turned).as_euler("ZYX")[:, ::-1], axis=0).T
+    quaternion = Rotation.from_matrix(turned).as_quat()  # scalar last
+    signed = {"x": "y", "y": "x", "z": "-z", "vx": "vy", "vy": "vx", "vz": "-vz"}
+    signed |= {"p": "p", "q": "-q", "r": "-r", "fx": "fx", "fy": "-fy", "fz": "-fz"}
+    out = {}
+    for name, source in signed.items():
+        unit, values = c[source.lstrip("-")]
+        out[name] = unit, -values if source.startswith("-") else values
+    for i, name in enumerate(("qx", "qy", "qz", "qw")):
+        out[name] = "-", quaternion[:, i]
+    return out | {"roll": ("rad", roll), "pitch": ("rad", pitch), "yaw": ("rad", yaw)}
+
+
+def study(
+    columns=up,
+    sensors=None,
+    causes: Causes | None = None,
+    kinds=("circle", "dash"),
+    channels=None,
+    **keys,
+) -> Study:
+    """Runs of the small copter with noise, described by ``MODEL`` and other keys."""
+    model = {**MODEL, "sensors": sensors or MODEL["sensors"], **keys}
+    names = channels or description_of(_bare(model)).sensors.names
+    rng, runs = np.random.default_rng(1), []
+    for order, kind in enumerate(kinds):
+        f = flight(kind, causes or Causes())
+        table = columns(f)
+        sd = np.array([NOISE[table[n][0]] for n in names])
+        measured = np.stack([table[n][1] for n in names], 1)
+        measured = measured + sd * rng.standard_normal(measured.shape)
+        command = {name: f.speeds[:, i] for i, name in enumerate(SPEEDS)}
+        runs.append(Run(f"{kind}_{order}", f.time, measured, command, kind, order))
+    shown = tuple(Channel(n, table[n][0], "any", float(s)) for n, s in zip(names, sd, strict=True))
+    return Study("small", "multicopter", shown, tuple(runs), model=model)
+
+
+def _bare(model) -> Study:
+    return Study("small", "multicopter", (), (), model=model)
+
+
+def misfit(s: Study, **sizes) -> float:
+    """Mean square of the error over the noise, causes at given sizes."""
+    setup = setup_of(s)
+    known = {e.name: e for e in setup.effects}
+    at = {known[n]: torch.as_tensor(v, dtype=f64).reshape(-1) for n, v in sizes.items()}
+    sd = np.array([c.sd for c in s.channels])
+    with torch.no_grad():
+        off = [
+            (setup.model.predict(r, setup.model.at_prior(), at).numpy() - r.measured) / sd
+            for r in s.runs
+        ]
+    return float(np.mean(np.concatenate(off) ** 2))
+
+
+DOWN = {
+    "frames": {"world": "NED", "body": "FRD"},
+    "rotors": [
+        {"at": (place * [1.0, -1.0, -1.0]).tolist(), "spin": spin}
+        for place, spin in zip(small_copter.PLACES, small_copter.SPINS, strict=True)
+    ],
+}
+ANGLES = {"position": ["x", "y", "z"], "roll_pitch_yaw": ["roll", "pitch", "yaw"]}
+SENSORS = {
+    "quaternion and inertial unit": (up, None, {}),
+    "NED and FRD, quaternion": (down, None, DOWN),
+    "NED and FRD, angles": (
+        down,
+        {**ANGLES, "body_rates": ["p", "q", "r"]},
+        DOWN,
+    ),
+    "angles alone": (up, ANGLES, {}),
+    "no pitch, acceleration in the world": (
+        up,
+        {
+            "position": ["x", "y", "z"],
+            "velocity": ["vx", "vy", "vz"],
+            "roll_pitch_yaw": ["roll", None, "yaw"],
+            "acceleration": ["ax", "ay", "az"],
+        },
+        {},
+    ),
+    "velocity and gyro": (
+        up,
+        {"velocity": ["vx", "vy", "vz"], "body_rates": ["p", "q", "r"]},
+        {},
+    ),
+}
+
+
+@pytest.mark.parametrize("case", SENSORS)
+def test_any_frame_and_sensors_agree_with_another_simulator(case):
+    columns, sensors, keys = SENSORS[case]
+    s = study(columns, sensors, **keys)
+    # inertia and yaw turn with the frame: a wrong axis is off by hundreds
+    assert 0.6 < misfit(s) < 1.3
+
+
+def test_the_order_of_channels_is_free():
+    names = ["fz", "qw", "y", "p", "qx", "x", "fx", "z", "r", "qz", "fy", "q", "qy"]
+    assert 0.6 < misfit(study(channels=names)) < 1.3
+
+
+def test_frames_turn_vectors_and_rotations():
+    e = torch.eye(3, dtype=f64)
+    assert Frames("ENU", "FLU").in_world(torch.tensor([1.0, 2.0, 3.0], dtype=f64)).tolist() == [
+        2.0,
+        1.0,
+        -3.0,
+    ]
+    assert Frames("NWU", "FLU").in_world(torch.tensor([1.0, 2.0, 3.0], dtype=f64)).tolist() == [
+        1.0,
+        -2.0,
+        -3.0,
+    ]
+    # level with the nose to the north: in ENU a yaw of 90 degrees, in NWU none
+    yaw = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], dtype=f64)
+    torch.testing.assert_close(Frames("ENU", "FLU").rotation(e), yaw)
+    torch.testing.assert_close(Frames("NWU", "FLU").rotation(e), e)
+    for frames in (Frames(w, b) for w in ("NED", "ENU", "NWU") for b in ("FRD", "FLU")):
+        q = torch.tensor(Rotation.random(5, random_state=1).as_quat(), dtype=f64).roll(1, -1)
+        turned = Rotation.from_quat(frames.quaternion(q).roll(-1, -1).numpy()).as_matrix()
+        plain = torch.tensor(Rotation.from_quat(q.roll(-1, -1).numpy()).as_matrix())
+        np.testing.assert_allclose(turned, frames.rotation(plain), atol=1e-12)
+
+
+CAUSES = {
+    "lag": (Causes(motor_lag_s=0.04), {"lag": 0.04}, {}),
+    "motor_lag": (Causes(motor_lag_s=0.04), {}, {"motor_lag": "40 ms"}),
+    "center_of_mass": (
+        Causes(center_of_mass=(0.004, -0.002, 0.0)),
+        {"center_of_mass": [0.004, -0.002]},
+        {},
+    ),
+    "center in the file": (
+        Causes(center_of_mass=(0.004, -0.002, 0.01)),
+        {},
+        {"center_of_mass": ["4 mm", "-2 mm", "1 cm"]},
+    ),
+    "weak_rotor_1": (Causes(shares=(0.9, 1.0, 1.0, 1.0)), {"weak_rotor_1": 0.1}, {}),
+    "wind": (Causes(wind=(0.1, 0.05, 0.0)), {"wind": [0.1, 0.05]}, {}),
+    "rotor_speed_drag": (Causes(speed_drag=1e-4), {"rotor_speed_drag": 1e-4}, {}),
+    "extra_mass": (Causes(extra_mass=0.05), {"extra_mass": 0.05}, {}),
+    "gust": (
+        Causes(gust=(0.15, 0.7)),
+        {"gust": [0.15, 0.0, 0.0, 0.0]},
+        {"gust_frequency": {"value": 0.7, "sd": 0.1}},
+    ),
+    "slung_load": (
+        Causes(load=(0.06, 0.4)),
+        {"slung_load": 0.06},
+        {"sling_length": {"value": 0.4, "percent": 10}},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CAUSES)
+def test_a_cause_at_its_true_size_leaves_noise(name):
+    causes, sizes, keys = CAUSES[name]
+    s = study(causes=causes, **keys)
+    found = misfit(s, **sizes)
+    assert 0.6 < found < 1.3
+    if sizes:
+        assert misfit(s) > 1.5 * found
+
+
+def test_the_frequency_of_a_gust_is_seen_in_the_records():
+    s = study(causes=Causes(gust=(0.15, 0.7)))
+    base = {p.name: p for p in setup_of(s).model.base}
+    found = base["gust_frequency"]
+    assert found.value == pytest.approx(0.7, abs=found.sd) and found.sd < 0.3
+
+
+def test_windows_shorten_where_the_model_leaves_the_record():
+    s = study(causes=Causes(center_of_mass=(0.004, 0.0, 0.0)))
+    model = setup_of(s).model
+    scene = model.scene(s.runs[0], model.at_prior())
+    assert scene.windows.measured.shape[1] <= 25  # of 50 samples in the longest one
+    assert model.num_fitted_inside(s.runs[0]) == 12 * len(scene.windows.measured) + 4
+    plain = setup_of(study()).model
+    assert plain.scene(study().runs[0], plain.at_prior()).windows.measured.shape[1] == 50
+
+
+def test_wild_starts_are_found_by_creeping():
+    s = study()
+    model = setup_of(s).model
+    scene = model.scene(s.runs[0], model.at_prior())
+    want = scene.simulate()
+    wild = replace(scene.windows, guess=scene.windows.guess + 0.6, latest=[])
+    found = scene.changed(windows=replace(wild, rigid_spread=(9.0, 9.0, 9.0, 9.0))).simulate()
+    assert float(((found - want) / scene.windows.sd).abs().max()) < 0.3
+
+
+WRONG = {
+    "model: frames: ": ({"frames": None}, "model.frames"),
+    "sensors.positon": (
+        {"sensors": {"positon": ["x", "y", "z"]}},
+        "no key 'positon' here; did you mean 'position'",
+    ),
+    "unit": ({"motor_lag": "40 mm"}, "model.motor_lag: unit 'mm' is no unit"),
+    "rotor": ({"rotors": [{"at": [0, 0], "spin": "cw"}]}, "model.rotors[0].at: a place needs 3"),
+    "spin": ({"rotors": [{"at": [0, 0, 0], "spin": "left"}]}, "model.rotors[0].spin"),
+    "count": ({"rotors": MODEL["rotors"][:3]}, "commands.columns names 4 columns for 3 rotors"),
+    "throttle": (
+        {"commands": {"columns": SPEEDS, "as": "throttle"}, "thrust": None},
+        "throttle needs thrust",
+    ),
+    "torque": ({"torque_ratio": None}, "give torque_ratio or torque_coefficient"),
+    "design": ({"design": "quadcopter"}, "leave these keys out"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_keys_are_named(case):
+    keys, message = WRONG[case]
+    with pytest.raises(ValueError) as error:
+        description_of(_bare({**MODEL, **keys}))
+    assert message in str(error.value)
+
+
+def test_channels_and_commands_that_do_not_fit_are_named():
+    s = study()
+    said = [str(p) for p in description_of(s).problems(s)]
+    assert said == []
+    sensors = {**MODEL["sensors"], "position": ["x", "yy", "z"]}
+    wrong = replace(s, model={**MODEL, "sensors": sensors, "battery": "volt"})
+    said = "\n".join(str(p) for p in description_of(wrong).problems(wrong))
+    assert "model.sensors.position: no channel 'yy'; did you mean 'y'" in said
+    assert "channel y: model.sensors does not name it" in said
+    assert "model.battery: run circle_0 has no command 'volt'" in said
+    with pytest.raises(ValueError, match="no channel 'yy'"):
+        setup_of(wrong)
+    other = replace(s, channels=(replace(s.channels[0], unit="rad"), *s.channels[1:]))
+    assert "channel x must be in m, the study says rad" in str(
+        description_of(other).problems(other)[0]
+    )
+
+
+def test_quantities_per_fact_and_causes_by_choice():
+    s = study(
+        thrust={"coefficient": {"value": small_copter.COEFFICIENT, "percent": 5, "per": "prop"}},
+        effects={"only": ["wind", "lag"]},
+    )
+    s = replace(
+        s, runs=tuple(replace(r, setup={"prop": p}) for r, p in zip(s.runs, "AB", strict=True))
+    )
+    setup = setup_of(s)
+    names = [p.name for p in setup.model.base]
+    assert {"thrust_coefficient[prop=A]", "thrust_coefficient[prop=B]"} < set(names)
+    assert "thrust_gain" not in names  # the coefficient is fitted itself
+    assert [e.name for e in setup.effects] == ["wind", "lag"]
+
+
+def test_throttles_and_pulses_are_thrusts_by_their_laws():
+    n = np.array([[400.0, 600.0]] * 5)
+    run = Run("a", np.arange(5.0), np.zeros((5, 3)), {"u": n[:, 0], "v": n[:, 1]}, "g")
+
+    def thrusts(**keys):
+        model = {**MODEL, "rotors": MODEL["rotors"][:2], **keys}
+        s = Study("s", "multicopter", tuple(Channel(c, "m", "p") for c in "xyz"), (run,))
+        model["sensors"] = {"position": ["x", "y", "z"]}
+        flights = setup_of(replace(s, model=model)).model.build
+        return flights.asked(run, flights.parameters.in_run(flights.nominal(), run))[0, 0].tolist()
+
+    columns = {"columns": ["u", "v"]}
+    throttle = {**columns, "as": "throttle", "low": 200, "high": 1000}
+    assert thrusts(commands=throttle, thrust={"coefficient": 8.0}) == pytest.approx([0.5, 2.0])
+    linear = {"coefficient": 8.0, "exponent": 1, "offset": "0.1 N"}
+    assert thrusts(commands=throttle, thrust=linear) == pytest.approx([2.1, 4.1])
+    curve = {"curve": [[0, 0], [0.5, 1.0], [1, 3.0]]}
+    assert thrusts(commands=throttle, thrust=curve) == pytest.approx([0.5, 1.0])
+    speed = {**columns, "as": "speed"}
+    law = {"coefficient": 1e-6, "exponent": 2}
+    assert thrusts(commands=speed, thrust=law) == pytest.approx([0.16, 0.36])
+    assert thrusts(commands={**columns, "as": "thrust"}, thrust=None) == pytest.approx([400, 600])
+    shipped = {"thrust": None, "torque_ratio": None, "rotor_model": "kde2814_10in"}
+    from diffsim.copter.rotor import rotor_model
+
+    want = rotor_model("kde2814_10in").thrust(torch.tensor([400.0, 600.0], dtype=f64))
+    assert thrusts(commands=speed, **shipped) == pytest.approx(want.tolist())
+
+
+def test_a_lag_of_the_speed_is_the_mean_of_the_square_over_the_step():
+    dt, tau = 0.02, 0.03
+    thrusts = torch.tensor([4.0, 4.0, 9.0, 9.0], dtype=f64)[None, :, None]
+    found = speed_lagged(thrusts, dt, torch.tensor([tau], dtype=f64))[0, :, 0]
+    t = np.linspace(0.0, 2 * dt, 40001)
+    root = 3.0 - np.exp(-t / tau)
+    first, second = root[:20001] ** 2, root[20000:] ** 2
+    want = [4.0, 4.0, np.trapezoid(first, dx=t[1]) / dt, np.trapezoid(second, dx=t[1]) / dt]
+    np.testing.assert_allclose(found, want, rtol=1e-8)
+    none = speed_lagged(thrusts, dt, torch.zeros(1, dtype=f64))
+    torch.testing.assert_close(none, thrusts, atol=0, rtol=0)
+
+
+def test_a_load_swings_as_a_driven_pendulum():
+    """d'' = -w^2 d - a cos(v t): d = -a (cos v t - cos w t) / (w^2 - v^2)."""
+    w, v, dt = 4.0, 2.5, 0.005
+    t = dt * np.arange(800)
+    a = torch.tensor(np.cos(v * t), dtype=f64)[:, None] * torch.tensor([1.0, -2.0, 0.0], dtype=f64)
+    found = _swing(a, dt, torch.full((1, 1, 1), w, dtype=f64))[0]
+    middle = t + 0.5 * dt
+    want = -(np.cos(v * middle) - np.cos(w * middle)) / (w**2 - v**2)
+    np.testing.assert_allclose(found[:-1, 0], want[:-1], atol=2e-5)
+    np.testing.assert_allclose(found[:, 1], -2.0 * found[:, 0], atol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["none", "center_of_mass", "slung_load", "weak_rotor_1"])
+def test_hidden_causes_are_named_and_nothing_else(name):
+    causes, _, _ = CAUSES.get(name, (Causes(), {}, {}))
+    kinds = ("circle", "dash", "circle", "dash")
+    s = study(causes=causes, kinds=kinds)
+    setup = setup_of(s)
+    report = diagnose(
+        s, setup.model, setup.effects, unknowns=setup.unknowns, settings=setup.settings, seed=0
+    )
+    assert report.verdict == ("none" if name == "none" else "named")
+    if name != "none":
+        assert list(report.named) == [name]
