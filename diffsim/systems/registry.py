@@ -45,7 +45,7 @@ _LIBRARIES = {
 #: Kind of system -> module and class of its description.
 DESCRIPTIONS = {
     "bench": ("diffsim.systems.bench.description", "BenchDescription"),
-    "flow_device": ("diffsim.systems.flow_network.description", "FlowDeviceDescription"),
+    "flow_device": ("diffsim.systems.flow_network.device_description", "FlowDeviceDescription"),
     "flow_network": ("diffsim.systems.flow_network.description", "FlowNetworkDescription"),
     "multicopter": ("diffsim.systems.multicopter.description", "MulticopterDescription"),
     "ode": ("diffsim.systems.ode.description", "OdeDescription"),

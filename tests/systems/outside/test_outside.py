@@ -176,6 +176,16 @@ def test_a_wrong_shape_is_said_at_the_boundary(returned, message):
         setup.model.predict(study.runs[0], setup.model.at_prior())
 
 
+def test_what_a_simulator_offers_may_have_no_default():
+    study = scenes.recorded()
+
+    def predict(parameters, run, force):
+        return np.full((len(run.time_s), 2), force(0.0, [0.0], [0.0])[0])
+
+    setup = outside_setup(study, predict, [], places=[Place("hinge", "N m", 0.05)])
+    assert (predicted(setup, study.runs[0], "constant_force_at_hinge", 0.3) == 0.3).all()
+
+
 def test_channels_by_name_are_taken_in_the_order_of_the_study():
     study = scenes.recorded()
     by_name = {"rate_rad_s": np.ones(120), "angle_rad": np.zeros(120)}
