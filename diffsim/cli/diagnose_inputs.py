@@ -38,22 +38,21 @@ def read_study(given: str) -> Study:
     path = Path(given)
     if path.exists():
         return load_study(path)
-    described = _described()
-    if given in described:
-        return load_study(described[given])
+    files = {path.stem: path for path in described()}
+    if given in files:
+        return load_study(files[given])
     if given in IMPORTERS:
         return import_study(given)
     try:
-        require_choice("STUDY", given, {**described, **IMPORTERS})
+        require_choice("STUDY", given, {**files, **IMPORTERS})
     except ValueError as error:
         raise FileNotFoundError(f"{given} is no file or folder of a study, and {error}") from None
     raise AssertionError("require_choice refuses what is not among its choices")
 
 
-def _described() -> dict[str, Path]:
-    """Studies of published data sets that are described in a file, by name."""
-    folder = Path(published.__file__).parent
-    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+def described() -> list[Path]:
+    """Studies of published data sets that are described in a file."""
+    return sorted(Path(published.__file__).parent.glob("*.yaml"))
 
 
 def choose(

@@ -188,14 +188,22 @@ class Blocks(Part):
         return self
 
 
-def _read_elsewhere(given: Any) -> Source | None:
+class OtherSource(Source):
+    """Where a channel or command is in a file that has it elsewhere."""
+
+    unit: Unit | None = Field(
+        None, description="Unit of this file, of the same quantity; default: that of the channel"
+    )
+
+
+def _read_elsewhere(given: Any) -> OtherSource | None:
     if given is None:
         return None
-    return Source.model_validate({"column": given} if isinstance(given, str) else given)
+    return OtherSource.model_validate({"column": given} if isinstance(given, str) else given)
 
 
 Elsewhere = Annotated[
-    Source | None, PlainValidator(_read_elsewhere), Said("column, Source or null")
+    OtherSource | None, PlainValidator(_read_elsewhere), Said("column, OtherSource or null")
 ]
 
 
@@ -240,7 +248,7 @@ class RunKeys(Part):
     columns: dict[str, Elsewhere] = Field(
         {},
         description="Channels and commands that this file has elsewhere: {name: column}, "
-        "{name: {column, formula, scale}}, or {name: null} where it was not recorded",
+        "{name: {column, formula, unit}}, or {name: null} where it was not recorded",
     )
 
 

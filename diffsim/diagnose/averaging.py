@@ -74,10 +74,18 @@ class Averaged:
         """Probability that an unknown cause, by index, acts."""
         return float(sum(w for h, w in self.weights.items() if h.unknown == u))
 
-    def against(self, i: int) -> float:
-        """Nats by which the sets without an effect are ahead of those with it."""
-        p = self.probability(i)
-        return float(np.log1p(-min(p, 1.0 - 1e-12)) - np.log(max(p, 1e-300)))
+    def added(self, members: frozenset[int], i: int) -> float:
+        """Nats that an effect adds to a set, by linear evidence at it; below zero: it costs."""
+        search, both = self.search, Hypothesis(members | {i})
+        known = {**search.linear, **search.weighed}
+        if both in known and Hypothesis(members) in known:
+            return known[both].nats - known[Hypothesis(members)].nats
+        made = search.simulations
+        if members not in made.screened:
+            return 0.0
+        center = made.center(members, made.screened[members], search.num_families)
+        with_it = center.evidence.weigh(both)
+        return with_it.nats - center.evidence.weigh(Hypothesis(members)).nats
 
     def size(self, i: int) -> dict[str, Interval]:
         """Size of an effect by component; empty where no set with it was weighed."""

@@ -10,6 +10,7 @@ from time import process_time
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.threads import one_blas_thread
 from diffsim.core.version import __version__
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.assemble import Checks, report_of, tested
@@ -40,6 +41,7 @@ Array = NDArray[np.float64]
 NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
 
 
+@one_blas_thread
 def diagnose(
     study: Study,
     model: SimModel,

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, special
 
-from diffsim.diagnose.optimum import log_tilt, optimum, quadratic_optimum
+from diffsim.diagnose.optimum import kept_definite, log_tilt, optimum, quadratic_optimum
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import Effect
 from diffsim.identify.sizes import precision_at
@@ -103,7 +103,7 @@ class LaplaceEvidence:
         stacked = np.hstack([slopes, *blocks])
         edges = np.cumsum([jacobian.shape[1], *(b.shape[1] for b in blocks)])
         self.unknown_columns = [list(range(a, b)) for a, b in pairwise(edges)]
-        self.gram = stacked.T @ stacked
+        self.gram = kept_definite(stacked.T @ stacked)
         self.projection = stacked.T @ right
         self.power = float(right @ right)
         self.columns = [problem.columns_of(e) for e in problem.effects]

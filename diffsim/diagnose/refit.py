@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from diffsim.core.check import require_choice
 from diffsim.core.files import to_plain, write_json_atomic
+from diffsim.core.threads import one_blas_thread
 from diffsim.data.study import Study
 from diffsim.diagnose.fit import Case, null_fit
 from diffsim.diagnose.gain import Gain, gain
@@ -74,6 +75,7 @@ class NullFit:
         )
 
 
+@one_blas_thread
 def fit_null(inputs: Inputs) -> NullFit:
     """Noise floor and fit of the plain model."""
     null = null_fit(_case(inputs))
@@ -114,6 +116,7 @@ class Extension:
         return save_model(self.fit, self.null, folder, study=self.study, verdict=self.verdict)
 
 
+@one_blas_thread
 def extend(inputs: Inputs, saved: SavedModel) -> Extension:
     """Refit a saved model's parameters and sizes jointly on the runs for fitting.
 
@@ -165,6 +168,7 @@ def rival_sets(report: Mapping[str, Any]) -> tuple[list[tuple[str, ...]], str]:
     return [named], f"{_words(named)} stands alone, and nothing else was refitted"
 
 
+@one_blas_thread
 def advise(inputs: Inputs, sets: Sequence[Sequence[str]]) -> NextRun:
     """Refit each set and take the run of the setup's bank on which they differ most.
 

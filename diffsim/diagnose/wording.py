@@ -156,7 +156,7 @@ def _on_unseen(errors: Sequence[ErrorRow], changed: bool) -> list[str]:
     if not changed:
         return [f"; the error on {where} is {before}{unit}, noise {noise}{unit}"]
     return [
-        f". It takes the error on {where} from {before} to {after}{unit}; {noise}{unit} are noise",
+        f". It takes the error on {where} from {before} to {after}{unit}; {noise}{unit} is noise",
         f": error on {where} {before} to {after}{unit}, noise {noise}{unit}",
         f": error {before} to {after}{unit}, noise {noise}",
     ]

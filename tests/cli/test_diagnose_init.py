@@ -78,6 +78,7 @@ def test_what_is_to_be_filled_in_is_told_by_check(steps, capsys):
     assert cli.main(["diagnose", "check", str(steps)]) == 2
     out = capsys.readouterr().out
     assert "error: model.simulator: is still to be filled in: TODO" in out
+    assert out.count("model.simulator") == 1
     assert "warning: study: still to be stated: sd of each channel" in out
 
 
@@ -109,6 +110,18 @@ def test_one_file_of_many_trials(tmp_path):
     assert [(c.name, c.unit) for c in study.channels] == [("angle", "rad"), ("temp", "K")]
     assert study.commands == ()
     assert any("no column looks commanded" in sentence for sentence in study.todo)
+
+
+def test_what_drives_without_noise_looks_commanded(tmp_path):
+    t = np.linspace(0.0, 2.0, 60)
+    smooth = np.sin(t * 1e-3 + 2.0)
+    for seed, name in enumerate("ab"):
+        columns = [t, smooth + noisy(seed, 1e-3), smooth, smooth]
+        write(tmp_path / f"{name}.csv", "t (s),x (m),Kraft (N),angle (rad)", columns)
+    assert init(tmp_path) == 0
+    study = load_study(tmp_path)
+    assert [c.name for c in study.commands] == ["Kraft"]
+    assert [c.name for c in study.channels] == ["x", "angle"]  # motions may be smooth
 
 
 def test_one_long_run_is_cut_into_blocks(tmp_path):

@@ -323,3 +323,16 @@ def test_the_search_does_not_credit_an_optimum_that_a_fit_has_not_reached():
         null = null_at(stopped, linearization_at(found.problem, x))
         nats.append(begin(null, Simulations(null.wide)).nats(Hypothesis()))
     assert nats[0] - nats[1] == pytest.approx(unrealized(stopped, weighed), rel=1e-6)
+
+
+def test_twins_of_base_parameters_and_of_each_other_are_weighed():
+    """Their columns differ by rounding only; large sizes have hardly a prior."""
+    twins = (linear.line("mass"), linear.line("mass", typical=0.4), linear.line("push"))
+    runs = pushed(300.0)
+    runs = [
+        replace(r, measured=1e5 * (r.measured + 50.0 * linear.shapes("mass", r).numpy()[..., 0]))
+        for r in runs
+    ]
+    lin = linearized(linear.problem(twins, runs), np.zeros(5), (), 1)
+    for members in ({0}, {0, 1}, {0, 1, 2}):
+        assert np.isfinite(lin.weigh(Hypothesis(frozenset(members))).nats)

@@ -173,3 +173,11 @@ def test_a_set_is_never_worse_than_its_subset():
     after = repaired(search).fit_of(both)
     assert after.converged
     assert after.chi2 + after.prior <= search.fit_of(one).chi2 + search.fit_of(one).prior + 1e-6
+
+
+def test_scans_end_when_their_time_is_spent():
+    pair = Pair()
+    effects = (pair.slack, pair.rate_limit, linear.line("push"))
+    short = DiagnosisSettings(search=SearchSettings(scan_seconds=-1.0))
+    search = searched(effects, {pair.slack: 6.0, pair.rate_limit: 2.0}, short)
+    assert not search.simulations.scans

@@ -393,4 +393,4 @@ def test_hidden_causes_are_named_and_nothing_else(name):
     )
     assert report.verdict == ("none" if name == "none" else "named")
     if name != "none":
-        assert [e.name for e in report.named] == [name]
+        assert list(report.named) == [name]

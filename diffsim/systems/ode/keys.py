@@ -111,7 +111,9 @@ class Store(Part):
 class Rest(Part):
     """Window of each run in which the system rests."""
 
-    from_s: Formula = Field("0", description="Begin of the window: number or formula of facts [s]")
+    from_s: Formula | None = Field(
+        None, description="Begin of the window: number or formula of facts [s]; none: of the run"
+    )
     until_s: Formula = Field(description="End of the window: number or formula of facts [s]")
 
 
