@@ -1,11 +1,12 @@
 """Show what a simulator gets wrong, name the cause, extend the model, measure the gain.
 
-From ``study.yaml`` to the verdict one channel passes through 40 files, to be read in this order:
+From ``study.yaml`` to the verdict one channel passes through these files, to be read in this
+order:
 
 1. Recordings: ``data/study_file``, ``data/table``, ``data/study``, ``core/check``; the chosen model
    and causes: ``cli/diagnose_inputs``.
-2. What is fitted: ``identify/model``, ``effect``, ``problem``, ``jacobian``, ``linearization``,
-   ``fitting``, ``unknown``.
+2. What is fitted: ``identify/model``, ``effect``, ``sizes``, ``problem``, ``jacobian``,
+   ``linearization``, ``fitting``, ``unknown``.
 3. The pipeline, in the order of its steps: ``diagnose/diagnosis``.
 4. ``separate``, ``gates``, ``gradients``, ``refine``: data, numerical settings, repeatability.
 5. ``noise``: the noise floor and its whitening.
