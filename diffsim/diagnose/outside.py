@@ -111,6 +111,8 @@ def _quantities(run: Run, channels: Sequence[Channel]) -> list[tuple[str, float 
             low, high = np.quantile(seen, [TAIL, 1.0 - TAIL])
             out.append((f"stroke of {channel.name}", float(high - low), channel.unit))
     for name, fact in run.setup.items():
+        if name.startswith("_"):  # found by the system, such as a start state
+            continue
         is_number = isinstance(fact, (int, float)) and not isinstance(fact, bool)
         out.append((name, float(fact) if is_number else str(fact), ""))
     return out
