@@ -50,7 +50,9 @@ def library(given: SoftBodyKeys, study: Study, mass_kg: float) -> tuple[Effect, 
     found: list[Effect] = [] if still else [material.LOSS_FACTOR, material.CREEP]
     if not given.material.rayleigh_beta.is_fitted and not still:
         found.append(material.STIFFNESS_DAMPING)
-    found += [material.STIFFENING, material.STIFFNESS_LOSS, material.TEMPERATURE_DRIFT]
+    if not still:  # by iteration, which large poses leave
+        found.append(material.STIFFENING)
+    found += [material.STIFFNESS_LOSS, material.TEMPERATURE_DRIFT]
     found += _of_surroundings(given, still)
     found += _of_loads(given, study, mass_kg, still)
     found += _of_commands(given, study, timed)
@@ -72,7 +74,8 @@ def _of_surroundings(given: SoftBodyKeys, still: bool) -> list[Effect]:
 
 
 def _of_loads(given: SoftBodyKeys, study: Study, mass_kg: float, still: bool) -> list[Effect]:
-    found = [tip_mass(TYPICAL_MASS * mass_kg)]
+    weighs = any(given.gravity.vector) or not still
+    found = [tip_mass(TYPICAL_MASS * mass_kg)] if weighs else []
     if any(load.acts_as == "weight" for load in given.masses) and not still:
         found.append(LOAD_INERTIA)
     if given.slack_string is not None:
@@ -101,8 +104,10 @@ def _of_commands(given: SoftBodyKeys, study: Study, timed: bool) -> list[Effect]
         found = [e for e in found if e.name != "command_gain"]
     if not timed:
         found = [e for e in found if e.name not in ("lag", "rate_limit", "backlash")]
-    if not given.tendons:
-        found = [e for e in found if e.name != "tendon_slack"]
+    # of a command that only pulls, slack and dead band are one
+    pulls_only = bool(given.tendons) and commanded_reach(study, given.commands)[0] >= 0.0
+    doubled = "dead_band" if pulls_only else "tendon_slack"
+    found = [e for e in found if e.name != doubled]
     return [replace(e, typical=sized[e.name]) if e.name in sized else e for e in found]
 
 
