@@ -40,6 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser, common: argparse.ArgumentPars
     made["judge"].add_argument(
         "--runs", type=names, default=(), metavar="A,B", help="default: all with use: test"
     )
+    made["next"].add_argument(
+        "--csv", action="store_true", help="write the commands of the best run to OUT/next.csv"
+    )
     for name in ("extend", "judge", "next"):
         made[name].add_argument(
             "--report" if name == "next" else "--model",

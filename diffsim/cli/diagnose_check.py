@@ -11,8 +11,9 @@ import numpy as np
 
 from diffsim.core.errors import DiffsimError
 from diffsim.core.units import factor
+from diffsim.data.run_files import BLOCK_OF
 from diffsim.data.study import Channel, Command, Run, Study
-from diffsim.data.study_check import Problem, check_study
+from diffsim.data.study_check import TODO, Problem, check_study
 from diffsim.diagnose.separate import cut_in_two, require_separate
 from diffsim.systems.registry import description_of, setup_of
 
@@ -61,11 +62,25 @@ def require_ready(study: Study, given: str, *, plan: bool = True) -> None:
 
 def _tell(problems: Sequence[Problem], given: str) -> None:
     ordered = sorted(problems, key=lambda p: p.severity != "error")
-    for problem in ordered:
-        print(problem)
+    for line in _grouped(ordered):
+        print(line)
     errors = sum(problem.severity == "error" for problem in ordered)
     if errors:
         raise StudyError(f"{errors} of {len(ordered)} problems keep {given} from a diagnosis")
+
+
+def _grouped(problems: Sequence[Problem]) -> Iterator[str]:
+    """A line for each problem; one for all runs that have the same, but for its numbers."""
+    alike: dict[tuple[str, ...], list[Problem]] = {}
+    for problem in problems:
+        is_run = problem.where.startswith("run ")
+        where = "run" if is_run else problem.where
+        message = re.sub(r"[-+]?\d[\d.e+-]*", "#", problem.message) if is_run else problem.message
+        alike.setdefault((problem.severity, where, message), []).append(problem)
+    for first, *others in alike.values():
+        names = list(dict.fromkeys(p.where for p in others if p.where != first.where))
+        names = [name.removeprefix("run ") for name in names]
+        yield f"{first}" + (f" (likewise {_some(names)})" if names else "")
 
 
 def problems_of(study: Study) -> list[Problem]:
@@ -76,6 +91,8 @@ def problems_of(study: Study) -> list[Problem]:
     except ValueError as error:
         found.append(Problem("error", "study", str(error)))
     for first, second in cut_in_two(study):
+        if BLOCK_OF in first.setup and BLOCK_OF in second.setup:
+            continue  # pieces of two recordings, whose clocks happen to meet
         found.append(
             Problem(
                 "warning",
@@ -102,6 +119,8 @@ def _of_model(study: Study) -> Iterator[Problem]:
         for line in str(error).splitlines():
             where, _, message = line.partition(": model")
             key, _, what = message.partition(": ")
+            if TODO in what:  # told already
+                continue
             yield Problem("error", f"model{key}" if message else where, what or line)
         return
     yield from description.problems(study)
@@ -111,10 +130,11 @@ def _of_model(study: Study) -> Iterator[Problem]:
 
 def _not_mentioned(study: Study) -> Iterator[Problem]:
     """Columns of which no word of the description speaks."""
-    words = {w for w in _words(study.model) if len(w) > 1}
+    every = set(_words(study.model))
+    words = {w for w in every if len(w) > 1}  # a letter may stand in any name
     commands = {name: "command" for run in study.runs for name in run.command}
     for name, what in {**commands, **{c.name: "channel" for c in study.channels}}.items():
-        if name not in words and not any(w in name or name in w for w in words):
+        if name not in every and not any(w in name or name in w for w in words):
             yield Problem(
                 "warning", f"{what} {name}", "the model does not mention it; is it of any use?"
             )
@@ -195,7 +215,7 @@ def _channel_row(study: Study, at: int, channel: Channel) -> list[str]:
     unit, scale = _shown(channel)
     sd = "from repeats" if channel.sd is None else f"{channel.sd * scale:.3g}"
     missing = float(np.isnan(values).mean()) if len(values) else 0.0
-    share = f"{missing:.0%}" if missing else "-"
+    share = f"{100.0 * missing:.2g} %" if missing else "-"
     return [channel.name, unit, channel.kind, sd, *_range(values * scale), share]
 
 

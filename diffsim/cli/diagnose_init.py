@@ -10,6 +10,7 @@ from typing import Any
 
 import yaml
 
+from diffsim.cli.diagnose_inputs import described
 from diffsim.core.check import require_choice
 from diffsim.core.files import write_text_atomic
 from diffsim.core.schema import Part
@@ -20,6 +21,16 @@ from diffsim.data.study_guess import Guess, GuessedRun, Quantity, guess_study
 from diffsim.systems.registry import DESCRIPTIONS
 
 WIDTH = 96
+EXAMPLES = {
+    "ode": """\
+For a cart on a spring that a command `force` pushes, with a channel `position`:
+  parameters: {m: {value: 1.2, percent: 3, unit: kg}, c: {value: 0.8, percent: 30}, k: 40 N/m}
+  inputs: [force]
+  states: {x: "0", v: "0"}
+  rates: {x: v, v: (force - c*v - k*x)/m}
+  readings: {position: x}
+  places: [{name: cart, position: x, velocity: v, inertia: m}]   # where forces may act""",
+}
 SKIPPED = ("system", "effects", "effort")  # every description has them, and few need them
 
 
@@ -178,6 +189,11 @@ def _model(system: str) -> Iterator[str]:
     except ImportError:
         yield f"  description: {TODO}"
         return
+    worked = [path.stem for path in described() if f"system: {system}\n" in path.read_text("utf-8")]
+    if worked:
+        yield _cut(f"  # Worked examples: diffsim/systems/published/ {', '.join(worked)} (.yaml)")
+    for line in EXAMPLES.get(system, "").splitlines():
+        yield f"  # {line}"
     yield from _keys(description, "  ")
 
 
@@ -196,13 +212,13 @@ def _needed(key: Key, indent: str) -> Iterator[str]:
     yield _cut(f"{indent}# {key.meaning}; {key.kind}")
     name = key.parts[0].__name__ if len(key.parts) == 1 else ""
     if name and name != "Quantity" and key.kind in (name, f"list of {name}"):
-        yield f"{indent}{key.name}:"
         inner = list(_keys(key.parts[0], indent + ("    " if name != key.kind else "  "), ()))
-        if name != key.kind:  # the first line that is no comment begins the entry
-            first = next((i for i, line in enumerate(inner) if "#" not in line), None)
-            if first is None:
-                inner.insert(0, f"{indent}  - {{}}")
-            else:
+        first = next((i for i, line in enumerate(inner) if "#" not in line), None)
+        if first is None:  # whichever of its keys suit
+            yield f"{indent}{key.name}: {TODO}"
+        else:
+            yield f"{indent}{key.name}:"
+            if name != key.kind:  # its first line begins an entry of the list
                 inner[first] = f"{indent}  - {inner[first].lstrip()}"
         yield from inner
     else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ import numpy as np
 from diffsim.core.check import require_choice
 from diffsim.core.files import to_plain
 from diffsim.core.version import __version__
+from diffsim.data.bank import generated_bank
 from diffsim.data.importers import IMPORTERS, import_study
 from diffsim.data.study import Study
 from diffsim.data.study_file import load_study
@@ -24,6 +25,7 @@ from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems import published
 from diffsim.systems.registry import setup_of
 
+MAX_PATH = 200  # longer texts of a description are no paths
 QUICK = {"num_refits": 2, "max_rounds": 4, "max_effects": 2}
 
 
@@ -36,22 +38,21 @@ def read_study(given: str) -> Study:
     path = Path(given)
     if path.exists():
         return load_study(path)
-    described = _described()
-    if given in described:
-        return load_study(described[given])
+    files = {path.stem: path for path in described()}
+    if given in files:
+        return load_study(files[given])
     if given in IMPORTERS:
         return import_study(given)
     try:
-        require_choice("STUDY", given, {**described, **IMPORTERS})
+        require_choice("STUDY", given, {**files, **IMPORTERS})
     except ValueError as error:
         raise FileNotFoundError(f"{given} is no file or folder of a study, and {error}") from None
     raise AssertionError("require_choice refuses what is not among its choices")
 
 
-def _described() -> dict[str, Path]:
-    """Studies of published data sets that are described in a file, by name."""
-    folder = Path(published.__file__).parent
-    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+def described() -> list[Path]:
+    """Studies of published data sets that are described in a file."""
+    return sorted(Path(published.__file__).parent.glob("*.yaml"))
 
 
 def choose(
@@ -108,13 +109,27 @@ def inputs_of(
     quick: bool = False,
     workers: int = 1,
     accept_numerics: bool = False,
+    with_bank: bool = False,
 ) -> Inputs:
     """The setup of a study with the user's choices.
+
+    Args:
+        study: Study as it was read.
+        seed: Seed of the bootstrap.
+        setup_file: Python file with the user's own ``setup(study)``; None: that of the study.
+        only: Names of the effects to keep; empty: all.
+        without: Names of the effects to leave out.
+        quick: Fewer refits.
+        workers: Threads over runs.
+        accept_numerics: Go on although numerical settings matter.
+        with_bank: Make runs that could be recorded next, where the setup has none.
 
     Raises:
         ValueError: no setup, or names that it does not have.
     """
     setup = setup_of(study) if setup_file is None else own_setup(setup_file, study)
+    if with_bank and not setup.bank:
+        setup = _with_bank(setup, setup.study or study)
     study = setup.study or study
     settings = replace(
         setup.settings,
@@ -126,6 +141,15 @@ def inputs_of(
         settings = replace(settings, search=search, noise_rounds=1)
     setup = replace(setup, effects=choose(setup.effects, only, without), settings=settings)
     return Inputs(study, setup, seed, _fingerprint(study, setup, setup_file, seed))
+
+
+def _with_bank(setup: DiagnosisSetup, study: Study) -> DiagnosisSetup:
+    """The setup with runs that could be recorded; each gets parameters of its own if runs do."""
+    bank = generated_bank(study)
+    if study.model is not None and any("@" in p.name for p in setup.model.base):
+        wider = setup_of(replace(study, runs=(*study.runs, *bank)))
+        setup = replace(wider, study=setup.study)
+    return replace(setup, bank=bank)
 
 
 def _fingerprint(
@@ -150,13 +174,30 @@ def changed(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     return [name for name in now if before.get(name) != now[name]]
 
 
+def _files_of(stated: Any, folder: Path | None) -> Iterator[Path]:
+    """Files that a description names: meshes, designs, simulators."""
+    if isinstance(stated, Mapping):
+        for value in stated.values():
+            yield from _files_of(value, folder)
+    elif isinstance(stated, (list, tuple)):
+        for value in stated:
+            yield from _files_of(value, folder)
+    elif isinstance(stated, str) and folder is not None and 0 < len(stated) < MAX_PATH:
+        path = folder / stated.rpartition(":")[0] if ".py:" in stated else folder / stated
+        if path.is_file():
+            yield path
+
+
 def _study_hash(study: Study) -> str:
     total = hashlib.sha256()
     facts = {
         "name": study.name,
         "channels": [asdict(c) for c in study.channels],
         "metadata": to_plain(dict(study.metadata)),
+        "model": to_plain(dict(study.model or {})),
     }
+    for path in _files_of(study.model, study.folder):
+        total.update(path.read_bytes())
     total.update(json.dumps(facts, sort_keys=True).encode())
     for run in study.runs:
         header = [run.name, run.group, run.order, run.use, sorted(run.setup.items())]

@@ -13,7 +13,8 @@ from diffsim.cli.arguments import DIAGNOSES
 from diffsim.cli.diagnose_check import check, require_ready
 from diffsim.cli.diagnose_init import init
 from diffsim.cli.diagnose_inputs import changed, inputs_of, read_study
-from diffsim.core.files import write_json_atomic
+from diffsim.core.files import write_json_atomic, write_text_atomic
+from diffsim.data.bank import command_table
 from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.frozen import judge_saved
 from diffsim.diagnose.inputs import Inputs
@@ -21,6 +22,7 @@ from diffsim.diagnose.progress import progress_bar
 from diffsim.diagnose.refit import advise, extend, fit_null, rival_sets
 from diffsim.diagnose.report import Report
 from diffsim.identify.model_file import MODEL_FILE, read_extended
+from diffsim.identify.numerics import Numerics
 
 INPUTS_FILE, REPORT_FILE, CACHE = "inputs.json", "report.json", "interrupted"
 JUDGE_FILE = "judge.json"
@@ -42,7 +44,7 @@ def _check(args: argparse.Namespace) -> None:
     check(read_study(args.study), args.study)
 
 
-def _inputs(args: argparse.Namespace) -> tuple[Inputs, Path]:
+def _inputs(args: argparse.Namespace, *, with_bank: bool = False) -> tuple[Inputs, Path]:
     """Study and setup as chosen; the folder of the results."""
     study = read_study(args.study)
     require_ready(study, args.study, plan=args.step != "judge")
@@ -55,6 +57,7 @@ def _inputs(args: argparse.Namespace) -> tuple[Inputs, Path]:
         quick=args.quick,
         workers=args.workers,
         accept_numerics=args.accept_numerics,
+        with_bank=with_bank,
     )
     return inputs, args.out or Path(DIAGNOSES) / study.name
 
@@ -203,7 +206,7 @@ def _judge(args: argparse.Namespace) -> None:
 
 
 def _next(args: argparse.Namespace) -> None:
-    inputs, out = _inputs(args)
+    inputs, out = _inputs(args, with_bank=True)
     path = args.saved or out / REPORT_FILE
     saved = _read_json(path)
     if saved is None:
@@ -212,16 +215,22 @@ def _next(args: argparse.Namespace) -> None:
         )
     sets, why = rival_sets(saved)
     print(why)
+    refined = saved["settings"].get("numerics")
+    numerics = Numerics(**refined) if refined else None
     if len(sets) < 2:
         return
-    advice = advise(inputs, sets)
+    advice = advise(inputs, sets, numerics)
+    width = max(32, *(len(name) for name in advice.chi2_gain))
     for name, chi2 in sorted(advice.chi2_gain.items(), key=lambda item: -item[1]):
-        print(f"{name:<32} {chi2:>12.4g}")
+        print(f"{name:<{width}} {chi2:>12.4g}")
     times = f"{advice.over_median:.3g} times the bank's median"
     print(f"record {advice.best}: expected chi2 {advice.chi2_gain[advice.best]:.4g}, {times}")
     content = {"rivals": sets, "why": why, "best": advice.best, "chi2_gain": advice.chi2_gain}
     write_json_atomic(out / "next.json", {**content, "over_median": advice.over_median})
     print(f"wrote {out / 'next.json'}")
+    if args.csv:
+        best = next(run for run in inputs.setup.bank if run.name == advice.best)
+        print(f"wrote {write_text_atomic(out / 'next.csv', command_table(best, inputs.study))}")
 
 
 def _if_installed(write: Callable[[], Path]) -> None:

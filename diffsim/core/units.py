@@ -35,7 +35,10 @@ _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\
 def _registry() -> Any:
     from pint import UnitRegistry  # a third of a second: only for those who write units
 
-    registry: Any = UnitRegistry(autoconvert_offset_to_baseunit=True)
+    registry: Any = UnitRegistry(
+        autoconvert_offset_to_baseunit=True,
+        on_redefinition="ignore",  # px is a pixel of a picture, not 1/96 inch of a style sheet
+    )
     registry.define("px = [picture]")
     return registry
 

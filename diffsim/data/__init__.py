@@ -5,7 +5,7 @@ A *study* is the recordings of one system with what is known about them: ``load_
 that make studies with hidden causes are in ``diffsim.data.labs``.
 """
 
-from diffsim.data.ball_video import ball_video_study
+from diffsim.data.ball_video import ball_tracks_study, ball_video_study
 from diffsim.data.beam import TIP_MARKERS, BeamGeometry, BeamStudy, BeamTrial, load_beam_study
 from diffsim.data.importers import IMPORTERS, import_study
 from diffsim.data.recording import Recording, find_dataset, load_csv
@@ -27,6 +27,7 @@ __all__ = [
     "Recording",
     "Run",
     "Study",
+    "ball_tracks_study",
     "ball_video_study",
     "check_study",
     "find_dataset",

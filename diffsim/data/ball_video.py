@@ -1,20 +1,59 @@
-"""A video of two colliding balls as a study: tracked, calibrated, its last part held out."""
+"""Two colliding balls as a study: tracked and calibrated, the last part held out.
+
+The lay-out is that of the soft balls' fit: clicked corners lie beside the balls, one per sample.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from diffsim.core.check import require_number
 from diffsim.data.calibration import calibrate
-from diffsim.data.importers.common import read_columns
-from diffsim.data.importers.tennis_balls import CHANNELS, two_parts
-from diffsim.data.study import Channel, Study
+from diffsim.data.importers.common import Array, read_columns, read_metadata
+from diffsim.data.study import Channel, Run, Study
 from diffsim.data.track import noise_px, without_merged
 from diffsim.data.video import TENNIS_BALL, ColorBounds, Tracks, frame_size, track_video
 
 LEAST_NOISE = 0.2  # [px] of a center: what the pixel grid and the lossy colors leave
+#: Channel -> noise [px] of the published tracks, see tennis_balls.yaml; of the corners: of a click.
+CHANNELS = {
+    "ball0_u_px": 0.37,
+    "ball0_v_px": 0.23,
+    "ball1_u_px": 0.20,
+    "ball1_v_px": 0.54,
+    "corner_u_px": 1.0,
+    "corner_v_px": 1.0,
+}
+_POINTS = ("u_px", "v_px", "x_m", "y_m", "z_m")
+
+
+def ball_tracks_study(folder: str | Path, held_out_from: int = 21) -> Study:
+    """The published tracks of two tennis balls, for the fit of soft balls.
+
+    Args:
+        folder: Folder with tracks.csv, calibration_points.csv and metadata.yaml.
+        held_out_from: Sample with which the held-out run begins.
+    """
+    folder = Path(folder)
+    meta = read_metadata(folder)
+    data, _ = read_columns(folder / "tracks.csv", ["time_s", *list(CHANNELS)[:4]])
+    points, _ = read_columns(folder / "calibration_points.csv", list(_POINTS))
+    geometry = meta["geometry"]
+    setup = {
+        "ball_diameter_m": float(geometry["ball_diameter_m"]),
+        "ball_mass_kg": float(geometry["ball_mass_kg_typical"]),
+    }
+    balls = np.column_stack([data[c] for c in list(CHANNELS)[:4]])
+    return Study(
+        name="tennis_balls",
+        system="rigid_body",
+        channels=tuple(Channel(c, "px", "image", sd) for c, sd in CHANNELS.items()),
+        runs=two_parts(data["time_s"], balls, points, setup, held_out_from),
+        metadata={"camera_by_authors": meta["camera_by_authors"]},
+    )
 
 
 def ball_video_study(
@@ -49,7 +88,7 @@ def ball_video_study(
         ValueError: too few frames for the clicked corners (one row holds one corner).
     """
     require_number("held_out", held_out, at_least=0.0, below=1.0)
-    points, _ = read_columns(Path(corners), ["u_px", "v_px", "x_m", "y_m", "z_m"])
+    points, _ = read_columns(Path(corners), list(_POINTS))
     tracks = _coming_last(without_merged(track_video(video, 2, color, first=first, last=last)))
     cut = round((1.0 - held_out) * len(tracks.frames))
     if cut < max(10, len(points["u_px"])):
@@ -83,3 +122,54 @@ def _coming_last(tracks: Tracks) -> Tracks:
     moved = np.nanmax(np.linalg.norm(tracks.centers[:6] - tracks.centers[0], axis=-1), axis=0)
     order = np.argsort(moved)
     return Tracks(tracks.frames, tracks.time_s, tracks.centers[:, order], tracks.merged)
+
+
+def two_parts(
+    time_s: Array,
+    balls: Array,
+    points: Mapping[str, Array],
+    setup: Mapping[str, float],
+    held_out_from: int,
+) -> tuple[Run, Run]:
+    """The first samples with the clicks, and the last ones, held out.
+
+    Args:
+        time_s: Times of the samples, (num_samples,) [s].
+        balls: Clicked centers u, v of both balls, (num_samples, 4) [px].
+        points: "u_px", "v_px", "x_m", "y_m", "z_m" of the clicked corners.
+        setup: Facts that hold for both runs, such as the frame rate, by name.
+        held_out_from: Sample with which the second run begins.
+    """
+    clicks = np.column_stack([points["u_px"], points["v_px"]])
+    parts = {"collision": slice(0, held_out_from), "after": slice(held_out_from, None)}
+    first, last = (
+        Run(
+            name=name,
+            time_s=time_s[part],
+            measured=_with_clicks(balls[part], clicks if name == "collision" else clicks[:0]),
+            command={
+                f"corner_{a}_m": _filled_up(points[f"{a}_m"], len(balls[part])) for a in "xyz"
+            },
+            group=name,
+            order=order,
+            use="test" if name == "after" else "fit",
+            setup=setup,
+        )
+        for order, (name, part) in enumerate(parts.items())
+    )
+    return first, last
+
+
+def _with_clicks(balls: Array, clicks: Array) -> Array:
+    """All channels: a corner's click per sample while they last."""
+    out = np.full((len(balls), len(CHANNELS)), np.nan)
+    out[:, :4] = balls
+    out[: len(clicks), 4:] = clicks
+    return out
+
+
+def _filled_up(values: Array, length: int) -> Array:
+    """The first values, then zeros."""
+    out = np.zeros(length)
+    out[: min(len(values), length)] = values[:length]
+    return out

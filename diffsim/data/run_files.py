@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
-from diffsim.core.units import to_si
+from diffsim.core.units import factor, to_si
 from diffsim.data.columns import Rows, Table, require_increasing
 from diffsim.data.run_facts import facts_of
 from diffsim.data.run_plan import (
@@ -169,18 +169,21 @@ class RunReader:
         self, stated: ChannelEntry | CommandEntry, entry: RunEntry, samples: Samples
     ) -> Array:
         """A channel or command in SI units, at all rows of the run."""
-        source: Source | None = stated
+        source: Source = stated
+        unit = stated.unit
         if stated.name in entry.columns:
-            source = entry.columns[stated.name]
-            if source is None:
+            other = entry.columns[stated.name]
+            if other is None:
                 return np.full(len(samples.time_s), np.nan)
-        assert source is not None
+            source, unit = other, other.unit or unit
+            if unit and stated.unit and to_si(unit).unit != to_si(stated.unit).unit:
+                factor(unit, stated.unit)  # refuses a unit of another quantity
         raw = (
             samples.formula(source.formula)
             if source.formula is not None
             else samples.column(source.column or stated.name)
         )
-        values = in_si(raw, source, stated.unit)
+        values = in_si(raw, source, unit)
         if isinstance(stated, ChannelEntry) and stated.zero_s is not None:
             start, end = stated.zero_s
             rest = (samples.recorded_s >= start) & (samples.recorded_s < end)
@@ -191,8 +194,8 @@ class RunReader:
                 )
             values = values - np.nanmean(values[rest])
         if isinstance(stated, CommandEntry) and stated.fill is not None:
-            factor = to_si(stated.unit).factor if stated.unit else 1.0
-            values = unfilled(values, samples.time_s, stated.fill, factor)
+            scale = to_si(stated.unit).factor if stated.unit else 1.0
+            values = unfilled(values, samples.time_s, stated.fill, scale)
         return values
 
     def _seconds(self, entry: RunEntry, table: Table) -> Array:

@@ -101,6 +101,7 @@ class Study:
         file: File that the study was read from; None: made in memory.
         left_out: What of the study's folder is not used, a sentence each.
         todo: What the study says is still to be stated, a sentence each.
+        allows: Facts of ``setup`` that can be changed for a next run, with possible values.
     """
 
     name: str
@@ -114,6 +115,7 @@ class Study:
     file: Path | None = None
     left_out: tuple[str, ...] = ()
     todo: tuple[str, ...] = ()
+    allows: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
 
     @property
     def fit_runs(self) -> tuple[Run, ...]:

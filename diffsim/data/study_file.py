@@ -99,6 +99,7 @@ def load_study(path: str | Path) -> Study:
         file=path,
         left_out=_left_out(reader, stated, root),
         todo=stated.todo,
+        allows=stated.allows,
     )
 
 

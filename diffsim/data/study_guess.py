@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,14 @@ from numpy.typing import NDArray
 
 from diffsim.core.units import to_si
 from diffsim.data.columns import Table
+from diffsim.data.runs_guess import (
+    GuessedRun,
+    Quantity,
+    facts_of_name,
+    find_repeats,
+    give_uses,
+    say,
+)
 from diffsim.data.table_guess import Column, Layout, column_of, layout_of, tables_in
 
 Array = NDArray[np.float64]
@@ -21,47 +28,19 @@ _TIME = re.compile(r"^(t|time|timestamp|zeit|temps|tiempo|seconds|elapsed|clock)
 _COUNTER = re.compile(r"^(frame|sample|index|idx|i|n|row|count|counter|seq|nr|no)$", re.I)
 _COMMAND = re.compile(
     r"(^|_)(cmd|command|commanded|set|setpoint|desired|des|ref|reference|target|input|pwm|duty|"
-    r"throttle|esc|signal|demand|action|control|controller|drive|pump|valve|contraction)(_|\d|$)"
+    r"throttle|esc|signal|demand|action|control|controller|drive|pump|valve|contraction|soll|"
+    r"sollwert|consigne)(_|\d|$)"
     r"|^u\d*$",
     re.I,
 )
 _FLAG = re.compile(r"(^|_)(repeated|valid|invalid|flag|status|missing|ok|error)(_|\d|$)", re.I)
 _MEASURED = re.compile(r"control|controller|pwm|duty|feedback", re.I)
-_IN_NAME = re.compile(
-    r"(?<![\d.])(\d+(?:p\d+)?)(mm|cm|g|kg|mbar|kPa|Pa|bar|mN|N|V|Hz|deg|rpm)(?![A-Za-z])"
-)
+_SET_UNITS = ("N", "N m", "Pa", "V", "A", "Hz")  # what drives, rather than what moves
+_SMOOTH = 1e-5  # of the range: a sensor scatters by more
 _HELD = 0.5  # share of samples that repeat the one before, from which on a column looks commanded
+MIN_EQUAL = 10  # samples: fewer may be equal by chance
 _LARGE = 0.05  # of the range: changes of what is held and looks commanded
-_SAME = 0.02  # rms over range: commands of repeats agree to this
 MAX_SIZE = 100_000  # samples of all channels and runs, from which on only each n-th is used
-
-
-@dataclass
-class Quantity:
-    """A channel or command that is guessed."""
-
-    name: str
-    column: Column
-    unit: str
-    why: str
-    sd: float | None = None
-    lower: float | None = None
-    upper: float | None = None
-    is_measured: bool = False
-
-
-@dataclass
-class GuessedRun:
-    """Rows of a file that look like one run."""
-
-    name: str
-    file: str
-    table: Table
-    rows: NDArray[np.int64]
-    value: str | None = None
-    use: str = "fit"
-    repeat_of: str | None = None
-    setup: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass
@@ -117,13 +96,13 @@ def guess_study(folder: Path) -> Guess:
     facts = [c for c in layout.columns if c.name and c is not split and _is_fact(c, runs)]
     idle = [c for c in numeric if _is_counter(c, runs) or _FLAG.search(c.base)]
     moving = [c for c in numeric if c not in facts and c not in idle]
-    _say(said, "counters and flags, not used (see missing_if)", [c.name for c in idle])
-    _say(said, "facts, constant in each run", [c.name for c in facts])
+    say(said, "counters and flags, not used (see missing_if)", [c.name for c in idle])
+    say(said, "facts, constant in each run", [c.name for c in facts])
     commands, channels = _sorted_out(moving, runs, said, todo)
     for run in runs:
-        run.setup = _facts_of_name(run.file)
-    _repeats(runs, commands, facts, said)
-    _uses(runs, said)
+        run.setup = facts_of_name(run.file)
+    find_repeats(runs, commands, facts, said)
+    give_uses(runs, said)
     size = sum(len(run.rows) for run in runs) * max(len(channels), 1)
     every = max(1, round(size / MAX_SIZE))
     if every > 1:
@@ -150,7 +129,7 @@ def _largest_family(folder: Path, said: list[str]) -> tuple[Layout, list[Table]]
         (timed or families).values(), key=lambda p: (len(p), sum(f.stat().st_size for f in p))
     )
     others = [p.name for p in layouts if p not in best]
-    _say(said, "files with other columns, not used", others)
+    say(said, "files with other columns, not used", others)
     layout = layouts[best[0]]
     form = {"header_line": layout.header_line, "first_line": layout.first_line}
     return layout, [Table(path, "run", **form) for path in best]
@@ -256,9 +235,11 @@ def _sorted_out(
     """Commands and channels; what is held for many samples, or called so, looks commanded."""
     commands: list[Quantity] = []
     channels: list[Quantity] = []
+    samples = {c.name: [r.table.numbers(c.name)[r.rows] for r in runs] for c in columns}
+    equal = _equal_in_two(samples)
     for column in columns:
-        values = [run.table.numbers(column.name)[run.rows] for run in runs]
-        why = _commanded(column, values)
+        values = samples[column.name]
+        why = _commanded(column, values) or equal.get(column.name, "")
         name = column.name if _keeps_name(column) else column.base
         taken = {q.name for q in (*commands, *channels)}
         name = name if name not in taken else f"{name}_{len(taken)}"
@@ -277,7 +258,7 @@ def _sorted_out(
         last = commands.pop()
         channels.append(Quantity(last.name, last.column, last.unit, "", None))
     said += [f"command: {q.name}, {q.why}" for q in commands]
-    _say(said, "channels: what is left", [q.name for q in channels])
+    say(said, "channels: what is left", [q.name for q in channels])
     if len({q.is_measured for q in commands}) == 2:
         todo.append(
             "commands: some look asked for, some given out by a controller (is_measured); keep "
@@ -288,6 +269,23 @@ def _sorted_out(
     if channels:
         todo.append("sd of each channel: the noise is a guess from the scatter between samples")
     return commands, channels
+
+
+def _equal_in_two(samples: Mapping[str, Sequence[Array]]) -> dict[str, str]:
+    """Columns that two runs share to the last digit, which no sensor does; not copies of runs."""
+    count = len(next(iter(samples.values()), ()))
+    for i in range(count):
+        for k in range(i):
+            alike = [name for name, values in samples.items() if _is_equal(values[i], values[k])]
+            if alike and len(alike) < len(samples):
+                return {name: "equal to the digit in two runs" for name in alike}
+    return {}
+
+
+def _is_equal(a: Array, b: Array) -> bool:
+    n = min(len(a), len(b))
+    moves = n >= MIN_EQUAL and bool(np.nanmax(a[:n]) > np.nanmin(a[:n]))
+    return moves and np.array_equal(a[:n], b[:n], equal_nan=True)
 
 
 def _keeps_name(column: Column) -> bool:
@@ -305,11 +303,16 @@ def _commanded(column: Column, values: Sequence[Array]) -> str:
     held = float(np.mean(np.concatenate(repeats))) if repeats else 0.0
     steps = np.concatenate([np.abs(np.diff(v[np.isfinite(v)])) for v in values])
     there = np.concatenate([v[np.isfinite(v)] for v in values])
-    if held <= _HELD or not (steps > 0.0).any():
+    if not (steps > 0.0).any():
         return ""
     # a slow or coarse sensor is held, too, but changes by little
-    large = float(np.median(steps[steps > 0.0])) > _LARGE * float(np.ptp(there))
-    return "held for many samples" if large else ""
+    if held > _HELD and float(np.median(steps[steps > 0.0])) > _LARGE * float(np.ptp(there)):
+        return "held for many samples"
+    if column.unit is not None and to_si(column.unit).unit in _SET_UNITS:
+        second = np.concatenate([np.abs(np.diff(v[np.isfinite(v)], n=2)) for v in values])
+        if len(second) and float(np.median(second)) < _SMOOTH * float(np.ptp(there)):
+            return "by its lack of noise"
+    return ""
 
 
 def _noise(values: Sequence[Array]) -> float | None:
@@ -324,75 +327,3 @@ def _noise(values: Sequence[Array]) -> float | None:
     step = float(np.min(np.diff(there))) if 1 < len(there) < 2000 else 0.0
     level = max(float(np.median(levels)) if levels else 0.0, step / np.sqrt(12.0))
     return float(f"{level:.2g}") if level > 0.0 else None
-
-
-def _facts_of_name(file: str) -> dict[str, Any]:
-    """Numbers with a unit in a file's name: step_100mbar.csv."""
-    out: dict[str, Any] = {}
-    for number, unit in _IN_NAME.findall(Path(file).stem):
-        out[f"{unit}_in_name"] = {"value": float(number.replace("p", ".")), "unit": unit}
-    return out
-
-
-def _repeats(
-    runs: Sequence[GuessedRun],
-    commands: Sequence[Quantity],
-    facts: Sequence[Column],
-    said: list[str],
-) -> None:
-    """Runs with the same facts and the same commands, sample by sample."""
-    if not commands:
-        return
-    asked = [q for q in commands if not q.is_measured]
-    found = []
-    for i, run in enumerate(runs):
-        for other in runs[:i]:
-            alike = all(_constant(run, c) == _constant(other, c) for c in facts)
-            if other.repeat_of is None and asked and alike and _same(run, other, asked):
-                run.repeat_of = other.name
-                found.append(f"{run.name} of {other.name}")
-                break
-    _say(said, "repeats, by equal commands", found)
-
-
-def _constant(run: GuessedRun, column: Column) -> str:
-    return run.table.texts(column.name)[run.rows[0]]
-
-
-def _same(run: GuessedRun, other: GuessedRun, commands: Sequence[Quantity]) -> bool:
-    if run.setup != other.setup:
-        return False
-    for command in commands:
-        a = run.table.numbers(command.column.name)[run.rows]
-        b = other.table.numbers(command.column.name)[other.rows]
-        n = min(len(a), len(b))
-        if n < 0.8 * max(len(a), len(b)):
-            return False
-        apart = (a[:n] - b[:n])[np.isfinite(a[:n] - b[:n])]
-        size = max(float(np.ptp(a[np.isfinite(a)])) if np.isfinite(a).any() else 0.0, 1e-300)
-        if not len(apart) or float(np.sqrt(np.mean(apart**2))) > _SAME * size:
-            return False
-    return True
-
-
-def _uses(runs: Sequence[GuessedRun], said: list[str]) -> None:
-    """Test runs: those of the last command; select runs where there are plenty."""
-    groups = Counter(run.repeat_of or run.name for run in runs)
-    names = list(groups)
-    if len(names) < 3:
-        if len(runs) > 1:
-            runs[-1].use = "test"
-            said.append(f"uses: {runs[-1].name} is test")
-        return
-    chosen = {names[-1]: "test"} | ({names[len(names) // 2]: "select"} if len(names) > 5 else {})
-    for run in runs:
-        run.use = chosen.get(run.repeat_of or run.name, "fit")
-    said.append(
-        "uses: " + ", ".join(f"{run.name} is {run.use}" for run in runs if run.use != "fit")
-    )
-
-
-def _say(said: list[str], what: str, names: Sequence[str], most: int = 10) -> None:
-    if names:
-        more = f" and {len(names) - most} more" if len(names) > most else ""
-        said.append(f"{what}: {', '.join(names[:most])}{more}")

@@ -99,6 +99,7 @@ def _to_yaml(study: Study, commands: list[str]) -> dict[str, Any]:
             for r in study.runs
         ],
         "metadata": to_plain(dict(study.metadata)),
+        **({"allows": to_plain(dict(study.allows))} if study.allows else {}),
         **({"todo": list(study.todo)} if study.todo else {}),
     }
 

@@ -44,6 +44,14 @@ def _named(given: Any) -> Any:
     return {"name": given} if isinstance(given, str) else given
 
 
+def _read_values(given: Any) -> Any:
+    listed = given if isinstance(given, (list, tuple)) else [given]
+    return tuple(_read_value(v) for v in listed)
+
+
+Values = Annotated[
+    tuple[str | float, ...], PlainValidator(_read_values), Said("list of numbers or texts")
+]
 Value = Annotated[str | float, PlainValidator(_read_value), Said("number or text")]
 
 
@@ -180,14 +188,22 @@ class Blocks(Part):
         return self
 
 
-def _read_elsewhere(given: Any) -> Source | None:
+class OtherSource(Source):
+    """Where a channel or command is in a file that has it elsewhere."""
+
+    unit: Unit | None = Field(
+        None, description="Unit of this file, of the same quantity; default: that of the channel"
+    )
+
+
+def _read_elsewhere(given: Any) -> OtherSource | None:
     if given is None:
         return None
-    return Source.model_validate({"column": given} if isinstance(given, str) else given)
+    return OtherSource.model_validate({"column": given} if isinstance(given, str) else given)
 
 
 Elsewhere = Annotated[
-    Source | None, PlainValidator(_read_elsewhere), Said("column, Source or null")
+    OtherSource | None, PlainValidator(_read_elsewhere), Said("column, OtherSource or null")
 ]
 
 
@@ -232,7 +248,7 @@ class RunKeys(Part):
     columns: dict[str, Elsewhere] = Field(
         {},
         description="Channels and commands that this file has elsewhere: {name: column}, "
-        "{name: {column, formula, scale}}, or {name: null} where it was not recorded",
+        "{name: {column, formula, unit}}, or {name: null} where it was not recorded",
     )
 
 
@@ -278,7 +294,7 @@ class RunEntry(RunKeys):
 
 
 class StudyFile(Part):
-    """``study.yaml``."""
+    """What was measured, what was commanded, in which runs, of which system."""
 
     name: str = Field(description="Short name, as reports show it")
     system: Annotated[
@@ -303,6 +319,11 @@ class StudyFile(Part):
     )
     defaults: RunKeys = Field(RunKeys(), description="Keys that hold for all runs")
     runs: tuple[RunEntry, ...] = Field(description="Which rows of which files are which run")
+    allows: dict[str, Values] = Field(
+        {},
+        description="Facts of `setup` that can be changed for a next run, with possible values: "
+        "{payload_kg: [0, 0.1, 0.3]}",
+    )
     metadata: dict[str, Any] = Field({}, description="Anything else worth keeping: source, licence")
     todo: Texts = Field((), description="What is still to be stated; `check` repeats it")
 

@@ -13,15 +13,14 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim.data.study import Run, Study
-from diffsim.diagnose.averaging import Averaged, Widening, averaged, widening
-from diffsim.diagnose.causes import Told, cause_rows, certain_of
+from diffsim.diagnose.averaging import Averaged, averaged, widening
+from diffsim.diagnose.causes import Told, cause_rows, certain_of, open_rivals
 from diffsim.diagnose.data_sheet import base_rows
 from diffsim.diagnose.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
 from diffsim.diagnose.fit import Null
 from diffsim.diagnose.force_map import ForceMap, force_map
 from diffsim.diagnose.gates import NUMERICS_GATES, GateResult
 from diffsim.diagnose.judge import EXPLAINED, NAMES, Judgment
-from diffsim.diagnose.left_out import folds_of
 from diffsim.diagnose.next_run import next_run
 from diffsim.diagnose.noise import UNREPEATABLE
 from diffsim.diagnose.outside import spans_of
@@ -95,18 +94,21 @@ def report_of(
     about = _averaged(search, judgment, best, checks)
     certain = frozenset[int]() if about is None else certain_of(decision, about, judgment)
     base = _base(best, judgment)
-    told = Told(judgment, about, screened, effects, members, case.unmet)
+    rivals = decision.rivals if about is None else open_rivals(decision, about, certain)
+    told = Told(judgment, about, screened, effects, members, case.unmet, certain, rivals)
     causes = cause_rows(told, base)
     findings = tuple(row.name for row in base if row.finding)
     verdict, named = _verdict(judgment, certain, findings)
-    rivals = _rivals(judgment, verdict, case.effects, case.unknowns)
+    # of a verdict that names what all sets share, the sets are all told
+    sets = (Hypothesis(decision.best), *rivals) if verdict == "named" and rivals else rivals
+    names = tuple(set_names(h, effects, case.unknowns) for h in sets)
     rows = effect_rows(effects, judgment, screened, checks.changes)
     case.progress("done", 1.0, verdict)
     return Report(
         verdict=verdict,
         sentences=(),
         named=tuple(effects[i].name for i in sorted(named)),
-        rivals=rivals,
+        rivals=names,
         hypotheses=hypothesis_rows(search, effects, case.unknowns),
         table=rows,
         confounding_names=screened.names,
@@ -142,9 +144,10 @@ def report_of(
             verdict=verdict,
             decision=decision,
             causes=causes,
-            rivals=rivals,
+            rivals=names,
             gates=gates,
             noise=null.noise,
+            named=tuple(effects[i].name for i in sorted(named)),
             best_names=tuple(effects[i].name for i in sorted(decision.best)),
             beside=_beside(judgment),
             chosen_by="" if referee is None else referee.words,
@@ -192,15 +195,12 @@ def _averaged(
 ) -> Averaged | None:
     if search is None:
         return None
-    folds = folds_of(best.problem)
-    return averaged(search, judgment.withdrawn, judgment.refuted, best, folds, checks.changes)
+    return averaged(search, judgment.withdrawn, judgment.refuted, best, checks.changes)
 
 
 def _base(best: Fit, judgment: Judgment) -> tuple[BaseRow, ...]:
-    folds = folds_of(best.problem)
-    wider = Widening() if folds is None else widening(best, folds)
     judged = judgment.decision.verdict not in ("unrepeatable", "numerical")
-    return base_rows(best, best.problem.runs, wider, judged=judged)
+    return base_rows(best, best.problem.runs, widening(best), judged=judged)
 
 
 def _verdict(
@@ -217,15 +217,6 @@ def _verdict(
     if decision.verdict == "none" and findings:
         return "named", NONE
     return decision.verdict, decision.best if decision.verdict == "named" else NONE
-
-
-def _rivals(judgment: Judgment, verdict: str, effects: Any, unknowns: Any) -> Any:
-    """Names of the sets between which the choice is open; of all of them where a part is named."""
-    decision = judgment.decision
-    sets = [*decision.rivals]
-    if verdict == "named" and sets:
-        sets = [Hypothesis(decision.best), *sets]
-    return tuple(set_names(h, effects, unknowns) for h in sets)
 
 
 def _advice(judgment: Judgment, best: Fit, bank: Sequence[Run]) -> Any:

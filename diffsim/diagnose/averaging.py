@@ -15,9 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, special, stats
 
-from diffsim.diagnose.evidence import ALONE_NATS, Hypothesis, Weighed
+from diffsim.diagnose.evidence import ALONE_NATS, Hypothesis, LaplaceEvidence, Weighed
 from diffsim.diagnose.gates import numerical_shift
-from diffsim.diagnose.left_out import Folds, moved
+from diffsim.diagnose.left_out import (
+    Folds,
+    blocks_of,
+    determined,
+    groups_of,
+    known_alone,
+    moved,
+)
 from diffsim.diagnose.records import Interval
 from diffsim.diagnose.search import Search
 from diffsim.identify import Fit
@@ -27,7 +34,6 @@ Array = NDArray[np.float64]
 MODEL_FORM = 0.01  # relative uncertainty of a size, beside the statistical one
 HALF_90 = 1.645  # half-width of a 90 % interval in standard deviations
 POOLED_FREEDOM = 4.0  # degrees of freedom that the other parameters lend to a parameter's spread
-DETERMINED = 0.9  # posterior sd over the prior's; above, the data hardly determine a parameter
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +58,8 @@ class Averaged:
     spread: Mapping[str, float] = field(default_factory=dict)
     usual: float = 1.0
     changes: Mapping[str, Array] = field(default_factory=dict)
+    _posteriors: dict[Hypothesis, tuple[Array, Array]] = field(default_factory=dict, repr=False)
+    _centers: dict[frozenset[int], LaplaceEvidence] = field(default_factory=dict, repr=False)
 
     @property
     def reach(self) -> tuple[Hypothesis, ...]:
@@ -68,10 +76,20 @@ class Averaged:
         """Probability that an unknown cause, by index, acts."""
         return float(sum(w for h, w in self.weights.items() if h.unknown == u))
 
-    def against(self, i: int) -> float:
-        """Nats by which the sets without an effect are ahead of those with it."""
-        p = self.probability(i)
-        return float(np.log1p(-min(p, 1.0 - 1e-12)) - np.log(max(p, 1e-300)))
+    def added(self, members: frozenset[int], i: int) -> float:
+        """Nats that an effect adds to a set, by linear evidence at it; below zero: it costs."""
+        search, both = self.search, Hypothesis(members | {i})
+        known = {**search.linear, **search.weighed}
+        if both in known and Hypothesis(members) in known:
+            return known[both].nats - known[Hypothesis(members)].nats
+        made = search.simulations
+        if members not in made.screened:
+            return 0.0
+        if members not in self._centers:
+            center = made.center(members, made.screened[members], search.num_families)
+            self._centers[members] = center.evidence
+        evidence = self._centers[members]
+        return evidence.weigh(both).nats - evidence.weigh(Hypothesis(members)).nats
 
     def size(self, i: int) -> dict[str, Interval]:
         """Size of an effect by component; empty where no set with it was weighed."""
@@ -109,22 +127,29 @@ class Averaged:
             i: Index of the effect.
             names: Coordinates to widen; None: the statistical sd alone.
         """
-        weighed, wide = self._weighed(h), self.search.wide
-        effect, fit = wide.effects[i], weighed.fit
-        problem = wide if fit is None else fit.problem
-        own = problem.columns_of(effect)
-        if fit is None:
-            x, sd = weighed.x, weighed.sd[own]
-        else:
-            x = fit.x
-            sd = np.hypot(np.sqrt(np.diag(fit.covariance)), numerical_shift(fit, self.changes))[own]
-        mean, sd = problem.scaled(x)[own], sd * problem.stretch(x)[own]
+        effect, fit = self.search.wide.effects[i], self._weighed(h).fit
+        own = (self.search.wide if fit is None else fit.problem).columns_of(effect)
+        mean, sd = (values[own] for values in self._posterior(h))
         if names is None:
             return mean, sd
         if h.unknown is None:
             return mean, sd * [self.factors.get(n, self.usual) for n in names]
         # the unknown cause takes up what makes fits differ: the spread is a floor, no factor
         return mean, np.maximum(sd, [self.spread.get(n, 0.0) for n in names])
+
+    def _posterior(self, h: Hypothesis) -> tuple[Array, Array]:
+        """Mean and sd of all scaled coordinates of a set's problem."""
+        if h not in self._posteriors:
+            weighed = self._weighed(h)
+            fit = weighed.fit
+            if fit is None:
+                problem, x, sd = self.search.wide, weighed.x, weighed.sd
+            else:
+                problem, x = fit.problem, fit.x
+                shift = numerical_shift(fit, self.changes)
+                sd = np.hypot(np.sqrt(np.diag(fit.covariance)), shift)
+            self._posteriors[h] = problem.scaled(x), sd * problem.stretch(x)
+        return self._posteriors[h]
 
     def _weighed(self, h: Hypothesis) -> Weighed:
         found = self.search.weighed.get(h)
@@ -136,7 +161,6 @@ def averaged(
     withdrawn: frozenset[int],
     refuted: frozenset[int],
     fit: Fit,
-    folds: Folds | None,
     changes: Mapping[str, Array],
 ) -> Averaged:
     """Weights of all sets and the widening of intervals.
@@ -146,12 +170,11 @@ def averaged(
         withdrawn: Effects that unseen runs refuted; sets with them are out of play.
         refuted: Unknown causes, by index, that repeats refuted.
         fit: Fit of the best set, whose parts are left out one after the other.
-        folds: These parts; None: intervals are not widened.
         changes: Change of the record by refining each numerical setting.
     """
     nats = {h: w.nats for h, w in {**search.linear, **search.weighed}.items()}
     nats = {h: e for h, e in nats.items() if not h.effects & withdrawn}
-    wider = Widening() if folds is None else widening(fit, folds)
+    wider = widening(fit)
     kept = {h: e for h, e in nats.items() if h.unknown is None or h.unknown not in refuted}
     return Averaged(
         search,
@@ -173,38 +196,47 @@ class Widening:
     usual: float = 1.0
 
 
-def widening(fit: Fit, folds: Folds) -> Widening:
+def widening(fit: Fit) -> Widening:
     """How many times wider than noise alone makes them intervals have to be, by coordinate.
 
     The spread of K linear refits, each without one part, gives the variance of the whole fit by the
     jackknife, (K - 1) / K sum (x_k - mean)^2, without any model of the noise. It has K - 1 degrees
     of freedom; where it is small, four more come from what is usual among the fit's parameters.
+    Parts are groups of runs; blocks of time for what is known from one group alone.
 
     Returns:
         Factors, at least 1, of coordinates that all runs share.
     """
+    known = determined(fit)
+    groups, blocks = groups_of(fit.problem), blocks_of(fit.problem)
+    alone = dict.fromkeys(known, True)
+    if groups is not None:
+        alone = dict(zip(known, known_alone(fit, groups).tolist(), strict=True))
+    sd = np.sqrt(np.diag(fit.covariance)) * fit.problem.stretch(fit.x)
+    factors: dict[str, float] = {}
+    for folds, own in (
+        (groups, [i for i in known if not alone[i]]),
+        (blocks, [i for i in known if alone[i]]),
+    ):
+        if folds is not None and own:
+            found = _factors(fit, folds, own)
+            factors |= {fit.problem.names[i]: f for i, f in zip(own, found, strict=True)}
+    usual = float(np.median(list(factors.values()))) if factors else 1.0
+    place = {name: i for i, name in enumerate(fit.problem.names)}
+    return Widening(factors, {n: f * float(sd[place[n]]) for n, f in factors.items()}, usual)
+
+
+def _factors(fit: Fit, folds: Folds, own: Sequence[int]) -> list[float]:
+    """Factors of some coordinates by leaving out parts."""
     problem, count = fit.problem, len(folds.parts)
-    if count < 2 or not len(fit.x):
-        return Widening()
-    stretch = problem.stretch(fit.x)
-    ends = np.array([problem.scaled(moved(fit, ~fold.rows)) for fold in folds.parts])
+    ends = np.array([problem.scaled(moved(fit, ~fold.rows))[own] for fold in folds.parts])
     variance = (count - 1) / count * np.sum((ends - ends.mean(axis=0)) ** 2, axis=0)
-    sd = np.sqrt(np.diag(fit.covariance))
-    ratio = variance / (sd * stretch) ** 2
-    shared = np.array(["@" not in name for name in problem.names])
-    known = shared & (sd < DETERMINED)
-    freedom = count - 1.0
-    usual = float(np.median(ratio[known])) if known.any() else 1.0
-    usual /= float(stats.chi2.ppf(0.5, freedom)) / freedom
+    sd = (np.sqrt(np.diag(fit.covariance)) * problem.stretch(fit.x))[own]
+    ratio, freedom = variance / sd**2, count - 1.0
+    usual = float(np.median(ratio)) / (float(stats.chi2.ppf(0.5, freedom)) / freedom)
     pooled = (freedom * ratio + POOLED_FREEDOM * usual) / (freedom + POOLED_FREEDOM)
     # a spread of its own is never shrunk: a size may differ from run to run where others do not
-    factors = np.sqrt(np.maximum(np.maximum(ratio, pooled), 1.0))
-    names = [(i, name) for i, name in enumerate(problem.names) if shared[i]]
-    return Widening(
-        {name: float(factors[i]) for i, name in names},
-        {name: float((factors * sd * stretch)[i]) for i, name in names},
-        float(np.sqrt(max(usual, 1.0))),
-    )
+    return np.sqrt(np.maximum(np.maximum(ratio, pooled), 1.0)).tolist()
 
 
 def _weights(nats: Mapping[Hypothesis, float]) -> dict[Hypothesis, float]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from diffsim.diagnose.averaging import HALF_90, Averaged
 from diffsim.diagnose.data_sheet import PULLED, words_of
-from diffsim.diagnose.evidence import KEEP_NATS
+from diffsim.diagnose.evidence import KEEP_NATS, Hypothesis
 from diffsim.diagnose.judge import NAMES, Decision, Judgment
 from diffsim.diagnose.records import (
     CERTAIN,
@@ -30,6 +30,7 @@ from diffsim.identify.effect import Effect
 
 SURE, PROBABLE, POSSIBLE = 0.99, 0.8, 0.2  # probabilities over all sets
 NOISE = "noise"
+REST = "what else is missing"
 ORDER = (CERTAIN, LIKELY, UNTOLD, REFUTED, HIDDEN, UNJUDGED)
 
 
@@ -37,19 +38,38 @@ def certain_of(decision: Decision, about: Averaged, judgment: Judgment) -> froze
     """Effects in every set within reach, with a probability of 99 % over all sets.
 
     None where an unknown cause beside the best set is a rival: the set explains too little then.
+    None either where larger sets were not fitted although they have the evidence: what they would
+    hold may replace a member.
     """
-    if decision.verdict not in NAMES:
+    if decision.verdict not in NAMES or _is_cut_off(decision, about):
         return frozenset()
     if any(h.unknown is not None and h.effects >= decision.best for h in decision.rivals):
         return frozenset()
-    sets = [*about.reach, *decision.rivals]
     return frozenset(
         i
         for i in decision.best
         if about.probability(i) >= SURE
-        and all(i in h.effects for h in sets)
+        and all(i in h.effects for h in about.reach)
         and not (i in judgment.gains and judgment.gains[i].status == "withdrawn")
     )
+
+
+def _is_cut_off(decision: Decision, about: Averaged) -> bool:
+    """Whether the largest set that is allowed is not enough."""
+    search = about.search
+    if len(decision.best) < search.settings.max_effects:
+        return False
+    others = set(range(len(search.wide.effects))) - decision.best
+    return any(about.added(decision.best, i) >= KEEP_NATS for i in others)
+
+
+def open_rivals(
+    decision: Decision, about: Averaged, certain: frozenset[int]
+) -> tuple[Hypothesis, ...]:
+    """Sets that the choice is open to; where some effects are certain, those within reach."""
+    if not certain:
+        return decision.rivals
+    return tuple(h for h in about.reach if not h.effects >= decision.best)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +83,8 @@ class Told:
         effects: Candidates, in the order of their indices.
         members: Effects that the extended model holds, by index.
         unmet: What the study lacks for candidates that were left out, by name.
+        certain: Effects that are certain, by index.
+        rivals: Sets that the choice is open to.
     """
 
     judgment: Judgment
@@ -71,6 +93,8 @@ class Told:
     effects: Sequence[Effect]
     members: frozenset[int]
     unmet: Mapping[str, str]
+    certain: frozenset[int] = frozenset()
+    rivals: tuple[Hypothesis, ...] = ()
 
 
 def cause_rows(told: Told, base: Sequence[BaseRow]) -> tuple[CauseRow, ...]:
@@ -84,7 +108,13 @@ def cause_rows(told: Told, base: Sequence[BaseRow]) -> tuple[CauseRow, ...]:
     rows += [_unjudged(name, why) for name, why in told.unmet.items()]
     rows += [_finding_row(told, row) for row in base if row.finding]
     rows += _unknown_rows(told)
-    return tuple(sorted(rows, key=lambda r: (ORDER.index(r.status), -(r.probability or 0.0))))
+    return tuple(sorted(rows, key=_rank))
+
+
+def _rank(row: CauseRow) -> tuple[int, float, float]:
+    """By status, by probability, and by what a cause explains."""
+    gained = 0.0 if row.gain is None else row.gain.value
+    return ORDER.index(row.status), -round(row.probability or 0.0, 3), -gained
 
 
 def _effect_row(told: Told, i: int) -> CauseRow:
@@ -109,11 +139,15 @@ def _effect_row(told: Told, i: int) -> CauseRow:
     p = about.probability(i)
     status, rivals = _status(told, about, i, p)
     helps = i in told.members and status not in (CERTAIN, LIKELY)
+    sizes = about.size(i) or row.size
+    value = next(iter(sizes.values())).value if len(sizes) == 1 else 0.0
+    words = effect.words(value) if effect.words is not None and value else row.words
     return replace(
         row,
+        words=words,
         status=status,
         probability=p,
-        size=about.size(i) or row.size,
+        size=sizes,
         rivals=rivals,
         helps=helps,
         factor=about.factor(i),
@@ -128,24 +162,25 @@ def _status(told: Told, about: Averaged, i: int, p: float) -> tuple[str, tuple[s
     if decision.verdict == "unknown":
         if i in decision.best or i in told.members:
             return UNTOLD, _unknown_names(told, decision)
-    elif i in certain_of(decision, about, judgment):
+    elif i in told.certain:
         return CERTAIN, ()
-    elif i in decision.best or any(i in h.effects for h in decision.rivals):
+    elif i in decision.best or any(i in h.effects for h in told.rivals):
         rivals, is_best = _rivals_of(told, decision, i), i in decision.best
         is_named = is_best and (decision.verdict == "named" or p >= PROBABLE)
         return (LIKELY if is_named else UNTOLD), rivals
     if p >= POSSIBLE:
         return UNTOLD, (NOISE,)
+    added = about.added(decision.best | told.members, i)
+    if added >= KEEP_NATS:  # sets of so many causes were not fitted
+        return UNTOLD, (REST,)
     visible = [s <= 1.5 * told.effects[i].typical for s in _smallest_visible(told, i).values()]
-    if about.against(i) > KEEP_NATS and any(visible):
-        return REFUTED, ()
-    return HIDDEN, ()
+    return (REFUTED if added < -KEEP_NATS and any(visible) else HIDDEN), ()
 
 
 def _rivals_of(told: Told, decision: Decision, i: int) -> tuple[str, ...]:
     """Causes that act in the place of an effect in rival sets."""
     names: dict[str, None] = {}
-    for h in decision.rivals:
+    for h in told.rivals:
         if i in h.effects and i in decision.best:
             continue
         if i in decision.best:

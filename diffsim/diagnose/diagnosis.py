@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from time import process_time
 
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.threads import one_blas_thread
 from diffsim.core.version import __version__
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.assemble import Checks, report_of, tested
@@ -16,10 +18,10 @@ from diffsim.diagnose.fit import Case, Null, Progress, null_fit, silent
 from diffsim.diagnose.gates import (
     GateResult,
     data_gate,
-    gradient_gate,
     numerical_effects,
     repeatability_gate,
 )
+from diffsim.diagnose.gradients import GRADIENT_SHARE, gradient_gate
 from diffsim.diagnose.judge import Decision, Judgment, decision_of, judge
 from diffsim.diagnose.noise import noise_floor
 from diffsim.diagnose.referee import Referee, referee_of
@@ -39,6 +41,7 @@ Array = NDArray[np.float64]
 NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
 
 
+@one_blas_thread
 def diagnose(
     study: Study,
     model: SimModel,
@@ -54,7 +57,7 @@ def diagnose(
     """Find what the simulator gets wrong.
 
     Args:
-        study: Recorded runs, some of them held out.
+        study: Recorded runs; those with use: test are looked at once, at the end.
         model: Simulator with everything imperfectly known as base parameters, nuisances of the
             set-up too: a forgotten one becomes an invented effect.
         effects: Candidate causes.
@@ -73,13 +76,14 @@ def diagnose(
     Raises:
         ValueError: the study cannot be judged at all, or effects share a name.
     """
+    started = process_time()
     gates = data_gate(study)
     # from here to the end of the search nothing can look at a test run: there is none
     case = _case(study.without_tests(), model, effects, unknowns, settings, progress)
     case.progress("null fit", 0.0, "the model without effects")
     null = null_fit(case)
     null.case.progress("checks", 0.15, "numerical settings, gradients")
-    null, checks, simulations = _checked(null, gates, cache)
+    null, checks, simulations = _checked(null, gates, cache, started)
     if checks.numerics_failed and not null.case.settings.accept_numerics:
         decision = Decision("numerical", frozenset(), (), None, 0.0)
         screened = _screened(checks.center)
@@ -89,7 +93,7 @@ def diagnose(
     screened = _screened(search.plain)
     case.progress("gain", 0.88, "unseen runs")
     select = search.null.case.study.select_runs
-    referee = referee_of(search.fit_of(NONE).problem, select)
+    referee = referee_of(search.fit_of(NONE), select)
     checks, judgment = _judged(search, checks, referee, seed)
     frozen = report_of(search.null, checks, judgment, screened, seed, bank, referee)
     # only now test runs are looked at, once
@@ -142,7 +146,7 @@ def _case(
 
 
 def _checked(
-    null: Null, gates: tuple[GateResult, ...], cache: str | Path | None
+    null: Null, gates: tuple[GateResult, ...], cache: str | Path | None, started: float
 ) -> tuple[Null, Checks, Simulations]:
     """Numerical settings and gradients at the null fit, everything linearized there."""
     refined = checked_numerics(null)
@@ -157,7 +161,8 @@ def _checked(
     simulations = Simulations(null.wide, case.store).under(null)
     at, simulations = simulations.screen(NONE, None)
     center = simulations.center(NONE, at, 1)
-    gates = (*gates, *gradient_gate(center.evidence))
+    spent = process_time() - started
+    gates = (*gates, *gradient_gate(center.evidence, GRADIENT_SHARE * spent))
     return null, Checks(gates, changes, center), simulations
 
 

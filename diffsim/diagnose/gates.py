@@ -1,29 +1,24 @@
-"""Checks before any physics is blamed: data, gradients, numerical settings, repeatability."""
+"""Checks before any physics is blamed: data, numerical settings, repeatability."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from diffsim.data.study import Study
-from diffsim.diagnose.evidence import LaplaceEvidence
 from diffsim.diagnose.noise import UNREPEATABLE
 from diffsim.diagnose.separate import cut_in_two, require_separate
-from diffsim.identify import Fit, Jacobian, Problem
-from diffsim.identify.effect import Effect
+from diffsim.identify import Fit, Problem
 from diffsim.identify.fitting import posterior_covariance
 from diffsim.identify.linearization import Linearization, record_at, whitened
-from diffsim.identify.model import has_tangents
 from diffsim.identify.numerics import REFINEMENTS, NumericalEffect, Numerics, coarse
 
 Array = NDArray[np.float64]
-GRADIENT_RTOL = 1e-4
 NUMERICS_LAMBDA = 2.0
 ROUNDING = 1e-6  # noise sd: a change of the whole record below it is rounding
 NUMERICS_GATES = ("time_step", "mesh", "tolerance")
@@ -106,88 +101,6 @@ def _separate_gate(study: Study) -> GateResult:
     return GateResult("separate_runs", not pairs, len(pairs), 0, note, applies=others > 0)
 
 
-def gradient_gate(linear: LaplaceEvidence) -> list[GateResult]:
-    """Adjoint score of every effect against differences; skipped where the scene has no gradient.
-
-    The slopes of the linearization cost nothing here. Central differences are good to the second
-    order; slopes of another method are first held against differences along one direction that
-    moves all effects alike. Only where something disagrees, effects are differenced again one by
-    one, at the usual step and half of it, extrapolated (Richardson): good to the fourth (third,
-    one-sided) order.
-
-    Args:
-        linear: Whitened slopes of all candidates at the null fit.
-    """
-    problem, x, residual = linear.problem, linear.x0, linear.residual
-    effects = [e for e in problem.effects if e.smooth]
-    if not effects or not _has_gradient(problem, x):
-        return []
-    _, adjoint = problem.gradient(x)
-    score = -linear.jacobian.T @ residual
-    is_sound = _are_differences(problem) or _agrees_along(linear, effects)
-    out = []
-    for effect in effects:
-        c = problem.columns_of(effect)
-        # relative to the largest score a residual of this length could have
-        moved = np.linalg.norm(linear.jacobian[:, c])
-        size = np.linalg.norm(residual) * moved
-        if moved <= ROUNDING:
-            continue
-        error = float(np.linalg.norm(adjoint[c] - score[c]) / size)
-        if error >= GRADIENT_RTOL or not is_sound:
-            error = float(np.linalg.norm(adjoint[c] - _extrapolated(problem, x, c)) / size)
-        out.append(
-            GateResult(
-                f"gradient:{effect.name}",
-                error < GRADIENT_RTOL,
-                error,
-                GRADIENT_RTOL,
-                "adjoint against finite differences",
-            )
-        )
-    return out
-
-
-def _are_differences(problem: Problem) -> bool:
-    method = problem.jacobian.method
-    return method == "differences" or (method == "auto" and not has_tangents(problem.model))
-
-
-def _agrees_along(linear: LaplaceEvidence, effects: Sequence[Effect]) -> bool:
-    """Whether slopes are the differences along a direction in which every component moves the
-    record alike, so that one wrong column among n shows by at least 1 / sqrt(n) of its error.
-
-    Upwards only, as sizes may have a sign: (-11 f0 + 18 f1 - 9 f2 + 2 f3) / 6h, third order.
-    """
-    problem, x = linear.problem, linear.x0
-    idx = [i for e in effects for i in problem.columns_of(e)]
-    lengths = np.linalg.norm(linear.jacobian[:, idx], axis=0)
-    idx = [i for i, length in zip(idx, lengths, strict=True) if length > 0.0]
-    lengths = lengths[lengths > 0.0]
-    direction = np.zeros(len(x))
-    # none further than a prior standard deviation, however little it moves
-    direction[idx] = np.minimum(np.median(lengths) / lengths, 1.0) if len(idx) else 0.0
-    h = 0.5 * problem.jacobian.step
-    records = [problem.residual(x + k * h * direction) for k in (1, 2, 3)]
-    differences = -(-11 * linear.residual + 18 * records[0] - 9 * records[1] + 2 * records[2]) / (
-        6 * h
-    )
-    predicted = linear.jacobian @ direction
-    off = float(np.linalg.norm(differences - predicted))
-    return off <= GRADIENT_RTOL / np.sqrt(max(len(idx), 1)) * float(np.linalg.norm(predicted))
-
-
-def _extrapolated(problem: Problem, x: Array, only: list[int]) -> Array:
-    """Scores of some coordinates by differences of two steps."""
-    step, scores = problem.jacobian.step, []
-    for h in (step, step / 2):
-        residual, jacobian = replace(
-            problem, jacobian=Jacobian(method="differences", step=h)
-        ).linearize(x, only=only)
-        scores.append(-jacobian[:, only].T @ residual)
-    return np.asarray((4.0 * scores[1] - scores[0]) / 3.0)
-
-
 def numerics_changes(problem: Problem, at: Linearization) -> dict[str, Array]:
     """(N,) change of the record by refining each setting; zero where the model has no such one.
 
@@ -244,11 +157,6 @@ def numerical_shift(fit: Fit, changes: Mapping[str, Array]) -> Array:
     for raw in changes.values():
         total += (posterior_covariance(j) @ (j.T @ whitened(fit.problem, raw))) ** 2
     return np.asarray(np.sqrt(total))
-
-
-def _has_gradient(problem: Problem, x: Array) -> bool:
-    leaf = torch.tensor(x, requires_grad=True)
-    return bool(problem.predict(problem.runs[0], leaf).requires_grad)
 
 
 def repeatability_gate(fit: Fit) -> list[GateResult]:

@@ -32,6 +32,8 @@ MAX_FOLDS = 8
 MEMORY = 10.0  # a block over the time in which the noise forgets
 MIN_SAMPLES = 4  # of a block
 MIN_FOLDS = 3  # blocks of one recording; fewer leave too little to fit
+DETERMINED = 0.9  # posterior sd over the prior's; above, the data hardly determine a parameter
+ALONE = 0.98  # share of what is known of a parameter that one part holds
 NONLINEAR = 0.5  # error of the linear prediction over what it moves, from which a fit is repeated
 WORSE_NATS = 2.0  # and the nats that it must cost
 
@@ -66,29 +68,56 @@ class Folds:
     words: str
 
 
-def folds_of(problem: Problem) -> Folds | None:
-    """Groups of runs, at most 8 at a time; blocks of time where all runs repeat one command.
+def folds_of(fit: Fit) -> Folds | None:
+    """Parts of the runs for a referee: groups, at most 8 parts; else blocks of time.
 
-    A block is ten times as long as the noise remembers, and an eighth of the longest run or more.
+    Blocks, where all runs repeat one command, or where half of the parameters or more are known
+    from one group each, such as a stiffness per material: what leaves with a group is not told by
+    the others.
 
     Returns:
-        None where there is one command, and it is too short for three blocks.
+        None where there are neither two groups nor three blocks.
     """
+    groups = groups_of(fit.problem)
+    if groups is not None:
+        alone = known_alone(fit, groups)
+        if not len(alone) or np.mean(alone) < 0.5:
+            return groups
+    return blocks_of(fit.problem) or groups
+
+
+def known_alone(fit: Fit, folds: Folds) -> NDArray[np.bool_]:
+    """Whether the knowledge of each parameter that the data determine is from one part alone."""
+    own = determined(fit)
+    slopes = fit.jacobian[:, own]
+    shares = np.array([np.sum(slopes[fold.rows] ** 2, axis=0) for fold in folds.parts])
+    total = np.maximum(shares.sum(axis=0), 1e-300)
+    return np.asarray(shares.max(axis=0) > ALONE * total)
+
+
+def determined(fit: Fit) -> list[int]:
+    """Coordinates that all runs share and that the data determine."""
+    sd = np.sqrt(np.diag(fit.covariance))
+    return [i for i, n in enumerate(fit.problem.names) if "@" not in n and sd[i] < DETERMINED]
+
+
+def groups_of(problem: Problem) -> Folds | None:
+    """Groups of runs, at most 8 parts; None where there is only one that can be left out."""
     groups: dict[str, list[int]] = {}
     for i, run in enumerate(problem.runs):
         groups.setdefault(run.group, []).append(i)
-    row_run = _run_of_rows(problem)
     names = [name for name in groups if not _has_channel_alone(problem, groups, name)]
-    if len(names) > 1:
-        count = min(len(names), MAX_FOLDS)
-        parts = [names[k::count] for k in range(count)]
-        made = [(p, tuple(i for name in p for i in groups[name])) for p in parts]
-        folds = tuple(
-            Fold(", ".join(p), runs, np.isin(row_run, runs), is_whole=True) for p, runs in made
-        )
-        what = "one command" if count == len(names) else f"{count} parts of the commands"
-        return Folds(folds, f"leaving out {what} after the other among the fit runs")
-    return _blocks_of_time(problem, row_run)
+    if len(names) < 2:
+        return None
+    row_run = _run_of_rows(problem)
+    count = min(len(names), MAX_FOLDS)
+    parts = [names[k::count] for k in range(count)]
+    made = [(p, tuple(i for name in p for i in groups[name])) for p in parts]
+    folds = tuple(
+        Fold(", ".join(p), runs, np.isin(row_run, runs), is_whole=True) for p, runs in made
+    )
+    what = "one command" if count == len(names) else f"{count} parts of the commands"
+    return Folds(folds, f"leaving out {what} after the other among the fit runs")
 
 
 def _has_channel_alone(problem: Problem, groups: dict[str, list[int]], name: str) -> bool:
@@ -101,8 +130,12 @@ def _has_channel_alone(problem: Problem, groups: dict[str, list[int]], name: str
     return bool((seen[name] & ~np.any(others, axis=0)).any()) if others else False
 
 
-def _blocks_of_time(problem: Problem, row_run: NDArray[np.int64]) -> Folds | None:
-    time = _time_of_rows(problem)
+def blocks_of(problem: Problem) -> Folds | None:
+    """Blocks of time of all runs at once; None where they are too short for three.
+
+    A block is ten times as long as the noise remembers, and an eighth of the longest run or more.
+    """
+    row_run, time = _run_of_rows(problem), _time_of_rows(problem)
     longest = float(time.max()) if len(time) else 0.0
     steps = [float(np.median(np.diff(r.time_s))) for r in problem.runs if len(r.time_s) > 1]
     shortest = MIN_SAMPLES * max(steps, default=0.0)

@@ -11,6 +11,7 @@ from scipy import linalg
 
 from diffsim.data.study import Run
 from diffsim.identify import Fit
+from diffsim.identify.problem import PredictionError
 
 Array = NDArray[np.float64]
 
@@ -44,7 +45,14 @@ def next_run(rivals: Sequence[Fit], bank: Sequence[Run]) -> NextRun:
         raise ValueError(f"rivals must hold at least two fits, got {len(rivals)}")
     if not bank:
         raise ValueError("bank is empty; give at least one run that could be recorded")
-    gains = {run.name: _nearest_pair(rivals, run) for run in bank}
+    gains = {}
+    for run in bank:
+        try:
+            gains[run.name] = _nearest_pair(rivals, run)
+        except PredictionError:  # a run that the model cannot follow is no advice
+            continue
+    if not gains:
+        raise ValueError(f"none of the {len(bank)} runs of the bank can be simulated")
     best = max(gains, key=lambda name: gains[name])
     median = float(np.median(list(gains.values())))
     return NextRun(best, gains, gains[best] / median if median > 0.0 else float("inf"))

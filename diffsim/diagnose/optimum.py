@@ -11,12 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, optimize
 
-from diffsim.identify.sizes import coordinate_of, precision_at, scaled_at
+from diffsim.identify.sizes import TAIL, coordinate_of, precision_at, scaled_at
 
 Array = NDArray[np.float64]
 MAX_REWEIGHTS = 60
+SAFE_STEPS = 2  # before Newton's
 REWEIGHT_TOLERANCE = 1e-7  # of a coordinate, relative above one
 FREE = 1e-6  # precision of a size that is nearly without a prior
+CONVEX = 0.5  # scaled size below which the prior's penalty is convex
+SAME_VALLEY = 0.1
+ROUNDING = 1e-13
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 _PANELS = np.linspace(-10.0, 10.0, 41)
 _NEAR_ZERO = np.geomspace(1e-7, 1.0, 15)
@@ -37,37 +41,101 @@ def optimum(
         sizes: Whether a coordinate is a scaled size, (n,) bool.
         start: Scaled coordinates that give the first weights, (n,).
     """
-    weights = np.ones(len(b))
+    gram = kept_definite(gram)
     if not sizes.any():
         return quadratic_optimum(gram + np.eye(len(b)), b, low, high)
-    ends = []
-    for first in (precision_at(start[sizes]), np.full(int(sizes.sum()), FREE)):
-        weights[sizes] = first
-        before = None
-        for _ in range(MAX_REWEIGHTS):
-            v = quadratic_optimum(gram + np.diag(weights), b, low, high)
-            if before is not None and np.all(
-                np.abs(v - before) <= REWEIGHT_TOLERANCE * np.maximum(np.abs(v), 1.0)
-            ):
-                break
-            weights[sizes], before = precision_at(v[sizes]), v
-        ends.append(v)
+    base = ~sizes
+    if not base.any():
+        return _sizes_optimum(gram, b, low, high, start)
+    # base parameters at their best for any sizes, as long as none is at a bound
+    inner = linalg.cho_factor(gram[np.ix_(base, base)] + np.eye(int(base.sum())))
+    outer = gram[np.ix_(base, sizes)]
+    solved = linalg.cho_solve(inner, np.column_stack([outer, b[base]]))
+    own = gram[np.ix_(sizes, sizes)] - outer.T @ solved[:, :-1], b[sizes] - outer.T @ solved[:, -1]
+    v = np.zeros(len(b))
+    v[sizes] = _sizes_optimum(*own, low[sizes], high[sizes], start[sizes])
+    v[base] = solved[:, -1] - solved[:, :-1] @ v[sizes]
+    if (v[base] < low[base]).any() or (v[base] > high[base]).any():
+        first = np.ones(len(b))
+        first[sizes] = precision_at(v[sizes])
+        v = _reweighted(gram, b, low, high, sizes, first)
+    return v
+
+
+def kept_definite(gram: Array) -> Array:
+    """A Gram matrix whose rounding cannot make it indefinite: columns that others make up leave
+    differences of large numbers, and a size far out has hardly a prior to add."""
+    return gram + np.diag(ROUNDING * np.diag(gram))
+
+
+def _sizes_optimum(gram: Array, b: Array, low: Array, high: Array, start: Array) -> Array:
+    """The optimum where all coordinates are sizes: the lower end of two valleys."""
+    every = np.ones(len(b), dtype=bool)
+    near = _reweighted(gram, b, low, high, every, precision_at(start))
+    free = quadratic_optimum(gram + FREE * np.eye(len(b)), b, low, high)
+    if (np.abs(free) < CONVEX).all() or np.allclose(free, near, rtol=SAME_VALLEY, atol=SAME_VALLEY):
+        return near  # there is but one valley
+    far = _reweighted(gram, b, low, high, every, precision_at(free))
+
+    def cost(u: Array) -> float:
+        x = coordinate_of(u)
+        return float(u @ gram @ u - 2.0 * b @ u + x @ x)
+
+    return min(near, far, key=cost)
+
+
+def _reweighted(
+    gram: Array, b: Array, low: Array, high: Array, sizes: NDArray[np.bool_], weights: Array
+) -> Array:
+    """Least squares, reweighted until the sizes stand; Newton's steps where the prior's penalty is
+    convex, as long as they lead down."""
+    weights = weights.copy()
 
     def cost(v: Array) -> float:
         x = coordinate_of(v[sizes])
         return float(v @ gram @ v - 2.0 * b @ v + v[~sizes] @ v[~sizes] + x @ x)
 
-    return min(ends, key=cost)
+    v, here = np.full(len(b), np.inf), np.inf
+    for step in range(MAX_REWEIGHTS):
+        after, there = v, np.inf
+        if step >= SAFE_STEPS:
+            curvature, push = np.ones(len(b)), np.zeros(len(b))
+            curvature[sizes], push[sizes] = _newton(v[sizes], weights[sizes])
+            after = quadratic_optimum(gram + np.diag(curvature), b + push, low, high)
+            there = cost(after)
+        if not there < here:
+            after = quadratic_optimum(gram + np.diag(weights), b, low, high)
+            there = cost(after)
+        close = REWEIGHT_TOLERANCE * np.maximum(np.abs(after), 1.0)
+        is_end = bool(np.all(np.abs(after - v) <= close))
+        v, here = after, there
+        if is_end:
+            break
+        weights[sizes] = precision_at(v[sizes])
+    return v
+
+
+def _newton(u: Array, weights: Array) -> tuple[Array, Array]:
+    """Curvature of x(u)^2 / 2 and what its slope pushes beyond that; the weights where concave."""
+    x, root = coordinate_of(u), np.sqrt(1.0 + (TAIL * u) ** 2)
+    curvature = 1.0 / root**2 - x * TAIL**2 * u / root**3
+    is_convex = curvature > 0.1 * weights
+    push = np.where(is_convex, curvature * u - x / root, 0.0)
+    return np.where(is_convex, curvature, weights), push
 
 
 def quadratic_optimum(hessian: Array, b: Array, low: Array, high: Array) -> Array:
     """argmin v'Hv - 2 b'v within bounds, by active sets; H must be positive definite."""
+    if not len(b):
+        return np.zeros(0)
     active = np.zeros(len(b), dtype=int)  # -1: at the lower bound, 1: at the upper
     v = np.zeros(len(b))
     for _ in range(3 * len(b) + 3):
         v = np.where(active < 0, low, np.where(active > 0, high, 0.0))
         free = active == 0
-        if free.any():
+        if free.all():
+            v = linalg.solve(hessian, b, assume_a="pos", check_finite=False)
+        elif free.any():
             right = b[free] - hessian[np.ix_(free, ~free)] @ v[~free]
             v[free] = linalg.solve(hessian[np.ix_(free, free)], right, assume_a="pos")
         beyond = np.where(free & (v < low), -1, np.where(free & (v > high), 1, 0))

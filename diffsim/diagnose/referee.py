@@ -93,17 +93,17 @@ class LeftOut:
         return self._kept[fit]
 
 
-def referee_of(problem: Problem, select: Sequence[Run]) -> Referee | None:
+def referee_of(plain: Fit, select: Sequence[Run]) -> Referee | None:
     """Select runs if there are any, else fit runs left out; None where they are too few.
 
     Args:
-        problem: Problem with the runs that are fitted.
+        plain: Fit of the plain model.
         select: Runs with use: select.
     """
     if select:
         return SelectRuns(select)
-    folds = folds_of(problem)
-    return None if folds is None else LeftOut(problem, folds)
+    folds = folds_of(plain)
+    return None if folds is None else LeftOut(plain.problem, folds)
 
 
 def gain_over(referee: Referee, without: Fit, best: Fit, seed: int) -> Gain:

@@ -281,9 +281,7 @@ def _scanned(search: Search, center: Center) -> tuple[Center, Search]:
     fit, settings = search.fit_of(center.members), search.settings
     if 0.5 * (fit.chi2 - fit.num_samples) < SCAN_NATS:
         return center, search
-    center, made = search.simulations.scanned(
-        center, settings.max_effects, settings.scan_points, search.num_families
-    )
+    center, made = search.simulations.scanned(center, settings, search.num_families)
     return center, replace(search, simulations=made)
 
 

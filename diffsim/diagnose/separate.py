@@ -22,6 +22,7 @@ SHARED_BITS = 60.0  # of the changes along an equal stretch: no chance explains 
 COMMON = 50  # places of a row from which it says nothing, such as a sensor at rest
 BLOCK_OF = "block_of"  # fact of ``setup``: the recording that a run is a declared block of
 STEP_RTOL = 0.02  # of the clock's step between the end of one run and the beginning of the next
+FEWEST = 12  # steps of a channel, from which its noise can be told
 JOINT = 6.0  # noise sd and usual changes from sample to sample
 
 
@@ -131,7 +132,7 @@ def _goes_on(first: Run, second: Run) -> bool:
         return False
     for values, start in zip(first.measured.T, second.measured[0], strict=True):
         usual = np.abs(np.diff(values[np.isfinite(values)]))
-        if len(usual) < 2 or not (np.isfinite(values[-1]) and np.isfinite(start)):
+        if len(usual) < FEWEST or not (np.isfinite(values[-1]) and np.isfinite(start)):
             continue
         if abs(start - values[-1]) > JOINT * (noise_std(values) + float(np.median(usual))):
             return False

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from time import process_time
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from diffsim.diagnose.gauss_newton import gauss_newton
 from diffsim.diagnose.scan import Scan, groups, num_points, scan
 from diffsim.diagnose.store import Store
 from diffsim.identify import Fit, Problem
+from diffsim.identify.effort import SearchSettings
 from diffsim.identify.linearization import (
     Linearization,
     linearization_at,
@@ -75,6 +77,7 @@ class Simulations:
         unknown_slopes: Slopes of an unknown cause at the fit of a set, (N, k), by set and index of
             the cause.
         scans: Sizes that were tried, by members of the center and group of effects.
+        scan_seconds: CPU time that these took [s].
     """
 
     wide: Problem
@@ -83,6 +86,7 @@ class Simulations:
     screened: Mapping[Members, Linearization] = field(default_factory=dict)
     unknown_slopes: Mapping[tuple[Members, int], Array] = field(default_factory=dict)
     scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
+    scan_seconds: float = 0.0
 
     def under(self, null: Null) -> Simulations:
         """The same simulations for another fit of the plain model or another noise floor."""
@@ -188,27 +192,28 @@ class Simulations:
         return Center(members, at, self._evidence(at, [], num_families))
 
     def scanned(
-        self, center: Center, max_effects: int, max_points: int, num_families: int
+        self, center: Center, settings: SearchSettings, num_families: int
     ) -> tuple[Center, Simulations]:
         """A center with the scans of effects with kinks, and of pairs that mask each other.
 
         Args:
             center: A fitted set.
-            max_effects: Largest number of effects in one set.
-            max_points: Largest number of sizes that all scans may try.
+            settings: Largest number of effects in one set, of sizes and of CPU seconds.
             num_families: Families of effects, for the evidence.
         """
         made, found = self, {}
-        room = max_effects - len(center.members)
+        room = settings.max_effects - len(center.members)
         for group in groups(self.wide.effects, center.members, room):
             key, members = (center.members, group), sorted(group)
             if key not in made.scans:
-                spent = sum(s.num_points for s in made.scans.values())
-                if spent + num_points([self.wide.effects[i] for i in members]) > max_points:
+                points = sum(s.num_points for s in made.scans.values())
+                points += num_points([self.wide.effects[i] for i in members])
+                if points > settings.scan_points or made.scan_seconds > settings.scan_seconds:
                     continue
-                own = self.coordinates(center.members)
+                own, start = self.coordinates(center.members), process_time()
                 result = scan(self.wide, own, center.at, members)
-                made = replace(made, scans={**made.scans, key: result})
+                spent = made.scan_seconds + process_time() - start
+                made = replace(made, scans={**made.scans, key: result}, scan_seconds=spent)
             if (at := made.scans[key].at) is not None:
                 found[group] = made.center(center.members, at, num_families)
         return replace(center, scanned=found), made

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diffsim.diagnose.data_sheet import words_of
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.gates import NUMERICS_GATES, REPEATS, GateResult
 from diffsim.diagnose.judge import EXPLAINED, Decision
@@ -24,6 +25,7 @@ from diffsim.diagnose.records import (
 
 MAX_RIVALS = 3  # rival sets in a sentence; the page lists all
 MAX_NAMES = 2  # names in the headline
+MAX_OPEN = 9  # words for what cannot be told apart
 MAX_WORDS = 25
 
 
@@ -38,6 +40,7 @@ class Answer:
         rivals: Names of the rival sets.
         gates: Checks.
         noise: Noise floor of the fitted runs.
+        named: Effects that the verdict names.
         best_names: Effects of the best set.
         beside: Name of an unknown cause that leads beside the named set; empty if none.
         chosen_by: What chose between causes.
@@ -49,6 +52,7 @@ class Answer:
     rivals: tuple[tuple[str, ...], ...]
     gates: tuple[GateResult, ...]
     noise: NoiseFloor
+    named: tuple[str, ...] = ()
     best_names: tuple[str, ...] = ()
     beside: str = ""
     chosen_by: str = ""
@@ -73,8 +77,10 @@ def headline(answer: Answer, errors: Sequence[ErrorRow]) -> str:
     """
     said = _said(answer)
     changed = any(row.helps or row.status in (CERTAIN, LIKELY) for row in _effects(answer))
+    named = [row for row in _effects(answer) if row.name in answer.named]
+    subject = "They take" if len(named) > 1 else "It takes"
     for first in said:
-        for second in (*_on_unseen(errors, changed), ""):
+        for second in (*_on_unseen(errors, changed, subject), ""):
             text = f"{first}{second}."
             if len(text.split()) <= MAX_WORDS:
                 return text
@@ -83,7 +89,9 @@ def headline(answer: Answer, errors: Sequence[ErrorRow]) -> str:
 
 def _said(answer: Answer) -> list[str]:
     """What is wrong, without a full stop; shorter ones later."""
-    named = answer.told(CERTAIN, LIKELY)
+    named = [
+        r for r in answer.told(CERTAIN, LIKELY) if r.origin != EFFECT or r.name in answer.named
+    ]
     if answer.verdict == "unrepeatable":
         return ["Repeats differ more than the sensor's noise, so no cause can be judged"]
     if answer.verdict == "numerical":
@@ -96,18 +104,29 @@ def _said(answer: Answer) -> list[str]:
             "Something unknown is missing",
         ]
     if answer.verdict == "ambiguous":
-        names = [" with ".join(_plain(answer, n) for n in s) for s in _alternatives(answer)]
-        shown = " or ".join(names[:MAX_NAMES]) + (" or another cause" if len(names) > 2 else "")
-        return [f"{_capital(shown)} is missing; these runs cannot tell which", f"{_capital(shown)}"]
+        return _open(answer)
     if named:
         return _missing(named)
     return ["Nothing is missing that these runs could show"]
+
+
+def _open(answer: Answer) -> list[str]:
+    """Sets of causes that cannot be told apart, without what they share."""
+    sets = [answer.best_names, *answer.rivals]
+    common = set(sets[0]).intersection(*sets[1:])
+    parts = [[_plain(answer, n) for n in s if n not in common] for s in sets]
+    names = list(dict.fromkeys(" with ".join(p) for p in parts if p))
+    shown = " or ".join(names[:MAX_NAMES]) + (" or another cause" if len(names) > MAX_NAMES else "")
+    if not names or len(shown.split()) > MAX_OPEN:
+        shown = "one of several causes"
+    return [f"{_capital(shown)} is missing; these runs cannot tell which"]
 
 
 def _missing(named: Sequence[CauseRow]) -> list[str]:
     """Sentences on causes that are named, the longest first."""
     sheet = [row for row in named if row.origin == DATA_SHEET]
     effects = [row for row in named if row.origin == EFFECT]
+    effects = [row for row in effects if row.status == CERTAIN] or effects
     if not effects:
         row = sheet[0]
         value, unit = next(iter(row.size.values())), "" if row.unit == "-" else f" {row.unit}"
@@ -120,29 +139,40 @@ def _missing(named: Sequence[CauseRow]) -> list[str]:
     more = len(effects) - len(words)
     names = ", ".join(words) + f" and {more} more" if more else " and ".join(words)
     verb = "is" if len(effects) == 1 else "are"
-    plain = f"{_capital(names)} {verb}{sure} missing"
-    out = [plain]
-    if len(effects) == 1 and len(effects[0].size) == 1:
-        out.insert(0, f"{plain} ({_range(effects[0])})")
+    out = [f"{_capital(names)} {verb}{sure} missing"]
+    if len(effects) <= MAX_NAMES and all(len(row.size) == 1 for row in effects):
+        if len(effects) == 1 and _is_bare(effects[0]):
+            out.insert(0, f"{out[0]} ({_range(effects[0])})")
+        elif len(effects) > 1:
+            sized = [f"{r.words} ({_range(r)})" if _is_bare(r) else r.words for r in effects]
+            out.insert(0, f"{_capital(' and '.join(sized))} {verb}{sure} missing")
     if sheet:
         out.insert(0, f"{out[0]}, {sheet[0].words} is off its data sheet")
     return out
 
 
-def _on_unseen(errors: Sequence[ErrorRow], changed: bool) -> list[str]:
+def _is_bare(row: CauseRow) -> bool:
+    """Whether the words of a cause do not say its size themselves."""
+    return row.words == words_of(row.name)
+
+
+def _on_unseen(errors: Sequence[ErrorRow], changed: bool, subject: str) -> list[str]:
     """What becomes of the error, the longest first."""
     if not errors:
         return [". No gain is known: no run is kept for a test", "; no run tests it"]
     row = _telling_kind(errors, changed)
     where = "unseen runs" if row.use == "test" else "the runs that chose"
     before, after, noise = (f"{v:.3g}" for v in (row.before, row.after, row.noise))
+    unit = "" if row.unit == "-" else f" {row.unit}"
     if not changed:
-        return [f"; the error on {where} is {before} {row.unit}, noise {noise} {row.unit}"]
+        return [f"; the error on {where} is {before}{unit}, noise {noise}{unit}"]
+    if row.after > 0.99 * row.before:
+        verb = "stays at" if row.after <= 1.01 * row.before else f"rises from {before} to"
+        return [f"; but the error on {where} {verb} {after}{unit}, noise {noise}{unit}"]
     return [
-        f". It takes the error on {where} from {before} to {after} {row.unit}; "
-        f"{noise} {row.unit} are noise",
-        f": error on {where} {before} to {after} {row.unit}, noise {noise} {row.unit}",
-        f": error {before} to {after} {row.unit}, noise {noise}",
+        f". {subject} the error on {where} from {before} to {after}{unit}; {noise}{unit} is noise",
+        f": error on {where} {before} to {after}{unit}, noise {noise}{unit}",
+        f": error {before} to {after}{unit}, noise {noise}",
     ]
 
 
@@ -209,7 +239,7 @@ def sentences(answer: Answer, gained: Gain | None, unseen: Sequence[ErrorRow]) -
 
 def _first(answer: Answer) -> str:
     named = _effects(answer)
-    sure = [row for row in named if row.status in (CERTAIN, LIKELY)]
+    sure = [row for row in named if row.name in answer.named]
     helping = [row for row in named if row.helps]
     if answer.verdict == "none":
         return "The misfit is noise: no effect of the library pays for itself."
@@ -282,10 +312,6 @@ def _effects(answer: Answer) -> list[CauseRow]:
 def _members(answer: Answer) -> list[CauseRow]:
     """Effects of the best set."""
     return [row for row in _effects(answer) if row.name in answer.best_names]
-
-
-def _alternatives(answer: Answer) -> list[tuple[str, ...]]:
-    return [answer.best_names, *answer.rivals]
 
 
 def _plain(answer: Answer, name: str) -> str:

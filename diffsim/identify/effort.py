@@ -19,6 +19,7 @@ class SearchSettings:
             behind the best one is not refitted [nats].
         linear_error: Further error of linear evidence, as a share of the misfit [-].
         scan_points: Largest number of sizes of effects with kinks that are tried before fits.
+        scan_seconds: CPU time of these trials after which no further effect is tried [s].
         num_starts: Largest number of starts of a fit that disappoints.
         unknown_steps: Number of Gauss-Newton steps of a set together with an unknown cause.
     """
@@ -29,6 +30,7 @@ class SearchSettings:
     rival_nats: float = 6.0
     linear_error: float = 0.1
     scan_points: int = 400
+    scan_seconds: float = 150.0
     num_starts: int = 3
     unknown_steps: int = 3
 

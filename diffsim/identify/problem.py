@@ -24,7 +24,7 @@ from diffsim.data.study import Channel, Run
 from diffsim.identify.effect import Effect
 from diffsim.identify.jacobian import Jacobian, Stencil
 from diffsim.identify.line import Line, Point
-from diffsim.identify.model import SimModel
+from diffsim.identify.model import SimModel, has_tangents
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.sizes import PRIOR_WIDTH, coordinate_of, scaled_at, stretch_at
 
@@ -277,6 +277,8 @@ class Problem:
         self, run: Run, at: Tensor, stencils: Mapping[int, Stencil]
     ) -> tuple[Array, Array] | None:
         """Prediction and columns by the model's own tangents; None where it has none."""
+        if not has_tangents(self.model):
+            return None
         with torch.no_grad():
             given = self.model.tangents(
                 run,

@@ -30,11 +30,9 @@ _LABORATORIES = ("lab_beam", "lab_copter", "lab_network")
 _PUBLISHED = (
     "silicone_beam",
     "starfish",
-    "tennis_balls",
     "pneumatic_arm",
     "fish_tail",
     "rotor_bench",
-    "cube_toss",
     "silicone_tensile",
 )
 SETUPS = (*_LABORATORIES, *_PUBLISHED)
@@ -47,7 +45,7 @@ _LIBRARIES = {
 #: Kind of system -> module and class of its description.
 DESCRIPTIONS = {
     "bench": ("diffsim.systems.bench.description", "BenchDescription"),
-    "flow_device": ("diffsim.systems.flow_network.description", "FlowDeviceDescription"),
+    "flow_device": ("diffsim.systems.flow_network.device_description", "FlowDeviceDescription"),
     "flow_network": ("diffsim.systems.flow_network.description", "FlowNetworkDescription"),
     "multicopter": ("diffsim.systems.multicopter.description", "MulticopterDescription"),
     "ode": ("diffsim.systems.ode.description", "OdeDescription"),

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from diffsim.core.units import factor
 from diffsim.data.study import Channel
 from diffsim.viz import charts
 from diffsim.viz.charts import EXTENDED, NULL
@@ -32,34 +33,40 @@ _SCALE = [[0.0, "#2a6f97"], [0.5, "#f7f7f5"], [1.0, "#b3362a"]]
 
 
 def runs_over_time(runs: Sequence[PredictedRun], channels: Sequence[Channel]) -> Any:
-    """Measured and predicted channels over time, a menu for the run, a panel per channel.
+    """Channels over time, a menu for the run; beside each what is left of it.
 
     Args:
         runs: Runs with their predictions, one or more.
         channels: Channels of the study, in the order of the records, with their noise.
     """
     shown = list(range(len(channels)))[:MAX_PANELS]
-    columns = 1 if len(shown) < 4 else 2
-    rows = -(-len(shown) // columns)
+    titles = []
+    for i in shown:
+        unit = channels[i].shown_unit or channels[i].unit
+        titles += [f"{channels[i].name} [{unit}]", f"measured minus predicted [{unit}]"]
     figure = charts.grid(
-        rows,
-        columns,
-        titles=[f"{channels[i].name} [{channels[i].unit}]" for i in shown],
+        len(shown),
+        2,
+        titles=titles,
         shared_xaxes="all",
-        vertical_spacing=0.35 / max(rows, 2),
+        column_widths=[0.56, 0.44],
+        vertical_spacing=0.35 / max(len(shown), 2),
     )
     owners = []
     for k, run in enumerate(runs):
-        for panel, i in enumerate(shown):
-            lines = _of_channel(run, i, channels[i], is_first=panel == 0)
-            for drawn in lines:
+        for row, i in enumerate(shown, start=1):
+            signals = _signals(run, i, channels[i])
+            left = _left(run, i, channels[i])
+            for drawn in (*signals, *left):
                 drawn.visible = k == 0
-                figure.add_trace(drawn, row=panel // columns + 1, col=panel % columns + 1)
-            owners += [k] * len(lines)
+                drawn.showlegend = row == 1 and drawn in signals
+            figure.add_traces(signals, rows=[row] * len(signals), cols=[1] * len(signals))
+            figure.add_traces(left, rows=[row] * len(left), cols=[2] * len(left))
+            owners += [k] * (len(signals) + len(left))
     if len(runs) > 1:
         menu = charts.chooser([_label(run) for run in runs], owners)
         figure.update_layout(updatemenus=[menu])
-    figure.update_xaxes(title_text="time [s]", row=rows)
+    figure.update_xaxes(title_text="time [s]", row=len(shown))
     return figure
 
 
@@ -67,28 +74,43 @@ def _label(run: PredictedRun) -> str:
     return f"{run.name} ({run.use})"
 
 
-def _of_channel(run: PredictedRun, i: int, channel: Channel, *, is_first: bool) -> list[Any]:
-    """Lines of one channel in one run."""
-    t = run.time_s
-    lines = [
-        charts.line(
-            t, run.null[:, i], "model before", NULL,
-            line={"color": NULL, "width": 1.4, "dash": "dash"},
-        )
-    ]  # fmt: skip
+def _scale(channel: Channel) -> float:
+    """Number of the shown unit in one of the channel's."""
+    return factor(channel.unit, channel.shown_unit) if channel.shown_unit else 1.0
+
+
+def _signals(run: PredictedRun, i: int, channel: Channel) -> list[Any]:
+    """Lines of one channel in one run, in the unit of the recordings' files."""
+    t, scale = run.time_s, _scale(channel)
+    before = {"color": NULL, "width": 1.4, "dash": "dash"}
+    lines = [charts.line(t, scale * run.null[:, i], "model before", NULL, line=before)]
     if run.extended is not None:
-        lines.append(charts.line(t, run.extended[:, i], "extended model", EXTENDED))
+        lines.append(charts.line(t, scale * run.extended[:, i], "extended model", EXTENDED))
     error = None
     if channel.sd is not None:
-        error = {"type": "constant", "value": channel.sd, "thickness": 0.7, "width": 0}
+        error = {"type": "constant", "value": scale * channel.sd, "thickness": 0.7, "width": 0}
+    measured = scale * run.measured[:, i]
     lines.append(
-        charts.line(
-            t, run.measured[:, i], "measured ± noise", INK, error_y=error, **charts.dots(INK)
-        )
+        charts.line(t, measured, "measured ± noise", INK, error_y=error, **charts.dots(INK, 3.5))
     )
-    for drawn in lines:
-        drawn.showlegend = is_first
     return lines
+
+
+def _left(run: PredictedRun, i: int, channel: Channel) -> list[Any]:
+    """What is left of one channel in one run, before and after."""
+    kinds = [("model before", NULL, run.null)]
+    if run.extended is not None:
+        kinds.append(("extended model", EXTENDED, run.extended))
+    return [
+        charts.line(
+            run.time_s,
+            _scale(channel) * (run.measured[:, i] - predicted[:, i]),
+            name,
+            color,
+            **charts.dots(color, 3.5, 0.7),
+        )
+        for name, color, predicted in kinds
+    ]
 
 
 def residual_views(

@@ -6,6 +6,7 @@ The page needs no network: styles, figures and, where it has charts, their scrip
 from __future__ import annotations
 
 import platform
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
@@ -18,6 +19,7 @@ from diffsim.core.version import __version__
 from diffsim.viz import charts
 from diffsim.viz._require import optional
 
+_NUMERIC = re.compile(r"[-+−–±]?(\d|$)")  # a cell that starts with a number, or says there is none
 TONES = ("good", "fair", "bad", "plain")
 
 
@@ -143,6 +145,7 @@ def render(report: Report, *, made: datetime | None = None) -> str:
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.tests["picture"] = lambda item: isinstance(item, Picture)
+    environment.tests["numeric"] = lambda cell: _NUMERIC.match(cell) is not None
     environment.tests["chart"] = lambda item: isinstance(item, Chart)
     has_charts = any(isinstance(i, Chart) for section in report.sections for i in section.content)
     when = (made or datetime.now(timezone.utc)).strftime("%d %B %Y, %H:%M UTC")

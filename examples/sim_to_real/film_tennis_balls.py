@@ -19,7 +19,7 @@ import torch
 from diffsim.core.files import write_json_atomic
 from diffsim.data import Run, Study
 from diffsim.systems.balls import SoftBallModel
-from diffsim.systems.published.tennis_balls import soft_model
+from diffsim.systems.balls.fits import soft_model
 from diffsim.viz.ball_video import film_balls, view_of
 
 RATE = 60.0  # frames per second

@@ -37,7 +37,7 @@ from tqdm import tqdm
 
 from diffsim.core.files import write_json_atomic
 from diffsim.core.paths import data_folder
-from diffsim.data import Channel, Run, Study, ball_video_study, import_study
+from diffsim.data import Channel, Run, Study, ball_tracks_study, ball_video_study
 from diffsim.identify import Jacobian, Problem, WhiteNoise, descend, fit, random_starts
 from diffsim.systems.balls import (
     BALL_FRICTION,
@@ -46,7 +46,7 @@ from diffsim.systems.balls import (
     SLIDING_FRICTION,
     SoftBallModel,
 )
-from diffsim.systems.published.tennis_balls import setup, soft_model
+from diffsim.systems.balls.fits import setup, soft_model
 from diffsim.viz.ball_figures import Shown, misfits, overlay, recording, simulated, strip
 from diffsim.viz.ball_video import view_of
 
@@ -246,7 +246,7 @@ def main(argv: Sequence[str] | None = None) -> dict[str, Any] | None:
         corners = args.corners or beside(args.video, "corners.csv")
         study = ball_video_study(args.video, corners, diameter_m=DIAMETER, mass_kg=MASS)
     elif (folder := data_folder()) and (folder / "tennis_balls/tracks.csv").is_file():
-        study = import_study("tennis_balls")
+        study = ball_tracks_study(folder / "tennis_balls")
     else:
         print("no recording: set DIFFSIM_DATA to the folder of the measured data, or give --video")
         return None

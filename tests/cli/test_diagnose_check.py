@@ -103,6 +103,16 @@ def test_what_only_making_the_model_shows_is_told(folder, capsys):
     assert "error: model: " in out
 
 
+def test_what_many_runs_have_is_told_once(folder, capsys):
+    for name in "abc":
+        lines = (folder / f"{name}.csv").read_text().splitlines()
+        (folder / f"{name}.csv").write_text("\n".join([*lines[:20], *lines[24:]]) + "\n")
+    code, out, _ = check(folder, capsys)
+    assert code == 0
+    (line,) = (line for line in out.splitlines() if "gaps in the clock" in line)
+    assert line.startswith("warning: run a: 1 gaps") and line.endswith("(likewise b, c)")
+
+
 def test_one_recording_cannot_be_fitted_and_tested(folder, capsys):
     (folder / "d.csv").write_text((folder / "a.csv").read_text())
     code, out, _ = check(folder, capsys)

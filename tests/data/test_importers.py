@@ -16,13 +16,11 @@ pytestmark = pytest.mark.reference
 EXPECTED = {
     "silicone_beam": (4, 9, 1, 0),
     "starfish": (4, 8, 1, 0),
-    "tennis_balls": (2, 6, 1, 0),
     "pneumatic_arm": (5, 9, 1, 0),
     "pneumatic_arm_p25": (10, 9, 1, 0),
     "fish_tail": (1, 3, 0, 0),
     "rotor_bench": (27, 2, 4, 0),
     "rotor_drive": (27, 2, 4, 0),
-    "cube_toss": (57, 8, 7, 0),
     "silicone_tensile": (10, 1, 5, 0),
 }
 
@@ -114,21 +112,6 @@ def test_thrust_falls_with_the_square_of_the_speed(studies):
         data_folder("rotor_bench") / "kde2814_10in.csv", delimiter=",", names=True, encoding=None
     )
     np.testing.assert_allclose(thrust, table["thrust_N"][: len(thrust)], rtol=1e-9)
-
-
-def test_cube_falls_with_gravity(studies):
-    study = studies["cube_toss"]
-    r = run(study, "toss_000")
-    flying = r.measured[:8, column(study, "z_m")]
-    bend = np.polyfit(r.time_s[:8], flying, 2)[0]
-    assert 2 * bend == pytest.approx(-9.81, rel=0.1)
-    assert np.allclose(np.linalg.norm(r.measured[:, 3:7], axis=1), 1.0, atol=1e-4)
-
-
-def test_camera_and_points_of_the_tennis_balls(studies):
-    meta = studies["tennis_balls"].metadata
-    assert len(meta["calibration_points"]["u_px"]) == 8
-    assert meta["camera_by_authors"]["alpha_px"] == pytest.approx(1227.84, abs=0.01)
 
 
 def test_strain_rate_of_the_pull_test(studies):

@@ -234,7 +234,7 @@ def test_a_file_may_have_columns_of_its_own(folder):
                 "file": "b.csv",
                 "time": {"column": "s"},
                 "columns": {
-                    "position": {"column": "x_m", "scale": 1000},
+                    "position": {"column": "x_m", "unit": "m"},
                     "angle": None,
                     "force": None,
                 },
@@ -374,6 +374,7 @@ def test_mistakes_in_the_files_are_told_at_once(folder):
                 {"file": "step_*.csv"},
                 {"name": "f", "file": "a.csv", "setup": {"load": {"column": "F"}}},
                 {"name": "g", "file": "a.csv", "columns": {"position": {"formula": "2*pos"}}},
+                {"name": "i", "file": "a.csv", "columns": {"position": {"unit": "N"}}},
                 {"name": "h", "file": "a.csv", "blocks": {"num": 2, "use": {"test": [3]}}},
             ],
         )
@@ -387,10 +388,11 @@ def test_mistakes_in_the_files_are_told_at_once(folder):
         "study.yaml: runs[4].use: no run 9; there are 1, 2, 3",
         "study.yaml: runs[5].where.rig: no row has C; a.csv has A",
         "study.yaml: runs[6].repeat_of: no run 'z'",
+        "unit 'N' is no unit of the quantity that is wanted in 'mm'",
         "study.yaml: runs[7].file: no file fits 'step_*.csv'",
         "study.yaml: runs[8].setup.load: the column is not constant in the run",
         "a.csv: formula '2*pos': no column or fact 'pos'; did you mean 'pos (mm)'",
-        "study.yaml: runs[10].blocks.use: no piece 3; run h has 2",
+        "study.yaml: runs[11].blocks.use: no piece 3; run h has 2",
     ):
         assert part in message, message
 

@@ -11,17 +11,14 @@ import yaml
 from diffsim.data.study import Study
 from diffsim.diagnose import diagnose, next_run
 from diffsim.diagnose.crosscheck import swap_probability
-from diffsim.diagnose.evidence import LaplaceEvidence
 from diffsim.diagnose.gates import (
     data_gate,
-    gradient_gate,
     numerical_effects,
     numerical_shift,
     numerics_gate,
 )
 from diffsim.identify import (
     DiagnosisSettings,
-    Jacobian,
     Numerics,
     Problem,
     SearchSettings,
@@ -157,38 +154,6 @@ def test_repeats_confirm_a_repeatable_cause_and_not_noise():
     # under noise alone the probability is uniform: 20 draws below 0.02 at most twice (p = 0.007)
     assert (probabilities[0.0] < 0.02).sum() <= 2
     assert np.median(probabilities[1.0]) < np.median(probabilities[0.0])
-
-
-@pytest.mark.grad
-@pytest.mark.parametrize("method", ["differences", "forward_mode"])
-def test_gradient_gate_passes_and_sees_a_wrong_gradient(method):
-    pull = linear.line("pull")
-
-    def wrong(scene, size, run):
-        scene = pull.apply(scene, size, run)
-        # same value, 1 % more slope
-        more = 0.01 * (linear.shapes("pull", run) @ (size - size.detach()))
-        return replace(scene, record=scene.record + more)
-
-    right = (linear.line("push"), *(linear.line(f"more {i}") for i in range(8)))
-    effects = (*right, replace(pull, apply=wrong))
-    problem, x = linear.problem(effects), np.zeros(12)
-    problem = replace(problem, jacobian=Jacobian(method=method))
-    at = LaplaceEvidence(problem, x, *problem.linearize(x), [], 1)
-    gates = {g.name: g for g in gradient_gate(at)}
-    assert not gates.pop("gradient:pull").passed
-    assert all(g.passed for g in gates.values()) and len(gates) == 9
-
-
-@pytest.mark.grad
-def test_sound_gradients_are_checked_by_three_simulations_of_a_run():
-    effects = tuple(linear.line(f"push {i}") for i in range(8))
-    problem = replace(linear.problem(effects), jacobian=Jacobian(method="forward_mode"))
-    at = LaplaceEvidence(problem, np.zeros(10), *problem.linearize(np.zeros(10)), [], 1)
-    before = problem.model.simulations.count
-    assert all(g.passed for g in gradient_gate(at))
-    # one to see whether there is a gradient, one for the adjoint, three for the direction
-    assert problem.model.simulations.count - before == 1 + len(problem.runs) * 4
 
 
 def test_data_gate_refuses_what_cannot_be_judged():

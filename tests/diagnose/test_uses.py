@@ -129,7 +129,7 @@ def test_leaving_out_is_what_a_fit_to_the_rest_predicts():
     one_command = [replace(r, group="same") for r in runs]
     for members, whole in ((runs, True), (one_command, False)):
         found = fit(linear.model(), members, linear.CHANNELS, effects=(PUSH,))
-        folds = folds_of(found.problem)
+        folds = folds_of(found)
         assert folds is not None and all(f.is_whole == whole for f in folds.parts)
         assert np.sum([f.rows for f in folds.parts], axis=0).tolist() == [1] * len(found.residual)
         rows = left_out_residual(found, folds, Repeats(0))
@@ -149,7 +149,7 @@ def test_fit_runs_left_out_refute_what_one_run_alone_asks_for():
         fits = [
             fit(linear.model(), runs, linear.CHANNELS, effects=effects) for effects in ((), (PUSH,))
         ]
-        referee = referee_of(fits[0].problem, ())
+        referee = referee_of(fits[0], ())
         assert isinstance(referee, LeftOut)
         assert referee.words == "leaving out one command after the other among the fit runs"
         assert gain_over(referee, *fits, seed=0).status == status
@@ -158,7 +158,7 @@ def test_fit_runs_left_out_refute_what_one_run_alone_asks_for():
 def test_linear_refits_predict_as_full_ones_do_where_a_model_is_not_linear():
     study = toy.generate(3, {"drag": 0.2})
     found = fit(toy.model(study.runs), study.fit_runs, toy.CHANNELS, effects=(toy.DRAG,))
-    folds = folds_of(found.problem)
+    folds = folds_of(found)
     assert folds is not None and len(folds.parts) == 3
     linear_only = left_out_residual(found, folds, Repeats(0))
     # each part against a fit without it, from the start

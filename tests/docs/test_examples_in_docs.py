@@ -1,9 +1,12 @@
 """What the docs show runs as it stands there, and their links lead somewhere."""
 
 import re
+import shlex
 from pathlib import Path
 
 import pytest
+
+from diffsim.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (
@@ -13,7 +16,6 @@ PAGES = (
     "docs/concepts.md",
     "docs/contact.md",
     "docs/copter.md",
-    "docs/diagnose.md",
     "docs/ode.md",
     "docs/optim.md",
     "docs/soft.md",
@@ -32,6 +34,28 @@ def test_its_python_runs(page, tmp_path, monkeypatch):
     for i, code in enumerate(blocks):
         exec(compile(code, f"{page}, block {i + 1}", "exec"), names)
     assert blocks
+
+
+@pytest.mark.example
+def test_a_diagnosis_from_the_page_alone(tmp_path, monkeypatch, capsys):
+    """Python, ``study.yaml`` and commands in the order of the page, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    page = (ROOT / "docs/diagnose.md").read_text(encoding="utf-8")
+    names = {"__name__": "__main__"}
+    for kind, text in re.findall(r"```(python|yaml|sh)\n(.*?)```", page, re.S):
+        if kind == "python":
+            exec(compile(text, "docs/diagnose.md", "exec"), names)
+        elif kind == "yaml" and text.startswith("# cart/study.yaml"):
+            Path("cart/study.yaml").write_text(text)
+        elif kind == "sh":
+            for line in text.strip().splitlines():
+                assert main(shlex.split(line.removeprefix("diffsim "), comments=True)) == 0
+    said = capsys.readouterr().out
+    shown = re.search(r"after ten seconds:.*?```text\n(.*?)```", page, re.S).group(1)
+    for sentence in shown.strip().splitlines():
+        assert sentence in said  # the page shows what is printed
+    certain = {c.name for c in names["report"].causes if c.status == "certain"}
+    assert certain == {"dry_friction"}
 
 
 def test_links_lead_somewhere():

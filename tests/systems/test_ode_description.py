@@ -213,9 +213,7 @@ MISTAKES = {
     },
     "inputs[0]: no command 'forc'": {"inputs": ["forc"]},
     "places[0].velocity: no state 'w'": {"places": [{"position": "x", "velocity": "w"}]},
-    "parameters.m.sd: Input should be greater than 0": {
-        "parameters": {"m": {"value": 1, "sd": -1}}
-    },
+    "parameters.m.sd: must be above 0": {"parameters": {"m": {"value": 1, "sd": -1}}},
     "parameters.k: unit 'parsnips' is unknown": {"parameters": {"k": "3 parsnips"}},
     "parameters.k: per: run step states no frame in its setup": {
         "parameters": {"k": {"value": 1, "sd": 1, "per": "frame"}, "m": 1, "c": 1}

@@ -235,9 +235,19 @@ def test_all_test_runs_are_drawn():
     (menu,) = figure.layout.updatemenus
     labels = [button.label for button in menu.buttons]
     assert labels == ["b (test)", *(f"t{k} (test)" for k in range(7))]
-    assert len(figure.data) == 8 * 2 * 3  # runs, channels, lines
+    assert len(figure.data) == 8 * 2 * 5  # runs, channels, lines and what is left
     for button in menu.buttons:  # one run at a time
-        assert sum(button.args[0]["visible"]) == 2 * 3
+        assert sum(button.args[0]["visible"]) == 2 * 5
+
+
+def test_runs_are_drawn_in_the_unit_of_the_recordings():
+    channels = tuple(replace(c, shown_unit="mm") for c in CHANNELS)
+    figure = charts.runs_over_time(RUNS[1:], channels)
+    before, after, measured, left, rest = figure.data[:5]
+    np.testing.assert_allclose(measured.y, 1e3 * RUNS[1].measured[:, 0], rtol=1e-4)
+    np.testing.assert_allclose(np.add(left.y, before.y), measured.y, atol=1e-3)
+    np.testing.assert_allclose(np.add(rest.y, after.y), measured.y, atol=1e-3)
+    assert figure.layout.annotations[0].text == "tip_z_m [mm]"
 
 
 def test_what_does_not_apply_does_not_pass():

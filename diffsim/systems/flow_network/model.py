@@ -51,6 +51,7 @@ class StokesScene:
         thinning: 1 - n: viscosity (1 + (rate / shear_rate)^2)^(-thinning / 2) [-].
         density: Density that the fluid's inertia is computed with [kg/m^3].
         rtol: Relative tolerance of the sweeps over the nonlinear terms [-].
+        columns: Channels that were measured, by index; all if None.
     """
 
     rig: Rig
@@ -70,6 +71,7 @@ class StokesScene:
     thinning: Tensor | None = None
     density: Tensor | None = None
     rtol: float = SWEEP_RTOL
+    columns: tuple[int, ...] | None = None
 
     def narrowed(self, outlet: int, size: Tensor) -> StokesScene:
         """The middle of a branch narrower by ``size`` of its width."""
@@ -87,7 +89,10 @@ class StokesScene:
         # A wall that gives way has its own shape at each level; else one factorization serves all.
         each = 1 if self.compliance is not None else len(self.drive)
         parts = [self._readings(self._steady(levels)) for levels in self.drive.split(each)]
-        return (torch.cat(parts) * self.channel_gain + self.channel_offset)[self.level]
+        shown = torch.cat(parts) * self.channel_gain + self.channel_offset
+        if self.columns is not None:
+            shown = shown[:, list(self.columns)]
+        return shown[self.level]
 
     def _readings(self, field: FlowField) -> Tensor:
         rig = self.rig
@@ -216,7 +221,11 @@ def device_base(device: ChannelDevice) -> tuple[Parameter, ...]:
 
 
 def device_model(
-    device: ChannelDevice | None = None, base: Sequence[Parameter] | None = None
+    device: ChannelDevice | None = None,
+    base: Sequence[Parameter] | None = None,
+    *,
+    commands: Sequence[str] | None = None,
+    columns: Sequence[int] | None = None,
 ) -> SimModel:
     """The device as a model for the diagnosis.
 
@@ -224,11 +233,12 @@ def device_model(
         device: Device to be simulated; None: ``ChannelDevice()``.
         base: Base parameters, of the names that ``device_base`` uses; those left out hold their
             nominal value. Default ``device_base(device)``.
+        commands: Names of the runs' commands, one per inlet; None: ``device.commands``.
+        columns: Which of ``device.channels`` were measured, by index; None: all.
 
     Returns:
-        Model whose runs hold the commands ``device.commands`` and the channels
-        ``device.channels``. ``Numerics.mesh`` scales the cells, ``tolerance`` the sweeps;
-        ``time_step`` has no meaning, as the flow is steady.
+        Model whose runs hold these commands and channels. ``Numerics.mesh`` scales the
+        cells, ``tolerance`` the sweeps; ``time_step`` has no meaning, as the flow is steady.
 
     Raises:
         ValueError: unknown base parameters.
@@ -247,7 +257,7 @@ def device_model(
         on_grid = rig(numerics.mesh)
         all_values = {k: torch.tensor(v, dtype=torch.float64) for k, v in nominal.items()}
         all_values |= dict(values)
-        levels, level = _levels(device, run)
+        levels, level = _levels(device, run, device.commands if commands is None else commands)
         gains = [all_values[f"drive_gain_{i + 1}"] for i in range(len(device.inlets))]
         meters = [all_values[f"flow_gain_{i + 1}"] for i in range(len(device.outlets))]
         others = [torch.ones((), dtype=torch.float64)] * (
@@ -263,20 +273,21 @@ def device_model(
             channel_gain=torch.stack([*meters, *others]),
             channel_offset=torch.zeros(len(meters) + len(others), dtype=torch.float64),
             rtol=SWEEP_RTOL * numerics.tolerance,
+            columns=None if columns is None else tuple(columns),
         )
 
     return SimModel(build, base, name="stokes device")
 
 
-def _levels(device: ChannelDevice, run: Run) -> tuple[Tensor, Tensor]:
+def _levels(device: ChannelDevice, run: Run, names: Sequence[str]) -> tuple[Tensor, Tensor]:
     """Different levels of the commands (num_levels, num_inlets), and which holds at each sample."""
-    missing = [name for name in device.commands if name not in run.command]
+    missing = [name for name in names if name not in run.command]
     if missing:
         raise ValueError(
             f"run {run.name}: commands {missing} are missing; a device with drive "
-            f"{device.drive!r} needs {list(device.commands)}, got {sorted(run.command)}"
+            f"{device.drive!r} needs {list(names)}, got {sorted(run.command)}"
         )
-    commands = np.stack([np.asarray(run.command[name]) for name in device.commands], -1)
+    commands = np.stack([np.asarray(run.command[name]) for name in names], -1)
     levels, level = np.unique(commands, axis=0, return_inverse=True)
     return torch.from_numpy(levels), torch.from_numpy(level.reshape(-1))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -80,6 +80,28 @@ def candidate_causes(of: Vehicle) -> tuple[Effect, ...]:
     if not of.has_clock:
         out.append(HELD_DELAY)
     return tuple(out)
+
+
+def acting_in(effect: Effect, facts: Mapping[str, str | float]) -> Effect:
+    """The effect in those runs only whose set-up states some facts.
+
+    Args:
+        effect: Candidate cause.
+        facts: Values by name of the fact, such as {"propeller": "cut"}.
+    """
+    return replace(effect, apply=partial(_apply_there, inner=effect.apply, facts=dict(facts)))
+
+
+def _apply_there(
+    scene: CopterScene,
+    size: Tensor,
+    run: Run,
+    *,
+    inner: Callable[[CopterScene, Tensor, Run], CopterScene],
+    facts: Mapping[str, str | float],
+) -> CopterScene:
+    is_there = all(run.setup.get(fact) == value for fact, value in facts.items())
+    return inner(scene, size, run) if is_there else scene
 
 
 def _of_vehicle(

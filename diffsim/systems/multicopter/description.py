@@ -12,10 +12,12 @@ from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
 from diffsim.systems.multicopter.assembly import assembled, vehicle_of, with_shapes
-from diffsim.systems.multicopter.candidates import candidate_causes
+from diffsim.systems.multicopter.bank import flights_to_record
+from diffsim.systems.multicopter.candidates import acting_in, candidate_causes
 from diffsim.systems.multicopter.model import CopterModel
 from diffsim.systems.multicopter.model_keys import MulticopterKeys
-from diffsim.systems.multicopter.sensing import sensor_problems
+from diffsim.systems.multicopter.sampling import evenly_sampled
+from diffsim.systems.multicopter.sensing import are_means, sensor_problems
 from diffsim.systems.multicopter.unknown import wrench_of
 
 
@@ -36,19 +38,27 @@ class MulticopterDescription(MulticopterKeys):
         """Model, candidate causes and options for a study."""
         if found := self.problems(study):
             raise ValueError("\n".join(str(p) for p in found))
+        study = evenly_sampled(study, self.rate, are_means(self.sensors, study))
         flights = assembled(self, study)
         vehicle = vehicle_of(self, flights)
         effects = chosen_effects(candidate_causes(vehicle), self.effects)
         flights = with_shapes(self, flights, study, [e.name for e in effects])
+        if self.causes_act_in:
+            effects = tuple(acting_in(e, self.causes_act_in) for e in effects)
         return DiagnosisSetup(
             CopterModel(flights, flights.parameters.base),
             effects,
             (wrench_of(study.runs, vehicle.mass * GRAVITY),),
-            (),
+            flights_to_record(flights, study.runs),
             settings_with(DiagnosisSettings(), self.effort),
+            study,
         )
 
     def _command_problems(self, study: Study) -> Iterator[Problem]:
+        for fact, value in self.causes_act_in.items():
+            if not any(run.setup.get(fact) == value for run in study.runs):
+                said = f"no run has {fact}: {value} in its setup"
+                yield Problem("error", "model.causes_act_in", said)
         wanted = [("commands.columns", name) for name in self.commands.columns]
         if self.battery is not None:
             wanted.append(("battery", self.battery))

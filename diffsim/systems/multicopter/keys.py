@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     Angle: TypeAlias = float
     Rate: TypeAlias = float
     Acceleration: TypeAlias = float
+    PerSecond: TypeAlias = float
 else:  # quantities may be fitted, numbers are known
     Mass = quantity("kg")
     Inertia = quantity("kg m^2")
@@ -41,6 +42,7 @@ else:  # quantities may be fitted, numbers are known
     Angle = number("rad")
     Rate = number("rad/s")
     Acceleration = number("m/s^2")
+    PerSecond = number("Hz")
 
 _NONE = Quantity(value=0.0)
 

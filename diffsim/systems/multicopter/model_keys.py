@@ -17,6 +17,7 @@ from diffsim.systems.multicopter.keys import (
     Meters,
     Newtons,
     NuisanceKeys,
+    PerSecond,
     PlaceKeys,
     Plain,
     RotorKeys,
@@ -83,6 +84,17 @@ class MulticopterKeys(Description):
     commands: CommandKeys = Field(description="Recorded commands of the rotors")
     battery: str | None = Field(None, description="Command that is the battery's voltage [V]")
     sensors: SensorKeys = Field(description="Channels by what they measure")
+    rate: PerSecond | None = Field(
+        None,
+        gt=0,
+        description="Samples per second that the records are brought to [Hz]; default: as "
+        "recorded, made even where they are not",
+    )
+    causes_act_in: dict[str, str | float] = Field(
+        {},
+        description="Facts of `setup`, such as {propeller: cut}: candidate causes act only in runs "
+        "that state them. The other runs show what the vehicle is without",
+    )
     windows: WindowKeys = Field(WindowKeys(), description="Windows of the fit")
     nuisances: NuisanceKeys = Field(NuisanceKeys(), description="Offsets and clocks")
 

@@ -71,6 +71,16 @@ def sensing_of(keys: SensorKeys, study: Study) -> Sensing:
     )
 
 
+def are_means(keys: SensorKeys, study: Study) -> list[bool]:
+    """Which channels show the mean over the step before: accelerations do."""
+    named = {
+        name
+        for key in ("specific_force", "specific_force_in_world", "acceleration")
+        for name in _columns(keys, key)
+    }
+    return [c.name in named for c in study.channels]
+
+
 def sensor_problems(keys: SensorKeys, study: Study) -> Iterator[Problem]:
     """Channels that are not there, not named, or of another unit."""
     units = {c.name: c.unit for c in study.channels}

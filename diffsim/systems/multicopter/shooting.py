@@ -26,7 +26,7 @@ _SMOOTH_S = 0.15  # over which position is differentiated
 MAX_STEPS = 12
 _MAX_CREEPING = 40
 _LEAST_SHARE = 1e-3  # of a step
-_SETTLED = 1e-4  # step of an initial state over its spread
+_SETTLED = 3e-5  # step of an initial state over its spread
 _LINEAR = 1e-2  # likewise, where the tangents suffice without another flight
 
 

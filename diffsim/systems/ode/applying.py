@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 from torch import Tensor
 
-from diffsim.data.study import Run
+from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply
 from diffsim.systems.ode.grid import Grid
 from diffsim.systems.ode.network import Change
@@ -36,6 +37,60 @@ def _changed(
     scene: OdeScene, size: Tensor, run: Run, *, change: Change, symbols: Sequence[str]
 ) -> OdeScene:
     return scene.with_change(change, {s: size[..., i] for i, s in enumerate(symbols)})
+
+
+@dataclass(frozen=True)
+class Groups:
+    """One size for all, and what each group of runs has beside it.
+
+    A group that nobody has fitted is like all.
+
+    Attributes:
+        per: "run", or the fact of the runs whose values are the groups; None: no groups.
+        labels: Values of that fact in the study.
+    """
+
+    per: str | None = None
+    labels: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, per: str | None, study: Study) -> Groups:
+        """Groups of a study's runs."""
+        if per is None:
+            return cls()
+        return cls(per, tuple(dict.fromkeys(_label(per, run) for run in study.runs)))
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Names of the sizes."""
+        if len(self.labels) < 2:
+            return ("size",)
+        return ("all", *(f"[{self.per}={label}]" for label in self.labels))
+
+    def size_in(self, run: Run, size: Tensor) -> Tensor:
+        """Size in a run, () or (K,), of all sizes (..., num_components)."""
+        own = size[..., 0]
+        if self.per is None or len(self.labels) < 2:
+            return own
+        label = _label(self.per, run)
+        if label not in self.labels:
+            return own
+        return own + size[..., 1 + self.labels.index(label)]
+
+
+def _label(per: str, run: Run) -> str:
+    return run.name if per == "run" else str(run.setup.get(per))
+
+
+def by_formulas_in(change: Change, symbol: str, groups: Groups) -> Apply:
+    """An effect that changes formulas, its size that of the run's group."""
+    return partial(_changed_in, change=change, symbol=symbol, groups=groups)
+
+
+def _changed_in(
+    scene: OdeScene, size: Tensor, run: Run, *, change: Change, symbol: str, groups: Groups
+) -> OdeScene:
+    return scene.with_change(change, {symbol: groups.size_in(run, size)})
 
 
 def by_input(name: str, change: SizedMap) -> Apply:

@@ -16,7 +16,11 @@ _IN_UNIT = ("value", "sd", "lower", "upper")
 
 
 def _checked(text: str) -> str:
-    parse_expression(text)
+    try:
+        parse_expression(text)
+    except ValueError as error:
+        cut = text.count("(") > text.count(")")  # YAML ends text in { } and [ ] at a comma
+        raise ValueError(f"{error}; in {{ }} put formulas in quotes" if cut else error) from None
     return text
 
 
@@ -103,16 +107,35 @@ class Store(Part):
     area: Formula = Field("1", description="What a flow is divided by to give the level's rate")
     empty: float = Field(0.0, description="Level at which nothing flows out any more")
     unit: str = Field("-", description="Unit of the level")
-    spills_into: str | None = Field(
-        None, description="Name of the store that gets what spills over; none: it is lost"
+    into: str | None = Field(
+        None,
+        description="Name of the store that gets what flows out or spills over; none: it is lost",
     )
 
 
 class Rest(Part):
     """Window of each run in which the system rests."""
 
-    from_s: Formula = Field("0", description="Begin of the window: number or formula of facts [s]")
+    from_s: Formula | None = Field(
+        None, description="Begin of the window: number or formula of facts [s]; none: of the run"
+    )
     until_s: Formula = Field(description="End of the window: number or formula of facts [s]")
+
+
+class Table(Part):
+    """A measured curve: straight lines between its points, held beyond the ends."""
+
+    of: Formula = Field(description="Formula that the curve is read at")
+    at: tuple[float, ...] = Field(min_length=2, description="Places of the points, increasing")
+    values: tuple[float, ...] = Field(description="Values there, equally many")
+
+    @model_validator(mode="after")
+    def _pairs(self) -> Table:
+        if len(self.at) != len(self.values):
+            raise ValueError(f"{len(self.at)} places, but {len(self.values)} values")
+        if any(b <= a for a, b in zip(self.at, self.at[1:], strict=False)):
+            raise ValueError("at must increase from point to point")
+        return self
 
 
 class OwnState(Part):
@@ -179,6 +202,7 @@ class FormulaKeys(Description):
         {}, description="Known and imperfectly known numbers by name"
     )
     define: dict[str, Formula] = Field({}, description="Named formulas that others may use")
+    tables: dict[str, Table] = Field({}, description="Measured curves that formulas may use")
     readings: dict[str, Formula] = Field(description="Formula of every channel")
     effects: OwnEffects = Field(OwnEffects(), description="Which candidate causes are judged")
     rest: Rest | None = Field(
@@ -191,6 +215,6 @@ class FormulaKeys(Description):
         return {str(k): v for k, v in given.items()} if isinstance(given, Mapping) else given
 
 
-States = dict[str, Annotated["str | Quantity", BeforeValidator(_start)]]
+States = dict[str, Annotated[str | Quantity, BeforeValidator(_start)]]
 Inputs = tuple[Annotated[Input, BeforeValidator(_as_input)], ...]
 Seconds = number("s")

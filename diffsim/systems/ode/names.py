@@ -61,7 +61,8 @@ def data_values(study: Study, run: Run, rest: Rest | None) -> dict[str, float]:
         seen = column[np.isfinite(column)]
         out[f"first_{channel.name}"] = float(seen[0]) if len(seen) else 0.0
         if rest is not None:
-            low, high = (_fact(formula, run) for formula in (rest.from_s, rest.until_s))
+            low = -math.inf if rest.from_s is None else _fact(rest.from_s, run)
+            high = _fact(rest.until_s, run)
             inside = column[(run.time_s >= low) & (run.time_s <= high) & np.isfinite(column)]
             if not len(inside):
                 raise ValueError(

@@ -7,11 +7,11 @@ what it was before, so that several changes of one name act one after the other.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from threading import Lock
 
-from diffsim.core.expression import Apply, Expression, Name, Node
+from diffsim.core.expression import Apply, Expression, Name, Node, Number
 from diffsim.ode import Ode
 
 TIME = "t"
@@ -112,7 +112,11 @@ class Network:
                 rates[state] = Apply("mul", (rates[state], factor.root))
             for name, formula in change.names.items():
                 before = bodies.get(name, Name(_RAW.format(name)))
-                bodies[name] = _substituted(formula.root, {name: before}, {})
+                # what is made of the name means in its new formula what it was before
+                old = _Resolved(bodies)
+                parts = {n: old(Name(n)) for n in formula.names if n != name and n in bodies}
+                circular = {n: e for n, e in parts.items() if name in _needed_by(n, bodies)}
+                bodies[name] = _substituted(formula.root, {**circular, name: before}, {})
             for channel, formula in change.readings.items():
                 readings[channel] = _substituted(formula.root, {READING: readings[channel]}, {})
         raw = {_RAW.format(n): n for n in bodies if n not in self.definitions}
@@ -134,6 +138,18 @@ class Network:
             limits=self.limits,
         )
         return Solver(ode, tuple(of_kernel.values()), tuple(parameters.values()), starts)
+
+
+def _needed_by(name: str, bodies: Mapping[str, Node]) -> set[str]:
+    """All names that a definition needs, directly or by other definitions."""
+    found: set[str] = set()
+    left = [name]
+    while left:
+        for needed in _expression(bodies[left.pop()]).names:
+            if needed not in found:
+                found.add(needed)
+                left += [needed] if needed in bodies else []
+    return found
 
 
 class _Resolved:
@@ -204,6 +220,23 @@ def filled(formula: Expression, parts: Mapping[str, Expression]) -> Expression:
 def product(a: Expression, b: Expression) -> Expression:
     """a times b."""
     return _expression(Apply("mul", (a.root, b.root)))
+
+
+def piecewise(of: Expression, at: Sequence[float], values: Sequence[float]) -> Expression:
+    """Straight lines through (at, values), held beyond the ends.
+
+    Args:
+        of: What the table is read at.
+        at: Increasing places.
+        values: Values there, equally many.
+    """
+    total: Node = Number(values[0])
+    for low, high, before, after in zip(at, at[1:], values, values[1:], strict=False):
+        above = Apply("max", (Apply("sub", (of.root, Number(low))), Number(0.0)))
+        inside = Apply("min", (above, Number(high - low)))
+        slope = Number((after - before) / (high - low))
+        total = Apply("add", (total, Apply("mul", (slope, inside))))
+    return _expression(total)
 
 
 def ordered(definitions: Mapping[str, Expression]) -> list[str]:

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from functools import partial
-
-from torch import Tensor
-
 from diffsim.core.expression import Expression, parse_expression
-from diffsim.data.study import Run, Study
+from diffsim.data.study import Study
 from diffsim.identify.effect import Effect
-from diffsim.systems.ode.applying import symbol
+from diffsim.systems.ode.applying import Groups, by_formulas_in, symbol
 from diffsim.systems.ode.keys import OwnEffect
 from diffsim.systems.ode.names import Reader
 from diffsim.systems.ode.network import READING, Change, filled, named
-from diffsim.systems.ode.scene import OdeScene
 
 
 def own_effects(
@@ -47,8 +42,7 @@ def _effect(
     reader: Reader,
 ) -> Effect:
     reader.require_per(where, block.per)
-    labels = _labels(block, study)
-    shared = symbol(block.name)
+    groups = Groups.of(block.per, study)
     return Effect(
         name=block.name,
         form=block.form or _form(block),
@@ -59,50 +53,11 @@ def _effect(
         signed=block.signed,
         smooth=block.smooth,
         also_looks_like=block.also_looks_like,
-        components=("size",)
-        if len(labels) < 2
-        else ("all", *(f"[{block.per}={x}]" for x in labels)),
-        apply=partial(
-            _apply,
-            change=_change(where, block, study, known, states, reader),
-            symbol=shared,
-            per=block.per,
-            labels=labels,
+        components=groups.components,
+        apply=by_formulas_in(
+            _change(where, block, study, known, states, reader), symbol(block.name), groups
         ),
     )
-
-
-def _components(block: OwnEffect, labels: tuple[str, ...]) -> tuple[str, ...]:
-    """One size for all, and what each label has beside it."""
-    if len(labels) < 2:
-        return ("size",)
-    return ("all", *(f"[{block.per}={label}]" for label in labels))
-
-
-def _labels(block: OwnEffect, study: Study) -> tuple[str, ...]:
-    if block.per is None:
-        return ()
-    if block.per == "run":
-        return tuple(run.name for run in study.runs)
-    return tuple(dict.fromkeys(str(run.setup.get(block.per)) for run in study.runs))
-
-
-def _apply(
-    scene: OdeScene,
-    size: Tensor,
-    run: Run,
-    *,
-    change: Change,
-    symbol: str,
-    per: str | None,
-    labels: tuple[str, ...],
-) -> OdeScene:
-    own = size[..., 0]
-    if len(labels) > 1:
-        label = run.name if per == "run" else str(run.setup.get(str(per)))
-        # what nobody has fitted is like the others
-        own = own + size[..., 1 + labels.index(label)] if label in labels else own
-    return scene.with_change(change, {symbol: own})
 
 
 def _form(block: OwnEffect) -> str:

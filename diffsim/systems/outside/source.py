@@ -134,7 +134,7 @@ class Source:
     def _checked(self, predict: Callable[..., Any]) -> Predict:
         """The function, after a look at its signature."""
         try:
-            inspect.signature(predict).bind({}, None)
+            inspect.signature(predict).bind({}, None, **dict.fromkeys(offers_of(predict)))
         except TypeError as error:
             raise ValueError(
                 f"simulator {self.place}: predict must take (parameters, run): {error}"

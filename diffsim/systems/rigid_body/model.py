@@ -145,6 +145,10 @@ class TossModel(SimModel):
         out = super().predict_many(run, q, sizes, numerics)
         return out if out.ndim == 3 else out.expand(len(q), *out.shape)
 
+    def num_fitted_inside(self, run: Run) -> int:
+        """Numbers that are fitted to each run inside: its start state."""
+        return 12
+
     def prepared_at(self, q: Tensor) -> SimModel:
         """Start states linearized at the values of these coordinates."""
         values = {p.name: p.value_at(q[i]) for i, p in enumerate(self.base)}

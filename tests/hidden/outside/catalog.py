@@ -6,9 +6,13 @@ from collections.abc import Mapping
 
 from tests.hidden.outside.arms import ARMS
 from tests.hidden.outside.case import Maker
+from tests.hidden.outside.flights import FLIGHTS
 from tests.hidden.outside.mechanisms import MECHANISMS
+from tests.hidden.outside.rods import RODS
 
 CASES: Mapping[str, tuple[str, Maker]] = {
     **{name: ("mujoco", make) for name, make in MECHANISMS.items()},
     **{name: ("mujoco", make) for name, make in ARMS.items()},
+    **{name: ("rotorpy", make) for name, make in FLIGHTS.items()},
+    **{name: ("elastica", make) for name, make in RODS.items()},
 }

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from diffsim.core.paths import data_folder
-from diffsim.data import Run, Study, import_study
+from diffsim.data import Run, Study, ball_tracks_study
 from diffsim.viz.ball_figures import Shown, misfits, overlay, recording, simulated, strip
 from tests.examples.stories import load_story
 
@@ -24,7 +24,7 @@ def story():
 
 @needs_data
 def test_all_frames_become_one_run(story):
-    study = story.whole(import_study("tennis_balls"))
+    study = story.whole(ball_tracks_study(FOLDER / "tennis_balls"))
     (run,) = study.runs
     assert run.measured.shape == (33, 6)
     assert np.isfinite(run.measured[:, :4]).all()

@@ -11,8 +11,8 @@ import torch
 
 from diffsim.data.ball_video import ball_video_study
 from diffsim.data.calibration import calibrate
+from diffsim.systems.balls.fits import soft_model
 from diffsim.systems.balls.soft import MOTION
-from diffsim.systems.published.tennis_balls import soft_model
 from tests.examples.stories import load_story
 
 DIAMETER, MASS = 0.06858, 0.0577

@@ -1,4 +1,4 @@
-"""Two tennis balls in one video: frictionless balls, a pinhole camera that the clicks calibrate."""
+"""Fits of two balls in one video, soft ones and rigid ones; clicks calibrate the camera."""
 
 from __future__ import annotations
 

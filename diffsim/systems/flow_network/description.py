@@ -1,0 +1,113 @@
+"""``model: {system: flow_network}`` and ``{system: flow_device}``, described in YAML."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+from pydantic import Field, model_validator
+
+from diffsim.core.check import did_you_mean
+from diffsim.core.schema import number
+from diffsim.data.study import Study
+from diffsim.data.study_check import Problem
+from diffsim.identify.effort import DiagnosisSettings
+from diffsim.identify.model import SimModel
+from diffsim.identify.setup import DiagnosisSetup
+from diffsim.systems.description import (
+    BaseParameters,
+    Description,
+    Quantity,
+    chosen_effects,
+    quantity,
+    settings_with,
+)
+from diffsim.systems.flow_network.keys import FlowNuisanceKeys, MeterKeys, SourceKeys, TubeKeys
+from diffsim.systems.flow_network.lumped_build import (
+    LumpedNetwork,
+    layout_of,
+    network_causes,
+    quantities_of,
+)
+
+if TYPE_CHECKING:
+    Viscosity: TypeAlias = Quantity
+    Density: TypeAlias = float
+    ShearRate: TypeAlias = float
+else:
+    Viscosity = quantity("Pa s")
+    Density = number("kg/m^3")
+    ShearRate = number("1/s")
+
+
+class FlowNetworkDescription(Description):
+    """Narrow channels between nodes, pumps and pressures, and meters; steady at every sample."""
+
+    system: Literal["flow_network"] = Field(description="flow_network")
+    viscosity: Viscosity = Field(description="Of the fluid [Pa s]")
+    density: Density = Field(1000.0, gt=0, description="Of the fluid [kg/m^3]")
+    shear_rate: ShearRate = Field(
+        100.0, gt=0, description="Beyond which a thinning fluid thins [1/s]"
+    )
+    channels: tuple[TubeKeys, ...] = Field(min_length=1, description="Channels of the network")
+    sources: tuple[SourceKeys, ...] = Field(
+        min_length=1, description="Pumps and known pressures; open ends have pressure 0"
+    )
+    meters: tuple[MeterKeys, ...] = Field(
+        min_length=1, description="What each channel of the study measures"
+    )
+    nuisances: FlowNuisanceKeys = Field(FlowNuisanceKeys(), description="Gains and zeros")
+
+    @model_validator(mode="after")
+    def _joined(self) -> FlowNetworkDescription:
+        layout_of(self.channels, self.sources, self.meters)
+        return self
+
+    def problems(self, study: Study) -> list[Problem]:
+        """Channels and commands that the description and the study disagree on."""
+        return list(self._problems(study))
+
+    def setup(self, study: Study) -> DiagnosisSetup:
+        """Model, candidate causes and options for a study."""
+        if found := self.problems(study):
+            raise ValueError("\n".join(str(p) for p in found))
+        of = {m.channel: m for m in self.meters}
+        meters = tuple(of[c.name] for c in study.channels)
+        known = dict(quantities_of(self.viscosity, self.channels, meters, self.nuisances))
+        network = LumpedNetwork(
+            tubes=self.channels,
+            sources=self.sources,
+            meters=meters,
+            layout=layout_of(self.channels, self.sources, meters),
+            parameters=BaseParameters(known, study.runs),
+            density=self.density,
+            shear_rate=self.shear_rate,
+        )
+        causes = chosen_effects(network_causes(network, study), self.effects)
+        return DiagnosisSetup(
+            SimModel(network, network.parameters.base, "flow network"),
+            causes,
+            settings=settings_with(DiagnosisSettings(), self.effort),
+        )
+
+    def _problems(self, study: Study) -> Iterator[Problem]:
+        channels = [c.name for c in study.channels]
+        named = [m.channel for m in self.meters]
+        for name in named:
+            if name not in channels:
+                said = f"no channel {name!r}{did_you_mean(name, channels)}"
+                yield Problem("error", "model.meters", said)
+            if named.count(name) > 1:
+                yield Problem("error", "model.meters", f"channel {name} is named twice")
+        for name in channels:
+            if name not in named:
+                said = "model.meters does not name it; name it, or take it out of channels"
+                yield Problem("error", f"channel {name}", said)
+        for i, source in enumerate(self.sources):
+            command = source.flow if source.flow is not None else source.pressure
+            for run in study.runs:
+                if isinstance(command, str) and command not in run.command:
+                    said = f"run {run.name} has no command {command!r}"
+                    hint = did_you_mean(command, run.command)
+                    yield Problem("error", f"model.sources[{i}]", said + hint)
+                    break

@@ -1,0 +1,250 @@
+"""A description with its formulas parsed against a study: model, names, the user's own causes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from torch import Tensor
+
+from diffsim.core.check import did_you_mean
+from diffsim.core.expression import Expression
+from diffsim.data.study import Run, Study
+from diffsim.identify.model import SimModel
+from diffsim.identify.numerics import Numerics
+from diffsim.systems.description import BaseParameters, Quantity
+from diffsim.systems.ode.grid import Grid, delayed, held_delayed
+from diffsim.systems.ode.keys import FormulaKeys, Input, Place, Store
+from diffsim.systems.ode.names import (
+    RUN_ORDER,
+    Reader,
+    data_names,
+    data_values,
+    fact_names,
+    facts_of,
+    longest,
+    scalars,
+)
+from diffsim.systems.ode.network import TIME, Network, named, ordered, piecewise
+from diffsim.systems.ode.own_effects import own_effects
+from diffsim.systems.ode.place_effects import sticking
+from diffsim.systems.ode.scene import OdeScene
+
+SLOW_TIME = "slow_time"
+_SLOW_SHARE = 0.1  # of the longest run: how long a slow share takes, if nobody says
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """What moves in a described system; nothing on a bench."""
+
+    states: Mapping[str, str | Quantity] = field(default_factory=dict)
+    rates: Mapping[str, str] = field(default_factory=dict)
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    places: tuple[Place, ...] = ()
+    stores: tuple[Store, ...] = ()
+    time_step: float | None = None
+    slow_time: Quantity | None = None
+
+
+class Described:
+    """A description with its formulas parsed against a study.
+
+    Args:
+        keys: Keys that all systems of formulas share.
+        inputs: What drives the system.
+        motion: States and what goes with them.
+        study: Study with the recordings.
+        reader: Receives the mistakes.
+    """
+
+    def __init__(
+        self,
+        keys: FormulaKeys,
+        inputs: tuple[Input, ...],
+        motion: Motion,
+        study: Study,
+        reader: Reader,
+    ):
+        self.keys, self.motion, self.study = keys, motion, study
+        self._reader, self._given = reader, inputs
+        self.input_held = {i.name: i.held for i in inputs}
+        self.quantities = self._quantities()
+        facts = fact_names(study)
+        self._check_names(facts)
+        numbers = (*self.quantities, *facts, *data_names(study, keys.rest))
+        between = (*keys.define, *keys.tables)
+        self.known = (TIME, *motion.states, *self.input_held, *between, *numbers)
+        self.starts = {s: self._start(s, v, numbers) for s, v in motion.states.items()}
+        self.inputs = self._inputs(numbers)
+        rates = self._parsed("rates", motion.rates)
+        readings = self._parsed("readings", keys.readings)
+        self._check_places()
+        states = tuple(motion.states)
+        self.own = own_effects(keys.effects.own, study, self.known, states, reader)
+        limits = dict(motion.limits)
+        self.network = Network(rates, readings, self._definitions(), self.input_held, limits)
+        self.base = BaseParameters({} if reader.problems else self.quantities, study.runs)
+
+    def _parsed(self, key: str, formulas: Mapping[str, str]) -> dict[str, Expression]:
+        return {n: self._reader.parse(f"{key}.{n}", f, self.known) for n, f in formulas.items()}
+
+    def _check_names(self, facts: Iterable[str]) -> None:
+        keys, states, rates = self.keys, self.motion.states, self.motion.rates
+        reader = self._reader
+        reader.require_channels(keys)
+        reader.require_names(
+            {
+                "states": states,
+                "inputs": self.input_held,
+                "parameters": keys.parameters,
+                "define": keys.define,
+                "tables": keys.tables,
+                "setup of the runs": [f for f in facts if f != RUN_ORDER],
+            }
+        )
+        for name, q in self.quantities.items():
+            reader.require_per(f"parameters.{name}", q.per)
+        for name in rates:
+            if name not in states:
+                reader.report(f"rates.{name}", "no such state; give its start value in states")
+        for name in states:
+            if name not in rates:
+                reader.report("rates", f"state {name} has no rate; add `{name}: ...`")
+        for name in self.motion.limits:
+            if name not in states:
+                reader.report(f"limits.{name}", "no such state")
+
+    def _start(self, state: str, given: str | Quantity, numbers: tuple[str, ...]) -> Expression:
+        if isinstance(given, Quantity):
+            return named(f"{state}_start")
+        return self._reader.parse(f"states.{state}", given, (*numbers, *self.input_held))
+
+    def _definitions(self) -> dict[str, Expression]:
+        made = self._parsed("define", self.keys.define)
+        for name, table in self.keys.tables.items():
+            made[name] = piecewise(
+                self._reader.parse(f"tables.{name}.of", table.of, self.known),
+                table.at,
+                table.values,
+            )
+        try:
+            ordered(made)
+        except ValueError as error:
+            self._reader.report("define", str(error))
+            return {}
+        return made
+
+    def _inputs(self, numbers: tuple[str, ...]) -> dict[str, Expression]:
+        """Formula of every input, in commands, facts and parameters."""
+        reader, runs = self._reader, self.study.runs
+        commands = tuple(dict.fromkeys(c for run in runs for c in run.command))
+        out = {}
+        for i, given in enumerate(self._given):
+            key, names = f"inputs[{i}]", (TIME, *commands, *numbers)
+            if given.formula is not None:
+                out[given.name] = reader.parse(f"{key}.formula", given.formula, names)
+                continue
+            out[given.name] = named(given.name)
+            if given.name not in commands:
+                known = ", ".join(commands) or "none"
+                hint = did_you_mean(given.name, commands)
+                reader.report(key, f"no command {given.name!r}{hint}; the study has {known}")
+        for run in runs:
+            for name in dict.fromkeys(n for e in out.values() for n in e.names):
+                if not np.isfinite(run.command.get(name, np.zeros(1))).all():
+                    reader.report(
+                        "inputs",
+                        f"run {run.name}: command {name} has empty cells; say what they mean by "
+                        "`fill` under commands",
+                    )
+        return out
+
+    def _quantities(self) -> dict[str, Quantity]:
+        """Parameters, then what states, inputs and effects ask for beside them."""
+        motion, given = self.motion, dict(self.keys.parameters)
+        given |= {f"{s}_start": q for s, q in motion.states.items() if isinstance(q, Quantity)}
+        given |= {f"{i.name}_delay": i.delay for i in self._given if i.delay is not None}
+        given |= {
+            sticking(p): Quantity(value=1.0, percent=100.0, lower=0.2, upper=20.0)
+            for p in motion.places
+            if p.stick_velocity is None
+        }
+        if motion.states and (self._given or motion.places):
+            value = _SLOW_SHARE * longest(self.study.runs)
+            given.setdefault(
+                SLOW_TIME, motion.slow_time or Quantity(value=value, percent=100.0, unit="s")
+            )
+        return given
+
+    def _check_places(self) -> None:
+        reader, states = self._reader, self.motion.states
+        names = [s.name for s in self.motion.stores]
+        for i, place in enumerate(self.motion.places):
+            for key in ("position", "velocity"):
+                if getattr(place, key) not in states:
+                    reader.report(f"places[{i}].{key}", f"no state {getattr(place, key)!r}")
+            reader.parse(f"places[{i}].inertia", place.inertia, self.known)
+        for i, store in enumerate(self.motion.stores):
+            if store.level not in states:
+                reader.report(f"stores[{i}].level", f"no state {store.level!r}")
+            if store.into is not None and store.into not in names:
+                reader.report(f"stores[{i}].into", f"no store {store.into!r}")
+            reader.parse(f"stores[{i}].area", store.area, self.known)
+
+    def model(self) -> SimModel:
+        """The model without effects."""
+        return SimModel(self._build, self.base.base, self.study.name, batched=True)
+
+    def _build(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> OdeScene:
+        known = {
+            **scalars(facts_of(run)),
+            **scalars(data_values(self.study, run, self.keys.rest)),
+            **self.base.in_run(values, run),
+        }
+        step = math.inf  # what does not move is at its samples only
+        if self.motion.states:
+            step = self.motion.time_step or float(np.median(np.diff(run.time_s)))
+        grid = _grid(_Times(run), step * numerics.time_step)
+        return OdeScene(
+            run=run,
+            network=self.network,
+            grid=grid,
+            values=known,
+            starts=self.starts,
+            inputs={name: self._input(name, run, grid, known) for name in self.inputs},
+            channels=tuple(c.name for c in self.study.channels),
+        )
+
+    def _input(self, name: str, run: Run, grid: Grid, known: Mapping[str, Tensor]) -> Tensor:
+        formula, held = self.inputs[name], self.input_held[name]
+        columns = {
+            c: grid.resampled(run.command[c], held=held) for c in formula.names if c in run.command
+        }
+        numbers = {n: known[n][..., None] for n in formula.names if n in known}
+        u = formula({**numbers, **columns, TIME: grid.times})
+        u = u.expand(*u.shape[:-1], len(grid.times)) if u.ndim else u.expand(len(grid.times))
+        if (late := known.get(f"{name}_delay")) is not None:
+            u = (held_delayed if held else delayed)(u, grid, late)
+        return u
+
+
+class _Times:
+    """Sample times of a run as a key: compared by their object."""
+
+    def __init__(self, run: Run):
+        self.seconds = run.time_s
+
+    def __hash__(self) -> int:
+        return hash(self.seconds.tobytes())
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Times) and np.array_equal(self.seconds, other.seconds)
+
+
+@lru_cache(maxsize=256)
+def _grid(times: _Times, step: float) -> Grid:
+    return Grid.of(times.seconds, step)

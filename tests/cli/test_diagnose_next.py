@@ -1,0 +1,76 @@
+"""``diffsim diagnose next`` of a described system: its bank is made from the study's commands."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diffsim import cli
+from diffsim.cli.diagnose_inputs import inputs_of
+from diffsim.data import Command, load_study, save_study
+from tests.systems.toy_cart import cart_study, described
+
+
+def report_of(study) -> dict:
+    """A report that leaves two laws of friction open, by whatever names the library has."""
+    known = [e.name for e in inputs_of(study, seed=0).setup.effects]
+    dry, drag = (
+        next(name for name in known if name.startswith(begin))
+        for begin in (("dry_friction", "coulomb_friction"), ("square_drag", "quadratic_drag"))
+    )
+    table = [{"effect": dry}, {"effect": drag}]
+    open_sets = {"verdict": "ambiguous", "named": [dry], "rivals": [[drag]]}
+    return {**open_sets, "table": table, "hypotheses": []}
+
+
+def thinned(run):
+    command = {"force": run.command["force"][::4]}
+    return replace(run, time_s=run.time_s[::4], measured=run.measured[::4], command=command)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A cart with dry friction; start places differ from run to run, and are fitted."""
+    start = {"x0": {"value": 0.0, "sd": 1e-3, "per": "run", "unit": "m"}}
+    model = described(states={"x": "x0", "v": "0"})
+    model["parameters"] = {**model["parameters"], **start}
+    study = cart_study(force=lambda x, v: -0.6 * np.tanh(v / 1e-3), model=model)
+    limits = Command("force", "N", lower=-20.0, upper=20.0, rate=400.0)
+    study = replace(study, commands=(limits,), runs=tuple(map(thinned, study.runs)))
+    save_study(study, tmp_path / "study")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "report.json").write_text(json.dumps(report_of(study)))
+    return tmp_path
+
+
+def test_runs_of_the_bank_have_parameters_of_their_own(folder):
+    study = load_study(folder / "study")
+    inputs = inputs_of(study, seed=0, with_bank=True)
+    names = {p.name for p in inputs.setup.model.base}
+    assert inputs.setup.bank and {f"x0@{run.name}" for run in inputs.setup.bank} <= names
+    assert inputs.study.runs == study.runs  # what was recorded stays what it was
+    assert not inputs_of(study, seed=0).setup.bank
+
+
+def test_next_says_what_to_record_and_writes_it(folder, capsys):
+    argv = ["diagnose", "next", str(folder / "study"), "--out", str(folder / "out"), "--csv"]
+    assert cli.main([*argv, "--debug"]) == 0
+    said = capsys.readouterr().out
+    advice = json.loads((folder / "out" / "next.json").read_text())
+    assert f"record {advice['best']}: expected chi2" in said
+    gains = advice["chi2_gain"]
+    assert len(gains) > 10 and gains[advice["best"]] == max(gains.values()) > 2.0 * min(
+        gains.values()
+    )
+    lines = (folder / "out" / "next.csv").read_text().splitlines()
+    assert lines[0] == "time_s,force (N)" and len(lines) > 50
+
+
+def test_another_description_is_another_diagnosis(folder):
+    study = load_study(folder / "study")
+    moved = replace(study, model={**study.model, "time_step": 0.01})
+    first, second = (inputs_of(s, seed=0).fingerprint["study"] for s in (study, moved))
+    assert first != second

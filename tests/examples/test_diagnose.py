@@ -1,0 +1,35 @@
+"""Examples of bringing a simulator: each names what was put into its recordings."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.examples.stories import load_story
+
+pytestmark = pytest.mark.example
+
+
+def found(story: str, folder, name: str) -> tuple[float, float]:
+    """Size of the only cause that is named, and its sd."""
+    report = load_story(f"diagnose/{story}.py").main(folder)
+    assert report.named == (name,), report.sentences
+    return report.best.values[name], report.best.sd[name]
+
+
+def test_a_simulator_of_my_own_lacks_friction(tmp_path):
+    size, sd = found("own_simulator", tmp_path, "dry_friction_at_rail")
+    assert abs(size - 0.3) < 3.0 * sd < 0.03
+
+
+@pytest.mark.slow
+def test_a_mujoco_model_lacks_a_spring(tmp_path):
+    pytest.importorskip("mujoco", reason="MuJoCo is not installed (pip install mujoco)")
+    size, sd = found("mujoco_pendulum", tmp_path, "added_spring_at_hinge")
+    assert abs(size - 0.6) < 3.0 * sd < 0.1
+
+
+@pytest.mark.slow
+def test_rotorpy_hears_its_commands_too_early(tmp_path):
+    pytest.importorskip("rotorpy", reason="RotorPy is not installed (pip install rotorpy)")
+    size, sd = found("rotorpy_climb", tmp_path, "delay")
+    assert abs(size - 0.04) < 3.0 * sd < 0.01

@@ -1,0 +1,308 @@
+"""Channel networks described in YAML: laws of channels, keys, causes, the laboratory's own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from diffsim.data.labs import NetworkLab
+from diffsim.data.labs import channel_network as lab
+from diffsim.data.study import Channel, Run, Study
+from diffsim.diagnose import diagnose
+from diffsim.systems.registry import description_of, setup_of
+
+ETA = 2e-3
+ONE = {
+    "system": "flow_network",
+    "viscosity": ETA,
+    "channels": [
+        {
+            "name": "a",
+            "from": "in",
+            "to": "out",
+            "width": "0.2 mm",
+            "height": "1 mm",
+            "length": 0.01,
+        }
+    ],
+    "sources": [{"node": "in", "flow": "pump"}, {"node": "out", "pressure": 0}],
+    "meters": [{"channel": "p", "pressure_at": "in"}],
+    "nuisances": {"pump_gain": 0, "flow_gain": 0, "pressure_zero": 0},
+}
+
+
+def study(model, names, **commands) -> Study:
+    """One run without readings under commands of equal length."""
+    count = len(next(iter(commands.values())))
+    command = {k: np.asarray(v, dtype=float) for k, v in commands.items()}
+    run = Run("r", np.arange(float(count)), np.zeros((count, len(names))), command, "g")
+    channels = tuple(Channel(n, "-", "any", 1.0) for n in names)
+    return Study("s", "flow_network", channels, (run,), model=model)
+
+
+def predict(s: Study, **sizes) -> np.ndarray:
+    setup = setup_of(s)
+    known = {e.name: e for e in setup.effects}
+    at = {known[k]: torch.tensor([v], dtype=torch.float64) for k, v in sizes.items()}
+    return setup.model.predict(s.runs[0], setup.model.at_prior(), at).detach().numpy()
+
+
+def single(tube: dict, **keys) -> dict:
+    base = {"name": "a", "from": "in", "to": "out"}
+    return {**ONE, "channels": [base | tube], **keys}
+
+
+SHAPES = {
+    "slit": (
+        {"width": "0.2 mm", "height": "1 mm", "length": 0.01, "is_slit": True},
+        12 * ETA * 0.01 / (1e-3 * 2e-4**3),
+    ),
+    "round": ({"diameter": "0.3 mm", "length": 0.01}, 128 * ETA * 0.01 / (np.pi * 3e-4**4)),
+    # White, Viscous Fluid Flow: a square duct has f Re = 56.91
+    "square": (
+        {"width": "0.3 mm", "height": "0.3 mm", "length": 0.01},
+        56.91 / 2 * ETA * 0.01 / 3e-4**4,
+    ),
+    "resistance": ({"resistance": 3e11}, 3e11),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_pressure_over_flow_is_the_known_resistance(shape):
+    tube, resistance = SHAPES[shape]
+    found = predict(study(single(tube), ["p"], pump=[1e-9, 2e-9, -1e-9]))[:, 0]
+    np.testing.assert_allclose(found, resistance * np.array([1e-9, 2e-9, -1e-9]), rtol=1e-4)
+
+
+def test_a_network_divides_flow_as_resistors_do():
+    r = {"a": 1e11, "b": 2e11, "c": 3e11}
+    model = {
+        **ONE,
+        "channels": [
+            {"name": "a", "from": "in", "to": "j", "resistance": r["a"]},
+            {"name": "b", "from": "j", "to": "left", "resistance": r["b"]},
+            {"name": "c", "from": "j", "to": "right", "resistance": r["c"]},
+        ],
+        "sources": [
+            {"node": "in", "flow": "pump"},
+            {"node": "left", "pressure": 0},
+            {"node": "right", "pressure": "back"},
+        ],
+        "meters": [
+            {"channel": "qc", "flow_in": "c"},
+            {"channel": "qb", "flow_in": "b"},
+            {"channel": "p", "pressure_at": "in"},
+            {"channel": "mid", "pressure_in": "a", "share": 0.25},
+        ],
+    }
+    # the channels of the study in an order of their own
+    s = study(model, ["p", "qb", "qc", "mid"], pump=[2e-9, 2e-9], back=[0.0, 60.0])
+    junction = np.array([2e-9, 2e-9 + 60.0 / r["c"]]) / (1 / r["b"] + 1 / r["c"])
+    inlet = junction + 2e-9 * r["a"]
+    want = [inlet, junction / r["b"], (junction - [0.0, 60.0]) / r["c"]]
+    want.append(inlet - 0.25 * (inlet - junction))
+    np.testing.assert_allclose(predict(s), np.stack(want, 1), rtol=1e-9)
+
+
+def test_causes_act_by_their_formulas():
+    slit = SHAPES["slit"][0]
+    s = study(single(slit), ["p"], pump=[1e-9, 4e-9])
+    plain = predict(s)[:, 0]
+    q, w, h = np.array([1e-9, 4e-9]), 2e-4, 1e-3
+    np.testing.assert_allclose(predict(s, slip=1e-6)[:, 0], plain / (1 + 6e-6 / w), rtol=1e-9)
+    np.testing.assert_allclose(
+        predict(s, wall_offset=1e-6)[:, 0], plain * (w / (w + 2e-6)) ** 3, rtol=1e-9
+    )
+    np.testing.assert_allclose(predict(s, viscosity=0.1)[:, 0], 1.1 * plain, rtol=1e-9)
+    np.testing.assert_allclose(predict(s, pump_gain_1=0.1)[:, 0], 1.1 * plain, rtol=1e-9)
+    np.testing.assert_allclose(predict(s, pressure_scale=0.1)[:, 0], 1.1 * plain, rtol=1e-9)
+    np.testing.assert_allclose(predict(s, pressure_offset_1=5.0)[:, 0], plain + 5.0, rtol=1e-9)
+    lost = 0.5 * 1000.0 * 3.0 * (q / (w * h)) ** 2
+    np.testing.assert_allclose(predict(s, entrance_loss=3.0)[:, 0], plain + lost, rtol=1e-9)
+    r, leak = plain[0] / q[0], 1e-12
+    np.testing.assert_allclose(predict(s, leak=leak)[:, 0], plain / (1 + r * leak), rtol=1e-9)
+    c = 1e-3
+    found = predict(s, compliance=c)[:, 0]
+    np.testing.assert_allclose(((1 + c * found) ** 4 - 1) / (4 * c), plain, rtol=1e-9)
+    x = np.linspace(-0.5, 0.5, 2001)
+    hump = np.where(np.abs(x) < 0.25, np.cos(2 * np.pi * x) ** 2, 0.0)
+    more = np.trapezoid((1 - 0.2 * hump) ** -3, x)
+    np.testing.assert_allclose(predict(s, blocked_branch_1=0.2)[:, 0], more * plain, rtol=1e-6)
+    # a power law at high rates: the exponent of the flow
+    fast = study(single(slit), ["p"], pump=[4e-6, 8e-6])
+    thin = predict(fast, thinning=0.2)[:, 0]
+    assert np.log2(thin[1] / thin[0]) == pytest.approx(0.8, abs=0.002)
+
+
+def test_gradients_are_those_of_differences():
+    s = described(3, "thinning")
+    setup = setup_of(s)
+    run = s.runs[2]
+    x = torch.full((len(setup.model.base),), 0.3, dtype=torch.float64)
+    names = ("slip", "compliance", "thinning", "entrance_loss", "leak", "blocked_branch_2")
+    effects = [e for e in setup.effects if e.name in names]
+    sizes = [0.3 * torch.full((1,), e.typical, dtype=torch.float64) for e in effects]
+    weight = 1.0 / torch.tensor([c.sd for c in s.channels], dtype=torch.float64)
+
+    def total(x, *sizes):
+        at = dict(zip(effects, sizes, strict=True))
+        return (setup.model.predict(run, x, at) * weight).sum(1)[::10]
+
+    inputs = [x, *sizes]
+    steps = [1e-3, *(1e-3 * e.typical for e in effects)]
+    for i, (value, step) in enumerate(zip(inputs, steps, strict=True)):
+        way = torch.ones_like(value) * step
+        moved = [[v + s * way if k == i else v for k, v in enumerate(inputs)] for s in (1.0, -1.0)]
+        want = 0.5 * (total(*moved[0]) - total(*moved[1]))
+        _, found = torch.autograd.functional.jvp(
+            lambda v, i=i: total(*(v if k == i else u for k, u in enumerate(inputs))), value, way
+        )
+        torch.testing.assert_close(found, want, rtol=1e-4, atol=1e-7 * float(want.abs().max()))
+
+
+def described(seed: int, cause: str | None = None) -> Study:
+    """The laboratory's study, its network described by what its facts say."""
+    given = NetworkLab()(seed) if cause is None else NetworkLab()(seed, cause)
+    rows = zip(lab.CHANNELS, lab.ENDS, lab.WIDTH_M, lab.LENGTH_M, strict=True)
+    model = {
+        "system": "flow_network",
+        "viscosity": {"value": 5e-3, "percent": 1},
+        "density": lab.DENSITY_KG_M3,
+        "channels": [
+            {
+                "name": name,
+                "from": a,
+                "to": b,
+                "width": {"value": float(w), "percent": 0.3},
+                "height": "1 mm",
+                "length": float(length),
+                "is_slit": True,
+            }
+            for name, (a, b), w, length in rows
+        ],
+        "sources": [
+            {"node": "pump", "flow": "pump_m3_s"},
+            {"node": "outlet_1", "pressure": "outlet_1_Pa"},
+            {"node": "outlet_2", "pressure": 0},
+            {"node": "outlet_3", "pressure": 0},
+        ],
+        "meters": [
+            *({"channel": f"outlet_{i}_m3_s", "flow_in": f"branch_{i}"} for i in (1, 2, 3)),
+            {"channel": "pump_Pa", "pressure_at": "pump"},
+            {"channel": "tap_Pa", "pressure_in": "inlet", "share": lab.TAP_M / lab.LENGTH_M[0]},
+        ],
+    }
+    return replace(given, system="flow_network", model=model)
+
+
+@pytest.mark.parametrize("cause", [None, pytest.param("leak", marks=pytest.mark.slow)])
+def test_hidden_causes_of_the_laboratory_are_named_and_nothing_else(cause):
+    s = described(5, cause)
+    setup = setup_of(s)
+    report = diagnose(s, setup.model, setup.effects, settings=setup.settings, seed=0)
+    assert list(report.named) == ([] if cause is None else [cause])
+    assert report.verdict == ("none" if cause is None else "named")
+
+
+WRONG = {
+    "hanging": ({"sources": [{"node": "in", "flow": "pump"}]}, "no pressure is known anywhere"),
+    "meter": ({"meters": [{"channel": "p", "flow_in": "b"}]}, "meter p: no 'b'; known: a"),
+    "sizes": (
+        {"channels": [{"name": "a", "from": "in", "to": "out", "width": 1e-4, "length": 1}]},
+        "channels[0]: channel a: give width and height, or the diameter",
+    ),
+    "unit": ({"viscosity": "5 mbar"}, "model.viscosity: unit 'mbar' is no unit"),
+    "source": ({"sources": [{"node": "in"}]}, "sources[0]: source at in: give flow or pressure"),
+    "key": ({"chanels": []}, "did you mean 'channels'"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_keys_are_named(case):
+    keys, message = WRONG[case]
+    with pytest.raises(ValueError) as error:
+        description_of(study({**ONE, **keys}, ["p"], pump=[1e-9]))
+    assert message in str(error.value)
+
+
+def test_channels_and_commands_that_are_not_there_are_named():
+    s = study(ONE, ["q"], pumps=[1e-9])
+    said = "\n".join(str(p) for p in description_of(s).problems(s))
+    assert "model.meters: no channel 'p'" in said
+    assert "channel q: model.meters does not name it" in said
+    assert "model.sources[0]: run r has no command 'pump'; did you mean 'pumps'" in said
+
+
+def plane(corrected=False, **keys) -> dict:
+    facts = {n: list(at) for n, at in lab.POSITION_M.items()}
+    ends = zip(lab.CHANNELS, lab.ENDS, lab.WIDTH_M, strict=True)
+    return {
+        "system": "flow_device",
+        "network": {
+            "nodes": facts,
+            "channels": [
+                {"name": n, "from": a, "to": b, "width": {"value": float(w), "percent": 0.3}}
+                for n, (a, b), w in ends
+            ],
+            "outlets": ["outlet_1", "outlet_2", "outlet_3"],
+            "tap": lab.TAP,
+            "size": list(lab.BOX_M),
+            "depth": "1 mm",
+        },
+        "viscosity": {"value": 5e-3, "percent": 1},
+        "density": lab.DENSITY_KG_M3,
+        "shear_rate": lab.SHEAR_REFERENCE_1_S,
+        "drives": ["pump_m3_s"],
+        "back_pressures": ["outlet_1_Pa", None, None],
+        "flows": ["outlet_1_m3_s", "outlet_2_m3_s", "outlet_3_m3_s"],
+        "pressures": ["pump_Pa", "tap_Pa"],
+        "is_corrected": corrected,
+        **keys,
+    }
+
+
+def test_a_plane_network_on_the_grid_is_the_laboratory_s_model():
+    given = NetworkLab()(1)
+    s = replace(given, system="flow_device", model=plane())
+    setup = setup_of(s)
+    before = setup_of(replace(given, model=None), corrected=False)
+    assert {p.name: p for p in setup.model.base} == {p.name: p for p in before.model.base}
+    assert [(e.name, e.typical) for e in setup.effects] == [
+        (e.name, e.typical) for e in before.effects
+    ]
+    run = s.runs[2]
+    q = setup.model.at_prior()
+    torch.testing.assert_close(
+        setup.model.predict(run, q), before.model.predict(run, q), rtol=0, atol=0
+    )
+
+
+def test_a_manifold_on_the_grid_has_the_names_of_the_study():
+    manifold = {
+        "inlets": [{"y": 4.566e-3, "width": 1.931e-3}],
+        "outlets": [{"y": "2.035 mm", "width": 1.4e-3}, {"y": "7.119 mm", "width": 1.8e-3}],
+        "size": ["12 mm", "9 mm"],
+        "manifold": ["1.411 mm", "3.713 mm"],
+        "fillet": "0.433 mm",
+        "cells": [48, 36],
+    }
+    model = {
+        "system": "flow_device",
+        "manifold": manifold,
+        "viscosity": {"value": 0.1, "percent": 2},
+        "drives": ["pump"],
+        "flows": ["left", "right"],
+        "pressures": ["p"],
+    }
+    s = study(model, ["p", "right", "left"], pump=[1e-4, 2e-4])
+    found = predict(s)
+    # coarse cells lose a little on the way
+    np.testing.assert_allclose(found[:, 1] + found[:, 2], [1e-4, 2e-4], rtol=0.02)
+    assert (found[:, 1] > 1.5 * found[:, 2]).all()  # the wider outlet
+    np.testing.assert_allclose(found[1], 2.0 * found[0], rtol=1e-9)
+    assert "meter_gain_2" in [e.name for e in setup_of(s).effects]
+    with pytest.raises(ValueError, match="flows needs 2 names"):
+        description_of(study({**model, "flows": ["left"]}, ["p", "left"], pump=[1e-4]))

@@ -1,0 +1,47 @@
+"""docs/study_keys.md is what the classes of the keys say; every key says something."""
+
+from __future__ import annotations
+
+import importlib.util
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from diffsim.core.schema_keys import blocks_of, keys_of
+from diffsim.data.study_schema import Fact, StudyFile
+from diffsim.systems.registry import DESCRIPTIONS
+
+ROOT = Path(__file__).parent.parent
+SCRIPT = ROOT / "scripts" / "study_keys_page.py"
+
+
+def script():
+    spec = importlib.util.spec_from_file_location("study_keys_page", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def descriptions():
+    for module, name in DESCRIPTIONS.values():
+        if importlib.util.find_spec(module.rpartition(".")[0]) and importlib.util.find_spec(module):
+            yield getattr(import_module(module), name)
+
+
+def test_page_is_up_to_date():
+    """Where this fails: python scripts/study_keys_page.py."""
+    module = script()
+    below = module.PAGE.read_text(encoding="utf-8").partition(module.MARK)[2]
+    assert below == f"\n{module.page()}"
+
+
+@pytest.mark.parametrize("root", [StudyFile, Fact, *descriptions()], ids=lambda c: c.__name__)
+def test_every_key_says_what_it_means(root):
+    silent = [
+        f"{block.__name__}.{key.name}"
+        for block in blocks_of(root)
+        for key in keys_of(block)
+        if len(key.meaning) < 3 or key.kind in ("anything", "")
+    ]
+    assert not silent
