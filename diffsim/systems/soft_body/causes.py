@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 MOST_KNOTS = 16
 KNOTS_PER_S = 6.0
 TYPICAL_SHARE = 0.1  # of the commanded range: slack, play and dead band that are no surprise
+LIMIT_SHARE = 4.0  # a limit is felt where it is well below what is commanded
 TYPICAL_MASS = 0.1  # of the body's mass
 
 
@@ -97,7 +98,7 @@ def _of_commands(given: SoftBodyKeys, study: Study, timed: bool) -> list[Effect]
         "dead_band": TYPICAL_SHARE * width,
         "backlash": TYPICAL_SHARE * width,
         "tendon_slack": TYPICAL_SHARE * width,
-        "rate_limit": 1.0 / rate,
+        "rate_limit": LIMIT_SHARE / rate,
     }
     found = [LAG, DEAD_BAND, BACKLASH, SATURATION, *PULLING]
     if all(d.gain.is_fitted for d in drives):
