@@ -84,6 +84,8 @@ def problem_lines(where: str, error: ValidationError) -> list[str]:
         message = one["msg"].removeprefix("Value error, ")
         for pattern, plain in _PLAIN:
             message = re.sub(f"^{pattern}", plain, message)
+        if one["loc"][-1:] == ("[key]",) and isinstance(one["input"], bool):
+            message += " (YAML reads on, off, yes, no so; quote it, or use another word)"
         is_plain = isinstance(one["input"], (str, int, float, bool))
         came = f", got {one['input']!r}" if is_plain and "got" not in message else ""
         out.append(f"{where}{path}: {message}{came}")

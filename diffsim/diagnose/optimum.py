@@ -188,6 +188,7 @@ def _solved(hessian: Array, b: Array) -> Array:
     try:
         return np.asarray(linalg.solve(hessian, b, assume_a="pos", check_finite=False))
     except linalg.LinAlgError:
-        scale = 1.0 / np.sqrt(np.diagonal(hessian))
+        root = np.sqrt(np.diagonal(hessian))
+        scale = 1.0 / np.where(root > 0.0, root, 1.0)
         even = linalg.lstsq(hessian * np.outer(scale, scale), scale * b)[0]
         return np.asarray(scale * even)

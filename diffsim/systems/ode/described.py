@@ -191,8 +191,8 @@ class Described:
         for i, store in enumerate(self.motion.stores):
             if store.level not in states:
                 reader.report(f"stores[{i}].level", f"no state {store.level!r}")
-            if store.spills_into is not None and store.spills_into not in names:
-                reader.report(f"stores[{i}].spills_into", f"no store {store.spills_into!r}")
+            if store.into is not None and store.into not in names:
+                reader.report(f"stores[{i}].into", f"no store {store.into!r}")
             reader.parse(f"stores[{i}].area", store.area, self.known)
 
     def model(self) -> SimModel:

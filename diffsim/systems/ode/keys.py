@@ -16,7 +16,11 @@ _IN_UNIT = ("value", "sd", "lower", "upper")
 
 
 def _checked(text: str) -> str:
-    parse_expression(text)
+    try:
+        parse_expression(text)
+    except ValueError as error:
+        cut = text.count("(") > text.count(")")  # YAML ends text in { } and [ ] at a comma
+        raise ValueError(f"{error}; in {{ }} put formulas in quotes" if cut else error) from None
     return text
 
 
@@ -103,8 +107,9 @@ class Store(Part):
     area: Formula = Field("1", description="What a flow is divided by to give the level's rate")
     empty: float = Field(0.0, description="Level at which nothing flows out any more")
     unit: str = Field("-", description="Unit of the level")
-    spills_into: str | None = Field(
-        None, description="Name of the store that gets what spills over; none: it is lost"
+    into: str | None = Field(
+        None,
+        description="Name of the store that gets what flows out or spills over; none: it is lost",
     )
 
 

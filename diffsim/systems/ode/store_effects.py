@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from diffsim.core.expression import parse_expression
+from diffsim.core.expression import Expression, parse_expression
 from diffsim.identify.effect import Effect
 from diffsim.systems.ode.applying import by_formulas, symbol
 from diffsim.systems.ode.keys import Store
@@ -48,6 +48,7 @@ def _effects(library: Library, store: Store, scale: StoreScale, tail: str) -> li
             unit="1/s" if unit == "-" else f"({unit})^0.5/s",
             typical=flow / level**0.5,
             signed=True,
+            flows_on=True,
         ),
         _flow(
             library,
@@ -73,12 +74,10 @@ def _flow(
     unit: str,
     typical: float,
     signed: bool,
+    flows_on: bool = False,
 ) -> Effect:
-    parts = {
-        "h": named(store.level),
-        "size": named(symbol(name)),
-        "area": parse_expression(store.area, library.known),
-    }
+    parts = {"h": named(store.level), "size": named(symbol(name))}
+    gain = filled(parse_expression(flow), parts)
     return Effect(
         name=name,
         form=form,
@@ -88,10 +87,7 @@ def _flow(
         typical=typical,
         signed=signed,
         also_looks_like=("gain of the pump, at one level",),
-        apply=by_formulas(
-            Change(rates={store.level: filled(parse_expression(f"({flow})/area"), parts)}),
-            symbol(name),
-        ),
+        apply=by_formulas(Change(rates=_moved(library, store, gain, flows_on)), symbol(name)),
     )
 
 
@@ -104,16 +100,8 @@ def _spill(library: Library, store: Store, scale: StoreScale, tail: str) -> Effe
         "high": parse_expression(repr(scale.high)),
         "quick": parse_expression(repr(per_s)),
     }
-    flow = filled(parse_expression("quick*max(h - (high - size), 0)*(size > 0)"), parts)
-    rates = {store.level: filled(parse_expression("-flow"), {"flow": flow})}
-    into = next((s for s, _ in library.stores if s.name == store.spills_into), None)
-    if into is not None:
-        areas = {
-            "flow": flow,
-            "own": parse_expression(store.area, library.known),
-            "other": parse_expression(into.area, library.known),
-        }
-        rates[into.level] = filled(parse_expression("flow*own/other"), areas)
+    gain = filled(parse_expression("-quick*max(h - (high - size), 0)*(size > 0)"), parts)
+    rates = _moved(library, store, gain, flows_on=True)
     return Effect(
         name=name,
         form="Spills over at a level that lies size below the highest of the plain model.",
@@ -126,3 +114,16 @@ def _spill(library: Library, store: Store, scale: StoreScale, tail: str) -> Effe
         also_looks_like=("outflow that grows faster than the root", "limit of the sensor"),
         apply=by_formulas(Change(rates=rates), symbol(name)),
     )
+
+
+def _moved(
+    library: Library, store: Store, gain: Expression, flows_on: bool
+) -> dict[str, Expression]:
+    """Terms of rates from what a store gains; the store it flows into gets what this one loses."""
+    areas = {"gain": gain, "own": parse_expression(store.area, library.known)}
+    rates = {store.level: filled(parse_expression("gain/own"), areas)}
+    into = next((s for s, _ in library.stores if s.name == store.into), None)
+    if flows_on and into is not None:
+        areas["other"] = parse_expression(into.area, library.known)
+        rates[into.level] = filled(parse_expression("-gain/other"), areas)
+    return rates
