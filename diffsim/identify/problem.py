@@ -167,6 +167,7 @@ class Problem:
     def predict(self, run: Run, x: Tensor) -> Tensor:
         """Predicted channels, (num_samples, num_channels)."""
         sizes = self.sizes_at(x)
+        _require_finite(run, x[: self.num_base], sizes)
         out = self.model.predict(run, x[: self.num_base], sizes, self.numerics)
         return self._of_shape(run, out, run.measured.shape)
 
@@ -181,6 +182,7 @@ class Problem:
         return self._predict_many(run, u[:, : self.num_base], self._sizes(u[:, self.num_base :]))
 
     def _predict_many(self, run: Run, q: Tensor, sizes: Mapping[Effect, Tensor]) -> Tensor:
+        _require_finite(run, q, sizes)
         out = self.model.predict_many(run, q, sizes, self.numerics)
         return self._of_shape(run, out, (len(q), *run.measured.shape))
 
@@ -337,6 +339,19 @@ def effect_coordinates(effects: Sequence[Effect]) -> tuple[str, ...]:
     return tuple(
         e.name if len(e.components) == 1 else f"{e.name}.{c}" for e in effects for c in e.components
     )
+
+
+def _require_finite(run: Run, q: Tensor, sizes: Mapping[Effect, Tensor]) -> None:
+    """A step that leaves the range of numbers is a failed step, whatever the simulator says to it.
+
+    Raises:
+        PredictionError: coordinates or sizes that are not finite.
+    """
+    bad = [effect.name for effect, size in sizes.items() if not bool(torch.isfinite(size).all())]
+    if not bool(torch.isfinite(q).all()):
+        bad.insert(0, "base parameters")
+    if bad:
+        raise PredictionError(f"run {run.name}: {', '.join(bad)} left the range of numbers")
 
 
 def _touches(name: str, run: Run) -> bool:

@@ -6,6 +6,7 @@ import torch
 
 from diffsim.data.study import Channel, Run
 from diffsim.identify import Jacobian, Parameter, Problem, SimModel, WhiteNoise, fit
+from diffsim.identify.problem import PredictionError
 from tests.diagnose import linear
 
 TIME = np.linspace(0.0, 2.0, 41)
@@ -177,3 +178,15 @@ def test_errors_say_what_to_do():
     wrong = Run("a", TIME[:5], np.zeros((5, 2)), {}, "a")
     with pytest.raises(ValueError, match=r"predicts .* for run a"):
         fit(decay_model(), [wrong], (CHANNEL[0], CHANNEL[0]))
+
+
+def test_a_step_out_of_the_range_of_numbers_is_a_failed_step():
+    """The simulator is not asked: it may refuse in its own way, which would end a search."""
+
+    def refuse(values, run, numerics):
+        raise ValueError("parameters must be finite")
+
+    model = SimModel(refuse, decay_model().base)
+    problem = Problem(model, tuple(decay_runs()), WhiteNoise(CHANNEL))
+    with pytest.raises(PredictionError, match="left the range"):
+        problem.residual(np.array([0.0, np.nan, 0.0, 0.0]))
