@@ -48,6 +48,9 @@ def score_answer(
     sets = [sorted(s) for s in (answer.get("named", []), *answer.get("rivals", [])) if s]
     verdict, wanted = answer["verdict"], sorted(truth)
     in_set = verdict in ("named", "ambiguous") and wanted in sets
+    # of sets that share what is named, the rest is open: only a foreign name is wrong then
+    named, is_open = sorted(answer.get("named", [])), bool(answer.get("rivals"))
+    is_wrong = not set(named) <= set(wanted) if is_open else named != wanted
     return {
         "kind": label["kind"],
         "scored_as": kind,
@@ -57,8 +60,8 @@ def score_answer(
         "named": answer.get("named", []),
         "rivals": answer.get("rivals", []),
         "in_set": in_set,
-        "alone": in_set and verdict == "named",
-        "wrong_alone": verdict == "named" and answer["named"] != wanted,
+        "alone": in_set and verdict == "named" and not is_open,
+        "wrong_alone": verdict == "named" and is_wrong,
         "right": _is_right(kind, label, answer, truth, in_set, sets, known),
         "class_given": _class_given(label, verdict, sets),
         "sizes": _sizes(truth, answer, known) if in_set else {},
@@ -189,9 +192,10 @@ def score_simulated(
         left = _fit_clean(null, clean, others, inputs)
         out["lambda"][name] = float(np.sqrt(left.chi2))
         out["delta"] = _delta(null, clean, left)
-    if len(true) == len(score["truth"]) and true and null.study.test_runs:
+    tests = inputs.study.test_runs
+    if len(true) == len(score["truth"]) and true and tests:
         best = refit(null, [by_name[n] for n in true], inputs, {})
-        found = gain(null.study.test_runs, null.fit, best, seed=inputs.seed)
+        found = gain(tests, null.fit, best, seed=inputs.seed)
         out["true_gain"] = found.value
         if found.value > 0.0 and found.excess > LARGE_EXCESS and score["gain"] is not None:
             out["share_of_true_gain"] = score["gain"][0] / found.value

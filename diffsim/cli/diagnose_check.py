@@ -11,6 +11,7 @@ import numpy as np
 
 from diffsim.core.errors import DiffsimError
 from diffsim.core.units import factor
+from diffsim.data.run_files import BLOCK_OF
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_check import TODO, Problem, check_study
 from diffsim.diagnose.separate import cut_in_two, require_separate
@@ -77,7 +78,8 @@ def _grouped(problems: Sequence[Problem]) -> Iterator[str]:
         message = re.sub(r"[-+]?\d[\d.e+-]*", "#", problem.message) if is_run else problem.message
         alike.setdefault((problem.severity, where, message), []).append(problem)
     for first, *others in alike.values():
-        names = [problem.where.removeprefix("run ") for problem in others]
+        names = list(dict.fromkeys(p.where for p in others if p.where != first.where))
+        names = [name.removeprefix("run ") for name in names]
         yield f"{first}" + (f" (likewise {_some(names)})" if names else "")
 
 
@@ -89,6 +91,8 @@ def problems_of(study: Study) -> list[Problem]:
     except ValueError as error:
         found.append(Problem("error", "study", str(error)))
     for first, second in cut_in_two(study):
+        if BLOCK_OF in first.setup and BLOCK_OF in second.setup:
+            continue  # pieces of two recordings, whose clocks happen to meet
         found.append(
             Problem(
                 "warning",

@@ -212,13 +212,13 @@ def _needed(key: Key, indent: str) -> Iterator[str]:
     yield _cut(f"{indent}# {key.meaning}; {key.kind}")
     name = key.parts[0].__name__ if len(key.parts) == 1 else ""
     if name and name != "Quantity" and key.kind in (name, f"list of {name}"):
-        yield f"{indent}{key.name}:"
         inner = list(_keys(key.parts[0], indent + ("    " if name != key.kind else "  "), ()))
-        if name != key.kind:  # the first line that is no comment begins the entry
-            first = next((i for i, line in enumerate(inner) if "#" not in line), None)
-            if first is None:
-                inner.insert(0, f"{indent}  - {{}}")
-            else:
+        first = next((i for i, line in enumerate(inner) if "#" not in line), None)
+        if first is None:  # whichever of its keys suit
+            yield f"{indent}{key.name}: {TODO}"
+        else:
+            yield f"{indent}{key.name}:"
+            if name != key.kind:  # its first line begins an entry of the list
                 inner[first] = f"{indent}  - {inner[first].lstrip()}"
         yield from inner
     else:

@@ -22,6 +22,7 @@ from diffsim.diagnose.progress import progress_bar
 from diffsim.diagnose.refit import advise, extend, fit_null, rival_sets
 from diffsim.diagnose.report import Report
 from diffsim.identify.model_file import MODEL_FILE, read_extended
+from diffsim.identify.numerics import Numerics
 
 INPUTS_FILE, REPORT_FILE, CACHE = "inputs.json", "report.json", "interrupted"
 JUDGE_FILE = "judge.json"
@@ -214,9 +215,11 @@ def _next(args: argparse.Namespace) -> None:
         )
     sets, why = rival_sets(saved)
     print(why)
+    refined = saved["settings"].get("numerics")
+    numerics = Numerics(**refined) if refined else None
     if len(sets) < 2:
         return
-    advice = advise(inputs, sets)
+    advice = advise(inputs, sets, numerics)
     width = max(32, *(len(name) for name in advice.chi2_gain))
     for name, chi2 in sorted(advice.chi2_gain.items(), key=lambda item: -item[1]):
         print(f"{name:<{width}} {chi2:>12.4g}")

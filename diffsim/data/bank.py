@@ -7,6 +7,7 @@ faster than its ``rate``.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -25,7 +26,6 @@ _STAIRS = 6
 _PER_PERIOD = 8  # samples in the fastest period of a chirp
 _CYCLES = 3.0  # of the slowest frequency of a chirp in a run
 _FLOWN = ("multicopter", "copter")
-_FACTS_OF_A_FILE = ("block_of",)
 
 
 @dataclass(frozen=True)
@@ -237,29 +237,39 @@ def _blank(run: Run) -> Array:
 
 
 def _other_facts(study: Study) -> Iterator[Run]:
-    """Recorded commands under other values of facts: known added mass, another medium."""
-    seen: dict[str, dict[Any, None]] = {}
-    for run in study.runs:
-        for key, value in run.setup.items():
-            seen.setdefault(key, {}).setdefault(value)
-    most = max(4, len(study.runs) // 3)
-    values: dict[str, list[Any]] = {
-        key: list(found)
-        for key, found in seen.items()
-        if 1 < len(found) <= most and key not in _FACTS_OF_A_FILE
-    }
-    for key, allowed in study.allows.items():
-        values[key] = list(dict.fromkeys([*values.get(key, []), *allowed]))
-    recorded = {(run.group, *_facts(run.setup)) for run in study.runs}
+    """Recorded commands under other facts: those of other runs, and those that are allowed."""
+    words = set(_words(study.model))
+    seen = {_facts(run.setup, words): run for run in study.runs}
+    bundles = [dict(facts) for facts in seen]
+    if len(bundles) > max(4, len(study.runs) // 3):  # facts of single runs, such as start speeds
+        bundles = []
+    recorded = {(run.group, _facts(run.setup, words)) for run in study.runs}
     for run in _one_of_each_command(study):
-        for key, possible in values.items():
-            for value in possible:
-                setup = {**run.setup, key: value}
-                if (run.group, *_facts(setup)) in recorded:
-                    continue
-                shown = f"{value:.4g}" if isinstance(value, float) else str(value)
-                name = f"{run.name} again, with {key} = {shown}"
-                yield replace(run, name=name, group=name, use=NEXT, setup=setup)
+        changes = [{k: v for k, v in b.items() if run.setup.get(k) != v} for b in bundles]
+        changes += [{key: value} for key, values in study.allows.items() for value in values]
+        for change in changes:
+            setup = {**run.setup, **change}
+            if not change or (run.group, _facts(setup, words | set(change))) in recorded:
+                continue
+            told = ", ".join(f"{k} = {_shown(v)}" for k, v in change.items())
+            name = f"{run.name} again, with {told}"
+            yield replace(run, name=name, group=name, use=NEXT, setup=setup)
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _words(stated: Any) -> Iterator[str]:
+    """Words of a description: facts that it does not mention change nothing."""
+    if isinstance(stated, Mapping):
+        for key, value in stated.items():
+            yield from (*_words(key), *_words(value))
+    elif isinstance(stated, (list, tuple)):
+        for value in stated:
+            yield from _words(value)
+    elif isinstance(stated, str):
+        yield from re.findall(r"\w+", stated)
 
 
 def _again(study: Study) -> Iterator[Run]:
@@ -268,8 +278,8 @@ def _again(study: Study) -> Iterator[Run]:
         yield replace(run, name=f"{run.name} again", group=run.group, use=NEXT)
 
 
-def _facts(setup: Mapping[str, Any]) -> tuple[tuple[str, Any], ...]:
-    return tuple(sorted((k, v) for k, v in setup.items() if k not in _FACTS_OF_A_FILE))
+def _facts(setup: Mapping[str, Any], words: set[str]) -> tuple[tuple[str, Any], ...]:
+    return tuple(sorted((k, v) for k, v in setup.items() if k in words))
 
 
 def command_table(run: Run, study: Study) -> str:

@@ -104,10 +104,15 @@ def give_uses(runs: Sequence[GuessedRun], said: list[str]) -> None:
     names = list(groups)
     if len(names) < 3:
         if len(runs) > 1:
-            runs[-1].use = "test"
-            said.append(f"uses: {runs[-1].name} is test")
+            last = next((r for r in reversed(runs) if groups[r.repeat_of or r.name] == 1), runs[-1])
+            last.use = "test"
+            said.append(f"uses: {last.name} is test")
         return
-    chosen = {names[-1]: "test"} | ({names[len(names) // 2]: "select"} if len(names) > 5 else {})
+    # repeats tell the noise, which a fit needs: commands that were executed once are kept back
+    single = [name for name in names if groups[name] == 1] or names
+    chosen = {single[-1]: "test"}
+    if len(names) > 5 and len(single) > 1:
+        chosen[single[(len(single) - 1) // 2]] = "select"
     for run in runs:
         run.use = chosen.get(run.repeat_of or run.name, "fit")
     said.append(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,7 @@ _MEASURED = re.compile(r"control|controller|pwm|duty|feedback", re.I)
 _SET_UNITS = ("N", "N m", "Pa", "V", "A", "Hz")  # what drives, rather than what moves
 _SMOOTH = 1e-5  # of the range: a sensor scatters by more
 _HELD = 0.5  # share of samples that repeat the one before, from which on a column looks commanded
+MIN_EQUAL = 10  # samples: fewer may be equal by chance
 _LARGE = 0.05  # of the range: changes of what is held and looks commanded
 MAX_SIZE = 100_000  # samples of all channels and runs, from which on only each n-th is used
 
@@ -234,9 +235,11 @@ def _sorted_out(
     """Commands and channels; what is held for many samples, or called so, looks commanded."""
     commands: list[Quantity] = []
     channels: list[Quantity] = []
+    samples = {c.name: [r.table.numbers(c.name)[r.rows] for r in runs] for c in columns}
+    equal = _equal_in_two(samples)
     for column in columns:
-        values = [run.table.numbers(column.name)[run.rows] for run in runs]
-        why = _commanded(column, values)
+        values = samples[column.name]
+        why = _commanded(column, values) or equal.get(column.name, "")
         name = column.name if _keeps_name(column) else column.base
         taken = {q.name for q in (*commands, *channels)}
         name = name if name not in taken else f"{name}_{len(taken)}"
@@ -266,6 +269,23 @@ def _sorted_out(
     if channels:
         todo.append("sd of each channel: the noise is a guess from the scatter between samples")
     return commands, channels
+
+
+def _equal_in_two(samples: Mapping[str, Sequence[Array]]) -> dict[str, str]:
+    """Columns that two runs share to the last digit, which no sensor does; not copies of runs."""
+    count = len(next(iter(samples.values()), ()))
+    for i in range(count):
+        for k in range(i):
+            alike = [name for name, values in samples.items() if _is_equal(values[i], values[k])]
+            if alike and len(alike) < len(samples):
+                return {name: "equal to the digit in two runs" for name in alike}
+    return {}
+
+
+def _is_equal(a: Array, b: Array) -> bool:
+    n = min(len(a), len(b))
+    moves = n >= MIN_EQUAL and bool(np.nanmax(a[:n]) > np.nanmin(a[:n]))
+    return moves and np.array_equal(a[:n], b[:n], equal_nan=True)
 
 
 def _keeps_name(column: Column) -> bool:

@@ -1,21 +1,25 @@
 """Show what a simulator gets wrong, name the cause, extend the model, measure the gain.
 
-From ``study.yaml`` to the verdict one channel passes through 25 files, to be read in this order:
+From ``study.yaml`` to the verdict one channel passes through these files, to be read in this
+order:
 
 1. Recordings: ``data/study_file``, ``data/table``, ``data/study``, ``core/check``; the chosen model
    and causes: ``cli/diagnose_inputs``.
-2. What is fitted: ``identify/model``, ``effect``, ``problem``, ``jacobian``, ``linearization``,
-   ``fitting``, ``unknown``.
+2. What is fitted: ``identify/model``, ``effect``, ``sizes``, ``problem``, ``jacobian``,
+   ``linearization``, ``fitting``, ``unknown``.
 3. The pipeline, in the order of its steps: ``diagnose/diagnosis``.
-4. ``gates``: data, gradients, numerical settings, repeatability.
+4. ``separate``, ``gates``, ``gradients``, ``refine``: data, numerical settings, repeatability.
 5. ``noise``: the noise floor and its whitening.
-6. ``fit``: the plain model, by Gauss-Newton in a trust region with Broyden updates.
+6. ``fit``, ``gauss_newton``, ``windows``: the plain model, by Gauss-Newton in a trust region.
 7. ``screen``: scores of all candidates at the null fit.
-8. ``evidence``, ``simulations``, ``search``: Laplace evidence of sets of effects, and what was
-   simulated for it.
-9. ``judge``, ``gain``: one verdict; unknown causes face the repeats (``crosscheck``), names face
-   held-out runs.
-10. ``records``, ``tables``, ``report``, ``force_map``: the evidence as it is read and saved.
+8. ``evidence``, ``optimum``, ``simulations``, ``search``, ``scan``: Laplace evidence of sets of
+   effects, and what was simulated for it.
+9. ``judge``: one verdict; unknown causes face the repeats (``crosscheck``), names face a
+   ``referee``: runs with use: select, or fit runs left out (``left_out``).
+10. ``averaging``, ``causes``, ``data_sheet``: a verdict per cause; the answer is frozen here.
+11. ``unseen``, ``gain``, ``outside``: test runs, looked at once; ``frozen``: new runs later.
+12. ``wording``, ``records``, ``tables``, ``assemble``, ``report``, ``force_map``: the answer as it
+    is read and saved.
 
 One record passes on to the next, and none is changed: ``Case`` (what is given), ``Null`` (noise
 floor and null fit), ``Search`` (what was weighed), ``Judgment`` (what may be said), ``Report``.

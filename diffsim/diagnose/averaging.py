@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, special, stats
 
-from diffsim.diagnose.evidence import ALONE_NATS, Hypothesis, Weighed
+from diffsim.diagnose.evidence import ALONE_NATS, Hypothesis, LaplaceEvidence, Weighed
 from diffsim.diagnose.gates import numerical_shift
 from diffsim.diagnose.left_out import (
     Folds,
@@ -58,6 +58,8 @@ class Averaged:
     spread: Mapping[str, float] = field(default_factory=dict)
     usual: float = 1.0
     changes: Mapping[str, Array] = field(default_factory=dict)
+    _posteriors: dict[Hypothesis, tuple[Array, Array]] = field(default_factory=dict, repr=False)
+    _centers: dict[frozenset[int], LaplaceEvidence] = field(default_factory=dict, repr=False)
 
     @property
     def reach(self) -> tuple[Hypothesis, ...]:
@@ -83,9 +85,11 @@ class Averaged:
         made = search.simulations
         if members not in made.screened:
             return 0.0
-        center = made.center(members, made.screened[members], search.num_families)
-        with_it = center.evidence.weigh(both)
-        return with_it.nats - center.evidence.weigh(Hypothesis(members)).nats
+        if members not in self._centers:
+            center = made.center(members, made.screened[members], search.num_families)
+            self._centers[members] = center.evidence
+        evidence = self._centers[members]
+        return evidence.weigh(both).nats - evidence.weigh(Hypothesis(members)).nats
 
     def size(self, i: int) -> dict[str, Interval]:
         """Size of an effect by component; empty where no set with it was weighed."""
@@ -123,22 +127,29 @@ class Averaged:
             i: Index of the effect.
             names: Coordinates to widen; None: the statistical sd alone.
         """
-        weighed, wide = self._weighed(h), self.search.wide
-        effect, fit = wide.effects[i], weighed.fit
-        problem = wide if fit is None else fit.problem
-        own = problem.columns_of(effect)
-        if fit is None:
-            x, sd = weighed.x, weighed.sd[own]
-        else:
-            x = fit.x
-            sd = np.hypot(np.sqrt(np.diag(fit.covariance)), numerical_shift(fit, self.changes))[own]
-        mean, sd = problem.scaled(x)[own], sd * problem.stretch(x)[own]
+        effect, fit = self.search.wide.effects[i], self._weighed(h).fit
+        own = (self.search.wide if fit is None else fit.problem).columns_of(effect)
+        mean, sd = (values[own] for values in self._posterior(h))
         if names is None:
             return mean, sd
         if h.unknown is None:
             return mean, sd * [self.factors.get(n, self.usual) for n in names]
         # the unknown cause takes up what makes fits differ: the spread is a floor, no factor
         return mean, np.maximum(sd, [self.spread.get(n, 0.0) for n in names])
+
+    def _posterior(self, h: Hypothesis) -> tuple[Array, Array]:
+        """Mean and sd of all scaled coordinates of a set's problem."""
+        if h not in self._posteriors:
+            weighed = self._weighed(h)
+            fit = weighed.fit
+            if fit is None:
+                problem, x, sd = self.search.wide, weighed.x, weighed.sd
+            else:
+                problem, x = fit.problem, fit.x
+                shift = numerical_shift(fit, self.changes)
+                sd = np.hypot(np.sqrt(np.diag(fit.covariance)), shift)
+            self._posteriors[h] = problem.scaled(x), sd * problem.stretch(x)
+        return self._posteriors[h]
 
     def _weighed(self, h: Hypothesis) -> Weighed:
         found = self.search.weighed.get(h)

@@ -139,11 +139,15 @@ def _effect_row(told: Told, i: int) -> CauseRow:
     p = about.probability(i)
     status, rivals = _status(told, about, i, p)
     helps = i in told.members and status not in (CERTAIN, LIKELY)
+    sizes = about.size(i) or row.size
+    value = next(iter(sizes.values())).value if len(sizes) == 1 else 0.0
+    words = effect.words(value) if effect.words is not None and value else row.words
     return replace(
         row,
+        words=words,
         status=status,
         probability=p,
-        size=about.size(i) or row.size,
+        size=sizes,
         rivals=rivals,
         helps=helps,
         factor=about.factor(i),

@@ -57,7 +57,7 @@ def diagnose(
     """Find what the simulator gets wrong.
 
     Args:
-        study: Recorded runs, some of them held out.
+        study: Recorded runs; those with use: test are looked at once, at the end.
         model: Simulator with everything imperfectly known as base parameters, nuisances of the
             set-up too: a forgotten one becomes an invented effect.
         effects: Candidate causes.

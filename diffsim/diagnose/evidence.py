@@ -35,6 +35,10 @@ from diffsim.identify.unknown import Unknown
 Array = NDArray[np.float64]
 # root mean square of the unknown's part of the record, in noise standard deviations
 AMPLITUDES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+# Slopes say nothing of sizes far beyond those that were simulated, and the prior hardly holds them
+# back: linear evidence reaches to thirty typical sizes, as scans do, or four times the center's.
+REACH = 20.0  # scaled sizes
+FARTHER = 4.0
 KEEP_NATS = 4.0  # evidence that a member of a set, or an unknown cause, must add
 ALONE_NATS = 3.0  # lead over every rival that a set needs to be named alone
 
@@ -133,18 +137,21 @@ class LaplaceEvidence:
         idx = free + extra
         count, is_size = len(free), np.array([i >= self.problem.num_base for i in free], dtype=bool)
         low, high = (bound[free] for bound in self.bounds)
+        reach = np.where(is_size, np.maximum(REACH, FARTHER * np.abs(self.scaled0[free])), np.inf)
         scale = np.concatenate([np.ones(count), np.full(len(extra), amplitude)])
         b = scale * self.projection[idx]
         gram = self.gram[np.ix_(idx, idx)] * np.outer(scale, scale)
         precision = np.ones(count)
         if is_size.any():
-            best = optimum(*_without(gram, b, count), low, high, is_size, self.scaled0[free])
+            near = np.maximum(low, -reach), np.minimum(high, reach)
+            best = optimum(*_without(gram, b, count), *near, is_size, self.scaled0[free])
             precision[is_size] = precision_at(best[is_size])
         width = np.concatenate([1.0 / np.sqrt(precision), np.ones(len(extra))])
         b, gram = width * b, gram * np.outer(width, width)
         unbounded = np.full(len(extra), np.inf)
         low = np.concatenate([low / width[:count], -unbounded])
         high = np.concatenate([high / width[:count], unbounded])
+        reach = np.concatenate([reach / width[:count], unbounded])
         factor = linalg.cho_factor(gram + np.eye(len(idx)), lower=True)
         mean = linalg.cho_solve(factor, b)
         log_det = 2.0 * np.log(np.diag(factor[0])).sum()
@@ -154,7 +161,7 @@ class LaplaceEvidence:
         signed = [self.problem.effects[i].signed for i in members for _ in self.columns[i]]
         for k, is_signed in zip(np.flatnonzero(is_size), signed, strict=True):
             gained[k] = log_tilt(mean[k], sd[k], precision[k], is_signed)
-        mean, lost = _within(mean, sd, gram, b, low, high)
+        mean, lost = _within(mean, sd, gram, b, low, high, reach)
         chi2 = self.power - 2.0 * (b @ mean) + mean @ gram @ mean
         u, deviation = np.zeros(len(self.x0)), np.zeros(len(self.x0))
         u[free] = (width * mean)[:count]
@@ -174,20 +181,22 @@ def _without(gram: Array, b: Array, count: int) -> tuple[Array, Array]:
 
 
 def _within(
-    mean: Array, sd: Array, gram: Array, b: Array, low: Array, high: Array
+    mean: Array, sd: Array, gram: Array, b: Array, low: Array, high: Array, reach: Array
 ) -> tuple[Array, float]:
-    """The optimum within bounds, and the nats lost beyond what each bound costs alone.
+    """The optimum within bounds and reach, and the nats lost beyond what each bound costs alone.
 
     Args:
         mean, sd: (n,) of the posterior without bounds.
         gram, b: Quadratic and linear part of the misfit; the prior is N(0, 1).
         low, high: Bounds of the coordinates, (n,).
+        reach: Distance from zero up to which slopes are believed, (n,).
     """
     inside = np.clip(mean, low, high)
-    if (inside == mean).all():
+    near = np.maximum(low, -reach), np.minimum(high, reach)
+    if (np.clip(mean, *near) == mean).all():
         return mean, 0.0
     hessian = gram + np.eye(len(b))
-    x = quadratic_optimum(hessian, b, low, high)
+    x = quadratic_optimum(hessian, b, *near)
     # together the bounds cost what the optimum lost, not each one's share of it once more
     lost = 0.5 * float((x - mean) @ hessian @ (x - mean))
     return x, lost - 0.5 * float(np.sum(((mean - inside) / sd) ** 2))

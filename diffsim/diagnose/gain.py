@@ -77,9 +77,9 @@ def _percent(share: float) -> str:
 def gain(
     runs: Sequence[Run], null: Frozen, extended: Frozen, *, seed: int, block_s: float = BLOCK_S
 ) -> Gain:
-    """Compare two fits on held-out runs.
+    """Compare two fits on runs that neither has seen.
 
-    Nuisances of a held-out run ("offset@run") are fitted to it, for both alike; nothing else is.
+    What is a run's own ("offset@run") is fitted to it, for both alike; nothing else is.
 
     Args:
         runs: Runs that no fit has seen.
@@ -89,7 +89,7 @@ def gain(
         block_s: Length of a resampled block [s].
     """
     if not runs:
-        raise ValueError("runs is empty; the gain needs at least one held-out run")
+        raise ValueError("runs is empty; the gain needs at least one run")
     before, after = held_out_residuals(null, runs), held_out_residuals(extended, runs)
     return compared(runs, null, before, after, seed=seed, block_s=block_s)
 
@@ -104,7 +104,7 @@ def compared(
     block_s: float = BLOCK_S,
     draws: int = 1000,
 ) -> Gain:
-    """Gain from whitened residuals of held-out runs.
+    """Gain from whitened residuals of runs that no fit has seen.
 
     Args:
         runs: Runs that no fit has seen.
@@ -153,7 +153,7 @@ def held_out_residual(fit: Frozen, run: Run) -> Array:
 
 
 def held_out_point(fit: Frozen, run: Run) -> Array:
-    """The fit's coordinates with nuisances of a held-out run ("offset@run") fitted to it."""
+    """The fit's coordinates with what is a run's own ("offset@run") fitted to it."""
     return own_point(replace(fit.problem, runs=(run,)), fit.x, run)
 
 

@@ -25,6 +25,7 @@ from diffsim.identify import fit as fit_runs
 from diffsim.identify.effect import Effect
 from diffsim.identify.extended import ExtendedModel, extended_model
 from diffsim.identify.model_file import SavedModel, effects_of
+from diffsim.identify.numerics import Numerics
 from diffsim.identify.problem import effect_coordinates
 from diffsim.identify.sizes import PRIOR_WIDTH, coordinate_of
 
@@ -76,9 +77,14 @@ class NullFit:
 
 
 @one_blas_thread
-def fit_null(inputs: Inputs) -> NullFit:
-    """Noise floor and fit of the plain model."""
-    null = null_fit(_case(inputs))
+def fit_null(inputs: Inputs, numerics: Numerics | None = None) -> NullFit:
+    """Noise floor and fit of the plain model.
+
+    Args:
+        inputs: Study and setup.
+        numerics: Refined numerical settings; None: the model's own.
+    """
+    null = null_fit(_case(inputs, numerics))
     return NullFit(null.case.study, null.noise, null.fit, null.num_spikes)
 
 
@@ -89,7 +95,7 @@ class Extension:
     Attributes:
         study: Study that the model was fitted to.
         null, fit: Fits without and with the effects, to the same runs with the same noise.
-        gain: Gain on held-out runs; None without any.
+        gain: Gain on test runs; None without any.
         verdict: Verdict of the diagnosis that made the model.
     """
 
@@ -126,7 +132,7 @@ def extend(inputs: Inputs, saved: SavedModel) -> Extension:
         ValueError: the setup does not have an effect of the saved model.
     """
     effects = effects_of(saved, inputs.setup.effects)
-    null = fit_null(inputs)
+    null = fit_null(inputs, saved.numerics)
     refitted = refit(null, effects, inputs, saved.values)
     runs = inputs.study.test_runs
     gained = gain(runs, null.fit, refitted, seed=inputs.seed) if runs and effects else None
@@ -169,8 +175,15 @@ def rival_sets(report: Mapping[str, Any]) -> tuple[list[tuple[str, ...]], str]:
 
 
 @one_blas_thread
-def advise(inputs: Inputs, sets: Sequence[Sequence[str]]) -> NextRun:
+def advise(
+    inputs: Inputs, sets: Sequence[Sequence[str]], numerics: Numerics | None = None
+) -> NextRun:
     """Refit each set and take the run of the setup's bank on which they differ most.
+
+    Args:
+        inputs: Study and setup with a bank.
+        sets: Names of the effects of every set.
+        numerics: Refined numerical settings of the report; None: the model's own.
 
     Raises:
         ValueError: the setup has no bank, or not these effects.
@@ -184,7 +197,7 @@ def advise(inputs: Inputs, sets: Sequence[Sequence[str]]) -> NextRun:
     chosen = [
         tuple(by_name[require_choice("effect", name, by_name)] for name in names) for names in sets
     ]
-    null = fit_null(inputs)
+    null = fit_null(inputs, numerics)
     return next_run([refit(null, effects, inputs, {}) for effects in chosen], setup.bank)
 
 
@@ -211,14 +224,16 @@ def refit(
         start=np.array(start),
         whitener=problem.whitener,
         jacobian=problem.jacobian,
+        numerics=problem.numerics,
         workers=inputs.setup.settings.workers,
     )
 
 
-def _case(inputs: Inputs) -> Case:
+def _case(inputs: Inputs, numerics: Numerics | None) -> Case:
     setup = inputs.setup
     study = inputs.study.without_tests()
-    return Case(study, setup.model, setup.effects, setup.unknowns, setup.settings)
+    settings = (setup.effects, setup.unknowns, setup.settings)
+    return Case(study, setup.model, *settings, numerics=numerics)
 
 
 def _words(names: Sequence[str]) -> str:

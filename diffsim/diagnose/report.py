@@ -48,7 +48,7 @@ class Report:
         cannot_see: Effect or component -> why, or the smallest visible size.
         gates: Checks of data, gradients and numerics.
         noise: Source of the noise floor, sd by channel, repeat scatter over sensor noise.
-        gain: Gain of the best set on held-out runs; None without such runs.
+        gain: Gain of the extended model on test runs; None without such runs.
         chi2_null, chi2_best, num_samples: Misfit |W (y - S)|^2 without and with the best set, and
             the number of samples, of the runs fitted.
         next_run: Advice, None if no bank of commands was given.

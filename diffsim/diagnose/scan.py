@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,9 +71,14 @@ def masking_pairs(effects: Sequence[Effect], members: Members, room: int) -> Ite
     """Pairs of effects outside a set that mask each other, if there is room for two."""
     if room < 2:
         return
-    for i, j in product(range(len(effects)), repeat=2):
-        if i < j and not {i, j} & members and _mask(effects[i], effects[j]):
-            yield frozenset({i, j})
+    pairs = [
+        (i, j)
+        for i, j in combinations(range(len(effects)), 2)
+        if not {i, j} & members and _mask(effects[i], effects[j])
+    ]
+    # two with kinks first: one that is smooth shows by its own slope
+    for pair in sorted(pairs, key=lambda p: sum(effects[i].smooth for i in p)):
+        yield frozenset(pair)
 
 
 def num_points(effects: Sequence[Effect]) -> int:
@@ -117,7 +122,12 @@ def scan(wide: Problem, own: Sequence[int], center: Linearization, group: Sequen
 
 
 def _mask(a: Effect, b: Effect) -> bool:
-    return a.name in b.masks or b.name in a.masks
+    """Whether one names the other, or what its name begins with before the place it acts at."""
+
+    def names(one: Effect, other: Effect) -> bool:
+        return any(other.name == m or other.name.startswith(f"{m}_") for m in one.masks)
+
+    return names(a, b) or names(b, a)
 
 
 def _combined(effects: Sequence[Effect]) -> Array:

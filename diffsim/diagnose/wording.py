@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diffsim.diagnose.data_sheet import words_of
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.gates import NUMERICS_GATES, REPEATS, GateResult
 from diffsim.diagnose.judge import EXPLAINED, Decision
@@ -76,8 +77,10 @@ def headline(answer: Answer, errors: Sequence[ErrorRow]) -> str:
     """
     said = _said(answer)
     changed = any(row.helps or row.status in (CERTAIN, LIKELY) for row in _effects(answer))
+    named = [row for row in _effects(answer) if row.name in answer.named]
+    subject = "They take" if len(named) > 1 else "It takes"
     for first in said:
-        for second in (*_on_unseen(errors, changed), ""):
+        for second in (*_on_unseen(errors, changed, subject), ""):
             text = f"{first}{second}."
             if len(text.split()) <= MAX_WORDS:
                 return text
@@ -136,16 +139,24 @@ def _missing(named: Sequence[CauseRow]) -> list[str]:
     more = len(effects) - len(words)
     names = ", ".join(words) + f" and {more} more" if more else " and ".join(words)
     verb = "is" if len(effects) == 1 else "are"
-    plain = f"{_capital(names)} {verb}{sure} missing"
-    out = [plain]
-    if len(effects) == 1 and len(effects[0].size) == 1:
-        out.insert(0, f"{plain} ({_range(effects[0])})")
+    out = [f"{_capital(names)} {verb}{sure} missing"]
+    if len(effects) <= MAX_NAMES and all(len(row.size) == 1 for row in effects):
+        if len(effects) == 1 and _is_bare(effects[0]):
+            out.insert(0, f"{out[0]} ({_range(effects[0])})")
+        elif len(effects) > 1:
+            sized = [f"{r.words} ({_range(r)})" if _is_bare(r) else r.words for r in effects]
+            out.insert(0, f"{_capital(' and '.join(sized))} {verb}{sure} missing")
     if sheet:
         out.insert(0, f"{out[0]}, {sheet[0].words} is off its data sheet")
     return out
 
 
-def _on_unseen(errors: Sequence[ErrorRow], changed: bool) -> list[str]:
+def _is_bare(row: CauseRow) -> bool:
+    """Whether the words of a cause do not say its size themselves."""
+    return row.words == words_of(row.name)
+
+
+def _on_unseen(errors: Sequence[ErrorRow], changed: bool, subject: str) -> list[str]:
     """What becomes of the error, the longest first."""
     if not errors:
         return [". No gain is known: no run is kept for a test", "; no run tests it"]
@@ -155,8 +166,11 @@ def _on_unseen(errors: Sequence[ErrorRow], changed: bool) -> list[str]:
     unit = "" if row.unit == "-" else f" {row.unit}"
     if not changed:
         return [f"; the error on {where} is {before}{unit}, noise {noise}{unit}"]
+    if row.after > 0.99 * row.before:
+        verb = "stays at" if row.after <= 1.01 * row.before else f"rises from {before} to"
+        return [f"; but the error on {where} {verb} {after}{unit}, noise {noise}{unit}"]
     return [
-        f". It takes the error on {where} from {before} to {after}{unit}; {noise}{unit} is noise",
+        f". {subject} the error on {where} from {before} to {after}{unit}; {noise}{unit} is noise",
         f": error on {where} {before} to {after}{unit}, noise {noise}{unit}",
         f": error {before} to {after}{unit}, noise {noise}",
     ]

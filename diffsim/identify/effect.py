@@ -42,8 +42,11 @@ class Effect:
         smooth: False where the response has a kink at zero: then a secant at a tenth of the typical
             size stands for the derivative, and sizes over decades are tried before a fit.
         masks: Names of effects that hide this one, or are hidden by it, such as slack and a rate
-            limit: their sizes are tried together, and they enter sets as a pair.
+            limit: their sizes are tried together, and they enter sets as a pair. "slew_time" stands
+            for "slew_time_force" too.
         also_looks_like: Physical causes and other forms that data may not distinguish from it.
+        words: Function of a size that says it in plain words where its number would not be
+            understood, such as "a speed limit near 100 mm/s"; None: name and size.
         needs: Function of a study: what it lacks for the effect to be judged; None if nothing.
     """
 
@@ -59,6 +62,7 @@ class Effect:
     smooth: bool = True
     masks: tuple[str, ...] = ()
     also_looks_like: tuple[str, ...] = ()
+    words: Callable[[float], str] | None = None
     needs: Needs = needs_nothing
 
     def __post_init__(self) -> None:

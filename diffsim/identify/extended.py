@@ -26,17 +26,25 @@ class ExtendedModel(SimModel):
         inner: The plain model, whose base parameters come first.
         effects: Effects to build in, in this order.
         base: Parameters of ``inner``, then the components of the effects ("wind.x").
+        numerics: Refined numerical settings that it was fitted with; None: the plain model's own.
     """
 
-    def __init__(self, inner: SimModel, effects: Sequence[Effect], base: Sequence[Parameter]):
+    def __init__(
+        self,
+        inner: SimModel,
+        effects: Sequence[Effect],
+        base: Sequence[Parameter],
+        numerics: Numerics | None = None,
+    ):
         suffix = "".join(f" + {e.name}" for e in effects)
         super().__init__(self._build, base, inner.name + suffix, batched=inner.batched)
-        self.inner, self.effects = inner, tuple(effects)
+        self.inner, self.effects, self.refined = inner, tuple(effects), numerics
         self.simulations = inner.simulations
         self._components = [effect_coordinates([e]) for e in effects]
 
     def _build(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> Scene:
-        scene = self.inner.build({p.name: values[p.name] for p in self.inner.base}, run, numerics)
+        values_of_inner = {p.name: values[p.name] for p in self.inner.base}
+        scene = self.inner.build(values_of_inner, run, self._settings(numerics) or Numerics())
         for effect, components in zip(self.effects, self._components, strict=True):
             size = torch.stack([values[c] for c in components], dim=-1)
             scene = effect.apply(scene, size, run)
@@ -50,7 +58,8 @@ class ExtendedModel(SimModel):
         numerics: Numerics | None = None,
     ) -> Tensor:
         """Prediction of the plain model with its effects, (num_samples, num_channels)."""
-        return self.inner.predict(run, self._inner_q(q), self._sizes(q, sizes), numerics)
+        own = self._settings(numerics)
+        return self.inner.predict(run, self._inner_q(q), self._sizes(q, sizes), own)
 
     def predict_many(
         self,
@@ -60,7 +69,14 @@ class ExtendedModel(SimModel):
         numerics: Numerics | None = None,
     ) -> Tensor:
         """Predictions at many points, as many at once as the plain model can."""
-        return self.inner.predict_many(run, self._inner_q(q), self._sizes(q, sizes), numerics)
+        own = self._settings(numerics)
+        return self.inner.predict_many(run, self._inner_q(q), self._sizes(q, sizes), own)
+
+    def _settings(self, numerics: Numerics | None) -> Numerics | None:
+        """Factors on the plain model's settings: its refined ones, and what is asked for beyond."""
+        if self.refined is None:
+            return numerics
+        return self.refined if numerics is None else self.refined.refined(numerics)
 
     def _inner_q(self, q: Tensor) -> Tensor:
         """Standardized coordinates of the plain model, (..., num_base): the same values."""
@@ -80,7 +96,8 @@ class ExtendedModel(SimModel):
 
     def prepared_at(self, q: Tensor) -> SimModel:
         """The model with the plain model prepared at the values of its own parameters at ``q``."""
-        return ExtendedModel(self.inner.prepared_at(self._inner_q(q)), self.effects, self.base)
+        inner = self.inner.prepared_at(self._inner_q(q))
+        return ExtendedModel(inner, self.effects, self.base, self.refined)
 
 
 def extended_model(fit: Fit) -> ExtendedModel:
@@ -93,11 +110,15 @@ def extended_model(fit: Fit) -> ExtendedModel:
         A model whose base parameters are the old ones, then the sizes ("wind.x").
     """
     problem = fit.problem
-    return extended_at(problem.model, problem.effects, fit.values, fit.sd)
+    return extended_at(problem.model, problem.effects, fit.values, fit.sd, problem.numerics)
 
 
 def extended_at(
-    inner: SimModel, effects: Sequence[Effect], values: Mapping[str, float], sd: Mapping[str, float]
+    inner: SimModel,
+    effects: Sequence[Effect],
+    values: Mapping[str, float],
+    sd: Mapping[str, float],
+    numerics: Numerics | None = None,
 ) -> ExtendedModel:
     """A model with effects built in, at given values.
 
@@ -106,6 +127,7 @@ def extended_at(
         effects: Effects to build in.
         values, sd: Center and width of the new priors by name of base parameter or component, each
             in its unit.
+        numerics: Refined numerical settings; None: the plain model's own.
     """
     base = [
         Parameter(
@@ -130,4 +152,4 @@ def extended_at(
         for effect in effects
         for name in effect_coordinates([effect])
     ]
-    return ExtendedModel(inner, effects, [*base, *sizes])
+    return ExtendedModel(inner, effects, [*base, *sizes], numerics)

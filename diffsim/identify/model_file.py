@@ -6,6 +6,7 @@
     study: lab_flights
     setup: lab_copter            # which model and effects the names below belong to
     verdict: named
+    numerics: {time_step: 0.5, mesh: 1.0, tolerance: 1.0}  # factors; only where refined
     prepared_at: null            # where the model prepared what it prepares once (standardized)
     parameters:                  # of the plain model, nuisances too
       mass: {value: 1.41, sd: 0.004, unit: kg}
@@ -19,7 +20,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.extended import ExtendedModel, extended_at
 from diffsim.identify.fitting import Fit
 from diffsim.identify.model import SimModel
-from diffsim.identify.numerics import REFINEMENTS, coarse
+from diffsim.identify.numerics import REFINEMENTS, Numerics, coarse
 from diffsim.identify.problem import effect_coordinates
 from diffsim.identify.setup import DiagnosisSetup
 
@@ -58,6 +59,7 @@ class SavedModel:
         plain: Parameters of the plain model at its own fit, by name, in their units; empty in
             files of before.
         facts: What judging new runs needs beside the model: noise floor, fitted runs, their range.
+        numerics: Refined numerical settings of the fits; None: the model's own.
     """
 
     path: Path
@@ -71,6 +73,7 @@ class SavedModel:
     prepared_at: Mapping[str, float] | None = None
     plain: Mapping[str, float] = field(default_factory=dict)
     facts: Mapping[str, Any] = field(default_factory=dict)
+    numerics: Numerics | None = None
 
 
 def save_extended(
@@ -98,8 +101,9 @@ def save_extended(
     content = {
         "model": problem.model.name,
         "study": study.name,
-        "setup": study.metadata.get("setup"),
+        **({} if study.model is not None else {"setup": study.metadata.get("setup")}),
         "verdict": verdict,
+        **({} if problem.numerics is None else {"numerics": asdict(problem.numerics)}),
         "prepared_at": None
         if prepared is None
         else dict(zip(problem.names, prepared.tolist(), strict=False)),
@@ -164,6 +168,7 @@ def read_extended(path: str | Path) -> SavedModel:
         prepared_at=content.get("prepared_at"),
         plain={name: float(entry["value"]) for name, entry in parts["plain"].items()},
         facts=content.get("facts") or {},
+        numerics=Numerics(**content["numerics"]) if content.get("numerics") else None,
     )
 
 
@@ -204,7 +209,7 @@ def rebuilt(saved: SavedModel, setup: DiagnosisSetup) -> ExtendedModel:
     values = {name: p.value for name, p in known.items()} | dict(saved.values)
     sd = {name: p.sd * (p.value if p.log else 1.0) for name, p in known.items()} | dict(saved.sd)
     _require_units(saved, {**{n: p.unit for n, p in known.items()}, **_units(effects)})
-    return extended_at(_prepared(setup.model, saved), effects, values, sd)
+    return extended_at(_prepared(setup.model, saved), effects, values, sd, saved.numerics)
 
 
 def effects_of(saved: SavedModel, candidates: Sequence[Effect]) -> tuple[Effect, ...]:

@@ -9,6 +9,8 @@ import pytest
 
 from diffsim import cli
 from diffsim.data import load_study
+from diffsim.data.study_check import TODO
+from diffsim.systems.registry import DESCRIPTIONS
 
 
 def write(path: Path, header: str, columns, mark: str = ",", point: str = ".") -> None:
@@ -62,7 +64,7 @@ def test_a_loggers_folder_becomes_a_study(steps, capsys):
     assert list(runs) == ["fast", "heavy", "slow_1", "slow_2"]
     assert runs["slow_2"].group == runs["slow_1"].group == "slow_1"
     assert runs["heavy"].group == "heavy"  # the same force, but another payload
-    assert [r.use for r in study.runs] == ["fit", "fit", "test", "test"]
+    assert [r.use for r in study.runs] == ["fit", "test", "fit", "fit"]  # repeats tell the noise
     assert runs["heavy"].setup == {"Nutzlast": 0.5}
     np.testing.assert_allclose(runs["fast"].time_s, T * 1e-3, rtol=1e-12)
     assert "guessed: command: F_N, held for many samples" in out
@@ -102,7 +104,7 @@ def test_one_file_of_many_trials(tmp_path):
     trials = [str(k) for k in (3, 4, 7, 9, 12, 15, 20) for _ in range(60)]
     t = np.tile(T * 1e-3, 7)
     x = np.concatenate([np.sin(k + T / 100.0) + noisy(k, 1e-3) for k in range(7)])
-    write(tmp_path / "all.csv", "trial,time,angle_deg,temp_C", [trials, t, x, np.tile(noisy(9), 7)])
+    write(tmp_path / "all.csv", "trial,time,angle_deg,temp_C", [trials, t, x, x**2])
     assert init(tmp_path) == 0
     study = load_study(tmp_path)
     assert [r.name for r in study.runs][:2] == ["all_3", "all_4"]
@@ -112,11 +114,35 @@ def test_one_file_of_many_trials(tmp_path):
     assert any("no column looks commanded" in sentence for sentence in study.todo)
 
 
+def test_what_two_runs_share_to_the_digit_is_commanded(tmp_path):
+    wave = np.round(np.sin(T / 70.0) + noisy(0, 1e-3), 4)  # too rough to look computed
+    for seed, (name, size) in enumerate(
+        [("sine_a", 1), ("sine_b", 1), ("large", 2), ("sine_c", 1)]
+    ):
+        write(tmp_path / f"{name}.csv", "t (ms),x (mm),F (N)", [T, noisy(seed), size * wave])
+    assert init(tmp_path) == 0
+    study = load_study(tmp_path)
+    assert [c.name for c in study.commands] == ["F"] and [c.name for c in study.channels] == ["x"]
+    assert {r.name: (r.group, r.use) for r in study.runs} == {
+        "large": ("large", "test"),
+        "sine_a": ("sine_a", "fit"),
+        "sine_b": ("sine_a", "fit"),
+        "sine_c": ("sine_a", "fit"),
+    }
+
+
+def test_copies_of_a_run_make_nothing_a_command(tmp_path):
+    for name in "ab":
+        write(tmp_path / f"{name}.csv", "t (ms),x (mm),y (mm)", [T, noisy(1), noisy(2)])
+    assert init(tmp_path) == 0
+    assert load_study(tmp_path).commands == ()
+
+
 def test_what_drives_without_noise_looks_commanded(tmp_path):
     t = np.linspace(0.0, 2.0, 60)
     smooth = np.sin(t * 1e-3 + 2.0)
     for seed, name in enumerate("ab"):
-        columns = [t, smooth + noisy(seed, 1e-3), smooth, smooth]
+        columns = [t, smooth + noisy(seed, 1e-3), smooth, smooth + 1e-3 * seed * t]
         write(tmp_path / f"{name}.csv", "t (s),x (m),Kraft (N),angle (rad)", columns)
     assert init(tmp_path) == 0
     study = load_study(tmp_path)
@@ -159,7 +185,15 @@ def test_a_folder_without_recordings(tmp_path, capsys):
     assert "has no table with a header line and rows of numbers" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("system", ["ode", "soft_body", "multicopter", "bench", "rigid_body"])
+@pytest.mark.parametrize("system", sorted(DESCRIPTIONS))
 def test_a_first_study_of_any_system_is_read(steps, system):
     assert init(steps, "--system", system) == 0
-    assert load_study(steps).system == system
+    study = load_study(steps)
+    assert study.system == system
+    assert TODO in str(study.model) and not empty(study.model)
+
+
+def empty(stated) -> bool:
+    """Whether a block is there without anything in it."""
+    inner = stated.values() if isinstance(stated, dict) else stated
+    return stated is None or (isinstance(stated, (dict, list)) and any(map(empty, inner)))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import yaml
 
 from diffsim import cli
@@ -17,7 +18,8 @@ from diffsim.data.study_file import load_study
 from diffsim.diagnose.frozen import judge_saved
 from diffsim.diagnose.gain import held_out_residual
 from diffsim.diagnose.refit import extend, fit_null
-from diffsim.identify.model_file import SavedModel, read_extended
+from diffsim.identify import DiagnosisSetup, Numerics, fit, save_extended
+from diffsim.identify.model_file import SavedModel, read_extended, rebuilt
 from tests.diagnose import toy, toy_setup
 
 SETUP = str(Path(toy_setup.__file__))
@@ -106,6 +108,20 @@ def test_what_was_fitted_proves_nothing(model_folder, study, tmp_path):
         judge_saved(inputs, saved)
     with pytest.raises(ValueError, match="--runs must be one of"):
         judge_saved(inputs, saved, ["old_name"])
+
+
+def test_refined_settings_are_those_of_the_saved_model(study, tmp_path):
+    model, finer = toy.model(study.runs, 0.02), Numerics(time_step=0.5)
+    runs, channels = study.fit_runs[:1], study.channels
+    found = fit(model, runs, channels, numerics=finer)
+    save_extended(found, tmp_path / "extended_model.yaml", study=study, verdict="named")
+    saved = read_extended(tmp_path)
+    assert saved.numerics == finer
+    loaded = rebuilt(saved, DiagnosisSetup(model=model, effects=()))
+    fitted = found.problem.predict(runs[0], torch.from_numpy(found.x))
+    np.testing.assert_allclose(loaded.predict(runs[0], loaded.at_prior()), fitted, atol=1e-12)
+    rough = replace(found.problem, numerics=None).predict(runs[0], torch.from_numpy(found.x))
+    assert float((rough - fitted).abs().max()) > 1e-4
 
 
 def test_a_file_without_the_plain_fit_is_refused(model_folder, new_folder, tmp_path):

@@ -13,6 +13,9 @@ from diffsim.data.bank import MAX_RUNS, command_table, generated_bank
 T = np.arange(200) * 0.01
 
 
+MODEL = {"system": "ode", "rates": {"v": "force/(1.0 + payload_kg)"}}
+
+
 def make_study(**changes) -> Study:
     runs = tuple(
         Run(
@@ -22,7 +25,7 @@ def make_study(**changes) -> Study:
             {"force": level * (T > 0.5), "feedback": np.sin(T)},
             name,
             order,
-            setup={"payload_kg": load, "block_of": "x"},
+            setup={"payload_kg": load, "operator": name},
         )
         for order, (name, level, load) in enumerate([("a", 1.0, 0.2), ("b", 2.0, 0.5)])
     )
@@ -31,7 +34,7 @@ def make_study(**changes) -> Study:
         Command("feedback", "V", is_measured=True),
     )
     channels = (Channel("x", "m", "position"),)
-    study = Study("cart", "ode", channels, runs, model={"system": "ode"}, commands=commands)
+    study = Study("cart", "ode", channels, runs, model=MODEL, commands=commands)
     return replace(study, **changes)
 
 
@@ -54,7 +57,7 @@ def test_names_say_what_to_do():
     assert any(name.startswith("force: chirp 1.5 to ") and "Hz" in name for name in names)
     assert any("ramp up to" in name for name in names)
     assert "a again, with payload_kg = 0.5" in names and "b again, half as fast" in names
-    assert not any("feedback" in name or "block_of" in name for name in names)
+    assert not any("feedback" in name or "operator" in name for name in names)
 
 
 def test_a_chirp_is_as_fast_as_the_command_can_move():
@@ -75,6 +78,16 @@ def test_the_study_may_allow_other_facts():
     by_name = {run.name: run for run in bank}
     assert by_name["a again, with medium = water"].setup["medium"] == "water"
     assert by_name["a again, with medium = water"].setup["payload_kg"] == 0.2
+
+
+def test_facts_that_belong_together_change_together():
+    a, b = make_study().runs
+    light, heavy = {"payload_kg": 0.2, "rig": "A"}, {"payload_kg": 0.5, "rig": "B"}
+    runs = (replace(a, setup=light), replace(b, setup=heavy))
+    model = {**MODEL, "gain": {"value": 1.0, "sd": 0.1, "per": "rig"}}
+    names = [run.name for run in generated_bank(make_study(runs=runs, model=model))]
+    assert "a again, with payload_kg = 0.5, rig = B" in names
+    assert not any(name.endswith("rig = B") and "payload" not in name for name in names)
 
 
 def test_what_flies_repeats_what_was_flown():

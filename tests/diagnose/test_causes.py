@@ -13,7 +13,8 @@ from diffsim.diagnose import Report, diagnose
 from diffsim.diagnose.averaging import _interval, widening
 from diffsim.diagnose.data_sheet import words_of
 from diffsim.diagnose.left_out import folds_of
-from diffsim.diagnose.records import CauseRow
+from diffsim.diagnose.records import CauseRow, ErrorRow
+from diffsim.diagnose.wording import _on_unseen
 from diffsim.identify import DiagnosisSettings, SearchSettings, fit
 from tests.diagnose import linear
 
@@ -129,6 +130,23 @@ def test_headlines_are_short_and_say_the_error(sizes, effects, tests):
     assert bool(re.search(r"\d m\b", report.headline)) == bool(tests)
     assert tests or "test" in report.headline
     assert tests or any("No gain is known" in s for s in report.sentences)
+
+
+def test_a_cause_may_say_its_size_in_words():
+    limit = replace(PUSH, name="rate_limit", words=lambda s: f"a speed limit near {1 / s:.1g} m/s")
+    report = diagnosed({PUSH: 1.0}, (limit,))
+    # the shapes of a linear effect go by the name that it was made with
+    assert report.headline.startswith("A speed limit near 1 m/s is missing.")
+
+
+def test_a_headline_does_not_praise_what_helps_nothing():
+    row = ErrorRow("t", "position", "mm", 2.0, 2.0, 1.0, 100, 0)
+    said = {
+        after: _on_unseen([replace(row, after=after)], True, "It takes")[0]
+        for after in (1.0, 2.0, 3.0)
+    }
+    assert said[1.0].startswith(". It takes the error on unseen runs from 2 to 1 mm")
+    assert "stays at 2 mm" in said[2.0] and "rises from 2 to 3 mm" in said[3.0]
 
 
 def test_with_an_unknown_cause_the_extended_model_holds_what_helps():

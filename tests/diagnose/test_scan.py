@@ -132,6 +132,11 @@ def test_the_number_of_points_is_bounded_and_as_told():
     names = [sorted(g) for g in groups(effects, frozenset(), 3)]
     assert names == [[0], [1], [0, 1]]
     assert [sorted(g) for g in groups(effects, frozenset({0}), 1)] == [[1]]
+    placed = (replace(pair.slack, name="slack_b"), replace(pair.rate_limit, name="rate_limit_b"))
+    assert frozenset({0, 1}) in groups(placed, frozenset(), 2)
+    lag = replace(linear.line("lag"), masks=("slack",))
+    pairs = [sorted(g) for g in groups((lag, pair.slack, pair.rate_limit), frozenset(), 2)]
+    assert pairs[2:] == [[1, 2], [0, 1]]  # the one of two kinks first
     few = DiagnosisSettings(search=SearchSettings(scan_points=12))
     search = searched(effects, {pair.slack: 6.0, pair.rate_limit: 2.0}, few)
     assert sum(s.num_points for s in search.simulations.scans.values()) <= 12

@@ -381,6 +381,61 @@ def test_a_load_swings_as_a_driven_pendulum():
     np.testing.assert_allclose(found[:, 1], -2.0 * found[:, 0], atol=1e-12)
 
 
+@pytest.mark.parametrize("case", ["quaternion and inertial unit", "NED and FRD, angles"])
+def test_flights_to_record_next_are_those_of_the_model(case):
+    columns, sensors, keys = SENSORS[case]
+    s = study(columns, sensors, **keys)
+    setup = setup_of(s)
+    sd = np.array([c.sd for c in s.channels])
+    for run in setup.bank[2:4]:
+        with torch.no_grad():
+            found = setup.model.predict(run, setup.model.at_prior()).numpy()
+        assert np.abs((found - run.measured) / sd).max() < 0.5, run.name
+    assert {"payload_kg": pytest.approx(0.1)} == setup.bank[-1].setup
+
+
+def test_causes_act_in_the_runs_that_state_a_fact():
+    s = study(causes_act_in={"state": "changed"})
+    changed = replace(s.runs[1], setup={"state": "changed"})
+    s = replace(s, runs=(s.runs[0], changed))
+    setup = setup_of(s)
+    wind = next(e for e in setup.effects if e.name == "wind")
+    q, at = setup.model.at_prior(), {wind: torch.tensor([0.1, 0.0], dtype=f64)}
+    with torch.no_grad():
+        moved = [setup.model.predict(r, q, at) - setup.model.predict(r, q) for r in s.runs]
+    assert float(moved[0].abs().max()) < 1e-12 and float(moved[1].abs().max()) > 1e-3
+    with pytest.raises(ValueError, match="no run has state: cut"):
+        setup_of(replace(s, model={**s.model, "causes_act_in": {"state": "cut"}}))
+
+
+def test_uneven_clocks_are_made_even():
+    s = study()
+    run = s.runs[0]
+    late = run.time_s + np.where(np.arange(len(run.time_s)) % 7 == 3, 1e-3, 0.0)
+    gone = np.r_[0:40, 52 : len(late)]  # a gap of a quarter of a second
+    holes = replace(
+        run,
+        time_s=late[gone],
+        measured=run.measured[gone],
+        command={k: v[gone] for k, v in run.command.items()},
+    )
+    even = setup_of(replace(s, runs=(holes, s.runs[1]))).study
+    assert np.ptp(np.diff(even.runs[0].time_s)) < 1e-12
+    assert np.isnan(even.runs[0].measured[41:51]).all()
+    assert np.isfinite(even.runs[0].measured[:40]).all()
+    assert even.runs[1] is s.runs[1]
+    slower = setup_of(replace(s, model={**s.model, "rate": "25 Hz"})).study.runs[0]
+    assert len(slower.time_s) == 51
+    force = [i for i, c in enumerate(s.channels) if c.unit == "m/s^2"]
+    others = [i for i, c in enumerate(s.channels) if c.unit != "m/s^2"]
+    np.testing.assert_allclose(slower.measured[:, others], run.measured[::2, others], atol=1e-12)
+    # accelerometers show the mean over the step before, commands hold over the step that follows
+    means = 0.5 * (run.measured[1:-1:2, force] + run.measured[2::2, force])
+    np.testing.assert_allclose(slower.measured[1:, force], means, atol=1e-9)
+    held = 0.5 * (run.command["n1"][:-1:2] + run.command["n1"][1::2])
+    np.testing.assert_allclose(slower.command["n1"][:-1], held, atol=1e-9)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["none", "center_of_mass", "slung_load", "weak_rotor_1"])
 def test_hidden_causes_are_named_and_nothing_else(name):

@@ -301,6 +301,18 @@ def test_rolling_resistance_is_seen_through_a_camera(tmp_path):
     assert report.best.values["focal"] == pytest.approx(FOCAL, rel=0.01)
 
 
+def test_missing_points_are_told_and_a_stated_camera_does_without(tmp_path):
+    study = rolling_study(tmp_path, 0.0)
+    (tmp_path / "points.csv").unlink()
+    (found,) = description_of(study).problems(study)
+    assert (found.severity, found.where) == ("warning", "model.camera.points.file")
+    assert "calibration_points" not in [r.name for r in setup_of(study).study.runs]
+    camera = {k: v for k, v in study.model["camera"].items() if k != "focal"}
+    less = replace(study, model={**study.model, "camera": camera})
+    with pytest.raises(ValueError, match="nothing else finds it"):
+        setup_of(less)
+
+
 def test_a_ball_that_rolls_freely_says_nothing(tmp_path):
     report = judged(rolling_study(tmp_path, 0.0))
     assert report.named == ()

@@ -114,8 +114,11 @@ def vehicle_of(of: MulticopterKeys, flights: DescribedFlights) -> Vehicle:
         has_radius=bool((fleet.radii > 0.0).all()),
         has_lag="motor_lag" in q and q["motor_lag"].is_fitted,
         has_clock="clock" in q,
-        has_center=any(q[f"center_of_mass_{axis}"].is_fitted for axis in "xy"),
-        has_mass=q["mass"].is_fitted and (q["mass"].percent or 0.0) >= _WIDE,
+        has_center=not of.causes_act_in
+        and any(q[f"center_of_mass_{axis}"].is_fitted for axis in "xy"),
+        has_mass=not of.causes_act_in
+        and q["mass"].is_fitted
+        and (q["mass"].percent or 0.0) >= _WIDE,
         has_speed=of.commands.meaning == "speed" and flights.law.is_squared,
         lags_speed=flights.lags_speed,
         battery=of.battery,

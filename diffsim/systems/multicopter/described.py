@@ -60,7 +60,7 @@ class DescribedFlights:
     def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> CopterScene:
         if run not in self.known:
             nominal = self.nominal()
-            past = self.asked(run, self.parameters.in_run(nominal, run)).mean(1)
+            past = self.asked(run, self.in_run(nominal, run)).mean(1)
             self.known[run] = self.cutter.cut(
                 run, past, partial(self._scene, nominal, run, Numerics())
             )
@@ -69,6 +69,20 @@ class DescribedFlights:
     def nominal(self) -> dict[str, Tensor]:
         """Best guesses of the base parameters beforehand."""
         return {p.name: torch.tensor(p.value, dtype=torch.float64) for p in self.parameters.base}
+
+    def in_run(self, values: Mapping[str, Tensor], run: Run) -> dict[str, Tensor]:
+        """Quantities of a run by name; those of a run that was never recorded as known beforehand.
+
+        Args:
+            values: Values of the base parameters by name, () or (points,) each.
+            run: Run that is simulated.
+        """
+        known = {
+            self.parameters.name_of(key, run): torch.tensor(q.value, dtype=torch.float64)
+            for key, q in self.parameters.quantities.items()
+            if q.is_fitted and q.per is not None
+        }
+        return self.parameters.in_run({**known, **values}, run)
 
     def asked(self, run: Run, v: Mapping[str, Tensor]) -> Tensor:
         """Thrusts that are asked for, (points, num_samples, n_rotors) [N].
@@ -99,7 +113,7 @@ class DescribedFlights:
     def _scene(
         self, values: Mapping[str, Tensor], run: Run, numerics: Numerics, windows: Windows
     ) -> CopterScene:
-        v = self.parameters.in_run(values, run)
+        v = self.in_run(values, run)
         fleet = self._fleet(v)
         fleet = fleet.replace(
             mass=fleet.mass + float(run.setup.get(PAYLOAD, 0.0)),

@@ -12,6 +12,7 @@ from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
 from diffsim.systems.multicopter.assembly import assembled, vehicle_of, with_shapes
+from diffsim.systems.multicopter.bank import flights_to_record
 from diffsim.systems.multicopter.candidates import acting_in, candidate_causes
 from diffsim.systems.multicopter.model import CopterModel
 from diffsim.systems.multicopter.model_keys import MulticopterKeys
@@ -48,7 +49,7 @@ class MulticopterDescription(MulticopterKeys):
             CopterModel(flights, flights.parameters.base),
             effects,
             (wrench_of(study.runs, vehicle.mass * GRAVITY),),
-            (),
+            flights_to_record(flights, study.runs),
             settings_with(DiagnosisSettings(), self.effort),
             study,
         )

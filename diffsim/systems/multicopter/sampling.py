@@ -49,7 +49,9 @@ def _even(run: Run, rate_hz: float | None, means: NDArray[np.bool_]) -> Run:
         for values, m in zip(run.measured.T, means, strict=True)
     ]
     command = {
-        name: _mean(run.time_s, np.asarray(values, dtype=np.float64), time, time + dt)
+        name: _mean(
+            run.time_s, np.asarray(values, dtype=np.float64), time, time + dt, is_before=False
+        )
         for name, values in run.command.items()
     }
     return replace(run, time_s=time, measured=np.stack(columns, 1), command=command)
@@ -63,24 +65,30 @@ def _shown(
     if not good.any():
         return np.full(len(time), np.nan)
     at, there = old[good], values[good]
-    out = _mean(at, there, time - dt, time) if is_mean else np.interp(time, at, there)
+    out = (
+        _mean(at, there, time - dt, time, is_before=True) if is_mean else np.interp(time, at, there)
+    )
     after = np.searchsorted(at, time).clip(1, len(at) - 1)
     inside = at[after] - at[after - 1] > limit
     near = np.minimum(np.abs(time - at[after]), np.abs(time - at[after - 1])) < 0.5 * dt
     return np.where(inside & ~near, np.nan, out)
 
 
-def _mean(old: Array, values: Array, start: Array, end: Array) -> Array:
-    """Means over intervals of straight lines between samples; ends held."""
-    areas = 0.5 * (values[1:] + values[:-1]) * np.diff(old)
-    total = np.concatenate([[0.0], np.cumsum(areas)])
+def _mean(old: Array, values: Array, start: Array, end: Array, *, is_before: bool) -> Array:
+    """Means over intervals of what is held between samples; ends held.
+
+    Args:
+        old: Times of the samples, (num_samples,) [s].
+        values: Held until the next sample, or since the one before where ``is_before``.
+        start, end: Ends of the intervals [s].
+        is_before: Whether a value holds over the step before its sample.
+    """
+    held = values[1:] if is_before else values[:-1]
+    total = np.concatenate([[0.0], np.cumsum(held * np.diff(old))])
 
     def integral(t: Array) -> Array:
-        inside = np.clip(t, old[0], old[-1])
-        left = np.clip(np.searchsorted(old, inside, side="right") - 1, 0, len(old) - 2)
-        here = np.interp(inside, old, values)
-        found: Array = total[left] + 0.5 * (values[left] + here) * (inside - old[left])
-        beyond = np.where(t < old[0], values[0], values[-1]) * (t - inside)
+        found: Array = np.interp(t, old, total)
+        beyond = np.where(t < old[0], values[0], values[-1]) * (t - np.clip(t, old[0], old[-1]))
         return found + beyond
 
     means: Array = (integral(end) - integral(start)) / (end - start)

@@ -58,6 +58,25 @@ class ThrustLaw:
         turning = torch.where(power > 0.0, self.thrust.offset, 0.0)
         return (coefficient * power + turning).clamp(min=0.0)
 
+    def commands_for(self, thrusts: Tensor) -> Tensor:
+        """Commands that ask for thrusts [N], of the same shape, at the nominal voltage."""
+        keys = self.commands
+        if self.thrust is None:
+            if keys.meaning == "thrust":
+                return thrusts
+            assert self.rotor is not None
+            return (
+                self.rotor.signal(thrusts) if keys.meaning == "pulse" else self.rotor.speed(thrusts)
+            )
+        if self.thrust.curve:
+            rows = np.asarray(self.thrust.curve, dtype=np.float64)
+            u = torch.from_numpy(np.interp(thrusts.numpy(), rows[:, 1], rows[:, 0]))
+        else:
+            assert self.thrust.coefficient is not None
+            lift = (thrusts - self.thrust.offset).clamp(min=0.0) / self.thrust.coefficient.value
+            u = lift ** (1.0 / self.exponent)
+        return keys.low + u * (keys.high - keys.low) if keys.meaning == "throttle" else u
+
     @property
     def exponent(self) -> float:
         """Power of the command in the thrust."""

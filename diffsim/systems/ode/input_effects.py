@@ -169,6 +169,7 @@ _SLACK = replace(
     unit="command",
     signed=False,
     smooth=False,
+    masks=("slew_time",),
     also_looks_like=("dead band", "a string that hangs loose"),
 )
 _SLEW_TIME = replace(

@@ -124,6 +124,7 @@ def _slack() -> Effect:
         typical=1.0,
         signed=False,
         smooth=False,
+        masks=("rate_limit",),
         also_looks_like=("dead band of a valve", "a loose tendon"),
         needs=actuator.needs_command,
         apply=unchanged,

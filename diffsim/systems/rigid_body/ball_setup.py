@@ -251,6 +251,8 @@ class Balls:
             return None
         given = self.camera.points
         path = (study.folder or Path()) / given.file
+        if self.camera.is_stated and not path.is_file():
+            return None  # as where a saved model is judged, which knows its camera
         data, _ = read_columns(path, list(given.columns))
         table = np.column_stack([data[c] for c in given.columns])
         return Points(table[:, :2], table[:, 2:])

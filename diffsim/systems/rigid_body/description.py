@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, model_validator
@@ -96,7 +97,7 @@ class RigidBodyDescription(Description):
             if c not in shown
         ]
         if all(b.is_ball for b in self.bodies):
-            return out + self._problems_of_balls()
+            return out + self._problems_of_balls() + self._problems_of_camera(study)
         return out + self._problems_of_toss(study)
 
     def _problems_of_balls(self) -> list[Problem]:
@@ -179,6 +180,17 @@ class RigidBodyDescription(Description):
             up=self.up,
             window=self.window,
         )
+
+    def _problems_of_camera(self, study: Study) -> list[Problem]:
+        camera = self.camera
+        if camera is None or camera.points is None:
+            return []
+        path = (study.folder or Path()) / camera.points.file
+        if path.is_file():
+            return []
+        what = "the camera keeps its first guess" if camera.is_stated else "nothing else finds it"
+        severity = "warning" if camera.is_stated else "error"
+        return [Problem(severity, "model.camera.points.file", f"no file {path}; {what}")]
 
     def _problems_of_toss(self, study: Study) -> list[Problem]:
         out = []

@@ -192,10 +192,14 @@ class Camera(Part):
     )
     points: Points | None = Field(None, description="Clicked points that calibrate it")
 
+    @property
+    def is_stated(self) -> bool:
+        """Whether a first guess of all of it is stated."""
+        return None not in (self.focal, self.rotation, self.shift)
+
     @model_validator(mode="after")
     def _known(self) -> Camera:
-        given = [k for k in ("focal", "rotation", "shift") if getattr(self, k) is not None]
-        if len(given) < 3 and self.points is None:
+        if not self.is_stated and self.points is None:
             raise ValueError("give focal, rotation and shift, or points to find them by")
         if self.rotation is not None and len(self.rotation) != 3:
             raise ValueError(f"rotation needs three rows, got {len(self.rotation)}")

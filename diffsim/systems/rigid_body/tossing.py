@@ -93,7 +93,8 @@ class Tossed:
         if self._rest_frames:
             assert self.window is not None
             sd = self.window.rest_sd or max(float(np.std(rests)), 1e-6)
-            channels.append(Channel(REST, "m", "position", sd))
+            shown = next((c.shown_unit for c in channels if c.unit == "m"), None)
+            channels.append(Channel(REST, "m", "position", sd, shown_unit=shown))
         return replace(study, channels=tuple(channels), runs=tuple(runs))
 
     def model(self, study: Study) -> TossModel:

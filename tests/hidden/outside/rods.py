@@ -15,7 +15,7 @@ from tests.hidden.outside.case import Case, Maker, off, plan, recorded
 Array = NDArray[np.float64]
 TIME: Array = 0.02 * np.arange(101.0)
 LENGTH, RADIUS, DENSITY, ELEMENTS = 0.5, 0.01, 1100.0, 8
-STEP = 5e-4
+STEP = 1e-4
 
 
 def bend(
@@ -83,7 +83,7 @@ def rod(
     hidden: Mapping[str, float | None] | None = None,
     **causes: float,
 ) -> Case:
-    """A soft rod that is pushed at its tip, the tip's height measured to 0.1 mm.
+    """A soft rod that is pushed at its tip, the tip's height measured to 0.4 mm.
 
     Args:
         seed: Of true parameters and noise.
@@ -92,14 +92,14 @@ def rod(
     """
     rng = np.random.default_rng(seed)
     ramp = np.minimum(TIME / 0.2, 1.0)
-    slow = np.interp(TIME, [0, 0.3, 0.7, 1.0, 1.5, 1.8, 2], [0, 0.03, 0.03, -0.02, -0.02, 0, 0])
+    slow = np.interp(TIME, [0, 0.3, 0.7, 1.0, 1.5, 1.8, 2], [0, 0.12, 0.12, -0.1, -0.1, 0, 0])
     commands = {
-        "sine": {"force": 0.012 * np.sin(9.0 * TIME) * ramp},
+        "sine": {"force": 0.08 * np.sin(5.0 * TIME) * ramp},
         "steps": {"force": slow},
-        "mixed": {"force": 0.01 * (np.sin(6.0 * TIME) + np.sin(13.0 * TIME)) * ramp},
+        "mixed": {"force": 0.04 * (np.sin(4.0 * TIME) + np.sin(11.0 * TIME)) * ramp},
     }
-    modulus, loss = off(rng, 1e6, 0.1), off(rng, 1.0, 0.2)
-    stiffness = 3.0 * 1e6 * np.pi * RADIUS**4 / 4.0 / LENGTH**3
+    modulus, loss = off(rng, 2e7, 0.1), off(rng, 1.0, 0.2)
+    stiffness = 3.0 * 2e7 * np.pi * RADIUS**4 / 4.0 / LENGTH**3
     mass = 0.243 * DENSITY * np.pi * RADIUS**2 * LENGTH
     model = {
         "system": "ode",
@@ -118,7 +118,7 @@ def rod(
             {"name": "tip", "position": "z", "velocity": "v", "inertia": "mass", "unit": "N"}
         ],
     }
-    channels = [Channel("tip", "m", "position", sd=2e-4)]
+    channels = [Channel("tip", "m", "position", sd=4e-4)]
     runs = plan(TIME, commands, "mixed", 1)
     record = partial(bend, modulus=modulus, loss=loss, **causes)
     study, clean = recorded("rod", channels, runs, record, model, rng)
@@ -127,7 +127,7 @@ def rod(
 
 RODS: dict[str, Maker] = {
     "rod_as_described": rod,
-    "rod_in_air": partial(rod, drag=0.6, hidden={"square_drag": None}),
+    "rod_in_air": partial(rod, drag=2.0, hidden={"square_drag": None}),
     "rod_late_force": partial(rod, late_s=0.03, hidden={"delay": 0.03}),
-    "rod_meets_a_stop": partial(rod, stop=0.05, hidden={"stop_above": None}),
+    "rod_meets_a_stop": partial(rod, stop=0.02, hidden={"stop_above": None}),
 }

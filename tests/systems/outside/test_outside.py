@@ -320,3 +320,25 @@ def test_a_place_from_python():
     )
     got = setup.model.predict(run, setup.model.at_prior(), sizes).numpy()
     np.testing.assert_array_equal(got, want)
+
+
+def test_a_registered_environment_by_its_name():
+    pytest.importorskip("gymnasium", reason="Gymnasium is not installed")
+    time = 0.05 * np.arange(40)
+    channels = (Channel("height", "-", "position", sd=1e-3), Channel("rate", "rad/s", "x", sd=1e-2))
+    runs = [Run(n, time, np.zeros((40, 2)), {"moment": np.zeros(40)}, n, 0) for n in ("a", "b")]
+    model = {
+        "system": "outside",
+        "simulator": "gym:Pendulum-v1",
+        "commands_are": "held",
+        "environment": {"observation": [0, 2]},
+        "parameters": {"m": {"value": 1.0, "percent": 10}, "l": 1.0, "g": 10.0},
+        "start": {"state[0]": {"value": 3.0, "sd": 0.1, "per": "run"}, "state[1]": 0.0},
+    }
+    study = Study("swing", "outside", channels, tuple(runs), model=model)
+    setup = setup_of(study)
+    assert [p.name for p in setup.model.base] == ["m", "state[0]@a", "state[0]@b"]
+    seen = setup.model.predict(runs[0], setup.model.at_prior()).numpy()
+    assert seen[0] == pytest.approx([np.cos(3.0), 0.0])
+    # semi-implicit Euler, as the environment steps: 3 g / 2 l sin(angle)
+    assert seen[1, 1] == pytest.approx(0.05 * 15.0 * np.sin(3.0), rel=1e-5)
