@@ -29,6 +29,7 @@ from tests.hidden.outside.catalog import CASES
 
 Z90 = 1.645
 SEED = 1
+SHOWN = 2  # rival sets in the table
 VISIBLE = 8.0  # lambda from which a cause must be found
 
 
@@ -123,12 +124,14 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
     ]
     for r in rows:
         said = " + ".join(r.get("named", [])) or r.get("error", "")
-        rivals = "; ".join(" + ".join(s) for s in r.get("rivals", []) if s)
+        others = [" + ".join(s) for s in r.get("rivals", []) if s]
+        rivals = "; ".join(others[:SHOWN])
+        rivals += f"; {len(others) - SHOWN} more" if len(others) > SHOWN else ""
         verdict = f"{r['verdict']} {said}" + (f" (or {rivals})" if rivals else "")
         inside = {None: "", True: "yes", False: "no"}[r["inside"]]
         hidden = ", ".join(r["hidden"]) or {"null": "nothing"}.get(r["kind"], "beyond the library")
         lines.append(
-            f"| {r['case']} | {hidden} | {r['lambda']:.1f} | {verdict.strip()} | "
+            f"| {r['case']} | {hidden} | {r['lambda'] or float('nan'):.1f} | {verdict.strip()} | "
             f"{'yes' if r['right'] else '**no**'} | {inside} | {r['cpu_s']:.0f} |"
         )
     return "\n".join([*lines, "", *totals(rows)])
@@ -137,7 +140,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
 def totals(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Counts over all cases."""
     null = [r for r in rows if r["kind"] == "null"]
-    visible = [r for r in rows if r["kind"] != "null" and not r["lambda"] < VISIBLE]
+    visible = [r for r in rows if r["kind"] != "null" and not (r["lambda"] or np.nan) < VISIBLE]
     sized = [r for r in rows if r["inside"] is not None]
     counts = {
         f"right at lambda >= {VISIBLE:g}": (sum(r["right"] for r in visible), len(visible)),

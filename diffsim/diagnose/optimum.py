@@ -134,13 +134,10 @@ def quadratic_optimum(hessian: Array, b: Array, low: Array, high: Array) -> Arra
         v = np.where(active < 0, low, np.where(active > 0, high, 0.0))
         free = active == 0
         if free.all():
-            v = linalg.solve(hessian, b, assume_a="pos", check_finite=False)
+            v = _solved(hessian, b)
         elif free.any():
             right = b[free] - hessian[np.ix_(free, ~free)] @ v[~free]
-            # scaled to a unit diagonal: sizes that nothing shows differ by many decades
-            unit = 1.0 / np.sqrt(np.diag(hessian)[free])
-            scaled = hessian[np.ix_(free, free)] * np.outer(unit, unit)
-            v[free] = unit * linalg.solve(scaled, unit * right, assume_a="pos")
+            v[free] = _solved(hessian[np.ix_(free, free)], right)
         beyond = np.where(free & (v < low), -1, np.where(free & (v > high), 1, 0))
         if beyond.any():
             active = active + beyond
@@ -184,3 +181,14 @@ def log_tilt(mean: float, sd: float, precision: float, signed: bool) -> float:
     top = float(logs.max())
     area = float(np.sum(np.exp(logs - top) * half * _WEIGHTS)) * (1.0 if signed else 2.0)
     return top + float(np.log(area)) - float(np.log(sd)) - 0.5 * (mean / sd) ** 2
+
+
+def _solved(hessian: Array, b: Array) -> Array:
+    """H^-1 b; where two sizes do the same and hardly have a prior, they share it."""
+    try:
+        return np.asarray(linalg.solve(hessian, b, assume_a="pos", check_finite=False))
+    except linalg.LinAlgError:
+        root = np.sqrt(np.diagonal(hessian))
+        scale = 1.0 / np.where(root > 0.0, root, 1.0)
+        even = linalg.lstsq(hessian * np.outer(scale, scale), scale * b)[0]
+        return np.asarray(scale * even)

@@ -122,7 +122,7 @@ def flight(
         flown[name] = record
         command = dict(zip(SPEEDS, speeds.T, strict=True))
         use = "test" if kind == "weave" else "fit"
-        time = STEP * np.arange(COUNT)
+        time: Array = STEP * np.arange(float(COUNT))
         # no repeats: each flight has its own pace
         runs.append(Run(name, time, np.zeros((COUNT, 10)), command, name, order, use))
     model = {

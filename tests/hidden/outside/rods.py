@@ -120,7 +120,8 @@ def rod(
     }
     channels = [Channel("tip", "m", "position", sd=4e-4)]
     runs = plan(TIME, commands, "mixed", 1)
-    record = partial(bend, modulus=modulus, loss=loss, **causes)
+    numbers: dict[str, Any] = {"modulus": modulus, "loss": loss, **causes}
+    record = partial(bend, **numbers)
     study, clean = recorded("rod", channels, runs, record, model, rng)
     return Case(study, clean, "single" if hidden else "null", hidden or {})
 
