@@ -267,6 +267,12 @@ def test_wild_starts_are_found_by_creeping():
     assert float(((found - want) / scene.windows.sd).abs().max()) < 0.3
 
 
+def test_slow_motors_settle_in_windows_shorter_than_their_memory():
+    """What was asked before the record fades over several windows; only the first one has it."""
+    s = study(causes=Causes(motor_lag_s=0.2), motor_lag="0.2 s", windows={"length": "0.2 s"})
+    assert 0.6 < misfit(s) < 1.3
+
+
 WRONG = {
     "model: frames: ": ({"frames": None}, "model.frames"),
     "sensors.positon": (

@@ -125,7 +125,7 @@ class Windows:
                     change = change + step / max(1.0, size)
             if max_steps >= MAX_STEPS:
                 shooting, size = self._crept(predict, 0.0 * self.guess)
-                if size < _SETTLED:
+                if size < _LINEAR:
                     return shooting
         raise ConvergenceError(
             f"initial states of a flight still change by {size:.1e} of their spread after "
@@ -168,6 +168,9 @@ class Windows:
         there = predict(moved).reshape(-1, windows, length * channels)
         tangent = (there[1::2] - there[2::2]) / (2.0 * _NUDGE * spread[:, None, None])
         tangent = tangent.permute(1, 2, 0).contiguous()
+        # thrusts before the record are those of the first window: what they leave of a slow lag in
+        # the others is no work of the others' own
+        tangent[1:, :, RIGID:] = 0.0
         weight = (torch.isfinite(self.measured) / self.sd**2).reshape(windows, -1, 1)
         normal = tangent.mT @ (weight * tangent) + torch.diag(spread**-2)
         gain = torch.linalg.solve(normal, (weight * tangent).mT)
