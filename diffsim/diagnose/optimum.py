@@ -185,10 +185,12 @@ def log_tilt(mean: float, sd: float, precision: float, signed: bool) -> float:
 
 def _solved(hessian: Array, b: Array) -> Array:
     """H^-1 b; where two sizes do the same and hardly have a prior, they share it."""
+    # scaled to a unit diagonal: sizes that nothing shows differ by many decades
+    root = np.sqrt(np.diagonal(hessian))
+    unit = 1.0 / np.where(root > 0.0, root, 1.0)
+    scaled = hessian * np.outer(unit, unit)
     try:
-        return np.asarray(linalg.solve(hessian, b, assume_a="pos", check_finite=False))
+        found = linalg.solve(scaled, unit * b, assume_a="pos", check_finite=False)
     except linalg.LinAlgError:
-        root = np.sqrt(np.diagonal(hessian))
-        scale = 1.0 / np.where(root > 0.0, root, 1.0)
-        even = linalg.lstsq(hessian * np.outer(scale, scale), scale * b)[0]
-        return np.asarray(scale * even)
+        found = linalg.lstsq(scaled, unit * b)[0]
+    return np.asarray(unit * found)
