@@ -20,7 +20,7 @@ from diffsim.systems.soft_body.loads import (
     one_sided_stop,
     tip_mass,
 )
-from diffsim.systems.soft_body.pulling import PULLING, unknown_pull
+from diffsim.systems.soft_body.pulling import PULLING, in_words, unknown_pull
 from diffsim.systems.soft_body.readings import main_axis
 from diffsim.systems.soft_body.support import support_motion
 from diffsim.systems.soft_body.unknown import unknown_force
@@ -109,6 +109,9 @@ def _of_commands(given: SoftBodyKeys, study: Study, timed: bool) -> list[Effect]
     pulls_only = bool(given.tendons) and commanded_reach(study, given.commands)[0] >= 0.0
     doubled = "dead_band" if pulls_only else "tendon_slack"
     found = [e for e in found if e.name != doubled]
+    units = {c.name: c.unit for c in study.commands}
+    unit = (units.get(given.commands[0]) if len(given.commands) == 1 else None) or "-"
+    found = [in_words(e, unit) for e in found]
     return [replace(e, typical=sized[e.name]) if e.name in sized else e for e in found]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import torch
@@ -93,6 +94,25 @@ COMMAND_GAIN = Effect(
     needs=needs_command,
     apply=_gain,
 )
+
+
+def in_words(effect: Effect, unit: str) -> Effect:
+    """A cause that says its size in the command's unit.
+
+    Args:
+        effect: One of this file's.
+        unit: SI unit of the command.
+    """
+    factor, shown = (1e3, "mm") if unit == "m" else (1.0, unit.replace("-", "of the command"))
+    if effect.name == "rate_limit":
+        return replace(
+            effect,
+            words=lambda s: f"a speed limit near {factor / s:.3g} {shown}/s" if s else "none",
+        )
+    if effect.name == "tendon_slack":
+        return replace(effect, words=lambda s: f"{factor * s:.2g} {shown} of slack")
+    return effect
+
 
 PULLING: tuple[Effect, ...] = (COMMAND_GAIN, RATE_LIMIT, TENDON_SLACK)
 
