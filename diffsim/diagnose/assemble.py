@@ -208,10 +208,17 @@ def _verdict(
 ) -> tuple[str, frozenset[int]]:
     """Verdict of the causes that are certain, and the effects that it names.
 
-    Where rivals share causes that are certain, these are named: only the rest cannot be told. What
-    a data sheet has wrong is no noise.
+    Where rivals share causes that are certain, these are named: only the rest cannot be told. Where
+    none is certain and an unknown cause has the evidence beside the best set, that is the verdict;
+    a best set of which nothing is certain, and that leaves much, is not named either. What a data
+    sheet has wrong is no noise.
     """
     decision = judgment.decision
+    if decision.verdict == "named" and not certain:
+        if decision.beside is not None:
+            return "unknown", NONE
+        if decision.share < EXPLAINED:
+            return "ambiguous", decision.best
     if decision.verdict == "ambiguous":
         return ("named", certain) if certain else ("ambiguous", decision.best)
     if decision.verdict == "none" and findings:

@@ -164,10 +164,22 @@ class Problem:
             k += count
         return sizes
 
+    def _require_finite(self, run: Run, q: Tensor, sizes: Mapping[Effect, Tensor]) -> None:
+        """A step out of the range of numbers is a failed step, whatever the simulator says to it.
+
+        Raises:
+            PredictionError: values of base parameters or sizes that are not finite.
+        """
+        values = {p.name: p.value_at(q[..., i]) for i, p in enumerate(self.model.base)}
+        every = {**values, **{effect.name: size for effect, size in sizes.items()}}
+        bad = [name for name, value in every.items() if not bool(torch.isfinite(value).all())]
+        if bad:
+            raise PredictionError(f"run {run.name}: {', '.join(bad)} left the range of numbers")
+
     def predict(self, run: Run, x: Tensor) -> Tensor:
         """Predicted channels, (num_samples, num_channels)."""
         sizes = self.sizes_at(x)
-        _require_finite(run, x[: self.num_base], sizes)
+        self._require_finite(run, x[: self.num_base], sizes)
         out = self.model.predict(run, x[: self.num_base], sizes, self.numerics)
         return self._of_shape(run, out, run.measured.shape)
 
@@ -182,7 +194,7 @@ class Problem:
         return self._predict_many(run, u[:, : self.num_base], self._sizes(u[:, self.num_base :]))
 
     def _predict_many(self, run: Run, q: Tensor, sizes: Mapping[Effect, Tensor]) -> Tensor:
-        _require_finite(run, q, sizes)
+        self._require_finite(run, q, sizes)
         out = self.model.predict_many(run, q, sizes, self.numerics)
         return self._of_shape(run, out, (len(q), *run.measured.shape))
 
@@ -339,19 +351,6 @@ def effect_coordinates(effects: Sequence[Effect]) -> tuple[str, ...]:
     return tuple(
         e.name if len(e.components) == 1 else f"{e.name}.{c}" for e in effects for c in e.components
     )
-
-
-def _require_finite(run: Run, q: Tensor, sizes: Mapping[Effect, Tensor]) -> None:
-    """A step that leaves the range of numbers is a failed step, whatever the simulator says to it.
-
-    Raises:
-        PredictionError: coordinates or sizes that are not finite.
-    """
-    bad = [effect.name for effect, size in sizes.items() if not bool(torch.isfinite(size).all())]
-    if not bool(torch.isfinite(q).all()):
-        bad.insert(0, "base parameters")
-    if bad:
-        raise PredictionError(f"run {run.name}: {', '.join(bad)} left the range of numbers")
 
 
 def _touches(name: str, run: Run) -> bool:

@@ -19,7 +19,7 @@ from diffsim.systems.multicopter.shooting import PAST_SPREAD, SPREAD, Windows, f
 from diffsim.systems.multicopter.starts import acceleration_of, states_of
 
 LONGEST_S = 1.0  # of a window whose length is left to the model
-_FEWEST = 5  # samples of a window
+FEWEST = 5  # samples of a window
 _EASY_STEPS = 6  # in which initial states settle where windows are not too long
 _UNEVEN = 1e-3  # of the mean step
 
@@ -56,7 +56,8 @@ class Cutter:
         columns: Which reading each channel is, counted over the groups; None: all, in order.
         frames: Frames that the record is written in.
         sd: Noise of the channels, (num_channels,).
-        window_s: Length of a window [s]; None: as long as the model allows, up to one second.
+        window_s: Length of a window [s]; None: as long as the model allows, up to ``longest_s``.
+        longest_s: Longest window whose length is left to the model [s].
         rigid_spread, past_spread: Of the initial states, as :class:`Windows` has them.
     """
 
@@ -67,6 +68,7 @@ class Cutter:
     frames: Frames = field(default_factory=Frames)
     rigid_spread: tuple[float, float, float, float] = SPREAD
     past_spread: float = PAST_SPREAD
+    longest_s: float = LONGEST_S
 
     def cut(self, run: Run, past: Tensor, scene: Callable[[Windows], CopterScene]) -> Windows:
         """Windows of a run.
@@ -77,13 +79,13 @@ class Cutter:
             scene: Function of windows: the run in them, as the model with its prior flies it.
         """
         dt = spacing(run)
-        length = min(max(_FEWEST, round((self.window_s or LONGEST_S) / dt)), len(run.time_s))
+        length = min(max(FEWEST, round((self.window_s or self.longest_s) / dt)), len(run.time_s))
         windows = self._windows(run, past, length)
-        while self.window_s is None and length > _FEWEST:
+        while self.window_s is None and length > FEWEST:
             try:
                 scene(windows).settled(_EASY_STEPS)
             except DiffsimError:  # the model leaves the record within a window
-                length = max(_FEWEST, length // 2)
+                length = max(FEWEST, length // 2)
                 windows = self._windows(run, past, length)
             else:
                 windows.latest.clear()

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -17,7 +17,7 @@ from diffsim.core.check import require_choice
 from diffsim.identify import Parameter
 from diffsim.identify.effect import Effect
 from diffsim.identify.model import Build, Numerics, SimModel
-from diffsim.systems.multicopter.cutting import Cutter, spacing
+from diffsim.systems.multicopter.cutting import FEWEST, Cutter, spacing
 from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.multicopter.shooting import RIGID, Windows
 from diffsim.systems.signals import held_lagged
@@ -68,6 +68,21 @@ class CopterModel(SimModel):
 
     def __init__(self, flights: Build, base: Sequence[Parameter]):
         super().__init__(flights, base, "multicopter")
+        self.flights: Any = flights
+
+    def shortened(self) -> SimModel | None:
+        """The model with windows half as long as its longest one.
+
+        Returns:
+            None where their length was stated, or where they have as few samples as they may.
+        """
+        cutter, known = self.flights.cutter, self.flights.known
+        lengths = {run: windows.measured.shape[1] for run, windows in known.items()}
+        if cutter.window_s is not None or max(lengths.values(), default=0) <= FEWEST:
+            return None
+        longest_s = 0.5 * max(length * spacing(run) for run, length in lengths.items())
+        shorter = replace(self.flights, cutter=replace(cutter, longest_s=longest_s), known={})
+        return CopterModel(shorter, self.base)
 
     def num_fitted_inside(self, run: Run) -> int:
         """Number of values that are fitted to a run whatever it is used for: start states."""
