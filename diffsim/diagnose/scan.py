@@ -62,9 +62,14 @@ def groups(effects: Sequence[Effect], members: Members, room: int) -> Iterator[M
         return
     outside = [i for i in range(len(effects)) if i not in members]
     for i in outside:
-        if not effects[i].smooth and not isinstance(effects[i], NumericalEffect):
+        if _is_scanned(effects[i]):
             yield frozenset({i})
     yield from masking_pairs(effects, members, room)
+
+
+def _is_scanned(effect: Effect) -> bool:
+    is_numerical = isinstance(effect, NumericalEffect)
+    return effect.scanned or (not effect.smooth and not is_numerical)
 
 
 def masking_pairs(effects: Sequence[Effect], members: Members, room: int) -> Iterator[Members]:

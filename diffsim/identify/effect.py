@@ -41,6 +41,8 @@ class Effect:
         components: Names of the amplitudes, one or more (a vector enters as one block).
         smooth: False where the response has a kink at zero: then a secant at a tenth of the typical
             size stands for the derivative, and sizes over decades are tried before a fit.
+        scanned: Whether its size is scanned over decades before a descent although it is smooth: a
+            descent from zero may end in another valley. Effects with a kink always are.
         masks: Names of effects that hide this one, or are hidden by it, such as slack and a rate
             limit: their sizes are tried together, and they enter sets as a pair. "slew_time" stands
             for "slew_time_force" too.
@@ -60,6 +62,7 @@ class Effect:
     signed: bool = True
     components: tuple[str, ...] = ("size",)
     smooth: bool = True
+    scanned: bool = False
     masks: tuple[str, ...] = ()
     also_looks_like: tuple[str, ...] = ()
     words: Callable[[float], str] | None = None

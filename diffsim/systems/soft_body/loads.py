@@ -43,7 +43,7 @@ LOAD_INERTIA = Effect(
     unit="-",
     typical=1.0,
     signed=False,
-    smooth=False,  # a descent from zero follows the first swing's phase into another valley: scan
+    scanned=True,  # a descent from zero follows the phase of the first swings into another valley
     also_looks_like=("a heavier tip", "a softer body, at one load"),
     apply=_load_inertia,
 )
