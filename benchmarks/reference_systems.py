@@ -65,11 +65,14 @@ def predictions() -> Mapping[str, Any]:
 
 
 def _studies() -> Iterator[tuple[str, Any]]:
-    from diffsim.data import IMPORTERS, import_study
+    from diffsim.cli.diagnose_inputs import described
+    from diffsim.data import IMPORTERS, import_study, load_study
     from diffsim.data.labs import LABS
 
     for name in IMPORTERS:
         yield name, import_study(name)
+    for path in described():
+        yield path.stem, load_study(path)
     for name, make in LABS.items():
         yield f"lab_{name}", make()(1)
 

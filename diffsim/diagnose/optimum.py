@@ -137,7 +137,10 @@ def quadratic_optimum(hessian: Array, b: Array, low: Array, high: Array) -> Arra
             v = linalg.solve(hessian, b, assume_a="pos", check_finite=False)
         elif free.any():
             right = b[free] - hessian[np.ix_(free, ~free)] @ v[~free]
-            v[free] = linalg.solve(hessian[np.ix_(free, free)], right, assume_a="pos")
+            # scaled to a unit diagonal: sizes that nothing shows differ by many decades
+            unit = 1.0 / np.sqrt(np.diag(hessian)[free])
+            scaled = hessian[np.ix_(free, free)] * np.outer(unit, unit)
+            v[free] = unit * linalg.solve(scaled, unit * right, assume_a="pos")
         beyond = np.where(free & (v < low), -1, np.where(free & (v > high), 1, 0))
         if beyond.any():
             active = active + beyond

@@ -20,6 +20,8 @@ from diffsim.diagnose.records import OutsideRow
 Array = NDArray[np.float64]
 TAIL = 0.01  # share of samples on either side that a range leaves out: spikes are none
 MARGIN = 1.02  # of the distance from the middle of the range: rounding is not outside
+LEAST_WIDTH = 0.1  # half-width of a range over its middle, where all fitted runs are alike
+MAGNITUDES = ("stroke of", "rate of")
 FEW = 8  # samples; fewer have no rate and no frequency
 
 
@@ -72,23 +74,30 @@ def outside_rows(
     rows = []
     for run in runs:
         for what, value, unit in _quantities(run, channels):
-            if what in spans and (times := _times(value, spans[what])) > MARGIN:
+            if what in spans and (times := _times(what, value, spans[what])) > MARGIN:
                 span = spans[what]
                 rows.append(OutsideRow(run.name, what, value, span.low, span.high, times, unit))
     return tuple(sorted(rows, key=lambda row: -row.times))
 
 
-def _times(value: float | str, span: Span) -> float:
-    """Distance from the middle of a range over half its width; at most 1 is inside."""
+def _times(what: str, value: float | str, span: Span) -> float:
+    """How far outside a value is; at most 1 is inside.
+
+    Strokes and rates over the largest one that was fitted: smaller ones were passed through. All
+    else by its distance from the middle of the range over half the width, a tenth of the middle at
+    least where all fitted runs are alike.
+    """
     if isinstance(value, str):
         return 1.0 if value in span.labels else float("inf")
     if span.low is None or span.high is None:
         return float("inf")
+    if what.startswith(MAGNITUDES):
+        return value / span.high if span.high > 0.0 else (1.0 if value <= 0.0 else float("inf"))
     middle, half = 0.5 * (span.low + span.high), 0.5 * (span.high - span.low)
-    away = abs(value - middle)
-    if away <= half + 1e-9 * max(abs(value), abs(middle)):
-        return min(away / half, 1.0) if half > 0.0 else 1.0
-    return away / half if half > 0.0 else float("inf")
+    if span.low <= value <= span.high:
+        return 1.0
+    half = max(half, LEAST_WIDTH * abs(middle))
+    return abs(value - middle) / half if half > 0.0 else float("inf")
 
 
 def _quantities(run: Run, channels: Sequence[Channel]) -> list[tuple[str, float | str, str]]:
@@ -102,6 +111,8 @@ def _quantities(run: Run, channels: Sequence[Channel]) -> list[tuple[str, float 
             low, high = np.quantile(seen, [TAIL, 1.0 - TAIL])
             out.append((f"stroke of {channel.name}", float(high - low), channel.unit))
     for name, fact in run.setup.items():
+        if name.startswith("_"):  # found by the system, such as a start state
+            continue
         is_number = isinstance(fact, (int, float)) and not isinstance(fact, bool)
         out.append((name, float(fact) if is_number else str(fact), ""))
     return out

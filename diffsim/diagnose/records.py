@@ -144,8 +144,8 @@ class OutsideRow:
         what: What was compared, such as "amplitude of force_N", "rate of force_N", "payload_kg".
         value: Value in the test run; a label as text.
         low, high: Range over the fitted runs; None for labels.
-        times: How far outside: the value over the nearest end of the range, from its middle; at
-            most 1 is inside; infinite for a label that no fitted run has.
+        times: How far outside, at most 1 is inside: strokes and rates over the largest fitted one,
+            else from the middle of the range over half its width; infinite for an unknown label.
         unit: Unit of value and range.
     """
 

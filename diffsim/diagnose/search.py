@@ -31,11 +31,18 @@ from diffsim.diagnose.scan import BORROWED, SCAN_NATS, masking_pairs
 from diffsim.diagnose.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effort import SearchSettings
-from diffsim.identify.linearization import linearization_at, measured_of, whitened
+from diffsim.identify.linearization import (
+    Linearization,
+    linearization_at,
+    measured_of,
+    record_at,
+    whitened,
+)
 from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
 WORSE_NATS = 0.1  # a set may end above its subsets by: fits are exact to some hundredths
+LONG_STEP = 0.3  # prior sd: a last step is simulated
 STEP_ATOL = 0.05  # prior sd: a smaller step needs no new linearization
 
 
@@ -348,35 +355,40 @@ def _could_decide(search: Search, key: Hypothesis, best: Members) -> bool:
 
 
 def _relinearized(search: Search, key: Hypothesis, evidence: LaplaceEvidence) -> Search:
-    """A set with an unknown cause, linearized again at its own optimum."""
+    """A set with an unknown cause, linearized again at its own optimum.
+
+    Where the last step was large, a simulation at its end says what it is worth, if less.
+    """
     assert key.unknown is not None
     problem, cause = search.simulations.narrow(key.effects), search.unknowns[key.unknown]
     own = search.simulations.coordinates(key.effects)
-    weighed, x0 = search.weighed[key], evidence.x0
-    everything = Hypothesis(frozenset(range(len(key.effects))), 0)
-    for _ in range(search.settings.unknown_steps - 1):
-        x = weighed.x[own]
-        if np.abs(weighed.x - x0).max(initial=0.0) < STEP_ATOL:
-            break
-        try:
-            at = linearization_at(problem, x)
-            response = cause.responses(problem, x)
-        except DiffsimError as error:  # the step left what can be simulated: keep the last
-            search = replace(search, failed={**search.failed, key: str(error)})
-            break
-        residual = whitened(problem, measured_of(problem) - at.record)
-        jacobian = whitened(problem, at.columns) * problem.stretch(x)
-        again = LaplaceEvidence(
-            problem,
-            x,
-            residual,
-            jacobian,
-            [response],
-            search.num_families,
-            len(search.unknowns),
-        )
-        narrow = again.weigh(everything)
-        x0, wide = weighed.x, np.zeros((2, len(search.wide.names)))
-        wide[:, own] = narrow.x, narrow.sd
-        weighed = replace(narrow, x=wide[0], sd=wide[1])
+    weighed, x0, last = search.weighed[key], evidence.x0, None
+    try:
+        for _ in range(search.settings.unknown_steps - 1):
+            x = weighed.x[own]
+            if np.abs(weighed.x - x0).max(initial=0.0) < STEP_ATOL:
+                break
+            last = linearization_at(problem, x), cause.responses(problem, x)
+            x0, weighed = weighed.x, _weighed_beside(search, problem, *last, own)
+        if last is not None and np.abs(weighed.x - x0).max(initial=0.0) > LONG_STEP:
+            x = weighed.x[own]
+            there = replace(last[0], x=x, record=record_at(problem, x))
+            simulated = _weighed_beside(search, problem, there, last[1], own)
+            weighed = min(weighed, simulated, key=lambda w: w.nats)
+    except DiffsimError as error:  # the step left what can be simulated: keep the last
+        search = replace(search, failed={**search.failed, key: str(error)})
     return replace(search, weighed={**search.weighed, key: weighed})
+
+
+def _weighed_beside(
+    search: Search, problem: Problem, at: Linearization, response: Array, own: list[int]
+) -> Weighed:
+    """Evidence of all effects of a problem with an unknown cause, in wide coordinates."""
+    residual = whitened(problem, measured_of(problem) - at.record)
+    jacobian = whitened(problem, at.columns) * problem.stretch(at.x)
+    families, unknowns = search.num_families, len(search.unknowns)
+    evidence = LaplaceEvidence(problem, at.x, residual, jacobian, [response], families, unknowns)
+    narrow = evidence.weigh(Hypothesis(frozenset(range(len(problem.effects))), 0))
+    wide = np.zeros((2, len(search.wide.names)))
+    wide[:, own] = narrow.x, narrow.sd
+    return replace(narrow, x=wide[0], sd=wide[1])

@@ -94,6 +94,11 @@ class ExtendedModel(SimModel):
             sizes[effect] = torch.stack([self.base[i].value_at(q[..., i]) for i in own], dim=-1)
         return sizes | dict(more or {})
 
+    def num_fitted_inside(self, run: Run) -> int:
+        """Values that the plain model fits to a run inside, such as its start state."""
+        inside = getattr(self.inner, "num_fitted_inside", None)
+        return int(inside(run)) if callable(inside) else 0
+
     def prepared_at(self, q: Tensor) -> SimModel:
         """The model with the plain model prepared at the values of its own parameters at ``q``."""
         inner = self.inner.prepared_at(self._inner_q(q))

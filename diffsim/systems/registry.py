@@ -30,10 +30,6 @@ _LABORATORIES = ("lab_beam", "lab_copter", "lab_network")
 _PUBLISHED = (
     "silicone_beam",
     "starfish",
-    "pneumatic_arm",
-    "fish_tail",
-    "rotor_bench",
-    "silicone_tensile",
 )
 SETUPS = (*_LABORATORIES, *_PUBLISHED)
 _LIBRARIES = {

@@ -23,7 +23,7 @@ def report_of(study) -> dict:
     )
     table = [{"effect": dry}, {"effect": drag}]
     open_sets = {"verdict": "ambiguous", "named": [dry], "rivals": [[drag]]}
-    return {**open_sets, "table": table, "hypotheses": []}
+    return {**open_sets, "table": table, "hypotheses": [], "settings": {}}
 
 
 def thinned(run):

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from diffsim.data import IMPORTERS, check_study, import_study, load_study, save_study
-from diffsim.data.importers.common import physical
-from diffsim.data.importers.rotor_bench import SCATTER
 from tests.measured import data_folder
 
 pytestmark = pytest.mark.reference
@@ -16,12 +14,6 @@ pytestmark = pytest.mark.reference
 EXPECTED = {
     "silicone_beam": (4, 9, 1, 0),
     "starfish": (4, 8, 1, 0),
-    "pneumatic_arm": (5, 9, 1, 0),
-    "pneumatic_arm_p25": (10, 9, 1, 0),
-    "fish_tail": (1, 3, 0, 0),
-    "rotor_bench": (27, 2, 4, 0),
-    "rotor_drive": (27, 2, 4, 0),
-    "silicone_tensile": (10, 1, 5, 0),
 }
 
 
@@ -79,45 +71,6 @@ def test_starfish_command_starts_at_zero_and_moves_the_robot(studies):
     swim = run(study, "baseline")
     x = swim.measured[:, column(study, "m2_x_m")]
     assert np.nanmean(x[-50:]) < np.nanmean(x[:20]) - 0.02  # towards -x
-
-
-def test_arm_bends_more_at_more_pressure(studies):
-    for name in ("pneumatic_arm", "pneumatic_arm_p25"):
-        study = studies[name]
-        level, bend = [], []
-        for r in study.runs:
-            on = (r.command["set_pressure_Pa"] > 0) & (r.time_s > 1.0)
-            rest = np.nanmedian(r.measured[r.time_s < 0.0], axis=0)
-            bend.append(np.linalg.norm(np.nanmedian(r.measured[on], axis=0)[:3] - rest[:3]))
-            level.append(r.setup["set_pressure_Pa"])
-        assert np.all(np.diff(np.array(bend)[np.argsort(level)]) > 0.0)
-
-
-def test_repeated_samples_of_the_stream_are_gaps(studies):
-    shares = [np.isnan(r.measured[:, 0]).mean() for r in studies["pneumatic_arm_p25"].runs]
-    assert min(shares) > 0.13 and max(shares) < 0.28  # 15-26 % (README)
-
-
-def test_thrust_falls_with_the_square_of_the_speed(studies):
-    study = studies["rotor_bench"]
-    r = run(study, "kde2814_10in_up")
-    thrust = physical(r.measured[:, column(study, "scaled_thrust_N")], *SCATTER["thrust_N"])
-    speed = r.command["speed_rad_s"]
-    fast = speed > 300
-    slope = np.polyfit(np.log(speed[fast]), np.log(thrust[fast]), 1)[0]
-    assert slope == pytest.approx(2.1, abs=0.15)
-    assert r.setup["voltage_recorded"] == 0.0
-    # the file itself, read apart from the importer
-    table = np.genfromtxt(
-        data_folder("rotor_bench") / "kde2814_10in.csv", delimiter=",", names=True, encoding=None
-    )
-    np.testing.assert_allclose(thrust, table["thrust_N"][: len(thrust)], rtol=1e-9)
-
-
-def test_strain_rate_of_the_pull_test(studies):
-    for r in studies["silicone_tensile"].runs:
-        rate = np.polyfit(r.time_s, r.command["engineering_strain"], 1)[0]
-        assert rate == pytest.approx(0.0075 / 0.033, rel=0.01)
 
 
 def test_unknown_name_offers_the_closest():

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from diffsim.data.study import Study
+from diffsim.diagnose import search as diagnose_search
 from diffsim.diagnose.evidence import Hypothesis
 from diffsim.diagnose.fit import Case, Null
 from diffsim.diagnose.gauss_newton import gauss_newton
@@ -14,7 +15,7 @@ from diffsim.diagnose.noise import noise_floor
 from diffsim.diagnose.scan import groups, num_points, scan
 from diffsim.diagnose.search import begin, repaired, search_sets
 from diffsim.diagnose.simulations import Simulations
-from diffsim.identify import DiagnosisSettings, Effect, SearchSettings
+from diffsim.identify import DiagnosisSettings, Effect, SearchSettings, UnknownDrift
 from diffsim.identify.fitting import summary
 from diffsim.identify.linearization import linearization_at
 from tests.diagnose import linear
@@ -71,7 +72,7 @@ class Pair:
         return apply
 
 
-def searched(effects, truth, settings=None):
+def searched(effects, truth, settings=None, unknowns=()):
     """Search on runs that hold effects of these sizes."""
     model = linear.model()
     runs = []
@@ -81,7 +82,7 @@ def searched(effects, truth, settings=None):
             scene = e.apply(scene, torch.tensor([size], dtype=torch.float64), r)
         runs.append(replace(r, measured=r.measured + scene.record.numpy()))
     study = Study("kinks", "soft_body", linear.CHANNELS, tuple(runs))
-    case = Case(study, model, tuple(effects), (), settings or DiagnosisSettings())
+    case = Case(study, model, tuple(effects), unknowns, settings or DiagnosisSettings())
     noise = noise_floor(
         runs, study.channels, {r.name: linear.run(r.name, 1).measured for r in runs}
     )
@@ -186,3 +187,24 @@ def test_scans_end_when_their_time_is_spent():
     short = DiagnosisSettings(search=SearchSettings(scan_seconds=-1.0))
     search = searched(effects, {pair.slack: 6.0, pair.rate_limit: 2.0}, short)
     assert not search.simulations.scans
+
+
+def test_a_set_beside_an_unknown_cause_is_worth_what_a_simulation_says(monkeypatch):
+    """A response that saturates: its slopes promise what no size does."""
+
+    def apply(scene, size, run):
+        moved = linear.shapes("push", run)[..., 0] * torch.tanh(0.3 * size[..., 0])
+        return replace(scene, record=scene.record + moved)
+
+    bent = replace(linear.line("push"), apply=apply)
+    nats = []
+    for long_step in (np.inf, diagnose_search.LONG_STEP):
+        monkeypatch.setattr(diagnose_search, "LONG_STEP", long_step)
+        search = searched((bent,), {linear.line("push"): 3.0}, unknowns=(UnknownDrift(0, "drift"),))
+        key = Hypothesis(frozenset({0}), 0)
+        evidence, _ = search.simulations.with_unknowns(
+            search.plain, search.unknowns, search.num_families
+        )
+        start = replace(search, weighed={**search.weighed, key: evidence.weigh(key)})
+        nats.append(diagnose_search._relinearized(start, key, evidence).nats(key))
+    assert nats[1] < nats[0] - 1.0

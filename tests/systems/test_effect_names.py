@@ -10,8 +10,6 @@ import pytest
 from diffsim.data.labs import NetworkLab
 from diffsim.identify import Effect, coarse
 from diffsim.identify.numerics import REFINEMENTS
-from diffsim.systems.bench.effects import BENCH
-from diffsim.systems.bending.effects import BENDING_EFFECTS
 from diffsim.systems.flow_network.effects import stokes_library
 from diffsim.systems.laboratories.lab_beam_causes import causes
 from diffsim.systems.multicopter import unknown_wrench
@@ -23,7 +21,7 @@ from diffsim.systems.rigid_body.effects import TOSS
 from diffsim.systems.soft_body import unknown_force
 from diffsim.systems.soft_body.hanging import SLACK_STRING
 from diffsim.systems.starfish.effects import STARFISH_EFFECTS, unknown_pull, unknown_push
-from diffsim.systems.tensile.effects import TENSILE
+from tests.systems.toy_cart import cart_study
 
 DESCRIBED = Vehicle(
     num_rotors=4,
@@ -52,11 +50,9 @@ def libraries() -> dict[str, tuple[Effect, ...]]:
         "flow_network": setup_of(NetworkLab()(1)).effects,
         "laboratory beam": causes(1.0),
         "balls": BALL_EFFECTS,
-        "bench": BENCH,
-        "bending": BENDING_EFFECTS,
+        "ode": setup_of(cart_study()).effects,
         "rigid_body": TOSS,
         "starfish": STARFISH_EFFECTS,
-        "tensile": TENSILE,
         "unknown": (
             unknown_wrench(3, 1.0),
             unknown_force(3, 1.0),

@@ -77,15 +77,15 @@ def toss(end=0.25):
     q = turn.as_quat()[[3, 0, 1, 2]]
     measured = np.tile(np.concatenate([[0.1, -0.2, 0.18], q, [0.0]]), (len(time), 1))
     start = np.array([0.1, -0.2, 0.18, 0, 0, 0, 0.8, -0.4, -0.2, 0.5, -0.8, 2.0])
-    setup = {"corner": float(np.argmin(height)), "touch_s": 0.1, "hits": 1.0}
-    setup |= {f"start_{c}": v for c, v in zip(TWIST, [*start[:3], *start[6:]], strict=True)}
-    setup |= {f"start_{c}": v for c, v in zip(TURN, q, strict=True)}
+    setup = {"_corner": float(np.argmin(height)), "_touch_s": 0.1, "_hits": 1.0}
+    setup |= {f"_start_{c}": v for c, v in zip(TWIST, [*start[:3], *start[6:]], strict=True)}
+    setup |= {f"_start_{c}": v for c, v in zip(TURN, q, strict=True)}
     return Run("toss", time, measured, {}, "toss", setup=setup), start
 
 
 def integrated(run, start, moments=None):
     """Newton and Euler by DOP853, rotation matrices, the impact found as an event."""
-    corner = CORNERS[int(run.setup["corner"])] * HALF_WIDTH
+    corner = CORNERS[int(run.setup["_corner"])] * HALF_WIDTH
     moments = np.full(3, INERTIA) if moments is None else moments
 
     def slope(t, y):
@@ -165,7 +165,7 @@ def test_window_ends_with_the_first_bounce():
     pose = np.column_stack([position, continuous(quaternions)])
     half = np.full(3, HALF_WIDTH)
     window = first_touch(Poses(pose[:, :3], pose[:, 3:]), half, 0.003, 0.0)
-    assert window.corner == run.setup["corner"]
+    assert window.corner == run.setup["_corner"]
     assert abs(run.time_s[window.touch] - hit) < 2.0 / 148.0
     assert window.touch <= window.end <= len(pose)
 

@@ -11,11 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from diffsim.core.check import require_choice
-from diffsim.data.importers.fish_tail import import_fish_tail
-from diffsim.data.importers.pneumatic_arm import import_arm_p25, import_arm_step
-from diffsim.data.importers.rotor_bench import import_rotor_bench, import_rotor_drive
 from diffsim.data.importers.silicone_beam import import_silicone_beam
-from diffsim.data.importers.silicone_tensile import import_silicone_tensile
 from diffsim.data.importers.starfish import import_starfish
 from diffsim.data.recording import find_dataset
 from diffsim.data.study import Study
@@ -24,12 +20,6 @@ from diffsim.data.study import Study
 IMPORTERS: dict[str, tuple[str, Callable[[Path], Study]]] = {
     "silicone_beam": ("silicone_beam", import_silicone_beam),
     "starfish": ("starfish", import_starfish),
-    "pneumatic_arm": ("pneumatic_arm", import_arm_step),
-    "pneumatic_arm_p25": ("pneumatic_arm", import_arm_p25),
-    "fish_tail": ("fish_tail", import_fish_tail),
-    "rotor_bench": ("rotor_bench", import_rotor_bench),
-    "rotor_drive": ("rotor_bench", import_rotor_drive),
-    "silicone_tensile": ("silicone_tensile", import_silicone_tensile),
 }
 
 

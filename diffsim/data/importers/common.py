@@ -59,29 +59,3 @@ def jitter(values: Array) -> Array:
     """
     step = np.diff(values, axis=0)
     return np.asarray(np.nanmedian(np.abs(step), axis=0) / 0.6745 / np.sqrt(2.0))
-
-
-def scaled(values: Array, floor: float, share: float) -> Array:
-    """Readings in units of their own scatter, where that is floor + share of the reading.
-
-    A channel has one sd. s(x) = asinh(share x / floor) / share has it, 1, where the sd of x is
-    sqrt(floor^2 + (share x)^2): near zero x in units of the floor, above it a logarithm.
-
-    Args:
-        values: Readings of any shape, in their own unit.
-        floor: Scatter of a reading at zero [unit of the readings].
-        share: Scatter that grows with the reading, as a share of it [-].
-    """
-    return np.asarray(np.arcsinh(share / floor * values) / share)
-
-
-def physical(values: Array, floor: float, share: float) -> Array:
-    """Readings [unit] from what ``scaled`` made of them."""
-    return np.asarray(np.sinh(share * values) * floor / share)
-
-
-def switched(num_samples: int, on: int, off: int | None, level: float) -> Array:
-    """A command that is ``level`` from sample ``on`` until before ``off``, zero elsewhere."""
-    command = np.zeros(num_samples)
-    command[on:off] = level
-    return command

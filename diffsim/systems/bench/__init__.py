@@ -1,1 +1,1 @@
-"""Rotors on a thrust stand: static readings of thrust, torque, speed and current."""
+"""Benches: static readings as laws of what was set, described in the study."""

@@ -34,7 +34,7 @@ def _tilted(scene: TossScene, size: Tensor, run: Run) -> TossScene:
 
 
 def _impact(study: Study) -> str | None:
-    if not any(run.setup.get("hits") for run in study.runs):
+    if not any(run.setup.get("_hits") for run in study.runs):
         return "tosses recorded through their impact"
     return None
 

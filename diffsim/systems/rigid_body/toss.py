@@ -99,15 +99,15 @@ class Tosses:
             more = length - len(run.time_s)
             times.append(np.pad(run.time_s - run.time_s[0], (0, more), mode="edge"))
             poses.append(np.pad(run.measured, ((0, more), (0, 0)), constant_values=np.nan))
-        turn = torch.tensor([[r.setup[f"start_{c}"] for c in TURN] for r in runs]).double()
-        first = torch.tensor([[r.setup[f"start_{c}"] for c in TWIST] for r in runs]).double()
+        turn = torch.tensor([[r.setup[f"_start_{c}"] for c in TURN] for r in runs]).double()
+        first = torch.tensor([[r.setup[f"_start_{c}"] for c in TWIST] for r in runs]).double()
         return cls(
             torch.from_numpy(np.stack(times)),
-            torch.from_numpy(CORNERS[[int(r.setup["corner"]) for r in runs]]),
-            torch.tensor([[r.setup["touch_s"] - r.time_s[0]] for r in runs]).double(),
+            torch.from_numpy(CORNERS[[int(r.setup["_corner"]) for r in runs]]),
+            torch.tensor([[r.setup["_touch_s"] - r.time_s[0]] for r in runs]).double(),
             turn / turn.norm(dim=-1, keepdim=True),
-            torch.tensor([[r.setup["hits"]] for r in runs]).double(),
-            torch.eye(3).double()[[int(r.setup.get("face", 2)) for r in runs]],
+            torch.tensor([[r.setup["_hits"]] for r in runs]).double(),
+            torch.eye(3).double()[[int(r.setup.get("_face", 2)) for r in runs]],
             torch.from_numpy(np.stack(poses)),
             torch.cat([first[:, :3], torch.zeros_like(first[:, :3]), first[:, 3:]], -1),
         )

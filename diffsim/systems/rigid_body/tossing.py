@@ -33,6 +33,7 @@ from diffsim.systems.rigid_body.windows import (
 
 Array = NDArray[np.float64]
 NEAR = 0.03  # of the shortest edge
+MIN_RESTS = 5  # tosses whose heights at rest tell their scatter
 #: Turn from the recorded frame to the one whose z points up, as a rotation vector [rad].
 UP = {
     "z": (0.0, 0.0, 0.0),
@@ -92,10 +93,16 @@ class Tossed:
         channels = list(study.channels)
         if self._rest_frames:
             assert self.window is not None
-            sd = self.window.rest_sd or max(float(np.std(rests)), 1e-6)
+            sd = self.window.rest_sd or self._rest_sd(rests)
             shown = next((c.shown_unit for c in channels if c.unit == "m"), None)
             channels.append(Channel(REST, "m", "position", sd, shown_unit=shown))
         return replace(study, channels=tuple(channels), runs=tuple(runs))
+
+    def _rest_sd(self, rests: Sequence[float]) -> float:
+        """Scatter of the height at rest; of few tosses, a hundredth of the shortest edge [m]."""
+        few = len(rests) < MIN_RESTS
+        edge = min((q.value for q in self.body.edges), default=1.0)
+        return 0.01 * edge if few else max(float(np.std(rests)), 1e-6)
 
     def model(self, study: Study) -> TossModel:
         """Model of a cut study."""
@@ -213,6 +220,10 @@ class Tossed:
                 end = found.end if hits else touch - window.spared
         if end < MIN_FRAMES:
             return None
-        more = {"corner": float(corner), "touch_s": float(run.time_s[touch]), "hits": float(hits)}
-        more["face"] = float(face_below(poses))
+        more = {
+            "_corner": float(corner),
+            "_touch_s": float(run.time_s[touch]),
+            "_hits": float(hits),
+        }
+        more["_face"] = float(face_below(poses))
         return cut(run, end, {**facts, **more})

@@ -133,7 +133,7 @@ def start_facts(run: Run, poses: Poses, gravity: float) -> dict[str, float]:
             turns = Rotation.from_quat(poses.turn[few][seen][:, [1, 2, 3, 0]])
             rates = _lines(time[seen], (turns[0].inv() * turns).as_rotvec())[1]
     found = np.concatenate([first, speed, rates])
-    names = [f"start_{n}" for n in (*TWIST, *TURN)]
+    names = [f"_start_{n}" for n in (*TWIST, *TURN)]
     return dict(zip(names, [*found.tolist(), *turn.tolist()], strict=True))
 
 

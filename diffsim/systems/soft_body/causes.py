@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 MOST_KNOTS = 16
 KNOTS_PER_S = 6.0
 TYPICAL_SHARE = 0.1  # of the commanded range: slack, play and dead band that are no surprise
+LIMIT_SHARE = 4.0  # a limit is felt where it is well below what is commanded
 TYPICAL_MASS = 0.1  # of the body's mass
 
 
@@ -50,7 +51,9 @@ def library(given: SoftBodyKeys, study: Study, mass_kg: float) -> tuple[Effect, 
     found: list[Effect] = [] if still else [material.LOSS_FACTOR, material.CREEP]
     if not given.material.rayleigh_beta.is_fitted and not still:
         found.append(material.STIFFNESS_DAMPING)
-    found += [material.STIFFENING, material.STIFFNESS_LOSS, material.TEMPERATURE_DRIFT]
+    if not still:  # by iteration, which large poses leave
+        found.append(material.STIFFENING)
+    found += [material.STIFFNESS_LOSS, material.TEMPERATURE_DRIFT]
     found += _of_surroundings(given, still)
     found += _of_loads(given, study, mass_kg, still)
     found += _of_commands(given, study, timed)
@@ -72,7 +75,8 @@ def _of_surroundings(given: SoftBodyKeys, still: bool) -> list[Effect]:
 
 
 def _of_loads(given: SoftBodyKeys, study: Study, mass_kg: float, still: bool) -> list[Effect]:
-    found = [tip_mass(TYPICAL_MASS * mass_kg)]
+    weighs = any(given.gravity.vector) or not still
+    found = [tip_mass(TYPICAL_MASS * mass_kg)] if weighs else []
     if any(load.acts_as == "weight" for load in given.masses) and not still:
         found.append(LOAD_INERTIA)
     if given.slack_string is not None:
@@ -94,15 +98,17 @@ def _of_commands(given: SoftBodyKeys, study: Study, timed: bool) -> list[Effect]
         "dead_band": TYPICAL_SHARE * width,
         "backlash": TYPICAL_SHARE * width,
         "tendon_slack": TYPICAL_SHARE * width,
-        "rate_limit": 1.0 / rate,
+        "rate_limit": LIMIT_SHARE / rate,
     }
     found = [LAG, DEAD_BAND, BACKLASH, SATURATION, *PULLING]
     if all(d.gain.is_fitted for d in drives):
         found = [e for e in found if e.name != "command_gain"]
     if not timed:
         found = [e for e in found if e.name not in ("lag", "rate_limit", "backlash")]
-    if not given.tendons:
-        found = [e for e in found if e.name != "tendon_slack"]
+    # of a command that only pulls, slack and dead band are one
+    pulls_only = bool(given.tendons) and commanded_reach(study, given.commands)[0] >= 0.0
+    doubled = "dead_band" if pulls_only else "tendon_slack"
+    found = [e for e in found if e.name != doubled]
     return [replace(e, typical=sized[e.name]) if e.name in sized else e for e in found]
 
 

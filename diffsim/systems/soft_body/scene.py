@@ -274,8 +274,11 @@ class SoftScene:
         )
         if not self.forces and self.water is None:
             return state
+        change, before = math.inf, state.x.detach()
         for _ in range(_STATIC_ITERATIONS):
             force = self.force_at(0, state, [make() for make in self.forces])
+            if not bool(torch.isfinite(force).all()):
+                break  # it runs away
             before = state.x.detach()
             state = self.body.static_equilibrium(
                 guess=before,

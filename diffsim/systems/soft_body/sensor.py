@@ -7,6 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from diffsim.core.rotation import matrix_from_rotation_vector
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.systems.soft_body.scene import SoftScene
@@ -30,7 +31,10 @@ def _placement(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
 
 
 def _sensor_tilt(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-    return _on_points(scene, "sensor_tilt", lambda u: u + torch.linalg.cross(size.expand_as(u), u))
+    if scene.rest_places is None:
+        cross = torch.linalg.cross
+        return _on_points(scene, "sensor_tilt", lambda u: u + cross(size.expand_as(u), u))
+    return _on_points(scene, "sensor_tilt", lambda u: u @ matrix_from_rotation_vector(size).T)
 
 
 def _lens(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:

@@ -89,12 +89,12 @@ def test_study_through_the_impact():
     study = read_study("cube_toss")
     window = {"until": "rebound", "near": "3 mm", "rest_frames": 10}
     cut = setup_of(replace(study, model={**study.model, "window": window})).study
-    hit = [r for r in cut.runs if r.setup["hits"]]
+    hit = [r for r in cut.runs if r.setup["_hits"]]
     assert 25 <= len(hit) <= 40
     for run in hit:
         q = run.measured[:, 3:7]
         w, v = q[:, :1], q[:, 1:]
-        corner = 0.0524 * CORNERS[int(run.setup["corner"])]
+        corner = 0.0524 * CORNERS[int(run.setup["_corner"])]
         turned = corner + 2.0 * np.cross(v, np.cross(v, corner) + w * corner)
         height = run.measured[:, 2] + turned[:, 2]
         lowest = int(np.argmin(height))

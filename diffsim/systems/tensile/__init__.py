@@ -1,1 +1,0 @@
-"""Pull tests: one uniaxial stretch, in closed form."""

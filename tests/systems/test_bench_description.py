@@ -1,0 +1,135 @@
+"""Benches that a study describes by laws: any propeller, any material, what bends a law."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+import torch
+
+from diffsim.data.study import Channel, Run, Study
+from diffsim.diagnose import diagnose
+from diffsim.identify import fit
+from diffsim.systems.registry import setup_of
+
+SPEED = np.r_[np.linspace(100.0, 900.0, 18), np.linspace(890.0, 110.0, 18)]
+WAY = np.sign(np.gradient(SPEED))
+NOISE = 0.02  # [N]
+MODEL = {
+    "system": "bench",
+    "define": {"thrust": "c*speed**2"},
+    "readings": {"thrust_N": "thrust"},
+    "parameters": {"c": {"value": 1e-5, "percent": 30, "per": "propeller"}},
+    "laws": [{"name": "thrust", "of": "speed", "unit": "N", "per": "propeller", "sweeps": True}],
+}
+RUNS = (("A", "fit"), ("B", "fit"), ("C", "fit"), ("A", "test"))
+SCALES = {"A": 1.0, "B": 1.2, "C": 0.9}
+
+
+def bench(law=lambda w: 1e-5 * w**2, runs=RUNS, model=None, seed=0, scales=SCALES):
+    """Sweeps of several propellers up and down."""
+    rng = np.random.default_rng(seed)
+    made = []
+    for order, (propeller, use) in enumerate(runs):
+        y = scales.get(propeller, 1.0) * law(SPEED) + NOISE * rng.normal(size=len(SPEED))
+        made.append(
+            Run(
+                f"{propeller}_{order}",
+                np.arange(float(len(SPEED))),
+                y[:, None],
+                {"speed": SPEED},
+                f"g{order}",
+                order,
+                use,
+                {"propeller": propeller},
+            )
+        )
+    channels = (Channel("thrust_N", "N", "force", NOISE),)
+    return Study("bench", "bench", channels, tuple(made), model=model or copy.deepcopy(MODEL))
+
+
+def found(study):
+    s = setup_of(study)
+    return diagnose(study, s.model, s.effects, seed=0, unknowns=s.unknowns, settings=s.settings)
+
+
+HIDDEN = {
+    "exponent_of_thrust": (0.12, lambda w: 1e-5 * w**2 * (w / 500.0) ** 0.12),
+    "hysteresis_of_thrust": (0.03, lambda w: 1e-5 * w**2 * (1.0 + 0.03 * WAY)),
+    "run_drift_of_thrust": (
+        -0.04,
+        lambda w: 1e-5 * w**2 * (1.0 - 0.04 * np.linspace(0.0, 1.0, len(w))),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_a_bent_law_is_named_with_its_size(name):
+    size, law = HIDDEN[name]
+    report = found(bench(law))
+    assert (report.verdict, report.named) == ("named", (name,))
+    for label in "ABC":
+        own = report.best.values[f"{name}.all"] + report.best.values[f"{name}.[propeller={label}]"]
+        assert own == pytest.approx(size, abs=0.014)
+
+
+def test_nothing_is_named_where_the_law_is_right():
+    assert found(bench()).named == ()
+
+
+def test_a_propeller_that_was_never_fitted_shares_what_the_others_have():
+    law = HIDDEN["exponent_of_thrust"][1]
+    known = copy.deepcopy(MODEL)
+    known["parameters"] = {"c": {"value": 1e-5, "percent": 3}}
+    study = bench(law, runs=(*RUNS[:3], ("D", "test")), model=known, scales={})
+    s = setup_of(study)
+    exponent = next(e for e in s.effects if e.name == "exponent_of_thrust")
+    errors = []
+    for effects in ((), (exponent,)):
+        fitted = fit(s.model, study.fit_runs, study.channels, effects=effects)
+        unseen = study.test_runs[0]
+        left = unseen.measured - fitted.problem.predict(unseen, torch.from_numpy(fitted.x)).numpy()
+        errors.append(np.sqrt(np.mean(left**2)))
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_a_table_is_a_curve_of_straight_lines():
+    model = {
+        "system": "bench",
+        "tables": {"curve": {"of": "speed/100", "at": [1, 3, 9], "values": [0, 4, 1]}},
+        "readings": {"thrust_N": "curve*gain"},
+        "parameters": {"gain": {"value": 2, "percent": 10}},
+    }
+    study = bench(model=model)
+    s = setup_of(study)
+    predicted = s.model.predict(study.runs[0], s.model.at_prior())[:, 0]
+    np.testing.assert_allclose(predicted, 2.0 * np.interp(SPEED / 100, [1, 3, 9], [0, 4, 1]))
+
+
+def test_every_cause_is_nothing_at_zero():
+    study = bench()
+    s, run = setup_of(study), study.runs[1]
+    q = s.model.at_prior()
+    before = s.model.predict(run, q)
+    for e in s.effects:
+        zero = torch.zeros(len(e.components), dtype=torch.float64)
+        torch.testing.assert_close(s.model.predict(run, q, {e: zero}), before)
+        assert (s.model.predict(run, q, {e: zero + e.typical}) - before).abs().max() > 1e-4
+
+
+MISTAKES = {
+    "laws[0].name: no definition 'push'": {"laws": [{"name": "push", "of": "speed"}]},
+    "laws[0].of: formula 'sped'": {"laws": [{"name": "thrust", "of": "sped"}]},
+    "tables.a: at must increase": {
+        "tables": {"a": {"of": "speed", "at": [1, 1], "values": [0, 1]}}
+    },
+    "no key 'states' here": {"states": {"x": 0}},
+}
+
+
+@pytest.mark.parametrize("message", MISTAKES)
+def test_a_mistake_is_told_with_its_place(message):
+    with pytest.raises(ValueError) as refused:
+        setup_of(bench(model={**copy.deepcopy(MODEL), **MISTAKES[message]}))
+    assert message in str(refused.value)
