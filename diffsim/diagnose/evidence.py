@@ -29,6 +29,7 @@ from scipy import linalg, special
 from diffsim.diagnose.optimum import kept_definite, log_tilt, optimum, quadratic_optimum
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import Effect
+from diffsim.identify.problem import PredictionError
 from diffsim.identify.sizes import precision_at
 from diffsim.identify.unknown import Unknown
 
@@ -85,6 +86,9 @@ class LaplaceEvidence:
         responses: Whitened responses of each unknown cause, (num_valid, m).
         num_families: Families of effects and unknown causes, for the price of a choice.
         num_unknowns: Unknown causes to choose from, where not all are in ``responses``.
+
+    Raises:
+        PredictionError: the linearization is not of finite numbers.
     """
 
     def __init__(
@@ -107,9 +111,14 @@ class LaplaceEvidence:
         stacked = np.hstack([slopes, *blocks])
         edges = np.cumsum([jacobian.shape[1], *(b.shape[1] for b in blocks)])
         self.unknown_columns = [list(range(a, b)) for a, b in pairwise(edges)]
-        self.gram = kept_definite(stacked.T @ stacked)
-        self.projection = stacked.T @ right
-        self.power = float(right @ right)
+        with np.errstate(over="ignore", invalid="ignore"):
+            gram, self.projection = stacked.T @ stacked, stacked.T @ right
+            self.power = float(right @ right)
+        if not (np.isfinite(gram).all() and np.isfinite(self.power)):
+            raise PredictionError(
+                "slopes or misfit left the range of numbers: the simulation there means nothing"
+            )
+        self.gram = kept_definite(gram)
         self.columns = [problem.columns_of(e) for e in problem.effects]
         self.bounds = problem.bounds
 

@@ -401,3 +401,24 @@ def test_profile_of_a_linear_model_is_ridge_regression():
     best = np.linalg.solve(normal, 4 * tangent.T.numpy() @ measured[0, :, 0].numpy())
     found = shooting.profile(predict)[0, :, 0]
     np.testing.assert_allclose(found, tangent.numpy() @ best, atol=1e-9)
+
+
+def test_a_past_thrust_that_wants_below_zero_stays_at_zero():
+    """Full steps and halved ones end on the kink; the rest of the state is settled beside it."""
+    guess = torch.zeros(1, 13, dtype=torch.float64)
+    place = torch.arange(6, dtype=torch.float64)
+
+    def predict(starts):
+        thrust = (1.0 + starts[..., 12:]).clamp(min=0.0)  # 1 N before the record, by the guess
+        return (starts[..., :1] + thrust * torch.exp(-place))[..., None]
+
+    measured = (0.2 - 3.0 * torch.exp(-place))[None, :, None]
+    sd = torch.tensor([0.05], dtype=torch.float64)
+    windows = Windows(guess, measured, sd, [], rigid_spread=(1.0,) * 4, past_spread=2.0)
+    shooting = windows.settled(predict)
+    left = (measured - predict(windows.latest[0])[None][0])[0, :, 0]
+    assert float(windows.latest[0][0, 12]) == pytest.approx(-1.0, abs=2e-3)
+    # the offset is that of least squares with no thrust, prior N(0, 1) included
+    offset = float(measured.sum() / sd**2 / (6 / sd**2 + 1.0))
+    assert float(windows.latest[0][0, 0]) == pytest.approx(offset, abs=5e-3)
+    assert torch.isfinite(shooting.profile(predict)).all() and torch.isfinite(left).all()

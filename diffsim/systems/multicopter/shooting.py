@@ -6,7 +6,7 @@ The state of 12 here: position, roll-pitch-yaw, velocity (world), body rates, wo
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -26,6 +26,7 @@ _SMOOTH_S = 0.15  # over which position is differentiated
 MAX_STEPS = 12
 _MAX_CREEPING = 40
 _LEAST_SHARE = 1e-3  # of a step
+_HELD = 1e-8  # of the spread of thrusts before the record, where they stay at a kink
 _SETTLED = 3e-5  # step of an initial state over its spread
 _LINEAR = 1e-2  # likewise, where the tangents suffice without another flight
 
@@ -87,6 +88,7 @@ class Windows:
         rigid_spread: Of position [m], angles [rad], velocity [m/s] and body rates [rad/s] about
             the guess.
         past_spread: Of the thrusts before the record [N].
+        past_is_held: Whether these thrusts stay where they are, at a kink.
     """
 
     guess: Tensor
@@ -96,6 +98,7 @@ class Windows:
     acceleration: Tensor = field(default_factory=lambda: torch.zeros(1, 3, dtype=torch.float64))
     rigid_spread: tuple[float, float, float, float] = SPREAD
     past_spread: float = PAST_SPREAD
+    past_is_held: bool = False
 
     @property
     def spread(self) -> Tensor:
@@ -124,7 +127,8 @@ class Windows:
                         return shooting
                     change = change + step / max(1.0, size)
             if max_steps >= MAX_STEPS:
-                shooting, size = self._crept(predict, 0.0 * self.guess)
+                change = self.latest[0] - self.guess if self.latest else 0.0 * self.guess
+                shooting, size = self._crept(predict, change)
                 if size < _LINEAR:
                     return shooting
         raise ConvergenceError(
@@ -138,6 +142,9 @@ class Windows:
     def _crept(self, predict: Predict, change: Tensor) -> tuple[Shooting, float]:
         """Steps that are halved until the fit is better; slower, and sure to go down.
 
+        Where that has no end the states lie on a kink: a rotor whose thrust before the record wants
+        to be below zero. These thrusts stay there, the rest is settled.
+
         Returns:
             Tangents at the best states found, and the step that was wanted there, over the spread.
         """
@@ -150,8 +157,29 @@ class Windows:
             here, share = self._cost(predict, change), 1.0 / max(1.0, size)
             while share > _LEAST_SHARE and self._cost(predict, change + share * step) > here:
                 share *= 0.5
+            if share <= _LEAST_SHARE:
+                break
             change = change + share * step
-        return shooting, size
+        if size < _LINEAR:
+            return shooting, size
+        return self._with_past_held(predict, change) or (shooting, size)
+
+    def _with_past_held(self, predict: Predict, change: Tensor) -> tuple[Shooting, float] | None:
+        """The best of the rest where the thrusts before the record stay; None if that was tried."""
+        if self.past_is_held or self.guess.shape[1] == RIGID:
+            return None
+        past = torch.zeros_like(change)
+        past[:, RIGID:] = change[:, RIGID:]
+        held = replace(
+            self,
+            guess=self.guess + past,
+            latest=[self.guess + change],
+            past_spread=_HELD * self.past_spread,
+            past_is_held=True,
+        )
+        shooting = held.settled(predict)
+        self.latest[:] = held.latest
+        return shooting, 0.0
 
     def _cost(self, predict: Predict, change: Tensor) -> float:
         """Misfit and departure from the guess, in units of their spreads, squared."""
