@@ -9,7 +9,7 @@ import numpy as np
 
 from diffsim.diagnose.averaging import HALF_90, Averaged
 from diffsim.diagnose.data_sheet import PULLED, words_of
-from diffsim.diagnose.evidence import KEEP_NATS, Hypothesis
+from diffsim.diagnose.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
 from diffsim.diagnose.judge import NAMES, Decision, Judgment
 from diffsim.diagnose.records import (
     CERTAIN,
@@ -38,29 +38,45 @@ def certain_of(decision: Decision, about: Averaged, judgment: Judgment) -> froze
     """Effects in every set within reach, with a probability of 99 % over all sets.
 
     None where an unknown cause beside the best set is a rival: the set explains too little then.
-    None either where larger sets were not fitted although they have the evidence: what they would
-    hold may replace a member.
+    Where larger sets were not fitted although they have the evidence, what they would hold must not
+    be enough to replace the effect.
     """
-    if decision.verdict not in NAMES or _is_cut_off(decision, about):
+    if decision.verdict not in NAMES:
         return frozenset()
+    left_out = _left_out(decision, about)
     if any(h.unknown is not None and h.effects >= decision.best for h in decision.rivals):
         return frozenset()
     return frozenset(
         i
         for i in decision.best
         if about.probability(i) >= SURE
+        and not _may_be_replaced(about, i, left_out)
         and all(i in h.effects for h in about.reach)
         and not (i in judgment.gains and judgment.gains[i].status == "withdrawn")
     )
 
 
-def _is_cut_off(decision: Decision, about: Averaged) -> bool:
-    """Whether the largest set that is allowed is not enough."""
+def _left_out(decision: Decision, about: Averaged) -> float:
+    """Most that one more cause would add to the largest set that is allowed [nats]."""
     search = about.search
     if len(decision.best) < search.settings.max_effects:
-        return False
+        return 0.0
     others = set(range(len(search.wide.effects))) - decision.best
-    return any(about.added(decision.best, i) >= KEEP_NATS for i in others)
+    most = max((about.added(decision.best, i) for i in others), default=0.0)
+    return most if most >= KEEP_NATS else 0.0
+
+
+def _may_be_replaced(about: Averaged, i: int, left_out: float) -> bool:
+    """Whether sets larger than were fitted could do without a member.
+
+    Without it the evidence falls by so much that even twice what one more cause adds elsewhere does
+    not make up for it: then it stands, whatever else acts.
+    """
+    if left_out == 0.0:
+        return False
+    nats = {h: w.nats for h, w in {**about.search.linear, **about.search.weighed}.items()}
+    without = max(n for h, n in nats.items() if i not in h.effects)
+    return max(nats.values()) - without < 2.0 * left_out + ALONE_NATS
 
 
 def open_rivals(

@@ -53,10 +53,13 @@ def data_names(study: Study, rest: Rest | None) -> tuple[str, ...]:
 def data_values(study: Study, run: Run, rest: Rest | None) -> dict[str, float]:
     """First samples of the channels, and their means while the system rests.
 
+    They are facts of the recording: those of the whole run also where a part of it is left out.
+
     Raises:
         ValueError: nothing was measured while it should rest.
     """
     out = {}
+    run = next((r for r in study.runs if r.name == run.name), run)
     for channel, column in zip(study.channels, run.measured.T, strict=True):
         seen = column[np.isfinite(column)]
         out[f"first_{channel.name}"] = float(seen[0]) if len(seen) else 0.0
