@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -79,11 +80,12 @@ def headline(answer: Answer, errors: Sequence[ErrorRow]) -> str:
     changed = any(row.helps or row.status in (CERTAIN, LIKELY) for row in _effects(answer))
     named = [row for row in _effects(answer) if row.name in answer.named]
     subject = "They take" if len(named) > 1 else "It takes"
-    for first in said:
-        for second in (*_on_unseen(errors, changed, subject), ""):
-            text = f"{first}{second}."
-            if len(text.split()) <= MAX_WORDS:
-                return text
+    endings = _on_unseen(errors, changed, subject)
+    # the error comes before details of the cause: a shorter beginning with it, if one fits
+    for first, second in (*product(said, endings), *product(said, ("",))):
+        text = f"{first}{second}."
+        if len(text.split()) <= MAX_WORDS:
+            return text
     return f"{said[-1]}."
 
 
