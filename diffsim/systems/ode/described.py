@@ -16,7 +16,7 @@ from diffsim.data.study import Run, Study
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
-from diffsim.systems.ode.grid import Grid, delayed, held_delayed
+from diffsim.systems.grid import Grid, delayed, held_delayed
 from diffsim.systems.ode.keys import FormulaKeys, Input, Place, Store
 from diffsim.systems.ode.names import (
     RUN_ORDER,

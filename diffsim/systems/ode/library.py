@@ -72,6 +72,7 @@ class Library:
         places: Where forces may act, each with its usual magnitudes.
         stores: What fills and empties, each with its usual magnitudes.
         inputs: Greatest magnitude of each input, by its name.
+        one_sided: Inputs that are never below zero.
     """
 
     study: Study
@@ -80,6 +81,7 @@ class Library:
     places: tuple[tuple[Place, PlaceScale], ...]
     stores: tuple[tuple[Store, StoreScale], ...]
     inputs: Mapping[str, float]
+    one_sided: frozenset[str] = frozenset()
 
     @property
     def longest(self) -> float:
@@ -105,6 +107,7 @@ class Magnitudes:
     places: Mapping[str, PlaceScale]
     stores: Mapping[str, StoreScale]
     inputs: Mapping[str, float]
+    one_sided: frozenset[str]
 
 
 def magnitudes(
@@ -128,6 +131,7 @@ def magnitudes(
     read = network.with_readings(_inside(network, known, places, stores))
     columns: dict[str, list[Array]] = {}
     inputs: dict[str, float] = {}
+    two_sided: set[str] = set()
     for run in study.fit_runs or study.runs:
         scene = model.scene(run, model.at_prior())
         assert isinstance(scene, OdeScene)
@@ -137,10 +141,12 @@ def magnitudes(
             columns.setdefault(name, []).append(column.numpy())
         for name, u in scene.inputs.items():
             inputs[name] = max(inputs.get(name, 0.0), float(u.abs().max()))
+            two_sided |= {name} if float(u.min()) < 0.0 else set()
     return Magnitudes(
         {p.name: _place_scale(p, columns) for p in places},
         {s.name: _store_scale(s, columns) for s in stores},
         {name: most or 1.0 for name, most in inputs.items()},
+        frozenset(inputs) - two_sided,
     )
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from diffsim.core.expression import Expression
 from diffsim.data.study import Run
-from diffsim.systems.ode.grid import Grid
+from diffsim.systems.grid import Grid
 from diffsim.systems.ode.network import TIME, Change, Network
 
 #: (signal on the grid (..., num_times), grid) -> the same
