@@ -159,6 +159,12 @@ class CommandEntry(Source):
         "between repeats, and nobody can command it",
     )
 
+    @model_validator(mode="after")
+    def _ordered(self) -> CommandEntry:
+        if self.lower is not None and self.upper is not None and not self.lower < self.upper:
+            raise ValueError(f"lower must be below upper, got {self.lower:g} and {self.upper:g}")
+        return self
+
 
 class Fact(Part):
     """A fact of a run that is read from its file."""
