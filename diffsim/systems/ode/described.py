@@ -16,7 +16,7 @@ from diffsim.data.study import Run, Study
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
-from diffsim.systems.ode.grid import Grid, delayed, held_delayed
+from diffsim.systems.grid import Grid, delayed, held_delayed
 from diffsim.systems.ode.keys import FormulaKeys, Input, Place, Store
 from diffsim.systems.ode.names import (
     RUN_ORDER,
@@ -30,7 +30,7 @@ from diffsim.systems.ode.names import (
 )
 from diffsim.systems.ode.network import TIME, Network, named, ordered, piecewise
 from diffsim.systems.ode.own_effects import own_effects
-from diffsim.systems.ode.place_effects import sticking
+from diffsim.systems.ode.place_effects import shapes
 from diffsim.systems.ode.scene import OdeScene
 
 SLOW_TIME = "slow_time"
@@ -168,11 +168,8 @@ class Described:
         motion, given = self.motion, dict(self.keys.parameters)
         given |= {f"{s}_start": q for s, q in motion.states.items() if isinstance(q, Quantity)}
         given |= {f"{i.name}_delay": i.delay for i in self._given if i.delay is not None}
-        given |= {
-            sticking(p): Quantity(value=1.0, percent=100.0, lower=0.2, upper=20.0)
-            for p in motion.places
-            if p.stick_velocity is None
-        }
+        for place in motion.places:
+            given |= shapes(place)
         if motion.states and (self._given or motion.places):
             value = _SLOW_SHARE * longest(self.study.runs)
             given.setdefault(
@@ -187,6 +184,8 @@ class Described:
             for key in ("position", "velocity"):
                 if getattr(place, key) not in states:
                     reader.report(f"places[{i}].{key}", f"no state {getattr(place, key)!r}")
+            if place.position == place.velocity:
+                reader.report(f"places[{i}].velocity", "is its position, too; name the other state")
             reader.parse(f"places[{i}].inertia", place.inertia, self.known)
         for i, store in enumerate(self.motion.stores):
             if store.level not in states:

@@ -88,6 +88,7 @@ class OdeDescription(FormulaKeys):
             places=tuple((p, usual.places[p.name]) for p in self.places),
             stores=tuple((s, usual.stores[s.name]) for s in self.stores),
             inputs=usual.inputs,
+            one_sided=usual.one_sided,
         )
         effects = chosen_effects((*ode_effects(library), *read.own), self.effects)
         settings = settings_with(DiagnosisSettings(), self.effort)
