@@ -27,7 +27,8 @@ class Problem:
     """One thing that is wrong with a study.
 
     Attributes:
-        severity: "error": no diagnosis on these data; "warning": possible, with care.
+        severity: "error": no diagnosis on these data; "warning": possible, with care; "note": what
+            was taken for granted.
         where: "study", "channel tip_z_m", "run step_a", ...
         message: What is wrong with the study and how to mend it.
     """
