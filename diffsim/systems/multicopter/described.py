@@ -13,7 +13,7 @@ from diffsim.copter import Multicopter
 from diffsim.copter.fleet import Fleet
 from diffsim.data.study import Run
 from diffsim.identify.model import Numerics
-from diffsim.systems.description import BaseParameters
+from diffsim.systems.description import BaseParameters, fact_in
 from diffsim.systems.grid import held_delayed, held_lagged, on_columns
 from diffsim.systems.multicopter.cutting import Cutter, spacing
 from diffsim.systems.multicopter.keys import RotorKeys
@@ -116,7 +116,7 @@ class DescribedFlights:
         v = self.in_run(values, run)
         fleet = self._fleet(v)
         fleet = fleet.replace(
-            mass=fleet.mass + float(run.setup.get(PAYLOAD, 0.0)),
+            mass=fleet.mass + fact_in(run, PAYLOAD, "kg"),
             inertia=fleet.inertia * v["inertia_gain"].reshape(-1, 1, 1),
             torque_ratios=fleet.torque_ratios * v["torque_gain"].reshape(-1, 1),
             max_thrusts=torch.full_like(fleet.max_thrusts, self.full_thrust),
@@ -130,7 +130,7 @@ class DescribedFlights:
             columns=self.cutter.columns,
             frames=self.cutter.frames,
             substeps=max(1, round(self.substeps / numerics.time_step)),
-            terrain_height=float(run.setup.get(TERRAIN, 0.0)),
+            terrain_height=fact_in(run, TERRAIN, "m"),
             thrust_coefficient=self.thrust_coefficient,
             attitude_offset=_vector(v, "attitude_offset"),
             body_rates_offset=_vector(v, "body_rates_offset"),

@@ -209,6 +209,8 @@ class Described:
             for key in ("position", "velocity"):
                 if getattr(place, key) not in states:
                     reader.report(f"places[{i}].{key}", f"no state {getattr(place, key)!r}")
+            if place.position == place.velocity:
+                reader.report(f"places[{i}].velocity", "is its position, too; name the other state")
             reader.parse(f"places[{i}].inertia", place.inertia, self.known)
         for i, store in enumerate(self.motion.stores):
             if store.level not in states:
