@@ -139,7 +139,9 @@ def held_delayed(u: Tensor, grid: Grid, delay: Tensor, *, signed: bool = True) -
     ends = -far * u[..., :1], area[..., -1:] + far * u[..., -1:]
     area = torch.cat([ends[0], area, ends[1]], -1)
     whole = _read_at(area, t, t - delay[..., None], both_sides=signed)
-    return whole.diff(dim=-1) / steps
+    late = whole.diff(dim=-1) / steps
+    # to the last digit the command itself at zero, with the slope there
+    return torch.where(delay[..., None] != 0.0, late, u + (late - late.detach()))
 
 
 def lagged(u: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:

@@ -60,9 +60,12 @@ class OdeScene:
         changed = change(self.inputs[name], self.grid)
         return replace(self, inputs={**self.inputs, name: changed})
 
-    def with_further_input(self, name: str, values: Tensor, change: Change) -> OdeScene:
+    def with_further_input(
+        self, name: str, values: Tensor, change: Change, sizes: Mapping[str, Tensor] | None = None
+    ) -> OdeScene:
         """A copy with one more input (..., num_times), which ``change`` puts into formulas."""
-        return replace(self, inputs={**self.inputs, name: values}, changes=(*self.changes, change))
+        scene = replace(self, inputs={**self.inputs, name: values})
+        return scene.with_change(change, sizes or {})
 
     def with_reading(self, channel: str, change: SignalMap) -> OdeScene:
         """A copy in which a channel is f(channel, grid)."""
