@@ -6,6 +6,7 @@ axes.
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -162,7 +163,7 @@ def held_delayed(u: Tensor, dt: float, delay: Tensor) -> Tensor:
     place = (steps - (delay / dt)[..., None]).clamp(0.0, float(last))
     right = place.detach().ceil().long()
     left = (right - 1).clamp(min=0)
-    lead = torch.broadcast_shapes(u.shape[:-2], place.shape[:-1])
+    lead = np.broadcast_shapes(u.shape[:-2], place.shape[:-1])
 
     def at(index: Tensor) -> Tensor:
         wide = index[..., None].expand(*lead, last + 1, u.shape[-1])
