@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -95,12 +96,12 @@ class OdeScene:
         starts = self._starts(states, solver.starts)
         parameters = [self.values[n] for n in solver.parameters]
         inputs = [self.inputs[n] for n in solver.inputs]
-        lead = torch.broadcast_shapes(
+        lead = np.broadcast_shapes(
             *(v.shape for v in (*starts, *parameters)), *(u.shape[:-1] for u in inputs)
         )
         steps = len(self.grid.times)
         # inputs that no point changes are stored once
-        own = torch.broadcast_shapes(*(u.shape[:-1] for u in inputs))
+        own = np.broadcast_shapes(*(u.shape[:-1] for u in inputs))
         return solver.ode.solve(
             self.grid.times,
             _stacked(starts, lead),
