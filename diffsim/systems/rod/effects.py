@@ -214,16 +214,16 @@ def _of_tendons(given: RodKeys, study: Study, length: float) -> Iterator[Effect]
             apply=adding("command_gain"),
         )
     yield Effect(
-        name="tendon_slack",
-        form="Nothing is pulled until the command exceeds size, then that much less.",
-        family="shape",
+        name="drive_loss",
+        form="Nothing is pulled until the tension exceeds size, then that much less.",
+        family="loss",
         kind="actuator",
-        unit="command",
+        unit="N",
         typical=SHARE * pull,
         signed=False,
-        also_looks_like=("dry friction of motor and pulley", "torque of an idle motor"),
+        also_looks_like=("slack", "dry friction of motor and pulley", "torque that turns an idle motor"),
         words=lambda size: f"{size:.2g} N lost in each drive",
-        apply=adding("tendon_slack"),
+        apply=adding("drive_loss"),
     )
     yield Effect(
         name="pretension",
