@@ -139,7 +139,7 @@ def held_cart(every=5, noise=1e-4):
         t = TIME[::every]
         run = Run(name, t, np.zeros((len(t), 1)), {"force": 8.0 * np.sin(rate * t)}, name, use=use)
         runs.append(replace(run, setup={"load_kg": 0.0}))
-    study = replace(PLAIN, runs=tuple(runs), model=described(time_step=0.01))
+    study = replace(PLAIN, runs=tuple(runs), model=described(inputs=["force"], time_step=0.01))
     true = replace(study, model={**study.model, "inputs": [{"name": "force", "held": True}]})
     made = setup_of(true).model
     seen = [made.predict(r, made.at_prior()).numpy() for r in runs]
@@ -150,7 +150,8 @@ def held_cart(every=5, noise=1e-4):
 
 
 def test_a_command_that_rests_and_jumps_is_held_and_check_says_so():
-    steps = replace(PLAIN, runs=tuple(r for r in PLAIN.runs if r.name in ("step", "large")))
+    rests = tuple(r for r in PLAIN.runs if r.name in ("step", "large"))
+    steps = replace(PLAIN, runs=rests, model=described(inputs=["force"]))
     (note,) = description_of(steps).problems(steps)
     assert note.severity == "note" and "rests and jumps" in note.message
     straight = replace(steps, model=described(inputs=[{"name": "force", "held": False}]))
