@@ -175,6 +175,12 @@ def test_a_ramp_or_a_sine_does_not_show_whether_it_is_held():
     assert not looks_held([ramp], ["force"])
 
 
+def test_a_test_run_has_no_say_in_how_commands_are_held():
+    assert looks_held(PLAIN.runs[:1], ["force"])
+    later = replace(PLAIN.runs[0], use="test")
+    assert not looks_held([PLAIN.runs[1], later], ["force"])
+
+
 def test_a_held_command_that_changes_all_the_time_is_told_from_a_straight_one():
     report = found(held_cart())
     assert report.named == ("held_between_samples",)
