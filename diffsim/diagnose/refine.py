@@ -99,7 +99,11 @@ def _refined(
         if record is None:
             break
         there = Linearization(x, record, (), np.zeros((len(record), 0)))
-        changes = numerics_changes(replace(problem, numerics=numerics), there)
+        # what passed is checked again at the next fit
+        changes = {
+            **changes,
+            **numerics_changes(replace(problem, numerics=numerics), there, failing),
+        }
         gates = tuple(numerics_gate(null.fit, changes))
     return numerics, changes, gates, paid
 

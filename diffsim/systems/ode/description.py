@@ -60,7 +60,7 @@ class OdeDescription(FormulaKeys):
         """Mistakes in names, formulas and units, found without a simulation."""
         reader = Reader(study)
         self._described(study, reader)
-        return list(reader.problems)
+        return [*reader.problems, *reader.notes]
 
     def _described(self, study: Study, reader: Reader) -> Described:
         motion = Motion(
@@ -85,9 +85,11 @@ class OdeDescription(FormulaKeys):
             study=study,
             known=read.known,
             held=read.input_held,
+            unsure=read.unsure,
             places=tuple((p, usual.places[p.name]) for p in self.places),
             stores=tuple((s, usual.stores[s.name]) for s in self.stores),
             inputs=usual.inputs,
+            one_sided=usual.one_sided,
         )
         effects = chosen_effects((*ode_effects(library), *read.own), self.effects)
         settings = settings_with(DiagnosisSettings(), self.effort)

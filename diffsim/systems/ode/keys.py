@@ -69,8 +69,11 @@ class Input(Part):
         None,
         description="Formula of commands, parameters, facts and `t`; none: the command so named",
     )
-    held: bool = Field(
-        False, description="Whether it keeps its value until the next sample; else straight lines"
+    held: bool | None = Field(
+        None,
+        description="Whether it keeps its value until the next sample; else straight lines. None: "
+        "held where the commands rest and jump, which `check` says; else straight, and "
+        "`held_between_samples` is a cause to be judged",
     )
     delay: AnyQuantity | None = Field(
         None, description="Time by which it comes later than recorded [s]; with sd it is fitted"
@@ -179,7 +182,22 @@ class OwnEffect(Part):
         "force", description=f"Where it enters, one of {', '.join(KINDS[:-1])}"
     )
     form: str = Field("", description="What it does, in a sentence")
+    words: str | None = Field(
+        None,
+        description="What people call it at a size: `rotor 3 lost {:.0%} of its thrust`, where {} "
+        "stands for the size, {:.0%} for the size in percent",
+    )
     also_looks_like: tuple[str, ...] = Field((), description="What data may not tell from it")
+
+    @field_validator("words")
+    @classmethod
+    def _takes_a_number(cls, words: str | None) -> str | None:
+        if words is not None:
+            try:
+                words.format(0.5)
+            except (KeyError, IndexError, ValueError) as error:
+                raise ValueError(f"{words!r} cannot be filled in with a size: {error}") from None
+        return words
 
     @model_validator(mode="after")
     def _one_way(self) -> OwnEffect:

@@ -35,7 +35,7 @@ def test_what_a_description_makes():
     names = {e.name for e in setup.effects}
     assert {"load_inertia", "tip_mass", "loss_factor", "body_scale", "delay"} <= names
     # a base parameter is no cause beside itself, and nothing pulls here
-    assert not {"stiffness_damping", "tendon_slack", "rate_limit", "current"} & names
+    assert not {"stiffness_damping", "slack", "rate_limit", "current"} & names
 
 
 def test_a_hung_weight_pulls_and_its_inertia_slows():
