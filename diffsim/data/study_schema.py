@@ -64,7 +64,9 @@ class TimeSource(Part):
         "s", description="Unit of that column: s, ms, us, min; `clock` for 12:30:05.25 or a date"
     )
     step: Positive | None = Field(
-        None, description="Seconds between rows, where the files have no clock"
+        None,
+        description="Seconds between rows, where the files have no clock; with `column`, seconds "
+        "for each count of it: {column: frame, step: 0.01}",
     )
 
     @field_validator("unit")
@@ -76,8 +78,8 @@ class TimeSource(Part):
 
     @model_validator(mode="after")
     def _one_source(self) -> TimeSource:
-        if self.step is not None and self.column is not None:
-            raise ValueError("give column or step, not both")
+        if self.step is not None and self.unit != "s":
+            raise ValueError(f"step counts in seconds; leave out unit, got {self.unit!r}")
         return self
 
 
@@ -156,6 +158,12 @@ class CommandEntry(Source):
         description="Whether it was measured (the output of a controller): it then differs "
         "between repeats, and nobody can command it",
     )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> CommandEntry:
+        if self.lower is not None and self.upper is not None and not self.lower < self.upper:
+            raise ValueError(f"lower must be below upper, got {self.lower:g} and {self.upper:g}")
+        return self
 
 
 class Fact(Part):
