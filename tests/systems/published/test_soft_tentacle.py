@@ -10,7 +10,6 @@ import torch
 
 from diffsim.data import load_study
 from diffsim.data.study_check import check_study
-from diffsim.diagnose import diagnose
 from diffsim.identify import Numerics, fit
 from diffsim.systems import published
 from diffsim.systems.registry import setup_of

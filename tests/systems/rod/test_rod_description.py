@@ -81,7 +81,6 @@ def test_the_description_is_complete():
     [
         (lambda m: m["tendons"][0].update(command="lift"), "no command 'lift'; did you mean"),
         (lambda m: m["markers"].pop("tip"), "tip_x: is not described"),
-        (lambda m: m.update(sessions="week"), "states no 'week'"),
         (lambda m: m["markers"]["tip"].update(at="0.4 m"), "beyond the rod's end"),
         (lambda m: m["base"].update(across=[0, 1, 1]), "right angles"),
         (lambda m: m["stations"][0].update(at="0.1 m"), "the first is at 0"),
@@ -95,6 +94,13 @@ def test_mistakes_are_said_with_their_place(change, said):
     change(model)
     with pytest.raises(ValueError, match=said):
         setup_of(replace(good, model=model))
+
+
+def test_a_session_that_no_run_states_is_said():
+    made = study({**MODEL, "sessions": "week"})
+    said = [p.message for p in check_study(made) if p.severity == "warning"]
+    assert any("states no 'week'" in s for s in said) or "week" in str(said)
+    assert "moved_tip" not in [e.name for e in setup_of(made).effects]
 
 
 @pytest.mark.grad
