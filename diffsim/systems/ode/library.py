@@ -6,6 +6,7 @@ state how large a friction could be.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -73,6 +74,7 @@ class Library:
         stores: What fills and empties, each with its usual magnitudes.
         inputs: Greatest magnitude of each input, by its name.
         one_sided: Inputs that are never below zero.
+        step: Longest step of the integrator [s].
         unsure: Inputs of which nobody knows whether they are held between samples.
     """
 
@@ -84,6 +86,7 @@ class Library:
     inputs: Mapping[str, float]
     one_sided: frozenset[str] = frozenset()
     unsure: frozenset[str] = frozenset()
+    step: float = math.inf
 
     @property
     def longest(self) -> float:
