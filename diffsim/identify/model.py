@@ -34,6 +34,8 @@ class Parameter:
         unit: SI unit, "-" if none.
         log: The logarithm is what is normally distributed; for positive quantities.
         lower, upper: Bounds of the value, in ``unit``.
+        step: Longest step of a difference quotient, in ``unit``, where the record has edges that
+            move with the value; not where ``log``.
     """
 
     name: str
@@ -43,6 +45,7 @@ class Parameter:
     log: bool = False
     lower: float = -math.inf
     upper: float = math.inf
+    step: float = math.inf
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.value) or not self.lower <= self.value <= self.upper:

@@ -10,11 +10,10 @@ from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.identify.setup import DiagnosisSetup
-from diffsim.systems.bench.keys import Law
-from diffsim.systems.bench.law_effects import law_effects
 from diffsim.systems.description import chosen_effects, settings_with
 from diffsim.systems.ode.described import Described, Motion
-from diffsim.systems.ode.keys import FormulaKeys, Input, Inputs
+from diffsim.systems.ode.keys import FormulaKeys, Input, Inputs, Law
+from diffsim.systems.ode.law_effects import check_laws, law_effects
 from diffsim.systems.ode.names import Reader
 
 MAX_EFFECTS = 6  # several quantities, each with causes of its own
@@ -41,11 +40,7 @@ class BenchDescription(FormulaKeys):
         commands = dict.fromkeys(c for run in study.runs for c in run.command)
         inputs = self.inputs or tuple(Input(name=c) for c in commands if c.isidentifier())
         read = Described(self, inputs, Motion(), study, reader)
-        for i, law in enumerate(self.laws):
-            if law.name not in self.define and law.name not in self.tables:
-                reader.report(f"laws[{i}].name", f"no definition {law.name!r}; add it to define")
-            reader.parse(f"laws[{i}].of", law.of, read.known)
-            reader.require_per(f"laws[{i}]", law.per)
+        check_laws(self.laws, (*self.define, *self.tables), read.known, reader)
         return read
 
     def setup(self, study: Study) -> DiagnosisSetup:

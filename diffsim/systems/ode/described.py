@@ -16,8 +16,9 @@ from diffsim.data.study import Run, Study
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
+from diffsim.systems.ode.event_effects import runs_of, timings
 from diffsim.systems.ode.grid import Grid, delayed, held_delayed
-from diffsim.systems.ode.keys import FormulaKeys, Input, Place, Store
+from diffsim.systems.ode.keys import Events, FormulaKeys, Input, Place, Store
 from diffsim.systems.ode.names import (
     RUN_ORDER,
     Reader,
@@ -32,6 +33,7 @@ from diffsim.systems.ode.network import TIME, Network, named, ordered, piecewise
 from diffsim.systems.ode.own_effects import own_effects
 from diffsim.systems.ode.place_effects import sticking
 from diffsim.systems.ode.scene import OdeScene
+from diffsim.systems.ode.store_effects import spilled
 
 SLOW_TIME = "slow_time"
 _SLOW_SHARE = 0.1  # of the longest run: how long a slow share takes, if nobody says
@@ -46,6 +48,7 @@ class Motion:
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     places: tuple[Place, ...] = ()
     stores: tuple[Store, ...] = ()
+    events: tuple[Events, ...] = ()
     time_step: float | None = None
     slow_time: Quantity | None = None
 
@@ -173,6 +176,10 @@ class Described:
             for p in motion.places
             if p.stick_velocity is None
         }
+        for events in motion.events:
+            if runs_of(events, self.study):
+                given |= timings(events, self.study)
+        given |= {spilled(s): s.spill_share for s in motion.stores if s.spill_share is not None}
         if motion.states and (self._given or motion.places):
             value = _SLOW_SHARE * longest(self.study.runs)
             given.setdefault(
@@ -194,6 +201,24 @@ class Described:
             if store.into is not None and store.into not in names:
                 reader.report(f"stores[{i}].into", f"no store {store.into!r}")
             reader.parse(f"stores[{i}].area", store.area, self.known)
+
+        self._check_events()
+
+    def _check_events(self) -> None:
+        channels = [c.name for c in self.study.channels]
+        places = [p.name for p in self.motion.places]
+        between = (*self.input_held, *self.keys.define, *self.keys.tables)
+        for i, events in enumerate(self.motion.events):
+            if not runs_of(events, self.study):
+                self._reader.report(f"events[{i}].where", "no run has these facts")
+            known = (*places, *between, *channels)
+            for name in events.at:
+                if name not in known:
+                    self._reader.report(
+                        f"events[{i}].at",
+                        f"{name!r} is no place, input, definition or channel"
+                        f"{did_you_mean(name, known)}",
+                    )
 
     def model(self) -> SimModel:
         """The model without effects."""
@@ -217,6 +242,7 @@ class Described:
             starts=self.starts,
             inputs={name: self._input(name, run, grid, known) for name in self.inputs},
             channels=tuple(c.name for c in self.study.channels),
+            ranges=self.keys.ranges,
         )
 
     def _input(self, name: str, run: Run, grid: Grid, known: Mapping[str, Tensor]) -> Tensor:

@@ -14,16 +14,20 @@ from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
 from diffsim.systems.ode.described import Described, Motion
 from diffsim.systems.ode.effects import ode_effects
+from diffsim.systems.ode.event_effects import event_effects
 from diffsim.systems.ode.keys import (
     AnyQuantity,
+    Events,
     Formula,
     FormulaKeys,
     Inputs,
+    Law,
     Place,
     Seconds,
     States,
     Store,
 )
+from diffsim.systems.ode.law_effects import check_laws, law_effects
 from diffsim.systems.ode.library import Library, magnitudes
 from diffsim.systems.ode.names import Reader
 from diffsim.systems.ode.unknown import unknown_forces
@@ -44,6 +48,12 @@ class OdeDescription(FormulaKeys):
     )
     places: tuple[Place, ...] = Field((), description="Where forces may act; opens their effects")
     stores: tuple[Store, ...] = Field((), description="What fills and empties; opens leaks")
+    laws: tuple[Law, ...] = Field(
+        (), description="Definitions that are laws; opens exponents, zeros, limits of them"
+    )
+    events: tuple[Events, ...] = Field(
+        (), description="What may have acted for a limited time; opens its forms at each place"
+    )
     time_step: Seconds | None = Field(  # type: ignore[valid-type]
         None, gt=0, description="Longest step of the integrator [s]; none: the sample interval"
     )
@@ -69,10 +79,13 @@ class OdeDescription(FormulaKeys):
             limits=self.limits,
             places=self.places,
             stores=self.stores,
+            events=self.events,
             time_step=self.time_step,
             slow_time=self.slow_time,
         )
-        return Described(self, self.inputs, motion, study, reader)
+        read = Described(self, self.inputs, motion, study, reader)
+        check_laws(self.laws, (*self.define, *self.tables), read.known, reader)
+        return read
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""
@@ -88,8 +101,11 @@ class OdeDescription(FormulaKeys):
             places=tuple((p, usual.places[p.name]) for p in self.places),
             stores=tuple((s, usual.stores[s.name]) for s in self.stores),
             inputs=usual.inputs,
+            usual=usual.usual,
         )
-        effects = chosen_effects((*ode_effects(library), *read.own), self.effects)
+        found = (*ode_effects(library), *event_effects(library, model, self.events))
+        laws = law_effects(self.laws, study, model, read.network, read.known)
+        effects = chosen_effects((*found, *laws, *read.own), self.effects)
         settings = settings_with(DiagnosisSettings(), self.effort)
         return DiagnosisSetup(model, effects, unknown_forces(library), settings=settings)
 

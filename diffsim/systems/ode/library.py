@@ -7,7 +7,7 @@ state how large a friction could be.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -21,6 +21,7 @@ from diffsim.systems.ode.network import Network, product
 from diffsim.systems.ode.scene import OdeScene
 
 Array = NDArray[np.float64]
+SHARE_OF_USUAL = 0.1  # of a usual magnitude: what a cause may be without surprise
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,7 @@ class Library:
         places: Where forces may act, each with its usual magnitudes.
         stores: What fills and empties, each with its usual magnitudes.
         inputs: Greatest magnitude of each input, by its name.
+        usual: Rms of each input and definition, by its name.
     """
 
     study: Study
@@ -77,6 +79,7 @@ class Library:
     places: tuple[tuple[Place, PlaceScale], ...]
     stores: tuple[tuple[Store, StoreScale], ...]
     inputs: Mapping[str, float]
+    usual: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def longest(self) -> float:
@@ -102,6 +105,7 @@ class Magnitudes:
     places: Mapping[str, PlaceScale]
     stores: Mapping[str, StoreScale]
     inputs: Mapping[str, float]
+    usual: Mapping[str, float]
 
 
 def magnitudes(
@@ -122,7 +126,9 @@ def magnitudes(
         places: Where forces may act.
         stores: What fills and empties.
     """
-    read = network.with_readings(_inside(network, known, places, stores))
+    between = {n: parse_expression(n, known) for n in (*network.inputs, *network.definitions)}
+    inside = _inside(network, known, places, stores)
+    read = network.with_readings({**inside, **{f"usual {n}": e for n, e in between.items()}})
     columns: dict[str, list[Array]] = {}
     inputs: dict[str, float] = {}
     for run in study.fit_runs or study.runs:
@@ -138,6 +144,7 @@ def magnitudes(
         {p.name: _place_scale(p, columns) for p in places},
         {s.name: _store_scale(s, columns) for s in stores},
         {name: most or 1.0 for name, most in inputs.items()},
+        {name: _rms(columns[f"usual {name}"]) for name in between},
     )
 
 

@@ -136,6 +136,11 @@ class Reader:
                     f"no channel {name!r}{did_you_mean(name, channels)}; "
                     f"the study has {', '.join(channels)}",
                 )
+        for name, (low, high) in keys.ranges.items():
+            if name not in channels:
+                self.report(f"ranges.{name}", f"no channel {name!r}{did_you_mean(name, channels)}")
+            elif not low < high:
+                self.report(f"ranges.{name}", f"{low:g} is not below {high:g}")
         for name in channels:
             if name not in keys.readings:
                 self.report("readings", f"channel {name} has no formula; add `{name}: ...`")

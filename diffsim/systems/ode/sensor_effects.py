@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -30,6 +31,7 @@ def sensor_effects(library: Library) -> tuple[Effect, ...]:
         out += [
             replace(_SCALE, name=_SCALE.name + tail, apply=by_reading(names, _scaled)),
             replace(_LAG, name=_LAG.name + tail, apply=by_reading(names, signals.lagged)),
+            _curvature(own, library, tail),
             _offset("sensor_offset", own, library),
             _offset("sensor_drift", own, library),
         ]
@@ -42,6 +44,29 @@ def sensor_effects(library: Library) -> tuple[Effect, ...]:
 
 def _scaled(y: Tensor, grid: Grid, size: Tensor) -> Tensor:
     return y * (1.0 + size[..., None])
+
+
+def _curvature(channels: list[Channel], library: Library, tail: str) -> Effect:
+    """A scale that is bent: straight in the middle of the range, more and more off to its ends."""
+    middle, spread = _range_of(channels, library)
+
+    def bent(y: Tensor, grid: Grid, size: Tensor) -> Tensor:
+        away = (y - middle) / (0.5 * spread)
+        return y + size[..., None] * spread * away * away
+
+    names = [c.name for c in channels]
+    return replace(_CURVATURE, name=_CURVATURE.name + tail, apply=by_reading(names, bent))
+
+
+def _range_of(channels: list[Channel], library: Library) -> tuple[float, float]:
+    """Middle and width of what channels have shown in the runs to fit."""
+    indices = [list(library.study.channels).index(c) for c in channels]
+    runs = library.study.fit_runs or library.study.runs
+    seen = np.concatenate([run.measured[:, indices].ravel() for run in runs])
+    seen = seen[np.isfinite(seen)]
+    if not len(seen) or np.ptp(seen) == 0.0:
+        return 0.0, 1.0
+    return 0.5 * float(seen.min() + seen.max()), float(np.ptp(seen))
 
 
 def _offset(name: str, channels: list[Channel], library: Library) -> Effect:
@@ -91,6 +116,17 @@ _SCALE = Effect(
     unit="-",
     typical=0.03,
     also_looks_like=("gain of the drive",),
+    apply=_refuse,
+)
+_CURVATURE = Effect(
+    name="sensor_curvature",
+    form="Readings are larger by the share size of the range at both of its ends, in the middle by "
+    "nothing.",
+    family="shape",
+    kind="sensor",
+    unit="-",
+    typical=0.05,
+    also_looks_like=("a stiffness or outflow that changes with the level",),
     apply=_refuse,
 )
 _LAG = Effect(

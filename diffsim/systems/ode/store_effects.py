@@ -101,7 +101,8 @@ def _spill(library: Library, store: Store, scale: StoreScale, tail: str) -> Effe
         "quick": parse_expression(repr(per_s)),
     }
     gain = filled(parse_expression("-quick*max(h - (high - size), 0)*(size > 0)"), parts)
-    rates = _moved(library, store, gain, flows_on=True)
+    share = named(spilled(store)) if store.spill_share is not None else None
+    rates = _moved(library, store, gain, flows_on=True, share=share)
     return Effect(
         name=name,
         form="Spills over at a level that lies size below the highest of the plain model.",
@@ -116,14 +117,27 @@ def _spill(library: Library, store: Store, scale: StoreScale, tail: str) -> Effe
     )
 
 
+def spilled(store: Store) -> str:
+    """Name of the share of what spills over that reaches the next store."""
+    return f"spill_share_of_{store.name}"
+
+
 def _moved(
-    library: Library, store: Store, gain: Expression, flows_on: bool
+    library: Library,
+    store: Store,
+    gain: Expression,
+    flows_on: bool,
+    share: Expression | None = None,
 ) -> dict[str, Expression]:
-    """Terms of rates from what a store gains; the store it flows into gets what this one loses."""
+    """Terms of rates from what a store gains; the store it flows into gets what this one loses, or
+    a share of it."""
     areas = {"gain": gain, "own": parse_expression(store.area, library.known)}
     rates = {store.level: filled(parse_expression("gain/own"), areas)}
     into = next((s for s, _ in library.stores if s.name == store.into), None)
     if flows_on and into is not None:
         areas["other"] = parse_expression(into.area, library.known)
-        rates[into.level] = filled(parse_expression("-gain/other"), areas)
+        passed = (
+            parse_expression("-gain/other") if share is None else parse_expression("-k*gain/other")
+        )
+        rates[into.level] = filled(passed, areas | ({} if share is None else {"k": share}))
     return rates

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,8 +13,9 @@ from diffsim.core.expression import parse_expression
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply, Effect
 from diffsim.identify.model import SimModel
-from diffsim.systems.bench.keys import Law
 from diffsim.systems.ode.applying import Groups, by_formulas_in, symbol
+from diffsim.systems.ode.keys import Law
+from diffsim.systems.ode.names import Reader
 from diffsim.systems.ode.network import Change, Network, filled, named
 from diffsim.systems.ode.scene import OdeScene
 
@@ -146,6 +147,24 @@ def _bends(law: Law, scale: LawScale, num_runs: int) -> Iterator[_Bend]:
         )
 
 
+def check_laws(
+    laws: Sequence[Law], definitions: Collection[str], known: Sequence[str], reader: Reader
+) -> None:
+    """Report laws that name no definition, or are of what is not there.
+
+    Args:
+        laws: Laws of the description.
+        definitions: Names of definitions and tables.
+        known: Names that formulas may use.
+        reader: Receives the mistakes.
+    """
+    for i, law in enumerate(laws):
+        if law.name not in definitions:
+            reader.report(f"laws[{i}].name", f"no definition {law.name!r}; add it to define")
+        reader.parse(f"laws[{i}].of", law.of, known)
+        reader.require_per(f"laws[{i}]", law.per)
+
+
 def law_effects(
     laws: Sequence[Law], study: Study, model: SimModel, network: Network, known: Sequence[str]
 ) -> tuple[Effect, ...]:
@@ -247,7 +266,7 @@ class _Bent:
 
     def __call__(self, scene: OdeScene, size: Tensor, run: Run) -> OdeScene:
         signals = {
-            name: _share(run) if name == _SHARE else self._way(scene) for name in self.further
+            name: _share(scene) if name == _SHARE else self._way(scene) for name in self.further
         }
         scene = self.plain(scene, size, run)
         return replace(scene, inputs={**scene.inputs, **signals})
@@ -259,9 +278,9 @@ class _Bent:
         return torch.from_numpy(np.sign(np.gradient(path)))
 
 
-def _share(run: Run) -> Tensor:
-    since = run.time_s - run.time_s[0]
-    return torch.from_numpy(since / since[-1] if since[-1] > 0.0 else since)
+def _share(scene: OdeScene) -> Tensor:
+    since = scene.grid.times - scene.grid.times[0]
+    return since / since[-1] if since[-1] > 0.0 else since
 
 
 def _scales(
