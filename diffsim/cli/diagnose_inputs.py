@@ -35,19 +35,29 @@ def read_study(given: str) -> Study:
     Raises:
         FileNotFoundError: neither; the message offers the closest names.
     """
+    is_described = Path(given).exists() or given in {path.stem for path in described()}
+    if given in IMPORTERS and not is_described:
+        return import_study(given)
+    return load_study(study_file(given))
+
+
+def study_file(given: str) -> Path:
+    """File or folder of a study, or the file of a published data set.
+
+    Raises:
+        FileNotFoundError: neither; the message offers the closest names.
+    """
     path = Path(given)
     if path.exists():
-        return load_study(path)
+        return path
     files = {path.stem: path for path in described()}
     if given in files:
-        return load_study(files[given])
-    if given in IMPORTERS:
-        return import_study(given)
+        return files[given]
     try:
         require_choice("STUDY", given, {**files, **IMPORTERS})
     except ValueError as error:
         raise FileNotFoundError(f"{given} is no file or folder of a study, and {error}") from None
-    raise AssertionError("require_choice refuses what is not among its choices")
+    raise FileNotFoundError(f"{given} has no study.yaml")
 
 
 def described() -> list[Path]:

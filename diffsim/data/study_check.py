@@ -14,6 +14,7 @@ from diffsim.data.study import SYSTEMS, USES, Channel, Run, Study
 
 TODO = "TODO"  # what a user is still to fill in
 MIN_SAMPLES = 10
+LATE = 1e6  # s: a clock that starts here counts from some other epoch than the run
 MANY_SAMPLES = 100_000  # of all runs and channels; what is simulated at each costs time
 MAX_STEP = 1.5  # of the median step; a longer one is a gap in the clock
 MAX_MISSING = 0.2  # share of a channel's samples
@@ -217,6 +218,13 @@ def _check_clock(run: Run, where: str) -> Iterator[Problem]:
     if not np.isfinite(run.time_s).all():
         yield Problem("error", where, "time_s has missing values; every sample needs a time")
         return
+    if run.time_s[0] > LATE:
+        yield Problem(
+            "warning",
+            where,
+            f"its clock starts at {run.time_s[0]:.0f} s; zero_time: start (in defaults) makes "
+            "every run start at 0 s",
+        )
     step = np.diff(run.time_s)
     if (step <= 0.0).any():
         at = int(np.argmax(step <= 0.0)) + 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -101,17 +101,21 @@ def _separate_gate(study: Study) -> GateResult:
     return GateResult("separate_runs", not pairs, len(pairs), 0, note, applies=others > 0)
 
 
-def numerics_changes(problem: Problem, at: Linearization) -> dict[str, Array]:
+def numerics_changes(
+    problem: Problem, at: Linearization, names: Iterable[str] = tuple(REFINEMENTS)
+) -> dict[str, Array]:
     """(N,) change of the record by refining each setting; zero where the model has no such one.
 
     Args:
         problem: Fitting problem whose runs are simulated again.
         at: Record with the settings in use, and where.
+        names: Settings that are refined, one at a time.
     """
     here = problem.numerics or Numerics()
     return {
-        name: record_at(replace(problem, numerics=here.refined(finer)), at.x) - at.record
-        for name, finer in REFINEMENTS.items()
+        name: record_at(replace(problem, numerics=here.refined(REFINEMENTS[name])), at.x)
+        - at.record
+        for name in names
     }
 
 

@@ -95,7 +95,11 @@ def _refined(
             break
         numerics, paid = finer, seconds / once
         there = Linearization(x, record, (), np.zeros((len(record), 0)))
-        changes = numerics_changes(replace(problem, numerics=numerics), there)
+        # what passed is checked again at the next fit
+        changes = {
+            **changes,
+            **numerics_changes(replace(problem, numerics=numerics), there, failing),
+        }
         gates = tuple(numerics_gate(null.fit, changes))
     return numerics, changes, gates, paid
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from threading import Lock
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
 import torch
@@ -107,9 +108,12 @@ class SimModel:
     Attributes:
         prepared_q: Point that ``prepared_at`` made this model for, (num_base,) standardized; None
             where nothing is prepared.
+        made_from: What sizes of effects mean by: magnitudes of recordings, in types that YAML has.
+            Extended models are saved with them.
     """
 
     prepared_q: Tensor | None = None
+    made_from: Mapping[str, Any] = MappingProxyType({})
 
     def __init__(
         self,

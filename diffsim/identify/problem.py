@@ -267,7 +267,7 @@ class Problem:
         names = self.names
 
         def one(run: Run) -> tuple[Array, Array]:
-            idx = [i for i in range(len(x)) if _touches(names[i], run)]
+            idx = [i for i in range(len(x)) if touches(names[i], run)]
             idx = [i for i in idx if only is None or i in only]
             here, columns = self.jacobian.columns(
                 lambda points: self._predict_scaled(run, points),
@@ -363,7 +363,7 @@ def effect_coordinates(effects: Sequence[Effect]) -> tuple[str, ...]:
     )
 
 
-def _touches(name: str, run: Run) -> bool:
+def touches(name: str, run: Run) -> bool:
     """Whether a coordinate acts in a run: "offset@run_3" acts in run_3 only, "drag[frame=A]" where
     the run's setup says so."""
     if name.endswith("]") and "=" in name:

@@ -16,8 +16,8 @@ from diffsim.data.study import Run, Study
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
+from diffsim.systems.grid import Grid, delayed, held_delayed
 from diffsim.systems.ode.event_effects import runs_of, timings
-from diffsim.systems.ode.grid import Grid, delayed, held_delayed
 from diffsim.systems.ode.keys import Events, FormulaKeys, Input, Place, Store
 from diffsim.systems.ode.names import (
     RUN_ORDER,
@@ -31,7 +31,7 @@ from diffsim.systems.ode.names import (
 )
 from diffsim.systems.ode.network import TIME, Network, named, ordered, piecewise
 from diffsim.systems.ode.own_effects import own_effects
-from diffsim.systems.ode.place_effects import sticking
+from diffsim.systems.ode.place_effects import shapes
 from diffsim.systems.ode.scene import OdeScene
 from diffsim.systems.ode.store_effects import spilled
 
@@ -171,15 +171,11 @@ class Described:
         motion, given = self.motion, dict(self.keys.parameters)
         given |= {f"{s}_start": q for s, q in motion.states.items() if isinstance(q, Quantity)}
         given |= {f"{i.name}_delay": i.delay for i in self._given if i.delay is not None}
-        given |= {
-            sticking(p): Quantity(value=1.0, percent=100.0, lower=0.2, upper=20.0)
-            for p in motion.places
-            if p.stick_velocity is None
-        }
         for events in motion.events:
-            if runs_of(events, self.study):
-                given |= timings(events, self.study)
+            given |= timings(events, self.study)
         given |= {spilled(s): s.spill_share for s in motion.stores if s.spill_share is not None}
+        for place in motion.places:
+            given |= shapes(place)
         if motion.states and (self._given or motion.places):
             value = _SLOW_SHARE * longest(self.study.runs)
             given.setdefault(
@@ -194,6 +190,8 @@ class Described:
             for key in ("position", "velocity"):
                 if getattr(place, key) not in states:
                     reader.report(f"places[{i}].{key}", f"no state {getattr(place, key)!r}")
+            if place.position == place.velocity:
+                reader.report(f"places[{i}].velocity", "is its position, too; name the other state")
             reader.parse(f"places[{i}].inertia", place.inertia, self.known)
         for i, store in enumerate(self.motion.stores):
             if store.level not in states:
@@ -210,7 +208,7 @@ class Described:
         between = (*self.input_held, *self.keys.define, *self.keys.tables)
         for i, events in enumerate(self.motion.events):
             if not runs_of(events, self.study):
-                self._reader.report(f"events[{i}].where", "no run has these facts")
+                self._reader.warn(f"events[{i}].where", "no run has these facts")
             known = (*places, *between, *channels)
             for name in events.at:
                 if name not in known:

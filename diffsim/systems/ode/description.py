@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
+from functools import partial
 from typing import Any, Literal
 
 from pydantic import Field, field_validator
@@ -27,8 +29,8 @@ from diffsim.systems.ode.keys import (
     States,
     Store,
 )
-from diffsim.systems.ode.law_effects import check_laws, law_effects
-from diffsim.systems.ode.library import Library, magnitudes
+from diffsim.systems.ode.law_effects import LawScale, check_laws, law_effects, law_scales
+from diffsim.systems.ode.library import Library, Magnitudes, magnitudes
 from diffsim.systems.ode.names import Reader
 from diffsim.systems.ode.unknown import unknown_forces
 
@@ -89,25 +91,42 @@ class OdeDescription(FormulaKeys):
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""
+        return self._setup(study, None)
+
+    def _setup(self, study: Study, made_from: Mapping[str, Any] | None) -> DiagnosisSetup:
+        """The setup by the magnitudes of a study, or by those that a saved model was made from."""
         reader = Reader(study)
         read = self._described(study, reader)
         reader.finish()
         model = read.model()
-        usual = magnitudes(study, model, read.network, read.known, self.places, self.stores)
+        if made_from is None:
+            usual = magnitudes(study, model, read.network, read.known, self.places, self.stores)
+            bends = law_scales(self.laws, study, model, read.network, read.known)
+        else:
+            usual = Magnitudes.of(made_from["library"])
+            bends = {name: LawScale(**scale) for name, scale in made_from["laws"].items()}
+        model.made_from = {
+            "library": usual.saved(),
+            "laws": {name: asdict(scale) for name, scale in bends.items()},
+        }
         library = Library(
             study=study,
             known=read.known,
             held=read.input_held,
             places=tuple((p, usual.places[p.name]) for p in self.places),
             stores=tuple((s, usual.stores[s.name]) for s in self.stores),
-            inputs=usual.inputs,
-            usual=usual.usual,
+            scales=usual,
         )
         found = (*ode_effects(library), *event_effects(library, model, self.events))
-        laws = law_effects(self.laws, study, model, read.network, read.known)
+        laws = law_effects(self.laws, study, bends, read.network, read.known)
         effects = chosen_effects((*found, *laws, *read.own), self.effects)
-        settings = settings_with(DiagnosisSettings(), self.effort)
-        return DiagnosisSetup(model, effects, unknown_forces(library), settings=settings)
+        return DiagnosisSetup(
+            model,
+            effects,
+            unknown_forces(library),
+            settings=settings_with(DiagnosisSettings(), self.effort),
+            remade=partial(self._setup, study),
+        )
 
 
 __all__ = ["OdeDescription"]

@@ -67,7 +67,8 @@ def _is_meant(events: Events, run: Run) -> bool:
 
 def knots_of(events: Events, study: Study) -> Array:
     """Times of knots over the runs to fit, (K,) [s]."""
-    meant = [r for r in runs_of(events, study) if r.use == "fit"] or runs_of(events, study)
+    meant = runs_of(events, study) or study.runs  # on recordings without it an event is inert
+    meant = tuple(r for r in meant if r.use == "fit") or meant
     first, last = min(r.time_s[0] for r in meant), max(r.time_s[-1] for r in meant)
     longest = max(float(r.time_s[-1] - r.time_s[0]) for r in meant)
     step = max(longest / events.knots, float(np.median(np.diff(meant[0].time_s))))
@@ -116,7 +117,7 @@ def event_effects(
 def _of_one(library: Library, model: SimModel, events: Events) -> Iterator[Effect]:
     knots = knots_of(events, library.study)
     ways = [_way(library, events, name) for name in events.at]
-    for way in _told_apart(ways, model, runs_of(events, library.study)[0]):
+    for way in _told_apart(ways, model, library.study.runs[0]):
         course = _course(events, way, knots)
         for form in events.forms:
             yield _effect(events, way, form, course, knots)

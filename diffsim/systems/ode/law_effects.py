@@ -166,18 +166,21 @@ def check_laws(
 
 
 def law_effects(
-    laws: Sequence[Law], study: Study, model: SimModel, network: Network, known: Sequence[str]
+    laws: Sequence[Law],
+    study: Study,
+    scales: Mapping[str, LawScale],
+    network: Network,
+    known: Sequence[str],
 ) -> tuple[Effect, ...]:
     """Effects of every law, and of one law on another's reading.
 
     Args:
         laws: Laws of the description.
         study: Study with the recordings.
-        model: Plain model, simulated once per run for usual magnitudes.
-        network: Its formulas.
+        scales: Usual magnitudes of each law, by its name (``law_scales``).
+        network: Formulas of the plain model.
         known: Names that formulas may use.
     """
-    scales = _scales(laws, study, model, network, known)
     num_runs = len({run.order for run in study.fit_runs})
     out = []
     for law in laws:
@@ -283,9 +286,20 @@ def _share(scene: OdeScene) -> Tensor:
     return since / since[-1] if since[-1] > 0.0 else since
 
 
-def _scales(
+def law_scales(
     laws: Sequence[Law], study: Study, model: SimModel, network: Network, known: Sequence[str]
 ) -> dict[str, LawScale]:
+    """Usual magnitudes of laws, from one simulation of each run to fit.
+
+    Args:
+        laws: Laws of the description.
+        study: Study with the recordings.
+        model: Plain model.
+        network: Its formulas.
+        known: Names that formulas may use.
+    """
+    if not laws:
+        return {}
     pairs = [(law, w) for law in laws for w in (law.of, law.name)]
     read = network.with_readings(
         {f"{law.name} {w}": parse_expression(w, known) for law, w in pairs}

@@ -101,6 +101,10 @@ class Reader:
         """Add a mistake at a key such as "rates.v"."""
         self.problems.append(Problem("error", f"{where_of(self.study)}.{key}", message))
 
+    def warn(self, key: str, message: str) -> None:
+        """Add what may be meant, but rather is a mistake."""
+        self.problems.append(Problem("warning", f"{where_of(self.study)}.{key}", message))
+
     def parse(self, key: str, text: str, known: Iterable[str]) -> Expression:
         """The formula; that of zero where it is mistaken."""
         try:
