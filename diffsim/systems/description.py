@@ -120,6 +120,9 @@ class Effort(Part):
     max_effects: int | None = Field(None, ge=1, description="Largest number of causes in one set")
     num_refits: int | None = Field(None, ge=1, description="Sets that are refitted per round")
     max_rounds: int | None = Field(None, ge=1, description="Moves to a better set, at most")
+    scan_points: int | None = Field(
+        None, ge=0, description="Sizes of causes with kinks that are tried before fits, at most"
+    )
     difference_step: float | None = Field(
         None, gt=0, description="Step of difference quotients, in standard deviations of the priors"
     )

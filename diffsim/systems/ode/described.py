@@ -90,7 +90,7 @@ class Described:
         self.own = own_effects(keys.effects.own, study, self.known, states, reader)
         limits = dict(motion.limits)
         self.network = Network(rates, readings, self._definitions(), self.input_held, limits)
-        self.base = BaseParameters({} if reader.problems else self.quantities, study.runs)
+        self.base = BaseParameters({} if reader.has_errors else self.quantities, study.runs)
 
     def _parsed(self, key: str, formulas: Mapping[str, str]) -> dict[str, Expression]:
         return {n: self._reader.parse(f"{key}.{n}", f, self.known) for n, f in formulas.items()}

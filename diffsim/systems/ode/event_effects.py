@@ -32,7 +32,7 @@ Array = np.ndarray
 Entry = Callable[[OdeScene, Tensor], OdeScene]
 STEP_SHARE = 0.05  # of a knot: longest difference step of a time
 SAME = 1e-6  # of a cosine: responses that are the same but for a factor
-FEWEST_KNOTS = 3.0  # a width or period is not less than so many
+FEWEST_KNOTS = 3.0  # a width that can be read off them, half of a period
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,23 +80,25 @@ def timings(events: Events, study: Study) -> dict[str, Quantity]:
     knots = knots_of(events, study)
     span, step = float(np.ptp(knots)), float(knots[1] - knots[0])
     wanted = {timing for form in events.forms for timing in TIMINGS[form]}
+    sample = min(float(np.median(np.diff(run.time_s))) for run in study.runs)
+    # bounds must not depend on how long recordings are: a saved event stays where it lies
     values = {
-        ONSET: (knots[0] + 0.5 * span, 0.5 * span, knots[0] - span, knots[-1]),
-        WIDTH: (0.1 * span, 0.25 * span, FEWEST_KNOTS * step, 2.0 * span),
-        PERIOD: (0.1 * span, 0.25 * span, 2.0 * FEWEST_KNOTS * step, span),
+        ONSET: (knots[0] + 0.5 * span, 0.5 * span, -math.inf),
+        WIDTH: (0.1 * span, 0.25 * span, 2.0 * sample),
+        PERIOD: (0.1 * span, 0.25 * span, 4.0 * sample),
     }
     # a longer period moves the last pulse by as many times more as there are pulses
-    steps = {PERIOD: STEP_SHARE * step * values[PERIOD][2] / span}
+    shortest = 2.0 * FEWEST_KNOTS * step
+    steps = {PERIOD: STEP_SHARE * step * shortest / span}
     return {
         f"{events.name}_{timing}": Quantity(
             value=max(value, low),
             sd=sd,
             lower=low,
-            upper=high,
             unit="s",
             step=steps.get(timing, STEP_SHARE * step),
         )
-        for timing, (value, sd, low, high) in values.items()
+        for timing, (value, sd, low) in values.items()
         if timing in wanted
     }
 

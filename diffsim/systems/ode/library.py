@@ -208,7 +208,7 @@ def magnitudes(
 
 
 def _range(study: Study, channel: int) -> tuple[float, float]:
-    """Least and greatest sample of a channel over the runs to fit, one apart where all are alike."""
+    """Least and greatest sample of a channel over the runs to fit; one apart if all are alike."""
     seen = _finite([r.measured[:, channel] for r in study.fit_runs or study.runs])
     low, high = (float(seen.min()), float(seen.max())) if len(seen) else (0.0, 0.0)
     return (low, high) if high > low else (low - 0.5, low + 0.5)

@@ -159,6 +159,11 @@ class Reader:
                 self.report(key, f"per: run {run.name} states no {per} in its setup{hint}")
                 return
 
+    @property
+    def has_errors(self) -> bool:
+        """Whether anything reported makes the description unusable."""
+        return any(p.severity == "error" for p in self.problems)
+
     def finish(self) -> None:
         """Raise what was collected.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.identify.effect import Effect
 from diffsim.systems.ode.applying import by_formulas, symbol
@@ -10,7 +12,7 @@ from diffsim.systems.ode.library import Library, StoreScale
 from diffsim.systems.ode.network import Change, filled, named
 
 SHARE = 0.1  # of the usual rate that a cause may be without surprise
-SPILL_TIME_SHARE = 0.2  # of the time in which the usual rate fills the usual level
+SPILL_TIME_SHARE = 0.01  # of the time in which the usual rate fills the usual level
 ROUND = 1e-3  # of the usual level: where the root is straightened
 
 
@@ -93,7 +95,9 @@ def _flow(
 
 def _spill(library: Library, store: Store, scale: StoreScale, tail: str) -> Effect:
     name = "overflow" + tail
-    per_s = scale.rate / scale.level / SPILL_TIME_SHARE
+    # water stands over a rim by little; what is quicker than the samples would be stiff
+    quickest = min(float(np.median(np.diff(run.time_s))) for run in library.study.runs)
+    per_s = min(scale.rate / scale.level / SPILL_TIME_SHARE, 1.0 / quickest)
     parts = {
         "h": named(store.level),
         "size": named(symbol(name)),
@@ -112,6 +116,7 @@ def _spill(library: Library, store: Store, scale: StoreScale, tail: str) -> Effe
         typical=0.2 * scale.level,
         signed=False,
         smooth=False,
+        masks=("overflow", "exponent", "sensor_curvature"),
         also_looks_like=("outflow that grows faster than the root", "limit of the sensor"),
         apply=by_formulas(Change(rates=rates), symbol(name)),
     )
