@@ -131,6 +131,27 @@ def test_a_push_is_said_in_words(tmp_path):
     assert values["event_width"] == pytest.approx(1.5, abs=0.02)
 
 
+def test_forms_at_one_place_do_not_stand_for_each_other(tmp_path):
+    """A form of size 0 beside another leaves it as it is."""
+    from diffsim.data import load_study
+    from diffsim.systems import setup_of
+
+    _cart(tmp_path, seed=0)
+    (tmp_path / "study.yaml").write_text(STUDY.format(events=EVENTS, runs=RUNS))
+    study = load_study(tmp_path)
+    made = setup_of(study)
+    step, pulse = (
+        next(e for e in made.effects if e.name == f"{form}_event_at_cart")
+        for form in ("step", "pulse")
+    )
+    run, q = study.runs[1], made.model.at_prior()
+    size, none = torch.tensor([2.0]).double(), torch.tensor([0.0]).double()
+    alone = made.model.predict(run, q, {pulse: size})
+    torch.testing.assert_close(made.model.predict(run, q, {pulse: size, step: none}), alone)
+    torch.testing.assert_close(made.model.predict(run, q, {step: none, pulse: size}), alone)
+    assert (alone - made.model.predict(run, q, {})).abs().max() > 1e-3
+
+
 def test_a_saved_model_means_the_same_on_new_recordings_alone(tmp_path):
     """A study that holds only new runs has other magnitudes; sizes keep those they were made by."""
     from diffsim.data import load_study

@@ -31,6 +31,7 @@ Array = np.ndarray
 #: (scene, values on the grid (..., num_times)) -> the scene with them added
 Entry = Callable[[OdeScene, Tensor], OdeScene]
 STEP_SHARE = 0.05  # of a knot: longest difference step of a time
+SENSOR_SHARE = 0.05  # of what a channel shows: a shift of its readings without surprise
 SAME = 1e-6  # of a cosine: responses that are the same but for a factor
 FEWEST_KNOTS = 3.0  # a width that can be read off them, half of a period
 
@@ -44,7 +45,7 @@ class _Way:
         kind: Kind of cause.
         unit: Unit of the size.
         typical: Size that would be no surprise.
-        add: Adds values to a scene there.
+        entry: Function of a name that no other cause has: what adds values to a scene there.
         alike: Other ways in which the same record follows: name, unit, and size per size here.
     """
 
@@ -52,7 +53,7 @@ class _Way:
     kind: str
     unit: str
     typical: float
-    add: Entry
+    entry: Callable[[str], Entry]
     alike: tuple[tuple[str, str, float], ...] = ()
 
 
@@ -135,7 +136,7 @@ def _told_apart(ways: Sequence[_Way], model: SimModel, run: Run) -> list[_Way]:
         base = plain.simulate().numpy()
         scale = base.std(axis=0) + 1e-300
         for way in ways:
-            moved = way.add(plain, way.typical * half).simulate().numpy()
+            moved = way.entry("trial")(plain, way.typical * half).simulate().numpy()
             change = ((moved - base) / scale).ravel()
             twin = next((k for k, (_, c) in enumerate(out) if _is_alike(change, c)), None)
             if twin is None:
@@ -154,47 +155,52 @@ def _is_alike(a: Array, b: Array) -> bool:
 
 
 def _way(library: Library, events: Events, name: str) -> _Way:
-    own = f"course of {events.name} at {name}"
+    """Where an event may enter, by the name of a place, input, definition or channel."""
     place = next(((p, s) for p, s in library.places if p.name == name), None)
     if place is not None:
         inertia = parse_expression(place[0].inertia, library.known)
-        term = filled(parse_expression("u/inertia"), {"u": named(own), "inertia": inertia})
-        change = Change(rates={place[0].velocity: term}, inputs=(own,))
-        typical, unit, kind = SHARE_OF_USUAL * place[1].force, place[0].unit, "force"
-    elif name in library.usual:
-        total = filled(parse_expression("u + v"), {"u": named(name), "v": named(own)})
-        change = Change(names={name: total}, inputs=(own,))
-        typical, unit, kind = SHARE_OF_USUAL * library.usual[name], "command", "actuator"
-    else:
-        channels = [c.name for c in library.study.channels]
-        index = channels.index(name)
-        return _Way(
-            name,
-            "sensor",
-            library.study.channels[index].unit,
-            0.05 * library.spread(index),
-            lambda scene, values: scene.with_reading(name, lambda y, grid: y + values),
-        )
-    return _Way(
-        name,
-        kind,
-        unit,
-        typical,
-        lambda scene, values: scene.with_further_input(own, values, change),
-    )
+
+        def pushed(own: str) -> Entry:
+            term = filled(parse_expression("u/inertia"), {"u": named(own), "inertia": inertia})
+            return _input(own, Change(rates={place[0].velocity: term}, inputs=(own,)))
+
+        typical = SHARE_OF_USUAL * place[1].force
+        return _Way(name, "force", place[0].unit, typical, pushed)
+    if name in library.usual:
+
+        def changed(own: str) -> Entry:
+            total = filled(parse_expression("u + v"), {"u": named(name), "v": named(own)})
+            return _input(own, Change(names={name: total}, inputs=(own,)))
+
+        typical = SHARE_OF_USUAL * library.usual[name]
+        return _Way(name, "actuator", "command", typical, changed)
+    index = [c.name for c in library.study.channels].index(name)
+    unit, spread = library.study.channels[index].unit, library.spread(index)
+
+    def read(own: str) -> Entry:
+        return lambda scene, values: scene.with_reading(name, lambda y, grid: y + values)
+
+    return _Way(name, "sensor", unit, SENSOR_SHARE * spread, read)
+
+
+def _input(own: str, change: Change) -> Entry:
+    # each cause has an input of its own: of one name, the last would stand for all
+    return lambda scene, values: scene.with_further_input(own, values, change)
 
 
 def _effect(events: Events, way: _Way, form: str, course: Effect, knots: Array) -> Effect:
     names = {timing: f"{events.name}_{timing}" for timing in TIMINGS[form]}
+    name = f"{form}_{events.name}_at_{way.name}"
+    add = way.entry(f"course of {name}")
     return Effect(
-        name=f"{form}_{events.name}_at_{way.name}",
+        name=name,
         form=SAID[form],
         family=events.name,
         kind=way.kind,
         unit=way.unit,
         typical=way.typical,
         also_looks_like=("anything else of that course in time",),
-        apply=partial(_acted, events=events, form=form, names=names, way=way),
+        apply=partial(_acted, events=events, form=form, names=names, add=add),
         says=partial(_said, form=form, names=names, way=way),
         locate=Locator(
             course=course,
@@ -213,14 +219,14 @@ def _acted(
     events: Events,
     form: str,
     names: Mapping[str, str],
-    way: _Way,
+    add: Entry,
 ) -> OdeScene:
     if not _is_meant(events, run):
         return scene
     times = scene.grid.times
     edge = float(times.diff().median())
     timing = {timing: scene.values[name] for timing, name in names.items()}
-    return way.add(scene, size[..., :1] * shape_of(form, times, timing, edge))
+    return add(scene, size[..., :1] * shape_of(form, times, timing, edge))
 
 
 def _proposals(
@@ -256,24 +262,28 @@ def _shown(unit: str) -> str:
 
 def _course(events: Events, way: _Way, knots: Array) -> Effect:
     """Values at the knots, straight lines between them."""
+    name = f"course_of_{events.name}_at_{way.name}"
+    first, step = float(knots[0]), float(knots[1] - knots[0])
     return Effect(
-        name=f"course_of_{events.name}_at_{way.name}",
+        name=name,
         family="unknown",
         kind=way.kind,
         unit=way.unit,
         typical=way.typical,
         components=tuple(f"knot_{k}" for k in range(len(knots))),
-        apply=partial(_drawn, way=way, first=float(knots[0]), step=float(knots[1] - knots[0])),
+        apply=partial(
+            _drawn, add=way.entry(name), first=float(knots[0]), step=float(knots[1] - knots[0])
+        ),
     )
 
 
 def _drawn(
-    scene: OdeScene, size: Tensor, run: Run, *, way: _Way, first: float, step: float
+    scene: OdeScene, size: Tensor, run: Run, *, add: Entry, first: float, step: float
 ) -> OdeScene:
     place = ((scene.grid.times - first) / step).clamp(0.0, size.shape[-1] - 1.0)
     left = place.floor().long().clamp(max=size.shape[-1] - 2)
     share = place - left
-    return way.add(scene, size[..., left] * (1.0 - share) + size[..., left + 1] * share)
+    return add(scene, size[..., left] * (1.0 - share) + size[..., left + 1] * share)
 
 
 __all__ = ["event_effects", "knots_of", "runs_of", "timings"]
