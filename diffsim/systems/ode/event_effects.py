@@ -271,9 +271,7 @@ def _course(events: Events, way: _Way, knots: Array) -> Effect:
         unit=way.unit,
         typical=way.typical,
         components=tuple(f"knot_{k}" for k in range(len(knots))),
-        apply=partial(
-            _drawn, add=way.entry(name), first=float(knots[0]), step=float(knots[1] - knots[0])
-        ),
+        apply=partial(_drawn, add=way.entry(name), first=first, step=step),
     )
 
 
