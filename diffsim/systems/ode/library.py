@@ -121,6 +121,7 @@ class Library:
         places: Where forces may act, each with its usual magnitudes.
         stores: What fills and empties, each with its usual magnitudes.
         scales: Usual magnitudes of everything else.
+        unsure: Inputs of which nobody knows whether they are held between samples.
     """
 
     study: Study
@@ -129,6 +130,7 @@ class Library:
     places: tuple[tuple[Place, PlaceScale], ...]
     stores: tuple[tuple[Store, StoreScale], ...]
     scales: Magnitudes
+    unsure: frozenset[str] = frozenset()
 
     @property
     def inputs(self) -> Mapping[str, float]:
