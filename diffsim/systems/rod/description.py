@@ -27,7 +27,9 @@ class RodDescription(RodKeys):
     def _found(self, study: Study) -> Iterator[Problem]:
         for channel in study.channels:
             if self.reading(channel.name) is None:
-                guess = did_you_mean(channel.name, [f"{m}_{a}" for m in self.markers for a in "xyz"])
+                guess = did_you_mean(
+                    channel.name, [f"{m}_{a}" for m in self.markers for a in "xyz"]
+                )
                 yield Problem(
                     "error",
                     f"model.channels.{channel.name}",
