@@ -18,13 +18,15 @@ def looks_held(runs: Iterable[Run], commands: Sequence[str]) -> bool:
     """Whether commands rest and jump: all changes but a few stand alone.
 
     A ramp changes from sample to sample, a jump between two samples that equal their neighbors.
-    Columns that change all the time, as a sine does, say nothing.
+    Columns that change all the time, as a sine does, say nothing. Test runs have no say: a frozen
+    model stays what it is.
 
     Args:
-        runs: Recorded runs.
+        runs: Runs of a study; those to fit or to select by are looked at.
         commands: Names of the commands.
     """
-    columns = [run.command[name] for run in runs for name in commands if name in run.command]
+    seen = [run.command for run in runs if run.use in ("fit", "select")]
+    columns = [command[name] for command in seen for name in commands if name in command]
     counts = np.array([_changes(np.asarray(c, dtype=np.float64)) for c in columns])
     if not len(counts) or not counts[:, 0].any():
         return False

@@ -139,7 +139,7 @@ def held_cart(every=5, noise=1e-4):
         t = TIME[::every]
         run = Run(name, t, np.zeros((len(t), 1)), {"force": 8.0 * np.sin(rate * t)}, name, use=use)
         runs.append(replace(run, setup={"load_kg": 0.0}))
-    study = replace(PLAIN, runs=tuple(runs), model=described(time_step=0.01))
+    study = replace(PLAIN, runs=tuple(runs), model=described(inputs=["force"], time_step=0.01))
     true = replace(study, model={**study.model, "inputs": [{"name": "force", "held": True}]})
     made = setup_of(true).model
     seen = [made.predict(r, made.at_prior()).numpy() for r in runs]
@@ -150,7 +150,8 @@ def held_cart(every=5, noise=1e-4):
 
 
 def test_a_command_that_rests_and_jumps_is_held_and_check_says_so():
-    steps = replace(PLAIN, runs=tuple(r for r in PLAIN.runs if r.name in ("step", "large")))
+    rests = tuple(r for r in PLAIN.runs if r.name in ("step", "large"))
+    steps = replace(PLAIN, runs=rests, model=described(inputs=["force"]))
     (note,) = description_of(steps).problems(steps)
     assert note.severity == "note" and "rests and jumps" in note.message
     straight = replace(steps, model=described(inputs=[{"name": "force", "held": False}]))
@@ -172,6 +173,12 @@ def test_a_ramp_or_a_sine_does_not_show_whether_it_is_held():
         command={"force": np.interp(TIME, [0.0, 1.0, 1.1, 3.0], [0.0, 0.0, 5.0, 5.0])},
     )
     assert not looks_held([ramp], ["force"])
+
+
+def test_a_test_run_has_no_say_in_how_commands_are_held():
+    assert looks_held(PLAIN.runs[:1], ["force"])
+    later = replace(PLAIN.runs[0], use="test")
+    assert not looks_held([PLAIN.runs[1], later], ["force"])
 
 
 def test_a_held_command_that_changes_all_the_time_is_told_from_a_straight_one():

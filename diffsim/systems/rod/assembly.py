@@ -134,7 +134,7 @@ def _pull(layout: Layout, numbers: Numbers, command: Tensor) -> Tensor:
     loss = numbers.each(names, "tendon_slack")
     pulled = torch.where(loss == 0.0, wanted, (wanted - loss).clamp(min=0.0) * (wanted > 0.0))
     held = numbers.each(names, "pretension")
-    return torch.where(held == 0.0, pulled, torch.maximum(pulled, held.expand_as(pulled)))
+    return torch.where(held == 0.0, pulled, torch.maximum(pulled, held))
 
 
 def _paths(layout: Layout, numbers: Numbers) -> tuple[Tensor, Tensor]:

@@ -126,8 +126,8 @@ def _of_weight(given: RodKeys) -> Iterator[Effect]:
     yield Effect(
         name="tip_mass",
         form="A mass of size at the tip.",
-        family="weight",
-        kind="environment",
+        family="load",
+        kind="force",
         unit="kg",
         typical=0.02 * mass,
         also_looks_like=("weight of a marker",),
@@ -136,7 +136,7 @@ def _of_weight(given: RodKeys) -> Iterator[Effect]:
     yield Effect(
         name="marker_mass",
         form="Every marker with its stub weighs size.",
-        family="weight",
+        family="load",
         kind="environment",
         unit="kg",
         typical=0.01 * mass,
@@ -216,7 +216,7 @@ def _of_tendons(given: RodKeys, study: Study, length: float) -> Iterator[Effect]
     yield Effect(
         name="tendon_slack",
         form="Nothing is pulled until the command exceeds size, then that much less.",
-        family="loss",
+        family="shape",
         kind="actuator",
         unit="command",
         typical=SHARE * pull,

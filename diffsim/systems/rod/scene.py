@@ -75,7 +75,8 @@ class RodScene:
             return known[None], slopes[None]
         if not slopes_of_all:
             lengths = self.layout.shape.lengths
-            close = nearby(rod.residual, known[None], slopes, lengths, self.tolerance)
+            start = known.expand(count, *known.shape)
+            close = nearby(rod.residual, start, slopes, lengths, self.tolerance)
             if close is not None:
                 return close, slopes[None]
         pairs = [equilibrium(rod.row(k), known, self.tolerance) for k in range(count)]

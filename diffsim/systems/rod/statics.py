@@ -16,6 +16,7 @@ K (u - u0) + sum r x (T t) - R' m_beyond, in the frame of the section.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -29,6 +30,7 @@ from diffsim.systems.rod.shape import Points, RodShape
 STRETCH_ROUNDS = 4  # each gains about two digits: tendons compress by a few percent
 MOST_TURN = 0.5  # of all elements together in one step of Newton's method [rad]
 MOST_STEPS = 40
+DIFFERENCE = 1e-5  # step of difference quotients by strains [1/m]
 SMOOTHING = 1e-3  # bends below this do not count as a kink of a tendon [1/m]
 
 
@@ -227,15 +229,12 @@ def _points(
 
 
 def _slopes(rod: Rod, u: Tensor) -> Tensor:
-    """Derivatives (B, 3 N, 3 N) of the residual by u (B, N, 3)."""
+    """Derivatives (B, 3 N, 3 N) of the residual by u (B, N, 3), by central differences: right to
+    nine digits, and all in one call."""
     size = u.shape[-2] * 3
-
-    def along(direction: Tensor) -> Tensor:
-        moved = direction.reshape(u.shape[-2:]).expand_as(u)
-        return torch.func.jvp(rod.residual, (u,), (moved,))[1]
-
-    columns = torch.func.vmap(along)(torch.eye(size, dtype=u.dtype))
-    return columns.reshape(size, len(u), size).permute(1, 2, 0)
+    moves = DIFFERENCE * torch.eye(size, dtype=u.dtype).reshape(size, 1, *u.shape[-2:])
+    ahead, behind = rod.residual(torch.stack([u + moves, u - moves]))
+    return ((ahead - behind) / (2.0 * DIFFERENCE)).flatten(2).permute(1, 2, 0)
 
 
 def _newton(rod: Rod, u: Tensor, tolerance: float) -> tuple[Tensor, Tensor]:
@@ -244,16 +243,23 @@ def _newton(rod: Rod, u: Tensor, tolerance: float) -> tuple[Tensor, Tensor]:
     Raises:
         ConvergenceError: it does not settle.
     """
+    most = float("inf")
     for _ in range(MOST_STEPS):
         slopes = _slopes(rod, u)
         step = torch.linalg.solve(slopes, rod.residual(u).flatten(1)).reshape(u.shape)
         turn = (step.norm(dim=-1) * rod.shape.lengths).sum(-1)
-        if not bool(torch.isfinite(turn).all()):
+        most = float(turn.max())
+        if not math.isfinite(most):
             break
         u = u - (MOST_TURN / turn).clamp(max=1.0)[:, None, None] * step
-        if float(turn.max()) < tolerance:
+        if most < tolerance:
             return u, slopes
-    raise ConvergenceError("the rod finds no equilibrium; is a tendon pulled too hard?")
+    raise ConvergenceError(
+        "the rod finds no equilibrium; is a tendon pulled too hard?",
+        residual_norm=most,
+        tolerance=tolerance,
+        num_iters=MOST_STEPS,
+    )
 
 
 def equilibrium(
@@ -306,7 +312,7 @@ def nearby(
 
     Args:
         residual: Function of strains (K, S, N, 3).
-        u: Strains of the known equilibria, (S, N, 3).
+        u: Strains of the known equilibria, for each row, (K, S, N, 3).
         slopes: Slopes there, (S, 3 N, 3 N).
         lengths: (N,) of the elements [m].
         tolerance: As of :func:`equilibrium`.
@@ -315,7 +321,6 @@ def nearby(
     last = float("inf")
     for _ in range(MOST_STEPS):
         left = residual(u)
-        u = u.expand_as(left)
         step = torch.linalg.lu_solve(*factor, left.flatten(2).permute(1, 2, 0))
         step = step.permute(2, 0, 1).reshape(left.shape)
         most = float((step.norm(dim=-1) * lengths).sum(-1).max())
