@@ -218,6 +218,12 @@ class Described:
             if place.position == place.velocity:
                 reader.report(f"places[{i}].velocity", "is its position, too; name the other state")
             reader.parse(f"places[{i}].inertia", place.inertia, self.known)
+            drives = (*self.keys.define, *self.input_held)
+            if place.force is not None and place.force not in drives:
+                close = did_you_mean(place.force, drives)
+                reader.report(
+                    f"places[{i}].force", f"no definition or input {place.force!r}{close}"
+                )
         for i, store in enumerate(self.motion.stores):
             if store.level not in states:
                 reader.report(f"stores[{i}].level", f"no state {store.level!r}")
