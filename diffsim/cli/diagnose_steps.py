@@ -202,10 +202,11 @@ def _judge(args: argparse.Namespace) -> None:
     inputs, out = _inputs(args)
     saved = read_extended(args.saved or out)
     found = judge_saved(inputs, saved, args.runs)
-    print(f"{'run':<24} {'quantity':<14} {'before':>9} {'after':>9} {'noise':>9}  fitted to it")
+    heads = (f"{h:>9}" for h in ("before", "after", "noise"))
+    print(f"{'run':<24} {'quantity':<14} {' '.join(heads)}  {'unit':<8} fitted to it")
     for row in found.errors:
         numbers = " ".join(f"{v:>9.3g}" for v in (row.before, row.after, row.noise))
-        print(f"{row.run:<24} {row.kind:<14} {numbers} {row.unit}, {row.num_fitted} values")
+        print(f"{row.run:<24} {row.kind:<14} {numbers}  {row.unit:<8} {row.num_fitted} values")
     if saved.components and found.gain is not None:
         print(found.gain.words)
     for far in found.outside[:MAX_OUTSIDE]:

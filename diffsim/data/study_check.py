@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from diffsim.core.units import factor, to_si
+from diffsim.data.rounding import step_of
 from diffsim.data.study import SYSTEMS, USES, Channel, Run, Study
 
 TODO = "TODO"  # what a user is still to fill in
@@ -28,7 +29,8 @@ class Problem:
     """One thing that is wrong with a study.
 
     Attributes:
-        severity: "error": no diagnosis on these data; "warning": possible, with care.
+        severity: "error": no diagnosis on these data; "warning": possible, with care; "note": what
+            was taken for granted.
         where: "study", "channel tip_z_m", "run step_a", ...
         message: What is wrong with the study and how to mend it.
     """
@@ -136,6 +138,24 @@ def _check_channels(study: Study) -> Iterator[Problem]:
                 "noise unknown: no sd and no repeated run; give sd or repeat a command"
                 + _jitter(study, channel),
             )
+        yield from _steps(study, channel)
+
+
+def _steps(study: Study, channel: Channel) -> Iterator[Problem]:
+    """Readings that lie on steps coarser than the stated noise."""
+    if channel.sd is None:
+        return
+    at = study.channels.index(channel)
+    columns = [r.measured[:, at] for r in study.runs if r.measured.shape[1] > at]
+    step = step_of(np.concatenate(columns)) if columns else None
+    if step is not None and step / np.sqrt(12.0) > channel.sd:
+        unit = channel.shown_unit or channel.unit
+        size = step * factor(channel.unit, unit)
+        yield Problem(
+            "note",
+            f"channel {channel.name}",
+            f"it shows steps of {size:.4g} {unit}; their rounding is taken for noise",
+        )
 
 
 def _jitter(study: Study, channel: Channel) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from diffsim.data.study import Study
 from diffsim.diagnose.noise import UNREPEATABLE
@@ -191,7 +191,7 @@ def repeatability_gate(fit: Fit) -> list[GateResult]:
             continue
         total = sum(float(((g - g.mean()) ** 2).sum()) for g in repeats)
         ratio = float(np.sqrt(total / freedom))
-        passed = ratio <= UNREPEATABLE or float(chi2.sf(total, freedom)) > SCATTER_CHANCE
+        passed = ratio <= UNREPEATABLE or float(chdtrc(freedom, total)) > SCATTER_CHANCE
         note = f"scatter of {stem} between repeats over what its prior allows"
         out.append(GateResult(f"{REPEATS}{stem}", passed, ratio, UNREPEATABLE, note))
     return out

@@ -170,8 +170,11 @@ class Problem:
         Raises:
             PredictionError: values of base parameters or sizes that are not finite.
         """
-        values = {p.name: p.value_at(q[..., i]) for i, p in enumerate(self.model.base)}
+        values = self.model.values.at(q)
         every = {**values, **{effect.name: size for effect, size in sizes.items()}}
+        parts = [*values.values(), *(size.flatten() for size in sizes.values())]
+        if not parts or bool(torch.isfinite(torch.cat([p.reshape(-1) for p in parts])).all()):
+            return
         bad = [name for name, value in every.items() if not bool(torch.isfinite(value).all())]
         if bad:
             raise PredictionError(f"run {run.name}: {', '.join(bad)} left the range of numbers")

@@ -54,13 +54,13 @@ def informations(
     Args:
         learned: What other groups say of shared parameters and scatter.
         local: The group, linearized.
-        daily_factor: Factor on spreads of groups.
+        daily_factor: Factor on spreads of groups, and of a new state.
         new_state: Whether the group is in a state that was never seen.
     """
     gone = slice(0, local.num_nuisances)
     out = []
     for k, draw in enumerate(learned.draws):
-        mean, covariance = learned.of_shared(local, k, new_state=new_state)
+        mean, covariance = learned.of_shared(local, k, new_state=new_state, factor=daily_factor)
         shared = np.asarray(np.linalg.inv(covariance))
         scatter = learned.precision(local, draw, daily_factor=daily_factor)
         prior = block_diag(shared, np.diag(scatter)) if len(mean) else np.diag(scatter)
@@ -70,25 +70,15 @@ def informations(
 
 
 def evidence(
-    learned: Learned,
-    local: Local,
-    effects: Sequence[Effect],
-    rng: np.random.Generator,
-    *,
-    daily_factor: float = 1.0,
-    new_state: bool = False,
+    found: Sequence[Information], effects: Sequence[Effect], rng: np.random.Generator
 ) -> Evidence:
     """Evidence of all causes of a linearized group, and their sizes.
 
     Args:
-        learned: What other groups say of common parameters and scatter.
-        local: The group, linearized, with the causes of one set.
-        effects: These causes, in the same order.
+        found: What the group says of the sizes of one set, for each draw of the scatter.
+        effects: Causes of the set, in the same order.
         rng: Of the samples of sizes.
-        daily_factor: Factor on spreads of groups, above 1 for a change that no cause describes.
-        new_state: Whether the group is in a state that was never seen.
     """
-    found = informations(learned, local, daily_factor=daily_factor, new_state=new_state)
     if not effects:
         level = float(logsumexp([f.level for f in found]) - np.log(len(found)))
         return Evidence(level, np.zeros(0), 0.0, np.zeros((1, 0)), np.ones(1))

@@ -21,6 +21,7 @@ from diffsim.diagnose.faults.groups import Group, groups_of
 from diffsim.diagnose.faults.layout import layout_of
 from diffsim.diagnose.faults.learn import Learned, learn
 from diffsim.diagnose.faults.local import Local, local_at, problem_of
+from diffsim.diagnose.faults.marginal import Information
 from diffsim.diagnose.faults.states import possible_states
 from diffsim.diagnose.faults.verdict import (
     FaultReport,
@@ -38,7 +39,7 @@ from diffsim.identify.sizes import PRIOR_WIDTH
 
 Array = NDArray[np.float64]
 REFINED_NATS = 8.0  # below the best set: sets that are linearized again at their own sizes
-NUM_REFINEMENTS = 3
+NUM_REFINEMENTS = 2
 LONGEST_STEP = 1.5  # of a scaled size from one linearization to the next
 HALF_90 = 1.645  # half the width of a normal 90 % interval [sd]
 
@@ -106,23 +107,20 @@ def _verdict(
     locals_ = [local_at(p, learned.layout, point, p.effects) for p in problems]
     seen = [known.causes for known in learned.locals.values()]
     tried = candidates(keys, sets, seen)
-    found: list[list[Evidence]] = []
-    for candidate in tried:
-        factor = UNLISTED_FACTOR if candidate.is_unlisted else 1.0
-        own = [effects[c] for c in candidate.causes]
-        found.append(
-            [
-                evidence(
-                    learned,
-                    local.only(candidate.causes),
-                    own,
-                    rng,
-                    daily_factor=factor,
-                    new_state=state.is_new,
-                )
-                for state, local in zip(states, locals_, strict=True)
-            ]
-        )
+    names = [e.name for e in learned.problem.effects]
+    found: list[list[Evidence]] = [[] for _ in tried]
+    sizes: list[list[Information]] = []  # by state
+    for state, local in zip(states, locals_, strict=True):
+        by_factor = {
+            factor: informations(learned, local, daily_factor=factor, new_state=state.is_new)
+            for factor in (1.0, UNLISTED_FACTOR)
+        }
+        sizes.append(by_factor[1.0])
+        for candidate, row in zip(tried, found, strict=True):
+            at = [names.index(c) for c in candidate.causes]
+            given = by_factor[UNLISTED_FACTOR if candidate.is_unlisted else 1.0]
+            own = [effects[c] for c in candidate.causes]
+            row.append(evidence([f.only(at) for f in given], own, rng))
     best = max(
         e.log_evidence + s.log_odds for row in found for e, s in zip(row, states, strict=True)
     )
@@ -134,7 +132,7 @@ def _verdict(
     weighed = [Weighed(c, mixed(row, odds)) for c, row in zip(tried, found, strict=True)]
     sound = [e.log_evidence + o for e, o in zip(found[0], odds, strict=True)]
     likely = int(np.argmax(sound))
-    visible = _smallest_visible(learned, locals_[likely], effects, states[likely].is_new)
+    visible = _smallest_visible(sizes[likely], learned.problem.effects)
     return verdict_of(group, weighed, effects, visible)
 
 
@@ -155,7 +153,7 @@ def _refined(
         step = np.clip(found.scaled - at[columns], -LONGEST_STEP, LONGEST_STEP)
         at[columns] += step
         local = _local_near(problem, learned, at, columns, step, own)
-        found = evidence(learned, local, own, rng, new_state=is_new)
+        found = evidence(informations(learned, local, new_state=is_new), own, rng)
     return found
 
 
@@ -177,17 +175,13 @@ def _local_near(
     return local_at(problem, learned.layout, at, own)
 
 
-def _smallest_visible(
-    learned: Learned, local: Local, effects: dict[str, Effect], is_new: bool
-) -> dict[str, float]:
+def _smallest_visible(found: Sequence[Information], effects: Sequence[Effect]) -> dict[str, float]:
     """Size of each cause alone whose misfit would be ``VISIBLE`` sd of noise and scatter."""
-    curvature = np.mean(
-        [f.curvature for f in informations(learned, local, new_state=is_new)], axis=0
-    )
+    curvature = np.mean([f.curvature for f in found], axis=0)
     sd = 1.0 / np.sqrt(np.maximum(np.diag(curvature), 1e-300))
     return {
-        c: float(VISIBLE * s * PRIOR_WIDTH * effects[c].typical)
-        for c, s in zip(local.causes, sd, strict=True)
+        e.name: float(VISIBLE * s * PRIOR_WIDTH * e.typical)
+        for e, s in zip(effects, sd, strict=True)
     }
 
 

@@ -43,20 +43,6 @@ class Local:
         """Number of coordinates that are no causes."""
         return len(self.common) + len(self.scatter)
 
-    def only(self, causes: Sequence[str]) -> Local:
-        """The group with some of its causes; the others have size 0."""
-        own = [self.num_nuisances + self.causes.index(c) for c in causes]
-        keep = np.array([*range(self.num_nuisances), *own], dtype=int)
-        return Local(
-            self.common,
-            self.scatter,
-            tuple(causes),
-            self.curvature[np.ix_(keep, keep)],
-            self.slope[keep],
-            self.square,
-            self.num_samples,
-        )
-
 
 def local_at(problem: Problem, layout: Layout, point: Array, causes: Sequence[Effect]) -> Local:
     """Linearize a group of runs.

@@ -7,6 +7,7 @@ Bishop, Pattern Recognition and Machine Learning (2006), 2.3.1 and 3.5.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +29,11 @@ class Information:
     curvature: Array
     slope: Array
     level: float
+
+    def only(self, keep: Sequence[int]) -> Information:
+        """Information where the other coordinates are 0."""
+        at = list(keep)
+        return Information(self.curvature[np.ix_(at, at)], self.slope[at], self.level)
 
     @property
     def mean(self) -> Array:

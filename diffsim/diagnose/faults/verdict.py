@@ -24,7 +24,8 @@ from diffsim.identify.sizes import PRIOR_WIDTH
 Array = NDArray[np.float64]
 SILENT, UNLISTED = "nothing visible", "not in the library"
 VERDICTS = (SILENT, CERTAIN, LIKELY, UNTOLD, UNLISTED)
-SOUND_LIMIT = 0.05  # probability of "sound" below which a fault is named
+SOUND_LIMIT = 0.1  # probability of "sound" below which a fault is named
+CERTAIN_LIMIT = 0.05  # and below which it may be certain
 LIKELY_FROM = 0.8  # probability of a set of causes, from which it is likely
 REACH_NATS = 3.0  # evidence within which runs do not tell sets apart
 MAX_ROWS = 8
@@ -207,9 +208,11 @@ def _status(weighed: Sequence[Weighed], learned: Array, alone: Array, sound: int
         return UNLISTED
     chosen = set(weighed[best].candidate.causes)
     holds = np.array([chosen <= set(w.candidate.causes) for w in weighed])
+    is_expected = learned[holds].sum() >= LIKELY_FROM
     if not _rivals(weighed, alone, best):
-        return CERTAIN
-    return LIKELY if learned[holds].sum() >= LIKELY_FROM else UNTOLD
+        is_certain = is_expected and alone[sound] <= CERTAIN_LIMIT
+        return CERTAIN if is_certain else LIKELY
+    return LIKELY if is_expected else UNTOLD
 
 
 def _rivals(weighed: Sequence[Weighed], alone: Array, best: int) -> tuple[tuple[str, ...], ...]:

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import torch
+from torch import Tensor
 
 from diffsim.core.expression import parse_expression
+from diffsim.data.study import Run
 from diffsim.identify.effect import Effect, needs_nothing
-from diffsim.systems.actuator import command_causes
+from diffsim.systems.actuator import command_causes, in_words
 from diffsim.systems.grid import SizedMap
 from diffsim.systems.ode.applying import by_formulas, by_input, symbol
 from diffsim.systems.ode.library import Library
 from diffsim.systems.ode.network import Change, filled, named
+from diffsim.systems.ode.scene import OdeScene
 
 SHARE = 0.03  # of the greatest input: slack, play and offset that are no surprise
 
@@ -29,9 +33,11 @@ def input_effects(library: Library) -> tuple[Effect, ...]:
 
 
 def _of_input(library: Library, name: str, held: bool, tail: str) -> list[Effect]:
+    units = {c.name: (c.unit, c.shown_unit) for c in library.study.commands}
+    unit, shown = units.get(name, (None, None))
     found = [
         replace(
-            model,
+            model if unit is None else in_words(model, unit, shown),
             name=model.name + tail,
             masks=tuple(m + tail for m in model.masks),
             # what a study must have is checked where the input is read
@@ -45,12 +51,42 @@ def _of_input(library: Library, name: str, held: bool, tail: str) -> list[Effect
             one_sided=name in library.one_sided,
         )
     ]
-    return [*found, _slow_share(name, tail)]
+    found.append(_slow_share(name, tail))
+    # after all that changes the input on its way, which it is a copy of
+    return [*found, _held_between(name, tail)] if name in library.unsure else found
 
 
 def _or_none(change: SizedMap) -> SizedMap:
     """The map of an effect with a kink; at size 0 the signal itself, with its slope."""
     return lambda u, grid, size: torch.where(size[..., None] != 0.0, change(u, grid, size), u)
+
+
+def _held_between(name: str, tail: str) -> Effect:
+    own = f"held_between_samples{tail}"
+    kept = f"{name} held"
+    parts = {"u": named(name), "kept": named(kept), "size": named(symbol(own))}
+    total = filled(parse_expression("u + min(size, 1)*(kept - u)"), parts)
+    change = Change(names={name: total}, held_inputs=(kept,))
+    return Effect(
+        name=own,
+        form="The input keeps its value until the next sample (size 1), not a straight line.",
+        family="timing",
+        kind="actuator",
+        unit="-",
+        typical=1.0,
+        signed=False,
+        also_looks_like=("delay of half a sample",),
+        apply=partial(_kept, name=name, kept=kept, change=change, symbol=symbol(own)),
+    )
+
+
+def _kept(
+    scene: OdeScene, size: Tensor, run: Run, *, name: str, kept: str, change: Change, symbol: str
+) -> OdeScene:
+    samples, u = scene.grid.samples, scene.inputs[name]
+    before = torch.searchsorted(samples, torch.arange(len(scene.grid.times)), right=True) - 1
+    values = u[..., samples][..., before]
+    return scene.with_further_input(kept, values, change, {symbol: size[..., 0]})
 
 
 def _slow_share(name: str, tail: str) -> Effect:

@@ -69,8 +69,11 @@ class Input(Part):
         None,
         description="Formula of commands, parameters, facts and `t`; none: the command so named",
     )
-    held: bool = Field(
-        False, description="Whether it keeps its value until the next sample; else straight lines"
+    held: bool | None = Field(
+        None,
+        description="Whether it keeps its value until the next sample; else straight lines. None: "
+        "held where the commands rest and jump, which `check` says; else straight, and "
+        "`held_between_samples` is a cause to be judged",
     )
     delay: AnyQuantity | None = Field(
         None, description="Time by which it comes later than recorded [s]; with sd it is fitted"

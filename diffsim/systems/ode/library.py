@@ -73,6 +73,7 @@ class Library:
         stores: What fills and empties, each with its usual magnitudes.
         inputs: Greatest magnitude of each input, by its name.
         one_sided: Inputs that are never below zero.
+        unsure: Inputs of which nobody knows whether they are held between samples.
     """
 
     study: Study
@@ -82,6 +83,7 @@ class Library:
     stores: tuple[tuple[Store, StoreScale], ...]
     inputs: Mapping[str, float]
     one_sided: frozenset[str] = frozenset()
+    unsure: frozenset[str] = frozenset()
 
     @property
     def longest(self) -> float:

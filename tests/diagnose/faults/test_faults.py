@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -109,6 +111,31 @@ def test_what_was_frequent_is_expected_more():
         shares.append(row.probability / row.probability_alone)
     assert shares[0] == pytest.approx(1.0)
     assert shares[1] > 1.2
+
+
+def test_a_group_is_judged_in_the_state_that_it_is_in_although_nobody_says_which():
+    rng = np.random.default_rng(11)
+    runs = []
+    for k in range(5):
+        runs += days.group(f"old{k}", rng, {}, "sound", kit="old")
+        runs += days.group(f"worn{k}", rng, {}, "sound", kit="worn")
+    for kit in days.KITS:
+        runs += days.group(f"sound in {kit}", rng, {}, kit=kit)
+        runs += days.group(f"weak in {kit}", rng, {"first": 0.5}, kit=kit)
+    hidden = [
+        replace(r, setup={**r.setup, "kit": "unknown"}) if r.use == "test" else r for r in runs
+    ]
+    scatter = [["kit_0", "kit_1", "kit_2", "kit_3"], *days.SCATTER]
+    verdicts = {}
+    for name, given in (("with", {"state": "kit", "scatter": scatter}), ("without", {})):
+        study = days.study(hidden, **given)
+        report = judge_faults(study, days.setup(study))
+        verdicts[name] = {v.group: v for v in report.verdicts}
+    said = {label: set(v.causes) for label, v in verdicts["with"].items()}
+    assert said["weak in old"] == said["weak in worn"] == {"first"}
+    assert not any(said[f"sound in {kit}"] for kit in days.KITS)
+    visible = {k: v["sound in worn"].smallest_visible["first"] for k, v in verdicts.items()}
+    assert visible["with"] < 0.6 * visible["without"]  # kits pass for scatter between days
 
 
 @pytest.mark.parametrize(
