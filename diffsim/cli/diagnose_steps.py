@@ -21,7 +21,7 @@ from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.progress import progress_bar
 from diffsim.diagnose.refit import advise, extend, fit_null, rival_sets
 from diffsim.diagnose.report import Report
-from diffsim.identify.model_file import MODEL_FILE, read_extended
+from diffsim.identify.model_file import MODEL_FILE, SavedModel, read_extended
 from diffsim.identify.numerics import Numerics
 
 INPUTS_FILE, REPORT_FILE, CACHE = "inputs.json", "report.json", "interrupted"
@@ -44,9 +44,13 @@ def _check(args: argparse.Namespace) -> None:
     check(read_study(args.study), args.study)
 
 
-def _inputs(args: argparse.Namespace, *, with_bank: bool = False) -> tuple[Inputs, Path]:
-    """Study and setup as chosen; the folder of the results."""
+def _inputs(
+    args: argparse.Namespace, *, with_bank: bool = False, saved: SavedModel | None = None
+) -> tuple[Inputs, Path]:
+    """Study and setup as chosen, with causes that mean what those of a saved model do; the folder
+    of the results."""
     study = read_study(args.study)
+    study = study if saved is None else saved.framed(study)
     require_ready(study, args.study, plan=args.step != "judge")
     inputs = inputs_of(
         study,
@@ -188,8 +192,9 @@ def _extend(args: argparse.Namespace) -> None:
 
 def _judge(args: argparse.Namespace) -> None:
     """Errors of a saved model on runs that it has not seen."""
-    inputs, out = _inputs(args)
+    out = args.out or Path(DIAGNOSES) / read_study(args.study).name
     saved = read_extended(args.saved or out)
+    inputs, _ = _inputs(args, saved=saved)
     found = judge_saved(inputs, saved, args.runs)
     print(f"{'run':<24} {'quantity':<14} {'before':>9} {'after':>9} {'noise':>9}  fitted to it")
     for row in found.errors:
@@ -197,6 +202,9 @@ def _judge(args: argparse.Namespace) -> None:
         print(f"{row.run:<24} {row.kind:<14} {numbers} {row.unit}, {row.num_fitted} values")
     if saved.components and found.gain is not None:
         print(found.gain.words)
+    for name in found.runs:
+        if all(far.run != name for far in found.outside):
+            print(f"Run {name}: inside of what was fitted.")
     for far in found.outside[:MAX_OUTSIDE]:
         print(far.words)
     if len(found.outside) > MAX_OUTSIDE:

@@ -102,6 +102,8 @@ class Study:
         left_out: What of the study's folder is not used, a sentence each.
         todo: What the study says is still to be stated, a sentence each.
         allows: Facts of ``setup`` that can be changed for a next run, with possible values.
+        frame: What an earlier fit took from its runs, such as usual magnitudes: with it the causes
+            of a saved model mean the same on new runs. Empty: it is taken from these runs.
     """
 
     name: str
@@ -116,6 +118,7 @@ class Study:
     left_out: tuple[str, ...] = ()
     todo: tuple[str, ...] = ()
     allows: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+    frame: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def fit_runs(self) -> tuple[Run, ...]:

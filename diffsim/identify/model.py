@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from threading import Lock
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
 import torch
@@ -104,9 +105,12 @@ class SimModel:
     Attributes:
         prepared_q: Point that ``prepared_at`` made this model for, (num_base,) standardized; None
             where nothing is prepared.
+        frame: What its causes take from the runs of the study, such as usual magnitudes, in types
+            that JSON has; a study with this ``frame`` makes causes that mean the same.
     """
 
     prepared_q: Tensor | None = None
+    frame: Mapping[str, Any] = MappingProxyType({})
 
     def __init__(
         self,

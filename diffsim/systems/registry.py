@@ -142,4 +142,5 @@ def load_extended(
         ValueError: an effect or parameter that the setup does not have; the message names the
             closest ones.
     """
-    return rebuilt(read_extended(path), setup_of(study) if setup is None else setup)
+    saved = read_extended(path)
+    return rebuilt(saved, setup_of(saved.framed(study)) if setup is None else setup)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Literal
 
 from pydantic import Field
@@ -11,8 +12,9 @@ from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.bench.keys import Law
-from diffsim.systems.bench.law_effects import law_effects
+from diffsim.systems.bench.law_effects import LAWS, law_effects, usual_of
 from diffsim.systems.description import chosen_effects, settings_with
+from diffsim.systems.ode.applying import LABELS, labels_of
 from diffsim.systems.ode.described import Described, Motion
 from diffsim.systems.ode.keys import FormulaKeys, Input, Inputs
 from diffsim.systems.ode.names import Reader
@@ -54,7 +56,11 @@ class BenchDescription(FormulaKeys):
         read = self._described(study, reader)
         reader.finish()
         model = read.model()
-        laws = law_effects(self.laws, study, model, read.network, read.known)
+        usual = usual_of(self.laws, study, model, read.network, read.known)
+        laws = law_effects(self.laws, study, usual, read.network, read.known)
+        pers = {law.per for law in self.laws if law.per is not None}
+        labels = {per: list(labels_of(per, study)) for per in sorted(pers)}
+        model.frame = {LAWS: asdict(usual), LABELS: {**read.labels, **labels}}
         advised = DiagnosisSettings(
             search=SearchSettings(
                 max_effects=MAX_EFFECTS,

@@ -11,14 +11,16 @@ from torch import Tensor
 
 from diffsim.core.expression import parse_expression
 from diffsim.data.study import Run, Study
-from diffsim.identify.effect import Apply, Effect
+from diffsim.identify.effect import Apply, Effect, Needs, needs_nothing
 from diffsim.identify.model import SimModel
 from diffsim.systems.bench.keys import Law
 from diffsim.systems.ode.applying import Groups, by_formulas_in, symbol
+from diffsim.systems.ode.library import needs_order
 from diffsim.systems.ode.network import Change, Network, filled, named
 from diffsim.systems.ode.scene import OdeScene
 
 LEAST = 0.02  # of the usual x: below it a power is not raised
+LAWS = "laws"  # place of the usual magnitudes in a study's frame
 _WAY, _SHARE = "way of the sweep", "share of the run"
 
 
@@ -29,6 +31,14 @@ class LawScale:
     x: float
     y: float
     most: float
+
+
+@dataclass(frozen=True)
+class Usual:
+    """Usual magnitudes of all laws, by name, and the number of runs."""
+
+    scales: Mapping[str, LawScale]
+    num_runs: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +64,7 @@ class _Bend:
     signed: bool = True
     smooth: bool = True
     also: tuple[str, ...] = ()
+    needs: Needs = needs_nothing
 
 
 def _bends(law: Law, scale: LawScale, num_runs: int) -> Iterator[_Bend]:
@@ -133,33 +144,32 @@ def _bends(law: Law, scale: LawScale, num_runs: int) -> Iterator[_Bend]:
         kind="environment",
         also=("warming", "a battery that drains"),
     )
-    if num_runs > 2:
-        yield _Bend(
-            name="order_drift",
-            form="The law grows by the share size from run to run.",
-            formula="y*(1 + size*run_order)",
-            typical=0.1 / num_runs,
-            unit="1/run",
-            family="drift",
-            kind="environment",
-            also=("wear", "weather"),
-        )
+    yield _Bend(
+        name="order_drift",
+        form="The law grows by the share size from run to run.",
+        formula="y*(1 + size*run_order)",
+        typical=0.1 / max(num_runs, 1),
+        unit="1/run",
+        family="drift",
+        kind="environment",
+        also=("wear", "weather"),
+        needs=needs_order,
+    )
 
 
 def law_effects(
-    laws: Sequence[Law], study: Study, model: SimModel, network: Network, known: Sequence[str]
+    laws: Sequence[Law], study: Study, usual: Usual, network: Network, known: Sequence[str]
 ) -> tuple[Effect, ...]:
     """Effects of every law, and of one law on another's reading.
 
     Args:
         laws: Laws of the description.
         study: Study with the recordings.
-        model: Plain model, simulated once per run for usual magnitudes.
-        network: Its formulas.
+        usual: Usual magnitudes of the laws.
+        network: Formulas of the plain model.
         known: Names that formulas may use.
     """
-    scales = _scales(laws, study, model, network, known)
-    num_runs = len({run.order for run in study.fit_runs})
+    scales, num_runs = usual.scales, usual.num_runs
     out = []
     for law in laws:
         scale = scales[law.name]
@@ -222,6 +232,7 @@ def _effect(
         signed=bend.signed,
         smooth=bend.smooth,
         also_looks_like=bend.also,
+        needs=bend.needs,
         components=groups.components,
         apply=_Bent(
             by_formulas_in(change, symbol(name), groups),
@@ -262,6 +273,25 @@ class _Bent:
 def _share(run: Run) -> Tensor:
     since = run.time_s - run.time_s[0]
     return torch.from_numpy(since / since[-1] if since[-1] > 0.0 else since)
+
+
+def usual_of(
+    laws: Sequence[Law], study: Study, model: SimModel, network: Network, known: Sequence[str]
+) -> Usual:
+    """Usual magnitudes of the laws over the runs to fit, or those of the study's ``frame``.
+
+    Args:
+        laws: Laws of the description.
+        study: Study with the recordings.
+        model: Plain model, simulated once per run.
+        network: Its formulas.
+        known: Names that formulas may use.
+    """
+    if LAWS in study.frame:
+        kept = study.frame[LAWS]
+        return Usual({n: LawScale(**s) for n, s in kept["scales"].items()}, kept["num_runs"])
+    scales = _scales(laws, study, model, network, known)
+    return Usual(scales, len({run.order for run in study.fit_runs}))
 
 
 def _scales(

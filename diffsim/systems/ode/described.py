@@ -16,8 +16,10 @@ from diffsim.data.study import Run, Study
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
+from diffsim.systems.ode.applying import labels_of
 from diffsim.systems.ode.grid import Grid, delayed, held_delayed
 from diffsim.systems.ode.keys import FormulaKeys, Input, Place, Store
+from diffsim.systems.ode.library import MAGNITUDES
 from diffsim.systems.ode.names import (
     RUN_ORDER,
     Reader,
@@ -174,7 +176,8 @@ class Described:
             if p.stick_velocity is None
         }
         if motion.states and (self._given or motion.places):
-            value = _SLOW_SHARE * longest(self.study.runs)
+            kept = self.study.frame.get(MAGNITUDES, {}).get("longest")
+            value = _SLOW_SHARE * (kept or longest(self.study.runs))
             given.setdefault(
                 SLOW_TIME, motion.slow_time or Quantity(value=value, percent=100.0, unit="s")
             )
@@ -194,6 +197,12 @@ class Described:
             if store.into is not None and store.into not in names:
                 reader.report(f"stores[{i}].into", f"no store {store.into!r}")
             reader.parse(f"stores[{i}].area", store.area, self.known)
+
+    @property
+    def labels(self) -> dict[str, list[str]]:
+        """Values of the facts that the user's own causes are sized by."""
+        pers = {block.per for block in self.keys.effects.own if block.per is not None}
+        return {per: list(labels_of(per, self.study)) for per in sorted(pers)}
 
     def model(self) -> SimModel:
         """The model without effects."""

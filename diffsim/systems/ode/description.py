@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any, Literal
 
 from pydantic import Field, field_validator
@@ -12,6 +13,7 @@ from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
+from diffsim.systems.ode.applying import LABELS
 from diffsim.systems.ode.described import Described, Motion
 from diffsim.systems.ode.effects import ode_effects
 from diffsim.systems.ode.keys import (
@@ -24,7 +26,7 @@ from diffsim.systems.ode.keys import (
     States,
     Store,
 )
-from diffsim.systems.ode.library import Library, magnitudes
+from diffsim.systems.ode.library import MAGNITUDES, Library, magnitudes
 from diffsim.systems.ode.names import Reader
 from diffsim.systems.ode.unknown import unknown_forces
 
@@ -87,8 +89,9 @@ class OdeDescription(FormulaKeys):
             held=read.input_held,
             places=tuple((p, usual.places[p.name]) for p in self.places),
             stores=tuple((s, usual.stores[s.name]) for s in self.stores),
-            inputs=usual.inputs,
+            usual=usual,
         )
+        model.frame = {MAGNITUDES: asdict(usual), LABELS: read.labels}
         effects = chosen_effects((*ode_effects(library), *read.own), self.effects)
         settings = settings_with(DiagnosisSettings(), self.effort)
         return DiagnosisSetup(model, effects, unknown_forces(library), settings=settings)

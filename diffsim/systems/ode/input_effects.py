@@ -14,7 +14,7 @@ from diffsim.systems.actuator import BACKLASH, COMMAND_DELAY, DEAD_BAND, HELD_LA
 from diffsim.systems.ode import grid as signals
 from diffsim.systems.ode.applying import SizedMap, by_formulas, by_input, symbol
 from diffsim.systems.ode.grid import Grid
-from diffsim.systems.ode.library import Library
+from diffsim.systems.ode.library import Library, needs_order
 from diffsim.systems.ode.network import Change, filled, named
 
 _LARGEST_RATE = 1e6  # ranges per second: a slew time below it is none
@@ -26,8 +26,7 @@ def input_effects(library: Library) -> tuple[Effect, ...]:
     for name, held in library.held.items():
         tail = "" if len(library.held) == 1 else f"_of_{name}"
         out += _of_input(name, held, tail, library.inputs.get(name, 1.0))
-        if library.several_runs:
-            out.append(_gain_drift(name, tail, len(library.study.runs)))
+        out.append(_gain_drift(name, tail, library.usual.num_runs))
     return tuple(out)
 
 
@@ -123,7 +122,8 @@ def _gain_drift(name: str, tail: str, num_runs: int) -> Effect:
         family="drift",
         kind="actuator",
         unit="1/run",
-        typical=0.1 / num_runs,
+        typical=0.1 / max(num_runs, 1),
+        needs=needs_order,
         also_looks_like=("warming", "wear", "growth with the level, where levels rose in order"),
         apply=by_formulas(
             Change(names={name: filled(parse_expression("u*(1 + size*n)"), parts)}), symbol(own)

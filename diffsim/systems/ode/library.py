@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,10 +18,17 @@ from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Study
 from diffsim.identify.model import SimModel
 from diffsim.systems.ode.keys import Place, Store
+from diffsim.systems.ode.names import longest
 from diffsim.systems.ode.network import Network, product
 from diffsim.systems.ode.scene import OdeScene
 
 Array = NDArray[np.float64]
+MAGNITUDES = "magnitudes"  # their place in a study's frame
+
+
+def needs_order(study: Study) -> str | None:
+    """What a study lacks for something to drift from run to run."""
+    return None if len({r.order for r in study.fit_runs}) > 2 else "three runs to fit"
 
 
 @dataclass(frozen=True)
@@ -68,7 +76,7 @@ class Library:
         held: Inputs, with whether they are held between samples.
         places: Where forces may act, each with its usual magnitudes.
         stores: What fills and empties, each with its usual magnitudes.
-        inputs: Greatest magnitude of each input, by its name.
+        usual: Magnitudes of the plain model and of the recordings.
     """
 
     study: Study
@@ -76,32 +84,48 @@ class Library:
     held: Mapping[str, bool]
     places: tuple[tuple[Place, PlaceScale], ...]
     stores: tuple[tuple[Store, StoreScale], ...]
-    inputs: Mapping[str, float]
+    usual: Magnitudes
+
+    @property
+    def inputs(self) -> Mapping[str, float]:
+        """Greatest magnitude of each input, by its name."""
+        return self.usual.inputs
 
     @property
     def longest(self) -> float:
         """Duration of the longest run [s]."""
-        return max(float(r.time_s[-1] - r.time_s[0]) for r in self.study.runs)
-
-    @property
-    def several_runs(self) -> bool:
-        """Whether something may drift from run to run."""
-        return len({r.order for r in self.study.fit_runs}) > 2
+        return self.usual.longest
 
     def spread(self, channel: int) -> float:
         """Range of a channel over the runs to fit [unit of the channel]."""
-        columns = [r.measured[:, channel] for r in self.study.fit_runs or self.study.runs]
-        seen = _finite(columns)
-        return float(np.ptp(seen)) if len(seen) and np.ptp(seen) > 0.0 else 1.0
+        return self.usual.spreads[channel]
 
 
 @dataclass(frozen=True, eq=False)
 class Magnitudes:
-    """Usual magnitudes of a plain model, over the runs to fit."""
+    """Usual magnitudes of a plain model and of the recordings, over the runs to fit.
+
+    Attributes:
+        places, stores: Those inside of the plain model, by name.
+        inputs: Greatest magnitude of each input, by its name.
+        longest: Duration of the longest run [s].
+        num_runs: Number of runs in the order of the experiments.
+        spreads: Range of each channel [unit of the channel].
+    """
 
     places: Mapping[str, PlaceScale]
     stores: Mapping[str, StoreScale]
     inputs: Mapping[str, float]
+    longest: float
+    num_runs: int
+    spreads: Sequence[float]
+
+    @classmethod
+    def of_frame(cls, frame: Mapping[str, Any]) -> Magnitudes:
+        """Magnitudes that an earlier fit saved, as ``asdict`` gives them."""
+        places = {n: PlaceScale(**s) for n, s in frame["places"].items()}
+        stores = {n: StoreScale(**s) for n, s in frame["stores"].items()}
+        return cls(**{**frame, "places": places, "stores": stores})
 
 
 def magnitudes(
@@ -114,6 +138,8 @@ def magnitudes(
 ) -> Magnitudes:
     """From one simulation of each run to fit, with the best guess of everything.
 
+    A study with a ``frame`` has them from there.
+
     Args:
         study: Study with the recordings.
         model: Model whose scenes are :class:`OdeScene`.
@@ -122,6 +148,8 @@ def magnitudes(
         places: Where forces may act.
         stores: What fills and empties.
     """
+    if MAGNITUDES in study.frame:
+        return Magnitudes.of_frame(study.frame[MAGNITUDES])
     read = network.with_readings(_inside(network, known, places, stores))
     columns: dict[str, list[Array]] = {}
     inputs: dict[str, float] = {}
@@ -138,7 +166,16 @@ def magnitudes(
         {p.name: _place_scale(p, columns) for p in places},
         {s.name: _store_scale(s, columns) for s in stores},
         {name: most or 1.0 for name, most in inputs.items()},
+        longest(study.runs),
+        len({run.order for run in study.fit_runs}),
+        [_spread(study, i) for i in range(len(study.channels))],
     )
+
+
+def _spread(study: Study, channel: int) -> float:
+    """Range of a channel; 1 where it does not change."""
+    seen = _finite([run.measured[:, channel] for run in study.fit_runs or study.runs])
+    return float(np.ptp(seen)) if len(seen) and np.ptp(seen) > 0.0 else 1.0
 
 
 def _inside(

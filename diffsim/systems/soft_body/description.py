@@ -12,7 +12,14 @@ from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import BaseParameters, chosen_effects, settings_with
 from diffsim.systems.soft_body.body_keys import SoftBodyKeys
-from diffsim.systems.soft_body.causes import commanded_reach, library, unknowns
+from diffsim.systems.soft_body.causes import (
+    REACH,
+    TIMED,
+    commanded_reach,
+    is_timed,
+    library,
+    unknowns,
+)
 from diffsim.systems.soft_body.described import DescribedModel
 
 DIFFERENCE = 1e-4  # prior sd: a larger step sees tendons go slack and taut again
@@ -75,6 +82,8 @@ class SoftBodyDescription(SoftBodyKeys):
             raise ValueError("\n".join(str(p) for p in wrong))
         described = self._described(study)
         model = described.model()
+        reach = {REACH: list(commanded_reach(study, self.commands))} if self.commands else {}
+        model.frame = {TIMED: is_timed(self, study), **reach}
         rig = described.rig()
         mass_kg = float(rig.volume.sum()) * self.material.density.value
         advised = DiagnosisSettings(
