@@ -63,7 +63,9 @@ class TimeSource(Part):
         "s", description="Unit of that column: s, ms, us, min; `clock` for 12:30:05.25 or a date"
     )
     step: Positive | None = Field(
-        None, description="Seconds between rows, where the files have no clock"
+        None,
+        description="Seconds between rows, where the files have no clock; with `column`, seconds "
+        "for each count of it: {column: frame, step: 0.01}",
     )
 
     @field_validator("unit")
@@ -75,8 +77,8 @@ class TimeSource(Part):
 
     @model_validator(mode="after")
     def _one_source(self) -> TimeSource:
-        if self.step is not None and self.column is not None:
-            raise ValueError("give column or step, not both")
+        if self.step is not None and self.unit != "s":
+            raise ValueError(f"step counts in seconds; leave out unit, got {self.unit!r}")
         return self
 
 

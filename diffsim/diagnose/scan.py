@@ -144,7 +144,7 @@ def _combined(effects: Sequence[Effect]) -> Array:
 
 def _tried(effect: Effect, is_coarse: bool) -> list[Array]:
     """Coordinates of one effect: each component alone, of both signs where it may have them."""
-    times = np.array(COARSE_TIMES if is_coarse else TIMES)
+    times = np.array(effect.tries or (COARSE_TIMES if is_coarse else TIMES))
     signs = (1.0, -1.0) if effect.signed else (1.0,)
     count = len(effect.components)
     values = [coordinate_of(s * times / PRIOR_WIDTH) for s in signs]

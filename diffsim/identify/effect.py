@@ -43,6 +43,7 @@ class Effect:
             size stands for the derivative, and sizes over decades are tried before a fit.
         scanned: Whether its size is scanned over decades before a descent although it is smooth: a
             descent from zero may end in another valley. Effects with a kink always are.
+        tries: Multiples of the typical size that a scan tries; empty: over decades.
         masks: Names of effects that hide this one, or are hidden by it, such as slack and a rate
             limit: their sizes are tried together, and they enter sets as a pair. "slew_time" stands
             for "slew_time_force" too.
@@ -63,6 +64,7 @@ class Effect:
     components: tuple[str, ...] = ("size",)
     smooth: bool = True
     scanned: bool = False
+    tries: tuple[float, ...] = ()
     masks: tuple[str, ...] = ()
     also_looks_like: tuple[str, ...] = ()
     words: Callable[[float], str] | None = None

@@ -105,6 +105,12 @@ def test_a_limit_that_acts_only_at_large_sizes_is_found(signed, size):
     assert fit.values["limit"] == pytest.approx(size, abs=4.0 * fit.sd["limit"])
 
 
+def test_sizes_that_an_effect_names_are_tried_instead_of_decades():
+    """Between 0.5 and 1.5 of the typical size lies nothing but what the effect asks for."""
+    narrow = replace(clipped(), tries=(0.7, 0.8))
+    assert (num_points([clipped()]), num_points([narrow])) == (6, 2)
+
+
 def test_without_scans_it_is_not():
     """The slope at a tenth of the typical size is zero."""
     effects = (linear.line("push"), clipped())

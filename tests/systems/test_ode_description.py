@@ -117,6 +117,19 @@ def test_a_hidden_cause_is_named_with_its_size(name):
     assert report.gain is not None and report.gain.low > 0.9
 
 
+@pytest.mark.parametrize(
+    ("name", "force"),
+    [
+        # thirty times as stiff as a usual force at a usual distance, and lossy
+        ("stop_above", lambda x, v: -6000.0 * np.maximum(x - 0.25, 0.0) * (1.0 + np.tanh(v))),
+        # a string of 0.3 m across the motion, unstretched at rest: between cubic and straight
+        ("cubic_stiffness", lambda x, v: -60.0 * x * (1.0 - 0.3 / np.hypot(x, 0.3))),
+    ],
+)
+def test_a_cause_of_another_shape_than_the_usual_is_named(name, force):
+    assert found(cart_study(force=force)).named == (name,)
+
+
 def test_nothing_is_named_where_nothing_is_hidden():
     report = found(cart_study())
     assert report.named == ()

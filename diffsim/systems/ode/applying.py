@@ -23,20 +23,28 @@ def symbol(effect: str) -> str:
     return f"size of {effect}"
 
 
-def by_formulas(change: Change, *symbols: str) -> Apply:
+def by_formulas(change: Change, *symbols: str, steps: int = 1) -> Apply:
     """An effect that changes formulas.
 
     Args:
         change: Formulas in which the sizes are called ``symbols``.
         symbols: One for each component, in order.
+        steps: Steps of the integrator that a size other than zero needs where one is enough else.
     """
-    return partial(_changed, change=change, symbols=symbols)
+    return partial(_changed, change=change, symbols=symbols, steps=steps)
 
 
 def _changed(
-    scene: OdeScene, size: Tensor, run: Run, *, change: Change, symbols: Sequence[str]
+    scene: OdeScene,
+    size: Tensor,
+    run: Run,
+    *,
+    change: Change,
+    symbols: Sequence[str],
+    steps: int,
 ) -> OdeScene:
-    return scene.with_change(change, {s: size[..., i] for i, s in enumerate(symbols)})
+    needed = steps if bool(size.detach().any()) else 1  # at zero it is the plain model to the bit
+    return scene.with_change(change, {s: size[..., i] for i, s in enumerate(symbols)}, needed)
 
 
 LABELS = "labels"  # place of the values of facts in a study's frame

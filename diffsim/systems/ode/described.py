@@ -32,7 +32,7 @@ from diffsim.systems.ode.names import (
 )
 from diffsim.systems.ode.network import TIME, Network, named, ordered, piecewise
 from diffsim.systems.ode.own_effects import own_effects
-from diffsim.systems.ode.place_effects import sticking
+from diffsim.systems.ode.place_effects import shapes
 from diffsim.systems.ode.scene import OdeScene
 
 SLOW_TIME = "slow_time"
@@ -170,11 +170,8 @@ class Described:
         motion, given = self.motion, dict(self.keys.parameters)
         given |= {f"{s}_start": q for s, q in motion.states.items() if isinstance(q, Quantity)}
         given |= {f"{i.name}_delay": i.delay for i in self._given if i.delay is not None}
-        given |= {
-            sticking(p): Quantity(value=1.0, percent=100.0, lower=0.2, upper=20.0)
-            for p in motion.places
-            if p.stick_velocity is None
-        }
+        for place in motion.places:
+            given |= shapes(place)
         if motion.states and (self._given or motion.places):
             kept = self.study.frame.get(MAGNITUDES, {}).get("longest")
             value = _SLOW_SHARE * (kept or longest(self.study.runs))

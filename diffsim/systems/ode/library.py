@@ -41,6 +41,7 @@ class PlaceScale:
         position: Rms distance of the position from its start.
         velocity: Rms velocity.
         low, high: Least and greatest position.
+        below, above: How far these are from the start; never zero.
     """
 
     force: float
@@ -49,6 +50,8 @@ class PlaceScale:
     velocity: float
     low: float
     high: float
+    below: float
+    above: float
 
 
 @dataclass(frozen=True)
@@ -210,13 +213,17 @@ def _rms(parts: Sequence[Array]) -> float:
 
 def _place_scale(place: Place, columns: Mapping[str, list[Array]]) -> PlaceScale:
     path = columns[f"{place.name} position"]
+    away = _finite([p - p[0] for p in path])
+    usual = _rms([away])
     return PlaceScale(
         force=_rms(columns[f"{place.name} force"]),
         inertia=_rms([i[:1] for i in columns[f"{place.name} inertia"]]),
-        position=_rms([p - p[0] for p in path]),
+        position=usual,
         velocity=_rms(columns[f"{place.name} velocity"]),
         low=float(_finite(path).min(initial=0.0)),
         high=float(_finite(path).max(initial=0.0)),
+        below=max(-float(away.min(initial=0.0)), 0.1 * usual),
+        above=max(float(away.max(initial=0.0)), 0.1 * usual),
     )
 
 
