@@ -103,9 +103,7 @@ def determined(fit: Fit) -> list[int]:
 
 def groups_of(problem: Problem) -> Folds | None:
     """Groups of runs, at most 8 parts; None where there is only one that can be left out."""
-    groups: dict[str, list[int]] = {}
-    for i, run in enumerate(problem.runs):
-        groups.setdefault(run.group, []).append(i)
+    groups = _groups(problem)
     names = [name for name in groups if not _has_channel_alone(problem, groups, name)]
     if len(names) < 2:
         return None
@@ -118,6 +116,14 @@ def groups_of(problem: Problem) -> Folds | None:
     )
     what = "one command" if count == len(names) else f"{count} parts of the commands"
     return Folds(folds, f"leaving out {what} after the other among the fit runs")
+
+
+def _groups(problem: Problem) -> dict[str, list[int]]:
+    """Indices of the runs of every group, by its name."""
+    groups: dict[str, list[int]] = {}
+    for i, run in enumerate(problem.runs):
+        groups.setdefault(run.group, []).append(i)
+    return groups
 
 
 def _has_channel_alone(problem: Problem, groups: dict[str, list[int]], name: str) -> bool:
@@ -134,16 +140,22 @@ def blocks_of(problem: Problem) -> Folds | None:
     """Blocks of time of all runs at once; None where they are too short for three.
 
     A block is ten times as long as the noise remembers, and an eighth of the longest run or more.
+    Runs that alone measure a channel, such as points of a camera's calibration, stay.
     """
     row_run, time = _run_of_rows(problem), _time_of_rows(problem)
-    longest = float(time.max()) if len(time) else 0.0
-    steps = [float(np.median(np.diff(r.time_s))) for r in problem.runs if len(r.time_s) > 1]
+    groups = _groups(problem)
+    stay = [i for n, own in groups.items() if _has_channel_alone(problem, groups, n) for i in own]
+    is_cut = ~np.isin(row_run, stay)
+    longest = float(time[is_cut].max()) if is_cut.any() else 0.0
+    cut = replace(problem, runs=tuple(r for i, r in enumerate(problem.runs) if i not in stay))
+    steps = [float(np.median(np.diff(r.time_s))) for r in cut.runs if len(r.time_s) > 1]
     shortest = MIN_SAMPLES * max(steps, default=0.0)
-    block_s = max(longest / MAX_FOLDS, MEMORY * memory_s(problem), shortest)
+    block_s = max(longest / MAX_FOLDS, MEMORY * memory_s(cut), shortest)
     count = int(longest / block_s) if block_s > 0.0 else 0
     if count < MIN_FOLDS:
         return None
     label = np.minimum((time / longest * count).astype(np.int64), count - 1)
+    label[~is_cut] = -1
     folds = []
     for k in range(count):
         rows = label == k

@@ -191,6 +191,11 @@ class Simulations:
         """A fitted set with the linear evidence of its neighbors; nothing is simulated."""
         return Center(members, at, self._evidence(at, [], num_families))
 
+    def beside(self, members: Members, unknown: Unknown, u: int, families: int) -> LaplaceEvidence:
+        """Evidence of a set's neighbors, an unknown cause beside; both were simulated there."""
+        moved, _ = self.responses(unknown, u, members, self.screened[members])
+        return self._evidence(self.screened[members], [moved], families)
+
     def scanned(
         self, center: Center, settings: SearchSettings, num_families: int
     ) -> tuple[Center, Simulations]:

@@ -130,7 +130,8 @@ class Balls:
             start = {} if is_clicks else starts.in_run(values, run)
             since = 0.0 if is_clicks else starts.at(run)
             time = torch.from_numpy(np.asarray(run.time_s, dtype=np.float64) - since)
-            return BallScene({**plain, **known, **start}, time, stages[run.name])
+            # a run that nobody has recorded yet is seen as all others are
+            return BallScene({**plain, **known, **start}, time, stages.get(run.name, stage))
 
         base = (*quantities.base, *starts.base)
         return SimModel(build, base, "balls", batched=True)
