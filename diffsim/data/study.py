@@ -16,6 +16,9 @@ SYSTEMS = ("soft_body", "copter", "stokes", "rigid_body")
 USES = ("fit", "select", "test")
 
 
+TIMELESS = "_timeless"  # fact of runs whose samples have no order, made by a system
+
+
 @dataclass(frozen=True)
 class Channel:
     """One measured quantity with its unit and noise.

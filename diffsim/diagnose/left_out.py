@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from diffsim.core.errors import DiffsimError
-from diffsim.data.study import Run
+from diffsim.data.study import TIMELESS, Run
 from diffsim.diagnose.gauss_newton import gauss_newton
 from diffsim.diagnose.noise import ArWhitener
 from diffsim.diagnose.optimum import optimum
@@ -103,7 +103,9 @@ def determined(fit: Fit) -> list[int]:
 
 def groups_of(problem: Problem) -> Folds | None:
     """Groups of runs, at most 8 parts; None where there is only one that can be left out."""
-    groups = _groups(problem)
+    groups: dict[str, list[int]] = {}
+    for i, run in enumerate(problem.runs):
+        groups.setdefault(run.group, []).append(i)
     names = [name for name in groups if not _has_channel_alone(problem, groups, name)]
     if len(names) < 2:
         return None
@@ -116,14 +118,6 @@ def groups_of(problem: Problem) -> Folds | None:
     )
     what = "one command" if count == len(names) else f"{count} parts of the commands"
     return Folds(folds, f"leaving out {what} after the other among the fit runs")
-
-
-def _groups(problem: Problem) -> dict[str, list[int]]:
-    """Indices of the runs of every group, by its name."""
-    groups: dict[str, list[int]] = {}
-    for i, run in enumerate(problem.runs):
-        groups.setdefault(run.group, []).append(i)
-    return groups
 
 
 def _has_channel_alone(problem: Problem, groups: dict[str, list[int]], name: str) -> bool:
@@ -140,11 +134,10 @@ def blocks_of(problem: Problem) -> Folds | None:
     """Blocks of time of all runs at once; None where they are too short for three.
 
     A block is ten times as long as the noise remembers, and an eighth of the longest run or more.
-    Runs that alone measure a channel, such as points of a camera's calibration, stay.
+    Runs without time, such as points of a camera's calibration, stay.
     """
     row_run, time = _run_of_rows(problem), _time_of_rows(problem)
-    groups = _groups(problem)
-    stay = [i for n, own in groups.items() if _has_channel_alone(problem, groups, n) for i in own]
+    stay = [i for i, run in enumerate(problem.runs) if run.setup.get(TIMELESS)]
     is_cut = ~np.isin(row_run, stay)
     longest = float(time[is_cut].max()) if is_cut.any() else 0.0
     cut = replace(problem, runs=tuple(r for i, r in enumerate(problem.runs) if i not in stay))

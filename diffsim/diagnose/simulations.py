@@ -78,6 +78,7 @@ class Simulations:
             the cause.
         scans: Sizes that were tried, by members of the center and group of effects.
         scan_seconds: CPU time that these took [s].
+        scans_late: Groups of effects that were not tried because that time was over.
     """
 
     wide: Problem
@@ -87,6 +88,7 @@ class Simulations:
     unknown_slopes: Mapping[tuple[Members, int], Array] = field(default_factory=dict)
     scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
     scan_seconds: float = 0.0
+    scans_late: frozenset[tuple[Members, Members]] = frozenset()
 
     def under(self, null: Null) -> Simulations:
         """The same simulations for another fit of the plain model or another noise floor."""
@@ -214,14 +216,32 @@ class Simulations:
                 points = sum(s.num_points for s in made.scans.values())
                 points += num_points([self.wide.effects[i] for i in members])
                 if points > settings.scan_points or made.scan_seconds > settings.scan_seconds:
+                    is_late = points <= settings.scan_points
+                    made = replace(made, scans_late=made.scans_late | ({key} if is_late else set()))
                     continue
-                own, start = self.coordinates(center.members), process_time()
-                result = scan(self.wide, own, center.at, members)
-                spent = made.scan_seconds + process_time() - start
+                result = self._scan(center, members)
+                spent = made.scan_seconds + result.seconds
                 made = replace(made, scans={**made.scans, key: result}, scan_seconds=spent)
             if (at := made.scans[key].at) is not None:
                 found[group] = made.center(center.members, at, num_families)
         return replace(center, scanned=found), made
+
+    def _scan(self, center: Center, group: Sequence[int]) -> Scan:
+        """Sizes of a group at a center, from this process or an earlier one."""
+        label = f"scan of {self._label(frozenset(group))} at {self._label(center.members)}"
+        if self.store is not None and (kept := self.store.load_array(label)) is not None:
+            at = self.store.load(f"best {label}")
+            if at is not None or not kept[2]:
+                return Scan(at, int(kept[0]), float(kept[1]))
+        start = process_time()
+        found = scan(self.wide, self.coordinates(center.members), center.at, group)
+        found = replace(found, seconds=process_time() - start)
+        if self.store is not None:
+            if found.at is not None:
+                self.store.save(f"best {label}", found.at)
+            numbers = [found.num_points, found.seconds, found.at is not None]
+            self.store.save_array(label, np.array(numbers, dtype=np.float64))
+        return found
 
     def with_unknowns(
         self, center: Center, unknowns: Sequence[Unknown], num_families: int

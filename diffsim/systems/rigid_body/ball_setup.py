@@ -14,7 +14,7 @@ from torch import Tensor
 
 from diffsim.data.calibration import calibrate
 from diffsim.data.importers.common import read_columns
-from diffsim.data.study import Channel, Run, Study
+from diffsim.data.study import TIMELESS, Channel, Run, Study
 from diffsim.identify.effect import Effect
 from diffsim.identify.model import Numerics, SimModel
 from diffsim.systems.description import BaseParameters, Quantity
@@ -86,9 +86,8 @@ class Balls:
         measured[:, width:] = points.pixels
         order = min(r.order for r in runs) - 1
         no_command = {n: np.zeros(len(measured)) for n in runs[0].command}
-        clicks = Run(
-            CLICKS, np.arange(float(len(measured))), measured, no_command, CLICKS, order, "fit"
-        )
+        time_s, facts = np.arange(float(len(measured))), {TIMELESS: True}
+        clicks = Run(CLICKS, time_s, measured, no_command, CLICKS, order, "fit", facts)
         channels = [*study.channels, *(Channel(c, "px", "image", sd) for c in CLICK_CHANNELS)]
         return replace(study, channels=tuple(channels), runs=(clicks, *runs))
 
