@@ -17,6 +17,7 @@ REFUTED, HIDDEN, UNJUDGED = "refuted", "not visible below", "not judged"
 STATUSES = (CERTAIN, LIKELY, UNTOLD, REFUTED, HIDDEN, UNJUDGED)
 EFFECT, DATA_SHEET, UNKNOWN = "effect", "data sheet", "unknown"
 RATIOS = ("stroke of", "rate of")  # quantities whose distance is a ratio to the largest fitted
+SIGNALS = (*RATIOS, "level of", "frequency of")  # quantities of commands and channels
 ORIGINS = (EFFECT, DATA_SHEET, UNKNOWN)
 
 
@@ -158,6 +159,11 @@ class OutsideRow:
     high: float | None
     times: float
     unit: str = ""
+
+    @property
+    def is_fact(self) -> bool:
+        """Whether it is a fact of the set-up, and nothing of a signal."""
+        return not self.what.startswith(SIGNALS)
 
     @property
     def words(self) -> str:
