@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from diffsim.core.units import to_si
 from diffsim.data.columns import Table
+from diffsim.data.study_check import LATE
 from diffsim.data.table_guess import Column, Layout
 
 TIME = re.compile(r"^(t|time|timestamp|stamp|zeit|temps|tiempo|seconds|elapsed|clock)(_|$)", re.I)
@@ -20,7 +21,6 @@ _TRIAL = re.compile(
     r"messung)(_?(no|nr|id|number|index|\d))?$",
     re.I,
 )
-LATE = 1e6  # s: a clock that starts here counts from some other epoch than the run
 _LEAST_ROWS = 5  # of a run, on average
 _JUMP = 10.0  # times the usual step of a counter: another recording
 

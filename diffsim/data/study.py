@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.data.fault_keys import FaultKeys
+
 Array = NDArray[np.float64]
 
 SYSTEMS = ("soft_body", "copter", "stokes", "rigid_body")
@@ -107,6 +109,7 @@ class Study:
         allows: Facts of ``setup`` that can be changed for a next run, with possible values.
         frame: What an earlier fit took from its runs, such as usual magnitudes: with it the causes
             of a saved model mean the same on new runs. Empty: it is taken from these runs.
+        faults: How groups of runs are judged for faults; None: they are not.
     """
 
     name: str
@@ -122,6 +125,7 @@ class Study:
     todo: tuple[str, ...] = ()
     allows: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
     frame: Mapping[str, Any] = field(default_factory=dict)
+    faults: FaultKeys | None = None
 
     @property
     def fit_runs(self) -> tuple[Run, ...]:

@@ -45,8 +45,8 @@ class Effect:
             descent from zero may end in another valley. Effects with a kink always are.
         tries: Multiples of the typical size that a scan tries; empty: over decades.
         masks: Names of effects that hide this one, or are hidden by it, such as slack and a rate
-            limit: their sizes are tried together, and they enter sets as a pair. "slew_time" stands
-            for "slew_time_force" too.
+            limit: their sizes are tried together, and they enter sets as a pair. "rate_limit"
+            stands for "rate_limit_of_force" too.
         also_looks_like: Physical causes and other forms that data may not distinguish from it.
         words: Function of a size that says it in plain words where its number would not be
             understood, such as "a speed limit near 100 mm/s"; None: name and size.

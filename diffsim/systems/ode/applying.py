@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -10,12 +10,9 @@ from torch import Tensor
 
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply
-from diffsim.systems.ode.grid import Grid
+from diffsim.systems.grid import SizedMap
 from diffsim.systems.ode.network import Change
 from diffsim.systems.ode.scene import OdeScene
-
-#: (signal on the grid, grid, size () or (K,)) -> the same signal, changed
-SizedMap = Callable[[Tensor, Grid, Tensor], Tensor]
 
 
 def symbol(effect: str) -> str:
@@ -117,16 +114,3 @@ def by_input(name: str, change: SizedMap) -> Apply:
 
 def _driven(scene: OdeScene, size: Tensor, run: Run, *, name: str, change: SizedMap) -> OdeScene:
     return scene.with_input(name, lambda u, grid: change(u, grid, size[..., 0]))
-
-
-def by_reading(channels: Sequence[str], change: SizedMap) -> Apply:
-    """An effect that changes channels alike: f(channel, grid, size)."""
-    return partial(_read, channels=tuple(channels), change=change)
-
-
-def _read(
-    scene: OdeScene, size: Tensor, run: Run, *, channels: Sequence[str], change: SizedMap
-) -> OdeScene:
-    for channel in channels:
-        scene = scene.with_reading(channel, lambda y, grid: change(y, grid, size[..., 0]))
-    return scene

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -16,8 +17,9 @@ from diffsim.data.study import Run, Study
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
+from diffsim.systems.grid import Grid, delayed, held_delayed
+from diffsim.systems.holding import looks_held
 from diffsim.systems.ode.applying import labels_of
-from diffsim.systems.ode.grid import Grid, delayed, held_delayed
 from diffsim.systems.ode.keys import FormulaKeys, Input, Place, Store
 from diffsim.systems.ode.library import MAGNITUDES
 from diffsim.systems.ode.names import (
@@ -36,6 +38,8 @@ from diffsim.systems.ode.place_effects import shapes
 from diffsim.systems.ode.scene import OdeScene
 
 SLOW_TIME = "slow_time"
+HELD = "held"  # place of what is held between samples in a study's frame
+_WORDS = re.compile(r"\w+")
 _SLOW_SHARE = 0.1  # of the longest run: how long a slow share takes, if nobody says
 
 
@@ -73,7 +77,9 @@ class Described:
     ):
         self.keys, self.motion, self.study = keys, motion, study
         self._reader, self._given = reader, inputs
-        self.input_held = {i.name: i.held for i in inputs}
+        self.input_held = self._held()
+        self.unsure = frozenset(i.name for i in inputs if i.held is None and self._commands_of(i))
+        self.unsure -= {name for name, held in self.input_held.items() if held}
         self.quantities = self._quantities()
         facts = fact_names(study)
         self._check_names(facts)
@@ -140,6 +146,29 @@ class Described:
             return {}
         return made
 
+    def _commands_of(self, given: Input) -> list[str]:
+        """Commands that an input is made of."""
+        words = {given.name} if given.formula is None else set(_WORDS.findall(given.formula))
+        return sorted(words & {c for run in self.study.runs for c in run.command})
+
+    def _held(self) -> dict[str, bool]:
+        """Inputs, with whether they keep their value until the next sample."""
+        out = {}
+        for i, given in enumerate(self._given):
+            commands = self._commands_of(given)
+            out[given.name] = given.held or False
+            kept = self.study.frame.get(HELD, {}).get(given.name)
+            if given.held is None and kept is not None:
+                out[given.name] = bool(kept)
+            elif given.held is None and looks_held(self.study.runs, commands):
+                out[given.name] = True
+                self._reader.note(
+                    f"inputs[{i}].held",
+                    f"{' and '.join(commands)} rests and jumps, so {given.name} is held between "
+                    "samples; give `held: false` for straight lines",
+                )
+        return out
+
     def _inputs(self, numbers: tuple[str, ...]) -> dict[str, Expression]:
         """Formula of every input, in commands, facts and parameters."""
         reader, runs = self._reader, self.study.runs
@@ -187,6 +216,8 @@ class Described:
             for key in ("position", "velocity"):
                 if getattr(place, key) not in states:
                     reader.report(f"places[{i}].{key}", f"no state {getattr(place, key)!r}")
+            if place.position == place.velocity:
+                reader.report(f"places[{i}].velocity", "is its position, too; name the other state")
             reader.parse(f"places[{i}].inertia", place.inertia, self.known)
         for i, store in enumerate(self.motion.stores):
             if store.level not in states:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
@@ -14,7 +14,7 @@ from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
 from diffsim.systems.ode.applying import LABELS
-from diffsim.systems.ode.described import Described, Motion
+from diffsim.systems.ode.described import HELD, Described, Motion
 from diffsim.systems.ode.effects import ode_effects
 from diffsim.systems.ode.keys import (
     AnyQuantity,
@@ -27,7 +27,7 @@ from diffsim.systems.ode.keys import (
     Store,
 )
 from diffsim.systems.ode.library import MAGNITUDES, Library, magnitudes
-from diffsim.systems.ode.names import Reader
+from diffsim.systems.ode.names import Reader, where_of
 from diffsim.systems.ode.unknown import unknown_forces
 
 
@@ -39,7 +39,13 @@ class OdeDescription(FormulaKeys):
         description="Start value of every state: a number with unit, a formula of parameters and "
         "first_CHANNEL, or a quantity with a prior"
     )
-    rates: dict[str, Formula] = Field(description="Rate of every state, its derivative in time")
+    rates: dict[str, Formula] = Field({}, description="Rate of every state, its derivative in time")
+    function: str | None = Field(
+        None,
+        description="FILE.py:NAME instead of rates: a Python function of states, inputs and "
+        "parameters, by the names of its arguments, that returns the rates by state. It is run, "
+        "once, only where the command line says so: --setup FILE.py",
+    )
     inputs: Inputs = Field((), description="What drives the system: commands, or formulas of them")
     limits: dict[str, tuple[float, float]] = Field(
         {}, description="Lower and upper limit of states that have some"
@@ -58,11 +64,23 @@ class OdeDescription(FormulaKeys):
     def _names_as_text(cls, given: Any) -> Any:
         return {str(k): v for k, v in given.items()} if isinstance(given, Mapping) else given
 
+    @model_validator(mode="after")
+    def _one_way(self) -> OdeDescription:
+        if bool(self.rates) == (self.function is not None):
+            raise ValueError("give rates, or function: FILE.py:NAME instead of them")
+        return self
+
     def problems(self, study: Study) -> list[Problem]:
         """Mistakes in names, formulas and units, found without a simulation."""
+        if self.function is not None:
+            return [Problem("warning", f"{where_of(study)}.function", self._not_run())]
         reader = Reader(study)
         self._described(study, reader)
-        return list(reader.problems)
+        return [*reader.problems, *reader.notes]
+
+    def _not_run(self) -> str:
+        file = str(self.function).partition(":")[0]
+        return f"{self.function} is code, which is not run unless you say so: --setup {file}"
 
     def _described(self, study: Study, reader: Reader) -> Described:
         motion = Motion(
@@ -78,6 +96,8 @@ class OdeDescription(FormulaKeys):
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""
+        if self.function is not None:
+            raise ValueError(f"{where_of(study)}.function: {self._not_run()}")
         reader = Reader(study)
         read = self._described(study, reader)
         reader.finish()
@@ -87,11 +107,13 @@ class OdeDescription(FormulaKeys):
             study=study,
             known=read.known,
             held=read.input_held,
+            unsure=read.unsure,
             places=tuple((p, usual.places[p.name]) for p in self.places),
             stores=tuple((s, usual.stores[s.name]) for s in self.stores),
             usual=usual,
         )
-        model.frame = {MAGNITUDES: asdict(usual), LABELS: read.labels}
+        held = dict(read.input_held)
+        model.frame = {MAGNITUDES: asdict(usual), LABELS: read.labels, HELD: held}
         effects = chosen_effects((*ode_effects(library), *read.own), self.effects)
         settings = settings_with(DiagnosisSettings(), self.effort)
         return DiagnosisSetup(model, effects, unknown_forces(library), settings=settings)

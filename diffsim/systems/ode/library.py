@@ -79,6 +79,7 @@ class Library:
         held: Inputs, with whether they are held between samples.
         places: Where forces may act, each with its usual magnitudes.
         stores: What fills and empties, each with its usual magnitudes.
+        unsure: Inputs of which nobody knows whether they are held between samples.
         usual: Magnitudes of the plain model and of the recordings.
     """
 
@@ -88,11 +89,17 @@ class Library:
     places: tuple[tuple[Place, PlaceScale], ...]
     stores: tuple[tuple[Store, StoreScale], ...]
     usual: Magnitudes
+    unsure: frozenset[str] = frozenset()
 
     @property
     def inputs(self) -> Mapping[str, float]:
         """Greatest magnitude of each input, by its name."""
         return self.usual.inputs
+
+    @property
+    def one_sided(self) -> frozenset[str]:
+        """Inputs that are never below zero."""
+        return frozenset(self.usual.one_sided)
 
     @property
     def longest(self) -> float:
@@ -119,6 +126,7 @@ class Magnitudes:
     places: Mapping[str, PlaceScale]
     stores: Mapping[str, StoreScale]
     inputs: Mapping[str, float]
+    one_sided: Sequence[str]
     longest: float
     num_runs: int
     spreads: Sequence[float]
@@ -156,6 +164,7 @@ def magnitudes(
     read = network.with_readings(_inside(network, known, places, stores))
     columns: dict[str, list[Array]] = {}
     inputs: dict[str, float] = {}
+    two_sided: set[str] = set()
     for run in study.fit_runs or study.runs:
         scene = model.scene(run, model.at_prior())
         assert isinstance(scene, OdeScene)
@@ -165,10 +174,12 @@ def magnitudes(
             columns.setdefault(name, []).append(column.numpy())
         for name, u in scene.inputs.items():
             inputs[name] = max(inputs.get(name, 0.0), float(u.abs().max()))
+            two_sided |= {name} if float(u.min()) < 0.0 else set()
     return Magnitudes(
         {p.name: _place_scale(p, columns) for p in places},
         {s.name: _store_scale(s, columns) for s in stores},
         {name: most or 1.0 for name, most in inputs.items()},
+        sorted(frozenset(inputs) - two_sided),
         longest(study.runs),
         len({run.order for run in study.fit_runs}),
         [_spread(study, i) for i in range(len(study.channels))],

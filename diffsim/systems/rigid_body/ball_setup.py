@@ -123,6 +123,8 @@ class Balls:
                 only = replace(stage, bodies=(), pair=None)
                 stages[CLICKS] = replace(only, eye=replace(eye, corners=corners))
 
+        clocks = {run.name: run.time_s for run in study.runs}
+
         def build(values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> BallScene:
             is_clicks = run.name == CLICKS
             known = quantities.in_run(values, runs[0] if is_clicks else run)
@@ -130,7 +132,8 @@ class Balls:
             since = 0.0 if is_clicks else starts.at(run)
             time = torch.from_numpy(np.asarray(run.time_s, dtype=np.float64) - since)
             # a run that nobody has recorded yet is seen as all others are
-            return BallScene({**plain, **known, **start}, time, stages.get(run.name, stage))
+            shown = _of_part(stages.get(run.name, stage), clocks.get(run.name, run.time_s), run)
+            return BallScene({**plain, **known, **start}, time, shown)
 
         base = (*quantities.base, *starts.base)
         return SimModel(build, base, "balls", batched=True)
@@ -312,3 +315,12 @@ class Balls:
             j = int(np.argmax(np.abs(row)))
             world[:, i] = row[j] * place[:, j]
         return world
+
+
+def _of_part(stage: Stage, clock: Array, run: Run) -> Stage:
+    """The stage of a run of which a part may be left out: as many clicked points as samples."""
+    eye = stage.eye
+    if eye is None or eye.corners is None or len(eye.corners) == len(run.time_s):
+        return stage
+    rows = torch.from_numpy(np.searchsorted(clock, run.time_s))
+    return replace(stage, eye=replace(eye, corners=eye.corners[rows]))

@@ -107,7 +107,7 @@ def _of_commands(given: SoftBodyKeys, study: Study, timed: bool) -> list[Effect]
     sized = {
         "dead_band": TYPICAL_SHARE * width,
         "backlash": TYPICAL_SHARE * width,
-        "tendon_slack": TYPICAL_SHARE * width,
+        "slack": TYPICAL_SHARE * width,
         "rate_limit": LIMIT_SHARE / rate,
     }
     found = [LAG, DEAD_BAND, BACKLASH, SATURATION, *PULLING]
@@ -118,7 +118,7 @@ def _of_commands(given: SoftBodyKeys, study: Study, timed: bool) -> list[Effect]
     # of a command that only pulls, slack and dead band are one
     least = study.frame.get(REACH) or commanded_reach(study, given.commands)
     pulls_only = bool(given.tendons) and least[0] >= 0.0
-    doubled = "dead_band" if pulls_only else "tendon_slack"
+    doubled = "dead_band" if pulls_only else "slack"
     found = [e for e in found if e.name != doubled]
     units = {c.name: c.unit for c in study.commands}
     unit = (units.get(given.commands[0]) if len(given.commands) == 1 else None) or "-"
