@@ -52,7 +52,7 @@ def test_causes_mean_the_same_on_new_runs(made, faster):
         command={**like.command, faster: 3.0 * like.command[faster]},
     )
     later = replace(study, runs=(new,))
-    framed = setup_of(replace(later, frame=full.model.frame))
+    framed = setup_of(replace(later, frame=full.model.frame)).remade(full.model.made_from)
     plain, moved, alone = _at(full, new), [], setup_of(later)
     for effect in full.effects:
         there = _at(full, new, effect)

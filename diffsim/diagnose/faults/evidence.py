@@ -54,13 +54,13 @@ def informations(
     Args:
         learned: What other groups say of shared parameters and scatter.
         local: The group, linearized.
-        daily_factor: Factor on spreads of groups.
+        daily_factor: Factor on spreads of groups, and of a new state.
         new_state: Whether the group is in a state that was never seen.
     """
     gone = slice(0, local.num_nuisances)
     out = []
     for k, draw in enumerate(learned.draws):
-        mean, covariance = learned.of_shared(local, k, new_state=new_state)
+        mean, covariance = learned.of_shared(local, k, new_state=new_state, factor=daily_factor)
         shared = np.asarray(np.linalg.inv(covariance))
         scatter = learned.precision(local, draw, daily_factor=daily_factor)
         prior = block_diag(shared, np.diag(scatter)) if len(mean) else np.diag(scatter)

@@ -68,13 +68,16 @@ class Learned:
         """
         return _precision(self.layout, local, log_spread, daily_factor)
 
-    def of_shared(self, local: Local, draw: int, *, new_state: bool = False) -> tuple[Array, Array]:
+    def of_shared(
+        self, local: Local, draw: int, *, new_state: bool = False, factor: float = 1.0
+    ) -> tuple[Array, Array]:
         """What is known of the shared parameters of a group for one draw: mean and covariance.
 
         Args:
             local: The group.
             draw: Number of the draw.
             new_state: Whether the group is in a state that was never seen.
+            factor: Factor on the spreads of such a state.
         """
         place = {i: k for k, i in enumerate(self.layout.shared)}
         at = np.array([place[i] for i in local.common], dtype=int)
@@ -82,7 +85,7 @@ class Learned:
         covariance = self.common_covariance[draw][np.ix_(at, at)].copy()
         if new_state:
             fresh = self.layout.is_state[list(local.common)]
-            prior = 1.0 / self.layout.shared_precision(self.draws[draw])[at]
+            prior = factor**2 / self.layout.shared_precision(self.draws[draw])[at]
             mean[fresh] = 0.0
             covariance[fresh] = covariance[:, fresh] = 0.0
             covariance[fresh, fresh] = prior[fresh]

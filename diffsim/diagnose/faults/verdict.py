@@ -23,8 +23,10 @@ from diffsim.identify.sizes import PRIOR_WIDTH
 
 Array = NDArray[np.float64]
 SILENT, UNLISTED = "nothing visible", "not in the library"
+SOUND = "nothing"
 VERDICTS = (SILENT, CERTAIN, LIKELY, UNTOLD, UNLISTED)
-SOUND_LIMIT = 0.05  # probability of "sound" below which a fault is named
+SOUND_LIMIT = 0.1  # probability of "sound" below which a fault is named
+CERTAIN_LIMIT = 0.05  # and below which it may be certain
 LIKELY_FROM = 0.8  # probability of a set of causes, from which it is likely
 REACH_NATS = 3.0  # evidence within which runs do not tell sets apart
 MAX_ROWS = 8
@@ -79,7 +81,8 @@ class FaultVerdict:
         sound: Probability that nothing is wrong, by these runs alone.
         strength: Length of the named causes' misfit, in sd of noise and scatter together.
         sizes: Their sizes.
-        rivals: Other sets that the runs themselves do not tell from it.
+        rivals: Other sets that the runs themselves do not tell from it; ``SOUND`` and ``UNLISTED``
+            stand for those without a cause.
         sets: Most probable explanations.
         smallest_visible: Smallest size of each cause that would be visible alone, in its unit.
         words: The verdict as a sentence.
@@ -207,9 +210,11 @@ def _status(weighed: Sequence[Weighed], learned: Array, alone: Array, sound: int
         return UNLISTED
     chosen = set(weighed[best].candidate.causes)
     holds = np.array([chosen <= set(w.candidate.causes) for w in weighed])
+    is_expected = learned[holds].sum() >= LIKELY_FROM
     if not _rivals(weighed, alone, best):
-        return CERTAIN
-    return LIKELY if learned[holds].sum() >= LIKELY_FROM else UNTOLD
+        is_certain = is_expected and alone[sound] <= CERTAIN_LIMIT
+        return CERTAIN if is_certain else LIKELY
+    return LIKELY if is_expected else UNTOLD
 
 
 def _rivals(weighed: Sequence[Weighed], alone: Array, best: int) -> tuple[tuple[str, ...], ...]:
@@ -217,11 +222,16 @@ def _rivals(weighed: Sequence[Weighed], alone: Array, best: int) -> tuple[tuple[
     chosen = set(weighed[best].candidate.causes)
     within = alone >= alone.max() * np.exp(-REACH_NATS)
     found = [
-        (-float(p), w.candidate.causes)
+        (-float(p), _name(w.candidate))
         for w, p, near in zip(weighed, alone, within, strict=True)
         if near and not chosen <= set(w.candidate.causes)
     ]
-    return tuple(causes or (UNLISTED,) for _, causes in sorted(found))
+    return tuple(name for _, name in sorted(found))
+
+
+def _name(candidate: Candidate) -> tuple[str, ...]:
+    """Causes of a candidate, or what stands for none."""
+    return candidate.causes or ((SOUND,) if candidate.is_sound else (UNLISTED,))
 
 
 def _sizes(

@@ -11,7 +11,7 @@ from torch import Tensor
 from diffsim.core.expression import parse_expression
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect, needs_nothing
-from diffsim.systems.actuator import command_causes
+from diffsim.systems.actuator import command_causes, in_words
 from diffsim.systems.grid import SizedMap
 from diffsim.systems.ode.applying import by_formulas, by_input, symbol
 from diffsim.systems.ode.library import Library, needs_order
@@ -27,14 +27,16 @@ def input_effects(library: Library) -> tuple[Effect, ...]:
     for name, held in library.held.items():
         tail = "" if len(library.held) == 1 else f"_of_{name}"
         out += _of_input(library, name, held, tail)
-        out.append(_gain_drift(name, tail, library.usual.num_runs))
+        out.append(_gain_drift(name, tail, len({r.order for r in library.study.fit_runs})))
     return tuple(out)
 
 
 def _of_input(library: Library, name: str, held: bool, tail: str) -> list[Effect]:
+    units = {c.name: (c.unit, c.shown_unit) for c in library.study.commands}
+    unit, shown = units.get(name, (None, None))
     found = [
         replace(
-            model,
+            model if unit is None else in_words(model, unit, shown),
             name=model.name + tail,
             masks=tuple(m + tail for m in model.masks),
             # what a study must have is checked where the input is read
