@@ -79,6 +79,24 @@ def _forces(scale: PlaceScale) -> Iterator[_Force]:
         also=("constant force, where it moves all the time",),
     )
     yield _Force(
+        name="viscous_asymmetry",
+        form="Viscous friction is size larger forwards and size less backwards.",
+        family="asymmetry",
+        force="-size*abs(v)",
+        unit="F s/X",
+        typical=0.5 * f / v,
+        also=("dry friction that differs with the direction, at one speed",),
+    )
+    yield _Force(
+        name="friction_along_stroke",
+        form="Dry friction grows by size per distance along the stroke, from its middle on.",
+        family="damping",
+        force="-size*(x - 0.5*(low + high))*tanh(v/w)",
+        unit="F/X",
+        typical=f / x,
+        also=("a guide that is not straight", "a screw that is worn in the middle"),
+    )
+    yield _Force(
         name="stribeck_friction",
         form="Friction is size higher near standstill, and falls with speed.",
         family="damping",
