@@ -174,9 +174,10 @@ def tested(frozen: Report, study: Study, seed: int) -> Report:
         study.test_runs or seen.select_runs,
         seen.channels,
         sd,
-        spans_of(seen.fit_runs, seen.channels),
+        spans_of(seen.fit_runs, seen.channels, seen.commands),
         seed=seed,
         use="test" if is_test else "select",
+        commands=seen.commands,
     )
     gained = found.gain if is_test and frozen.best.problem.effects else None
     assert frozen.answer is not None  # of the same diagnosis
