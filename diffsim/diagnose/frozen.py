@@ -69,6 +69,7 @@ def judge_saved(inputs: Inputs, saved: SavedModel, names: Sequence[str] = ()) ->
         what: Span(**{**s, "labels": tuple(s["labels"])}) for what, s in facts["range"].items()
     }
     plain, extended = (_at(model, noise, inputs) for model in models)
+    unmet = [p.name for p in inputs.setup.model.base if "[" in p.name]
     return on_unseen(
         plain,
         extended,
@@ -78,6 +79,7 @@ def judge_saved(inputs: Inputs, saved: SavedModel, names: Sequence[str] = ()) ->
         spans,
         seed=inputs.seed,
         commands=study.commands,
+        unmet=[name for name in unmet if name not in saved.parameters],
     )
 
 
