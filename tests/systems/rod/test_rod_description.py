@@ -51,7 +51,9 @@ def study(model=None, hidden=None, sizes=(0.0,), noise=NOISE):
         )
         for k, (left, right) in enumerate(PULLS)
     )
-    made = Study("arm", "rod", channels, runs, model=copy.deepcopy(MODEL if model is None else model))
+    made = Study(
+        "arm", "rod", channels, runs, model=copy.deepcopy(MODEL if model is None else model)
+    )
     setup = setup_of(made)
     effects = {}
     if hidden is not None:
@@ -135,7 +137,8 @@ def test_finer_elements_change_less_and_less():
     model = setup_of(made).model
     with torch.no_grad():
         shown = [
-            model.predict(made.runs[6], model.at_prior(), None, Numerics(mesh=m)) for m in (1, 0.5, 0.25)
+            model.predict(made.runs[6], model.at_prior(), None, Numerics(mesh=m))
+            for m in (1, 0.5, 0.25)
         ]
     first, second = ((a - b).abs().max() for a, b in zip(shown, shown[1:], strict=False))
     assert float(first) < 2e-3
@@ -161,7 +164,10 @@ def test_a_hidden_cause_is_fitted_to_its_size(name):
 
 @pytest.mark.parametrize("hidden", ["tendon_slack", None])
 def test_a_hidden_loss_is_named_and_nothing_is_named_without_one(hidden):
-    model = {**MODEL, "effects": {"only": ["tendon_slack", "tendon_friction", "clamp_tilt", "tip_mass"]}}
+    model = {
+        **MODEL,
+        "effects": {"only": ["tendon_slack", "tendon_friction", "clamp_tilt", "tip_mass"]},
+    }
     sizes = HIDDEN["tendon_slack"] if hidden else (0.0,)
     made = study(model, hidden, sizes)
     s = setup_of(made)
