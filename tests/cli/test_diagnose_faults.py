@@ -97,3 +97,9 @@ def test_what_is_missing_is_said(folder, capsys):
     (folder / "study.yaml").write_text(bare)
     assert main(["diagnose", "faults", str(folder)]) != 0
     assert "has no `faults`" in capsys.readouterr().err
+
+
+def test_check_finds_names_that_there_are_not(folder, capsys):
+    (folder / "study.yaml").write_text(STUDY.replace("[[gain_1, gain_2]]", "[[gain_1, gain_3]]"))
+    assert main(["diagnose", "check", str(folder)]) != 0
+    assert "faults.scatter[0]: no fitted quantity 'gain_3'" in capsys.readouterr().out
