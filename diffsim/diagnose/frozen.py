@@ -69,7 +69,17 @@ def judge_saved(inputs: Inputs, saved: SavedModel, names: Sequence[str] = ()) ->
         what: Span(**{**s, "labels": tuple(s["labels"])}) for what, s in facts["range"].items()
     }
     plain, extended = (_at(model, noise, inputs) for model in models)
-    return on_unseen(plain, extended, runs, study.channels, noise.sd, spans, seed=inputs.seed)
+    unmet = [p.name for p in inputs.setup.model.base if "[" in p.name]
+    return on_unseen(
+        plain,
+        extended,
+        runs,
+        study.channels,
+        noise.sd,
+        spans,
+        seed=inputs.seed,
+        unmet=[name for name in unmet if name not in saved.parameters],
+    )
 
 
 def _chosen(study: Study, saved: SavedModel, names: Sequence[str]) -> tuple[Run, ...]:

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 from torch import Tensor
 
+from diffsim.core.units import factor
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply, Effect
 from diffsim.systems import grid as signals
@@ -177,6 +178,27 @@ COMMAND_OFFSET = replace(
 )
 
 ACTUATOR: tuple[Effect, ...] = (LAG, DEAD_BAND, BACKLASH, SATURATION)
+
+
+def in_words(effect: Effect, unit: str, shown: str | None = None) -> Effect:
+    """A cause that says its size in the command's unit, if it is a limit of the rate or a slack.
+
+    Args:
+        effect: One of this file's.
+        unit: Unit of the command.
+        shown: Unit in which a user reads it; None: ``unit``.
+    """
+    times = 1.0 if shown is None else factor(unit, shown)
+    said = shown or unit.replace("-", "of the command")
+    limit = "speed" if unit in ("m", "rad", "-") else "rate"
+    if effect.name == "rate_limit":
+        return replace(
+            effect,
+            words=lambda s: f"a {limit} limit near {times / s:.3g} {said}/s" if s else "none",
+        )
+    if effect.name == "slack":
+        return replace(effect, words=lambda s: f"{times * s:.2g} {said} of slack")
+    return effect
 
 
 def command_causes(

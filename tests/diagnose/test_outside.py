@@ -33,7 +33,7 @@ def test_what_was_fitted_is_inside():
 def test_amplitude_rate_and_frequency_are_told_apart():
     large = far(made("large", 6.0, 1.0, frame="A", payload=0.2))
     assert large["stroke of x_m"] == pytest.approx(3.0, rel=0.01)
-    assert large["largest u"] == pytest.approx((6.0 - 1.5) / 0.5, rel=0.02)
+    assert large["level of u"] == pytest.approx(6.0 / 2.0, rel=0.02)  # fitted: -2 to 2
     assert "frequency of u" not in large
     fast = far(made("fast", 1.0, 4.0, frame="A", payload=0.2))
     assert fast["frequency of u"] == pytest.approx((4.0 - 1.5) / 0.5, rel=0.02)
@@ -50,5 +50,5 @@ def test_facts_are_numbers_or_labels():
         [made("new", 1.0, 1.0, frame="C", payload=0.3)], CHANNELS, SPANS
     )
     assert label.words == "Run new: no fitted run has frame C."
-    assert payload.words == "Run new: payload is 0.3, fitted runs have 0.2 to 0.2."
+    assert payload.words == "Run new: payload is 0.3, fitted runs have 0.2."
     assert not far(replace(FITTED[0], command={"other": FITTED[0].command["u"]}))

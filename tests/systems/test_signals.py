@@ -159,3 +159,11 @@ def test_slack_and_rate_limit_by_hand():
     torch.testing.assert_close(sent(u, actuator.SLACK, 0.5), column([0, 0.5, 2.5, 2.5, -1]))
     torch.testing.assert_close(sent(u, actuator.RATE_LIMIT, 0.1), column([0, 1, 2, 3, 2]))
     torch.testing.assert_close(sent(u, actuator.RATE_LIMIT, 0.0), u, rtol=0, atol=0)
+
+
+def test_limits_are_said_in_the_unit_of_the_command():
+    limit = actuator.in_words(actuator.RATE_LIMIT, "rad", "deg")
+    assert limit.words(0.5) == "a speed limit near 115 deg/s" and limit.words(0.0) == "none"
+    assert actuator.in_words(actuator.RATE_LIMIT, "N").words(0.5) == "a rate limit near 2 N/s"
+    assert actuator.in_words(actuator.SLACK, "m", "mm").words(0.0074) == "7.4 mm of slack"
+    assert actuator.in_words(actuator.LAG, "N").words is None

@@ -11,10 +11,10 @@ from torch import Tensor
 from diffsim.core.expression import parse_expression
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect, needs_nothing
-from diffsim.systems.actuator import command_causes
+from diffsim.systems.actuator import command_causes, in_words
 from diffsim.systems.grid import SizedMap
 from diffsim.systems.ode.applying import by_formulas, by_input, symbol
-from diffsim.systems.ode.library import Library
+from diffsim.systems.ode.library import Library, needs_order
 from diffsim.systems.ode.network import Change, filled, named
 from diffsim.systems.ode.scene import OdeScene
 
@@ -27,15 +27,16 @@ def input_effects(library: Library) -> tuple[Effect, ...]:
     for name, held in library.held.items():
         tail = "" if len(library.held) == 1 else f"_of_{name}"
         out += _of_input(library, name, held, tail)
-        if library.several_runs:
-            out.append(_gain_drift(name, tail, len(library.study.runs)))
+        out.append(_gain_drift(name, tail, len({r.order for r in library.study.fit_runs})))
     return tuple(out)
 
 
 def _of_input(library: Library, name: str, held: bool, tail: str) -> list[Effect]:
+    units = {c.name: (c.unit, c.shown_unit) for c in library.study.commands}
+    unit, shown = units.get(name, (None, None))
     found = [
         replace(
-            model,
+            model if unit is None else in_words(model, unit, shown),
             name=model.name + tail,
             masks=tuple(m + tail for m in model.masks),
             # what a study must have is checked where the input is read
@@ -119,7 +120,8 @@ def _gain_drift(name: str, tail: str, num_runs: int) -> Effect:
         family="drift",
         kind="actuator",
         unit="1/run",
-        typical=0.1 / num_runs,
+        typical=0.1 / max(num_runs, 1),
+        needs=needs_order,
         also_looks_like=("warming", "wear", "growth with the level, where levels rose in order"),
         apply=by_formulas(
             Change(names={name: filled(parse_expression("u*(1 + size*n)"), parts)}), symbol(own)

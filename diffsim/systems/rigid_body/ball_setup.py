@@ -14,7 +14,7 @@ from torch import Tensor
 
 from diffsim.data.calibration import calibrate
 from diffsim.data.importers.common import read_columns
-from diffsim.data.study import Channel, Run, Study
+from diffsim.data.study import TIMELESS, Channel, Run, Study
 from diffsim.identify.effect import Effect
 from diffsim.identify.model import Numerics, SimModel
 from diffsim.systems.description import BaseParameters, Quantity
@@ -86,9 +86,8 @@ class Balls:
         measured[:, width:] = points.pixels
         order = min(r.order for r in runs) - 1
         no_command = {n: np.zeros(len(measured)) for n in runs[0].command}
-        clicks = Run(
-            CLICKS, np.arange(float(len(measured))), measured, no_command, CLICKS, order, "fit"
-        )
+        time_s, facts = np.arange(float(len(measured))), {TIMELESS: True}
+        clicks = Run(CLICKS, time_s, measured, no_command, CLICKS, order, "fit", facts)
         channels = [*study.channels, *(Channel(c, "px", "image", sd) for c in CLICK_CHANNELS)]
         return replace(study, channels=tuple(channels), runs=(clicks, *runs))
 
@@ -132,7 +131,8 @@ class Balls:
             start = {} if is_clicks else starts.in_run(values, run)
             since = 0.0 if is_clicks else starts.at(run)
             time = torch.from_numpy(np.asarray(run.time_s, dtype=np.float64) - since)
-            shown = _of_part(stages[run.name], clocks[run.name], run)
+            # a run that nobody has recorded yet is seen as all others are
+            shown = _of_part(stages.get(run.name, stage), clocks.get(run.name, run.time_s), run)
             return BallScene({**plain, **known, **start}, time, shown)
 
         base = (*quantities.base, *starts.base)

@@ -45,7 +45,7 @@ class BallStarts:
         self.starts, self.bodies = starts, bodies
         self.base: list[Parameter] = []
         self.known: dict[str, float] = {}
-        self.names: dict[str, dict[str, str]] = {run.name: {} for run in runs}
+        self.names: dict[str, dict[str, str]] = {}  # by what follows a parameter's name
         first: dict[str, Run] = {}
         for run in sorted(runs, key=lambda r: (r.order, float(r.time_s[0]))):
             first.setdefault(self._label(run), run)
@@ -57,9 +57,7 @@ class BallStarts:
                         self.base.append(quantity.parameter(name))
                     else:
                         self.known[name] = quantity.value
-                    for other in runs:
-                        if self._label(other) == label:
-                            self.names[other.name][key] = name
+                    self.names.setdefault(label, {})[key] = name
 
     def in_run(self, values: Mapping[str, Tensor], run: Run) -> dict[str, Tensor]:
         """Start of every ball in a run.
@@ -72,7 +70,7 @@ class BallStarts:
             key: values[name]
             if name in values
             else torch.tensor(self.known[name], dtype=torch.float64)
-            for key, name in self.names[run.name].items()
+            for key, name in self.names[self._label(run)].items()
         }
 
     def at(self, run: Run) -> float:

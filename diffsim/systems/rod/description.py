@@ -50,7 +50,9 @@ class RodDescription(RodKeys):
             if self.sessions is not None and self.sessions not in run.setup:
                 guess = did_you_mean(self.sessions, run.setup)
                 yield Problem(
-                    "error", "model.sessions", f"run {run.name} states no {self.sessions!r}{guess}"
+                    "warning",
+                    "model.sessions",
+                    f"run {run.name} states no {self.sessions!r}{guess}; taken as of the first",
                 )
         for key, q in self.quantities().items():
             if q.per not in (None, "run") and any(q.per not in r.setup for r in study.runs):

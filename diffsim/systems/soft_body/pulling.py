@@ -25,24 +25,6 @@ def _pull(scene: SoftScene, size: Tensor, run: Run, *, spacing: float) -> SoftSc
     return scene.with_command(changed)
 
 
-def in_words(effect: Effect, unit: str) -> Effect:
-    """A cause that says its size in the command's unit.
-
-    Args:
-        effect: One of this file's.
-        unit: SI unit of the command.
-    """
-    factor, shown = (1e3, "mm") if unit == "m" else (1.0, unit.replace("-", "of the command"))
-    if effect.name == "rate_limit":
-        return replace(
-            effect,
-            words=lambda s: f"a speed limit near {factor / s:.3g} {shown}/s" if s else "none",
-        )
-    if effect.name == "slack":
-        return replace(effect, words=lambda s: f"{factor * s:.2g} {shown} of slack")
-    return effect
-
-
 def unknown_pull(num_knots: int, spacing: float) -> Effect:
     """A change of the command that nothing explains, knots in time every ``spacing`` [s]."""
     return Effect(
