@@ -21,8 +21,9 @@ import numpy as np
 from tqdm import tqdm
 
 import diffsim
-from benchmarks.blind.score import score_answer, score_simulated, with_strength
-from benchmarks.blind.table import confusion, figures, markdown
+from benchmarks.blind.score import score_answer, with_strength
+from benchmarks.blind.strength import score_simulated
+from benchmarks.blind.table import by_strength, confusion, figures, markdown
 from diffsim.cli.diagnose_inputs import inputs_of
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_json_atomic, write_text_atomic
@@ -167,7 +168,8 @@ class Blind:
 
     def write(self, scores: Sequence[Mapping[str, Any]]) -> Path:
         """confusion.json and confusion.md, the path of the latter."""
-        content = {"confusion": confusion(scores), "figures": figures(scores)}
+        content: dict[str, Any] = {"confusion": confusion(scores), "figures": figures(scores)}
+        content["by_strength"] = by_strength(scores)
         write_json_atomic(self.out / "confusion.json", {**content, "seed": self.seed})
         command = f"python -m benchmarks.blind --system {self.name} --n {len(scores)}"
         command += f" --seed {self.seed}" + (" --quick" if self.quick else "")
@@ -225,6 +227,26 @@ class _Processes:
         self._ended = True
         for process in list(self._running):
             process.terminate()
+
+
+def kept_scores(folders: Sequence[Path]) -> list[dict[str, Any]]:
+    """Scores of the finished cases of several sets.
+
+    Args:
+        folders: ``--out`` of each set.
+
+    Raises:
+        ValueError: a folder holds none.
+    """
+    out = []
+    for folder in folders:
+        found = sorted((folder / "scores").glob("*.json"))
+        if not found:
+            raise ValueError(f"{folder} holds no scores; give the folder that --out named")
+        for path in found:
+            score: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            out.append({**score, "case": f"{folder.name}/{score['case']}"})
+    return out
 
 
 def planned(args: argparse.Namespace) -> Blind:

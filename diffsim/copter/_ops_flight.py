@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
+from diffsim.core.custom_op import custom_op
 
 BODY: int = core.FLIGHT_BODY
 MAX_ROTORS: int = core.FLIGHT_MAX_ROTORS
@@ -146,7 +147,7 @@ def _options(dt: float, gravity: float, substeps: int, effects: str, feedback: b
     return options
 
 
-@torch.library.custom_op("diffsim::flight", mutates_args=())
+@custom_op("diffsim::flight")
 def flight(
     start: Tensor,
     feed_forward: Tensor,
@@ -182,7 +183,7 @@ def _(start, feed_forward, gain, reference, wind, parameters, batch, steps, *arg
     return start.new_empty(batch, steps + 1, BODY + feed_forward.shape[-1])
 
 
-@torch.library.custom_op("diffsim::flight_vjp", mutates_args=())
+@custom_op("diffsim::flight_vjp")
 def flight_vjp(
     grad_records: Tensor,
     records: Tensor,

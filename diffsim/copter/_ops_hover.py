@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
+from diffsim.core.custom_op import custom_op
 
 INFO = ("status", "rank", "free_rank", "num_iters")
 STATUSES = ("optimal", "infeasible", "rank_deficient", "not_converged")
@@ -74,7 +75,7 @@ def _checked(problem: HoverProblem) -> HoverProblem:
     )
 
 
-@torch.library.custom_op("diffsim::hover", mutates_args=())
+@custom_op("diffsim::hover")
 def hover(
     force: Tensor, torque: Tensor, weights: Tensor, upper: Tensor, barrier: float, num_threads: int
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -108,7 +109,7 @@ def _(
     return force.new_empty(batch, n), force.new_empty(batch, 4), state, info
 
 
-@torch.library.custom_op("diffsim::hover_vjp", mutates_args=())
+@custom_op("diffsim::hover_vjp")
 def hover_vjp(
     force: Tensor,
     torque: Tensor,

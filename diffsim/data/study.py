@@ -10,10 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.data.fault_keys import FaultKeys
+
 Array = NDArray[np.float64]
 
 SYSTEMS = ("soft_body", "copter", "stokes", "rigid_body")
 USES = ("fit", "select", "test")
+
+
+TIMELESS = "_timeless"  # fact of runs whose samples have no order, made by a system
 
 
 @dataclass(frozen=True)
@@ -102,6 +107,9 @@ class Study:
         left_out: What of the study's folder is not used, a sentence each.
         todo: What the study says is still to be stated, a sentence each.
         allows: Facts of ``setup`` that can be changed for a next run, with possible values.
+        frame: What an earlier fit took from its runs, such as usual magnitudes: with it the causes
+            of a saved model mean the same on new runs. Empty: it is taken from these runs.
+        faults: How groups of runs are judged for faults; None: they are not.
     """
 
     name: str
@@ -116,6 +124,8 @@ class Study:
     left_out: tuple[str, ...] = ()
     todo: tuple[str, ...] = ()
     allows: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+    frame: Mapping[str, Any] = field(default_factory=dict)
+    faults: FaultKeys | None = None
 
     @property
     def fit_runs(self) -> tuple[Run, ...]:

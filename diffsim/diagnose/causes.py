@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diffsim.diagnose.averaging import HALF_90, Averaged
-from diffsim.diagnose.data_sheet import PULLED, words_of
+from diffsim.diagnose.data_sheet import PULLED, pull_of, words_of
 from diffsim.diagnose.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
 from diffsim.diagnose.judge import NAMES, Decision, Judgment
 from diffsim.diagnose.records import (
@@ -39,11 +39,13 @@ def certain_of(decision: Decision, about: Averaged, judgment: Judgment) -> froze
 
     None where an unknown cause beside the best set is a rival: the set explains too little then.
     Where larger sets were not fitted although they have the evidence, what they would hold must not
-    be enough to replace the effect.
+    be enough to replace the effect. Nor is an effect certain that only stands in for what the
+    referee took away, or whose size may as well be zero.
     """
     if decision.verdict not in NAMES:
         return frozenset()
     left_out = _left_out(decision, about)
+    refused = vetoed(about, decision.best, judgment.withdrawn)
     if any(h.unknown is not None and h.effects >= decision.best for h in decision.rivals):
         return frozenset()
     return frozenset(
@@ -52,8 +54,32 @@ def certain_of(decision: Decision, about: Averaged, judgment: Judgment) -> froze
         if about.probability(i) >= SURE
         and not _may_be_replaced(about, i, left_out)
         and all(i in h.effects for h in about.reach)
+        and all(i in members for members in refused)
         and not (i in judgment.gains and judgment.gains[i].status == "withdrawn")
+        and not _may_be_zero(about, i)
     )
+
+
+def vetoed(
+    about: Averaged, best: frozenset[int], withdrawn: frozenset[int]
+) -> list[frozenset[int]]:
+    """The best sets with effects that the referee withdrew, where they have the evidence.
+
+    The fit runs ask for them and unseen runs refuse them: something that the library has not got
+    right acts there. What is named instead may stand in for it, unless these sets hold it as well.
+    """
+    weighed = {h: w.nats for h, w in about.search.weighed.items() if h.unknown is None}
+    taken = {h.effects: nats for h, nats in weighed.items() if h.effects & withdrawn}
+    most = max(taken.values(), default=-np.inf)
+    if most < weighed[Hypothesis(best)] + ALONE_NATS:
+        return []
+    return [members for members, nats in taken.items() if nats > most - ALONE_NATS]
+
+
+def _may_be_zero(about: Averaged, i: int) -> bool:
+    """Whether the widened intervals of all components of a size hold zero."""
+    sizes = about.size(i).values()
+    return bool(sizes) and all(size.low <= 0.0 <= size.high for size in sizes)
 
 
 def _left_out(decision: Decision, about: Averaged) -> float:
@@ -120,7 +146,8 @@ def cause_rows(told: Told, base: Sequence[BaseRow]) -> tuple[CauseRow, ...]:
         told: Verdict, probabilities and candidates.
         base: Base parameters, findings among them.
     """
-    rows = [_effect_row(told, i) for i in range(len(told.effects))]
+    values = {row.name: row.value for row in base}
+    rows = [_effect_row(told, i, values) for i in range(len(told.effects))]
     rows += [_unjudged(name, why) for name, why in told.unmet.items()]
     rows += [_finding_row(told, row) for row in base if row.finding]
     rows += _unknown_rows(told)
@@ -133,7 +160,7 @@ def _rank(row: CauseRow) -> tuple[int, float, float]:
     return ORDER.index(row.status), -round(row.probability or 0.0, 3), -gained
 
 
-def _effect_row(told: Told, i: int) -> CauseRow:
+def _effect_row(told: Told, i: int, values: Mapping[str, float]) -> CauseRow:
     effect, about = told.effects[i], told.about
     decision, gains = told.judgment.decision, told.judgment.gains
     smallest = _smallest_visible(told, i)
@@ -158,6 +185,8 @@ def _effect_row(told: Told, i: int) -> CauseRow:
     sizes = about.size(i) or row.size
     value = next(iter(sizes.values())).value if len(sizes) == 1 else 0.0
     words = effect.words(value) if effect.words is not None and value else row.words
+    if effect.says is not None and value:
+        words = effect.says(value, values)
     return replace(
         row,
         words=words,
@@ -273,10 +302,9 @@ def _finding_row(told: Told, row: BaseRow) -> CauseRow:
         others = _sets_without_pull(told, about, row.name)
         if others:
             status, rivals = UNTOLD, others
-    words = row.words if row.run is None else f"{words_of(row.name.partition('@')[0])} in all runs"
     return CauseRow(
         name=row.name,
-        words=words,
+        words=row.words,
         origin=DATA_SHEET,
         status=status,
         probability=None,
@@ -292,9 +320,10 @@ def _sets_without_pull(told: Told, about: Averaged | None, name: str) -> tuple[s
     names: dict[str, None] = {}
     for h in () if about is None else about.reach:
         fit = about.search.weighed[h].fit if about and h in about.search.weighed else None
-        if fit is None or name not in fit.problem.names:
+        if fit is None:
             continue
-        if abs(fit.x[fit.problem.names.index(name)]) <= PULLED:
+        own = [i for i, n in enumerate(fit.problem.names) if n == name or n.startswith(f"{name}@")]
+        if own and abs(pull_of(fit.x[own].tolist())) <= PULLED:
             more = h.effects - told.judgment.decision.best
             names |= dict.fromkeys(told.effects[k].name for k in sorted(more))
     return tuple(names)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from threading import Lock
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
 import torch
@@ -34,6 +35,8 @@ class Parameter:
         unit: SI unit, "-" if none.
         log: The logarithm is what is normally distributed; for positive quantities.
         lower, upper: Bounds of the value, in ``unit``.
+        step: Longest step of a difference quotient, in ``unit``, where the record has edges that
+            move with the value; not where ``log``.
     """
 
     name: str
@@ -43,6 +46,7 @@ class Parameter:
     log: bool = False
     lower: float = -math.inf
     upper: float = math.inf
+    step: float = math.inf
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.value) or not self.lower <= self.value <= self.upper:
@@ -65,6 +69,29 @@ class Parameter:
         if self.log:
             return math.log(value / self.value) / self.sd
         return (value - self.value) / self.sd
+
+
+class BaseValues:
+    """Values of many base parameters at once: those without a logarithm in a few vector operations.
+
+    Args:
+        base: The base parameters, in the order of the coordinates.
+    """
+
+    def __init__(self, base: Sequence[Parameter]):
+        self.base = tuple(base)
+        self._linear = [i for i, p in enumerate(base) if not p.log]
+        rows = [(p.value, p.sd, p.lower, p.upper) for p in base if not p.log]
+        table = torch.tensor(rows, dtype=torch.float64).reshape(-1, 4)
+        self._value, self._sd, self._lower, self._upper = table.unbind(-1)
+
+    def at(self, q: Tensor) -> dict[str, Tensor]:
+        """Values [unit] by name, (...) each, at standardized coordinates (..., num_base)."""
+        raw = (self._value + self._sd * q[..., self._linear]).clamp(self._lower, self._upper)
+        found = dict(zip(self._linear, raw.unbind(-1), strict=True))
+        return {
+            p.name: p.value_at(q[..., i]) if p.log else found[i] for i, p in enumerate(self.base)
+        }
 
 
 class Scene(Protocol):
@@ -104,9 +131,15 @@ class SimModel:
     Attributes:
         prepared_q: Point that ``prepared_at`` made this model for, (num_base,) standardized; None
             where nothing is prepared.
+        frame: What its setup takes from the runs of the study, such as labels, in types that JSON
+            has; a study with this ``frame`` makes causes that mean the same.
+        made_from: What sizes of effects mean by: magnitudes of recordings, in types that YAML has.
+            Extended models are saved with them.
     """
 
     prepared_q: Tensor | None = None
+    frame: Mapping[str, Any] = MappingProxyType({})
+    made_from: Mapping[str, Any] = MappingProxyType({})
 
     def __init__(
         self,
@@ -120,6 +153,7 @@ class SimModel:
         if repeated := {n for n in names if names.count(n) > 1}:
             raise ValueError(f"base parameters repeat: {sorted(repeated)}")
         self.build, self.base, self.name, self.batched = build, tuple(base), name, batched
+        self.values = BaseValues(self.base)
         self.simulations = Tally()
 
     def predict(
@@ -184,8 +218,7 @@ class SimModel:
     ) -> Scene:
         """The run at one point, ready to be simulated; arguments as for ``predict``. Numerical
         effects act on predictions, in no scene."""
-        values = {p.name: p.value_at(q[..., i]) for i, p in enumerate(self.base)}
-        scene = self.build(values, run, Numerics() if numerics is None else numerics)
+        scene = self.build(self.values.at(q), run, Numerics() if numerics is None else numerics)
         for effect, size in _parted(sizes)[0].items():
             scene = effect.apply(scene, size, run)
         return scene

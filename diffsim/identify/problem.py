@@ -170,8 +170,11 @@ class Problem:
         Raises:
             PredictionError: values of base parameters or sizes that are not finite.
         """
-        values = {p.name: p.value_at(q[..., i]) for i, p in enumerate(self.model.base)}
+        values = self.model.values.at(q)
         every = {**values, **{effect.name: size for effect, size in sizes.items()}}
+        parts = [*values.values(), *(size.flatten() for size in sizes.values())]
+        if not parts or bool(torch.isfinite(torch.cat([p.reshape(-1) for p in parts])).all()):
+            return
         bad = [name for name, value in every.items() if not bool(torch.isfinite(value).all())]
         if bad:
             raise PredictionError(f"run {run.name}: {', '.join(bad)} left the range of numbers")
@@ -256,7 +259,8 @@ class Problem:
         point = torch.from_numpy(np.ascontiguousarray(u, dtype=np.float64))
         # bounds of sizes are zero or infinite: the same in both coordinates
         low, high = self.bounds
-        step = self.jacobian.step * stretch
+        steps = stretch * self.step_factors
+        step = self.jacobian.step * steps
         below, above = u - step < low, u + step > high
         inward = [int(below[i]) or -int(above[i]) for i in range(len(x))]
         secant = [0.0] * self.num_base + [
@@ -266,7 +270,7 @@ class Problem:
         names = self.names
 
         def one(run: Run) -> tuple[Array, Array]:
-            idx = [i for i in range(len(x)) if _touches(names[i], run)]
+            idx = [i for i in range(len(x)) if touches(names[i], run)]
             idx = [i for i in idx if only is None or i in only]
             here, columns = self.jacobian.columns(
                 lambda points: self._predict_scaled(run, points),
@@ -275,7 +279,7 @@ class Problem:
                 inward=inward,
                 secant=secant,
                 smooth=smooth,
-                stretch=stretch.tolist(),
+                stretch=steps.tolist(),
                 tangents=lambda stencils: self._tangents(run, point, stencils),
             )
             matrix = self.whitener.matrix(run)
@@ -286,6 +290,15 @@ class Problem:
 
         parts = self._each(one)
         return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+
+    @property
+    def step_factors(self) -> Array:
+        """Factors on steps along the coordinates: below 1 where a parameter asks for it, (n,)."""
+        own = [
+            1.0 if p.log else min(1.0, p.step / (p.sd * self.jacobian.step))
+            for p in self.model.base
+        ]
+        return np.array(own + [1.0] * len(self.owners))
 
     def _tangents(
         self, run: Run, at: Tensor, stencils: Mapping[int, Stencil]
@@ -353,7 +366,7 @@ def effect_coordinates(effects: Sequence[Effect]) -> tuple[str, ...]:
     )
 
 
-def _touches(name: str, run: Run) -> bool:
+def touches(name: str, run: Run) -> bool:
     """Whether a coordinate acts in a run: "offset@run_3" acts in run_3 only, "drag[frame=A]" where
     the run's setup says so."""
     if name.endswith("]") and "=" in name:

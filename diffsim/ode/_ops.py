@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
+from diffsim.core.custom_op import custom_op
 
 _PROBLEM = (
     *("rate_code", "reading_code", "rate_out", "reading_out", "constants"),
@@ -28,7 +29,7 @@ def _by_name(
     return dict(zip(names, args, strict=False)) | named
 
 
-@torch.library.custom_op("diffsim::ode_integrate", mutates_args=())
+@custom_op("diffsim::ode_integrate")
 def ode_integrate(
     rate_code: Tensor,
     reading_code: Tensor,
@@ -74,7 +75,7 @@ def _(*args: Any, **named: Any) -> tuple[Tensor, Tensor]:
     )
 
 
-@torch.library.custom_op("diffsim::ode_integrate_vjp", mutates_args=())
+@custom_op("diffsim::ode_integrate_vjp")
 def ode_integrate_vjp(
     rate_code: Tensor,
     reading_code: Tensor,

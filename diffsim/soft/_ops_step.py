@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
+from diffsim.core.custom_op import custom_op
 from diffsim.core.errors import ConvergenceError, ConvergenceWarning
 from diffsim.soft._arrays import StepArrays, require_array
 from diffsim.soft._context import SoftContext, context, require_upright, soft_addresses
@@ -85,7 +86,7 @@ def new_stats(batch: int) -> Tensor:
     return torch.zeros(batch, len(STATS), dtype=torch.float64)
 
 
-@torch.library.custom_op("diffsim::soft_step", mutates_args=())
+@custom_op("diffsim::soft_step")
 def soft_step(
     inputs: list[Tensor],
     *,
@@ -133,7 +134,7 @@ def _(inputs, **_options):
     return torch.empty_like(y), y.new_empty(y.shape[0], len(STATS))
 
 
-@torch.library.custom_op("diffsim::soft_step_vjp", mutates_args=())
+@custom_op("diffsim::soft_step_vjp")
 def soft_step_vjp(
     grad_x: Tensor,
     x: Tensor,

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
+from diffsim.core.custom_op import custom_op
 
 
 def _grid(cells: list[int], spacing: list[float], phi: Tensor) -> object:
@@ -20,7 +21,7 @@ def _grid(cells: list[int], spacing: list[float], phi: Tensor) -> object:
     return core.make_grid_shape(tuple(cells), tuple(spacing))
 
 
-@torch.library.custom_op("diffsim::stokes_cut_cells", mutates_args=())
+@custom_op("diffsim::stokes_cut_cells")
 def cut_cells(
     phi: Tensor, cells: list[int], spacing: list[float], num_threads: int
 ) -> tuple[Tensor, Tensor, Tensor]:
@@ -45,7 +46,7 @@ def _(phi, cells, spacing, num_threads):
     return phi.new_empty(count), phi.new_empty(count), phi.new_empty(count, len(cells))
 
 
-@torch.library.custom_op("diffsim::stokes_cut_cells_vjp", mutates_args=())
+@custom_op("diffsim::stokes_cut_cells_vjp")
 def cut_cells_vjp(
     grad_volume: Tensor,
     grad_area: Tensor,
@@ -103,7 +104,7 @@ def _cut_backward(ctx, grad_volume, grad_area, grad_normal):
 cut_cells.register_autograd(_cut_backward, setup_context=_cut_setup)
 
 
-@torch.library.custom_op("diffsim::stokes_plane_flux", mutates_args=())
+@custom_op("diffsim::stokes_plane_flux")
 def plane_flux(
     phi: Tensor, velocity: Tensor, cells: list[int], spacing: list[float], axis: int, index: int
 ) -> Tensor:
@@ -131,7 +132,7 @@ def _(phi, velocity, *args):
     return phi.new_empty(velocity.shape[0])
 
 
-@torch.library.custom_op("diffsim::stokes_plane_flux_vjp", mutates_args=())
+@custom_op("diffsim::stokes_plane_flux_vjp")
 def plane_flux_vjp(
     grad_flux: Tensor,
     phi: Tensor,

@@ -45,6 +45,12 @@ class Quantity(Part):
         None, description="`run`, or a fact of the runs' `setup`: a value of its own for each"
     )
     unit: str = Field("-", description="Unit that the description wants; written by the schema")
+    step: float = Field(
+        math.inf,
+        gt=0,
+        description="Longest step of difference quotients, in the unit, where records have edges "
+        "that move with it",
+    )
 
     @model_validator(mode="after")
     def _one_width(self) -> Quantity:
@@ -68,7 +74,7 @@ class Quantity(Part):
         else:
             assert self.sd is not None
             sd, is_log = self.sd, False
-        return Parameter(name, self.value, sd, self.unit, is_log, self.lower, self.upper)
+        return Parameter(name, self.value, sd, self.unit, is_log, self.lower, self.upper, self.step)
 
 
 _IN_UNIT = ("value", "sd", "lower", "upper")
@@ -114,6 +120,9 @@ class Effort(Part):
     max_effects: int | None = Field(None, ge=1, description="Largest number of causes in one set")
     num_refits: int | None = Field(None, ge=1, description="Sets that are refitted per round")
     max_rounds: int | None = Field(None, ge=1, description="Moves to a better set, at most")
+    scan_points: int | None = Field(
+        None, ge=0, description="Sizes of causes with kinks that are tried before fits, at most"
+    )
     difference_step: float | None = Field(
         None, gt=0, description="Step of difference quotients, in standard deviations of the priors"
     )
@@ -197,6 +206,23 @@ class BaseParameters:
         }
 
 
+def fact_in(run: Run, name: str, unit: str) -> float:
+    """A fact of a run in a unit, 0 where the run does not state it; "5 g" is read in kg, too.
+
+    Args:
+        run: Run whose ``setup`` has it.
+        name: Name of the fact.
+        unit: SI unit that it is wanted in.
+
+    Raises:
+        ValueError: the fact is no number, or one of another quantity.
+    """
+    try:
+        return in_unit(run.setup.get(name, 0.0), unit)
+    except ValueError as error:
+        raise ValueError(f"run {run.name}: setup.{name}: {error}") from None
+
+
 def chosen_effects(library: Sequence[Effect], choice: EffectChoice) -> tuple[Effect, ...]:
     """Effects of a library as a description chooses them.
 
@@ -205,9 +231,13 @@ def chosen_effects(library: Sequence[Effect], choice: EffectChoice) -> tuple[Eff
         choice: The description's ``effects``.
 
     Raises:
-        ValueError: a name that the library does not have.
+        ValueError: a name that the library does not have, or has twice.
     """
     known = [e.name for e in library]
+    if repeated := sorted({name for name in known if known.count(name) > 1}):
+        raise ValueError(
+            f"effects.own: there is a cause {repeated[0]!r} already; give yours another name"
+        )
     for key, names in (("only", choice.only), ("without", choice.without)):
         for name in names:
             _require_known(f"effects.{key}", name, known)
@@ -250,6 +280,7 @@ __all__ = [
     "Part",
     "Quantity",
     "chosen_effects",
+    "fact_in",
     "number",
     "quantity",
     "settings_with",

@@ -9,11 +9,12 @@ import torch
 from scipy import stats
 
 from diffsim.data.study import Study
-from diffsim.diagnose import Report, diagnose
+from diffsim.diagnose import Report, assemble, diagnose
 from diffsim.diagnose.averaging import _interval, widening
-from diffsim.diagnose.data_sheet import words_of
+from diffsim.diagnose.causes import certain_of
+from diffsim.diagnose.data_sheet import _pulled_together, words_of
 from diffsim.diagnose.left_out import folds_of
-from diffsim.diagnose.records import CauseRow, ErrorRow
+from diffsim.diagnose.records import BaseRow, CauseRow, ErrorRow
 from diffsim.diagnose.wording import _on_unseen
 from diffsim.identify import DiagnosisSettings, SearchSettings, fit
 from tests.diagnose import linear
@@ -203,3 +204,63 @@ def test_code_names_become_words():
     assert words_of("sliding_friction") == "sliding friction"
     assert words_of("thrust_exponent[propeller=A]") == "thrust exponent (propeller A)"
     assert words_of("offset@run_3") == "offset of run_3"
+
+
+def test_what_stands_in_for_a_withdrawn_cause_is_not_certain():
+    """The fit runs ask for a cause that the select runs refuse; another one mimics a part of it."""
+    strong = linear.line("strong")
+
+    def mimic(scene, size, run):
+        shape = linear.shapes("mimic", run)[..., 0]
+        if run.use == "fit":
+            shape = 0.6 * linear.shapes("strong", run)[..., 0] + 0.8 * shape
+        return replace(scene, record=scene.record + shape * size)
+
+    weak = replace(linear.line("mimic"), apply=mimic)
+    runs = [recorded(f"r{k}", k, {strong: 1.2}) for k in range(6)]
+    runs += [recorded(f"s{k}", 40 + k, {strong: -0.6, weak: 0.6}, use="select") for k in range(2)]
+    study = Study("refused", "copter", linear.CHANNELS, tuple(runs))
+    report = diagnose(study, linear.model(), (strong, weak), seed=0, settings=QUICK)
+    assert causes(report)["strong"].status == "refuted"
+    assert causes(report)["mimic"].status != "certain" and report.named == ()
+
+
+def test_a_size_whose_widened_interval_holds_zero_is_not_certain(monkeypatch):
+    seen = []
+
+    def keeping(*args):
+        seen.append(args)
+        return certain_of(*args)
+
+    monkeypatch.setattr(assemble, "certain_of", keeping)
+    assert diagnosed({PUSH: 1.0}, (PUSH,)).named == ("push",)
+    ((decision, about, judgment),) = seen
+    wide = about.search.wide
+    vague = replace(about, factors={wide.names[wide.columns_of(PUSH)[0]]: 100.0})
+    assert vague.size(0)["size"].low < 0.0
+    assert certain_of(decision, vague, judgment) == frozenset()
+
+
+def _row(run, pull):
+    return BaseRow(
+        f"onset@{run}",
+        f"onset of {run}",
+        "s",
+        0.015 * pull,
+        0.001,
+        0.015 * pull - 0.002,
+        0.015 * pull + 0.002,
+        0.0,
+        0.015,
+        pull,
+        run,
+    )
+
+
+def test_what_all_runs_pull_alike_is_one_finding_under_its_own_name():
+    rows = [_row(name, pull) for name, pull in zip("abcd", (-2.0, -2.5, -3.0, -2.5), strict=True)]
+    (found,) = _pulled_together(rows)
+    assert (found.name, found.words, found.run) == ("onset", "onset in all runs", None)
+    assert found.value == pytest.approx(-0.0375) and found.pull == pytest.approx(-5.0)
+    assert (found.low, found.high) == (pytest.approx(-0.047), pytest.approx(-0.028))
+    assert not _pulled_together([*rows[:3], _row("d", 0.5)])

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from diffsim.core.expression import Expression
 from diffsim.data.study import Run
-from diffsim.systems.ode.grid import Grid
+from diffsim.systems.grid import Grid
 from diffsim.systems.ode.network import TIME, Change, Network
 
 #: (signal on the grid (..., num_times), grid) -> the same
@@ -31,6 +32,8 @@ class OdeScene:
         changes: What effects have changed in the formulas.
         readers: What effects do to channels: name of the channel, function.
         channels: Names of the channels in order.
+        ranges: Least and largest value that the sensor of a channel can show, by channel.
+        steps: Steps of the integrator between two times of the grid.
     """
 
     run: Run
@@ -42,19 +45,30 @@ class OdeScene:
     changes: tuple[Change, ...] = ()
     readers: tuple[tuple[str, SignalMap], ...] = ()
     channels: tuple[str, ...] = field(default=())
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    steps: int = 1
 
-    def with_change(self, change: Change, sizes: Mapping[str, Tensor]) -> OdeScene:
-        """A copy with other formulas; ``sizes`` are values of the symbols in them."""
-        return replace(self, changes=(*self.changes, change), values={**self.values, **sizes})
+    def with_change(self, change: Change, sizes: Mapping[str, Tensor], steps: int = 1) -> OdeScene:
+        """A copy with other formulas; ``sizes`` are values of the symbols in them, ``steps`` what
+        the integrator needs for them."""
+        return replace(
+            self,
+            changes=(*self.changes, change),
+            values={**self.values, **sizes},
+            steps=max(self.steps, steps),
+        )
 
     def with_input(self, name: str, change: SignalMap) -> OdeScene:
         """A copy in which an input is f(input, grid)."""
         changed = change(self.inputs[name], self.grid)
         return replace(self, inputs={**self.inputs, name: changed})
 
-    def with_further_input(self, name: str, values: Tensor, change: Change) -> OdeScene:
+    def with_further_input(
+        self, name: str, values: Tensor, change: Change, sizes: Mapping[str, Tensor] | None = None
+    ) -> OdeScene:
         """A copy with one more input (..., num_times), which ``change`` puts into formulas."""
-        return replace(self, inputs={**self.inputs, name: values}, changes=(*self.changes, change))
+        scene = replace(self, inputs={**self.inputs, name: values})
+        return scene.with_change(change, sizes or {})
 
     def with_reading(self, channel: str, change: SignalMap) -> OdeScene:
         """A copy in which a channel is f(channel, grid)."""
@@ -69,6 +83,11 @@ class OdeScene:
             for channel, change in self.readers:
                 columns[channel] = change(columns[channel], self.grid)
             readings = torch.stack(torch.broadcast_tensors(*columns.values()), -1)
+        for channel, (low, high) in self.ranges.items():
+            # the sensor ends after all that happens before it
+            own = torch.zeros(len(self.channels), dtype=torch.bool)
+            own[self.channels.index(channel)] = True
+            readings = torch.where(own, readings.clamp(low, high), readings)
         if readings.shape[-2] == len(self.grid.samples):
             return readings
         return readings[..., self.grid.samples, :]
@@ -84,17 +103,18 @@ class OdeScene:
         starts = self._starts(states, solver.starts)
         parameters = [self.values[n] for n in solver.parameters]
         inputs = [self.inputs[n] for n in solver.inputs]
-        lead = torch.broadcast_shapes(
+        lead = np.broadcast_shapes(
             *(v.shape for v in (*starts, *parameters)), *(u.shape[:-1] for u in inputs)
         )
         steps = len(self.grid.times)
         # inputs that no point changes are stored once
-        own = torch.broadcast_shapes(*(u.shape[:-1] for u in inputs))
+        own = np.broadcast_shapes(*(u.shape[:-1] for u in inputs))
         return solver.ode.solve(
             self.grid.times,
             _stacked(starts, lead),
             torch.stack([u.expand(*own, steps) for u in inputs], -1) if inputs else None,
             _stacked(parameters, lead),
+            num_steps=self.steps,
         )
 
     def _starts(self, states: Sequence[str], further: Mapping[str, Expression]) -> list[Tensor]:
@@ -112,7 +132,7 @@ def at_start(state: str) -> str:
     return f"{state} at start"
 
 
-def _stacked(values: list[Tensor], lead: torch.Size) -> Tensor:
+def _stacked(values: list[Tensor], lead: tuple[int, ...]) -> Tensor:
     if not values:
         return torch.zeros((*lead, 0), dtype=torch.float64)
     return torch.stack([v.expand(lead) for v in values], -1)
