@@ -132,7 +132,7 @@ def at_start(state: str) -> str:
     return f"{state} at start"
 
 
-def _stacked(values: list[Tensor], lead: torch.Size) -> Tensor:
+def _stacked(values: list[Tensor], lead: tuple[int, ...]) -> Tensor:
     if not values:
         return torch.zeros((*lead, 0), dtype=torch.float64)
     return torch.stack([v.expand(lead) for v in values], -1)
