@@ -93,6 +93,12 @@ class Place(Part):
     inertia: Formula = Field(
         "1", description="What a force is divided by to give the velocity's rate: a mass, say"
     )
+    force: str | None = Field(
+        None,
+        description="Definition or input that is the force there; forces are added to it, so that "
+        "they reach every rate it stands in, as in a cart with a pendulum. None: they are added to "
+        "the rate of the velocity alone",
+    )
     unit: str = Field("N", description="Unit of the force: N, N m, or any text")
     position_unit: str = Field("m", description="Unit of the position")
     stick_velocity: float | None = Field(
