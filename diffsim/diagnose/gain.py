@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.data.study import Run
-from diffsim.diagnose.left_out import own_point
+from diffsim.diagnose.left_out import own_point, unmet_by
 from diffsim.identify import Problem
 
 Array = NDArray[np.float64]
@@ -154,7 +154,8 @@ def held_out_residual(fit: Frozen, run: Run) -> Array:
 
 def held_out_point(fit: Frozen, run: Run) -> Array:
     """The fit's coordinates with what is a run's own ("offset@run") fitted to it."""
-    return own_point(replace(fit.problem, runs=(run,)), fit.x, run)
+    alone = replace(fit.problem, runs=(run,))
+    return own_point(alone, fit.x, run, unmet=unmet_by(fit.problem))
 
 
 def _blocks(run: Run, block_s: float, null: Array, extended: Array, fit: Frozen) -> Array:
@@ -165,7 +166,8 @@ def _blocks(run: Run, block_s: float, null: Array, extended: Array, fit: Frozen)
     # a whitened row belongs to its newest sample: the largest column it uses
     newest = np.maximum.reduceat(matrix.indices, matrix.indptr[:-1])
     time = run.time_s[newest // run.measured.shape[1]]
-    label = ((time - run.time_s[0]) / block_s).astype(int)
+    since = time - run.time_s[0]  # a run of one sample is a block
+    label = (since / block_s).astype(int) if block_s > 0.0 else np.zeros(len(since), dtype=int)
     size = label.max() + 1
     rows = [np.bincount(label, w, size) for w in (np.ones_like(null), null**2, extended**2)]
     table = np.column_stack(rows)

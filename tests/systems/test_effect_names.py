@@ -20,7 +20,7 @@ from diffsim.systems.rigid_body.ball_effects import BALL_EFFECTS
 from diffsim.systems.rigid_body.effects import TOSS
 from diffsim.systems.soft_body import unknown_force
 from diffsim.systems.soft_body.hanging import SLACK_STRING
-from diffsim.systems.starfish.effects import STARFISH_EFFECTS, unknown_pull, unknown_push
+from tests.systems.rod.test_rod_description import study as rod_study
 from tests.systems.toy_cart import cart_study
 
 DESCRIBED = Vehicle(
@@ -52,12 +52,10 @@ def libraries() -> dict[str, tuple[Effect, ...]]:
         "balls": BALL_EFFECTS,
         "ode": setup_of(cart_study()).effects,
         "rigid_body": TOSS,
-        "starfish": STARFISH_EFFECTS,
+        "rod": setup_of(rod_study()).effects,
         "unknown": (
             unknown_wrench(3, 1.0),
             unknown_force(3, 1.0),
-            unknown_push(3, 1.0),
-            unknown_pull(3, 1.0),
         ),
         "numerical": tuple(coarse(name, finer) for name, finer in REFINEMENTS.items()),
     }
