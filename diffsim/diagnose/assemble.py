@@ -175,9 +175,10 @@ def tested(frozen: Report, study: Study, seed: int) -> Report:
         study.test_runs or seen.select_runs,
         seen.channels,
         sd,
-        spans_of(seen.fit_runs, seen.channels),
+        spans_of(seen.fit_runs, seen.channels, seen.commands),
         seed=seed,
         use="test" if is_test else "select",
+        commands=seen.commands,
         unmet=unmet_by(frozen.best.problem),
     )
     gained = found.gain if is_test and frozen.best.problem.effects else None

@@ -38,7 +38,7 @@ def facts_of(study: Study, noise: ArWhitener) -> dict[str, Any]:
         "seen_runs": {run.name: {"use": run.use, "content": content_of(run)} for run in seen},
         "range": {
             what: {**asdict(span), "labels": list(span.labels)}
-            for what, span in spans_of(study.fit_runs, study.channels).items()
+            for what, span in spans_of(study.fit_runs, study.channels, study.commands).items()
         },
     }
 
@@ -78,6 +78,7 @@ def judge_saved(inputs: Inputs, saved: SavedModel, names: Sequence[str] = ()) ->
         noise.sd,
         spans,
         seed=inputs.seed,
+        commands=study.commands,
         unmet=[name for name in unmet if name not in saved.parameters],
     )
 

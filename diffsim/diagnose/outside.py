@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.data.study import Channel, Run
+from diffsim.data.study import Channel, Command, Run
 from diffsim.diagnose.records import RATIOS, OutsideRow
 
 Array = NDArray[np.float64]
@@ -41,16 +41,19 @@ class Span:
     unit: str = ""
 
 
-def spans_of(runs: Sequence[Run], channels: Sequence[Channel]) -> dict[str, Span]:
+def spans_of(
+    runs: Sequence[Run], channels: Sequence[Channel], commands: Sequence[Command] = ()
+) -> dict[str, Span]:
     """Range of every quantity over runs, by name of the quantity.
 
     Args:
         runs: Runs that were fitted.
         channels: Columns of their ``measured``.
+        commands: What is known of commands: their units.
     """
     found: dict[str, list[tuple[float | str, str]]] = {}
     for run in runs:
-        for what, value, unit in _quantities(run, channels):
+        for what, value, unit in _quantities(run, channels, commands):
             found.setdefault(what, []).append((value, unit))
     out = {}
     for what, values in found.items():
@@ -62,7 +65,10 @@ def spans_of(runs: Sequence[Run], channels: Sequence[Channel]) -> dict[str, Span
 
 
 def outside_rows(
-    runs: Sequence[Run], channels: Sequence[Channel], spans: Mapping[str, Span]
+    runs: Sequence[Run],
+    channels: Sequence[Channel],
+    spans: Mapping[str, Span],
+    commands: Sequence[Command] = (),
 ) -> tuple[OutsideRow, ...]:
     """Quantities of runs outside of fitted ranges, the farthest first.
 
@@ -70,10 +76,11 @@ def outside_rows(
         runs: Runs that are judged.
         channels: Columns of their ``measured``.
         spans: Ranges of the fitted runs, as ``spans_of`` returns them.
+        commands: What is known of commands: their units.
     """
     rows: dict[tuple[str, str], OutsideRow] = {}
     for run in runs:
-        for what, value, unit in _quantities(run, channels):
+        for what, value, unit in _quantities(run, channels, commands):
             if what in spans and (times := _times(what, value, spans[what])) > MARGIN:
                 span, key = spans[what], (run.name, what)
                 if key not in rows or rows[key].times < times:
@@ -101,11 +108,15 @@ def _times(what: str, value: float | str, span: Span) -> float:
     return abs(value - middle) / half if half > 0.0 else float("inf")
 
 
-def _quantities(run: Run, channels: Sequence[Channel]) -> list[tuple[str, float | str, str]]:
+def _quantities(
+    run: Run, channels: Sequence[Channel], commands: Sequence[Command]
+) -> list[tuple[str, float | str, str]]:
     """Name, value and unit of everything that says where a run lies."""
     out: list[tuple[str, float | str, str]] = []
+    units = {c.name: c.unit for c in commands if c.unit not in (None, "-")}
     for name, values in run.command.items():
-        out += _of_signal(name, np.asarray(values, dtype=np.float64), run.time_s, "")
+        unit = units.get(name) or ""
+        out += _of_signal(name, np.asarray(values, dtype=np.float64), run.time_s, unit)
     for channel, values in zip(channels, run.measured.T, strict=True):
         seen = values[np.isfinite(values)]
         if len(seen):
@@ -136,7 +147,13 @@ def _of_signal(
     if len(values) < FEW or not high > low:
         return out
     slope = np.diff(values) / np.diff(time_s)
-    out.append((f"rate of {name}", float(np.quantile(np.abs(slope), 1.0 - TAIL)), f"{unit}/s"))
+    out.append(
+        (
+            f"rate of {name}",
+            float(np.quantile(np.abs(slope), 1.0 - TAIL)),
+            f"{unit}/s" if unit else "",
+        )
+    )
     middle = 0.5 * (values[1:] + values[:-1])
     spread = float(np.average((middle - middle.mean()) ** 2, weights=np.diff(time_s)))
     if spread > 0.0:

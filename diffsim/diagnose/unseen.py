@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim.core.units import factor
-from diffsim.data.study import Channel, Run
+from diffsim.data.study import Channel, Command, Run
 from diffsim.diagnose.gain import Frozen, Gain, compared
 from diffsim.diagnose.left_out import own_names, own_point
 from diffsim.diagnose.noise import without_spikes
@@ -72,6 +72,7 @@ def on_unseen(
     *,
     seed: int,
     use: str = "test",
+    commands: Sequence[Command] = (),
     unmet: Collection[str] = (),
 ) -> Unseen:
     """Judge a model and its extension on runs; each at its own coordinates, which stay.
@@ -85,6 +86,7 @@ def on_unseen(
         spans: What the fitted runs covered, as ``spans_of`` returns it.
         seed: Seed of the bootstraps.
         use: What the runs are for, as the rows say it.
+        commands: What is known of commands: their units.
         unmet: Parameters of facts that no fitted run has: a run with such a fact tells its own.
     """
     errors: list[ErrorRow] = []
@@ -107,7 +109,7 @@ def on_unseen(
         errors=tuple(errors),
         gain=compared(cleaned, plain, before, after, seed=seed) if cleaned else None,
         gains=gains,
-        outside=outside_rows(cleaned, channels, spans),
+        outside=outside_rows(cleaned, channels, spans, commands),
         num_spikes=num_spikes,
     )
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diffsim.data.study import Channel, Run
+from diffsim.data.study import Channel, Command, Run
 from diffsim.diagnose.outside import outside_rows, spans_of
 
 CHANNELS = (Channel("x_m", "m", "position", sd=0.01),)
@@ -52,3 +52,12 @@ def test_facts_are_numbers_or_labels():
     assert label.words == "Run new: no fitted run has frame C."
     assert payload.words == "Run new: payload is 0.3, fitted runs have 0.2."
     assert not far(replace(FITTED[0], command={"other": FITTED[0].command["u"]}))
+
+
+def test_commands_have_the_unit_of_the_study():
+    commands = (Command("u", "rad"),)
+    spans = spans_of(FITTED, CHANNELS, commands)
+    run = made("large", 6.0, 1.0, frame="A", payload=0.2)
+    units = {row.what: row.unit for row in outside_rows([run], CHANNELS, spans, commands)}
+    assert units["rate of u"] == "rad/s"
+    assert {r.unit for r in outside_rows([run], CHANNELS, SPANS) if r.what == "rate of u"} == {""}

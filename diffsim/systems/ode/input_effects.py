@@ -101,7 +101,7 @@ def _slow_share(name: str, tail: str) -> Effect:
     )
     return Effect(
         name=own,
-        form="A share size of the input comes within ``slow_time``.",
+        form="A share size of the input comes within the slow time.",
         family="slow",
         kind="actuator",
         unit="-",
