@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diffsim.diagnose.averaging import HALF_90, Averaged
-from diffsim.diagnose.data_sheet import PULLED, words_of
+from diffsim.diagnose.data_sheet import PULLED, pull_of, words_of
 from diffsim.diagnose.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
 from diffsim.diagnose.judge import NAMES, Decision, Judgment
 from diffsim.diagnose.records import (
@@ -146,7 +146,8 @@ def cause_rows(told: Told, base: Sequence[BaseRow]) -> tuple[CauseRow, ...]:
         told: Verdict, probabilities and candidates.
         base: Base parameters, findings among them.
     """
-    rows = [_effect_row(told, i) for i in range(len(told.effects))]
+    values = {row.name: row.value for row in base}
+    rows = [_effect_row(told, i, values) for i in range(len(told.effects))]
     rows += [_unjudged(name, why) for name, why in told.unmet.items()]
     rows += [_finding_row(told, row) for row in base if row.finding]
     rows += _unknown_rows(told)
@@ -155,11 +156,11 @@ def cause_rows(told: Told, base: Sequence[BaseRow]) -> tuple[CauseRow, ...]:
 
 def _rank(row: CauseRow) -> tuple[int, float, float]:
     """By status, by probability, and by what a cause explains."""
-    gained = 0.0 if row.gain is None else row.gain.value
+    gained = 0.0 if row.gain is None else row.gain.value * row.gain.excess
     return ORDER.index(row.status), -round(row.probability or 0.0, 3), -gained
 
 
-def _effect_row(told: Told, i: int) -> CauseRow:
+def _effect_row(told: Told, i: int, values: Mapping[str, float]) -> CauseRow:
     effect, about = told.effects[i], told.about
     decision, gains = told.judgment.decision, told.judgment.gains
     smallest = _smallest_visible(told, i)
@@ -184,6 +185,8 @@ def _effect_row(told: Told, i: int) -> CauseRow:
     sizes = about.size(i) or row.size
     value = next(iter(sizes.values())).value if len(sizes) == 1 else 0.0
     words = effect.words(value) if effect.words is not None and value else row.words
+    if effect.says is not None and value:
+        words = effect.says(value, values)
     return replace(
         row,
         words=words,
@@ -299,10 +302,9 @@ def _finding_row(told: Told, row: BaseRow) -> CauseRow:
         others = _sets_without_pull(told, about, row.name)
         if others:
             status, rivals = UNTOLD, others
-    words = row.words if row.run is None else f"{words_of(row.name.partition('@')[0])} in all runs"
     return CauseRow(
         name=row.name,
-        words=words,
+        words=row.words,
         origin=DATA_SHEET,
         status=status,
         probability=None,
@@ -318,9 +320,10 @@ def _sets_without_pull(told: Told, about: Averaged | None, name: str) -> tuple[s
     names: dict[str, None] = {}
     for h in () if about is None else about.reach:
         fit = about.search.weighed[h].fit if about and h in about.search.weighed else None
-        if fit is None or name not in fit.problem.names:
+        if fit is None:
             continue
-        if abs(fit.x[fit.problem.names.index(name)]) <= PULLED:
+        own = [i for i, n in enumerate(fit.problem.names) if n == name or n.startswith(f"{name}@")]
+        if own and abs(pull_of(fit.x[own].tolist())) <= PULLED:
             more = h.effects - told.judgment.decision.best
             names |= dict.fromkeys(told.effects[k].name for k in sorted(more))
     return tuple(names)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.core.check import require_choice
 from diffsim.data.study import Run, Study
+from diffsim.identify.locate import Course, Proposal
 
 KINDS = ("force", "actuator", "sensor", "material", "environment", "numerical")
+Array = NDArray[np.float64]
 Apply = Callable[[Any, Tensor, Run], Any]
 Needs = Callable[[Study], "str | None"]
 
@@ -19,6 +23,23 @@ Needs = Callable[[Study], "str | None"]
 def needs_nothing(study: Study) -> str | None:
     """Accept every study."""
     return None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Locator:
+    """How an effect finds where it lies.
+
+    Attributes:
+        course: Effect whose components are values at the knots, in the order of ``times``.
+        times: Time of each knot in the runs' clock, (K,) [s].
+        acts_in: Whether the effect acts in a run.
+        propose: Places worth a simulation, best first, given what any course would gain.
+    """
+
+    course: Effect
+    times: Array
+    acts_in: Callable[[Run], bool]
+    propose: Callable[[Course], Sequence[Proposal]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,6 +71,10 @@ class Effect:
         also_looks_like: Physical causes and other forms that data may not distinguish from it.
         words: Function of a size that says it in plain words where its number would not be
             understood, such as "a speed limit near 100 mm/s"; None: name and size.
+        says: The same with the values of the base parameters by name, for causes that these place
+            in time; it comes before ``words``.
+        locate: How it finds where it lies in time, for causes of limited duration; None: it acts
+            always.
         needs: Function of a study: what it lacks for the effect to be judged; None if nothing.
     """
 
@@ -68,6 +93,8 @@ class Effect:
     masks: tuple[str, ...] = ()
     also_looks_like: tuple[str, ...] = ()
     words: Callable[[float], str] | None = None
+    says: Callable[[float, Mapping[str, float]], str] | None = None
+    locate: Locator | None = None
     needs: Needs = needs_nothing
 
     def __post_init__(self) -> None:

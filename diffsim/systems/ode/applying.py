@@ -20,28 +20,23 @@ def symbol(effect: str) -> str:
     return f"size of {effect}"
 
 
-def by_formulas(change: Change, *symbols: str, steps: int = 1) -> Apply:
+def by_formulas(change: Change, *symbols: str) -> Apply:
     """An effect that changes formulas.
 
     Args:
         change: Formulas in which the sizes are called ``symbols``.
         symbols: One for each component, in order.
-        steps: Steps of the integrator that a size other than zero needs where one is enough else.
     """
-    return partial(_changed, change=change, symbols=symbols, steps=steps)
+    return partial(_changed, change=change, symbols=symbols)
 
 
 def _changed(
-    scene: OdeScene,
-    size: Tensor,
-    run: Run,
-    *,
-    change: Change,
-    symbols: Sequence[str],
-    steps: int,
+    scene: OdeScene, size: Tensor, run: Run, *, change: Change, symbols: Sequence[str]
 ) -> OdeScene:
-    needed = steps if bool(size.detach().any()) else 1  # at zero it is the plain model to the bit
-    return scene.with_change(change, {s: size[..., i] for i, s in enumerate(symbols)}, needed)
+    return scene.with_change(change, {s: size[..., i] for i, s in enumerate(symbols)})
+
+
+LABELS = "labels"  # place of the values of facts in a study's frame
 
 
 @dataclass(frozen=True)
@@ -63,7 +58,7 @@ class Groups:
         """Groups of a study's runs."""
         if per is None:
             return cls()
-        return cls(per, tuple(dict.fromkeys(_label(per, run) for run in study.runs)))
+        return cls(per, labels_of(per, study))
 
     @property
     def components(self) -> tuple[str, ...]:
@@ -81,6 +76,12 @@ class Groups:
         if label not in self.labels:
             return own
         return own + size[..., 1 + self.labels.index(label)]
+
+
+def labels_of(per: str, study: Study) -> tuple[str, ...]:
+    """Values of a fact in the runs of a study, or in those that its ``frame`` is from."""
+    kept = study.frame.get(LABELS, {}).get(per)
+    return tuple(kept or dict.fromkeys(_label(per, run) for run in study.runs))
 
 
 def _label(per: str, run: Run) -> str:

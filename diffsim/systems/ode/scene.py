@@ -32,7 +32,7 @@ class OdeScene:
         changes: What effects have changed in the formulas.
         readers: What effects do to channels: name of the channel, function.
         channels: Names of the channels in order.
-        steps: Steps of the integrator between two times of the grid.
+        ranges: Least and largest value that the sensor of a channel can show, by channel.
     """
 
     run: Run
@@ -44,17 +44,11 @@ class OdeScene:
     changes: tuple[Change, ...] = ()
     readers: tuple[tuple[str, SignalMap], ...] = ()
     channels: tuple[str, ...] = field(default=())
-    steps: int = 1
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
-    def with_change(self, change: Change, sizes: Mapping[str, Tensor], steps: int = 1) -> OdeScene:
-        """A copy with other formulas; ``sizes`` are values of the symbols in them, ``steps`` what
-        the integrator needs for them."""
-        return replace(
-            self,
-            changes=(*self.changes, change),
-            values={**self.values, **sizes},
-            steps=max(self.steps, steps),
-        )
+    def with_change(self, change: Change, sizes: Mapping[str, Tensor]) -> OdeScene:
+        """A copy with other formulas; ``sizes`` are values of the symbols in them."""
+        return replace(self, changes=(*self.changes, change), values={**self.values, **sizes})
 
     def with_input(self, name: str, change: SignalMap) -> OdeScene:
         """A copy in which an input is f(input, grid)."""
@@ -81,6 +75,11 @@ class OdeScene:
             for channel, change in self.readers:
                 columns[channel] = change(columns[channel], self.grid)
             readings = torch.stack(torch.broadcast_tensors(*columns.values()), -1)
+        for channel, (low, high) in self.ranges.items():
+            # the sensor ends after all that happens before it
+            own = torch.zeros(len(self.channels), dtype=torch.bool)
+            own[self.channels.index(channel)] = True
+            readings = torch.where(own, readings.clamp(low, high), readings)
         if readings.shape[-2] == len(self.grid.samples):
             return readings
         return readings[..., self.grid.samples, :]
@@ -107,7 +106,6 @@ class OdeScene:
             _stacked(starts, lead),
             torch.stack([u.expand(*own, steps) for u in inputs], -1) if inputs else None,
             _stacked(parameters, lead),
-            num_steps=self.steps,
         )
 
     def _starts(self, states: Sequence[str], further: Mapping[str, Expression]) -> list[Tensor]:
@@ -125,7 +123,7 @@ def at_start(state: str) -> str:
     return f"{state} at start"
 
 
-def _stacked(values: list[Tensor], lead: torch.Size) -> Tensor:
+def _stacked(values: list[Tensor], lead: tuple[int, ...]) -> Tensor:
     if not values:
         return torch.zeros((*lead, 0), dtype=torch.float64)
     return torch.stack([v.expand(lead) for v in values], -1)
