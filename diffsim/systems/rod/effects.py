@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from torch import Tensor
@@ -308,7 +308,7 @@ def _of_sessions(given: RodKeys, fact: str, study: Study) -> Iterator[Effect]:
     """What may have changed between sessions, the first of them as described."""
     labels = sorted({str(run.setup[fact]) for run in study.runs if fact in run.setup})
 
-    def later(*names: str) -> dict[str, object]:
+    def later(*names: str) -> dict[str, Any]:
         """Components of the later sessions, and how they act."""
         ways = tuple(n.rpartition("_")[2] for n in names)
         several = len(labels) > 2

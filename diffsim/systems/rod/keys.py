@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import itertools
-from typing import Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from diffsim.core.check import did_you_mean
 from diffsim.core.schema import Part, number
+from diffsim.core.units import in_unit
 from diffsim.systems.description import Description, Quantity, quantity
 
 Vector = tuple[float, float, float]
-Place = tuple[number("m"), number("m"), number("m")]
+
+
+def _meters(given: Any) -> Any:
+    """Three places with a unit, or in meters."""
+    if isinstance(given, (list, tuple)) and len(given) == 3:
+        return tuple(in_unit(one, "m") for one in given)
+    return given
+
+
+Place = Annotated[Vector, BeforeValidator(_meters)]
 
 
 def _known(value: float, unit: str = "-") -> Quantity:

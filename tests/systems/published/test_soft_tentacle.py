@@ -10,6 +10,7 @@ import torch
 
 from diffsim.data import load_study
 from diffsim.data.study_check import check_study
+from diffsim.diagnose import diagnose
 from diffsim.identify import Numerics, fit
 from diffsim.systems import published
 from diffsim.systems.registry import setup_of
@@ -84,9 +85,7 @@ def left_out(found, study):
 
 def test_poses_left_out_are_within_the_goal_and_causes_bring_them_nearer(study):
     plain = fitted(study)  # stiffness, density and places of markers
-    found = fitted(
-        study, "drive_loss", "tendon_distance", "tendon_turn", "clamp_tilt", "moved_m4"
-    )
+    found = fitted(study, "drive_loss", "tendon_distance", "tendon_turn", "clamp_tilt", "moved_m4")
     assert found.chi2 < 0.4 * plain.chi2
     assert found.values["drive_loss"] == pytest.approx(0.42, abs=0.15)  # N
     assert found.values["tendon_distance"] == pytest.approx(3.7e-3, abs=1.5e-3)  # to the surface
