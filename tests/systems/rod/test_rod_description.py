@@ -14,6 +14,7 @@ from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_check import check_study
 from diffsim.diagnose import diagnose
 from diffsim.identify import Numerics, fit
+from diffsim.identify.unknown import UnknownDrift
 from diffsim.systems.registry import description_of, setup_of
 
 PULLS = ((1.0, 0.0), (2.0, 0.0), (3.0, 0.0), (0.0, 1.0), (0.0, 2.5), (1.5, 1.5), (3.0, 1.0))
@@ -182,3 +183,11 @@ def test_a_hidden_loss_is_named_and_nothing_is_named_without_one(hidden):
     report = diagnose(made, s.model, s.effects, seed=0, unknowns=s.unknowns, settings=s.settings)
     certain = [c.name for c in report.causes if c.status == "certain"]
     assert certain == ([hidden] if hidden else [])
+
+
+def test_poses_of_one_sample_drift_each_by_itself():
+    made = study()
+    s = setup_of(made)
+    found = fit(s.model, made.fit_runs, made.channels)
+    slopes = UnknownDrift(1, "drift of middle_y").slopes(found.problem, found.x)
+    assert slopes.reshape(len(made.fit_runs), 6).tolist() == [[0, 1, 0, 0, 0, 0]] * 5
