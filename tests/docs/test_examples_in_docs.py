@@ -20,6 +20,7 @@ PAGES = (
     "docs/optim.md",
     "docs/soft.md",
     "docs/stokes.md",
+    "docs/transformations.md",
 )
 LINKED = ("README.md", "examples/*.md", "docs/**/*.md")
 
