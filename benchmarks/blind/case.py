@@ -123,6 +123,10 @@ def answer_of(report: Report) -> dict[str, Any]:
         "named": sorted(report.named),
         "rivals": [sorted(r) for r in report.rivals],
         "sizes": {row.effect: {"size": row.size, "sd": row.sd} for row in report.table},
+        "intervals": {
+            row.name: {c: [s.value, s.low, s.high] for c, s in row.size.items()}
+            for row in report.causes
+        },
         "cannot_see": dict(report.cannot_see),
         "failed_gates": [g.name for g in report.gates if not g.passed],
         "gain": None if report.gain is None else [report.gain.value, report.gain.status],

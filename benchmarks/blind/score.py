@@ -3,30 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.blind.case import TWIN
-from diffsim.cli.diagnose_inputs import inputs_of
-from diffsim.data.labs.sealed import Bench, study_of
-from diffsim.data.study import Study
-from diffsim.data.study_file import load_study
-from diffsim.diagnose.fit import residual_of
-from diffsim.diagnose.gain import gain
-from diffsim.diagnose.inputs import Inputs
-from diffsim.diagnose.refit import NullFit, fit_null, refit
-from diffsim.identify import Fit
-from diffsim.identify import fit as fit_runs
 from diffsim.identify.effect import Effect
 from diffsim.identify.problem import effect_coordinates
 
-Array = NDArray[np.float64]
-Z90 = 1.645
 ABSORBED = 3.0  # lambda: 4.5 nats, of which about 9 are needed to be seen
-LARGE_EXCESS = 0.05  # noise variances per sample; below it a share of the excess means nothing
 
 
 def score_answer(
@@ -133,23 +118,21 @@ def _sizes(
     answer: Mapping[str, Any],
     known: Mapping[str, Effect],
 ) -> dict[str, Any]:
-    """By component: true, found, its 90 % interval, whether the truth is inside."""
+    """By component: true, reported value and its 90 % interval, whether the truth is inside."""
     out = {}
     for name, sizes in truth.items():
-        effect, found = known[name], answer["sizes"].get(name)
-        if found is None or sizes is None or len(sizes) != len(effect.components):
+        effect, found = known[name], answer["intervals"].get(name)
+        if not found or sizes is None or len(sizes) != len(effect.components):
             continue
         pairs = zip(effect_coordinates([effect]), effect.components, sizes, strict=True)
         for coordinate, component, true in pairs:
-            size, half = found["size"][component], found["sd"][component]
-            if size is None or half is None:
-                continue
-            half *= Z90
+            value, low, high = found[component]
             out[coordinate] = {
                 "true": true,
-                "found": size,
-                "half_width": half,
-                "inside": abs(size - true) <= half,
+                "found": value,
+                "low": low,
+                "high": high,
+                "inside": low <= true <= high,
             }
     return out
 
@@ -163,61 +146,3 @@ def with_strength(score: Mapping[str, Any]) -> dict[str, Any]:
     if score["scored_as"] in ("outside", "look_alike") and strength < ABSORBED:
         return {**score, "scored_as": "absorbed", "right": score["verdict"] == "none"}
     return dict(score)
-
-
-def score_simulated(
-    bench: Bench,
-    label: Mapping[str, Any],
-    folder: Path,
-    score: Mapping[str, Any],
-    setup_file: Path | None = None,
-) -> dict[str, Any]:
-    """What takes simulations: lambda, delta, and the gain of the true extended model.
-
-    Args:
-        bench: The laboratory; makes the data again without noise.
-        label: What was hidden.
-        folder: Of the case's data.
-        score: Of ``score_answer``.
-        setup_file: As the diagnosis had it.
-    """
-    inputs = inputs_of(load_study(folder), seed=0, setup_file=setup_file)
-    by_name = {e.name: e for e in inputs.setup.effects}
-    true = {name: sizes for name, sizes in score["truth"].items() if sizes is not None}
-    null = fit_null(inputs)
-    clean, _ = study_of(bench, label, noise=0.0)
-    out: dict[str, Any] = {"lambda": {}}
-    for name in score["truth"]:
-        others = [by_name[n] for n in true if n != name]
-        left = _fit_clean(null, clean, others, inputs)
-        out["lambda"][name] = float(np.sqrt(left.chi2))
-        out["delta"] = _delta(null, clean, left)
-    tests = inputs.study.test_runs
-    if len(true) == len(score["truth"]) and true and tests:
-        best = refit(null, [by_name[n] for n in true], inputs, {})
-        found = gain(tests, null.fit, best, seed=inputs.seed)
-        out["true_gain"] = found.value
-        if found.value > 0.0 and found.excess > LARGE_EXCESS and score["gain"] is not None:
-            out["share_of_true_gain"] = score["gain"][0] / found.value
-    return out
-
-
-def _fit_clean(null: NullFit, clean: Study, effects: Sequence[Effect], inputs: Inputs) -> Fit:
-    """Refit to data without noise, weighed as the noisy ones were."""
-    problem = null.fit.problem
-    return fit_runs(
-        problem.model,
-        clean.fit_runs,
-        clean.channels,
-        effects=effects,
-        whitener=problem.whitener,
-        jacobian=problem.jacobian,
-        workers=inputs.setup.settings.workers,
-    )
-
-
-def _delta(null: NullFit, clean: Study, left: Fit) -> float:
-    """Rms of the misfit over one sample's noise sd."""
-    sd = null.noise.sd
-    parts = [(residual_of(left, run) / sd).ravel() for run in clean.fit_runs]
-    return float(np.sqrt(np.nanmean(np.concatenate(parts) ** 2)))

@@ -21,8 +21,9 @@ import numpy as np
 from tqdm import tqdm
 
 import diffsim
-from benchmarks.blind.score import score_answer, score_simulated, with_strength
-from benchmarks.blind.table import confusion, figures, markdown
+from benchmarks.blind.score import score_answer, with_strength
+from benchmarks.blind.strength import score_simulated
+from benchmarks.blind.table import by_strength, confusion, figures, markdown
 from diffsim.cli.diagnose_inputs import inputs_of
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_json_atomic, write_text_atomic
@@ -167,7 +168,8 @@ class Blind:
 
     def write(self, scores: Sequence[Mapping[str, Any]]) -> Path:
         """confusion.json and confusion.md, the path of the latter."""
-        content = {"confusion": confusion(scores), "figures": figures(scores)}
+        content: dict[str, Any] = {"confusion": confusion(scores), "figures": figures(scores)}
+        content["by_strength"] = by_strength(scores)
         write_json_atomic(self.out / "confusion.json", {**content, "seed": self.seed})
         command = f"python -m benchmarks.blind --system {self.name} --n {len(scores)}"
         command += f" --seed {self.seed}" + (" --quick" if self.quick else "")

@@ -15,6 +15,7 @@ from diffsim.data.labs.sealed import KINDS
 Score = Mapping[str, Any]
 VERDICTS = ("none", "named", "ambiguous", "unknown", "unrepeatable", "numerical", "failed")
 VISIBLE, FAINT = 8.0, 5.0  # lambda
+CLASSES = {"below 3": (0.0, 3.0), "3 to 8": (3.0, 8.0), "8 or more": (8.0, math.inf)}
 DISTINCT = 0.4  # delta of a cause outside the library
 
 
@@ -75,6 +76,27 @@ def figures(scores: Sequence[Score]) -> list[dict[str, Any]]:
     return rows
 
 
+def by_strength(scores: Sequence[Score]) -> list[dict[str, Any]]:
+    """Answers to cases with one hidden cause by lambda: how many were right, silent, wrong.
+
+    Args:
+        scores: Scores of all cases; others are left out.
+    """
+    rows = []
+    for name, (low, high) in CLASSES.items():
+        own = [s for s in scores if s["scored_as"] == "single" and low <= _weakest(s) < high]
+        row = _row(name, "", own, [s["in_set"] for s in own])
+        rows.append(
+            row
+            | {
+                "alone": sum(s["alone"] for s in own),
+                "silent": sum(s["verdict"] == "none" for s in own),
+                "wrong_alone": sum(s["wrong_alone"] for s in own),
+            }
+        )
+    return rows
+
+
 def markdown(
     scores: Sequence[Score], *, title: str, command: str, notes: Sequence[str] = ()
 ) -> str:
@@ -86,6 +108,13 @@ def markdown(
     for kind, row in table.items():
         cells = [kind, *(str(row[name] or "") for name in ("n", "right", *VERDICTS))]
         lines.append("| " + " | ".join(cells) + " |")
+    lines += ["", "| lambda of one cause | n | right | 90 % interval | of them alone | `none` "]
+    lines[-1] += "| wrong name alone |"
+    lines.append("|---|---|---|---|---|---|---|")
+    for c in by_strength(scores):
+        interval = f"{c['low']:.2f} to {c['high']:.2f}" if c["n"] else ""
+        counts = f"{c['alone']} | {c['silent']} | {c['wrong_alone']}"
+        lines.append(f"| {c['what']} | {c['n']} | {c.get('hits', 0)} | {interval} | {counts} |")
     lines += ["", "| figure | goal | measured | 90 % interval | n |", "|---|---|---|---|---|"]
     for f in figures(scores):
         low, high = f.get("low"), f.get("high")

@@ -104,8 +104,8 @@ void bind_copter_flight(nb::module_& m) {
         flight_rollout_tangent(num_rotors, batch, steps, options, inputs.inputs(),
                                directions.inputs(), out(rates), num_threads);
       },
-      nb::kw_only(), "num_rotors"_a, "batch"_a, "steps"_a, "options"_a, "inputs"_a,
-      "directions"_a, "rates"_a, "num_threads"_a);
+      nb::kw_only(), "num_rotors"_a, "batch"_a, "steps"_a, "options"_a, "inputs"_a, "directions"_a,
+      "rates"_a, "num_threads"_a);
 }
 
 }  // namespace diffsim

@@ -92,10 +92,10 @@ void bind_soft_contact(nb::module_& m) {
          Address dforce, Address stats, int num_threads) {
         nb::gil_scoped_release release;
         ThreadPool pool(num_threads);
-        *reinterpret_cast<StepStats*>(stats) = contact_step_tangent(
-            system, inputs.inputs(), contacts.inputs(), options, {cache_columns}, in(x),
-            in_index(status), directions.directions(1), contact_directions.rates(), out(dx),
-            out(dforce), pool);
+        *reinterpret_cast<StepStats*>(stats) =
+            contact_step_tangent(system, inputs.inputs(), contacts.inputs(), options,
+                                 {cache_columns}, in(x), in_index(status), directions.directions(1),
+                                 contact_directions.rates(), out(dx), out(dforce), pool);
       },
       nb::kw_only(), nb::arg("system"), nb::arg("inputs"), nb::arg("contacts"), nb::arg("options"),
       nb::arg("cache_columns"), nb::arg("x"), nb::arg("status"), nb::arg("directions"),

@@ -18,3 +18,11 @@ def positive(text: str) -> int:
 def names(text: str) -> tuple[str, ...]:
     """Names parted by commas; blanks do not count."""
     return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def fact(text: str) -> tuple[str, str]:
+    """Name and value of ``name=value``."""
+    name, equals, value = text.partition("=")
+    if not (name and equals and value):
+        raise argparse.ArgumentTypeError(f"must be name=value, got {text!r}")
+    return name.strip(), value.strip()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from diffsim.cli.arguments import DIAGNOSES, names, positive
+from diffsim.cli.arguments import DIAGNOSES, fact, names, positive
 
 HELP = "what a simulation gets wrong against recorded runs"
 STEPS = {
@@ -15,6 +15,7 @@ STEPS = {
     "explain": "find the cause: verdict, evidence, report.html",
     "extend": "refit a saved extended model, and measure its gain on test runs",
     "judge": "errors of a saved model on new runs; nothing is fitted",
+    "faults": "which groups of runs have a fault, and which, against the scatter between groups",
     "next": "which run to record next to settle what is open",
 }
 
@@ -27,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser, common: argparse.ArgumentPars
         for name, what in STEPS.items()
     }
     _starting(made.pop("init"))
+    _finding(made.pop("faults"))
     for name, step in made.items():
         step.add_argument(
             "study", metavar="STUDY", help="study.yaml, its folder, or a published data set's name"
@@ -60,6 +62,39 @@ def _starting(step: argparse.ArgumentParser) -> None:
         "--system", default="ode", metavar="KIND", help="kind of system, as `ode` (the default)"
     )
     step.add_argument("--force", action="store_true", help="replace a file that is there")
+
+
+def _finding(step: argparse.ArgumentParser) -> None:
+    step.add_argument(
+        "study", metavar="STUDY", help="study.yaml with `faults`, its folder, or a published set"
+    )
+    step.add_argument(
+        "--new",
+        type=Path,
+        nargs="+",
+        action="append",
+        default=[],
+        metavar="CSV",
+        help="runs that are not in the study, one group; again for another group",
+    )
+    step.add_argument(
+        "--fact",
+        type=fact,
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="fact of the new runs that the study needs, such as vehicle=E9",
+    )
+    step.add_argument(
+        "--groups", type=names, default=(), metavar="A,B", help="judge only these groups"
+    )
+    step.add_argument(
+        "--all", action="store_true", help="judge known groups too, each by the others"
+    )
+    step.add_argument(
+        "--out", type=Path, help=f"folder of the results (default: {DIAGNOSES}/STUDY)"
+    )
+    step.add_argument("--seed", type=int, default=0, help="of draws of the scatter (default: 0)")
 
 
 def _judging(step: argparse.ArgumentParser) -> None:

@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from diffsim.cli.diagnose_trial import trial_problems
 from diffsim.core.errors import DiffsimError
 from diffsim.core.units import factor
+from diffsim.data.header_units import header_units
 from diffsim.data.run_files import BLOCK_OF
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_check import TODO, Problem, check_study
@@ -100,6 +102,8 @@ def problems_of(study: Study) -> list[Problem]:
                 f"it goes on where run {first.name} ends: it tests little beyond that one",
             )
         )
+    if study.file is not None:
+        found += header_units(study.file)
     return [*found, *_of_model(study)]
 
 
@@ -126,6 +130,8 @@ def _of_model(study: Study) -> Iterator[Problem]:
     yield from description.problems(study)
     if study.model.get("system") in NAMES_ITS_COLUMNS:
         yield from _not_mentioned(study)
+    if study.model.get("system") in ("ode", "bench"):
+        yield from _without_use(study.model)
 
 
 def _not_mentioned(study: Study) -> Iterator[Problem]:
@@ -138,6 +144,14 @@ def _not_mentioned(study: Study) -> Iterator[Problem]:
             yield Problem(
                 "warning", f"{what} {name}", "the model does not mention it; is it of any use?"
             )
+
+
+def _without_use(model: Mapping[str, Any]) -> Iterator[Problem]:
+    """Parameters that no formula has."""
+    words = {w for key, part in model.items() if key != "parameters" for w in _words(part)}
+    for name in model.get("parameters") or ():
+        if str(name) not in words:
+            yield Problem("warning", f"model.parameters.{name}", "no formula uses it")
 
 
 def _words(stated: Any) -> Iterator[str]:
@@ -158,7 +172,7 @@ def _of_setup(study: Study) -> tuple[list[Problem], str]:
     except (ValueError, KeyError, TypeError, OSError, DiffsimError) as error:
         return [Problem("error", "model", f"{type(error).__name__}: {error}")], ""
     base, causes = setup.model.base, [e.name for e in setup.effects]
-    return [], (
+    return list(trial_problems(study, setup)), (
         f"model: {len(base)} base parameters ({_some([p.name for p in base])}), "
         f"{len(causes)} candidate causes ({_some(causes)})"
     )
@@ -247,8 +261,13 @@ def _run_row(run: Run) -> list[str]:
     step = f"{float(np.median(np.diff(t))):.3g} s" if len(t) > 1 else "-"
     facts = [f"{k}={v:.4g}" if isinstance(v, float) else f"{k}={v}" for k, v in run.setup.items()]
     group = run.group if run.group != run.name else "-"
-    ends = f"{t[0]:.4g} .. {t[-1]:.4g} s" if len(t) else "-"
+    ends = f"{_second(t[0])} .. {_second(t[-1])} s" if len(t) else "-"
     return [run.name, run.use, group, str(len(t)), step, ends, _some(facts, MAX_FACTS)]
+
+
+def _second(time_s: float) -> str:
+    """A time; of a clock that counts from long ago all seconds are shown."""
+    return f"{time_s:.4g}" if abs(time_s) < 1e4 else f"{time_s:.2f}"
 
 
 def _table(header: list[str], rows: list[list[str]]) -> Iterator[str]:

@@ -121,14 +121,16 @@ def _runs(guess: Guess) -> Iterator[str]:
     shared: dict[str, Any] = {"setup": facts} if facts else {}
     if guess.every > 1:
         shared["every"] = guess.every
+    if guess.is_late:
+        shared["zero_time"] = "start"
     if shared:
-        yield "# For all runs: facts are columns that are constant in each run."
+        yield "# For all runs; facts of `setup` are columns that are constant in each run."
         yield "defaults:"
         yield from (f"  {key}: {_inline(value)}" for key, value in shared.items())
         yield ""
     yield "# use: fit, select (chooses between causes) or test (touched once, at the end)."
     yield "runs:"
-    if guess.split is not None:
+    if guess.split:
         yield from _split_runs(guess)
     elif len(guess.runs) == 1:
         entry = {**_entry(guess.runs[0]), "blocks": {"num": 6, "use": {"select": [4], "test": [6]}}}
@@ -138,10 +140,12 @@ def _runs(guess: Guess) -> Iterator[str]:
 
 
 def _split_runs(guess: Guess) -> Iterator[str]:
-    assert guess.split is not None
+    names = [c.name for c in guess.split]
     for file in dict.fromkeys(run.file for run in guess.runs):
         runs = [run for run in guess.runs if run.file == file]
-        entry: dict[str, Any] = {"file": file, "split": guess.split.name}
+        entry: dict[str, Any] = {"file": file, "split": names[0]}
+        if len(names) > 1:
+            entry = {"name": " ".join(f"{{{n}}}" for n in names), "file": file, "split": names}
         uses = {u: [r.value for r in runs if r.use == u] for u in ("select", "test")}
         if any(uses.values()):
             entry["use"] = {use: values for use, values in uses.items() if values}

@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from diffsim.diagnose.inputs import Inputs
 from diffsim.identify.effect import Effect
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems import published
+from diffsim.systems.ode.traced import with_function
 from diffsim.systems.registry import setup_of
 
 MAX_PATH = 200  # longer texts of a description are no paths
@@ -35,19 +37,29 @@ def read_study(given: str) -> Study:
     Raises:
         FileNotFoundError: neither; the message offers the closest names.
     """
+    is_described = Path(given).exists() or given in {path.stem for path in described()}
+    if given in IMPORTERS and not is_described:
+        return import_study(given)
+    return load_study(study_file(given))
+
+
+def study_file(given: str) -> Path:
+    """File or folder of a study, or the file of a published data set.
+
+    Raises:
+        FileNotFoundError: neither; the message offers the closest names.
+    """
     path = Path(given)
     if path.exists():
-        return load_study(path)
+        return path
     files = {path.stem: path for path in described()}
     if given in files:
-        return load_study(files[given])
-    if given in IMPORTERS:
-        return import_study(given)
+        return files[given]
     try:
         require_choice("STUDY", given, {**files, **IMPORTERS})
     except ValueError as error:
         raise FileNotFoundError(f"{given} is no file or folder of a study, and {error}") from None
-    raise AssertionError("require_choice refuses what is not among its choices")
+    raise FileNotFoundError(f"{given} has no study.yaml")
 
 
 def described() -> list[Path]:
@@ -76,7 +88,7 @@ def choose(
 
 
 def own_setup(path: Path, study: Study) -> DiagnosisSetup:
-    """Setup that ``setup(study)`` of a Python file makes.
+    """Setup that ``setup(study)`` of a Python file makes, or that of rates which are in it.
 
     Raises:
         FileNotFoundError: no such file.
@@ -89,14 +101,39 @@ def own_setup(path: Path, study: Study) -> DiagnosisSetup:
         raise ValueError(f"--setup must be a Python file (.py), got {path}")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    if not callable(make := getattr(module, "setup", None)):
-        raise ValueError(f"--setup {path} has no function setup(study)")
+    make = getattr(module, "setup", None)
+    if not callable(make):
+        make = _of_function(path, module, study)
     made = make(study)
     if not isinstance(made, DiagnosisSetup):
         raise ValueError(
             f"setup(study) of {path} must return a DiagnosisSetup, got {type(made).__name__}"
         )
     return made
+
+
+def _of_function(path: Path, module: ModuleType, study: Study) -> Callable[[Study], DiagnosisSetup]:
+    """The maker of a setup whose rates are a function of the file, as the study names it.
+
+    Raises:
+        ValueError: the study names another file, or a function that the file lacks.
+    """
+    file, _, name = str((study.model or {}).get("function", "")).partition(":")
+    folder = study.folder or Path()
+    if not file or (folder / file).resolve() != path.resolve():
+        raise ValueError(
+            f"--setup {path} has no function setup(study), and the study has no "
+            f"model.function {path.name}:NAME"
+        )
+    function = getattr(module, name, None)
+    if not callable(function):
+        raise ValueError(f"model.function: {path} has no function {name!r}")
+
+    def make(study: Study) -> DiagnosisSetup:
+        written = with_function(study, function)
+        return replace(setup_of(written), study=written)
+
+    return make
 
 
 def inputs_of(

@@ -1,4 +1,4 @@
-"""The steps of ``diffsim diagnose init|check|fit|explain|extend|judge|next STUDY``."""
+"""The steps of ``diffsim diagnose init|check|fit|explain|extend|judge|faults|next STUDY``."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ from typing import Any
 
 from diffsim.cli.arguments import DIAGNOSES
 from diffsim.cli.diagnose_check import check, require_ready
+from diffsim.cli.diagnose_faults import judged, with_new
 from diffsim.cli.diagnose_init import init
 from diffsim.cli.diagnose_inputs import changed, inputs_of, read_study
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.data.bank import command_table
+from diffsim.data.study import Study
 from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.frozen import judge_saved
 from diffsim.diagnose.inputs import Inputs
@@ -44,9 +46,11 @@ def _check(args: argparse.Namespace) -> None:
     check(read_study(args.study), args.study)
 
 
-def _inputs(args: argparse.Namespace, *, with_bank: bool = False) -> tuple[Inputs, Path]:
-    """Study and setup as chosen; the folder of the results."""
-    study = read_study(args.study)
+def _inputs(
+    args: argparse.Namespace, study: Study | None = None, *, with_bank: bool = False
+) -> tuple[Inputs, Path]:
+    """Study (read unless it is given) and setup as chosen; the folder of the results."""
+    study = study or read_study(args.study)
     require_ready(study, args.study, plan=args.step != "judge")
     inputs = inputs_of(
         study,
@@ -96,7 +100,14 @@ def _fit(args: argparse.Namespace) -> None:
 
 
 def _explain(args: argparse.Namespace) -> None:
-    inputs, out = _inputs(args)
+    study = read_study(args.study)
+    if study.faults is not None:
+        print(f"{study.name} has `faults`: every group is judged for itself, by the others")
+        require_ready(study, args.study, plan=False)
+        out = args.out or Path(DIAGNOSES) / study.name
+        judged(study, out, everything=True, seed=args.seed)
+        return
+    inputs, out = _inputs(args, study)
     before = _read_json(out / INPUTS_FILE)  # written last: it says that all files are there
     if before is not None and (out / REPORT_FILE).is_file() and not args.force:
         differs = changed(before, inputs.fingerprint)
@@ -191,10 +202,11 @@ def _judge(args: argparse.Namespace) -> None:
     inputs, out = _inputs(args)
     saved = read_extended(args.saved or out)
     found = judge_saved(inputs, saved, args.runs)
-    print(f"{'run':<24} {'quantity':<14} {'before':>9} {'after':>9} {'noise':>9}  fitted to it")
+    heads = (f"{h:>9}" for h in ("before", "after", "noise"))
+    print(f"{'run':<24} {'quantity':<14} {' '.join(heads)}  {'unit':<8} fitted to it")
     for row in found.errors:
         numbers = " ".join(f"{v:>9.3g}" for v in (row.before, row.after, row.noise))
-        print(f"{row.run:<24} {row.kind:<14} {numbers} {row.unit}, {row.num_fitted} values")
+        print(f"{row.run:<24} {row.kind:<14} {numbers}  {row.unit:<8} {row.num_fitted} values")
     if saved.components and found.gain is not None:
         print(found.gain.words)
     for far in found.outside[:MAX_OUTSIDE]:
@@ -203,6 +215,14 @@ def _judge(args: argparse.Namespace) -> None:
         print(f"and {len(found.outside) - MAX_OUTSIDE} more outside of what was fitted")
     content = {"study": inputs.study.name, "model": str(saved.path), **found.to_dict()}
     print(f"wrote {write_json_atomic(out / JUDGE_FILE, content)}")
+
+
+def _faults(args: argparse.Namespace) -> None:
+    """Verdict on every group of runs, new ones included."""
+    study = with_new(args.study, args.new, dict(args.fact))
+    require_ready(study, args.study, plan=False)
+    out = args.out or Path(DIAGNOSES) / study.name
+    judged(study, out, groups=args.groups, everything=args.all, seed=args.seed)
 
 
 def _next(args: argparse.Namespace) -> None:
@@ -260,5 +280,6 @@ STEPS: dict[str, Callable[[argparse.Namespace], None]] = {
     "explain": _explain,
     "extend": _extend,
     "judge": _judge,
+    "faults": _faults,
     "next": _next,
 }

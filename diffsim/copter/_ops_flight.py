@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
+from diffsim.core.custom_op import custom_op
 from diffsim.core.layer import make_first_order, make_layer
 
 BODY: int = core.FLIGHT_BODY
@@ -147,7 +148,7 @@ def _options(dt: float, gravity: float, substeps: int, effects: str, feedback: b
     return options
 
 
-@torch.library.custom_op("diffsim::flight", mutates_args=())
+@custom_op("diffsim::flight")
 def flight(
     start: Tensor,
     feed_forward: Tensor,
@@ -183,7 +184,7 @@ def _(start, feed_forward, gain, reference, wind, parameters, batch, steps, *arg
     return start.new_empty(batch, steps + 1, BODY + feed_forward.shape[-1])
 
 
-@torch.library.custom_op("diffsim::flight_vjp", mutates_args=())
+@custom_op("diffsim::flight_vjp")
 def flight_vjp(
     grad_records: Tensor,
     records: Tensor,
@@ -259,7 +260,7 @@ def _backward(ctx, grad_records):
     return (*grads, *(None,) * 7)
 
 
-@torch.library.custom_op("diffsim::flight_jvp", mutates_args=())
+@custom_op("diffsim::flight_jvp")
 def flight_jvp(
     start: Tensor,
     feed_forward: Tensor,

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
+from diffsim.core.custom_op import custom_op
 from diffsim.core.layer import make_first_order, make_layer
 
 INFO = ("status", "rank", "free_rank", "num_iters")
@@ -87,7 +88,7 @@ def _checked_solution(solution: HoverSolution, problem: HoverProblem) -> HoverSo
     )
 
 
-@torch.library.custom_op("diffsim::hover", mutates_args=())
+@custom_op("diffsim::hover")
 def hover(
     force: Tensor, torque: Tensor, weights: Tensor, upper: Tensor, barrier: float, num_threads: int
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -121,7 +122,7 @@ def _(
     return force.new_empty(batch, n), force.new_empty(batch, 4), state, info
 
 
-@torch.library.custom_op("diffsim::hover_vjp", mutates_args=())
+@custom_op("diffsim::hover_vjp")
 def hover_vjp(
     force: Tensor,
     torque: Tensor,
@@ -188,7 +189,7 @@ def _backward(ctx: Any, grad_thrusts: Tensor, *_: Any) -> tuple[Tensor | None, .
     return (*grads, None, None)
 
 
-@torch.library.custom_op("diffsim::hover_jvp", mutates_args=())
+@custom_op("diffsim::hover_jvp")
 def hover_jvp(
     force: Tensor,
     torque: Tensor,

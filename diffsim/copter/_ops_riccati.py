@@ -13,6 +13,7 @@ from torch import Tensor
 
 from diffsim.copter.stabilizability import raise_lyapunov_failure, raise_riccati_failure
 from diffsim.core.compiled import core
+from diffsim.core.custom_op import custom_op
 from diffsim.core.layer import make_layer
 
 REPORT = ("solved", "num_iters", "residual", "abscissa")
@@ -28,7 +29,7 @@ def _check(name: str, value: Tensor, shape: tuple[int, ...]) -> Tensor:
     return value.contiguous()
 
 
-@torch.library.custom_op("diffsim::lyapunov", mutates_args=())
+@custom_op("diffsim::lyapunov")
 def lyapunov(A: Tensor, Q: Tensor, num_threads: int) -> Tensor:
     """X (B, n, n) of A X + X A' + Q = 0."""
     batch, n, _ = A.shape
@@ -80,7 +81,7 @@ lyapunov_layer = make_layer(
 )
 
 
-@torch.library.custom_op("diffsim::care", mutates_args=())
+@custom_op("diffsim::care")
 def care(A: Tensor, G: Tensor, Q: Tensor, num_threads: int) -> tuple[Tensor, Tensor]:
     """The stabilizing P (B, n, n) of A'P + P A - P G P + Q = 0, and REPORT (B, 4)."""
     batch, n, _ = A.shape

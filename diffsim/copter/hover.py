@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -70,7 +71,7 @@ def hover_thrusts(
         hint = "smoothing keeps thrusts between 0 and max_thrusts" if smoothing else ""
         least = {"above": 0.0} if smoothing else {"at_least": 0.0}
         require_range("max_thrusts", max_thrusts, **least, hint=hint)
-    batch = torch.broadcast_shapes(
+    batch = np.broadcast_shapes(
         force_matrix.shape[:-2],
         torque_matrix.shape[:-2],
         weight.shape,

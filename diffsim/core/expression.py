@@ -212,7 +212,9 @@ class _Parser:
         if isinstance(node, ast.IfExp):
             chosen = (node.test, node.body, node.orelse)
             return Apply("where", tuple(self.node(part, below) for part in chosen))
-        raise self.error(node, "is not allowed in a formula")
+        is_caret = isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitXor)
+        hint = "; a power is written **" if is_caret else ""
+        raise self.error(node, f"is not allowed in a formula{hint}")
 
     def number(self, node: ast.Constant) -> Number:
         if isinstance(node.value, bool) or not isinstance(node.value, (int, float)):

@@ -87,6 +87,9 @@ def problem_lines(where: str, error: ValidationError) -> list[str]:
         if one["loc"][-1:] == ("[key]",) and isinstance(one["input"], bool):
             message += " (YAML reads on, off, yes, no so; quote it, or use another word)"
         is_plain = isinstance(one["input"], (str, int, float, bool))
-        came = f", got {one['input']!r}" if is_plain and "got" not in message else ""
-        out.append(f"{where}{path}: {message}{came}")
+        is_said = "got" in message or (is_plain and repr(one["input"]) in message)
+        came = f", got {one['input']!r}" if is_plain and not is_said else ""
+        out.append(
+            f"{where}{path}: {message}{came}" if path else f"{where.rstrip(': ')}: {message}"
+        )
     return out

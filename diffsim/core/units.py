@@ -59,6 +59,8 @@ def _parsed(unit: str) -> Any:
     for one, other in (("Nm", "N*m"), ("²", "^2"), ("³", "^3"), ("µ", "u"), ("Ohm", "ohm")):
         text = text.replace(one, other)
     text = _POWER.sub(r"\1^\2", text)  # "m/s2" and "mm3" are written, too
+    if text.lower() == "grad":  # pint has gons and, of "Grad", 1e9 rad; a German degree is neither
+        raise ValueError(f"unit {unit!r} is unknown; write deg for degrees, gon for gradians")
     try:
         return registry.parse_units(text)
     except Exception as error:  # pint raises errors of its parser, of tokenize and of its own
@@ -131,8 +133,9 @@ def in_si(value: float | int | str, unit: str = NO_UNIT) -> tuple[float, str]:
         ValueError: not a number, or an unknown unit.
     """
     matched = _QUANTITY.fullmatch(str(value))
-    if matched is None or isinstance(value, bool):
-        raise ValueError(f"must be a number, or one with its unit, got {value!r}")
+    if matched is None or isinstance(value, bool) or matched.group(2).startswith(","):
+        comma = "; use a decimal point" if matched and matched.group(2).startswith(",") else ""
+        raise ValueError(f"must be a number, or one with its unit, got {value!r}{comma}")
     si = to_si(matched.group(2) or unit)
     return si.factor * float(matched.group(1)), si.unit
 

@@ -103,12 +103,12 @@ class Table:
         Args:
             column: Column with the time; None: ``time_s``.
             factor: Seconds in its unit; None: it holds times of day or dates.
-            step: Seconds between rows, in place of a column.
+            step: Seconds between rows, or for each count of the column.
 
         Raises:
             ValueError: no such column, or a time is missing.
         """
-        if step is not None:
+        if step is not None and column is None:
             return step * np.arange(len(self), dtype=np.float64)
         name = column or self.header[time_column(self.path, self.header)]
         if factor is None:
@@ -117,7 +117,8 @@ class Table:
         if np.isnan(now).any():
             line = self.lines[int(np.argmax(np.isnan(now)))]
             raise ValueError(f"{self.path}, row {line}, column {name}: time is missing")
-        return factor * now if factor != 1.0 else now
+        scale = step or factor
+        return scale * now if scale != 1.0 else now
 
 
 def require_increasing(table: Table, rows: Rows, now: Array, column: str) -> None:

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import interpolate, optimize
-from scipy import signal as sps
 
 Array = NDArray[np.float64]
 
@@ -239,6 +238,8 @@ def amplitude_spectrum(time_s: Array, x: Array, *, pad: int = 4) -> tuple[Array,
     Returns:
         frequency [Hz] and amplitude, unit of x: a steady sinusoid of amplitude A gives about A.
     """
+    from scipy import signal as sps  # half a second that few calls need
+
     time_s, x = _series(time_s, x, min_samples=8)
     step = float(np.median(np.diff(time_s)))
     grid = time_s[0] + step * np.arange(round((time_s[-1] - time_s[0]) / step) + 1)

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.data.fault_keys import FaultKeys
+
 Array = NDArray[np.float64]
 
 SYSTEMS = ("soft_body", "copter", "stokes", "rigid_body")
@@ -102,6 +104,7 @@ class Study:
         left_out: What of the study's folder is not used, a sentence each.
         todo: What the study says is still to be stated, a sentence each.
         allows: Facts of ``setup`` that can be changed for a next run, with possible values.
+        faults: How groups of runs are judged for faults; None: they are not.
     """
 
     name: str
@@ -116,6 +119,7 @@ class Study:
     left_out: tuple[str, ...] = ()
     todo: tuple[str, ...] = ()
     allows: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+    faults: FaultKeys | None = None
 
     @property
     def fit_runs(self) -> tuple[Run, ...]:

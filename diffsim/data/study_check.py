@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from diffsim.core.units import factor, to_si
+from diffsim.data.rounding import step_of
 from diffsim.data.study import SYSTEMS, USES, Channel, Run, Study
 
 TODO = "TODO"  # what a user is still to fill in
 MIN_SAMPLES = 10
+LATE = 1e6  # s: a clock that starts here counts from some other epoch than the run
 MANY_SAMPLES = 100_000  # of all runs and channels; what is simulated at each costs time
 MAX_STEP = 1.5  # of the median step; a longer one is a gap in the clock
 MAX_MISSING = 0.2  # share of a channel's samples
@@ -27,7 +29,8 @@ class Problem:
     """One thing that is wrong with a study.
 
     Attributes:
-        severity: "error": no diagnosis on these data; "warning": possible, with care.
+        severity: "error": no diagnosis on these data; "warning": possible, with care; "note": what
+            was taken for granted.
         where: "study", "channel tip_z_m", "run step_a", ...
         message: What is wrong with the study and how to mend it.
     """
@@ -135,6 +138,24 @@ def _check_channels(study: Study) -> Iterator[Problem]:
                 "noise unknown: no sd and no repeated run; give sd or repeat a command"
                 + _jitter(study, channel),
             )
+        yield from _steps(study, channel)
+
+
+def _steps(study: Study, channel: Channel) -> Iterator[Problem]:
+    """Readings that lie on steps coarser than the stated noise."""
+    if channel.sd is None:
+        return
+    at = study.channels.index(channel)
+    columns = [r.measured[:, at] for r in study.runs if r.measured.shape[1] > at]
+    step = step_of(np.concatenate(columns)) if columns else None
+    if step is not None and step / np.sqrt(12.0) > channel.sd:
+        unit = channel.shown_unit or channel.unit
+        size = step * factor(channel.unit, unit)
+        yield Problem(
+            "note",
+            f"channel {channel.name}",
+            f"it shows steps of {size:.4g} {unit}; their rounding is taken for noise",
+        )
 
 
 def _jitter(study: Study, channel: Channel) -> str:
@@ -217,6 +238,13 @@ def _check_clock(run: Run, where: str) -> Iterator[Problem]:
     if not np.isfinite(run.time_s).all():
         yield Problem("error", where, "time_s has missing values; every sample needs a time")
         return
+    if run.time_s[0] > LATE:
+        yield Problem(
+            "warning",
+            where,
+            f"its clock starts at {run.time_s[0]:.0f} s; zero_time: start (in defaults) makes "
+            "every run start at 0 s",
+        )
     step = np.diff(run.time_s)
     if (step <= 0.0).any():
         at = int(np.argmax(step <= 0.0)) + 1

@@ -24,7 +24,7 @@ cells, and where it is not the comma, a decimal comma is read.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -58,11 +58,12 @@ _KINDS = {
 }
 
 
-def load_study(path: str | Path) -> Study:
+def load_study(path: str | Path, more_runs: Sequence[Mapping[str, Any]] = ()) -> Study:
     """Read a study from ``study.yaml`` and its CSV files.
 
     Args:
         path: ``study.yaml`` (any YAML file), or the folder that holds it.
+        more_runs: Further entries of ``runs:``, as the file would hold them.
 
     Returns:
         The study in SI units; what it lacks for a diagnosis says
@@ -81,6 +82,8 @@ def load_study(path: str | Path) -> Study:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except yaml.YAMLError as error:
         raise ValueError(f"{path}: not YAML: {error}") from None
+    if more_runs and isinstance(content, Mapping):
+        content = {**content, "runs": [*content.get("runs", ()), *more_runs]}
     stated = _parsed(path, content)
     root = _root(path, stated)
     reader = RunReader(stated, root)
@@ -100,6 +103,7 @@ def load_study(path: str | Path) -> Study:
         left_out=_left_out(reader, stated, root),
         todo=stated.todo,
         allows=stated.allows,
+        faults=stated.faults,
     )
 
 

@@ -12,6 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.units import to_si
+from diffsim.data.clock_guess import (
+    TIME,
+    guess_clock,
+    guess_split,
+    is_counter,
+    is_late,
+)
 from diffsim.data.columns import Table
 from diffsim.data.runs_guess import (
     GuessedRun,
@@ -24,15 +31,14 @@ from diffsim.data.runs_guess import (
 from diffsim.data.table_guess import Column, Layout, column_of, layout_of, tables_in
 
 Array = NDArray[np.float64]
-_TIME = re.compile(r"^(t|time|timestamp|zeit|temps|tiempo|seconds|elapsed|clock)(_|$)", re.I)
-_COUNTER = re.compile(r"^(frame|sample|index|idx|i|n|row|count|counter|seq|nr|no)$", re.I)
 _COMMAND = re.compile(
     r"(^|_)(cmd|command|commanded|set|setpoint|desired|des|ref|reference|target|input|pwm|duty|"
     r"throttle|esc|signal|demand|action|control|controller|drive|pump|valve|contraction|soll|"
     r"sollwert|consigne)(_|\d|$)"
-    r"|^u\d*$",
+    r"|^u\d*$|^(m|mot|motor|rotor|servo|rc|out)_?\d+$",
     re.I,
 )
+_QUATERNION = re.compile(r"(^|_)(q|quat|quaternion)_?[wxyz0-3]$", re.I)  # has no unit
 _FLAG = re.compile(r"(^|_)(repeated|valid|invalid|flag|status|missing|ok|error)(_|\d|$)", re.I)
 _MEASURED = re.compile(r"control|controller|pwm|duty|feedback", re.I)
 _SET_UNITS = ("N", "N m", "Pa", "V", "A", "Hz")  # what drives, rather than what moves
@@ -50,11 +56,12 @@ class Guess:
     Attributes:
         layout: Lay-out of the files that are used.
         time: Keys of ``time``.
+        is_late: Whether the clock counts from long ago, so that runs should start at 0 s.
         channels: Columns that look measured.
         commands: Columns that look commanded.
         facts: Columns that are constant in every run.
         runs: Runs, one for each file or value of ``split``.
-        split: Column whose values are runs; None: each file is one.
+        split: Columns whose values are runs; empty: each file is one.
         every: Each n-th sample is enough.
         said: What was guessed, a sentence each.
         todo: What the user must say, a sentence each.
@@ -62,11 +69,12 @@ class Guess:
 
     layout: Layout
     time: dict[str, Any]
+    is_late: bool
     channels: list[Quantity]
     commands: list[Quantity]
     facts: list[Column]
     runs: list[GuessedRun]
-    split: Column | None
+    split: tuple[Column, ...]
     every: int
     said: list[str]
     todo: list[str]
@@ -84,17 +92,20 @@ def guess_study(folder: Path) -> Guess:
     said: list[str] = []
     todo: list[str] = []
     layout, tables = _largest_family(folder, said)
-    time, clock, clock_todo = _time(layout, tables, said)
+    time, clock, clock_todo = guess_clock(layout, tables, said)
     todo += clock_todo
-    split = _split(layout, tables, clock, said)
+    split = guess_split(layout, tables, clock, said)
     runs = _runs(tables, split, said)
-    numeric = [
-        c
-        for c in layout.columns
-        if c.name and c not in (clock, split) and all(t.is_number[c.name] for t in tables)
+    numbers = {c.name: all(t.is_number[c.name] for t in tables) for c in layout.columns if c.name}
+    free = [c for c in layout.columns if c.name and c is not clock]
+    numeric = [c for c in free if numbers[c.name] and c not in split]
+    labels = [c for c in free if c not in split or not numbers[c.name]]
+    facts = [c for c in labels if _is_fact(c, runs)]
+    idle = [
+        c for c in numeric if is_counter(c, runs[0].table, runs[0].rows) or _FLAG.search(c.base)
     ]
-    facts = [c for c in layout.columns if c.name and c is not split and _is_fact(c, runs)]
-    idle = [c for c in numeric if _is_counter(c, runs) or _FLAG.search(c.base)]
+    said_nothing = [c.name for c in free if not numbers[c.name] and c not in (*facts, *split)]
+    say(said, "texts and empty columns, not used", said_nothing)
     moving = [c for c in numeric if c not in facts and c not in idle]
     say(said, "counters and flags, not used (see missing_if)", [c.name for c in idle])
     say(said, "facts, constant in each run", [c.name for c in facts])
@@ -109,7 +120,10 @@ def guess_study(folder: Path) -> Guess:
         said.append(
             f"{size} samples cost time: one of {every} is used; a window or fewer runs do better"
         )
-    return Guess(layout, time, channels, commands, facts, runs, split, every, said, todo)
+    late = is_late(time, clock, tables)
+    if late:
+        said.append("zero_time: the clock counts from long ago; every run starts at 0 s")
+    return Guess(layout, time, late, channels, commands, facts, runs, split, every, said, todo)
 
 
 def _largest_family(folder: Path, said: list[str]) -> tuple[Layout, list[Table]]:
@@ -119,7 +133,7 @@ def _largest_family(folder: Path, said: list[str]) -> tuple[Layout, list[Table]]
     for path, layout in layouts.items():
         names = tuple(c.name for c in layout.columns)
         families.setdefault((layout.header_line, layout.first_line, names), []).append(path)
-    timed = {k: v for k, v in families.items() if any(_TIME.match(_bare(n)) for n in k[2])}
+    timed = {k: v for k, v in families.items() if any(TIME.match(_bare(n)) for n in k[2])}
     if not families:
         raise ValueError(
             f"{folder} has no table with a header line and rows of numbers; expected files such as "
@@ -139,78 +153,26 @@ def _bare(name: str) -> str:
     return column_of(name).base
 
 
-def _time(
-    layout: Layout, tables: Sequence[Table], said: list[str]
-) -> tuple[dict[str, Any], Column | None, list[str]]:
-    """The clock: a column that is called so, or the first one that only grows."""
-    for column in layout.columns:
-        if _TIME.match(column.base):
-            if not tables[0].is_number[column.name]:
-                said.append(f"clock: column {column.name}, as times of day or dates")
-                return {"column": column.name, "unit": "clock"}, column, []
-            return _numeric_time(column, tables, said)
-    for column in layout.columns:
-        if column.name and tables[0].is_number[column.name] and not _COUNTER.match(column.base):
-            step = np.diff(tables[0].numbers(column.name))
-            if len(step) and (step > 0.0).all() and np.ptp(step) < 0.5 * np.median(step):
-                said.append(f"clock: column {column.name}, the first that only grows")
-                return _numeric_time(column, tables, said)
-    said.append("clock: no column looks like one; rows are 0.01 s apart until you say otherwise")
-    return {"step": 0.01}, None, ["time.step: seconds between two rows"]
-
-
-def _numeric_time(
-    column: Column, tables: Sequence[Table], said: list[str]
-) -> tuple[dict[str, Any], Column, list[str]]:
-    step = float(np.nanmedian(np.abs(np.diff(tables[0].numbers(column.name)))))
-    unit, todo = column.unit, []
-    if unit is None or (unit != "-" and to_si(unit).unit != "s") or unit == "-":
-        # recordings step by 0.1 ms to some seconds, and nobody counts seconds in thousands
-        unit = "s" if step < 0.5 else "ms" if step < 500.0 else "us"
-        todo = [f"time.unit: column {column.name} states none; {unit} is a guess by its steps"]
-    said.append(f"clock: column {column.name} in {unit}, steps of {step:.4g} {unit}")
-    return {"column": column.name, "unit": unit}, column, todo
-
-
-def _split(
-    layout: Layout, tables: Sequence[Table], clock: Column | None, said: list[str]
-) -> Column | None:
-    """Column whose value changes wherever the clock starts again."""
-    if clock is None or not tables[0].is_number[clock.name]:
-        return None
-    table = tables[0]
-    back = np.flatnonzero(np.diff(table.numbers(clock.name)) <= 0.0)
-    if not len(back):
-        return None
-    for column in layout.columns:
-        if not column.name or column is clock:
-            continue
-        cells = np.array(table.texts(column.name))
-        changes = np.flatnonzero(cells[1:] != cells[:-1])
-        if set(back) <= set(changes) and len(changes) <= 2 * len(back) + 2 < len(cells):
-            said.append(f"runs: the clock starts again where {column.name} changes: one run each")
-            return column
-    said.append(
-        f"the clock of {table.path.name} goes back {len(back)} times, but no column changes there"
-    )
-    return None
-
-
-def _runs(tables: Sequence[Table], split: Column | None, said: list[str]) -> list[GuessedRun]:
+def _runs(tables: Sequence[Table], split: tuple[Column, ...], said: list[str]) -> list[GuessedRun]:
     runs = []
     for table in tables:
         stem, rows = table.path.stem, np.arange(len(table))
-        if split is None:
+        if not split:
             runs.append(GuessedRun(stem, table.path.name, table, rows))
             continue
-        cells = np.array(table.texts(split.name))
+        cells = np.array(
+            [" ".join(row) for row in zip(*map(table.texts, _names(split)), strict=True)]
+        )
         for value in dict.fromkeys(cells.tolist()):
-            name = f"{stem}_{value}"
-            part = rows[cells == value]
-            runs.append(GuessedRun(name, table.path.name, table, part, value))
-    if split is None:
+            name = f"{stem}_{value}" if len(split) == 1 else value
+            runs.append(GuessedRun(name, table.path.name, table, rows[cells == value], value))
+    if not split:
         said.append(f"runs: one for each of {len(runs)} files" if len(runs) > 1 else "runs: one")
     return runs
+
+
+def _names(columns: Sequence[Column]) -> list[str]:
+    return [c.name for c in columns]
 
 
 def _is_fact(column: Column, runs: Sequence[GuessedRun]) -> bool:
@@ -222,19 +184,13 @@ def _is_fact(column: Column, runs: Sequence[GuessedRun]) -> bool:
     return True
 
 
-def _is_counter(column: Column, runs: Sequence[GuessedRun]) -> bool:
-    if not _COUNTER.match(column.base):
-        return False
-    step = np.diff(runs[0].table.numbers(column.name)[runs[0].rows])
-    return bool(len(step)) and bool((step == np.round(step)).all())
-
-
 def _sorted_out(
     columns: Sequence[Column], runs: Sequence[GuessedRun], said: list[str], todo: list[str]
 ) -> tuple[list[Quantity], list[Quantity]]:
     """Commands and channels; what is held for many samples, or called so, looks commanded."""
     commands: list[Quantity] = []
     channels: list[Quantity] = []
+    unstated: list[str] = []
     samples = {c.name: [r.table.numbers(c.name)[r.rows] for r in runs] for c in columns}
     equal = _equal_in_two(samples)
     for column in columns:
@@ -243,8 +199,8 @@ def _sorted_out(
         name = column.name if _keeps_name(column) else column.base
         taken = {q.name for q in (*commands, *channels)}
         name = name if name not in taken else f"{name}_{len(taken)}"
-        if column.unit is None:
-            todo.append(f"unit of column {column.name}: the header states none")
+        if column.unit is None and not _QUATERNION.match(column.base):
+            unstated.append(column.name)
         unit = column.unit or "-"
         if why:
             found = [v[np.isfinite(v)] for v in values]
@@ -254,6 +210,7 @@ def _sorted_out(
             commands.append(Quantity(name, column, unit, why, None, lower, upper, is_measured))
         else:
             channels.append(Quantity(name, column, unit, "", _noise(values)))
+    say(todo, "units, which the header does not state", unstated, most=40)
     if not channels and commands:
         last = commands.pop()
         channels.append(Quantity(last.name, last.column, last.unit, "", None))
@@ -319,8 +276,7 @@ def _noise(values: Sequence[Array]) -> float | None:
     """Scatter from sample to sample, with two digits; at least that of rounding."""
     levels = []
     for v in values:
-        second = np.abs(np.diff(v, n=2))
-        second = second[np.isfinite(second)]
+        second = np.abs(np.diff(v[np.isfinite(v)], n=2))  # a slow sensor leaves cells empty
         if len(second) >= 8:
             levels.append(float(np.median(second)) / 0.6745 / np.sqrt(6.0))
     there = np.unique(np.concatenate([v[np.isfinite(v)] for v in values]))

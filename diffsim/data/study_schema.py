@@ -12,6 +12,7 @@ from pydantic import BeforeValidator, Field, PlainValidator, field_validator, mo
 from diffsim.core.check import did_you_mean
 from diffsim.core.schema import Part, Said
 from diffsim.core.units import to_si
+from diffsim.data.fault_keys import FaultKeys
 from diffsim.data.study import SYSTEMS
 from diffsim.data.study_types import (
     Every,
@@ -63,7 +64,9 @@ class TimeSource(Part):
         "s", description="Unit of that column: s, ms, us, min; `clock` for 12:30:05.25 or a date"
     )
     step: Positive | None = Field(
-        None, description="Seconds between rows, where the files have no clock"
+        None,
+        description="Seconds between rows, where the files have no clock; with `column`, seconds "
+        "for each count of it: {column: frame, step: 0.01}",
     )
 
     @field_validator("unit")
@@ -75,8 +78,8 @@ class TimeSource(Part):
 
     @model_validator(mode="after")
     def _one_source(self) -> TimeSource:
-        if self.step is not None and self.column is not None:
-            raise ValueError("give column or step, not both")
+        if self.step is not None and self.unit != "s":
+            raise ValueError(f"step counts in seconds; leave out unit, got {self.unit!r}")
         return self
 
 
@@ -155,6 +158,12 @@ class CommandEntry(Source):
         description="Whether it was measured (the output of a controller): it then differs "
         "between repeats, and nobody can command it",
     )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> CommandEntry:
+        if self.lower is not None and self.upper is not None and not self.lower < self.upper:
+            raise ValueError(f"lower must be below upper, got {self.lower:g} and {self.upper:g}")
+        return self
 
 
 class Fact(Part):
@@ -323,6 +332,9 @@ class StudyFile(Part):
         {},
         description="Facts of `setup` that can be changed for a next run, with possible values: "
         "{payload_kg: [0, 0.1, 0.3]}",
+    )
+    faults: FaultKeys | None = Field(
+        None, description="Groups of runs that are each judged for a fault: `diagnose faults`"
     )
     metadata: dict[str, Any] = Field({}, description="Anything else worth keeping: source, licence")
     todo: Texts = Field((), description="What is still to be stated; `check` repeats it")

@@ -16,6 +16,8 @@ TABLES = (".csv", ".tsv", ".txt", ".dat")
 _NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*")
 _BRACKETS = re.compile(r"^(.*?)\s*[(\[{<]\s*([^)\]}>]*?)\s*[)\]}>]\s*$")
 _AFTER = re.compile(r"^(.*\S)\s+(?:/|in)\s+(\S+)$")
+_SLASH = re.compile(r"^([^\s/]+)/(\S+)$")  # t/min, F/N, as ISO 80000 has it
+_LAST = re.compile(r"^(.*\S)\s+(%|\S{2,})$")  # Throttle %, gyro deg/s
 #: Endings of names that are units, longest first; some only after a word that speaks of them.
 _ENDINGS = {
     "rad_s2": "rad/s^2", "m_s2": "m/s^2", "mm_s2": "mm/s^2", "m3_s": "m^3/s", "m2_s": "m^2/s",
@@ -80,15 +82,19 @@ def layout_of(path: Path) -> Layout | None:
     first = next((i for i, row in enumerate(rows) if len(row) > 1 and _is_numeric(row)), None)
     if first is None:
         return None
+    # an empty last cell is a missing value, or what follows a delimiter at the end of the line
+    num_cells = {len(rows[first]), len(_trimmed(rows[first]))}
     above: list[int] = []
     for i in range(first - 1, -1, -1):
-        if len(rows[i]) != len(rows[first]) or any(_NUMBER.fullmatch(c) for c in rows[i]):
+        head = _trimmed(rows[i])
+        if len(head) not in num_cells or any(_NUMBER.fullmatch(c) for c in head):
             break
+        num_cells = {len(head)}
         above.insert(0, i)
     if not above:
         return None
-    names = rows[above[0]]
-    units = rows[above[1]] if len(above) > 1 else [""] * len(names)
+    names = _trimmed(rows[above[0]])
+    units = _trimmed(rows[above[1]]) if len(above) > 1 else [""] * len(names)
     columns = tuple(column_of(n, u) for n, u in zip(names, units, strict=True))
     return Layout(above[0] + 1, first + 1, columns)
 
@@ -99,7 +105,7 @@ def column_of(name: str, unit_cell: str = "") -> Column:
     in_cell = unit_cell.strip().strip("()[]{}<>").strip()
     if in_cell and _is_unit(in_cell):
         return Column(name, _word(name), in_cell, True)
-    for pattern in (_BRACKETS, _AFTER):
+    for pattern in (_BRACKETS, _AFTER, _SLASH, _LAST):
         match = pattern.match(name)
         if match and _is_unit(match.group(2) or "-"):
             return Column(name, _word(match.group(1)), match.group(2) or "-", True)
@@ -110,7 +116,7 @@ def column_of(name: str, unit_cell: str = "") -> Column:
         base = name.removesuffix(f"_{ending}")
         if base != name and re.search(after, base, re.IGNORECASE):
             return Column(name, _word(base), unit, False)
-    return Column(name, _word(name), None, False)
+    return Column(name, _word(name), "rpm" if name.lower() == "rpm" else None, False)
 
 
 def tables_in(folder: Path) -> list[Path]:
@@ -120,7 +126,11 @@ def tables_in(folder: Path) -> list[Path]:
 
 def _cells(line: str) -> list[str]:
     row = next(csv.reader([line], delimiter=delimiter_of(line)), [])
-    return [cell.strip() for cell in (row[:-1] if row and not row[-1].strip() else row)]
+    return [cell.strip() for cell in row]
+
+
+def _trimmed(row: list[str]) -> list[str]:
+    return row[:-1] if row and not row[-1] else row
 
 
 def _is_numeric(row: list[str]) -> bool:

@@ -21,6 +21,8 @@ order:
 12. ``wording``, ``records``, ``tables``, ``assemble``, ``report``, ``force_map``: the answer as it
     is read and saved.
 
+``faults`` is a way of its own through the same parts: groups of runs with a fault each.
+
 One record passes on to the next, and none is changed: ``Case`` (what is given), ``Null`` (noise
 floor and null fit), ``Search`` (what was weighed), ``Judgment`` (what may be said), ``Report``.
 """

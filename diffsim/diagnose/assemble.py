@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.averaging import Averaged, averaged, widening
-from diffsim.diagnose.causes import Told, cause_rows, certain_of, open_rivals
+from diffsim.diagnose.causes import Told, cause_rows, certain_of, open_rivals, vetoed
 from diffsim.diagnose.data_sheet import base_rows
 from diffsim.diagnose.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
 from diffsim.diagnose.fit import Null
@@ -98,7 +98,8 @@ def report_of(
     told = Told(judgment, about, screened, effects, members, case.unmet, certain, rivals)
     causes = cause_rows(told, base)
     findings = tuple(row.name for row in base if row.finding)
-    verdict, named = _verdict(judgment, certain, findings)
+    refused = about is not None and vetoed(about, decision.best, judgment.withdrawn)
+    verdict, named = _verdict(judgment, certain, findings, stands_in=bool(refused))
     # of a verdict that names what all sets share, the sets are all told
     sets = (Hypothesis(decision.best), *rivals) if verdict == "named" and rivals else rivals
     names = tuple(set_names(h, effects, case.unknowns) for h in sets)
@@ -204,18 +205,18 @@ def _base(best: Fit, judgment: Judgment) -> tuple[BaseRow, ...]:
 
 
 def _verdict(
-    judgment: Judgment, certain: frozenset[int], findings: Sequence[str]
+    judgment: Judgment, certain: frozenset[int], findings: Sequence[str], *, stands_in: bool
 ) -> tuple[str, frozenset[int]]:
     """Verdict of the causes that are certain, and the effects that it names.
 
     Where rivals share causes that are certain, these are named: only the rest cannot be told. Where
-    none is certain and an unknown cause has the evidence beside the best set, that is the verdict;
-    a best set of which nothing is certain, and that leaves much, is not named either. What a data
-    sheet has wrong is no noise.
+    none is certain and an unknown cause has the evidence beside the best set, or the set may stand
+    in for what unseen runs refused, something unknown is the verdict. A best set of which nothing
+    is certain, and that leaves much, is not named either. What a data sheet has wrong is no noise.
     """
     decision = judgment.decision
     if decision.verdict == "named" and not certain:
-        if decision.beside is not None:
+        if decision.beside is not None or stands_in:
             return "unknown", NONE
         if decision.share < EXPLAINED:
             return "ambiguous", decision.best

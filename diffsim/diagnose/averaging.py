@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, special, stats
+from scipy import optimize, special
 
 from diffsim.diagnose.evidence import ALONE_NATS, Hypothesis, LaplaceEvidence, Weighed
 from diffsim.diagnose.gates import numerical_shift
@@ -233,7 +233,7 @@ def _factors(fit: Fit, folds: Folds, own: Sequence[int]) -> list[float]:
     variance = (count - 1) / count * np.sum((ends - ends.mean(axis=0)) ** 2, axis=0)
     sd = (np.sqrt(np.diag(fit.covariance)) * problem.stretch(fit.x))[own]
     ratio, freedom = variance / sd**2, count - 1.0
-    usual = float(np.median(ratio)) / (float(stats.chi2.ppf(0.5, freedom)) / freedom)
+    usual = float(np.median(ratio)) / (float(special.chdtri(freedom, 0.5)) / freedom)
     pooled = (freedom * ratio + POOLED_FREEDOM * usual) / (freedom + POOLED_FREEDOM)
     # a spread of its own is never shrunk: a size may differ from run to run where others do not
     return np.sqrt(np.maximum(np.maximum(ratio, pooled), 1.0)).tolist()

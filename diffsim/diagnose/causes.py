@@ -39,11 +39,13 @@ def certain_of(decision: Decision, about: Averaged, judgment: Judgment) -> froze
 
     None where an unknown cause beside the best set is a rival: the set explains too little then.
     Where larger sets were not fitted although they have the evidence, what they would hold must not
-    be enough to replace the effect.
+    be enough to replace the effect. Nor is an effect certain that only stands in for what the
+    referee took away, or whose size may as well be zero.
     """
     if decision.verdict not in NAMES:
         return frozenset()
     left_out = _left_out(decision, about)
+    refused = vetoed(about, decision.best, judgment.withdrawn)
     if any(h.unknown is not None and h.effects >= decision.best for h in decision.rivals):
         return frozenset()
     return frozenset(
@@ -52,8 +54,32 @@ def certain_of(decision: Decision, about: Averaged, judgment: Judgment) -> froze
         if about.probability(i) >= SURE
         and not _may_be_replaced(about, i, left_out)
         and all(i in h.effects for h in about.reach)
+        and all(i in members for members in refused)
         and not (i in judgment.gains and judgment.gains[i].status == "withdrawn")
+        and not _may_be_zero(about, i)
     )
+
+
+def vetoed(
+    about: Averaged, best: frozenset[int], withdrawn: frozenset[int]
+) -> list[frozenset[int]]:
+    """The best sets with effects that the referee withdrew, where they have the evidence.
+
+    The fit runs ask for them and unseen runs refuse them: something that the library has not got
+    right acts there. What is named instead may stand in for it, unless these sets hold it as well.
+    """
+    weighed = {h: w.nats for h, w in about.search.weighed.items() if h.unknown is None}
+    taken = {h.effects: nats for h, nats in weighed.items() if h.effects & withdrawn}
+    most = max(taken.values(), default=-np.inf)
+    if most < weighed[Hypothesis(best)] + ALONE_NATS:
+        return []
+    return [members for members, nats in taken.items() if nats > most - ALONE_NATS]
+
+
+def _may_be_zero(about: Averaged, i: int) -> bool:
+    """Whether the widened intervals of all components of a size hold zero."""
+    sizes = about.size(i).values()
+    return bool(sizes) and all(size.low <= 0.0 <= size.high for size in sizes)
 
 
 def _left_out(decision: Decision, about: Averaged) -> float:

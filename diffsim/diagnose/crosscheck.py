@@ -2,7 +2,9 @@
 
 With two repeats, mean and half-difference of the residuals have the same distribution if there is
 nothing but noise; whatever is repeatable is in the mean only. Swapping them (with random signs) in
-blocks of time gives the distribution of any statistic under noise alone.
+blocks of time gives the distribution of any statistic under noise alone. Blocks far above the noise
+are first made smaller, mean and half-difference alike, so that two or three of them cannot decide
+whatever the others say.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ Array = NDArray[np.float64]
 BLOCK_S = 0.3
 MIN_BLOCKS = 6  # with fewer, one draw in 2^5 or more swaps nothing, and no cause could be confirmed
 DRAWS = 200
+LOUDEST = 3.0  # rms of a block, in noise sd: louder ones count as if they were as loud as that
 
 
 def swap_probability(
@@ -47,6 +50,9 @@ def swap_probability(
     moved = _on_grid(problem, responses)
     mean = [0.5 * (grids[a] + grids[b])[..., 0] for a, b in pairs]
     half = [0.5 * (grids[a] - grids[b])[..., 0] for a, b in pairs]
+    shares = [_shares(m, d, label) for m, d, label in zip(mean, half, labels, strict=True)]
+    mean = [s * m for s, m in zip(shares, mean, strict=True)]
+    half = [s * d for s, d in zip(shares, half, strict=True)]
     h = np.concatenate([moved[a].reshape(-1, moved[a].shape[-1]) for a, _ in pairs])
     h = h * np.sqrt(h.size / h.shape[1]) / linalg.norm(h)  # one noise sd per sample
     factor = linalg.cho_factor(h.T @ h + np.eye(h.shape[1]))
@@ -66,6 +72,16 @@ def swap_probability(
             drawn.append(sign * np.where(take, m, d))
         hits += statistic(drawn) >= observed
     return (hits + 1) / (DRAWS + 1)
+
+
+def _shares(mean: Array, half: Array, label: NDArray[np.int64]) -> Array:
+    """Factor of each sample, (num_samples, 1), that no block is above ``LOUDEST``.
+
+    The same for mean and half-difference: under noise alone they stay exchangeable.
+    """
+    square = (mean**2 + half**2).mean(1)
+    rms = np.sqrt(np.bincount(label, square) / np.bincount(label))
+    return np.asarray(LOUDEST / np.maximum(rms, LOUDEST))[label][:, None]
 
 
 def _pairs(runs: tuple[Run, ...]) -> list[tuple[int, int]]:

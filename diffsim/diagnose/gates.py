@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from diffsim.data.study import Study
 from diffsim.diagnose.noise import UNREPEATABLE
@@ -101,17 +101,21 @@ def _separate_gate(study: Study) -> GateResult:
     return GateResult("separate_runs", not pairs, len(pairs), 0, note, applies=others > 0)
 
 
-def numerics_changes(problem: Problem, at: Linearization) -> dict[str, Array]:
+def numerics_changes(
+    problem: Problem, at: Linearization, names: Iterable[str] = tuple(REFINEMENTS)
+) -> dict[str, Array]:
     """(N,) change of the record by refining each setting; zero where the model has no such one.
 
     Args:
         problem: Fitting problem whose runs are simulated again.
         at: Record with the settings in use, and where.
+        names: Settings that are refined, one at a time.
     """
     here = problem.numerics or Numerics()
     return {
-        name: record_at(replace(problem, numerics=here.refined(finer)), at.x) - at.record
-        for name, finer in REFINEMENTS.items()
+        name: record_at(replace(problem, numerics=here.refined(REFINEMENTS[name])), at.x)
+        - at.record
+        for name in names
     }
 
 
@@ -187,7 +191,7 @@ def repeatability_gate(fit: Fit) -> list[GateResult]:
             continue
         total = sum(float(((g - g.mean()) ** 2).sum()) for g in repeats)
         ratio = float(np.sqrt(total / freedom))
-        passed = ratio <= UNREPEATABLE or float(chi2.sf(total, freedom)) > SCATTER_CHANCE
+        passed = ratio <= UNREPEATABLE or float(chdtrc(freedom, total)) > SCATTER_CHANCE
         note = f"scatter of {stem} between repeats over what its prior allows"
         out.append(GateResult(f"{REPEATS}{stem}", passed, ratio, UNREPEATABLE, note))
     return out

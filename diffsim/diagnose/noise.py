@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import linalg, sparse
 from scipy.ndimage import median_filter
 
+from diffsim.data.rounding import rounding_sd
 from diffsim.data.signal import noise_std
 from diffsim.data.study import Channel, Run
 
@@ -66,7 +67,7 @@ class NoiseFloor:
     Attributes:
         whitener: Transformation that makes residuals white with standard deviation one.
         sd: Standard deviation of the noise, (num_channels,) [unit of the channel].
-        source: "repeats", "stated sd" or "second differences", by channel.
+        source: "repeats", "stated sd", "second differences" or "rounding", by channel.
         scatter_ratio: Scatter of repeats over the stated sensor noise, (num_channels,); NaN where
             either is missing: repeatability cannot be judged then.
     """
@@ -86,6 +87,8 @@ def noise_floor(
     runs: Sequence[Run], channels: Sequence[Channel], left: Mapping[str, Array]
 ) -> NoiseFloor:
     """Noise from repeats, else from the stated sd, else from second differences.
+
+    It is at least what rounding does to the readings, whose repeats may be equal to the last digit.
 
     Args:
         runs: Runs to be fitted.
@@ -115,6 +118,9 @@ def noise_floor(
             sd.append(float(np.median([noise_std(r.measured[:, c]) for r in runs])))
             source.append("second differences")
             coefficients.append(np.zeros(0))
+        rounding = rounding_sd(np.concatenate([r.measured[:, c] for r in runs]))
+        if rounding > sd[-1]:
+            sd[-1], source[-1], coefficients[-1] = rounding, "rounding", np.zeros(0)
         if not sd[-1] > 0.0:
             raise ValueError(
                 f"channel {channel.name} has no noise (sd {sd[-1]:g} {channel.unit}); state its sd"

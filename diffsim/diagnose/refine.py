@@ -86,16 +86,24 @@ def _refined(
     """
     problem, x, paid = null.fit.problem, null.at.x, 1.0
     numerics = problem.numerics or Numerics()
-    while failing := _failing(gates):
-        finer = numerics
+    dear: set[str] = set()  # beyond the budget: what is left of it goes to the others
+    while failing := [name for name in _failing(gates) if name not in dear]:
+        record = None
         for name in failing:
-            finer = finer.refined(REFINEMENTS[name])
-        record, seconds = _timed(replace(problem, numerics=finer), x)
-        if seconds > null.case.settings.refine_budget * once:
+            finer = numerics.refined(REFINEMENTS[name])
+            tried, seconds = _timed(replace(problem, numerics=finer), x)
+            if seconds > null.case.settings.refine_budget * once:
+                dear.add(name)
+            else:
+                numerics, paid, record = finer, seconds / once, tried
+        if record is None:
             break
-        numerics, paid = finer, seconds / once
         there = Linearization(x, record, (), np.zeros((len(record), 0)))
-        changes = numerics_changes(replace(problem, numerics=numerics), there)
+        # what passed is checked again at the next fit
+        changes = {
+            **changes,
+            **numerics_changes(replace(problem, numerics=numerics), there, failing),
+        }
         gates = tuple(numerics_gate(null.fit, changes))
     return numerics, changes, gates, paid
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.errors import DiffsimError
+from diffsim.data.study import Run
 from diffsim.diagnose.optimum import optimum
 from diffsim.identify import Problem
 from diffsim.identify.effect import Effect
@@ -107,7 +108,7 @@ def scan(wide: Problem, own: Sequence[int], center: Linearization, group: Sequen
     narrow = _narrow(wide, coordinates)
     points = np.tile(center.x, (len(tried), 1))
     points[:, columns] = tried
-    records = records_at(narrow, points[:, coordinates])
+    records = records_for(narrow, points[:, coordinates], center.record)
     rest = [c for c in own if c not in columns]
     costs = _costs(wide, center, rest, records, points[:, columns])
     here = _costs(wide, center, rest, center.record[None], np.zeros((1, len(columns))))[0]
@@ -144,7 +145,7 @@ def _combined(effects: Sequence[Effect]) -> Array:
 
 def _tried(effect: Effect, is_coarse: bool) -> list[Array]:
     """Coordinates of one effect: each component alone, of both signs where it may have them."""
-    times = np.array(COARSE_TIMES if is_coarse else TIMES)
+    times = np.array(effect.tries or (COARSE_TIMES if is_coarse else TIMES))
     signs = (1.0, -1.0) if effect.signed else (1.0,)
     count = len(effect.components)
     values = [coordinate_of(s * times / PRIOR_WIDTH) for s in signs]
@@ -155,6 +156,42 @@ def _narrow(wide: Problem, coordinates: Sequence[int]) -> Problem:
     inside = set(coordinates)
     return replace(
         wide, effects=tuple(e for e in wide.effects if set(wide.columns_of(e)) <= inside)
+    )
+
+
+def records_for(narrow: Problem, points: Array, here: Array) -> Array:
+    """Records at points, (K, N); of runs with one command only the first is simulated.
+
+    A repeat is taken to move as the first does, and to differ from it as at the center: its own
+    gain or offset is small, and a scan only finds where fits start.
+
+    Args:
+        narrow: Problem of the coordinates that are moved.
+        points: Standardized coordinates, (K, n).
+        here: Record at the center, (N,).
+    """
+    runs = narrow.runs
+    stands_for = [next(j for j, r in enumerate(runs) if _repeats(run, r)) for run in runs]
+    kept = sorted(set(stands_for))
+    made = records_at(replace(narrow, runs=tuple(runs[j] for j in kept)), points)
+    ends = np.cumsum([runs[j].measured.size for j in kept])[:-1]
+    parts = dict(zip(kept, np.split(made, ends, axis=1), strict=True))
+    own = np.split(here, np.cumsum([run.measured.size for run in runs])[:-1])
+    moved = [parts[j] + (own[i] - own[j]) for i, j in enumerate(stands_for)]
+    return np.concatenate(moved, axis=1)
+
+
+def _repeats(run: Run, first: Run) -> bool:
+    """Whether a run has the samples, the set-up and the command of another."""
+    if run is first:
+        return True
+    if run.measured.shape != first.measured.shape or run.setup != first.setup:
+        return False
+    return (
+        run.group == first.group
+        and run.command.keys() == first.command.keys()
+        and np.array_equal(run.time_s - run.time_s[0], first.time_s - first.time_s[0])
+        and all(np.array_equal(u, first.command[name]) for name, u in run.command.items())
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from diffsim.identify import Fit
 
@@ -45,7 +45,7 @@ def ljung_box(fit: Fit, lags: int = LAGS) -> Array:
             if count:
                 statistic[c] += _statistic(own, count)
                 freedom[c] += count
-    return np.where(freedom > 0, stats.chi2.sf(statistic, np.maximum(freedom, 1)), np.nan)
+    return np.where(freedom > 0, special.chdtrc(np.maximum(freedom, 1), statistic), np.nan)
 
 
 def _statistic(x: Array, lags: int) -> float:

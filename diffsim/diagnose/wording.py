@@ -267,7 +267,7 @@ def _first(answer: Answer) -> str:
     return (
         "The numerical settings move the record by "
         + ", ".join(f"{g.value:.1f} noise sd ({g.name})" for g in failed)
-        + ": refine them before any physics is blamed."
+        + ": state finer ones in the model, or go on as they are with --accept-numerics."
     )
 
 

@@ -43,9 +43,10 @@ class Effect:
             size stands for the derivative, and sizes over decades are tried before a fit.
         scanned: Whether its size is scanned over decades before a descent although it is smooth: a
             descent from zero may end in another valley. Effects with a kink always are.
+        tries: Multiples of the typical size that a scan tries; empty: over decades.
         masks: Names of effects that hide this one, or are hidden by it, such as slack and a rate
-            limit: their sizes are tried together, and they enter sets as a pair. "slew_time" stands
-            for "slew_time_force" too.
+            limit: their sizes are tried together, and they enter sets as a pair. "rate_limit"
+            stands for "rate_limit_of_force" too.
         also_looks_like: Physical causes and other forms that data may not distinguish from it.
         words: Function of a size that says it in plain words where its number would not be
             understood, such as "a speed limit near 100 mm/s"; None: name and size.
@@ -63,6 +64,7 @@ class Effect:
     components: tuple[str, ...] = ("size",)
     smooth: bool = True
     scanned: bool = False
+    tries: tuple[float, ...] = ()
     masks: tuple[str, ...] = ()
     also_looks_like: tuple[str, ...] = ()
     words: Callable[[float], str] | None = None

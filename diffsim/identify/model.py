@@ -67,6 +67,29 @@ class Parameter:
         return (value - self.value) / self.sd
 
 
+class BaseValues:
+    """Values of many base parameters at once: those without a logarithm in a few vector operations.
+
+    Args:
+        base: The base parameters, in the order of the coordinates.
+    """
+
+    def __init__(self, base: Sequence[Parameter]):
+        self.base = tuple(base)
+        self._linear = [i for i, p in enumerate(base) if not p.log]
+        rows = [(p.value, p.sd, p.lower, p.upper) for p in base if not p.log]
+        table = torch.tensor(rows, dtype=torch.float64).reshape(-1, 4)
+        self._value, self._sd, self._lower, self._upper = table.unbind(-1)
+
+    def at(self, q: Tensor) -> dict[str, Tensor]:
+        """Values [unit] by name, (...) each, at standardized coordinates (..., num_base)."""
+        raw = (self._value + self._sd * q[..., self._linear]).clamp(self._lower, self._upper)
+        found = dict(zip(self._linear, raw.unbind(-1), strict=True))
+        return {
+            p.name: p.value_at(q[..., i]) if p.log else found[i] for i, p in enumerate(self.base)
+        }
+
+
 class Scene(Protocol):
     """One run, ready to be simulated; systems add the hooks that their effects use."""
 
@@ -120,6 +143,7 @@ class SimModel:
         if repeated := {n for n in names if names.count(n) > 1}:
             raise ValueError(f"base parameters repeat: {sorted(repeated)}")
         self.build, self.base, self.name, self.batched = build, tuple(base), name, batched
+        self.values = BaseValues(self.base)
         self.simulations = Tally()
 
     def predict(
@@ -184,8 +208,7 @@ class SimModel:
     ) -> Scene:
         """The run at one point, ready to be simulated; arguments as for ``predict``. Numerical
         effects act on predictions, in no scene."""
-        values = {p.name: p.value_at(q[..., i]) for i, p in enumerate(self.base)}
-        scene = self.build(values, run, Numerics() if numerics is None else numerics)
+        scene = self.build(self.values.at(q), run, Numerics() if numerics is None else numerics)
         for effect, size in _parted(sizes)[0].items():
             scene = effect.apply(scene, size, run)
         return scene

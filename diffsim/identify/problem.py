@@ -170,8 +170,11 @@ class Problem:
         Raises:
             PredictionError: values of base parameters or sizes that are not finite.
         """
-        values = {p.name: p.value_at(q[..., i]) for i, p in enumerate(self.model.base)}
+        values = self.model.values.at(q)
         every = {**values, **{effect.name: size for effect, size in sizes.items()}}
+        parts = [*values.values(), *(size.flatten() for size in sizes.values())]
+        if not parts or bool(torch.isfinite(torch.cat([p.reshape(-1) for p in parts])).all()):
+            return
         bad = [name for name, value in every.items() if not bool(torch.isfinite(value).all())]
         if bad:
             raise PredictionError(f"run {run.name}: {', '.join(bad)} left the range of numbers")
@@ -266,7 +269,7 @@ class Problem:
         names = self.names
 
         def one(run: Run) -> tuple[Array, Array]:
-            idx = [i for i in range(len(x)) if _touches(names[i], run)]
+            idx = [i for i in range(len(x)) if touches(names[i], run)]
             idx = [i for i in idx if only is None or i in only]
             here, columns = self.jacobian.columns(
                 lambda points: self._predict_scaled(run, points),
@@ -353,7 +356,7 @@ def effect_coordinates(effects: Sequence[Effect]) -> tuple[str, ...]:
     )
 
 
-def _touches(name: str, run: Run) -> bool:
+def touches(name: str, run: Run) -> bool:
     """Whether a coordinate acts in a run: "offset@run_3" acts in run_3 only, "drag[frame=A]" where
     the run's setup says so."""
     if name.endswith("]") and "=" in name:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
+from diffsim.core.custom_op import custom_op
 from diffsim.core.layer import make_first_order, make_layer
 
 GAP_TOLERANCE = 1e-15
@@ -30,7 +31,7 @@ def _matrices(name: str, value: Tensor) -> tuple[Tensor, int]:
     return _check(name, value, value.shape), value.numel() // 9
 
 
-@torch.library.custom_op("diffsim::svd3", mutates_args=())
+@custom_op("diffsim::svd3")
 def svd3(F: Tensor, num_threads: int) -> tuple[Tensor, Tensor, Tensor]:
     """U (..., 3, 3), s (..., 3), V (..., 3, 3) of F (..., 3, 3)."""
     F, n = _matrices("F", F)
@@ -45,7 +46,7 @@ def _(F: Tensor, num_threads: int) -> tuple[Tensor, Tensor, Tensor]:
     return F.new_empty(F.shape), F.new_empty(F.shape[:-1]), F.new_empty(F.shape)
 
 
-@torch.library.custom_op("diffsim::svd3_vjp", mutates_args=())
+@custom_op("diffsim::svd3_vjp")
 def svd3_vjp(
     U: Tensor,
     s: Tensor,
@@ -85,7 +86,7 @@ def _(
     return U.new_empty(U.shape)
 
 
-@torch.library.custom_op("diffsim::polar3", mutates_args=())
+@custom_op("diffsim::polar3")
 def polar3(F: Tensor, num_threads: int) -> Tensor:
     """The rotations (..., 3, 3) nearest to F (..., 3, 3)."""
     F, n = _matrices("F", F)
@@ -99,7 +100,7 @@ def _(F: Tensor, num_threads: int) -> Tensor:
     return F.new_empty(F.shape)
 
 
-@torch.library.custom_op("diffsim::polar3_vjp", mutates_args=())
+@custom_op("diffsim::polar3_vjp")
 def polar3_vjp(F: Tensor, R: Tensor, grad_R: Tensor, num_threads: int) -> Tensor:
     """dL/dF (..., 3, 3) from F, R = polar3(F) and dL/dR."""
     F, n = _matrices("F", F)

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
+from diffsim.core.custom_op import custom_op
 from diffsim.core.layer import make_first_order, make_layer
 
 _PROBLEM = (
@@ -29,7 +30,7 @@ def _by_name(
     return dict(zip(names, args, strict=False)) | named
 
 
-@torch.library.custom_op("diffsim::ode_integrate", mutates_args=())
+@custom_op("diffsim::ode_integrate")
 def ode_integrate(
     rate_code: Tensor,
     reading_code: Tensor,
@@ -75,7 +76,7 @@ def _(*args: Any, **named: Any) -> tuple[Tensor, Tensor]:
     )
 
 
-@torch.library.custom_op("diffsim::ode_integrate_vjp", mutates_args=())
+@custom_op("diffsim::ode_integrate_vjp")
 def ode_integrate_vjp(
     rate_code: Tensor,
     reading_code: Tensor,
@@ -130,7 +131,7 @@ def _(*args: Any, **named: Any) -> tuple[Tensor, Tensor, Tensor]:
     )
 
 
-@torch.library.custom_op("diffsim::ode_integrate_jvp", mutates_args=())
+@custom_op("diffsim::ode_integrate_jvp")
 def ode_integrate_jvp(
     rate_code: Tensor,
     reading_code: Tensor,

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
+from diffsim.core.custom_op import custom_op
 from diffsim.core.layer import make_first_order, make_layer
 from diffsim.soft._arrays import ContactArrays, StepArrays, require_array
 from diffsim.soft._context import (
@@ -45,7 +46,7 @@ def _require_contacts(
     return arrays
 
 
-@torch.library.custom_op("diffsim::contact_step", mutates_args=())
+@custom_op("diffsim::contact_step")
 def contact_step(
     inputs: list[Tensor],
     contacts: list[Tensor],
@@ -111,7 +112,7 @@ def _(inputs, contacts, nodes, **_options):
     )
 
 
-@torch.library.custom_op("diffsim::contact_step_vjp", mutates_args=())
+@custom_op("diffsim::contact_step_vjp")
 def contact_step_vjp(
     grad_x: Tensor,
     grad_force: Tensor,
@@ -198,7 +199,7 @@ def _backward(ctx, grad_x, grad_force, _grad_status, _grad_stats):
     )
 
 
-@torch.library.custom_op("diffsim::contact_step_jvp", mutates_args=())
+@custom_op("diffsim::contact_step_jvp")
 def contact_step_jvp(
     x: Tensor,
     status: Tensor,

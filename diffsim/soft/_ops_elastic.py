@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
+from diffsim.core.custom_op import custom_op
 from diffsim.core.layer import make_first_order, make_layer
 from diffsim.soft._arrays import EnergyArrays, require_array
 from diffsim.soft._context import SoftContext, context, require_upright, soft_addresses
@@ -23,7 +24,7 @@ def _require(ctx: SoftContext, inputs: list[Tensor], **nodal: Tensor) -> EnergyA
     return arrays
 
 
-@torch.library.custom_op("diffsim::elastic_gradient", mutates_args=())
+@custom_op("diffsim::elastic_gradient")
 def elastic_gradient(
     x: Tensor, inputs: list[Tensor], *, handle: int, num_threads: int
 ) -> tuple[Tensor, Tensor]:
@@ -53,7 +54,7 @@ def _(x, inputs, **_options):
     return torch.empty_like(x), x.new_empty(x.shape[0])
 
 
-@torch.library.custom_op("diffsim::elastic_gradient_vjp", mutates_args=())
+@custom_op("diffsim::elastic_gradient_vjp")
 def elastic_gradient_vjp(
     z: Tensor, x: Tensor, inputs: list[Tensor], *, handle: int, num_threads: int
 ) -> list[Tensor]:
@@ -99,7 +100,7 @@ def _elastic_backward(ctx, grad_gradient, grad_energy):
     return g_x, EnergyArrays.all_gradients(others)
 
 
-@torch.library.custom_op("diffsim::elastic_gradient_jvp", mutates_args=())
+@custom_op("diffsim::elastic_gradient_jvp")
 def elastic_gradient_jvp(
     x: Tensor,
     inputs: list[Tensor],

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
+from diffsim.core.custom_op import custom_op
 from diffsim.core.errors import ConvergenceError, ConvergenceWarning
 from diffsim.core.layer import make_first_order, make_layer
 from diffsim.soft._arrays import StepArrays, require_array
@@ -86,7 +87,7 @@ def new_stats(batch: int) -> Tensor:
     return torch.zeros(batch, len(STATS), dtype=torch.float64)
 
 
-@torch.library.custom_op("diffsim::soft_step", mutates_args=())
+@custom_op("diffsim::soft_step")
 def soft_step(
     inputs: list[Tensor],
     *,
@@ -134,7 +135,7 @@ def _(inputs, **_options):
     return torch.empty_like(y), y.new_empty(y.shape[0], len(STATS))
 
 
-@torch.library.custom_op("diffsim::soft_step_vjp", mutates_args=())
+@custom_op("diffsim::soft_step_vjp")
 def soft_step_vjp(
     grad_x: Tensor,
     x: Tensor,
@@ -246,7 +247,7 @@ def step_tangents(
     return dx
 
 
-@torch.library.custom_op("diffsim::soft_step_jvp", mutates_args=())
+@custom_op("diffsim::soft_step_jvp")
 def soft_step_jvp(
     x: Tensor,
     inputs: list[Tensor],

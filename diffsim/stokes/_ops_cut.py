@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
+from diffsim.core.custom_op import custom_op
 from diffsim.core.layer import make_first_order, make_layer
 
 
@@ -21,7 +22,7 @@ def _grid(cells: list[int], spacing: list[float], phi: Tensor) -> object:
     return core.make_grid_shape(tuple(cells), tuple(spacing))
 
 
-@torch.library.custom_op("diffsim::stokes_cut_cells", mutates_args=())
+@custom_op("diffsim::stokes_cut_cells")
 def cut_cells(
     phi: Tensor, cells: list[int], spacing: list[float], num_threads: int
 ) -> tuple[Tensor, Tensor, Tensor]:
@@ -46,7 +47,7 @@ def _(phi, cells, spacing, num_threads):
     return phi.new_empty(count), phi.new_empty(count), phi.new_empty(count, len(cells))
 
 
-@torch.library.custom_op("diffsim::stokes_cut_cells_vjp", mutates_args=())
+@custom_op("diffsim::stokes_cut_cells_vjp")
 def cut_cells_vjp(
     grad_volume: Tensor,
     grad_area: Tensor,
@@ -105,7 +106,7 @@ cut_cells_vjp_layer = make_first_order(cut_cells_vjp)
 cut_cells_layer = make_layer(cut_cells, setup=_cut_setup, backward=_cut_backward)
 
 
-@torch.library.custom_op("diffsim::stokes_plane_flux", mutates_args=())
+@custom_op("diffsim::stokes_plane_flux")
 def plane_flux(
     phi: Tensor, velocity: Tensor, cells: list[int], spacing: list[float], axis: int, index: int
 ) -> Tensor:
@@ -133,7 +134,7 @@ def _(phi, velocity, *args):
     return phi.new_empty(velocity.shape[0])
 
 
-@torch.library.custom_op("diffsim::stokes_plane_flux_vjp", mutates_args=())
+@custom_op("diffsim::stokes_plane_flux_vjp")
 def plane_flux_vjp(
     grad_flux: Tensor,
     phi: Tensor,

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
+from diffsim.core.custom_op import custom_op
 from diffsim.core.errors import ConvergenceError, ConvergenceWarning
 from diffsim.core.layer import make_first_order, make_layer
 from diffsim.stokes._systems import StokesContext, context
@@ -77,7 +78,7 @@ def solve(inputs: FlowInputs, *, handle: int, num_threads: int, on_failure: str)
     )
 
 
-@torch.library.custom_op("diffsim::stokes_flow", mutates_args=())
+@custom_op("diffsim::stokes_flow")
 def stokes_flow(
     phi: Tensor,
     viscosity: Tensor,
@@ -131,7 +132,7 @@ def _(phi, viscosity, prescribed, wall_velocity, body_force, traction, handle, *
     )
 
 
-@torch.library.custom_op("diffsim::stokes_flow_vjp", mutates_args=())
+@custom_op("diffsim::stokes_flow_vjp")
 def stokes_flow_vjp(
     grad_velocity: Tensor,
     grad_pressure: Tensor,

@@ -1,15 +1,23 @@
-"""Causes between a command and the actuators, for every system whose scenes have a command."""
+"""Causes between a command and the actuators: the one home of them, whatever the system.
+
+A cause is an effect and a map of signals (``diffsim.systems.grid``). Systems whose scenes have
+``with_command`` take the effects as they are; others bind the maps to their own inputs.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from typing import Any, Protocol
 
 from torch import Tensor
 
+from diffsim.core.units import factor
 from diffsim.data.study import Run, Study
-from diffsim.identify.effect import Effect
-from diffsim.systems import signals
+from diffsim.identify.effect import Apply, Effect
+from diffsim.systems import grid as signals
+from diffsim.systems.grid import Grid, SizedMap, on_columns
 
 
 class Commanded(Protocol):
@@ -27,120 +35,198 @@ def needs_command(study: Study) -> str | None:
     return None
 
 
-def _lag(scene: Commanded, size: Tensor, run: Run) -> Any:
-    return scene.with_command(lambda u, dt: signals.lagged(u, dt, size[0]))
+def on_command(change: SizedMap) -> Apply:
+    """An effect's ``apply`` that maps the command of a scene."""
+    return partial(_commanded, change=change)
 
 
-def _command_delay(scene: Commanded, size: Tensor, run: Run) -> Any:
-    return scene.with_command(lambda u, dt: signals.delayed(u, dt, size[0]))
+def _commanded(scene: Commanded, size: Tensor, run: Run, *, change: SizedMap) -> Any:
+    return scene.with_command(lambda u, dt: on_columns(change, u, dt, size[..., 0]))
 
 
-def _held_lag(scene: Commanded, size: Tensor, run: Run) -> Any:
-    return scene.with_command(lambda u, dt: signals.held_lagged(u, dt, size[..., 0]))
+def scaled(u: Tensor, grid: Grid, size: Tensor) -> Tensor:
+    """(1 + size) times the signal."""
+    return u * (1.0 + size[..., None])
 
 
-def _held_delay(scene: Commanded, size: Tensor, run: Run) -> Any:
-    return scene.with_command(lambda u, dt: signals.held_delayed(u, dt, size[..., 0]))
+def shifted(u: Tensor, grid: Grid, size: Tensor) -> Tensor:
+    """The signal and size."""
+    return u + size[..., None]
 
 
-def _dead_band(scene: Commanded, size: Tensor, run: Run) -> Any:
-    return scene.with_command(lambda u, dt: signals.dead_band(u, size[0]))
+def _steepened(u: Tensor, grid: Grid, size: Tensor) -> Tensor:
+    return u * (1.0 + size[..., None] * u.abs())
 
 
-def backlash(scene: Commanded, size: Tensor, run: Run) -> Any:
-    """Play of the command, half its width on either side."""
-    return scene.with_command(lambda u, dt: signals.backlash(u, size[0]))
+def _cut(u: Tensor, grid: Grid, loss: Tensor, *, most: float) -> Tensor:
+    limit = ((1.0 - loss) * most).clamp(min=0.0)[..., None]
+    return signals.limited(u, -limit, limit)
 
 
-def _saturation(scene: Commanded, size: Tensor, run: Run) -> Any:
-    return scene.with_command(lambda u, dt: signals.saturated(u, size[0], u[0].detach()))
+def _cut_from_start(u: Tensor, grid: Grid, loss: Tensor) -> Tensor:
+    start = u[..., :1].detach()
+    limit = (1.0 - loss[..., None]) * (u - start).detach().abs().amax(-1, keepdim=True)
+    return start + signals.limited(u - start, -limit, limit)
 
 
-LAG = Effect(
+_TIMING = Effect(
+    name="",
+    family="timing",
+    kind="actuator",
+    unit="s",
+    typical=0.02,
+    needs=needs_command,
+    apply=on_command(lambda u, grid, size: u),
+)
+LAG = replace(
+    _TIMING,
     name="lag",
     form="First-order lag with the time constant size.",
-    family="timing",
-    kind="actuator",
-    unit="s",
     typical=0.03,
     signed=False,
     also_looks_like=("delay at low frequency", "low-pass filter of a driver", "tube compliance"),
-    needs=needs_command,
-    apply=_lag,
+    apply=on_command(signals.lagged),
 )
-COMMAND_DELAY = Effect(
+HELD_LAG = replace(LAG, apply=on_command(signals.held_lagged))
+COMMAND_DELAY = replace(
+    _TIMING,
     name="delay",
     form="The actuators hear the command size later.",
-    family="timing",
-    kind="actuator",
-    unit="s",
-    typical=0.02,
     also_looks_like=("offset of the recorder's clock, exactly", "lag at low frequency"),
-    needs=needs_command,
-    apply=_command_delay,
+    apply=on_command(signals.smoothly_delayed),
 )
-HELD_LAG = Effect(
-    name="lag",
-    form="First-order lag with the time constant size, of a command that is held over each step.",
-    family="timing",
-    kind="actuator",
-    unit="s",
-    typical=0.03,
+HELD_DELAY = replace(
+    COMMAND_DELAY,
     signed=False,
-    also_looks_like=("delay at low frequency", "low-pass filter of a driver", "tube compliance"),
-    needs=needs_command,
-    apply=_held_lag,
+    apply=on_command(partial(signals.held_delayed, signed=False)),
 )
-HELD_DELAY = Effect(
-    name="delay",
-    form="The actuators hear the command, held over each step, size later.",
-    family="timing",
-    kind="actuator",
-    unit="s",
-    typical=0.02,
+RATE_LIMIT = replace(
+    _TIMING,
+    name="rate_limit",
+    form="The actuator moves no faster than 1 / size.",
+    unit="s/command",
+    typical=1.0,
     signed=False,
-    also_looks_like=("offset of the recorder's clock, exactly", "lag at low frequency"),
-    needs=needs_command,
-    apply=_held_delay,
+    smooth=False,
+    masks=("slack", "lag"),
+    also_looks_like=("lag, at one amplitude", "weak battery", "a motor at its limit"),
+    apply=on_command(signals.slowed),
 )
-DEAD_BAND = Effect(
+DEAD_BAND = replace(
+    _TIMING,
     name="dead_band",
     form="Nothing happens until the command exceeds size, then it acts less size.",
     family="shape",
-    kind="actuator",
     unit="command",
     typical=0.01,
     signed=False,
     smooth=False,
     also_looks_like=("slack of a tendon", "backlash at one amplitude"),
-    needs=needs_command,
-    apply=_dead_band,
+    apply=on_command(signals.dead_band),
 )
-BACKLASH = Effect(
+SLACK = replace(
+    DEAD_BAND,
+    name="slack",
+    form="Nothing is pulled until the command exceeds size, then that much less.",
+    masks=("rate_limit", "lag"),
+    also_looks_like=("a tendon that is too long", "dead band of a valve", "zero of the command"),
+    apply=on_command(signals.slack),
+)
+BACKLASH = replace(
+    DEAD_BAND,
     name="backlash",
     form="Play: the actuator rests after each reversal until the command has moved by 2 size.",
-    family="shape",
-    kind="actuator",
-    unit="command",
-    typical=0.01,
-    signed=False,
-    smooth=False,
     also_looks_like=("friction of a tendon in its sheath", "gear play"),
-    needs=needs_command,
-    apply=backlash,
+    apply=on_command(signals.with_play),
 )
-SATURATION = Effect(
+SATURATION = replace(
+    DEAD_BAND,
     name="saturation",
     form="The command is limited to (1 - size) of its greatest departure from its first value.",
-    family="shape",
-    kind="actuator",
     unit="-",
     typical=0.2,
-    signed=False,
-    smooth=False,
     also_looks_like=("gain, if the command has one level", "stiffening"),
-    needs=needs_command,
-    apply=_saturation,
+    apply=on_command(_cut_from_start),
+)
+COMMAND_GAIN = replace(
+    _TIMING,
+    name="command_gain",
+    form="The actuators move (1 + size) times as far, or push as hard, as commanded.",
+    family="gain",
+    unit="-",
+    typical=0.1,
+    also_looks_like=("inertia and stiffness", "radius of a pulley", "scale of the sensors"),
+    apply=on_command(scaled),
+)
+GAIN_SLOPE = replace(
+    COMMAND_GAIN,
+    name="gain_slope",
+    form="The command does 1 + size |command| times as much: more at large amplitude.",
+    family="shape",
+    unit="1/command",
+    also_looks_like=("softening", "saturation, if negative"),
+    apply=on_command(_steepened),
+)
+COMMAND_OFFSET = replace(
+    COMMAND_GAIN,
+    name="command_offset",
+    form="The actuators get size more than the command.",
+    family="constant",
+    unit="command",
+    also_looks_like=("constant force", "a tilted base", "offset of the sensor"),
+    apply=on_command(shifted),
 )
 
 ACTUATOR: tuple[Effect, ...] = (LAG, DEAD_BAND, BACKLASH, SATURATION)
+
+
+def in_words(effect: Effect, unit: str, shown: str | None = None) -> Effect:
+    """A cause that says its size in the command's unit, if it is a limit of the rate or a slack.
+
+    Args:
+        effect: One of this file's.
+        unit: Unit of the command.
+        shown: Unit in which a user reads it; None: ``unit``.
+    """
+    times = 1.0 if shown is None else factor(unit, shown)
+    said = shown or unit.replace("-", "of the command")
+    limit = "speed" if unit in ("m", "rad", "-") else "rate"
+    if effect.name == "rate_limit":
+        return replace(
+            effect,
+            words=lambda s: f"a {limit} limit near {times / s:.3g} {said}/s" if s else "none",
+        )
+    if effect.name == "slack":
+        return replace(effect, words=lambda s: f"{times * s:.2g} {said} of slack")
+    return effect
+
+
+def command_causes(
+    reach: float, share: float, *, held: bool, one_sided: bool
+) -> list[tuple[Effect, SizedMap]]:
+    """Causes on the way of commands that go the same way, each with its map.
+
+    Args:
+        reach: Greatest magnitude of the commands.
+        share: Of it, that a slack, a play or an offset may be without surprise.
+        held: Commands are held from sample to sample; else straight lines join the samples.
+        one_sided: No command is ever below zero: then a dead band is slack.
+    """
+    size = share * reach
+    lagged = signals.held_lagged if held else signals.lagged
+    delayed = signals.held_delayed if held else signals.delayed
+    limit = f"The command is limited to (1 - size) times {reach:.4g}, the largest."
+    found: list[tuple[Effect, SizedMap]] = [
+        (LAG, lagged),
+        (COMMAND_DELAY, delayed),
+        (COMMAND_GAIN, scaled),
+        (replace(GAIN_SLOPE, typical=0.2 / reach), _steepened),
+        (replace(COMMAND_OFFSET, typical=size), shifted),
+        (replace(BACKLASH, typical=size), signals.with_play),
+        (replace(SLACK, typical=size, masks=("rate_limit",)), signals.slack),
+        (replace(SATURATION, form=limit), partial(_cut, most=reach)),
+        (replace(RATE_LIMIT, typical=0.1 / reach, masks=()), signals.slowed),
+    ]
+    if not one_sided:
+        found.insert(5, (replace(DEAD_BAND, typical=size), signals.dead_band))
+    return found

@@ -197,6 +197,23 @@ class BaseParameters:
         }
 
 
+def fact_in(run: Run, name: str, unit: str) -> float:
+    """A fact of a run in a unit, 0 where the run does not state it; "5 g" is read in kg, too.
+
+    Args:
+        run: Run whose ``setup`` has it.
+        name: Name of the fact.
+        unit: SI unit that it is wanted in.
+
+    Raises:
+        ValueError: the fact is no number, or one of another quantity.
+    """
+    try:
+        return in_unit(run.setup.get(name, 0.0), unit)
+    except ValueError as error:
+        raise ValueError(f"run {run.name}: setup.{name}: {error}") from None
+
+
 def chosen_effects(library: Sequence[Effect], choice: EffectChoice) -> tuple[Effect, ...]:
     """Effects of a library as a description chooses them.
 
@@ -205,9 +222,13 @@ def chosen_effects(library: Sequence[Effect], choice: EffectChoice) -> tuple[Eff
         choice: The description's ``effects``.
 
     Raises:
-        ValueError: a name that the library does not have.
+        ValueError: a name that the library does not have, or has twice.
     """
     known = [e.name for e in library]
+    if repeated := sorted({name for name in known if known.count(name) > 1}):
+        raise ValueError(
+            f"effects.own: there is a cause {repeated[0]!r} already; give yours another name"
+        )
     for key, names in (("only", choice.only), ("without", choice.without)):
         for name in names:
             _require_known(f"effects.{key}", name, known)
@@ -250,6 +271,7 @@ __all__ = [
     "Part",
     "Quantity",
     "chosen_effects",
+    "fact_in",
     "number",
     "quantity",
     "settings_with",

@@ -47,6 +47,7 @@ DESCRIPTIONS = {
     "ode": ("diffsim.systems.ode.description", "OdeDescription"),
     "outside": ("diffsim.systems.outside.description", "OutsideDescription"),
     "rigid_body": ("diffsim.systems.rigid_body.description", "RigidBodyDescription"),
+    "rod": ("diffsim.systems.rod.description", "RodDescription"),
     "soft_body": ("diffsim.systems.soft_body.description", "SoftBodyDescription"),
 }
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from diffsim.core.units import factor
 from diffsim.data.study import Channel
@@ -169,7 +169,7 @@ def residual_views(
             row=1, col=column,
         )  # fmt: skip
     count = 2 * len(runs) * len(channels)
-    low, high = stats.chi2.ppf([0.025, 0.975], count) / count
+    low, high = special.chdtri(count, [0.975, 0.025]) / count
     figure.add_hrect(
         y0=low, y1=high, fillcolor=LINE, opacity=0.6, line_width=0,
         layer="below", row=2, col=1,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from diffsim.data.study import Channel
 from diffsim.viz.diagnosis_series import (
@@ -186,7 +186,7 @@ def _over_phase(ax: Axes, kinds: Sequence[_Residuals], command: str | None) -> N
 def _over_frequency(ax: Axes, kinds: Sequence[_Residuals]) -> None:
     """Mean periodogram over runs and channels; 1 is white noise, grey its 95 %."""
     count = 2 * sum(left.shape[1] for _, left in kinds[0].runs)
-    low, high = stats.chi2.ppf([0.025, 0.975], count) / count
+    low, high = special.chdtri(count, [0.975, 0.025]) / count
     ax.axhspan(low, high, color=LINE, lw=0, alpha=0.7)
     for kind in kinds:
         frequency, power = mean_periodogram([(r.time_s, left) for r, left in kind.runs])

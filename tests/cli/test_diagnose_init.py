@@ -10,6 +10,7 @@ import pytest
 from diffsim import cli
 from diffsim.data import load_study
 from diffsim.data.study_check import TODO
+from diffsim.data.table_guess import column_of
 from diffsim.systems.registry import DESCRIPTIONS
 
 
@@ -157,7 +158,7 @@ def test_one_long_run_is_cut_into_blocks(tmp_path):
     assert [r.use for r in study.runs] == ["fit", "fit", "fit", "select", "fit", "test"]
     assert [c.name for c in study.commands] == ["u"] and [c.name for c in study.channels] == ["y"]
     assert any(sentence.startswith("time.unit: column t states none") for sentence in study.todo)
-    assert any("unit of column y" in sentence for sentence in study.todo)
+    assert "units, which the header does not state: u, y" in study.todo
 
 
 def test_a_row_of_units_and_lines_before_the_header(tmp_path):
@@ -197,3 +198,73 @@ def empty(stated) -> bool:
     """Whether a block is there without anything in it."""
     inner = stated.values() if isinstance(stated, dict) else stated
     return stated is None or (isinstance(stated, (dict, list)) and any(map(empty, inner)))
+
+
+def test_a_camera_slower_than_the_log_and_a_clock_since_1970(tmp_path, capsys):
+    """Rows whose last cell is empty are rows; times are counted from the start of each run."""
+    stamps = [f"{1.7e9 + 0.01 * i:.3f}" for i in range(60)]
+    for name, seed in (("a", 1), ("b", 2)):
+        x = [f"{v:.3f}" if i % 3 == 2 else "" for i, v in enumerate(noisy(seed, 2.0))]
+        write(tmp_path / f"{name}.csv", "stamp,u,cart/x", [stamps, noisy(5), x])
+    assert init(tmp_path) == 0
+    study = load_study(tmp_path)
+    assert [c.name for c in study.channels] == ["cart_x"]
+    assert study.channels[0].sd == pytest.approx(2.0, rel=0.5)  # from what was seen, not rounding
+    assert study.runs[0].time_s[0] == 0.0
+    assert "every run starts at 0 s" in capsys.readouterr().out
+
+
+def test_a_table_of_labels_without_a_clock(tmp_path, capsys):
+    """A thrust stand: propeller and trial divide the table, remarks are said to be unused."""
+    rows = [(p, k, i) for p in ("APC 5x3", "HQ 5x4.5") for k in (1, 2) for i in range(15)]
+    columns = [
+        [p for p, _, _ in rows],
+        [str(k) for _, k, _ in rows],
+        [10.0 * i for *_, i in rows],
+        [1200.0 * i + 7.0 * k for _, k, i in rows],
+        [3.3 * i + n for (*_, i), n in zip(rows, noisy(3), strict=True)],
+        ["" for _ in rows],
+    ]
+    write(tmp_path / "all.csv", "Propeller,Run,Throttle %,rpm,Thrust (gf),Remarks", columns)
+    assert init(tmp_path, "--system", "bench") == 0
+    study = load_study(tmp_path)
+    assert [r.name for r in study.runs] == ["APC 5x3 1", "APC 5x3 2", "HQ 5x4.5 1", "HQ 5x4.5 2"]
+    assert study.runs[0].setup == {"Propeller": "APC 5x3"}
+    assert [(c.name, c.shown_unit) for c in study.commands] == [("Throttle", "%")]
+    assert [(c.name, c.shown_unit) for c in study.channels] == [("rpm", "rpm"), ("Thrust", "gf")]
+    assert "texts and empty columns, not used: Remarks" in capsys.readouterr().out
+
+
+def test_throws_whose_frames_are_counted(tmp_path):
+    """A counter of frames is a clock with seconds for each count, also where frames are missing."""
+    throw = [str(k) for k in (1, 2, 3) for _ in range(20)]
+    frame = [str(start + i + (i > 9)) for start in (5000, 17, 300) for i in range(20)]
+    write(tmp_path / "tracks.csv", "throw,frame,px,py", [throw, frame, noisy(1), noisy(2)])
+    assert init(tmp_path, "--system", "rigid_body") == 0
+    assert "{column: frame, step: 0.01}" in (tmp_path / "study.yaml").read_text()
+    run = load_study(tmp_path).runs[1]
+    assert len(run.time_s) == 20
+    np.testing.assert_allclose(run.time_s[[0, -1]], [0.17, 0.37])
+
+
+@pytest.mark.parametrize(
+    "header, unit",
+    [
+        ("t/min", "min"),
+        ("F/N", "N"),
+        ("Throttle %", "%"),
+        ("gyro deg/s", "deg/s"),
+        ("cart/x", None),
+    ],
+)
+def test_units_as_headers_write_them(header, unit):
+    assert column_of(header).unit == unit
+
+
+def test_motors_look_commanded_and_quaternions_have_no_unit(tmp_path):
+    write(tmp_path / "a.csv", "t_s,m1,m2,qw", [T * 1e-3, noisy(1), noisy(2), noisy(3)])
+    assert init(tmp_path, "--system", "multicopter") == 0
+    study = load_study(tmp_path)
+    assert [c.name for c in study.commands] == ["m1", "m2"]
+    units = [s for s in study.todo if s.startswith("units")]
+    assert units == ["units, which the header does not state: m1, m2"]

@@ -9,8 +9,9 @@ import torch
 from scipy import stats
 
 from diffsim.data.study import Study
-from diffsim.diagnose import Report, diagnose
+from diffsim.diagnose import Report, assemble, diagnose
 from diffsim.diagnose.averaging import _interval, widening
+from diffsim.diagnose.causes import certain_of
 from diffsim.diagnose.data_sheet import words_of
 from diffsim.diagnose.left_out import folds_of
 from diffsim.diagnose.records import CauseRow, ErrorRow
@@ -203,3 +204,38 @@ def test_code_names_become_words():
     assert words_of("sliding_friction") == "sliding friction"
     assert words_of("thrust_exponent[propeller=A]") == "thrust exponent (propeller A)"
     assert words_of("offset@run_3") == "offset of run_3"
+
+
+def test_what_stands_in_for_a_withdrawn_cause_is_not_certain():
+    """The fit runs ask for a cause that the select runs refuse; another one mimics a part of it."""
+    strong = linear.line("strong")
+
+    def mimic(scene, size, run):
+        shape = linear.shapes("mimic", run)[..., 0]
+        if run.use == "fit":
+            shape = 0.6 * linear.shapes("strong", run)[..., 0] + 0.8 * shape
+        return replace(scene, record=scene.record + shape * size)
+
+    weak = replace(linear.line("mimic"), apply=mimic)
+    runs = [recorded(f"r{k}", k, {strong: 1.2}) for k in range(6)]
+    runs += [recorded(f"s{k}", 40 + k, {strong: -0.6, weak: 0.6}, use="select") for k in range(2)]
+    study = Study("refused", "copter", linear.CHANNELS, tuple(runs))
+    report = diagnose(study, linear.model(), (strong, weak), seed=0, settings=QUICK)
+    assert causes(report)["strong"].status == "refuted"
+    assert causes(report)["mimic"].status != "certain" and report.named == ()
+
+
+def test_a_size_whose_widened_interval_holds_zero_is_not_certain(monkeypatch):
+    seen = []
+
+    def keeping(*args):
+        seen.append(args)
+        return certain_of(*args)
+
+    monkeypatch.setattr(assemble, "certain_of", keeping)
+    assert diagnosed({PUSH: 1.0}, (PUSH,)).named == ("push",)
+    ((decision, about, judgment),) = seen
+    wide = about.search.wide
+    vague = replace(about, factors={wide.names[wide.columns_of(PUSH)[0]]: 100.0})
+    assert vague.size(0)["size"].low < 0.0
+    assert certain_of(decision, vague, judgment) == frozenset()

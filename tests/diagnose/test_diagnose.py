@@ -156,6 +156,18 @@ def test_repeats_confirm_a_repeatable_cause_and_not_noise():
     assert np.median(probabilities[1.0]) < np.median(probabilities[0.0])
 
 
+def test_one_loud_block_does_not_hide_that_all_others_repeat():
+    """All ten blocks repeat, two a hundred times as loud: those alone decided, one in four."""
+    shape = np.full((linear.NUM_SAMPLES, 1), 20.0)
+    shape[:3] *= 100.0
+    runs = [replace(linear.run(f"r{k}", k), group=f"g{k // 2}") for k in range(4)]
+    runs = [replace(r, measured=r.measured + shape) for r in runs]
+    problem = linear.problem((), runs)
+    x = np.zeros(2)
+    moved = UnknownDrift(0, "drift").responses(problem, x)
+    assert swap_probability(problem, problem.residual(x), moved, seed=0) <= 0.02
+
+
 def test_data_gate_refuses_what_cannot_be_judged():
     study = toy.generate(1)
     few = replace(study, runs=tuple(r for r in study.runs if r.group == "chirp"))

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from diffsim.data.rounding import step_of
 from diffsim.data.study import Channel, Run
 from diffsim.diagnose.noise import (
     ArWhitener,
@@ -100,6 +101,22 @@ def test_without_repeats_and_sd_second_differences_serve():
     assert noise.source == ("second differences",)
     np.testing.assert_allclose(noise.sd, 0.05, rtol=0.06)
     assert np.isnan(noise.scatter_ratio).all()
+
+
+def test_readings_in_steps_have_the_noise_of_rounding():
+    """Repeats that are equal to the last digit say nothing of an encoder's steps."""
+    time = 0.01 * np.arange(200)
+    smooth = np.sin(3.0 * time)[:, None]
+    steps = 0.1 + 0.05 * np.round(smooth / 0.05)
+    channels = [Channel("angle_rad", "rad", "angle", sd=1e-3)]
+    runs = [make_run(steps, "a"), make_run(steps, "b")]
+    noise = noise_floor(runs, channels, {r.name: r.measured - smooth for r in runs})
+    assert noise.source == ("rounding",)
+    np.testing.assert_allclose(noise.sd, 0.05 / np.sqrt(12.0), rtol=1e-9)
+    assert step_of(smooth[:, 0]) is None and step_of(np.full(50, 2.0)) is None
+    digits = np.round(smooth + 0.01 * np.random.default_rng(0).normal(size=smooth.shape), 4)
+    fine = [make_run(digits, "a")]
+    assert noise_floor(fine, channels, {"a": digits - smooth}).source == ("stated sd",)
 
 
 def test_no_noise_at_all_is_refused():

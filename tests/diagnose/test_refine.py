@@ -1,6 +1,7 @@
 """Coarse settings are refined within a budget, and everything goes on with the refined ones."""
 
 from dataclasses import replace
+from time import process_time
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from diffsim.diagnose import diagnose
 from diffsim.diagnose.fit import Case, null_fit
 from diffsim.diagnose.gates import numerics_changes
 from diffsim.diagnose.refine import checked_numerics
-from diffsim.identify import DiagnosisSettings, Numerics, SearchSettings
+from diffsim.identify import DiagnosisSettings, Numerics, SearchSettings, SimModel
 from tests.diagnose import toy
 
 QUICK = DiagnosisSettings(search=SearchSettings(max_effects=2, num_refits=2))
@@ -45,6 +46,35 @@ def test_a_budget_that_is_spent_is_said_with_figures():
     found = checked_numerics(null_fit(case(replace(QUICK, refine_budget=1.2))))
     gate = next(g for g in found.gates if g.name == "time_step")
     assert not gate.passed and "budget of 1.2 times" in gate.note
+
+
+class Meshed:
+    """A scene with an error that only a mesh finer by far takes out."""
+
+    def __init__(self, scene, mesh):
+        self.scene, self.mesh = scene, mesh
+
+    def __getattr__(self, name):
+        return getattr(self.scene, name)
+
+    def simulate(self):
+        if self.mesh < 1.0:  # a mesh that costs a hundred times as much
+            end = process_time() + 0.1
+            while process_time() < end:
+                pass
+        return self.scene.simulate() + 50.0 * self.mesh
+
+
+def test_a_setting_beyond_the_budget_does_not_keep_others_coarse():
+    coarse = case()
+    plain = coarse.model
+
+    def build(values, run, numerics):
+        return Meshed(plain.build(values, run, numerics), numerics.mesh)
+
+    null = null_fit(replace(coarse, model=SimModel(build, plain.base)))
+    numerics = checked_numerics(null).null.case.numerics
+    assert numerics.mesh == 1.0 and numerics.time_step < 1.0
 
 
 @pytest.mark.parametrize("settings", [replace(QUICK, accept_numerics=True), QUICK])

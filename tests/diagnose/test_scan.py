@@ -12,12 +12,12 @@ from diffsim.diagnose.evidence import Hypothesis
 from diffsim.diagnose.fit import Case, Null
 from diffsim.diagnose.gauss_newton import gauss_newton
 from diffsim.diagnose.noise import noise_floor
-from diffsim.diagnose.scan import groups, num_points, scan
+from diffsim.diagnose.scan import groups, num_points, records_for, scan
 from diffsim.diagnose.search import begin, repaired, search_sets
 from diffsim.diagnose.simulations import Simulations
 from diffsim.identify import DiagnosisSettings, Effect, SearchSettings, UnknownDrift
 from diffsim.identify.fitting import summary
-from diffsim.identify.linearization import linearization_at
+from diffsim.identify.linearization import linearization_at, record_at
 from tests.diagnose import linear
 
 TYPICAL = 0.5
@@ -103,6 +103,12 @@ def test_a_limit_that_acts_only_at_large_sizes_is_found(signed, size):
     assert best_of(search) == {1}
     fit = search.fit_of(frozenset({1}))
     assert fit.values["limit"] == pytest.approx(size, abs=4.0 * fit.sd["limit"])
+
+
+def test_sizes_that_an_effect_names_are_tried_instead_of_decades():
+    """Between 0.5 and 1.5 of the typical size lies nothing but what the effect asks for."""
+    narrow = replace(clipped(), tries=(0.7, 0.8))
+    assert (num_points([clipped()]), num_points([narrow])) == (6, 2)
 
 
 def test_without_scans_it_is_not():
@@ -208,3 +214,34 @@ def test_a_set_beside_an_unknown_cause_is_worth_what_a_simulation_says(monkeypat
         start = replace(search, weighed={**search.weighed, key: evidence.weigh(key)})
         nats.append(diagnose_search._relinearized(start, key, evidence).nats(key))
     assert nats[1] < nats[0] - 1.0
+
+
+def test_of_repeats_only_the_first_is_simulated():
+    """A repeat moves as the first run of its command does, off by what it is off at the center."""
+    runs = [linear.run(f"r{k}", k) for k in (1, 2, 3)]
+    runs[1] = replace(runs[1], group="r1")  # linear.run: a group each
+    problem = linear.problem((linear.line("push"),), runs)
+    points = np.array([[0.1, -0.2, 0.5], [0.0, 0.0, 2.0]])
+    here = record_at(problem, np.zeros(3))
+    before = problem.model.simulations.count
+    first, repeat, other = np.split(records_for(problem, points, here), 3, axis=1)
+    assert problem.model.simulations.count - before == 2 * len(points)
+    exact = np.split(problem.records(points), 3, axis=1)
+    own = np.split(here, 3)
+    np.testing.assert_array_equal(first, exact[0])
+    np.testing.assert_array_equal(other, exact[2])
+    np.testing.assert_allclose(repeat, exact[0] + own[1] - own[0])
+    assert np.abs(own[1] - own[0]).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"setup": {"load_kg": 0.1}}, {"command": {"u": np.ones(linear.NUM_SAMPLES)}}, {"group": "r2"}],
+)
+def test_other_commands_and_setups_are_simulated(change):
+    first = replace(linear.run("r1", 1), command={"u": np.zeros(linear.NUM_SAMPLES)})
+    runs = (first, replace(first, **{"name": "r2", **change}))
+    problem = linear.problem((linear.line("push"),), runs)
+    points = np.array([[0.1, -0.2, 0.5]])
+    made = records_for(problem, points, record_at(problem, np.zeros(3)))
+    np.testing.assert_array_equal(made, problem.records(points))

@@ -13,7 +13,9 @@ from benchmarks.blind import sessions as blind_module
 from benchmarks.blind.case import CoarseModel, twin
 from benchmarks.blind.score import score_answer, true_sizes, with_strength
 from benchmarks.blind.sessions import Blind
-from benchmarks.blind.table import confusion, figures, markdown
+from benchmarks.blind.strength import score_simulated
+from benchmarks.blind.table import by_strength, confusion, figures, markdown
+from diffsim.data.labs.sealed import seal
 from diffsim.identify.model import Numerics, SimModel
 from tests.diagnose import toy, toy_setup
 from tests.hidden.toy_lab import TOY
@@ -27,7 +29,8 @@ def label(kind, effects=None, **more):
 
 
 def answer(verdict, named=(), rivals=(), **more):
-    return {"verdict": verdict, "named": list(named), "rivals": list(rivals), "sizes": {}, **more}
+    sets = {"named": list(named), "rivals": list(rivals)}
+    return {"verdict": verdict, **sets, "intervals": {}, **more}
 
 
 @pytest.mark.parametrize(
@@ -83,14 +86,12 @@ def test_places_of_a_laboratory_are_effects_of_a_library():
     assert true_sizes(label("single", {"stop": [0.2]}), known) == {"stop": None}
 
 
-def test_size_is_held_against_its_90_percent_interval():
-    given = answer(
-        "named", ["drag"], sizes={"drag": {"size": {"size": 0.12}, "sd": {"size": 0.01}}}
-    )
-    inside = score_answer(label("single", {"drag": [0.135]}), given, toy.LIBRARY)
-    assert inside["sizes"]["drag"]["inside"]  # 1.5 sd
-    outside = score_answer(label("single", {"drag": [0.14]}), given, toy.LIBRARY)
-    assert not outside["sizes"]["drag"]["inside"]  # 2 sd
+def test_size_is_held_against_the_interval_that_was_reported():
+    given = answer("named", ["drag"], intervals={"drag": {"size": [0.12, 0.11, 0.15]}})
+    inside = score_answer(label("single", {"drag": [0.145]}), given, toy.LIBRARY)
+    assert inside["sizes"]["drag"]["inside"]
+    below = score_answer(label("single", {"drag": [0.105]}), given, toy.LIBRARY)
+    assert not below["sizes"]["drag"]["inside"]
 
 
 def test_figures_count_by_hand():
@@ -107,6 +108,8 @@ def test_figures_count_by_hand():
     assert found["name given alone, wrong"]["hits"] == 1
     assert found["nulls and decoys with a name or unknown"]["value"] == 1.0
     assert confusion(scores)["single"]["named"] == 4
+    rows = [(r["what"], r["n"], r["hits"], r["wrong_alone"]) for r in by_strength(scores)]
+    assert rows == [("below 3", 1, 1, 0), ("3 to 8", 1, 1, 0), ("8 or more", 2, 1, 1)]
     page = markdown(scores, title="t", command="c")
     assert "| c1 | single:, drag | 9.0 | named lag  |" in page and "c0 |" not in page
 
@@ -127,6 +130,20 @@ def test_twins_predict_the_same_and_coarse_models_are_coarser():
     np.testing.assert_array_equal(rough.predict(run, q), expected)
     half = rough.predict(run, q, None, Numerics(time_step=0.5))
     np.testing.assert_array_equal(half, model.predict(run, q))
+
+
+def test_lambda_counts_misfit_and_the_pull_on_data_sheets(tmp_path):
+    """Places of the runs take up a part of the bias, which their priors resist."""
+    found = {}
+    for size in (0.0, 0.1, 0.2):
+        hidden = label("single", {"bias": [size]}, seed=5)
+        folder = seal(TOY, hidden, tmp_path / f"data_{size}", tmp_path / "vault", "case")
+        scored = {"truth": {"bias": (size,)}, "gain": None}
+        found[size] = score_simulated(TOY, hidden, folder, scored, SETUP)
+    strength = [f["lambda"]["bias"] for f in found.values()]
+    assert strength[0] == 0.0
+    assert strength[2] == pytest.approx(2.0 * strength[1], rel=0.05)
+    assert strength[1] > 1.05 * found[0.1]["misfit"]["bias"]
 
 
 @pytest.fixture(scope="module")

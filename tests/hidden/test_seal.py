@@ -78,7 +78,8 @@ def test_labels_cover_all_kinds_and_sizes_within_range(name):
         assert bool(label["decoys"]) == (kind == "decoy")
         for effect, size in label["effects"].items():
             assert known[effect].outside == (kind == "outside")
-            assert 0.3 <= np.linalg.norm(size) / known[effect].typical <= 2.0 + 1e-9
+            low, high = bench.sizes
+            assert low <= np.linalg.norm(size) / known[effect].typical <= high + 1e-9
 
 
 @pytest.mark.parametrize("name", BENCHES)

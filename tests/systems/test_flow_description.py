@@ -306,3 +306,21 @@ def test_a_manifold_on_the_grid_has_the_names_of_the_study():
     assert "meter_gain_2" in [e.name for e in setup_of(s).effects]
     with pytest.raises(ValueError, match="flows needs 2 names"):
         description_of(study({**model, "flows": ["left"]}, ["p", "left"], pump=[1e-4]))
+
+
+def test_an_end_without_pressure_is_told():
+    """Two outlets of which one was forgotten: its meter would read 0 for ever."""
+    tubes = [
+        {"name": n, "from": "in", "to": f"out_{n}", "resistance": 1e11} for n in ("left", "right")
+    ]
+    meters = [{"channel": f"q_{n}", "flow_in": n} for n in ("left", "right")]
+    sources = [{"node": "in", "flow": "pump"}]
+    both = {**ONE, "channels": tubes, "meters": meters, "sources": sources}
+    given = study(both, ["q_left", "q_right"], pump=[1e-9])
+    with pytest.raises(ValueError, match=r"each open end, such as \{node: out_left, pressure: 0\}"):
+        description_of(given)
+    one = {**both, "sources": [*sources, {"node": "out_left", "pressure": 0}]}
+    given = replace(given, model=one)
+    (problem,) = description_of(given).problems(given)
+    assert problem.severity == "error"
+    assert "q_right measures the flow in right, which ends at out_right" in problem.message

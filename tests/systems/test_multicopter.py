@@ -326,7 +326,7 @@ def test_gyroscopic_torque_is_minus_rates_cross_spin():
     change = causes.GYROSCOPIC.apply(Scene(), size(amount), None)
     still = torch.zeros(1, 1, 1, 3)
     level = torch.eye(3)[None, None, None]
-    motion = Motion(Scene.vehicle, still, still, level, rates + still, thrusts, still)
+    motion = Motion(Scene.vehicle, still, still, level, rates + still, thrusts, thrusts, still)
     more = (change(motion, thrusts[None, None, None]) - thrusts)[0, 0, 0]
     # seen from above (z down), spins +1 turns clockwise: about +z
     spin = amount * np.sum(np.sqrt(thrusts.numpy() / 1e-5) * np.array([1, 1, -1, -1]))

@@ -12,7 +12,8 @@ from scipy.integrate import solve_ivp
 from diffsim.data.study import Run
 from diffsim.diagnose import diagnose
 from diffsim.identify import Numerics, Problem, WhiteNoise
-from diffsim.systems.registry import setup_of
+from diffsim.systems.holding import looks_held
+from diffsim.systems.registry import description_of, setup_of
 from tests.systems.toy_cart import TIME, cart_study, described
 
 PLAIN = cart_study(noise=1e-12)
@@ -115,6 +116,75 @@ def test_a_hidden_cause_is_named_with_its_size(name):
     assert (report.verdict, report.named) == ("named", (name,))
     assert abs(report.best.values[name] - size) < 1.645 * report.best.sd[name] + 0.01 * size
     assert report.gain is not None and report.gain.low > 0.9
+
+
+@pytest.mark.parametrize(
+    ("name", "force"),
+    [
+        # thirty times as stiff as a usual force at a usual distance, and lossy
+        ("stop_above", lambda x, v: -6000.0 * np.maximum(x - 0.25, 0.0) * (1.0 + np.tanh(v))),
+        # a string of 0.3 m across the motion, unstretched at rest: between cubic and straight
+        ("cubic_stiffness", lambda x, v: -60.0 * x * (1.0 - 0.3 / np.hypot(x, 0.3))),
+    ],
+)
+def test_a_cause_of_another_shape_than_the_usual_is_named(name, force):
+    assert found(cart_study(force=force)).named == (name,)
+
+
+def held_cart(every=5, noise=1e-4):
+    """A cart sampled every 50 ms whose amplifier holds a force that changes all the time."""
+    rng = np.random.default_rng(0)
+    runs = []
+    for name, use, rate in (("slow", "fit", 2.0), ("mid", "fit", 5.0), ("fast", "test", 8.0)):
+        t = TIME[::every]
+        run = Run(name, t, np.zeros((len(t), 1)), {"force": 8.0 * np.sin(rate * t)}, name, use=use)
+        runs.append(replace(run, setup={"load_kg": 0.0}))
+    study = replace(PLAIN, runs=tuple(runs), model=described(inputs=["force"], time_step=0.01))
+    true = replace(study, model={**study.model, "inputs": [{"name": "force", "held": True}]})
+    made = setup_of(true).model
+    seen = [made.predict(r, made.at_prior()).numpy() for r in runs]
+    noisy = [y + noise * rng.normal(size=y.shape) for y in seen]
+    return replace(
+        study, runs=tuple(replace(r, measured=y) for r, y in zip(runs, noisy, strict=True))
+    )
+
+
+def test_a_command_that_rests_and_jumps_is_held_and_check_says_so():
+    rests = tuple(r for r in PLAIN.runs if r.name in ("step", "large"))
+    steps = replace(PLAIN, runs=rests, model=described(inputs=["force"]))
+    (note,) = description_of(steps).problems(steps)
+    assert note.severity == "note" and "rests and jumps" in note.message
+    straight = replace(steps, model=described(inputs=[{"name": "force", "held": False}]))
+    assert description_of(straight).problems(straight) == []
+    run, other = steps.runs[0], setup_of(straight)
+    made = setup_of(steps)
+    moved = made.model.predict(run, made.model.at_prior()) - other.model.predict(
+        run, other.model.at_prior()
+    )
+    # after a jump of 8 N that comes half a sample of 10 ms earlier
+    assert 5e-3 < float(moved.abs().max()) < 2e-2
+    assert "held_between_samples" not in {e.name for e in (*made.effects, *other.effects)}
+
+
+def test_a_ramp_or_a_sine_does_not_show_whether_it_is_held():
+    assert not looks_held(PLAIN.runs[1:2], ["force"])
+    ramp = replace(
+        PLAIN.runs[0],
+        command={"force": np.interp(TIME, [0.0, 1.0, 1.1, 3.0], [0.0, 0.0, 5.0, 5.0])},
+    )
+    assert not looks_held([ramp], ["force"])
+
+
+def test_a_test_run_has_no_say_in_how_commands_are_held():
+    assert looks_held(PLAIN.runs[:1], ["force"])
+    later = replace(PLAIN.runs[0], use="test")
+    assert not looks_held([PLAIN.runs[1], later], ["force"])
+
+
+def test_a_held_command_that_changes_all_the_time_is_told_from_a_straight_one():
+    report = found(held_cart())
+    assert report.named == ("held_between_samples",)
+    assert report.best.values["held_between_samples"] == pytest.approx(1.0, abs=0.05)
 
 
 def test_nothing_is_named_where_nothing_is_hidden():

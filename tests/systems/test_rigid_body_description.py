@@ -301,6 +301,16 @@ def test_rolling_resistance_is_seen_through_a_camera(tmp_path):
     assert report.best.values["focal"] == pytest.approx(FOCAL, rel=0.01)
 
 
+def test_a_part_of_the_clicked_points_may_be_left_out(tmp_path):
+    """Growing windows cut every run, that of the clicked points, too."""
+    setup = setup_of(rolling_study(tmp_path, 0.0))
+    clicks = next(r for r in setup.study.runs if r.name == "calibration_points")
+    part = slice(2, 5)
+    few = replace(clicks, time_s=clicks.time_s[part], measured=clicks.measured[part])
+    full, seen = (setup.model.predict(r, setup.model.at_prior()) for r in (clicks, few))
+    assert torch.equal(seen, full[part])
+
+
 def test_missing_points_are_told_and_a_stated_camera_does_without(tmp_path):
     study = rolling_study(tmp_path, 0.0)
     (tmp_path / "points.csv").unlink()

@@ -1,15 +1,34 @@
 """Signals on their way: against closed forms and scipy."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 import torch
 from scipy import interpolate, signal
 
-from diffsim.systems import signals
+from diffsim.systems import actuator, signals
+from diffsim.systems import grid as maps
+from diffsim.systems.grid import on_columns
 
 
 def column(values):
     return torch.as_tensor(np.asarray(values), dtype=torch.float64)[:, None]
+
+
+class Wire:
+    """A scene that is nothing but a command on its way."""
+
+    def __init__(self, u):
+        self.u = u
+
+    def with_command(self, change):
+        return Wire(change(self.u, 0.1))
+
+
+def sent(u, effect, size):
+    """A command after an effect."""
+    return effect.apply(Wire(u), torch.tensor([size], dtype=torch.float64), None).u
 
 
 @pytest.mark.order
@@ -44,7 +63,7 @@ def test_lag_is_that_of_a_linear_system():
     for tau in (0.003, 0.05, 1.0):
         system = signal.StateSpace([[-1 / tau]], [[1 / tau]], [[1.0]], [[0.0]])
         _, want, _ = signal.lsim(system, u, dt * np.arange(60), X0=[u[0]])
-        got = signals.lagged(column(u), dt, torch.tensor(tau, dtype=torch.float64))[:, 0]
+        got = on_columns(maps.lagged, column(u), dt, torch.tensor(tau, dtype=torch.float64))[:, 0]
         np.testing.assert_allclose(got, want, atol=1e-9)  # lsim's matrix exponential
 
 
@@ -52,9 +71,9 @@ def test_small_lag_and_delay_have_minus_the_slope():
     dt = 0.01
     t = dt * torch.arange(50, dtype=torch.float64)
     u, slope = torch.sin(3 * t)[:, None], 3 * torch.cos(3 * t)
-    for change in (signals.lagged, signals.delayed):
+    for change in (maps.lagged, maps.smoothly_delayed):
         _, got = torch.autograd.functional.jvp(
-            lambda size, change=change: change(u, dt, size),
+            lambda size, change=change: on_columns(change, u, dt, size),
             torch.zeros((), dtype=torch.float64),
             torch.ones((), dtype=torch.float64),
         )
@@ -64,7 +83,7 @@ def test_small_lag_and_delay_have_minus_the_slope():
 
 def test_delay_shifts_samples():
     u = column([0, 1, 4, 9, 16, 25])
-    got = signals.delayed(u, 0.1, torch.tensor(0.2, dtype=torch.float64))
+    got = on_columns(maps.smoothly_delayed, u, 0.1, torch.tensor(0.2, dtype=torch.float64))
     torch.testing.assert_close(got, column([0, 0, 0, 1, 4, 9]))
 
 
@@ -72,7 +91,7 @@ def test_delay_between_samples_is_a_monotone_cubic():
     rng = np.random.default_rng(0)
     u, dt = np.round(rng.standard_normal(30), 1), 0.1
     delay = 0.034
-    got = signals.delayed(column(u), dt, torch.tensor(delay, dtype=torch.float64))
+    got = on_columns(maps.smoothly_delayed, column(u), dt, torch.tensor(delay, dtype=torch.float64))
     t = dt * np.arange(30)
     want = interpolate.PchipInterpolator(t, u)(t - delay)
     np.testing.assert_allclose(got[2:-1, 0], want[2:-1], atol=1e-12)  # its ends are not held
@@ -81,10 +100,13 @@ def test_delay_between_samples_is_a_monotone_cubic():
 def test_dead_band_backlash_and_saturation_by_hand():
     u = column([0, 1, 3, 2, 1, -2])
     half = torch.tensor(0.5, dtype=torch.float64)
-    torch.testing.assert_close(signals.dead_band(u, half), column([0, 0.5, 2.5, 1.5, 0.5, -1.5]))
-    torch.testing.assert_close(signals.backlash(u, half), column([0, 0.5, 2.5, 2.5, 1.5, -1.5]))
-    neutral = torch.zeros(1, dtype=torch.float64)
-    got = signals.saturated(u, torch.tensor(1 / 3, dtype=torch.float64), neutral)
+    torch.testing.assert_close(
+        on_columns(maps.dead_band, u, 0.1, half), column([0, 0.5, 2.5, 1.5, 0.5, -1.5])
+    )
+    torch.testing.assert_close(
+        on_columns(maps.with_play, u, 0.1, half), column([0, 0.5, 2.5, 2.5, 1.5, -1.5])
+    )
+    got = sent(u, actuator.SATURATION, 1 / 3)
     torch.testing.assert_close(got, column([0, 1, 2, 2, 1, -2]))
 
 
@@ -101,7 +123,8 @@ def test_held_lag_and_delay_are_means_over_steps():
     def late(fine, t):
         return u[np.clip(np.floor((t - 0.024) / dt).astype(int), 0, 7)]
 
-    got = signals.held_delayed(column(u), dt, torch.tensor(0.024, dtype=torch.float64))[:, 0]
+    held = partial(maps.held_delayed, signed=False)
+    got = on_columns(held, column(u), dt, torch.tensor(0.024, dtype=torch.float64))[:, 0]
     np.testing.assert_allclose(got, held_means(u, dt, late), atol=1e-12)
 
     def lagging(fine, t):
@@ -113,7 +136,34 @@ def test_held_lag_and_delay_are_means_over_steps():
             y += (target - y) * share
         return np.array(out)
 
-    got = signals.held_lagged(column(u), dt, torch.tensor(tau, dtype=torch.float64))[:, 0]
+    got = on_columns(maps.held_lagged, column(u), dt, torch.tensor(tau, dtype=torch.float64))[:, 0]
     np.testing.assert_allclose(got, held_means(u, dt, lagging), atol=1e-6)  # midpoints
-    none = signals.held_lagged(column(u), dt, torch.zeros((), dtype=torch.float64))[:, 0]
+    none = on_columns(maps.held_lagged, column(u), dt, torch.zeros((), dtype=torch.float64))[:, 0]
     np.testing.assert_allclose(none, u)
+
+
+def test_a_held_command_that_can_only_be_late_has_the_slope_of_late():
+    u, dt, zero = column([0.0, 0.0, 1.0, 1.0]), 0.1, torch.zeros((), dtype=torch.float64)
+    slopes = {}
+    for signed in (True, False):
+        change = partial(maps.held_delayed, signed=signed)
+        _, slopes[signed] = torch.autograd.functional.jvp(
+            lambda size, change=change: on_columns(change, u, dt, size), zero, zero + 1.0
+        )
+    torch.testing.assert_close(slopes[False], column([0.0, 0.0, -10.0, 0.0]))
+    torch.testing.assert_close(slopes[True], column([0.0, -5.0, -5.0, 0.0]))
+
+
+def test_slack_and_rate_limit_by_hand():
+    u = column([0, 1, 3, 3, -1])
+    torch.testing.assert_close(sent(u, actuator.SLACK, 0.5), column([0, 0.5, 2.5, 2.5, -1]))
+    torch.testing.assert_close(sent(u, actuator.RATE_LIMIT, 0.1), column([0, 1, 2, 3, 2]))
+    torch.testing.assert_close(sent(u, actuator.RATE_LIMIT, 0.0), u, rtol=0, atol=0)
+
+
+def test_limits_are_said_in_the_unit_of_the_command():
+    limit = actuator.in_words(actuator.RATE_LIMIT, "rad", "deg")
+    assert limit.words(0.5) == "a speed limit near 115 deg/s" and limit.words(0.0) == "none"
+    assert actuator.in_words(actuator.RATE_LIMIT, "N").words(0.5) == "a rate limit near 2 N/s"
+    assert actuator.in_words(actuator.SLACK, "m", "mm").words(0.0074) == "7.4 mm of slack"
+    assert actuator.in_words(actuator.LAG, "N").words is None

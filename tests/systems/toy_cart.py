@@ -14,7 +14,7 @@ MODEL = {
     "states": {"x": "0", "v": "0"},
     "rates": {"x": "v", "v": "(force - c*v - k*x)/m"},
     "readings": {"position_m": "x"},
-    "inputs": ["force"],
+    "inputs": [{"name": "force", "held": False}],
     "parameters": {
         "m": {"value": 1.0, "percent": 3, "unit": "kg"},
         "c": {"value": 0.8, "percent": 30, "unit": "N s/m"},

@@ -23,7 +23,8 @@ struct RotorTrace {
 constexpr double kLeastVoltage = 0.05;  // of the nominal one; below it thrusts stay as they are
 
 template <class T>
-inline void battery_sag(const FlightLayout& at, const T* P, const T* s, const T& charge, RotorTrace<T>& tr) {
+inline void battery_sag(const FlightLayout& at, const T* P, const T* s, const T& charge,
+                        RotorTrace<T>& tr) {
   tr.current = P[at.idle_current];
   for (int i = 0; i < at.num_rotors; ++i) {
     tr.drawn[i] = power(s[i], P[at.current_exponent + i]);

@@ -1,4 +1,7 @@
-"""Maneuvers of the virtual multicopter: place in NED [m] and yaw [rad] over time [s]."""
+"""Maneuvers of the virtual multicopter: place in NED [m] and yaw [rad] over time [s].
+
+No rotor comes nearer to the ground than its radius: below, no form of the ground effect is known.
+"""
 
 from __future__ import annotations
 
@@ -27,13 +30,13 @@ def _sprint(t: float) -> tuple[Array, float]:
 
 
 def _climb(t: float) -> tuple[Array, float]:
-    height = 0.25 + 1.8 * (_smooth(t, 0.5, 1.2) - _smooth(t, 2.2, 1.3))
+    height = 0.45 + 1.8 * (_smooth(t, 0.5, 1.2) - _smooth(t, 2.2, 1.3))
     return np.array([0.4 * np.sin(2.0 * t), 0.0, -height]), 0.3
 
 
 def _figure_eight(t: float) -> tuple[Array, float]:
     s = 1.3 * t - (1.0 - np.exp(-1.3 * t))  # starts from rest
-    return np.array([1.5 * np.sin(s), 0.7 * np.sin(2.0 * s), -0.7 - 0.4 * np.sin(s)]), -0.5 * t
+    return np.array([1.5 * np.sin(s), 0.7 * np.sin(2.0 * s), -0.9 - 0.4 * np.sin(s)]), -0.5 * t
 
 
 MANEUVERS: dict[str, Path] = {

@@ -41,6 +41,7 @@ KINDS: dict[str, float] = {
     "numerical": 0.03,
 }
 SIZE_RANGE = (0.3, 2.0)  # of the typical size, drawn log-uniformly
+WIDE_RANGE = (0.3, 5.0)  # where the typical size of most causes is hardly visible
 SIGNED = {"wind", "body_tilt", "center_of_mass", "tilt", "current", "temperature_drift",
           "sensor_scale", "tip_scale", "viscosity", "temperature_gradient", "pump_gain",
           "meter_gain", "pressure_offset", "pressure_scale", "accelerometer_scale",
@@ -82,6 +83,7 @@ class Bench:
         look_alike: Effects that others of their family mimic; hidden while the library lacks them.
         coarse: Factors on numerical settings that no diagnosis may accept.
         decoys: Names of the decoys that have a meaning in this laboratory.
+        sizes: Range of hidden sizes over the typical ones; weak and strong ones should be in it.
     """
 
     lab: Callable[[], Lab]
@@ -90,6 +92,7 @@ class Bench:
     look_alike: tuple[str, ...] = ()
     coarse: Mapping[str, float] = field(default_factory=dict)
     decoys: tuple[str, ...] = tuple(DECOYS)
+    sizes: tuple[float, float] = SIZE_RANGE
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -139,6 +142,7 @@ BENCHES: dict[str, Bench] = {
         invisible=(("viscosity", _NO_PRESSURE), ("pressure_scale", _NO_PRESSURE)),
         look_alike=("compliance", "thinning", "entrance_loss", "slip", "wall_offset"),
         coarse={"mesh": 3.0},
+        sizes=WIDE_RANGE,
     ),
 }
 
@@ -188,16 +192,16 @@ def draw_label(rng: np.random.Generator, bench: Bench, kinds: Sequence[str] = ()
         label["blindfold"] = asdict(fold)
     elif kind == "numerical":
         label["options"] = {"coarse": dict(bench.coarse)}
-    label["effects"] = {name: _draw_size(rng, bench.lab(), name) for name in names}
+    label["effects"] = {name: _draw_size(rng, bench, name) for name in names}
     label["seed"] = int(rng.integers(2**31))
     plain_label: dict[str, Any] = to_plain(label)
     return plain_label
 
 
-def _draw_size(rng: np.random.Generator, lab: Lab, name: str) -> list[float]:
+def _draw_size(rng: np.random.Generator, bench: Bench, name: str) -> list[float]:
     """Random size, place and sign."""
-    effect = lab.effects[name]
-    low, high = np.log(SIZE_RANGE)
+    effect = bench.lab().effects[name]
+    low, high = np.log(bench.sizes)
     size = effect.typical * float(np.exp(rng.uniform(low, high)))
     if name in SIGNED:
         size *= float(rng.choice([-1.0, 1.0]))

@@ -25,6 +25,7 @@ from diffsim.systems.description import (
 from diffsim.systems.flow_network.keys import FlowNuisanceKeys, MeterKeys, SourceKeys, TubeKeys
 from diffsim.systems.flow_network.lumped_build import (
     LumpedNetwork,
+    dead_ends,
     layout_of,
     network_causes,
     quantities_of,
@@ -51,7 +52,9 @@ class FlowNetworkDescription(Description):
     )
     channels: tuple[TubeKeys, ...] = Field(min_length=1, description="Channels of the network")
     sources: tuple[SourceKeys, ...] = Field(
-        min_length=1, description="Pumps and known pressures; open ends have pressure 0"
+        min_length=1,
+        description="Pumps and known pressures; give each open end {node, pressure: 0}, for "
+        "nothing flows out of an end that has none",
     )
     meters: tuple[MeterKeys, ...] = Field(
         min_length=1, description="What each channel of the study measures"
@@ -103,6 +106,15 @@ class FlowNetworkDescription(Description):
             if name not in named:
                 said = "model.meters does not name it; name it, or take it out of channels"
                 yield Problem("error", f"channel {name}", said)
+        closed = dead_ends(self.channels, self.sources)
+        for meter in self.meters:
+            tube = next((t for t in self.channels if t.name == meter.flow_in), None)
+            if tube is not None and (node := {tube.start, tube.end} & set(closed)):
+                said = (
+                    f"{meter.channel} measures the flow in {tube.name}, which ends at "
+                    f"{node.pop()}, where nothing flows out; give that node a pressure in sources"
+                )
+                yield Problem("error", "model.meters", said)
         for i, source in enumerate(self.sources):
             command = source.flow if source.flow is not None else source.pressure
             for run in study.runs:

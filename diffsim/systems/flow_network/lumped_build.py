@@ -102,7 +102,11 @@ def layout_of(
     pressures = [s for s in sources if s.flow is None]
     held = tuple(nodes.index(s.node) for s in pressures)
     if not held:
-        raise ValueError("sources: no pressure is known anywhere; give one source with pressure")
+        open_ends = dead_ends(tubes, sources)
+        example = f", such as {{node: {open_ends[0]}, pressure: 0}}" if open_ends else ""
+        raise ValueError(
+            f"sources: no pressure is known anywhere; give one to each open end{example}"
+        )
     if len(set(held)) < len(held):
         raise ValueError("sources: two pressures at one node")
     if repeated := {n for n in names if names.count(n) > 1}:
@@ -130,6 +134,13 @@ def layout_of(
         ),
         readings=tuple(readings),
     )
+
+
+def dead_ends(tubes: Sequence[TubeKeys], sources: Sequence[SourceKeys]) -> list[str]:
+    """Nodes that a single channel joins and no source feeds: nothing flows out of them."""
+    ends = [n for t in tubes for n in (t.start, t.end)]
+    fed = {s.node for s in sources}
+    return [n for n in dict.fromkeys(ends) if ends.count(n) == 1 and n not in fed]
 
 
 def quantities_of(

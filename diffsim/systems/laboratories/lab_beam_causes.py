@@ -34,7 +34,7 @@ def _stiffening(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
 
 
 def _backlash(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-    return actuator.backlash(scene, 0.5 * size, run)
+    return actuator.BACKLASH.apply(scene, 0.5 * size, run)
 
 
 def _sideways_tilt(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:

@@ -15,6 +15,12 @@ from diffsim.systems.multicopter import effects as causes
 from diffsim.systems.multicopter import sensors as seen
 from diffsim.systems.multicopter.frames import Frames
 from diffsim.systems.multicopter.loads import EXTRA_MASS, GUST, SLUNG_LOAD
+from diffsim.systems.multicopter.moments import (
+    CLIMB_MOMENT,
+    FLOW_MOMENT,
+    RATE_DAMPING,
+    SPIN_UP,
+)
 from diffsim.systems.multicopter.rotors import ROTOR_SPEED_DRAG, SPEED_LAG
 from diffsim.systems.multicopter.scene import CopterScene, vector
 
@@ -113,6 +119,11 @@ def _of_vehicle(
         yield _scaled(EXTRA_MASS, mass)
     if of.has_speed:
         yield _scaled(ROTOR_SPEED_DRAG, mass)
+    if of.has_speed and of.num_rotors >= 4:  # small torques show where speeds were measured
+        yield _scaled(FLOW_MOMENT, mass * arm)
+        yield _scaled(CLIMB_MOMENT, mass * arm)
+        yield RATE_DAMPING
+        yield _scaled(SPIN_UP, mass * arm**2)
     if not of.has_center:
         yield _scaled(in_body(causes.CENTER_OF_MASS), arm)
     if of.num_rotors >= 4:

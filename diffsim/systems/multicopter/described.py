@@ -13,14 +13,14 @@ from diffsim.copter import Multicopter
 from diffsim.copter.fleet import Fleet
 from diffsim.data.study import Run
 from diffsim.identify.model import Numerics
-from diffsim.systems.description import BaseParameters
+from diffsim.systems.description import BaseParameters, fact_in
+from diffsim.systems.grid import held_delayed, held_lagged, on_columns
 from diffsim.systems.multicopter.cutting import Cutter, spacing
 from diffsim.systems.multicopter.keys import RotorKeys
 from diffsim.systems.multicopter.lag import speed_lagged
 from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.multicopter.shooting import Windows
 from diffsim.systems.multicopter.thrust_law import ThrustLaw, described_fleet, designed_fleet
-from diffsim.systems.signals import held_delayed, held_lagged
 
 PAYLOAD, TERRAIN = "payload_kg", "terrain_height_m"
 
@@ -116,7 +116,7 @@ class DescribedFlights:
         v = self.in_run(values, run)
         fleet = self._fleet(v)
         fleet = fleet.replace(
-            mass=fleet.mass + float(run.setup.get(PAYLOAD, 0.0)),
+            mass=fleet.mass + fact_in(run, PAYLOAD, "kg"),
             inertia=fleet.inertia * v["inertia_gain"].reshape(-1, 1, 1),
             torque_ratios=fleet.torque_ratios * v["torque_gain"].reshape(-1, 1),
             max_thrusts=torch.full_like(fleet.max_thrusts, self.full_thrust),
@@ -130,7 +130,7 @@ class DescribedFlights:
             columns=self.cutter.columns,
             frames=self.cutter.frames,
             substeps=max(1, round(self.substeps / numerics.time_step)),
-            terrain_height=float(run.setup.get(TERRAIN, 0.0)),
+            terrain_height=fact_in(run, TERRAIN, "m"),
             thrust_coefficient=self.thrust_coefficient,
             attitude_offset=_vector(v, "attitude_offset"),
             body_rates_offset=_vector(v, "body_rates_offset"),
@@ -146,10 +146,11 @@ class DescribedFlights:
         """Clock and lag of the commands."""
         if "clock" in v:
             late = v["clock"].reshape(-1)
-            scene = scene.with_command(lambda u, dt: held_delayed(u, dt, late))
+            comes_late = partial(held_delayed, signed=False)
+            scene = scene.with_command(lambda u, dt: on_columns(comes_late, u, dt, late))
         if "motor_lag" in v:
             tau = v["motor_lag"].reshape(-1)
-            lagged = speed_lagged if self.lags_speed else held_lagged
+            lagged = speed_lagged if self.lags_speed else partial(on_columns, held_lagged)
             scene = scene.with_command(lambda u, dt: lagged(u, dt, tau))
         return scene
 

@@ -93,7 +93,7 @@ def _gyroscopic(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     its change J w' + w x (J w + h) is the torque from outside (h' is left out), so that rotors add
     -w x h. A rotor whose reaction on the vehicle is along its thrust (spins +1) turns the other
     way, s_i = -spins_i thrust direction: about +z, clockwise from above, if its thrust is upwards.
-    W_i = sqrt(thrust / thrust coefficient).
+    W_i = sqrt(thrust asked for / thrust coefficient).
 
     Given to the vehicle through the thrusts that have this torque and no lift, which is exact up to
     forces across for level rotors.
@@ -102,7 +102,7 @@ def _gyroscopic(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
 
     def torque(motion: Motion, thrusts: Tensor) -> Tensor:
         vehicle = motion.vehicle
-        speed = (thrusts.clamp(min=1e-9) / scene.thrust_coefficient).sqrt()
+        speed = (motion.asked.clamp(min=1e-9) / scene.thrust_coefficient).sqrt()
         shafts = -vehicle.spins[..., None] * vehicle.directions
         momentum = amount(size, 3) * (speed @ shafts[:, None])
         rates, momentum = torch.broadcast_tensors(motion.body_rates, momentum)

@@ -73,7 +73,7 @@ class Flyer:
         still = 0 if torch.is_grad_enabled() else _MORE_FOR_GRADIENTS
         for _ in range(_MAX_PASSES):
             record = self._fly(start, flown, air if air.dim() > 1 else None)
-            motion = record.motion(scene.vehicle, flown, scene.dt)
+            motion = record.motion(scene.vehicle, flown, thrusts, scene.dt)
             before, air_before = flown, air
             flown, air = self._scheduled(motion, thrusts), self._air(motion)
             with torch.no_grad():

@@ -17,10 +17,10 @@ from diffsim.core.check import require_choice
 from diffsim.identify import Parameter
 from diffsim.identify.effect import Effect
 from diffsim.identify.model import Build, Numerics, SimModel
+from diffsim.systems.grid import held_lagged, on_columns
 from diffsim.systems.multicopter.cutting import FEWEST, Cutter, spacing
 from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.multicopter.shooting import RIGID, Windows
-from diffsim.systems.signals import held_lagged
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
@@ -245,7 +245,7 @@ class Flights:
         )
         if "motor_time_constant" in values:
             tau = of("motor_time_constant")
-            scene = scene.with_command(lambda u, dt: held_lagged(u, dt, tau))
+            scene = scene.with_command(lambda u, dt: on_columns(held_lagged, u, dt, tau))
         return scene
 
 

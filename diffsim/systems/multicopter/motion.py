@@ -19,7 +19,9 @@ class Motion:
         velocity: World frame, of the same shape [m/s].
         rotation: World from body, (points, num_windows, length, 3, 3).
         body_rates: Angular velocity in the body frame, (points, num_windows, length, 3) [rad/s].
-        thrusts: Over the step, (points, num_windows, length, n_rotors) [N].
+        thrusts: Over the step, (points, num_windows, length, n_rotors) [N]; what causes gave to
+            the vehicle through them is in them.
+        asked: Thrusts that were asked for, of the same shape [N]: the rotors' speeds.
         acceleration: Mean over the step, world frame, (points, num_windows, length, 3) [m/s^2].
     """
 
@@ -29,6 +31,7 @@ class Motion:
     rotation: Tensor
     body_rates: Tensor
     thrusts: Tensor
+    asked: Tensor
     acceleration: Tensor
 
     @property

@@ -32,14 +32,14 @@ class Record:
     quaternion: Tensor
     body_rates: Tensor
 
-    def motion(self, vehicle: Fleet, thrusts: Tensor, dt: float) -> Motion:
+    def motion(self, vehicle: Fleet, thrusts: Tensor, asked: Tensor, dt: float) -> Motion:
         """Motion in the middle of steps, where causes are right to second order."""
         place, velocity, rotation, rates = (
             0.5 * (value[:, :, :-1] + value[:, :, 1:])
             for value in (self.position, self.velocity, self.rotation, self.body_rates)
         )
         mean = self.velocity.diff(dim=2) / dt
-        return Motion(vehicle, place, velocity, rotation, rates, thrusts, mean)
+        return Motion(vehicle, place, velocity, rotation, rates, thrusts, asked, mean)
 
 
 @dataclass(frozen=True, eq=False)

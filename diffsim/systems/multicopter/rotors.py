@@ -21,14 +21,14 @@ _LEAST_N = 1e-9  # of a thrust: its root has no slope at zero
 def _rotor_speed_drag(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     """Force -size W_i (velocity of the hub across its axis) of each rotor, W_i its speed.
 
-    W_i = sqrt(thrust / thrust coefficient). The forces' torque is given to the vehicle through the
-    thrusts that have it and no lift.
+    W_i = sqrt(thrust asked for / thrust coefficient). The forces' torque is given to the vehicle
+    through the thrusts that have it and no lift.
     """
     allocation = torque_allocation(scene.vehicle)
 
-    def forces(motion: Motion, thrusts: Tensor) -> Tensor:
+    def forces(motion: Motion) -> Tensor:
         """In the body frame, (points, num_windows, length, n_rotors, 3) [N]."""
-        speed = (thrusts.clamp(min=_LEAST_N) / scene.thrust_coefficient).sqrt()
+        speed = (motion.asked.clamp(min=_LEAST_N) / scene.thrust_coefficient).sqrt()
         arms, axes = (
             v[:, None, None] for v in (motion.vehicle.positions, motion.vehicle.directions)
         )
@@ -40,11 +40,11 @@ def _rotor_speed_drag(scene: CopterScene, size: Tensor, run: Run) -> CopterScene
         return -amount(size, 4) * speed[..., None] * across
 
     def drag(motion: Motion) -> Tensor:
-        total = forces(motion, motion.thrusts).sum(-2)
+        total = forces(motion).sum(-2)
         return (motion.rotation * total[..., None, :]).sum(-1)
 
     def torque(motion: Motion, thrusts: Tensor) -> Tensor:
-        found = forces(motion, thrusts)
+        found = forces(motion)
         arms, found = torch.broadcast_tensors(motion.vehicle.positions[:, None, None], found)
         return thrusts + by_rotor(torch.linalg.cross(arms, found).sum(-2), allocation)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -10,12 +10,9 @@ from torch import Tensor
 
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply
-from diffsim.systems.ode.grid import Grid
+from diffsim.systems.grid import SizedMap
 from diffsim.systems.ode.network import Change
 from diffsim.systems.ode.scene import OdeScene
-
-#: (signal on the grid, grid, size () or (K,)) -> the same signal, changed
-SizedMap = Callable[[Tensor, Grid, Tensor], Tensor]
 
 
 def symbol(effect: str) -> str:
@@ -23,20 +20,28 @@ def symbol(effect: str) -> str:
     return f"size of {effect}"
 
 
-def by_formulas(change: Change, *symbols: str) -> Apply:
+def by_formulas(change: Change, *symbols: str, steps: int = 1) -> Apply:
     """An effect that changes formulas.
 
     Args:
         change: Formulas in which the sizes are called ``symbols``.
         symbols: One for each component, in order.
+        steps: Steps of the integrator that a size other than zero needs where one is enough else.
     """
-    return partial(_changed, change=change, symbols=symbols)
+    return partial(_changed, change=change, symbols=symbols, steps=steps)
 
 
 def _changed(
-    scene: OdeScene, size: Tensor, run: Run, *, change: Change, symbols: Sequence[str]
+    scene: OdeScene,
+    size: Tensor,
+    run: Run,
+    *,
+    change: Change,
+    symbols: Sequence[str],
+    steps: int,
 ) -> OdeScene:
-    return scene.with_change(change, {s: size[..., i] for i, s in enumerate(symbols)})
+    needed = steps if bool(size.detach().any()) else 1  # at zero it is the plain model to the bit
+    return scene.with_change(change, {s: size[..., i] for i, s in enumerate(symbols)}, needed)
 
 
 @dataclass(frozen=True)
@@ -100,16 +105,3 @@ def by_input(name: str, change: SizedMap) -> Apply:
 
 def _driven(scene: OdeScene, size: Tensor, run: Run, *, name: str, change: SizedMap) -> OdeScene:
     return scene.with_input(name, lambda u, grid: change(u, grid, size[..., 0]))
-
-
-def by_reading(channels: Sequence[str], change: SizedMap) -> Apply:
-    """An effect that changes channels alike: f(channel, grid, size)."""
-    return partial(_read, channels=tuple(channels), change=change)
-
-
-def _read(
-    scene: OdeScene, size: Tensor, run: Run, *, channels: Sequence[str], change: SizedMap
-) -> OdeScene:
-    for channel in channels:
-        scene = scene.with_reading(channel, lambda y, grid: change(y, grid, size[..., 0]))
-    return scene

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -16,7 +17,8 @@ from diffsim.data.study import Run, Study
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
-from diffsim.systems.ode.grid import Grid, delayed, held_delayed
+from diffsim.systems.grid import Grid, delayed, held_delayed
+from diffsim.systems.holding import looks_held
 from diffsim.systems.ode.keys import FormulaKeys, Input, Place, Store
 from diffsim.systems.ode.names import (
     RUN_ORDER,
@@ -30,10 +32,11 @@ from diffsim.systems.ode.names import (
 )
 from diffsim.systems.ode.network import TIME, Network, named, ordered, piecewise
 from diffsim.systems.ode.own_effects import own_effects
-from diffsim.systems.ode.place_effects import sticking
+from diffsim.systems.ode.place_effects import shapes
 from diffsim.systems.ode.scene import OdeScene
 
 SLOW_TIME = "slow_time"
+_WORDS = re.compile(r"\w+")
 _SLOW_SHARE = 0.1  # of the longest run: how long a slow share takes, if nobody says
 
 
@@ -71,7 +74,9 @@ class Described:
     ):
         self.keys, self.motion, self.study = keys, motion, study
         self._reader, self._given = reader, inputs
-        self.input_held = {i.name: i.held for i in inputs}
+        self.input_held = self._held()
+        self.unsure = frozenset(i.name for i in inputs if i.held is None and self._commands_of(i))
+        self.unsure -= {name for name, held in self.input_held.items() if held}
         self.quantities = self._quantities()
         facts = fact_names(study)
         self._check_names(facts)
@@ -138,6 +143,26 @@ class Described:
             return {}
         return made
 
+    def _commands_of(self, given: Input) -> list[str]:
+        """Commands that an input is made of."""
+        words = {given.name} if given.formula is None else set(_WORDS.findall(given.formula))
+        return sorted(words & {c for run in self.study.runs for c in run.command})
+
+    def _held(self) -> dict[str, bool]:
+        """Inputs, with whether they keep their value until the next sample."""
+        out = {}
+        for i, given in enumerate(self._given):
+            commands = self._commands_of(given)
+            out[given.name] = given.held or False
+            if given.held is None and looks_held(self.study.runs, commands):
+                out[given.name] = True
+                self._reader.note(
+                    f"inputs[{i}].held",
+                    f"{' and '.join(commands)} rests and jumps, so {given.name} is held between "
+                    "samples; give `held: false` for straight lines",
+                )
+        return out
+
     def _inputs(self, numbers: tuple[str, ...]) -> dict[str, Expression]:
         """Formula of every input, in commands, facts and parameters."""
         reader, runs = self._reader, self.study.runs
@@ -168,11 +193,8 @@ class Described:
         motion, given = self.motion, dict(self.keys.parameters)
         given |= {f"{s}_start": q for s, q in motion.states.items() if isinstance(q, Quantity)}
         given |= {f"{i.name}_delay": i.delay for i in self._given if i.delay is not None}
-        given |= {
-            sticking(p): Quantity(value=1.0, percent=100.0, lower=0.2, upper=20.0)
-            for p in motion.places
-            if p.stick_velocity is None
-        }
+        for place in motion.places:
+            given |= shapes(place)
         if motion.states and (self._given or motion.places):
             value = _SLOW_SHARE * longest(self.study.runs)
             given.setdefault(
@@ -187,6 +209,8 @@ class Described:
             for key in ("position", "velocity"):
                 if getattr(place, key) not in states:
                     reader.report(f"places[{i}].{key}", f"no state {getattr(place, key)!r}")
+            if place.position == place.velocity:
+                reader.report(f"places[{i}].velocity", "is its position, too; name the other state")
             reader.parse(f"places[{i}].inertia", place.inertia, self.known)
         for i, store in enumerate(self.motion.stores):
             if store.level not in states:

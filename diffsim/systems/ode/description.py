@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
@@ -25,7 +25,7 @@ from diffsim.systems.ode.keys import (
     Store,
 )
 from diffsim.systems.ode.library import Library, magnitudes
-from diffsim.systems.ode.names import Reader
+from diffsim.systems.ode.names import Reader, where_of
 from diffsim.systems.ode.unknown import unknown_forces
 
 
@@ -37,7 +37,13 @@ class OdeDescription(FormulaKeys):
         description="Start value of every state: a number with unit, a formula of parameters and "
         "first_CHANNEL, or a quantity with a prior"
     )
-    rates: dict[str, Formula] = Field(description="Rate of every state, its derivative in time")
+    rates: dict[str, Formula] = Field({}, description="Rate of every state, its derivative in time")
+    function: str | None = Field(
+        None,
+        description="FILE.py:NAME instead of rates: a Python function of states, inputs and "
+        "parameters, by the names of its arguments, that returns the rates by state. It is run, "
+        "once, only where the command line says so: --setup FILE.py",
+    )
     inputs: Inputs = Field((), description="What drives the system: commands, or formulas of them")
     limits: dict[str, tuple[float, float]] = Field(
         {}, description="Lower and upper limit of states that have some"
@@ -56,11 +62,23 @@ class OdeDescription(FormulaKeys):
     def _names_as_text(cls, given: Any) -> Any:
         return {str(k): v for k, v in given.items()} if isinstance(given, Mapping) else given
 
+    @model_validator(mode="after")
+    def _one_way(self) -> OdeDescription:
+        if bool(self.rates) == (self.function is not None):
+            raise ValueError("give rates, or function: FILE.py:NAME instead of them")
+        return self
+
     def problems(self, study: Study) -> list[Problem]:
         """Mistakes in names, formulas and units, found without a simulation."""
+        if self.function is not None:
+            return [Problem("warning", f"{where_of(study)}.function", self._not_run())]
         reader = Reader(study)
         self._described(study, reader)
-        return list(reader.problems)
+        return [*reader.problems, *reader.notes]
+
+    def _not_run(self) -> str:
+        file = str(self.function).partition(":")[0]
+        return f"{self.function} is code, which is not run unless you say so: --setup {file}"
 
     def _described(self, study: Study, reader: Reader) -> Described:
         motion = Motion(
@@ -76,6 +94,8 @@ class OdeDescription(FormulaKeys):
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""
+        if self.function is not None:
+            raise ValueError(f"{where_of(study)}.function: {self._not_run()}")
         reader = Reader(study)
         read = self._described(study, reader)
         reader.finish()
@@ -85,9 +105,11 @@ class OdeDescription(FormulaKeys):
             study=study,
             known=read.known,
             held=read.input_held,
+            unsure=read.unsure,
             places=tuple((p, usual.places[p.name]) for p in self.places),
             stores=tuple((s, usual.stores[s.name]) for s in self.stores),
             inputs=usual.inputs,
+            one_sided=usual.one_sided,
         )
         effects = chosen_effects((*ode_effects(library), *read.own), self.effects)
         settings = settings_with(DiagnosisSettings(), self.effort)

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from diffsim.core.expression import parse_expression
-from diffsim.core.units import in_si
+from diffsim.core.units import NO_UNIT, factor, in_si
 from diffsim.identify.effect import KINDS
 from diffsim.systems.description import Description, EffectChoice, Part, Quantity, number
 
@@ -36,7 +36,11 @@ def _quantity(given: Any) -> Any:
         value, unit = in_si(given)
         return Quantity(value=value, unit=unit)
     own = str(given.get("unit", "-"))
-    unit = next((in_si(given[k], own)[1] for k in _IN_UNIT if k in given), own)
+    units = [in_si(given[k], own)[1] for k in _IN_UNIT if k in given]
+    unit = next(iter(units), own)
+    for other in (*units, own):
+        if NO_UNIT not in (unit, other):
+            factor(other, unit)  # refuses a unit of another quantity
     return {**given, **{k: in_si(v, own)[0] for k, v in given.items() if k in _IN_UNIT}} | {
         "unit": unit
     }
@@ -65,8 +69,11 @@ class Input(Part):
         None,
         description="Formula of commands, parameters, facts and `t`; none: the command so named",
     )
-    held: bool = Field(
-        False, description="Whether it keeps its value until the next sample; else straight lines"
+    held: bool | None = Field(
+        None,
+        description="Whether it keeps its value until the next sample; else straight lines. None: "
+        "held where the commands rest and jump, which `check` says; else straight, and "
+        "`held_between_samples` is a cause to be judged",
     )
     delay: AnyQuantity | None = Field(
         None, description="Time by which it comes later than recorded [s]; with sd it is fitted"
@@ -175,7 +182,22 @@ class OwnEffect(Part):
         "force", description=f"Where it enters, one of {', '.join(KINDS[:-1])}"
     )
     form: str = Field("", description="What it does, in a sentence")
+    words: str | None = Field(
+        None,
+        description="What people call it at a size: `rotor 3 lost {:.0%} of its thrust`, where {} "
+        "stands for the size, {:.0%} for the size in percent",
+    )
     also_looks_like: tuple[str, ...] = Field((), description="What data may not tell from it")
+
+    @field_validator("words")
+    @classmethod
+    def _takes_a_number(cls, words: str | None) -> str | None:
+        if words is not None:
+            try:
+                words.format(0.5)
+            except (KeyError, IndexError, ValueError) as error:
+                raise ValueError(f"{words!r} cannot be filled in with a size: {error}") from None
+        return words
 
     @model_validator(mode="after")
     def _one_way(self) -> OwnEffect:

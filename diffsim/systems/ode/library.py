@@ -33,6 +33,7 @@ class PlaceScale:
         position: Rms distance of the position from its start.
         velocity: Rms velocity.
         low, high: Least and greatest position.
+        below, above: How far these are from the start; never zero.
     """
 
     force: float
@@ -41,6 +42,8 @@ class PlaceScale:
     velocity: float
     low: float
     high: float
+    below: float
+    above: float
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,8 @@ class Library:
         places: Where forces may act, each with its usual magnitudes.
         stores: What fills and empties, each with its usual magnitudes.
         inputs: Greatest magnitude of each input, by its name.
+        one_sided: Inputs that are never below zero.
+        unsure: Inputs of which nobody knows whether they are held between samples.
     """
 
     study: Study
@@ -77,6 +82,8 @@ class Library:
     places: tuple[tuple[Place, PlaceScale], ...]
     stores: tuple[tuple[Store, StoreScale], ...]
     inputs: Mapping[str, float]
+    one_sided: frozenset[str] = frozenset()
+    unsure: frozenset[str] = frozenset()
 
     @property
     def longest(self) -> float:
@@ -102,6 +109,7 @@ class Magnitudes:
     places: Mapping[str, PlaceScale]
     stores: Mapping[str, StoreScale]
     inputs: Mapping[str, float]
+    one_sided: frozenset[str]
 
 
 def magnitudes(
@@ -125,6 +133,7 @@ def magnitudes(
     read = network.with_readings(_inside(network, known, places, stores))
     columns: dict[str, list[Array]] = {}
     inputs: dict[str, float] = {}
+    two_sided: set[str] = set()
     for run in study.fit_runs or study.runs:
         scene = model.scene(run, model.at_prior())
         assert isinstance(scene, OdeScene)
@@ -134,10 +143,12 @@ def magnitudes(
             columns.setdefault(name, []).append(column.numpy())
         for name, u in scene.inputs.items():
             inputs[name] = max(inputs.get(name, 0.0), float(u.abs().max()))
+            two_sided |= {name} if float(u.min()) < 0.0 else set()
     return Magnitudes(
         {p.name: _place_scale(p, columns) for p in places},
         {s.name: _store_scale(s, columns) for s in stores},
         {name: most or 1.0 for name, most in inputs.items()},
+        frozenset(inputs) - two_sided,
     )
 
 
@@ -173,13 +184,17 @@ def _rms(parts: Sequence[Array]) -> float:
 
 def _place_scale(place: Place, columns: Mapping[str, list[Array]]) -> PlaceScale:
     path = columns[f"{place.name} position"]
+    away = _finite([p - p[0] for p in path])
+    usual = _rms([away])
     return PlaceScale(
         force=_rms(columns[f"{place.name} force"]),
         inertia=_rms([i[:1] for i in columns[f"{place.name} inertia"]]),
-        position=_rms([p - p[0] for p in path]),
+        position=usual,
         velocity=_rms(columns[f"{place.name} velocity"]),
         low=float(_finite(path).min(initial=0.0)),
         high=float(_finite(path).max(initial=0.0)),
+        below=max(-float(away.min(initial=0.0)), 0.1 * usual),
+        above=max(float(away.max(initial=0.0)), 0.1 * usual),
     )
 
 

@@ -30,6 +30,7 @@ class Change:
         states: Rates of further states, by name.
         starts: Start values of those, by name; 0 if absent.
         inputs: Names of further inputs.
+        held_inputs: Names of further inputs that keep their value until the next time.
     """
 
     rates: Mapping[str, Expression] = field(default_factory=dict)
@@ -39,6 +40,7 @@ class Change:
     states: Mapping[str, Expression] = field(default_factory=dict)
     starts: Mapping[str, Expression] = field(default_factory=dict)
     inputs: tuple[str, ...] = ()
+    held_inputs: tuple[str, ...] = ()
 
 
 READING = "reading"
@@ -105,7 +107,7 @@ class Network:
         for change in changes:
             rates |= {s: e.root for s, e in change.states.items()}
             starts |= change.starts
-            inputs |= dict.fromkeys(change.inputs, False)
+            inputs |= dict.fromkeys(change.inputs, False) | dict.fromkeys(change.held_inputs, True)
             for state, term in change.rates.items():
                 rates[state] = Apply("add", (rates[state], term.root))
             for state, factor in change.factors.items():

@@ -53,6 +53,7 @@ def _effect(
         signed=block.signed,
         smooth=block.smooth,
         also_looks_like=block.also_looks_like,
+        words=None if block.words is None else block.words.format,
         components=groups.components,
         apply=by_formulas_in(
             _change(where, block, study, known, states, reader), symbol(block.name), groups

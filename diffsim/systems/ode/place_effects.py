@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from diffsim.core.expression import parse_expression
+from diffsim.core.expression import Expression, parse_expression
 from diffsim.identify.effect import Effect
+from diffsim.systems.description import Quantity
 from diffsim.systems.ode.applying import by_formulas, symbol
 from diffsim.systems.ode.keys import Place
 from diffsim.systems.ode.library import Library, PlaceScale
@@ -16,7 +17,10 @@ from diffsim.systems.ode.scene import at_start
 STICK = 0.01  # of the usual velocity: below it dry friction fades
 STRIBECK = 0.2  # of the usual velocity: where friction has fallen to that of sliding
 SHARE = 0.1  # of the usual force that a cause may be without surprise
-STOP_STIFFNESS = 50.0  # usual forces per usual distance
+STOP_STIFFNESS = 50.0  # usual forces per usual distance, times e^stop_hardness
+REACH_SHARE = 0.3  # of how far it moves from the start: how far inside a stop may be
+STOP_TRIES = (0.1, 0.3, 0.6, 1.0, 1.4, 1.8, 2.2, 2.6, 3.0)  # so that all that distance is scanned
+STOP_STEPS = 4  # of the integrator, to one: what touches a stop swings faster than what is free
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +28,7 @@ class _Force:
     """A force at a place.
 
     Attributes:
-        name, form, family, kind, signed, smooth, also: As of the effect.
+        name, form, family, kind, signed, smooth, also, tries: As of the effect.
         force: Formula of position x, velocity v, size, and the numbers of ``_numbers``.
         unit: Unit of the size, with F for that of the force and X for that of the position.
         typical: Size that would be no surprise.
@@ -40,6 +44,7 @@ class _Force:
     signed: bool = True
     smooth: bool = True
     also: tuple[str, ...] = ()
+    tries: tuple[float, ...] = ()
 
 
 def _forces(scale: PlaceScale) -> Iterator[_Force]:
@@ -117,9 +122,10 @@ def _forces(scale: PlaceScale) -> Iterator[_Force]:
         form="Force -size x^3: stiffening, or softening if negative.",
         family="stiffness",
         kind="material",
-        force="-size*x*x*x",
+        force="-size*x*x*x*(1 + max(bend, 0)*(x/usual)**2)/(1 - min(bend, 0)*(x/usual)**2)",
         unit="F/X^3",
         typical=f / x**3,
+        also=("a string across the motion", "rubber that is stretched far", "a soft stop"),
     )
     yield _Force(
         name="constant_force",
@@ -135,22 +141,24 @@ def _forces(scale: PlaceScale) -> Iterator[_Force]:
         name="stop_above",
         form="A stop, size inside the greatest position that the plain model reaches.",
         family="stop",
-        force="-stop*max(x - (high - size), 0)*(size > 0)",
+        force="-stop*max(x - (high - size), 0)*(1 + tanh(loss*v/usual_v))*(size > 0)",
         unit="X",
-        typical=0.1 * x,
+        typical=REACH_SHARE * scale.above,
         signed=False,
         smooth=False,
+        tries=STOP_TRIES,
         also=("stiffening", "saturation of the drive"),
     )
     yield _Force(
         name="stop_below",
         form="A stop, size inside the least position that the plain model reaches.",
         family="stop",
-        force="stop*max((low + size) - x, 0)*(size > 0)",
+        force="stop*max((low + size) - x, 0)*(1 - tanh(loss*v/usual_v))*(size > 0)",
         unit="X",
-        typical=0.1 * x,
+        typical=REACH_SHARE * scale.below,
         signed=False,
         smooth=False,
+        tries=STOP_TRIES,
         also=("stiffening", "saturation of the drive"),
     )
     yield _Force(
@@ -182,40 +190,71 @@ def sticking(place: Place) -> str:
     return f"sticking_at_{place.name}"
 
 
+def shapes(place: Place) -> dict[str, Quantity]:
+    """Numbers that some forces at a place have beside their size, known within decades.
+
+    Where no such force acts they change nothing.
+
+    Args:
+        place: Where forces may act.
+
+    Returns:
+        Base parameters by name: the factor on the velocity below which dry friction fades, where
+        nobody stated it; logarithms of a stop's stiffness and loss over the usual; by how much
+        stiffening is more than cubic at the usual distance, or less if negative.
+    """
+    fades = {sticking(place): Quantity(value=1.0, percent=100.0, lower=0.2, upper=20.0)}
+    return {
+        **({} if place.stick_velocity else fades),
+        f"stop_hardness_at_{place.name}": Quantity(value=0.0, sd=1.5, lower=-3.0, upper=3.0),
+        f"stop_loss_at_{place.name}": Quantity(value=-1.0, sd=1.5, lower=-5.0, upper=3.0),
+        f"stiffening_bend_at_{place.name}": Quantity(value=0.0, sd=0.5),
+    }
+
+
 def _numbers(place: Place, scale: PlaceScale) -> dict[str, float]:
     return {
         "width": place.stick_velocity or STICK * scale.velocity,
         "vs": STRIBECK * scale.velocity,
-        "stop": STOP_STIFFNESS * scale.force / scale.position,
+        "usual": scale.position,
+        "usual_v": scale.velocity,
         "low": scale.low,
         "high": scale.high,
     }
 
 
-def _effect(library: Library, place: Place, scale: PlaceScale, force: _Force, tail: str) -> Effect:
-    name = force.name + tail
-    numbers, slow = _numbers(place, scale), f"slow state of {name}"
-    letters = parse_expression(
-        f"({force.force})/inertia", ("x", "v", "w", "slow", "size", "inertia", *numbers)
-    )
-    parts = {k: parse_expression(repr(number)) for k, number in numbers.items()} | {
+def _letters(library: Library, place: Place, scale: PlaceScale, name: str) -> dict[str, Expression]:
+    """What the letters of a force's formula stand for."""
+    numbers = {k: parse_expression(repr(n)) for k, n in _numbers(place, scale).items()}
+    stiffness = repr(STOP_STIFFNESS * scale.force / scale.position)
+    own = {k: named(f"{k}_at_{place.name}") for k in ("stop_hardness", "stop_loss")}
+    out = numbers | {
         "x": named(place.position),
         "v": named(place.velocity),
-        "slow": named(slow),
+        "slow": named(f"slow state of {name}"),
+        "tau": named("slow_time"),
         "size": named(symbol(name)),
         "inertia": parse_expression(place.inertia, library.known),
+        "bend": named(f"stiffening_bend_at_{place.name}"),
+        "stop": filled(parse_expression(f"{stiffness}*exp(stop_hardness)"), own),
+        "loss": filled(parse_expression("exp(stop_loss)"), own),
     }
     width = "width" if place.stick_velocity else f"width*{sticking(place)}"
-    parts["w"] = filled(parse_expression(width), parts)
-    states = {}
-    if "slow" in letters.names:
-        rate = parse_expression("(x - slow)/tau")
-        states[slow] = filled(rate, {**parts, "tau": named("slow_time")})
+    return out | {"w": filled(parse_expression(width), out)}
+
+
+def _effect(library: Library, place: Place, scale: PlaceScale, force: _Force, tail: str) -> Effect:
+    name = force.name + tail
+    parts = _letters(library, place, scale, name)
+    slow = f"slow state of {name}"
+    letters = parse_expression(f"({force.force})/inertia", parts)
+    creeps = "slow" in letters.names
     change = Change(
         rates={place.velocity: filled(letters, parts)},
-        states=states,
-        starts={slow: named(at_start(place.position))} if states else {},
+        states={slow: filled(parse_expression("(x - slow)/tau"), parts)} if creeps else {},
+        starts={slow: named(at_start(place.position))} if creeps else {},
     )
+    steps = STOP_STEPS if force.family == "stop" else 1
     return Effect(
         name=name,
         form=force.form,
@@ -226,7 +265,8 @@ def _effect(library: Library, place: Place, scale: PlaceScale, force: _Force, ta
         signed=force.signed,
         smooth=force.smooth,
         also_looks_like=force.also,
-        apply=by_formulas(change, symbol(name)),
+        tries=force.tries,
+        apply=by_formulas(change, symbol(name), steps=steps),
     )
 
 

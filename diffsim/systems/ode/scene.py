@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from diffsim.core.expression import Expression
 from diffsim.data.study import Run
-from diffsim.systems.ode.grid import Grid
+from diffsim.systems.grid import Grid
 from diffsim.systems.ode.network import TIME, Change, Network
 
 #: (signal on the grid (..., num_times), grid) -> the same
@@ -31,6 +32,7 @@ class OdeScene:
         changes: What effects have changed in the formulas.
         readers: What effects do to channels: name of the channel, function.
         channels: Names of the channels in order.
+        steps: Steps of the integrator between two times of the grid.
     """
 
     run: Run
@@ -42,19 +44,29 @@ class OdeScene:
     changes: tuple[Change, ...] = ()
     readers: tuple[tuple[str, SignalMap], ...] = ()
     channels: tuple[str, ...] = field(default=())
+    steps: int = 1
 
-    def with_change(self, change: Change, sizes: Mapping[str, Tensor]) -> OdeScene:
-        """A copy with other formulas; ``sizes`` are values of the symbols in them."""
-        return replace(self, changes=(*self.changes, change), values={**self.values, **sizes})
+    def with_change(self, change: Change, sizes: Mapping[str, Tensor], steps: int = 1) -> OdeScene:
+        """A copy with other formulas; ``sizes`` are values of the symbols in them, ``steps`` what
+        the integrator needs for them."""
+        return replace(
+            self,
+            changes=(*self.changes, change),
+            values={**self.values, **sizes},
+            steps=max(self.steps, steps),
+        )
 
     def with_input(self, name: str, change: SignalMap) -> OdeScene:
         """A copy in which an input is f(input, grid)."""
         changed = change(self.inputs[name], self.grid)
         return replace(self, inputs={**self.inputs, name: changed})
 
-    def with_further_input(self, name: str, values: Tensor, change: Change) -> OdeScene:
+    def with_further_input(
+        self, name: str, values: Tensor, change: Change, sizes: Mapping[str, Tensor] | None = None
+    ) -> OdeScene:
         """A copy with one more input (..., num_times), which ``change`` puts into formulas."""
-        return replace(self, inputs={**self.inputs, name: values}, changes=(*self.changes, change))
+        scene = replace(self, inputs={**self.inputs, name: values})
+        return scene.with_change(change, sizes or {})
 
     def with_reading(self, channel: str, change: SignalMap) -> OdeScene:
         """A copy in which a channel is f(channel, grid)."""
@@ -84,17 +96,18 @@ class OdeScene:
         starts = self._starts(states, solver.starts)
         parameters = [self.values[n] for n in solver.parameters]
         inputs = [self.inputs[n] for n in solver.inputs]
-        lead = torch.broadcast_shapes(
+        lead = np.broadcast_shapes(
             *(v.shape for v in (*starts, *parameters)), *(u.shape[:-1] for u in inputs)
         )
         steps = len(self.grid.times)
         # inputs that no point changes are stored once
-        own = torch.broadcast_shapes(*(u.shape[:-1] for u in inputs))
+        own = np.broadcast_shapes(*(u.shape[:-1] for u in inputs))
         return solver.ode.solve(
             self.grid.times,
             _stacked(starts, lead),
             torch.stack([u.expand(*own, steps) for u in inputs], -1) if inputs else None,
             _stacked(parameters, lead),
+            num_steps=self.steps,
         )
 
     def _starts(self, states: Sequence[str], further: Mapping[str, Expression]) -> list[Tensor]:

@@ -18,9 +18,12 @@ from diffsim.systems.description import (
     chosen_effects,
     settings_with,
 )
+from diffsim.systems.holding import looks_held
 from diffsim.systems.outside import hooks as hooks_of
 from diffsim.systems.outside.setup import outside_setup
 from diffsim.systems.outside.source import Environment, Source
+
+MJCF = "diffsim.systems.outside.mjcf:Mjcf"
 
 
 def _as_quantity(given: Any) -> Any:
@@ -94,9 +97,10 @@ class OutsideDescription(Description):
     start: dict[str, AnyQuantity] = Field(
         {}, description="Start values that it gets by name too; usually `per: run`"
     )
-    commands_are: Literal["straight", "held"] = Field(
-        "straight",
-        description="Between two samples: straight lines, or held until the next sample",
+    commands_are: Literal["straight", "held"] | None = Field(
+        None,
+        description="Between two samples: straight lines, or held until the next sample. None: "
+        "held where all commands rest and jump, which `check` says; else straight",
     )
     hooks: HookKeys = Field(HookKeys(), description="What causes may act on")
     environment: EnvironmentKeys = Field(
@@ -110,19 +114,18 @@ class OutsideDescription(Description):
             raise ValueError(f"{', '.join(sorted(both))}: in parameters or in start, not in both")
         return self
 
-    def source(self, folder: Path | None) -> Source:
-        """Where the simulator is.
-
-        Args:
-            folder: Folder of the study.
-        """
+    def source(self, study: Study) -> Source:
+        """Where the simulator of a study is."""
         reading = Environment(**self.environment.model_dump())
-        return Source(self.simulator, folder, self._options(folder), reading)
+        options = dict(self._options(study.folder))
+        if self.simulator == MJCF:
+            options.setdefault("held", self._held(study))
+        return Source(self.simulator, study.folder, options, reading)
 
     def problems(self, study: Study) -> list[Problem]:
         """A simulator that is not there, hooks that no column has; nothing is run."""
         out = []
-        if problem := self.source(study.folder).problem():
+        if problem := self.source(study).problem():
             out.append(Problem("error", "model", problem))
         for check in (
             lambda: hooks_of.command_groups(study, self.hooks.command),
@@ -140,13 +143,17 @@ class OutsideDescription(Description):
         if count and count != len(study.channels):
             message = f"environment.observation has {count} entries for {len(study.channels)} "
             out.append(Problem("error", "model", message + "channels"))
+        if self.commands_are is None and self._held(study):
+            message = "the commands rest and jump, so they are held between samples; "
+            message += "give `commands_are: straight` if they are not"
+            out.append(Problem("note", "model.commands_are", message))
         return out
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""
         made = outside_setup(
             study,
-            self.source(study.folder),
+            self.source(study),
             {**self.parameters, **self.start},
             places=[
                 hooks_of.Place(name, p.unit, p.typical, p.distance, p.speed)
@@ -154,7 +161,7 @@ class OutsideDescription(Description):
             ],
             commands=self.hooks.command,
             outputs=self.hooks.output,
-            held=self.commands_are == "held",
+            held=self._held(study),
             workers=self.workers,
         )
         return DiagnosisSetup(
@@ -163,6 +170,11 @@ class OutsideDescription(Description):
             unknowns=made.unknowns,
             settings=settings_with(made.settings, self.effort),
         )
+
+    def _held(self, study: Study) -> bool:
+        if self.commands_are is not None:
+            return self.commands_are == "held"
+        return looks_held(study.runs, list(dict.fromkeys(c for r in study.runs for c in r.command)))
 
     def _options(self, folder: Path | None) -> Mapping[str, Any]:
         """Options; those that name a file beside the study get its folder."""

@@ -18,14 +18,12 @@ from diffsim.data.study import Run
 from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.problem import PredictionError
-from diffsim.systems import signals
+from diffsim.systems.grid import Grid
 from diffsim.systems.outside.forces import Knots, PlaceForces, Term
 from diffsim.systems.outside.source import Predict, Source, offers_of
 
 Array = NDArray[np.float64]
-CommandMap = Callable[[Tensor, float], Tensor]
-OutputMap = Callable[[Tensor, Tensor], Tensor]  # channels and times since the start -> channels
-EVEN = 1e-6  # of the step: sample times that differ by less are evenly spaced
+SignalMap = Callable[[Tensor, Grid], Tensor]  # signals (width, num_samples), grid -> the same
 
 
 class SimulatorError(PredictionError):
@@ -116,17 +114,17 @@ class OutsideScene:
     values: Mapping[str, Tensor]
     run: Run
     numerics: Numerics
-    command_maps: tuple[tuple[tuple[str, ...], CommandMap], ...] = ()
+    command_maps: tuple[tuple[tuple[str, ...], SignalMap], ...] = ()
     terms: tuple[Term, ...] = ()
     knots: tuple[Knots, ...] = ()
-    output_maps: tuple[tuple[tuple[int, ...], OutputMap], ...] = ()
+    output_maps: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()
 
-    def with_command(self, names: tuple[str, ...], change: CommandMap) -> OutsideScene:
-        """A copy with one more map f(commands (num_samples, width), dt) of some commands."""
+    def with_command(self, names: tuple[str, ...], change: SignalMap) -> OutsideScene:
+        """A copy with one more map f(commands (width, num_samples), grid) of some commands."""
         return replace(self, command_maps=(*self.command_maps, (names, change)))
 
-    def with_output(self, channels: tuple[int, ...], change: OutputMap) -> OutsideScene:
-        """A copy with one more map f(channels (num_samples, width), times) of some channels."""
+    def with_output(self, channels: tuple[int, ...], change: SignalMap) -> OutsideScene:
+        """A copy with one more map f(channels (width, num_samples), grid) of some channels."""
         return replace(self, output_maps=(*self.output_maps, (channels, change)))
 
     def with_term(self, term: Term) -> OutsideScene:
@@ -157,13 +155,15 @@ class OutsideScene:
         Args:
             predicted: What the simulator returned, (num_samples, num_channels).
         """
-        out = torch.from_numpy(predicted)
-        time = torch.from_numpy(np.asarray(self.run.time_s - self.run.time_s[0], dtype=np.float64))
+        out, grid = torch.from_numpy(predicted), self._grid()
         for channels, change in self.output_maps:
             idx = list(channels)
             out = out.clone()
-            out[:, idx] = change(out[:, idx], time)
+            out[:, idx] = change(out[:, idx].mT, grid).mT
         return out
+
+    def _grid(self) -> Grid:
+        return Grid.of(np.asarray(self.run.time_s, dtype=np.float64), np.inf)
 
     def _commands(self) -> dict[str, Array]:
         """Commands as the actuators hear them, at the run's times."""
@@ -172,29 +172,9 @@ class OutsideScene:
             held = [n for n in names if n in commands]
             if not held:
                 continue
-            columns = torch.from_numpy(np.column_stack([commands[n] for n in held]))
-            moved = on_even_times(columns, self.run.time_s, change).numpy()
-            commands |= dict(zip(held, moved.T.copy(), strict=True))
+            rows = torch.from_numpy(np.stack([commands[n] for n in held]))
+            commands |= dict(zip(held, change(rows, self._grid()).numpy(), strict=True))
         return commands
-
-
-def on_even_times(columns: Tensor, time_s: Array, change: CommandMap) -> Tensor:
-    """A map of evenly sampled signals, for signals at any times.
-
-    Args:
-        columns: Signals, (num_samples, width).
-        time_s: Times of the samples, (num_samples,) [s].
-        change: Function (signals, dt) -> signals.
-    """
-    step = np.diff(time_s)
-    dt = float(np.median(step))
-    if (np.abs(step - dt) <= EVEN * dt).all():
-        return change(columns, dt)
-    count = int(np.ceil((time_s[-1] - time_s[0]) / dt)) + 1
-    even = time_s[0] + dt * np.arange(count)
-    resampled = np.column_stack([np.interp(even, time_s, c) for c in columns.numpy().T])
-    moved = change(torch.from_numpy(resampled), dt)
-    return signals.straight(moved, dt, torch.from_numpy(time_s - time_s[0]))
 
 
 class OutsideModel(SimModel):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -142,7 +143,7 @@ class BallScene:
 
     def simulate(self) -> Tensor:
         """(..., T, num_channels)."""
-        batch = torch.broadcast_shapes(*(v.shape for v in self.values.values()))
+        batch = np.broadcast_shapes(*(v.shape for v in self.values.values()))
         wide = {n: v.expand(batch or (1,)) for n, v in self.values.items()}
         out = replace(self, values=wide)._channels()
         return out if batch else out[0]

@@ -124,13 +124,16 @@ class Balls:
                 only = replace(stage, bodies=(), pair=None)
                 stages[CLICKS] = replace(only, eye=replace(eye, corners=corners))
 
+        clocks = {run.name: run.time_s for run in study.runs}
+
         def build(values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> BallScene:
             is_clicks = run.name == CLICKS
             known = quantities.in_run(values, runs[0] if is_clicks else run)
             start = {} if is_clicks else starts.in_run(values, run)
             since = 0.0 if is_clicks else starts.at(run)
             time = torch.from_numpy(np.asarray(run.time_s, dtype=np.float64) - since)
-            return BallScene({**plain, **known, **start}, time, stages[run.name])
+            shown = _of_part(stages[run.name], clocks[run.name], run)
+            return BallScene({**plain, **known, **start}, time, shown)
 
         base = (*quantities.base, *starts.base)
         return SimModel(build, base, "balls", batched=True)
@@ -312,3 +315,12 @@ class Balls:
             j = int(np.argmax(np.abs(row)))
             world[:, i] = row[j] * place[:, j]
         return world
+
+
+def _of_part(stage: Stage, clock: Array, run: Run) -> Stage:
+    """The stage of a run of which a part may be left out: as many clicked points as samples."""
+    eye = stage.eye
+    if eye is None or eye.corners is None or len(eye.corners) == len(run.time_s):
+        return stage
+    rows = torch.from_numpy(np.searchsorted(clock, run.time_s))
+    return replace(stage, eye=replace(eye, corners=eye.corners[rows]))

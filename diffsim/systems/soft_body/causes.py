@@ -10,7 +10,7 @@ import numpy as np
 
 from diffsim.identify.effect import Effect
 from diffsim.identify.unknown import Unknown, UnknownForce, smooth_covariance
-from diffsim.systems.actuator import BACKLASH, DEAD_BAND, LAG, SATURATION
+from diffsim.systems.actuator import BACKLASH, DEAD_BAND, LAG, SATURATION, in_words
 from diffsim.systems.soft_body import forces, material, sensor
 from diffsim.systems.soft_body.hanging import SLACK_STRING
 from diffsim.systems.soft_body.loads import (
@@ -20,7 +20,7 @@ from diffsim.systems.soft_body.loads import (
     one_sided_stop,
     tip_mass,
 )
-from diffsim.systems.soft_body.pulling import PULLING, in_words, unknown_pull
+from diffsim.systems.soft_body.pulling import PULLING, unknown_pull
 from diffsim.systems.soft_body.readings import main_axis
 from diffsim.systems.soft_body.support import support_motion
 from diffsim.systems.soft_body.unknown import unknown_force
@@ -97,7 +97,7 @@ def _of_commands(given: SoftBodyKeys, study: Study, timed: bool) -> list[Effect]
     sized = {
         "dead_band": TYPICAL_SHARE * width,
         "backlash": TYPICAL_SHARE * width,
-        "tendon_slack": TYPICAL_SHARE * width,
+        "slack": TYPICAL_SHARE * width,
         "rate_limit": LIMIT_SHARE / rate,
     }
     found = [LAG, DEAD_BAND, BACKLASH, SATURATION, *PULLING]
@@ -107,11 +107,11 @@ def _of_commands(given: SoftBodyKeys, study: Study, timed: bool) -> list[Effect]
         found = [e for e in found if e.name not in ("lag", "rate_limit", "backlash")]
     # of a command that only pulls, slack and dead band are one
     pulls_only = bool(given.tendons) and commanded_reach(study, given.commands)[0] >= 0.0
-    doubled = "dead_band" if pulls_only else "tendon_slack"
+    doubled = "dead_band" if pulls_only else "slack"
     found = [e for e in found if e.name != doubled]
     units = {c.name: c.unit for c in study.commands}
     unit = (units.get(given.commands[0]) if len(given.commands) == 1 else None) or "-"
-    found = [in_words(e, unit) for e in found]
+    found = [in_words(e, unit, "mm" if unit == "m" else None) for e in found]
     return [replace(e, typical=sized[e.name]) if e.name in sized else e for e in found]
 
 

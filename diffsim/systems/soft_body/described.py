@@ -14,6 +14,7 @@ from torch import Tensor
 from diffsim import contact
 from diffsim.core.rotation import matrix_from_rotation_vector
 from diffsim.identify.model import Numerics
+from diffsim.systems.description import fact_in
 from diffsim.systems.soft_body.loads import HungWeight
 from diffsim.systems.soft_body.model import SoftModel
 from diffsim.systems.soft_body.quasi_static import posed
@@ -177,7 +178,7 @@ class DescribedModel:
         if load.mass is not None:
             return share * own[f"{load.name}_mass"]
         assert load.mass_from is not None
-        return share * float(run.setup.get(load.mass_from, 0.0))
+        return share * fact_in(run, load.mass_from, "kg")
 
     def _hung(self, rig: Rig, own: Values, run: Run) -> Tensor | None:
         """(num_vertices,) of what acts by its weight alone [kg]; less than 0: buoyancy."""

@@ -10,7 +10,12 @@ from diffsim.data.study_check import Problem
 from diffsim.identify import Jacobian
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.identify.setup import DiagnosisSetup
-from diffsim.systems.description import BaseParameters, chosen_effects, settings_with
+from diffsim.systems.description import (
+    BaseParameters,
+    chosen_effects,
+    fact_in,
+    settings_with,
+)
 from diffsim.systems.soft_body.body_keys import SoftBodyKeys
 from diffsim.systems.soft_body.causes import commanded_reach, library, unknowns
 from diffsim.systems.soft_body.described import DescribedModel
@@ -62,6 +67,8 @@ class SoftBodyDescription(SoftBodyKeys):
                     f"model.masses[{i}].mass_from",
                     f"no run states {load.mass_from!r} in its setup",
                 )
+            elif load.mass_from is not None:
+                yield from _masses(f"model.masses[{i}].mass_from", load.mass_from, runs)
         for key, q in self.quantities().items():
             if q.per not in (None, "run") and any(q.per not in r.setup for r in runs):
                 yield Problem(
@@ -94,6 +101,19 @@ class SoftBodyDescription(SoftBodyKeys):
         names = [c.name for c in study.channels]
         reach = commanded_reach(study, self.commands) if len(self.commands) == 1 else None
         return DescribedModel(self, study.folder, names, parameters, reach)
+
+
+def _masses(where: str, fact: str, runs: Sequence[Run]) -> Iterator[Problem]:
+    """Facts that are no mass, and runs that do not state theirs."""
+    for run in runs:
+        try:
+            fact_in(run, fact, "kg")
+        except ValueError as error:
+            yield Problem("error", where, str(error))
+            return
+    if silent := [run.name for run in runs if fact not in run.setup]:
+        told = f"{', '.join(silent[:4])}{' ...' if len(silent) > 4 else ''}"
+        yield Problem("warning", where, f"0 kg is taken where the setup has no {fact}: {told}")
 
 
 __all__ = ["SoftBodyDescription"]

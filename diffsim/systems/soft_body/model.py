@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -15,6 +15,7 @@ from diffsim.systems.soft_body.hanging import SlackScene, slack_tangents
 from diffsim.systems.soft_body.line import OwnedScene, SceneLine
 from diffsim.systems.soft_body.scene import SoftScene
 from diffsim.systems.soft_body.tangents import scene_tangents
+from diffsim.systems.soft_body.together import simulate_together
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
@@ -28,6 +29,10 @@ class SoftModel(SimModel):
     zero are left out wherever they are not what is differentiated: at zero they are the scene
     itself.
     """
+
+    def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
+        """Predictions of several scenes of one run, at once where only commands differ."""
+        return simulate_together(scenes)
 
     def tangents(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -10,6 +11,7 @@ from torch import Tensor
 from diffsim.core.rotation import matrix_from_rotation_vector
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
+from diffsim.systems import instrument
 from diffsim.systems.soft_body.scene import SoftScene
 
 
@@ -82,16 +84,7 @@ CLOCK_RATE = Effect(
     also_looks_like=("dropped frames", "wrong frame rate", "Young's modulus, in free swing"),
     apply=_clock_rate,
 )
-SENSOR_SCALE = Effect(
-    name="sensor_scale",
-    form="Everything measured is larger by the share size.",
-    family="sensor",
-    kind="sensor",
-    unit="-",
-    typical=0.02,
-    also_looks_like=("gain of the actuator", "scale of the calibration"),
-    apply=_sensor_scale,
-)
+SENSOR_SCALE = replace(instrument.SENSOR_SCALE, typical=0.02, apply=_sensor_scale)
 PLACEMENT = Effect(
     name="placement",
     form="Everything measured is displaced by size, per axis of space.",

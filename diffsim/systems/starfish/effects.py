@@ -13,7 +13,8 @@ from torch import Tensor
 
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
-from diffsim.systems.actuator import BACKLASH, DEAD_BAND, LAG, SATURATION, needs_command
+from diffsim.systems import actuator
+from diffsim.systems.actuator import BACKLASH, DEAD_BAND, LAG, SATURATION
 from diffsim.systems.signals import straight
 from diffsim.systems.soft_body.forces import DRY_FRICTION
 from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
@@ -21,27 +22,6 @@ from diffsim.systems.starfish.body import LEAD, TENDON
 
 QUARTERS = 4.0
 FASTEST = 0.8 / TENDON  # what the commands ask for at most [1/s]
-
-
-def _rate_limit(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-    return scene.with_command(lambda u, dt: rate_limited(u, dt, size[0]))
-
-
-def rate_limited(u: Tensor, dt: float, loss: Tensor) -> Tensor:
-    """Command (num_samples, width) followed at most at FASTEST (1 - loss); loss () [-].
-
-    With no loss it is the command itself, steps included.
-    """
-    most = FASTEST * (1.0 - loss.clamp(max=0.99)) * dt
-    now, out = u[0], [u[0]]
-    for target in u[1:]:
-        now = now + torch.minimum(torch.maximum(target - now, -most), most)
-        out.append(now)
-    return torch.where(loss > 0.0, torch.stack(out), u)
-
-
-def _command_gain(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
-    return scene.with_command(lambda u, dt: u * (1.0 + size[0]))
 
 
 def _rail_friction(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
@@ -110,30 +90,8 @@ def _unknown_pull(scene: SoftScene, size: Tensor, run: Run, *, spacing: float) -
     return scene.with_command(changed)
 
 
-RATE_LIMIT = Effect(
-    name="rate_limit",
-    form="The servo moves no faster than (1 - size) times 0.8 m/s, the fastest that is commanded.",
-    family="timing",
-    kind="actuator",
-    unit="-",
-    typical=0.5,
-    signed=False,
-    smooth=False,
-    also_looks_like=("lag of the servo, at one amplitude", "weak battery"),
-    needs=needs_command,
-    apply=_rate_limit,
-)
-COMMAND_GAIN = Effect(
-    name="command_gain",
-    form="The tendons are pulled (1 + size) times as far.",
-    family="gain",
-    kind="actuator",
-    unit="-",
-    typical=0.2,
-    also_looks_like=("radius of the pulley", "scale of the camera", "stretch of the tendons"),
-    needs=needs_command,
-    apply=_command_gain,
-)
+RATE_LIMIT = replace(actuator.RATE_LIMIT, typical=2.0 / FASTEST)
+COMMAND_GAIN = replace(actuator.COMMAND_GAIN, typical=0.2)
 RAIL_FRICTION = replace(
     DRY_FRICTION,
     name="rail_friction",

@@ -208,3 +208,12 @@ def test_every_effect_shows(lab, null, name):
         for a, b in zip(null.runs, lab(1, name).runs, strict=True)
     ]
     assert max(change) > 8.0  # noise units, before any refit
+
+
+def test_no_rotor_comes_nearer_to_the_ground_than_its_radius(lab):
+    """Below that no form of the ground effect is known."""
+    for run in lab.case(108, noise=0.0).study.runs:
+        angles, place = run.measured[:, 3:6], run.measured[:, :3]
+        body = Rotation.from_euler("ZYX", angles[:, ::-1])
+        hubs = [place + body.apply(arm) for arm in lab_module.ROTORS_M]
+        assert -np.max(hubs, axis=(0, 1))[2] > lab_module.RADIUS_M, run.name

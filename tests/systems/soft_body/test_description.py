@@ -35,7 +35,7 @@ def test_what_a_description_makes():
     names = {e.name for e in setup.effects}
     assert {"load_inertia", "tip_mass", "loss_factor", "body_scale", "delay"} <= names
     # a base parameter is no cause beside itself, and nothing pulls here
-    assert not {"stiffness_damping", "tendon_slack", "rate_limit", "current"} & names
+    assert not {"stiffness_damping", "slack", "rate_limit", "current"} & names
 
 
 def test_a_hung_weight_pulls_and_its_inertia_slows():
@@ -46,6 +46,14 @@ def test_a_hung_weight_pulls_and_its_inertia_slows():
     first_dip = {k: int(y[:, 0].argmin()) for k, y in (("plain", plain), ("heavy", heavy))}
     assert float(plain.min()) < 1.5 * float(light.min()) < 0.0
     assert first_dip["heavy"] > first_dip["plain"]
+
+
+def test_a_fact_may_have_a_unit_and_who_states_none_is_told():
+    study = study_of(BAR, (HEAVY, run_of("same", TIMES, load_kg="30 g"), run_of("silent", TIMES)))
+    heavy, same, silent = predicted(study)
+    assert torch.equal(heavy, same) and not torch.allclose(heavy, silent)
+    (warning,) = described(study).problems(study)
+    assert warning.severity == "warning" and warning.message.endswith("no load_kg: silent")
 
 
 def test_a_load_as_a_mass_is_a_weight_with_its_inertia():
@@ -108,6 +116,10 @@ def test_a_commanded_force_bends_as_its_moment_does():
         ({"fixed": [{"x": 0.2}]}, r"fixed\[0\]: no node of the body lies there; it spans x 0 to"),
         ({"markers": {"tip": [0.2, 0.0, 0.0]}}, r"markers.tip: \(0.2, 0, 0\) m lies outside"),
         ({"masses": [{"where": {"x": 0.08}, "mass_from": "weight"}]}, r"no run states 'weight'"),
+        (
+            {"masses": [{"where": {"x": 0.08}, "mass_from": "load_kg"}]},
+            "run light: setup.load_kg: must be a number in kg, or one with its unit, got 'brass'",
+        ),
         ({"channels": {}}, "channels.tip_z_m: is not described"),
         ({"support": {"x": "clamp_x", "z": "clamp_z"}}, "support.x: run light has no command"),
         (
@@ -117,7 +129,8 @@ def test_a_commanded_force_bends_as_its_moment_does():
     ],
 )
 def test_errors_in_terms_of_the_keys(changes, message):
-    study = study_of(BAR, (LIGHT,), **changes)
+    light = run_of("light", TIMES, load_kg="brass") if "brass" in message else LIGHT
+    study = study_of(BAR, (light,), **changes)
     with pytest.raises(ValueError, match=message):
         setup_of(study)
 

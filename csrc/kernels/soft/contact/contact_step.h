@@ -57,8 +57,8 @@ StepStats contact_step_tangent(const ConstantSystem& system, const StepInputs& i
                                const ContactInputs& contacts, const StepOptions& options,
                                const ContactOptions& contact_options, const double* x,
                                const std::int64_t* status, const StepDirections& direction,
-                               const ContactRates& contact_direction, double* dx,
-                               double* dforce, ThreadPool& pool);
+                               const ContactRates& contact_direction, double* dx, double* dforce,
+                               ThreadPool& pool);
 
 /// Batches: nodes are shared by the items, all else has a leading batch axis.
 void contact_step_batch(const ConstantSystem& system, const StepInputs& inputs,

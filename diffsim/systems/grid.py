@@ -1,12 +1,15 @@
-"""Signals on the times of an integrator, which need not be evenly spaced: (..., num_times) each.
+"""What happens to signals on their way, commands and readings alike: the one home of such maps.
 
-All changes are the identity at size 0. Many sizes at once, (K,), give (K, num_times).
+Signals are (..., num_times), at the times of a grid that need not be evenly spaced. All changes are
+the identity at size 0. Many sizes at once, (K,), give (K, num_times). ``on_columns`` takes them to
+signals in columns.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -15,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 _SHORTEST = 1e-3  # of the shortest step: a lag below it is none
+_NO_LIMIT = 1e-12  # s per unit: a slowness below it is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,12 +54,39 @@ class Grid:
         times[samples] = seconds
         return cls(torch.from_numpy(times), torch.from_numpy(samples), seconds)
 
+    @classmethod
+    def even(cls, num_times: int, dt: float) -> Grid:
+        """Samples every ``dt`` [s] and nothing in between."""
+        return _even(num_times, dt)
+
     def resampled(self, values: NDArray[np.float64], *, held: bool) -> Tensor:
         """Values at the samples, at the times of the integrator."""
         if held:
             at = np.searchsorted(self.seconds, self.times.numpy(), side="right") - 1
             return torch.from_numpy(np.ascontiguousarray(values[at]))
         return torch.from_numpy(np.interp(self.times.numpy(), self.seconds, values))
+
+
+@lru_cache(maxsize=64)
+def _even(num_times: int, dt: float) -> Grid:
+    seconds = dt * np.arange(num_times, dtype=np.float64)
+    return Grid(torch.from_numpy(seconds), torch.arange(num_times), seconds)
+
+
+#: (signal on the grid, grid, size () or (K,)) -> the same signal, changed
+SizedMap = Callable[[Tensor, "Grid", Tensor], Tensor]
+
+
+def on_columns(change: SizedMap, u: Tensor, dt: float, size: Tensor) -> Tensor:
+    """A map of signals in columns.
+
+    Args:
+        change: Function (signal, grid, size).
+        u: Signals every ``dt`` [s], (..., num_samples, width).
+        dt: Time between two samples [s].
+        size: () or of the leading axes of u.
+    """
+    return change(u.mT, Grid.even(u.shape[-2], dt), size[..., None]).mT
 
 
 def delayed(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
@@ -91,22 +122,26 @@ def smoothly_delayed(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
     return y0 + s * (d0 + s * (3.0 * rise - 2.0 * d0 - d1 + s * (d0 + d1 - 2.0 * rise)))
 
 
-def held_delayed(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
+def held_delayed(u: Tensor, grid: Grid, delay: Tensor, *, signed: bool = True) -> Tensor:
     """A command that is held over each step, late by ``delay``: mean over the step.
 
     Args:
         u: Command, (..., num_times); each value lasts until the next time.
         grid: Times of the command.
         delay: () or (K,) [s].
+        signed: Whether it may be early: then slopes at whole steps are central.
     """
     t = grid.times
+    t = torch.cat([t, 2.0 * t[-1:] - t[-2:-1]])  # the last sample is held for a step, too
     steps = t.diff()
-    area = torch.cat([torch.zeros_like(u[..., :1]), (u[..., :-1] * steps).cumsum(-1)], -1)
+    area = torch.cat([torch.zeros_like(u[..., :1]), (u * steps).cumsum(-1)], -1)
     far = _beyond(t)
     ends = -far * u[..., :1], area[..., -1:] + far * u[..., -1:]
-    whole = _read_at(torch.cat([ends[0], area, ends[1]], -1), t, t - delay[..., None])
-    mean = whole.diff(dim=-1) / steps
-    return torch.cat([mean, u[..., -1:].expand(*mean.shape[:-1], 1)], -1)
+    area = torch.cat([ends[0], area, ends[1]], -1)
+    whole = _read_at(area, t, t - delay[..., None], both_sides=signed)
+    late = whole.diff(dim=-1) / steps
+    # to the last digit the command itself at zero, with the slope there
+    return torch.where(delay[..., None] != 0.0, late, u + (late - late.detach()))
 
 
 def lagged(u: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:
@@ -142,13 +177,28 @@ def held_lagged(u: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:
     return u + error * share
 
 
-def slowed(u: Tensor, grid: Grid, rate: Tensor) -> Tensor:
-    """Followed at no more than ``rate``, () or (K,) [1/s]."""
-    most = (rate[..., None] * grid.times.diff()).movedim(-1, 0)
+def dead_band(u: Tensor, grid: Grid, half_width: Tensor) -> Tensor:
+    """Nothing below ``half_width``, () or (K,), and that much less above it."""
+    return u.sign() * (u.abs() - half_width[..., None]).clamp(min=0.0)
+
+
+def slack(u: Tensor, grid: Grid, length: Tensor) -> Tensor:
+    """Nothing until a positive signal exceeds ``length``, () or (K,), then that much less."""
+    return torch.where(u > 0.0, (u - length[..., None]).clamp(min=0.0), u)
+
+
+def limited(u: Tensor, low: Tensor, high: Tensor) -> Tensor:
+    """Between two limits that broadcast with the signal."""
+    return torch.minimum(torch.maximum(u, low), high)
+
+
+def slowed(u: Tensor, grid: Grid, slowness: Tensor) -> Tensor:
+    """Followed no faster than 1 / ``slowness``, () or (K,) [s per unit]; 0: the signal itself."""
+    most = (grid.times.diff() / slowness[..., None].clamp(min=_NO_LIMIT)).movedim(-1, 0)
     return _walked(u, most, lambda now, target, d: _clip(target, now - d, now + d))
 
 
-def with_play(u: Tensor, half_gap: Tensor) -> Tensor:
+def with_play(u: Tensor, grid: Grid, half_gap: Tensor) -> Tensor:
     """Play: rests until the signal has crossed the gap; half_gap is () or (K,)."""
     gaps = half_gap.expand(u.shape[-1] - 1, *half_gap.shape)
     return _walked(u, gaps, lambda now, target, g: _clip(now, target - g, target + g))
@@ -185,7 +235,7 @@ def _clip(value: Any, low: Any, high: Any) -> Any:
 
 def _walked(u: Tensor, numbers: Tensor, rule: Callable[..., Tensor]) -> Tensor:
     """State after each time; in numpy where nobody differentiates, ten times quicker."""
-    lead = torch.broadcast_shapes(u.shape[:-1], numbers.shape[1:])
+    lead = np.broadcast_shapes(u.shape[:-1], numbers.shape[1:])
     targets = u.expand(*lead, u.shape[-1]).movedim(-1, 0)
     if u.requires_grad or numbers.requires_grad:
         now = targets[0]
@@ -212,7 +262,9 @@ def _at(values: Tensor, index: Tensor) -> Tensor:
     """values[..., index] with broadcast leading axes."""
     if index.ndim == 1:
         return values[..., index]
-    return values.expand(*index.shape[:-1], values.shape[-1]).gather(-1, index)
+    lead = torch.broadcast_shapes(values.shape[:-1], index.shape[:-1])
+    index = index.expand(*lead, index.shape[-1])
+    return values.expand(*lead, values.shape[-1]).gather(-1, index)
 
 
 def _beyond(times: Tensor) -> float:
@@ -220,16 +272,19 @@ def _beyond(times: Tensor) -> float:
     return 10.0 * float(times[-1] - times[0])
 
 
-def _read_at(values: Tensor, times: Tensor, place: Tensor) -> Tensor:
+def _read_at(values: Tensor, times: Tensor, place: Tensor, *, both_sides: bool = True) -> Tensor:
     """Straight lines through values that begin and end ``_beyond`` the times.
 
-    At a time of the grid the slope is the mean of both sides, as it is for central differences.
+    At a time of the grid the slope is the mean of both sides, as it is for central differences, or
+    that of the side before.
     """
     far = _beyond(times)
     wide = torch.cat([times[:1] - far, times, times[-1:] + far])
     place = place.clamp(float(wide[0]), float(wide[-1]))
-    above = _straight(values, wide, place, _left_of(wide, place))
-    return 0.5 * (above + _straight(values, wide, place, _left_of(wide, place, "left")))
+    below = _straight(values, wide, place, _left_of(wide, place, "left"))
+    if not both_sides:
+        return below
+    return 0.5 * (below + _straight(values, wide, place, _left_of(wide, place)))
 
 
 def _straight(values: Tensor, times: Tensor, place: Tensor, left: Tensor) -> Tensor:

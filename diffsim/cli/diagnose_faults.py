@@ -1,0 +1,111 @@
+"""``diffsim diagnose faults``: which groups of runs have a fault, and which."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from diffsim.cli.diagnose_inputs import study_file
+from diffsim.core.files import write_json_atomic
+from diffsim.data.study import Study
+from diffsim.data.study_file import load_study
+from diffsim.diagnose.faults import FaultReport, FaultVerdict, judge_faults
+from diffsim.diagnose.faults.groups import groups_of
+from diffsim.diagnose.progress import progress_bar
+from diffsim.systems.registry import setup_of
+
+FAULTS_FILE = "faults.json"
+NEW = "new"  # what new groups are called, with a number if there are several
+
+
+def with_new(given: str, new: Sequence[Sequence[Path]], facts: Mapping[str, str]) -> Study:
+    """A study with recordings that are not in its file, to be judged.
+
+    Args:
+        given: What the user called the study.
+        new: CSV files, each list a group with one fault or none.
+        facts: Facts of the new runs, such as the vehicle.
+
+    Raises:
+        FileNotFoundError: no such study or file.
+        ValueError: the study has no ``faults``, or the new runs cannot be read.
+    """
+    path = study_file(given)
+    study = load_study(path)
+    if study.faults is None:
+        raise ValueError(f"{path}: has no `faults`; see `faults` in docs/study_keys.md")
+    for file in (f for files in new for f in files):
+        if not file.is_file():
+            raise FileNotFoundError(f"{file}: no such file of a new run")
+    if not new:
+        return study
+    keys = study.faults
+    entries: list[dict[str, Any]] = []
+    for k, files in enumerate(new):
+        label = NEW if len(new) == 1 else f"{NEW}_{k + 1}"
+        setup = {keys.known.fact: "-", keys.per: label} | dict(facts)
+        entries += [
+            {"name": f"{label} {f.stem}", "file": str(f.resolve()), "use": "test", "setup": setup}
+            for f in files
+        ]
+    return load_study(path, entries)
+
+
+def judged(
+    study: Study, out: Path, *, groups: Sequence[str] = (), everything: bool = False, seed: int = 0
+) -> FaultReport:
+    """Judge groups of a study, print and save the verdicts.
+
+    Args:
+        study: Study with ``faults``.
+        out: Folder of the results.
+        groups: Groups to judge; none: those whose fault is not known, or all where all are.
+        everything: Judge all groups, those that teach by the others.
+        seed: Of the draws of scatter and sizes.
+    """
+    assert study.faults is not None
+    if everything:
+        groups = [g.label for g in groups_of(study, study.faults)]
+    with progress_bar("faults") as progress:
+        report = judge_faults(
+            study,
+            setup_of(study),
+            seed=seed,
+            groups=groups,
+            progress=lambda done, of: progress("group", done / of, f"{done + 1} of {of}"),
+        )
+    for line in lines(report):
+        print(line)
+    print(f"wrote {write_json_atomic(out / FAULTS_FILE, report.to_dict())}")
+    return report
+
+
+def lines(report: FaultReport) -> list[str]:
+    """The report as text: scatter, then a paragraph for each group."""
+    out = ["Scatter (one sd, 90 % interval):"]
+    for row in report.spreads:
+        i = row.interval
+        out.append(f"  {row.quantities}: {i.value:.3g} ({i.low:.2g} to {i.high:.2g})")
+    for verdict in report.verdicts:
+        out += ["", *_paragraph(verdict)]
+    known = [v for v in report.verdicts if v.is_right is not None]
+    if known:
+        right = sum(bool(v.is_right) for v in known)
+        out += ["", f"{right} of {len(known)} groups with a known change are named exactly."]
+    return out
+
+
+def _paragraph(verdict: FaultVerdict) -> list[str]:
+    said = f" (said: {verdict.said})" if verdict.said not in ("", "-") else ""
+    out = [f"{verdict.group}{said}: {verdict.status}", f"  {verdict.words}"]
+    for size in verdict.sizes:
+        i, unit = size.interval, "" if size.unit == "-" else f" {size.unit}"
+        out.append(f"  {size.cause} {i.value:.3g}{unit} (90 %: {i.low:.3g} to {i.high:.3g})")
+    if not verdict.causes:
+        least = sorted(verdict.smallest_visible.items(), key=lambda item: item[1])[:4]
+        out.append("  smallest visible: " + ", ".join(f"{c} {v:.2g}" for c, v in least))
+    return out
+
+
+__all__ = ["judged", "lines", "with_new"]

@@ -1,0 +1,60 @@
+"""Units that the headers of files state, held against those of the study."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import yaml
+
+from diffsim.core.units import factor, to_si
+from diffsim.data.study_check import Problem
+from diffsim.data.study_schema import ChannelEntry, CommandEntry, StudyFile
+from diffsim.data.table_guess import column_of
+
+#: What people write for a quantity that it is not the unit of: thrust stands weigh in g.
+_LOOSE = {("g", "gf"), ("kg", "kgf"), ("counts", "-")}
+_FORCE = re.compile(r"thrust|force|kraft|schub|schubkraft|poussee", re.I)
+
+
+def header_units(path: Path) -> Iterator[Problem]:
+    """Columns that say one unit in brackets while the study says another.
+
+    Args:
+        path: ``study.yaml``, which was read before without a mistake.
+    """
+    stated = StudyFile.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
+    if stated.time is not None and stated.time.column and stated.time.step is None:
+        yield from _told("time", stated.time.column, stated.time.unit)
+    for what, entries in (("channel", stated.channels), ("command", stated.commands)):
+        for entry in entries:
+            if entry.unit is not None and _as_it_stands(entry):
+                yield from _told(f"{what} {entry.name}", entry.column or entry.name, entry.unit)
+            if entry.unit and to_si(entry.unit).unit == "kg" and _FORCE.search(entry.name):
+                said = f"{entry.unit} is a mass; of a force write {entry.unit}f"
+                yield Problem("warning", f"{what} {entry.name}", said)
+
+
+def _as_it_stands(entry: ChannelEntry | CommandEntry) -> bool:
+    return entry.formula is None and entry.scale == 1.0 and entry.offset == 0.0
+
+
+def _told(where: str, column: str, unit: str) -> Iterator[Problem]:
+    header = column_of(column)
+    said = header.unit
+    if said is None or not header.is_said or "clock" in (said, unit):
+        return
+    if (said, unit) in _LOOSE or _same(said, unit):
+        return
+    message = f"the header {column!r} says {said}, the study says unit: {unit}; which is right?"
+    yield Problem("warning", where, message)
+
+
+def _same(one: str, other: str) -> bool:
+    if "-" in (one, other):
+        return one == other
+    try:
+        return abs(factor(one, other) - 1.0) < 1e-9
+    except ValueError:  # units of different quantities
+        return False

@@ -1,0 +1,60 @@
+"""Groups of runs with one fault or none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from diffsim.core.check import did_you_mean
+from diffsim.data.fault_keys import FaultKeys
+from diffsim.data.study import Run, Study
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Runs of one day with the same fault, or none.
+
+    Attributes:
+        label: Value of the fact that makes the groups.
+        runs: Its runs, by order.
+        said: What the study says was done; "": nothing.
+        known: Causes that were changed on purpose; None: not known.
+    """
+
+    label: str
+    runs: tuple[Run, ...]
+    said: str
+    known: tuple[str, ...] | None
+
+    @property
+    def teaches(self) -> bool:
+        """Whether the scatter may be learned from it."""
+        return self.known is not None and all(run.use == "fit" for run in self.runs)
+
+
+def groups_of(study: Study, keys: FaultKeys) -> tuple[Group, ...]:
+    """Groups of a study's runs, by their first run.
+
+    Args:
+        study: Study with the recordings.
+        keys: Its ``faults``.
+
+    Raises:
+        ValueError: a run lacks the fact, or one group has two known faults.
+    """
+    members: dict[str, list[Run]] = {}
+    for run in sorted(study.runs, key=lambda r: r.order):
+        if keys.per not in run.setup:
+            hint = did_you_mean(keys.per, run.setup)
+            raise ValueError(f"faults.per: run {run.name} has no {keys.per} in its setup{hint}")
+        members.setdefault(str(run.setup[keys.per]), []).append(run)
+    return tuple(_group(label, runs, keys) for label, runs in members.items())
+
+
+def _group(label: str, runs: list[Run], keys: FaultKeys) -> Group:
+    said = {str(run.setup.get(keys.known.fact, "")).strip() for run in runs}
+    if len(said) > 1:
+        raise ValueError(
+            f"faults.known: runs of group {label} differ in {keys.known.fact}: {', '.join(said)}"
+        )
+    what = said.pop()
+    return Group(label, tuple(runs), what, keys.known.causes.get(what))

@@ -1,0 +1,197 @@
+"""All groups of a study judged, each by what the other groups taught."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.core.check import require_choice
+from diffsim.data.fault_keys import FaultKeys
+from diffsim.data.study import Study
+from diffsim.diagnose.faults.candidates import (
+    UNLISTED_FACTOR,
+    Candidate,
+    candidates,
+    sets_of,
+)
+from diffsim.diagnose.faults.evidence import Evidence, evidence, informations, mixed
+from diffsim.diagnose.faults.groups import Group, groups_of
+from diffsim.diagnose.faults.layout import layout_of
+from diffsim.diagnose.faults.learn import Learned, learn
+from diffsim.diagnose.faults.local import Local, local_at, problem_of
+from diffsim.diagnose.faults.marginal import Information
+from diffsim.diagnose.faults.states import possible_states
+from diffsim.diagnose.faults.verdict import (
+    FaultReport,
+    FaultVerdict,
+    Spread,
+    Weighed,
+    verdict_of,
+)
+from diffsim.diagnose.records import Interval
+from diffsim.diagnose.screen import VISIBLE
+from diffsim.identify.effect import Effect
+from diffsim.identify.problem import PredictionError, Problem, WhiteNoise
+from diffsim.identify.setup import DiagnosisSetup
+from diffsim.identify.sizes import PRIOR_WIDTH
+
+Array = NDArray[np.float64]
+REFINED_NATS = 8.0  # below the best set: sets that are linearized again at their own sizes
+NUM_REFINEMENTS = 2
+LONGEST_STEP = 1.5  # of a scaled size from one linearization to the next
+HALF_90 = 1.645  # half the width of a normal 90 % interval [sd]
+
+Progress = Callable[[int, int], None]
+
+
+def judge_faults(
+    study: Study,
+    setup: DiagnosisSetup,
+    *,
+    seed: int = 0,
+    groups: Sequence[str] = (),
+    progress: Progress | None = None,
+) -> FaultReport:
+    """Judge groups of runs for faults, against the scatter between groups.
+
+    Args:
+        study: Study with ``faults``; its channels state their noise.
+        setup: Model and candidate causes of the study.
+        seed: Of the draws of scatter and sizes.
+        groups: Groups to judge; none: those that do not teach, or all where all do.
+        progress: Called with the number of judged groups and of all.
+
+    Raises:
+        ValueError: the study has no ``faults``, or they name what is not there.
+    """
+    if study.faults is None:
+        raise ValueError("the study has no `faults`; see `faults` in docs/study_keys.md")
+    keys = study.faults
+    all_groups = groups_of(study, keys)
+    for label in groups:
+        require_choice("--groups", label, [g.label for g in all_groups])
+    problem = Problem(setup.model, study.runs, WhiteNoise(study.channels), setup.effects)
+    sets = sets_of(keys, setup.effects)
+    layout = layout_of(setup.model.base, keys)
+    learned = learn(problem, layout, all_groups, seed=seed, state=keys.state)
+    judged = [g for g in all_groups if g.label in groups] if groups else _unknown(all_groups)
+    verdicts = []
+    for done, group in enumerate(judged):
+        if progress is not None:
+            progress(done, len(judged))
+        others = learned.without(group.label) if group.teaches else learned
+        verdicts.append(_verdict(group, others, keys, sets, seed))
+    return FaultReport(study.name, _spreads(learned), tuple(verdicts))
+
+
+def _unknown(groups: Sequence[Group]) -> list[Group]:
+    """Groups that do not teach; all, if there are none."""
+    return [g for g in groups if not g.teaches] or list(groups)
+
+
+def _verdict(
+    group: Group,
+    learned: Learned,
+    keys: FaultKeys,
+    sets: Sequence[tuple[str, ...]],
+    seed: int,
+) -> FaultVerdict:
+    rng = np.random.default_rng(seed)
+    effects = {e.name: e for e in learned.problem.effects}
+    point = np.zeros(len(learned.problem.names))
+    point[: len(learned.point)] = learned.point
+    states = possible_states(group, learned, keys)
+    problems = [problem_of(learned.problem, s.group) for s in states]
+    locals_ = [local_at(p, learned.layout, point, p.effects) for p in problems]
+    seen = [known.causes for known in learned.locals.values()]
+    tried = candidates(keys, sets, seen)
+    names = [e.name for e in learned.problem.effects]
+    found: list[list[Evidence]] = [[] for _ in tried]
+    sizes: list[list[Information]] = []  # by state
+    for state, local in zip(states, locals_, strict=True):
+        by_factor = {
+            factor: informations(learned, local, daily_factor=factor, new_state=state.is_new)
+            for factor in (1.0, UNLISTED_FACTOR)
+        }
+        sizes.append(by_factor[1.0])
+        for candidate, row in zip(tried, found, strict=True):
+            at = [names.index(c) for c in candidate.causes]
+            given = by_factor[UNLISTED_FACTOR if candidate.is_unlisted else 1.0]
+            own = [effects[c] for c in candidate.causes]
+            row.append(evidence([f.only(at) for f in given], own, rng))
+    best = max(
+        e.log_evidence + s.log_odds for row in found for e, s in zip(row, states, strict=True)
+    )
+    for candidate, row in zip(tried, found, strict=True):
+        for k, (state, problem) in enumerate(zip(states, problems, strict=True)):
+            if candidate.causes and row[k].log_evidence + state.log_odds > best - REFINED_NATS:
+                row[k] = _refined(problem, learned, point, candidate, row[k], rng, state.is_new)
+    odds = [s.log_odds for s in states]
+    weighed = [Weighed(c, mixed(row, odds)) for c, row in zip(tried, found, strict=True)]
+    sound = [e.log_evidence + o for e, o in zip(found[0], odds, strict=True)]
+    likely = int(np.argmax(sound))
+    visible = _smallest_visible(sizes[likely], learned.problem.effects)
+    return verdict_of(group, weighed, effects, visible)
+
+
+def _refined(
+    problem: Problem,
+    learned: Learned,
+    point: Array,
+    candidate: Candidate,
+    found: Evidence,
+    rng: np.random.Generator,
+    is_new: bool,
+) -> Evidence:
+    """Evidence of a set linearized at its own most probable sizes."""
+    own = [e for c in candidate.causes for e in problem.effects if e.name == c]
+    columns = [problem.columns_of(e)[0] for e in own]
+    at = point.copy()
+    for _ in range(NUM_REFINEMENTS):
+        step = np.clip(found.scaled - at[columns], -LONGEST_STEP, LONGEST_STEP)
+        at[columns] += step
+        local = _local_near(problem, learned, at, columns, step, own)
+        found = evidence(informations(learned, local, new_state=is_new), own, rng)
+    return found
+
+
+def _local_near(
+    problem: Problem,
+    learned: Learned,
+    at: Array,
+    columns: Sequence[int],
+    step: Array,
+    own: Sequence[Effect],
+) -> Local:
+    """The group linearized at a point; half the step where it cannot be simulated."""
+    for _ in range(4):
+        try:
+            return local_at(problem, learned.layout, at, own)
+        except PredictionError:
+            step = 0.5 * step
+            at[list(columns)] -= step
+    return local_at(problem, learned.layout, at, own)
+
+
+def _smallest_visible(found: Sequence[Information], effects: Sequence[Effect]) -> dict[str, float]:
+    """Size of each cause alone whose misfit would be ``VISIBLE`` sd of noise and scatter."""
+    curvature = np.mean([f.curvature for f in found], axis=0)
+    sd = 1.0 / np.sqrt(np.maximum(np.diag(curvature), 1e-300))
+    return {
+        e.name: float(VISIBLE * s * PRIOR_WIDTH * e.typical)
+        for e, s in zip(effects, sd, strict=True)
+    }
+
+
+def _spreads(learned: Learned) -> tuple[Spread, ...]:
+    """Learned spreads with their intervals."""
+    sd = np.sqrt(np.diag(learned.covariance))
+    return tuple(
+        Spread(name, stated, Interval(*(float(stated * np.exp(t + k * s)) for k in ends)))
+        for name, stated, t, s in zip(
+            learned.layout.families, learned.layout.stated, learned.log_spread, sd, strict=True
+        )
+        for ends in [(0.0, -HALF_90, HALF_90)]
+    )

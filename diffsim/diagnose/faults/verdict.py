@@ -1,0 +1,276 @@
+"""What may be said of a group: nothing visible, a named fault, or faults that cannot be told apart.
+
+Every interval holds 90 % and is averaged over sets of causes and over the scatter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from diffsim.diagnose.data_sheet import words_of
+from diffsim.diagnose.faults.candidates import Candidate
+from diffsim.diagnose.faults.evidence import Evidence
+from diffsim.diagnose.faults.groups import Group
+from diffsim.diagnose.records import CERTAIN, LIKELY, UNTOLD, Interval
+from diffsim.identify.effect import Effect
+from diffsim.identify.sizes import PRIOR_WIDTH
+
+Array = NDArray[np.float64]
+SILENT, UNLISTED = "nothing visible", "not in the library"
+VERDICTS = (SILENT, CERTAIN, LIKELY, UNTOLD, UNLISTED)
+SOUND_LIMIT = 0.1  # probability of "sound" below which a fault is named
+CERTAIN_LIMIT = 0.05  # and below which it may be certain
+LIKELY_FROM = 0.8  # probability of a set of causes, from which it is likely
+REACH_NATS = 3.0  # evidence within which runs do not tell sets apart
+MAX_ROWS = 8
+TAILS = (0.05, 0.95)
+
+
+@dataclass(frozen=True)
+class SetRow:
+    """One explanation of a group.
+
+    Attributes:
+        causes: Causes that act; none: sound, or "not in the library" where ``is_unlisted``.
+        probability: With the odds that known groups give.
+        probability_alone: With odds by the number of causes alone: what these runs say.
+        is_unlisted: Whether it is a change that no cause of the library describes.
+    """
+
+    causes: tuple[str, ...]
+    probability: float
+    probability_alone: float
+    is_unlisted: bool
+
+
+@dataclass(frozen=True)
+class Size:
+    """Size of one cause in a group.
+
+    Attributes:
+        cause: Name of the cause.
+        unit: SI unit, "-" if none.
+        interval: Value with its 90 % interval in that unit.
+        words: The same in plain words.
+    """
+
+    cause: str
+    unit: str
+    interval: Interval
+    words: str
+
+
+@dataclass(frozen=True)
+class FaultVerdict:
+    """What is said of one group.
+
+    Attributes:
+        group: Value of the fact that makes the groups.
+        runs: Names of its runs.
+        said: What the study says was done.
+        known: Causes that were changed on purpose; None: not known.
+        status: One of ``VERDICTS``.
+        causes: Causes that are named, by the most probable set; none if nothing is.
+        sound: Probability that nothing is wrong, by these runs alone.
+        strength: Length of the named causes' misfit, in sd of noise and scatter together.
+        sizes: Their sizes.
+        rivals: Other sets that the runs themselves do not tell from it.
+        sets: Most probable explanations.
+        smallest_visible: Smallest size of each cause that would be visible alone, in its unit.
+        words: The verdict as a sentence.
+    """
+
+    group: str
+    runs: tuple[str, ...]
+    said: str
+    known: tuple[str, ...] | None
+    status: str
+    causes: tuple[str, ...]
+    sound: float
+    strength: float
+    sizes: tuple[Size, ...]
+    rivals: tuple[tuple[str, ...], ...]
+    sets: tuple[SetRow, ...]
+    smallest_visible: Mapping[str, float]
+    words: str
+
+    @property
+    def is_right(self) -> bool | None:
+        """Whether exactly the known causes are named; None where they are not known."""
+        return None if self.known is None else set(self.causes) == set(self.known)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How far sound groups or runs differ.
+
+    Attributes:
+        quantities: Quantities of the model that share it.
+        stated: First guess of the study.
+        interval: What was learned, in the quantities' own unit.
+    """
+
+    quantities: str
+    stated: float
+    interval: Interval
+
+
+@dataclass(frozen=True)
+class FaultReport:
+    """Verdicts on groups, and the scatter that they were judged against.
+
+    Attributes:
+        study: Name of the study.
+        spreads: Scatter between groups and between runs, from all groups that taught.
+        verdicts: One per group; groups that taught are judged by the others.
+    """
+
+    study: str
+    spreads: tuple[Spread, ...]
+    verdicts: tuple[FaultVerdict, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The report as plain records, with ``is_right`` beside each verdict."""
+        out = asdict(self)
+        for row, verdict in zip(out["verdicts"], self.verdicts, strict=True):
+            row["is_right"] = verdict.is_right
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """One candidate with its evidence."""
+
+    candidate: Candidate
+    evidence: Evidence
+
+
+def verdict_of(
+    group: Group,
+    weighed: Sequence[Weighed],
+    effects: Mapping[str, Effect],
+    smallest_visible: Mapping[str, float],
+) -> FaultVerdict:
+    """What may be said of a group.
+
+    Args:
+        group: The group.
+        weighed: All candidates with their evidence.
+        effects: Causes by name.
+        smallest_visible: Smallest size of each cause that would be visible alone.
+    """
+    level = np.array([w.evidence.log_evidence for w in weighed])
+    learned = _normalized(level + [w.candidate.learned_odds for w in weighed])
+    alone = _normalized(level + [w.candidate.log_odds for w in weighed])
+    order = np.argsort(-learned)
+    sound = next(i for i, w in enumerate(weighed) if w.candidate.is_sound)
+    best = int(order[0])
+    status = _status(weighed, learned, alone, sound, best)
+    is_named = status not in (SILENT, UNLISTED)
+    causes = weighed[best].candidate.causes if is_named else ()
+    sizes = _sizes(causes, weighed[best].evidence, effects) if is_named else ()
+    rivals = _rivals(weighed, alone, best) if is_named else ()
+    return FaultVerdict(
+        group=group.label,
+        runs=tuple(run.name for run in group.runs),
+        said=group.said,
+        known=group.known,
+        status=status,
+        causes=causes,
+        sound=float(alone[sound]),
+        strength=weighed[best].evidence.strength if is_named else 0.0,
+        sizes=sizes,
+        rivals=rivals,
+        sets=tuple(
+            SetRow(
+                weighed[i].candidate.causes,
+                float(learned[i]),
+                float(alone[i]),
+                weighed[i].candidate.is_unlisted,
+            )
+            for i in order[:MAX_ROWS]
+        ),
+        smallest_visible=dict(smallest_visible),
+        words=_words(status, sizes, rivals),
+    )
+
+
+def _status(weighed: Sequence[Weighed], learned: Array, alone: Array, sound: int, best: int) -> str:
+    if alone[sound] > SOUND_LIMIT:
+        return SILENT
+    if weighed[best].candidate.is_unlisted:
+        return UNLISTED
+    chosen = set(weighed[best].candidate.causes)
+    holds = np.array([chosen <= set(w.candidate.causes) for w in weighed])
+    is_expected = learned[holds].sum() >= LIKELY_FROM
+    if not _rivals(weighed, alone, best):
+        is_certain = is_expected and alone[sound] <= CERTAIN_LIMIT
+        return CERTAIN if is_certain else LIKELY
+    return LIKELY if is_expected else UNTOLD
+
+
+def _rivals(weighed: Sequence[Weighed], alone: Array, best: int) -> tuple[tuple[str, ...], ...]:
+    """Sets within reach that lack a cause of the best one; those with more causes do not count."""
+    chosen = set(weighed[best].candidate.causes)
+    within = alone >= alone.max() * np.exp(-REACH_NATS)
+    found = [
+        (-float(p), w.candidate.causes)
+        for w, p, near in zip(weighed, alone, within, strict=True)
+        if near and not chosen <= set(w.candidate.causes)
+    ]
+    return tuple(causes or (UNLISTED,) for _, causes in sorted(found))
+
+
+def _sizes(
+    causes: Sequence[str], evidence: Evidence, effects: Mapping[str, Effect]
+) -> tuple[Size, ...]:
+    out = []
+    for k, cause in enumerate(causes):
+        effect = effects[cause]
+        values = PRIOR_WIDTH * effect.typical * evidence.samples[:, k]
+        low, high = weighted_quantiles(values, evidence.weights, TAILS)
+        interval = Interval(float(values @ evidence.weights), low, high)
+        out.append(Size(cause, effect.unit, interval, cause_words(effect, interval.value)))
+    return tuple(out)
+
+
+def weighted_quantiles(
+    values: Array, weights: Array, shares: tuple[float, float]
+) -> tuple[float, float]:
+    """Values below which two shares of the weight lie."""
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    at = np.searchsorted(total, np.array(shares) * total[-1])
+    low, high = values[order][np.minimum(at, len(values) - 1)]
+    return float(low), float(high)
+
+
+def cause_words(effect: Effect, size: float) -> str:
+    """A cause at a size in plain words."""
+    if effect.words is not None:
+        return effect.words(size)
+    unit = "" if effect.unit == "-" else f" {effect.unit}"
+    return f"{words_of(effect.name)} {size:.3g}{unit}"
+
+
+def _words(status: str, sizes: Sequence[Size], rivals: Sequence[tuple[str, ...]]) -> str:
+    if status == SILENT:
+        return "Nothing visible beyond the scatter between groups."
+    if status == UNLISTED:
+        return "It differs from sound groups in a way that no cause of the library describes."
+    named = " and ".join(size.words for size in sizes)
+    others = " or ".join(" with ".join(words_of(c) for c in causes) for causes in rivals)
+    start = {CERTAIN: "", LIKELY: "likely: ", UNTOLD: "perhaps: "}[status]
+    end = f"; these runs alone cannot tell it from {others}" if rivals else ""
+    text = f"{start}{named}{end}."
+    return text[0].upper() + text[1:]
+
+
+def _normalized(log_weight: Array) -> Array:
+    return np.asarray(np.exp(log_weight - logsumexp(log_weight)))

@@ -1,0 +1,101 @@
+"""Causes in the instruments that show channels: the one home of them, whatever the system."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from torch import Tensor
+
+from diffsim.identify.effect import Effect
+from diffsim.systems import grid as signals
+from diffsim.systems.actuator import scaled, shifted
+from diffsim.systems.grid import Grid, SizedMap
+
+
+def _risen(y: Tensor, grid: Grid, size: Tensor, *, longest_s: float) -> Tensor:
+    return y + size[..., None] * ((grid.times - grid.times[0]) / longest_s)
+
+
+def refuse(*_: Any) -> None:
+    """The ``apply`` of a pattern, which has no scene of its own."""
+    raise TypeError("a pattern of an effect; bind its map to a scene")
+
+
+SENSOR_SCALE = Effect(
+    name="sensor_scale",
+    form="Readings are 1 + size times too large.",
+    family="sensor",
+    kind="sensor",
+    unit="-",
+    typical=0.03,
+    also_looks_like=("gain of the drive", "calibration", "a length of the mechanism"),
+    apply=refuse,
+)
+SENSOR_OFFSET = replace(
+    SENSOR_SCALE,
+    name="sensor_offset",
+    form="Readings are larger by size.",
+    family="zero",
+    also_looks_like=("zero of the sensor", "constant force", "start value"),
+)
+SENSOR_DRIFT = replace(
+    SENSOR_OFFSET,
+    name="sensor_drift",
+    form="Readings rise by size over the longest run.",
+    family="drift",
+    also_looks_like=("warming of the sensor", "creep", "start value"),
+)
+SENSOR_BACKLASH = replace(
+    SENSOR_SCALE,
+    name="sensor_backlash",
+    form="Play between what moves and what is read, half its width on either side.",
+    family="shape",
+    signed=False,
+    smooth=False,
+    also_looks_like=("gear play before the encoder", "hysteresis of the sensor", "dry friction"),
+)
+SENSOR_DELAY = replace(
+    SENSOR_SCALE,
+    name="sensor_delay",
+    form="Readings come size later.",
+    family="timing",
+    unit="s",
+    typical=0.02,
+    also_looks_like=("offset of the recorder's clock",),
+)
+SENSOR_LAG = replace(
+    SENSOR_DELAY,
+    name="sensor_lag",
+    form="Readings pass a first-order lag with the time constant size.",
+    signed=False,
+    also_looks_like=("filter of the recorder", "lag of the drive"),
+)
+
+
+def sensor_causes(
+    channels: Sequence[str], unit: str, usual: float, longest_s: float
+) -> list[tuple[Effect, SizedMap]]:
+    """Causes in an instrument, each with its map of one channel.
+
+    Args:
+        channels: Names of its channels; offset and drift have a component for each.
+        unit: Unit of the channels.
+        usual: Offset that would be no surprise [unit].
+        longest_s: Duration of the longest run [s].
+    """
+    each = tuple(channels) if len(channels) > 1 else ("size",)
+
+    def own(model: Effect, components: tuple[str, ...]) -> Effect:
+        return replace(model, unit=unit, typical=usual, components=components)
+
+    return [
+        (SENSOR_SCALE, scaled),
+        (SENSOR_LAG, signals.lagged),
+        (own(SENSOR_OFFSET, each), shifted),
+        (own(SENSOR_DRIFT, each), partial(_risen, longest_s=longest_s)),
+        (own(SENSOR_BACKLASH, ("size",)), signals.with_play),
+        (SENSOR_DELAY, signals.smoothly_delayed),
+    ]

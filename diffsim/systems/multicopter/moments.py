@@ -1,0 +1,129 @@
+"""Moments of air and rotors that thrusts alone do not give."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from diffsim.data.study import Run
+from diffsim.identify.effect import Effect
+from diffsim.systems.multicopter.effects import torque_allocation
+from diffsim.systems.multicopter.motion import Motion, by_rotor
+from diffsim.systems.multicopter.scene import CopterScene, amount, vector
+
+_LEAST_N = 1e-9  # of a thrust: its root has no slope at zero
+
+Moment = Callable[[Motion], Tensor]
+
+
+def with_moment(scene: CopterScene, moment: Moment) -> CopterScene:
+    """A copy on which a moment acts.
+
+    It is given to the vehicle through the thrusts that have this torque and no lift, which is exact
+    up to forces across for level rotors.
+
+    Args:
+        scene: Run to be flown.
+        moment: Function of the motion, in the body frame of the model,
+            (points, num_windows, length, 3) [N m].
+    """
+    allocation = torque_allocation(scene.vehicle)
+    return scene.with_schedule(
+        lambda motion, thrusts: thrusts + by_rotor(moment(motion), allocation)
+    )
+
+
+def _lever(velocity: Tensor) -> Tensor:
+    """Direction of the moment of a force against the velocity that acts one meter above the center
+    of mass: -e_up x v, in the model's frame (z down)."""
+    x, y, z = velocity.unbind(-1)
+    return torch.stack([-y, x, torch.zeros_like(z)], -1)
+
+
+def _flow_moment(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+    sizes = vector(size)[:, None, None]
+    return with_moment(scene, lambda motion: sizes * _lever(motion.body_velocity))
+
+
+def _climb_moment(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+    sizes = vector(size)[:, None, None]
+
+    def moment(motion: Motion) -> Tensor:
+        velocity = motion.body_velocity
+        return -sizes * -velocity[..., 2:] * _lever(velocity)
+
+    return with_moment(scene, moment)
+
+
+def _rate_damping(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+    sizes, inertia = vector(size)[:, None, None], scene.vehicle.inertia
+
+    def moment(motion: Motion) -> Tensor:
+        return -by_rotor(sizes * motion.body_rates, inertia)
+
+    return with_moment(scene, moment)
+
+
+def _spin_up(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+    """Torque -h' of rotors whose speed changes, h = sum_i size W_i s_i: size their inertia.
+
+    s_i is the sense of rotation, as in ``gyroscopic``, which has the other part, -w x h. The change
+    of W_i = sqrt(thrust asked for / thrust coefficient) is a central difference over two steps.
+    """
+
+    def moment(motion: Motion) -> Tensor:
+        vehicle = motion.vehicle
+        speed = (motion.asked.clamp(min=_LEAST_N) / scene.thrust_coefficient).sqrt()
+        shafts = -vehicle.spins[..., None] * vehicle.directions
+        (change,) = torch.gradient(speed, spacing=scene.dt, dim=-2)
+        return -amount(size, 3) * (change @ shafts[:, None])
+
+    return with_moment(scene, moment)
+
+
+FLOW_MOMENT = Effect(
+    name="flow_moment",
+    form="Moment of the air, as of a force -size v that acts one meter above the center of mass.",
+    family="moment",
+    kind="force",
+    unit="N s",
+    typical=0.03,
+    components=("roll", "pitch"),
+    also_looks_like=("drag above the center of mass", "flapping", "wake of the front rotors"),
+    apply=_flow_moment,
+)
+CLIMB_MOMENT = Effect(
+    name="climb_moment",
+    form="What flow_moment loses in a climb: moment +size v_up times the lever of a force -v.",
+    family="moment",
+    kind="force",
+    unit="N s^2/m",
+    typical=0.01,
+    components=("roll", "pitch"),
+    also_looks_like=("a sheared or turning wake",),
+    apply=_climb_moment,
+)
+RATE_DAMPING = Effect(
+    name="rate_damping",
+    form="Torque -size J w: body rates fall by themselves.",
+    family="moment",
+    kind="force",
+    unit="1/s",
+    typical=1.0,
+    components=("roll", "pitch", "yaw"),
+    also_looks_like=("the controller, if it flies on measured rates", "noise of recorded speeds"),
+    apply=_rate_damping,
+)
+SPIN_UP = Effect(
+    name="spin_up",
+    form="Torque against the change of the rotors' spin, size their inertia about the shaft.",
+    family="inertia",
+    kind="material",
+    unit="kg m^2",
+    typical=1e-4,
+    signed=False,
+    also_looks_like=("torque of the propellers ahead of their thrust",),
+    apply=_spin_up,
+)

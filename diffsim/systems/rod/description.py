@@ -1,0 +1,76 @@
+"""``model: {system: rod}``: a slender rod that bends far, described in a study."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from diffsim.core.check import did_you_mean
+from diffsim.data.study import Study
+from diffsim.data.study_check import Problem
+from diffsim.identify.effort import DiagnosisSettings, SearchSettings
+from diffsim.identify.setup import DiagnosisSetup
+from diffsim.systems.description import BaseParameters, chosen_effects, settings_with
+from diffsim.systems.rod.effects import library
+from diffsim.systems.rod.keys import RodKeys
+from diffsim.systems.rod.model import DescribedRod
+
+MAX_EFFECTS = 6  # material, tendons, clamp, markers and weight each have causes of their own
+
+
+class RodDescription(RodKeys):
+    """A described rod, checked against recordings and made into a model."""
+
+    def problems(self, study: Study) -> list[Problem]:
+        """Channels and commands without a meaning, facts that runs do not state."""
+        return list(self._found(study))
+
+    def _found(self, study: Study) -> Iterator[Problem]:
+        for channel in study.channels:
+            if self.reading(channel.name) is None:
+                guess = did_you_mean(channel.name, [f"{m}_{a}" for m in self.markers for a in "xyz"])
+                yield Problem(
+                    "error",
+                    f"model.channels.{channel.name}",
+                    f"is not described{guess}; say which marker and axis it shows",
+                )
+        for name in self.channels:
+            if name not in [c.name for c in study.channels]:
+                yield Problem("error", f"model.channels.{name}", "the study has no such channel")
+        for run in study.runs:
+            for i, tendon in enumerate(self.tendons):
+                if tendon.command not in run.command:
+                    guess = did_you_mean(tendon.command, run.command)
+                    yield Problem(
+                        "error",
+                        f"model.tendons[{i}].command",
+                        f"run {run.name} has no command {tendon.command!r}{guess}",
+                    )
+            if self.sessions is not None and self.sessions not in run.setup:
+                guess = did_you_mean(self.sessions, run.setup)
+                yield Problem(
+                    "error", "model.sessions", f"run {run.name} states no {self.sessions!r}{guess}"
+                )
+        for key, q in self.quantities().items():
+            if q.per not in (None, "run") and any(q.per not in r.setup for r in study.runs):
+                yield Problem(
+                    "error", f"model: {key}", f"is stated per {q.per}, which not all runs state"
+                )
+
+    def setup(self, study: Study) -> DiagnosisSetup:
+        """Model of the rod, causes that its parts allow, and options."""
+        wrong = [p for p in self.problems(study) if p.severity == "error"]
+        if wrong:
+            raise ValueError("\n".join(str(p) for p in wrong))
+        parameters = BaseParameters(self.quantities(), study.runs)
+        described = DescribedRod(self, [c.name for c in study.channels], parameters)
+        advised = DiagnosisSettings(
+            search=SearchSettings(max_effects=MAX_EFFECTS, num_refits=2, max_rounds=2 * MAX_EFFECTS)
+        )
+        return DiagnosisSetup(
+            described.model(),
+            chosen_effects(library(self, study), self.effects),
+            settings=settings_with(advised, self.effort),
+        )
+
+
+__all__ = ["RodDescription"]

@@ -1,0 +1,62 @@
+"""A described rod as a model: from values of its quantities to poses of runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffsim.identify.model import Numerics, SimModel
+from diffsim.systems.rod.layout import Layout, layout_of
+from diffsim.systems.rod.scene import RodScene
+
+if TYPE_CHECKING:
+    from diffsim.data.study import Run
+    from diffsim.systems.description import BaseParameters
+    from diffsim.systems.rod.keys import RodKeys
+
+
+class DescribedRod:
+    """Makes scenes of a described rod.
+
+    Args:
+        given: Description.
+        channels: Names of the channels, in the order of the study.
+        parameters: Quantities of the description: base parameters, and values of a run.
+    """
+
+    def __init__(self, given: RodKeys, channels: Sequence[str], parameters: BaseParameters):
+        self.given, self.parameters = given, parameters
+        self._layout = lru_cache(maxsize=8)(lambda finer: layout_of(given, channels, finer))
+        self._guesses: dict[tuple[str, float], Tensor] = {}
+
+    def model(self) -> SimModel:
+        """The model that is fitted; many points are simulated at once."""
+        return SimModel(self.build, self.parameters.base, "described rod", batched=True)
+
+    def build(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> RodScene:
+        """The scene of a run, which starts from the run's pose at the best guess beforehand."""
+        scene = self._scene(self.parameters.in_run(values, run), run, numerics)
+        key = (run.name, numerics.mesh)
+        if key not in self._guesses:
+            at_prior = {p.name: torch.tensor(p.value).double() for p in self.parameters.base}
+            plain = self._scene(self.parameters.in_run(at_prior, run), run, numerics)
+            with torch.no_grad():
+                self._guesses[key] = plain.strains()
+        return RodScene(
+            scene.layout, scene.numbers, scene.command, scene.tolerance, self._guesses[key]
+        )
+
+    def _scene(self, numbers: Mapping[str, Tensor], run: Run, numerics: Numerics) -> RodScene:
+        layout: Layout = self._layout(1.0 / numerics.mesh)
+        columns = [np.asarray(run.command[t.command], np.float64) for t in self.given.tendons]
+        command = np.stack(columns, 1) if columns else np.zeros((len(run.time_s), 0))
+        tolerance = self.given.numerics.tolerance * numerics.tolerance
+        return RodScene(layout, numbers, torch.from_numpy(command), tolerance)
+
+
+__all__ = ["DescribedRod"]

@@ -1,0 +1,329 @@
+"""Equilibrium of a slender rod that is pulled by tendons and its own weight.
+
+A geometrically exact (Cosserat) rod: sections stay plane, and strains of the axis (twist, two
+bendings, stretch, two shears) may turn it by any angle. Unknown is the bending strain u of each
+element; rotations follow by products of exp(h u), places by sums (midpoint rule, second order).
+
+At a section, body and tendons together carry the loads beyond it. With the unit tangent t of a
+tendon at r, of tension T, the body is left with
+
+    n = n_beyond - sum T t,    m = m_beyond - sum r x (T t),
+
+so that a tendon's pull along its path and its pull at its end need no terms of their own (the same
+balance as Rucker and Webster, IEEE T-RO 2011, eq. 15 and 16, integrated once). The residual is
+K (u - u0) + sum r x (T t) - R' m_beyond, in the frame of the section.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from diffsim.core.errors import ConvergenceError
+from diffsim.core.rotation import sinc_terms, skew
+from diffsim.systems.rod.shape import Points, RodShape
+
+STRETCH_ROUNDS = 4  # each gains about two digits: tendons compress by a few percent
+MOST_TURN = 0.5  # of all elements together in one step of Newton's method [rad]
+MOST_STEPS = 40
+DIFFERENCE = 1e-5  # step of difference quotients by strains [1/m]
+SMOOTHING = 1e-3  # bends below this do not count as a kink of a tendon [1/m]
+
+
+def turned(vector: Tensor) -> Tensor:
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]."""
+    first, second = sinc_terms((vector * vector).sum(-1))
+    cross = skew(vector)
+    unit = torch.eye(3, dtype=vector.dtype)
+    return unit + first[..., None, None] * cross + second[..., None, None] * (cross @ cross)
+
+
+def running_products(steps: Tensor) -> Tensor:
+    """Products steps[0] ... steps[k] along the third last axis, (..., N, 3, 3), by doubling."""
+    reach, count = 1, steps.shape[-3]
+    while reach < count:
+        longer = steps[..., :-reach, :, :] @ steps[..., reach:, :, :]
+        steps = torch.cat([steps[..., :reach, :, :], longer], -3)
+        reach *= 2
+    return steps
+
+
+@dataclass(frozen=True, eq=False)
+class Rod:
+    """All numbers of an equilibrium; leading axes (...) are alike or one.
+
+    Attributes:
+        shape: Elements.
+        bending: (..., N, 3) stiffness against twist and two bendings [N m^2].
+        stretch: (..., N, 3) stiffness against stretch and two shears [N].
+        rest: (..., N, 3) strain of bending without loads [1/m].
+        stiffening: (...,) share by which bending stiffness grows with (radius times bend)^2 [-].
+        weight: (..., N, 3) weight of the elements [N].
+        points: Where masses sit.
+        loads: (..., P, 3) their weights [N].
+        base: (..., 3, 3) rotation of the base: its columns are along, y and z of the first section.
+        place: (..., 3) of the base [m].
+        offset: (..., T, N, 3) of the tendons from the axis [m].
+        slope: (..., T, N, 3) change of that per arc length [-].
+        share: (..., T, N) how much of an element a tendon runs through [-].
+        pull: (..., T) tension at the base [N].
+        friction: (...,) coefficient of friction of a tendon around bends [-].
+        wobble: (...,) loss of tension per length, as by a rough channel [1/m].
+    """
+
+    shape: RodShape
+    bending: Tensor
+    stretch: Tensor
+    rest: Tensor
+    stiffening: Tensor
+    weight: Tensor
+    points: Points
+    loads: Tensor
+    base: Tensor
+    place: Tensor
+    offset: Tensor
+    slope: Tensor
+    share: Tensor
+    pull: Tensor
+    friction: Tensor
+    wobble: Tensor
+
+    def with_pull(self, factor: float) -> Rod:
+        """The rod with a share of all tensions."""
+        return replace(self, pull=factor * self.pull)
+
+    def row(self, k: int) -> Rod:
+        """The rod of one row of the first of two leading axes."""
+        own = {}
+        for name, axes in _AXES.items():
+            value = getattr(self, name)
+            if value.ndim > axes + 1:
+                value = value[k if value.shape[0] > 1 else 0]
+            own[name] = value
+        return replace(self, **own)
+
+    def frames(self, u: Tensor) -> tuple[Tensor, Tensor]:
+        """Rotations at the edges, (..., N + 1, 3, 3), and at the middles, (..., N, 3, 3)."""
+        steps = u * self.shape.lengths[:, None]
+        after = self.base[..., None, :, :] @ running_products(turned(steps))
+        first = self.base[..., None, :, :].expand(*after.shape[:-3], 1, 3, 3)
+        edges = torch.cat([first, after], -3)
+        return edges, edges[..., :-1, :, :] @ turned(0.5 * steps)
+
+    def tension(self, u: Tensor) -> Tensor:
+        """(..., T, N) tension of the tendons at the middles [N]."""
+        turn = self.shape.lengths * (u[..., 1:].square().sum(-1) + SMOOTHING**2).sqrt()
+        wrapped = turn.cumsum(-1) - 0.5 * turn
+        loss = self.friction[..., None] * wrapped + self.wobble[..., None] * self.shape.middles
+        return self.pull[..., None] * self.share * torch.exp(-loss)[..., None, :]
+
+    def section(self, u: Tensor, force: Tensor) -> tuple[Tensor, Tensor]:
+        """Stretch and moment of the sections.
+
+        Args:
+            u: (..., N, 3) twist and bends [1/m].
+            force: (..., N, 3) force that acts beyond the section, in its frame [N].
+
+        Returns:
+            Stretch and shears (..., N, 3) [-], 1 0 0 at rest, and moment of body and tendons
+            (..., N, 3) [N m].
+        """
+        tension = self.tension(u)[..., None]
+        side = _cross(u[..., None, :, :], self.offset) + self.slope
+        along = torch.tensor([1.0, 0.0, 0.0], dtype=u.dtype)
+        v = along + force / self.stretch
+        for _ in range(STRETCH_ROUNDS):
+            tangent = v[..., None, :, :] + side
+            pull = tension * tangent / tangent.square().sum(-1, keepdim=True).sqrt()
+            v = along + (force - pull.sum(-3)) / self.stretch
+        bent = u - self.rest
+        strain = (bent[..., 1:].square().sum(-1) * self.shape.radius**2)[..., None]
+        moment = self.bending * bent * (1.0 + self.stiffening[..., None, None] * strain)
+        levers = _cross(self.offset, pull)
+        return v, moment + levers.sum(-3)
+
+    def at_points(self, points: Points, offset: Tensor, u: Tensor) -> Tensor:
+        """Places (..., P, 3) of points fixed to sections [m].
+
+        Args:
+            points: Their arc lengths.
+            offset: (..., P, 3) from the axis, in the frame of the section [m].
+            u: (..., N, 3) twist and bends [1/m].
+        """
+        edges, middles = self.frames(u)
+        force = self._forces(middles)[0]
+        v, _ = self.section(u, _into(middles, force))
+        nodes = self._places(middles, v)[0]
+        return _points(self.shape, points, offset, u, v, edges, nodes)
+
+    def residual(self, u: Tensor) -> Tensor:
+        """(..., N, 3) moment that is left over in the sections [N m]."""
+        edges, middles = self.frames(u)
+        force, beyond = self._forces(middles)
+        v, moment = self.section(u, _into(middles, force))
+        nodes, centers = self._places(middles, v)
+        torque = _cross(centers, self.weight)
+        outer = torque.flip(-2).cumsum(-2).flip(-2) - torque  # of all elements beyond
+        lever = 0.25 * self.shape.lengths[:, None] * (middles @ v[..., None])[..., 0]
+        outer = outer + _cross(centers + lever, 0.5 * self.weight)
+        if len(self.points.names):
+            at = _points(self.shape, self.points, self.points.offset, u, v, edges, nodes)
+            outer = outer + beyond @ _cross(at, self.loads)
+        return moment - _into(middles, outer - _cross(centers, force))
+
+    def _forces(self, middles: Tensor) -> tuple[Tensor, Tensor]:
+        """Force that acts beyond the middles, (..., N, 3) [N], and (N, P) which points do."""
+        weight = self.weight.expand(*middles.shape[:-1])
+        force = weight.flip(-2).cumsum(-2).flip(-2) - 0.5 * weight
+        beyond = (self.points.at > self.shape.middles[:, None]).to(force.dtype)
+        if len(self.points.names):
+            force = force + beyond @ self.loads
+        return force, beyond
+
+    def _places(self, middles: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
+        """Places of the edges (..., N + 1, 3) and of the middles (..., N, 3) [m]."""
+        steps = (middles @ v[..., None])[..., 0] * self.shape.lengths[:, None]
+        after = self.place[..., None, :] + steps.cumsum(-2)
+        first = self.place[..., None, :].expand(*after.shape[:-2], 1, 3)
+        nodes = torch.cat([first, after], -2)
+        return nodes, nodes[..., :-1, :] + 0.5 * steps
+
+
+_AXES = {
+    "bending": 2, "stretch": 2, "rest": 2, "stiffening": 0, "weight": 2, "loads": 2, "base": 2,
+    "place": 1, "offset": 3, "slope": 3, "share": 2, "pull": 1, "friction": 0, "wobble": 0,
+}  # fmt: skip
+"""Own axes of the tensors of a rod, behind the leading ones."""
+
+
+def _cross(a: Tensor, b: Tensor) -> Tensor:
+    """Cross products of vectors (..., 3) whose leading axes broadcast."""
+    return torch.linalg.cross(*torch.broadcast_tensors(a, b))
+
+
+def _into(frames: Tensor, vectors: Tensor) -> Tensor:
+    """Components of vectors (..., 3) in frames (..., 3, 3)."""
+    return (frames.mT @ vectors[..., None])[..., 0]
+
+
+def _points(
+    shape: RodShape,
+    points: Points,
+    offset: Tensor,
+    u: Tensor,
+    v: Tensor,
+    edges: Tensor,
+    nodes: Tensor,
+) -> Tensor:
+    i = points.element
+    past = (points.at - shape.edges[i])[:, None]
+    own = u[..., i, :]
+    frame = edges[..., i, :, :]
+    half = frame @ turned(0.5 * past * own)
+    axis = nodes[..., i, :] + (half @ (past * v[..., i, :])[..., None])[..., 0]
+    return axis + ((frame @ turned(past * own)) @ offset[..., None])[..., 0]
+
+
+def _slopes(rod: Rod, u: Tensor) -> Tensor:
+    """Derivatives (B, 3 N, 3 N) of the residual by u (B, N, 3), by central differences: right to
+    nine digits, and all in one call."""
+    size = u.shape[-2] * 3
+    moves = DIFFERENCE * torch.eye(size, dtype=u.dtype).reshape(size, 1, *u.shape[-2:])
+    ahead, behind = rod.residual(torch.stack([u + moves, u - moves]))
+    return ((ahead - behind) / (2.0 * DIFFERENCE)).flatten(2).permute(1, 2, 0)
+
+
+def _newton(rod: Rod, u: Tensor, tolerance: float) -> tuple[Tensor, Tensor]:
+    """Equilibria from a guess (B, N, 3), and the slopes there.
+
+    Raises:
+        ConvergenceError: it does not settle.
+    """
+    most = float("inf")
+    for _ in range(MOST_STEPS):
+        slopes = _slopes(rod, u)
+        step = torch.linalg.solve(slopes, rod.residual(u).flatten(1)).reshape(u.shape)
+        turn = (step.norm(dim=-1) * rod.shape.lengths).sum(-1)
+        most = float(turn.max())
+        if not math.isfinite(most):
+            break
+        u = u - (MOST_TURN / turn).clamp(max=1.0)[:, None, None] * step
+        if most < tolerance:
+            return u, slopes
+    raise ConvergenceError(
+        "the rod finds no equilibrium; is a tendon pulled too hard?",
+        residual_norm=most,
+        tolerance=tolerance,
+        num_iters=MOST_STEPS,
+    )
+
+
+def equilibrium(
+    rod: Rod, start: Tensor, tolerance: float, *, straight: bool = False
+) -> tuple[Tensor, Tensor]:
+    """Equilibria without gradients.
+
+    Args:
+        rod: Rod with one leading axis of B rows.
+        start: Guess of the bending strains, (B, N, 3) [1/m].
+        tolerance: Largest turn of the last step, of all elements together [rad].
+        straight: Whether to come from no tension by small steps, from the guess.
+
+    Returns:
+        Strains (B, N, 3) and slopes of the residual there (B, 3 N, 3 N).
+
+    Raises:
+        ConvergenceError: no equilibrium is found on the way from no tension.
+    """
+    if not straight:
+        try:
+            return _newton(rod, start, tolerance)
+        except ConvergenceError:
+            start = torch.zeros_like(start)
+    found, share, step = start, 0.0, 0.25
+    found, slopes = _newton(rod.with_pull(0.0), found, 1e-3)
+    while share < 1.0:
+        tried = min(1.0, share + step)
+        try:
+            found, slopes = _newton(rod.with_pull(tried), found, tolerance if tried == 1.0 else 1e-3)
+        except ConvergenceError:
+            step *= 0.5
+            if step < 0.01:
+                raise
+        else:
+            share = tried
+    return found, slopes
+
+
+def nearby(
+    residual: Callable[[Tensor], Tensor], u: Tensor, slopes: Tensor, lengths: Tensor, tolerance: float
+) -> Tensor | None:
+    """Equilibria of rows that differ little from one whose slopes are known; None: too much.
+
+    Args:
+        residual: Function of strains (K, S, N, 3).
+        u: Strains of the known equilibria, for each row, (K, S, N, 3).
+        slopes: Slopes there, (S, 3 N, 3 N).
+        lengths: (N,) of the elements [m].
+        tolerance: As of :func:`equilibrium`.
+    """
+    factor = torch.linalg.lu_factor(slopes)
+    last = float("inf")
+    for _ in range(MOST_STEPS):
+        left = residual(u)
+        step = torch.linalg.lu_solve(*factor, left.flatten(2).permute(1, 2, 0))
+        step = step.permute(2, 0, 1).reshape(left.shape)
+        most = float((step.norm(dim=-1) * lengths).sum(-1).max())
+        if not most < 0.7 * last:
+            return None
+        u, last = u - step, most
+        if most < tolerance:
+            return u
+    return None
+
+
+__all__ = ["Rod", "equilibrium", "nearby", "running_products", "turned"]

@@ -1,0 +1,61 @@
+"""The rule of the nano-drone benchmark: by hand, and by its published controls."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from benchmarks.ahead import AHEAD, Record, errors_ahead, flown, naive
+from benchmarks.nano_drone import scores, whole_flight
+from diffsim.identify.extended import ExtendedModel
+from diffsim.systems.registry import setup_of
+from tests.measured import data_folder
+
+f64 = torch.float64
+
+
+def turning(count: int) -> Record:
+    """Flight along x at 2 m/s, turning about z at 0.5 rad/s."""
+    t = 0.01 * torch.arange(count, dtype=f64)
+    zero, one = torch.zeros_like(t), torch.ones_like(t)
+    return Record(
+        torch.stack([2.0 * t, zero, zero], -1),
+        torch.stack([2.0 * one, zero, zero], -1),
+        torch.stack([(0.25 * t).cos(), zero, zero, (0.25 * t).sin()], -1),
+        torch.stack([zero, zero, 0.5 * one], -1),
+    )
+
+
+def test_errors_of_holding_everything_are_known():
+    truth = turning(120)
+    steps = 0.01 * np.arange(1, AHEAD + 1)
+    got = errors_ahead(naive(truth), truth).numpy()
+    np.testing.assert_allclose(got[:, 0], 2.0 * steps, atol=1e-12)
+    np.testing.assert_allclose(got[:, 1], 0.0, atol=1e-12)
+    np.testing.assert_allclose(got[:, 2], 0.5 * steps, atol=1e-9)
+    np.testing.assert_allclose(got[:, 3], 0.0, atol=1e-12)
+
+
+@pytest.mark.reference
+def test_published_controls_are_reproduced():
+    data_folder("nano_drone")
+    rows = dict(scores("melon_a", {}))
+    assert rows["naive"] == pytest.approx([17.68, 38.70, 8.16, 28.46], rel=2e-3)
+    assert rows["published"] == pytest.approx([2.230, 10.234, 5.021, 28.458], rel=5e-3)
+
+
+@pytest.mark.reference
+def test_flights_start_from_the_recorded_state():
+    data_folder("nano_drone")
+    study = whole_flight("random1_4")
+    run = study.runs[0]
+    setup = setup_of(study)
+    truth = Record.of(torch.as_tensor(run.measured, dtype=f64))
+    starts = torch.arange(100, 5700, 50)
+    model = ExtendedModel(setup.model, (), setup.model.base)
+    got = flown(model, run)(starts)
+    first = Record(*(v[:, 0] for v in got.parts))
+    there = truth.at(starts + 1)
+    for a, b, most in zip(first.parts, there.parts, (0.003, 0.02, 0.01, 0.3), strict=True):
+        assert float((a - b).norm(dim=-1).median()) < most

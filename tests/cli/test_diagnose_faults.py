@@ -1,0 +1,99 @@
+"""``diffsim diagnose faults``: groups of a study, and recordings that are not in it."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from diffsim.cli.main import main
+
+STUDY = """\
+name: pair
+model:
+  system: bench
+  parameters: {
+    level: {value: 1, percent: 10, per: rig},
+    gain_1: {value: 1, sd: 0.02, per: day}, gain_2: {value: 1, sd: 0.02, per: day}}
+  define: {left: level/gain_1, right: level/gain_2}
+  readings: {y1: left, y2: right}
+  effects:
+    own:
+      - {name: weak_1, multiplies: left, term: 1/(1 - size), typical: 0.1, signed: false,
+         words: "side 1 lost {:.0%}"}
+      - {name: weak_2, multiplies: right, term: 1/(1 - size), typical: 0.1, signed: false}
+channels: [{name: y1, unit: "-", sd: 0.01}, {name: y2, unit: "-", sd: 0.01}]
+faults:
+  per: day
+  scatter: [[gain_1, gain_2]]
+  known: {fact: done, causes: {nothing: [], cut: weak_1}}
+defaults: {setup: {rig: A}}
+runs:
+  - {file: "sound{n}.csv", setup: {day: "{n}", done: nothing}}
+  - {file: "cut{n}.csv", setup: {day: "cut{n}", done: cut}}
+"""
+
+
+def write(path, rng, factor=(1.0, 1.0)):
+    level = np.array(factor) * (1.0 + 0.01 * rng.standard_normal(2))
+    rows = level + 0.01 * rng.standard_normal((8, 2))
+    body = "\n".join(f"{0.1 * i:g},{a:.5f},{b:.5f}" for i, (a, b) in enumerate(rows))
+    path.write_text(f"time_s,y1,y2\n{body}\n")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    rng = np.random.default_rng(0)
+    for n in range(8):
+        write(tmp_path / f"sound{n}.csv", rng)
+    for n in range(2):
+        write(tmp_path / f"cut{n}.csv", rng, (1.2, 1.0))
+    new = tmp_path / "new"
+    new.mkdir()
+    write(new / "weak.csv", rng, (1.25, 1.0))
+    write(new / "sound.csv", rng)
+    (tmp_path / "study.yaml").write_text(STUDY)
+    return tmp_path
+
+
+def run(folder, *more):
+    out = folder / "out"
+    assert main(["diagnose", "faults", str(folder), "--out", str(out), *map(str, more)]) == 0
+    return {v["group"]: v for v in json.loads((out / "faults.json").read_text())["verdicts"]}
+
+
+def test_new_recordings_are_groups_of_their_own(folder, capsys):
+    new = folder / "new"
+    said = run(folder, "--new", new / "weak.csv", "--new", new / "sound.csv", "--fact", "rig=A")
+    assert {k: v["causes"] for k, v in said.items()} == {"new_1": ["weak_1"], "new_2": []}
+    size = said["new_1"]["sizes"][0]["interval"]
+    assert size["low"] < 0.2 < size["high"] < 0.3
+    out = capsys.readouterr().out
+    assert "Side 1 lost " in out
+    assert "Nothing visible beyond the scatter between groups." in out
+
+
+def test_known_groups_are_judged_by_the_others(folder, capsys):
+    said = run(folder, "--all")
+    assert len(said) == 10
+    assert {k for k, v in said.items() if v["causes"]} == {"cut0", "cut1"}
+    assert "10 of 10 groups with a known change are named exactly." in capsys.readouterr().out
+
+
+def test_explain_judges_every_group(folder, capsys):
+    assert main(["diagnose", "explain", str(folder), "--out", str(folder / "out")]) == 0
+    assert "cut1 (said: cut): " in capsys.readouterr().out
+
+
+def test_what_is_missing_is_said(folder, capsys):
+    new = folder / "new" / "weak.csv"
+    bare = STUDY.replace("defaults: {setup: {rig: A}}\n", "").replace("{day", "{rig: A, day")
+    (folder / "study.yaml").write_text(bare)
+    assert main(["diagnose", "faults", str(folder), "--new", str(new)]) != 0
+    assert "stated per rig" in capsys.readouterr().out
+    (folder / "study.yaml").write_text(
+        STUDY.replace(STUDY[STUDY.index("faults:") : STUDY.index("defaults:")], "")
+    )
+    assert main(["diagnose", "faults", str(folder)]) != 0
+    assert "has no `faults`" in capsys.readouterr().err

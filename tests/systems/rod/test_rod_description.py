@@ -1,0 +1,170 @@
+"""Rods that a study describes: any taper, tendons, markers, sessions; hidden causes are found."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from diffsim.data.study import Channel, Run, Study
+from diffsim.data.study_check import check_study
+from diffsim.diagnose import diagnose
+from diffsim.identify import Numerics, fit
+from diffsim.systems.registry import setup_of
+
+PULLS = ((1.0, 0.0), (2.0, 0.0), (3.0, 0.0), (0.0, 1.0), (0.0, 2.5), (1.5, 1.5), (3.0, 1.0))
+NOISE = 2e-4  # [m]
+MODEL = {
+    "system": "rod",
+    "stations": [{"at": 0, "radius": "10 mm"}, {"at": "0.3 m", "radius": "5 mm"}],
+    "material": {"youngs_modulus": {"value": 4e5, "percent": 30}, "density": 1100},
+    "base": {"along": [0, 0, -1], "across": [0, 1, 0]},
+    "tendons": [
+        {"name": name, "command": name, "path": [
+            {"at": 0, "angle": f"{angle} deg", "distance": "7 mm"},
+            {"at": "0.25 m", "angle": f"{angle} deg", "distance": "3 mm"}]}
+        for name, angle in (("left", 40), ("right", 160))
+    ],
+    "markers": {"middle": {"at": "0.15 m", "offset": [0, 0, "12 mm"]}, "tip": {"at": "0.3 m"}},
+    "sessions": "day",
+    "numerics": {"cells": 8},
+}  # fmt: skip
+
+
+def study(model=None, hidden=None, sizes=(0.0,), noise=NOISE):
+    """Poses under all pulls, with a hidden cause; the last two are test runs."""
+    names = [f"{m}_{a}" for m in ("middle", "tip") for a in "xyz"]
+    channels = tuple(Channel(n, "m", "position", NOISE) for n in names)
+    runs = tuple(
+        Run(
+            f"pose_{k}",
+            np.zeros(1),
+            np.zeros((1, len(names))),
+            {"left": np.array([left]), "right": np.array([right])},
+            f"g{k}",
+            k,
+            "test" if k > 4 else "fit",
+            {"day": "first" if k % 2 == 0 else "second"},
+        )
+        for k, (left, right) in enumerate(PULLS)
+    )
+    made = Study("arm", "rod", channels, runs, model=copy.deepcopy(MODEL if model is None else model))
+    setup = setup_of(made)
+    effects = {}
+    if hidden is not None:
+        cause = next(e for e in setup.effects if e.name == hidden)
+        effects = {cause: torch.tensor(sizes, dtype=torch.float64)}
+    rng = np.random.default_rng(0)
+    shown = []
+    for run in runs:
+        with torch.no_grad():
+            y = setup.model.predict(run, setup.model.at_prior(), effects).numpy()
+        shown.append(replace(run, measured=y + noise * rng.normal(size=y.shape)))
+    return replace(made, runs=tuple(shown))
+
+
+def test_the_description_is_complete():
+    made = study()
+    assert not [p for p in check_study(made) if p.severity == "error"]
+    names = [e.name for e in setup_of(made).effects]
+    assert {"tendon_slack", "tendon_friction", "clamp_tilt", "moved_tip", "tip_mass"} <= set(names)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda m: m["tendons"][0].update(command="lift"), "no command 'lift'; did you mean"),
+        (lambda m: m["markers"].pop("tip"), "tip_x: is not described"),
+        (lambda m: m.update(sessions="week"), "states no 'week'"),
+        (lambda m: m["markers"]["tip"].update(at="0.4 m"), "beyond the rod's end"),
+        (lambda m: m["base"].update(across=[0, 1, 1]), "right angles"),
+        (lambda m: m["stations"][0].update(at="0.1 m"), "the first is at 0"),
+        (lambda m: m["tendons"][0].update(name="right"), "used twice"),
+        (lambda m: m.update(channels={"tip_x": {"marker": "tp", "axis": "x"}}), "no marker 'tp'"),
+    ],
+)
+def test_mistakes_are_said_with_their_place(change, said):
+    good = study()
+    model = copy.deepcopy(MODEL)
+    change(model)
+    with pytest.raises(ValueError, match=said):
+        setup_of(replace(good, model=model))
+
+
+@pytest.mark.grad
+def test_gradients_of_all_causes_agree_with_differences():
+    made = study()
+    setup = setup_of(made)
+    run, q = made.runs[6], setup.model.at_prior()
+    for effect in setup.effects:
+        size = torch.full((len(effect.components),), 0.5 * effect.typical, dtype=torch.float64)
+        weights = torch.linspace(1.0, 2.0, 6, dtype=torch.float64)
+
+        def shown(s, effect=effect, weights=weights):
+            return (setup.model.predict(run, q, {effect: s}) * weights).sum()
+
+        size.requires_grad_(True)
+        (slope,) = torch.autograd.grad(shown(size), size)
+        step = 1e-4 * effect.typical
+        for k in range(len(size)):
+            move = torch.zeros_like(size)
+            move[k] = step
+            with torch.no_grad():
+                difference = (shown(size + move) - shown(size - move)) / (2.0 * step)
+            assert slope[k] == pytest.approx(float(difference), rel=1e-4, abs=1e-9), effect.name
+
+
+def test_many_points_at_once_are_as_one_by_one():
+    setup = setup_of(study())
+    cause = {e.name: e for e in setup.effects}
+    run = study().runs[2]
+    q = torch.tensor([[0.0], [0.3], [-2.0]], dtype=torch.float64)
+    sizes = torch.tensor([[0.0], [0.2], [0.5]], dtype=torch.float64)
+    with torch.no_grad():
+        many = setup.model.predict_many(run, q, {cause["tendon_friction"]: sizes})
+        for k in range(3):
+            one = setup.model.predict(run, q[k], {cause["tendon_friction"]: sizes[k]})
+            torch.testing.assert_close(many[k], one, atol=1e-9, rtol=0.0)
+
+
+def test_finer_elements_change_less_and_less():
+    made = study()
+    model = setup_of(made).model
+    with torch.no_grad():
+        shown = [
+            model.predict(made.runs[6], model.at_prior(), None, Numerics(mesh=m)) for m in (1, 0.5, 0.25)
+        ]
+    first, second = ((a - b).abs().max() for a, b in zip(shown, shown[1:], strict=False))
+    assert float(first) < 2e-3
+    assert float(second) < 0.35 * float(first)
+
+
+HIDDEN = {
+    "tendon_slack": (0.4,),
+    "moved_middle": (0.004, 0.0, -0.003),
+    "clamp_tilt": (0.05, -0.03),
+}
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_a_hidden_cause_is_fitted_to_its_size(name):
+    made = study(hidden=name, sizes=HIDDEN[name])
+    setup = setup_of(made)
+    cause = next(e for e in setup.effects if e.name == name)
+    found = fit(setup.model, made.fit_runs, made.channels, effects=[cause])
+    sizes = [v for k, v in found.values.items() if k.split(".")[0] == name]
+    assert sizes == pytest.approx(HIDDEN[name], abs=0.05 * max(map(abs, HIDDEN[name])) + 2e-4)
+
+
+@pytest.mark.parametrize("hidden", ["tendon_slack", None])
+def test_a_hidden_loss_is_named_and_nothing_is_named_without_one(hidden):
+    model = {**MODEL, "effects": {"only": ["tendon_slack", "tendon_friction", "clamp_tilt", "tip_mass"]}}
+    sizes = HIDDEN["tendon_slack"] if hidden else (0.0,)
+    made = study(model, hidden, sizes)
+    s = setup_of(made)
+    report = diagnose(made, s.model, s.effects, seed=0, unknowns=s.unknowns, settings=s.settings)
+    certain = [c.name for c in report.causes if c.status == "certain"]
+    assert certain == ([hidden] if hidden else [])

@@ -1,0 +1,185 @@
+"""Equilibria of slender rods against closed forms, a second solver, and differences."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import solve_bvp
+
+from diffsim.core.errors import ConvergenceError
+from diffsim.systems.rod.shape import points_on, rod_shape
+from diffsim.systems.rod.statics import Rod, equilibrium, nearby
+
+RADIUS, LENGTH, YOUNG = 0.01, 1.0, 1e6
+STIFFNESS = YOUNG * np.pi * RADIUS**4 / 4  # against bending [N m^2]
+TENSE = 1e6  # factor on stretch and shear stiffness: closed forms know neither
+F64 = torch.float64
+
+
+def rod(cells, *, force=0.0, pull=0.0, distance=0.004, friction=0.0, density=0.0, taper=1.0, end=1.0):
+    """A clamped rod along x with a weight at its end and a tendon towards y."""
+    ends = np.array([RADIUS, taper * RADIUS])
+    shape = rod_shape(np.array([0.0, LENGTH]), ends, cells, [end * LENGTH])
+    count = len(shape.radius)
+    bending = YOUNG * shape.inertia[:, None] * torch.tensor([2 / 2.9, 1.0, 1.0], dtype=F64)
+    stretch = TENSE * YOUNG * shape.area[:, None].expand(count, 3)
+    offset = torch.zeros(1, count, 3, dtype=F64)
+    offset[..., 1] = distance
+    down = torch.tensor([0.0, 0.0, -1.0], dtype=F64)
+    inside = (shape.middles < end * LENGTH).to(F64)
+    return Rod(
+        shape=shape,
+        bending=bending,
+        stretch=stretch,
+        rest=torch.zeros(count, 3, dtype=F64),
+        stiffening=torch.zeros((), dtype=F64),
+        weight=density * 9.81 * (shape.area * shape.lengths)[:, None] * down,
+        points=points_on(shape, ["end"], [LENGTH], [(0.0, 0.0, 0.0)]),
+        loads=(force * down)[None],
+        base=torch.eye(3, dtype=F64),
+        place=torch.zeros(3, dtype=F64),
+        offset=offset,
+        slope=torch.zeros(1, count, 3, dtype=F64),
+        share=inside[None],
+        pull=torch.tensor([pull], dtype=F64),
+        friction=torch.tensor(friction, dtype=F64),
+        wobble=torch.zeros((), dtype=F64),
+    )
+
+
+def bent(made):
+    start = torch.zeros(1, len(made.shape.radius), 3, dtype=F64)
+    return equilibrium(made, start, 1e-11, straight=True)[0]
+
+
+def end_of(made):
+    u = bent(made)
+    return made.at_points(made.points, made.points.offset, u)[0, 0].numpy()
+
+
+def elastica(load):
+    """End of a clamped elastica under load L^2 / EI across, (along, across), by scipy."""
+
+    def rates(s, y):  # angle, bend, x, y
+        return np.vstack([y[1], -load * np.cos(y[0]), np.cos(y[0]), np.sin(y[0])])
+
+    def ends(a, b):
+        return np.array([a[0], b[1], a[2], a[3]])
+
+    s = np.linspace(0.0, 1.0, 200)
+    guess = np.zeros((4, len(s)))
+    guess[0], guess[2] = s, s
+    solved = solve_bvp(rates, ends, s, guess, tol=1e-10, max_nodes=100000)
+    assert solved.success
+    return solved.y[2, -1], abs(solved.y[3, -1])
+
+
+@pytest.mark.reference
+def test_a_load_at_the_end_bends_it_like_the_elastica():
+    along, across = elastica(4.0)
+    assert across == pytest.approx(0.66996, abs=1e-5)  # Bisshopp and Drucker 1945
+    x, _, z = end_of(rod(80, force=4.0 * STIFFNESS))
+    assert x == pytest.approx(along, abs=2e-5)
+    assert -z == pytest.approx(across, abs=2e-5)
+
+
+@pytest.mark.order
+def test_the_error_falls_with_the_square_of_the_elements():
+    along, across = elastica(4.0)
+    errors = []
+    for cells in (10, 20, 40):
+        x, _, z = end_of(rod(cells, force=4.0 * STIFFNESS))
+        errors.append(np.hypot(x - along, -z - across))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
+    assert np.log2(errors[1] / errors[2]) == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.reference
+def test_small_weight_bends_it_like_a_beam():
+    density = 1.0
+    load = density * 9.81 * np.pi * RADIUS**2
+    _, _, z = end_of(rod(80, density=density))
+    assert -z == pytest.approx(load * LENGTH**4 / (8.0 * STIFFNESS), rel=2e-3)
+
+
+@pytest.mark.reference
+def test_a_parallel_tendon_bends_it_to_a_circle_as_far_as_it_goes():
+    pull, distance = 8.0, 0.004
+    bend = pull * distance / STIFFNESS
+    u = bent(rod(20, pull=pull, end=0.6))[0]
+    inside = rod(20, end=0.6).shape.middles < 0.6
+    assert u[inside, 2].numpy() == pytest.approx(bend, rel=1e-5)
+    assert u[~inside].abs().max() < 1e-9
+    x, y, _ = end_of(rod(80, pull=pull))
+    assert (x, y) == pytest.approx((np.sin(bend) / bend, (1.0 - np.cos(bend)) / bend), abs=1e-4)
+
+
+@pytest.mark.reference
+def test_a_tendon_shortens_it_by_its_force_over_the_stiffness():
+    made = rod(20, pull=5.0, distance=0.0)
+    made = replace(made, stretch=made.stretch / TENSE)
+    x, _, _ = end_of(made)
+    assert x == pytest.approx(1.0 - 5.0 / (YOUNG * np.pi * RADIUS**2), rel=1e-6)
+
+
+@pytest.mark.reference
+def test_friction_around_a_bend_follows_the_capstan_law():
+    made = rod(60, pull=8.0, friction=0.3)
+    u = bent(made)
+    tension = made.tension(u)[0, 0].numpy()
+    angle = np.cumsum(u[0, :, 2].numpy()) * LENGTH / 60
+    assert tension[-1] / tension[0] == pytest.approx(np.exp(-0.3 * (angle[-1] - angle[0])), rel=1e-3)
+    assert tension[-1] < 0.7 * tension[0]
+
+
+@pytest.mark.reference
+def test_weight_beyond_an_element_turns_with_a_rod_that_hangs_sideways():
+    """A heavy tapered rod bent far, against a boundary value problem solved by scipy."""
+    density, taper, pull, distance = 300.0, 0.6, 6.0, 0.004
+
+    def radius(s):
+        return RADIUS * (1.0 - (1.0 - taper) * s)
+
+    def beyond(s):  # weight of the rest
+        volume = np.pi / 3.0 * (1.0 - s)
+        return 9.81 * density * volume * (radius(s) ** 2 + radius(s) * radius(1.0) + radius(1.0) ** 2)
+
+    def rates(s, y):  # angle down from x, moment, x, z
+        bend = y[1] / (YOUNG * np.pi * radius(s) ** 4 / 4)
+        return np.vstack([bend, -beyond(s) * np.cos(y[0]), np.cos(y[0]), -np.sin(y[0])])
+
+    def ends(a, b):
+        return np.array([a[0], b[1] - pull * distance, a[2], a[3]])
+
+    s = np.linspace(0.0, 1.0, 400)
+    guess = np.stack([s, 1.0 - s, s, -s])
+    solved = solve_bvp(rates, ends, s, guess, tol=1e-9, max_nodes=200000)
+    made = rod(60, density=density, taper=taper, pull=pull)
+    offset = torch.zeros_like(made.offset)
+    offset[..., 2] = -distance  # below the axis: it bends further down
+    x, _, z = end_of(replace(made, offset=offset))
+    assert solved.success and solved.y[0, -1] > 1.0  # it does turn
+    assert (x, z) == pytest.approx((solved.y[2, -1], solved.y[3, -1]), abs=2e-4)
+
+
+def test_neighbors_are_found_by_the_slopes_of_one():
+    made = rod(12, pull=4.0, density=100.0)
+    start = torch.zeros(1, 12, 3, dtype=F64)
+    known, slopes = equilibrium(made, start, 1e-10)
+    changed = replace(made, pull=torch.tensor([[[4.0]], [[4.05]], [[3.9]]], dtype=F64))
+    many = nearby(changed.residual, known.expand(3, 1, 12, 3), slopes, made.shape.lengths, 1e-10)
+    assert many is not None
+    for k, pull in enumerate((4.0, 4.05, 3.9)):
+        alone = equilibrium(replace(made, pull=torch.tensor([pull], dtype=F64)), start, 1e-10)[0]
+        torch.testing.assert_close(many[k], alone, atol=1e-8, rtol=0.0)
+    far = replace(made, pull=torch.tensor([[[4.0]], [[-40.0]]], dtype=F64))
+    few = known.expand(2, 1, 12, 3)
+    assert nearby(far.residual, few, slopes, made.shape.lengths, 1e-10) is None
+
+
+def test_no_equilibrium_is_said():
+    with pytest.raises(ConvergenceError, match="no equilibrium"):
+        bent(rod(8, pull=float("nan")))

@@ -1,0 +1,88 @@
+"""Moments of air and rotors against their formulas, in the model's frames (z down)."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from diffsim.copter.fleet import Fleet
+from diffsim.systems.multicopter import moments
+from diffsim.systems.multicopter.motion import Motion
+from tests.systems.test_multicopter import quadcopter
+
+f64 = torch.float64
+THRUSTS = torch.tensor([2.0, 2.5, 1.0, 1.5], dtype=f64)
+COEFFICIENT = 1e-5
+
+
+def rows(*values: float) -> torch.Tensor:
+    return torch.tensor(values, dtype=f64).expand(1, 1, 5, -1)
+
+
+def torque_of(effect, size, *, velocity=(0.0, 0.0, 0.0), rates=(0.0, 0.0, 0.0), asked=None):
+    """Torque and lift that an effect adds, (5, 3) and (5,)."""
+    vehicle = quadcopter()
+    fleet = Fleet.of([vehicle])
+    thrusts = THRUSTS.expand(1, 1, 5, -1)
+    scene = SimpleNamespace(vehicle=fleet, thrust_coefficient=COEFFICIENT, dt=0.01)
+    scene.with_schedule = lambda change: change
+    level = torch.eye(3, dtype=f64).expand(1, 1, 5, 3, 3)
+    asked = thrusts if asked is None else asked
+    motion = Motion(
+        fleet, rows(0, 0, 0), rows(*velocity), level, rows(*rates), thrusts, asked, rows(0, 0, 0)
+    )
+    change = effect.apply(scene, torch.tensor(size, dtype=f64), None)
+    more = (change(motion, thrusts) - thrusts)[0, 0]
+    return (more @ vehicle.torque_matrix.T).numpy(), more.sum(-1).numpy()
+
+
+def test_flow_moment_is_that_of_a_drag_above_the_center():
+    velocity = np.array([1.2, -0.7, 0.4])
+    got, lift = torque_of(moments.FLOW_MOMENT, [0.03, 0.03], velocity=velocity)
+    want = np.cross([0.0, 0.0, -1.0], -0.03 * velocity)  # one meter up, force against the motion
+    np.testing.assert_allclose(got, np.tile(want, (5, 1)), atol=1e-12)
+    np.testing.assert_allclose(lift, 0.0, atol=1e-12)
+
+
+def test_a_climb_takes_from_the_flow_moment():
+    sinking = torque_of(moments.CLIMB_MOMENT, [0.01, 0.01], velocity=(1.0, 0.5, 2.0))[0]
+    rising = torque_of(moments.CLIMB_MOMENT, [0.01, 0.01], velocity=(1.0, 0.5, -2.0))[0]
+    flow = torque_of(moments.FLOW_MOMENT, [0.02, 0.02], velocity=(1.0, 0.5, 0.0))[0]
+    np.testing.assert_allclose(rising, -flow, atol=1e-12)
+    np.testing.assert_allclose(sinking, flow, atol=1e-12)
+
+
+def test_rates_fall_by_the_damping_alone():
+    sizes, rates = np.array([1.0, 2.0, 0.5]), np.array([0.3, -0.4, 0.8])
+    got, _ = torque_of(moments.RATE_DAMPING, sizes.tolist(), rates=rates)
+    inertia = quadcopter().inertia.numpy()
+    np.testing.assert_allclose(np.linalg.solve(inertia, got[0]), -sizes * rates, atol=1e-12)
+
+
+def test_rotors_that_speed_up_turn_the_vehicle_the_other_way():
+    inertia, gained = 1e-4, 30.0  # [kg m^2], [rad/s] per step
+    speeds = torch.full((5, 4), 400.0, dtype=f64)
+    speeds[:, 0] += gained * torch.arange(5)
+    asked = (COEFFICIENT * speeds**2)[None, None]
+    got, lift = torque_of(moments.SPIN_UP, [inertia], asked=asked)
+    # the torque of the air on rotor 1 has the same sense as that of its gaining speed
+    sense = np.sign(float(quadcopter().torque_matrix[2, 0]))
+    want = [0.0, 0.0, sense * inertia * gained / 0.01]
+    np.testing.assert_allclose(got, np.tile(want, (5, 1)), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(lift, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("effect", [moments.FLOW_MOMENT, moments.RATE_DAMPING, moments.SPIN_UP])
+def test_size_zero_changes_nothing(effect):
+    asked = THRUSTS.expand(1, 1, 5, -1) * torch.arange(1.0, 6.0)[:, None]
+    got, _ = torque_of(
+        effect,
+        [0.0] * len(effect.components),
+        velocity=(1, 2, 3),
+        rates=(1, 2, 3),
+        asked=asked.to(f64),
+    )
+    np.testing.assert_allclose(got, 0.0, atol=1e-15)
