@@ -9,7 +9,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.blind.sessions import planned
+from benchmarks.blind.sessions import kept_scores, planned
+from benchmarks.blind.table import markdown
 from diffsim.cli.arguments import names, positive
 from diffsim.core.errors import DiffsimError
 
@@ -45,6 +46,13 @@ def arguments() -> argparse.ArgumentParser:
         metavar="N",
         help=f"cases side by side (default: 1; this machine has {os.cpu_count()} processors)",
     )
+    parser.add_argument(
+        "--tables",
+        type=Path,
+        nargs="+",
+        metavar="OUT",
+        help="print the tables of finished cases of such folders together; nothing is diagnosed",
+    )
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     return parser
 
@@ -61,6 +69,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if argv is None else argv)
     args = arguments().parse_args(given)
     try:
+        if args.tables:
+            command = f"python -m benchmarks.blind {shlex.join(given)}"
+            print(markdown(kept_scores(args.tables), title="Sealed cases", command=command))
+            return 0
         blind = planned(args)
         print(f"seed {blind.seed}; data and answers in {blind.out}, labels in {blind.vault}")
         page = blind.write(blind.run(args.n, args.workers))

@@ -229,6 +229,26 @@ class _Processes:
             process.terminate()
 
 
+def kept_scores(folders: Sequence[Path]) -> list[dict[str, Any]]:
+    """Scores of the finished cases of several sets.
+
+    Args:
+        folders: ``--out`` of each set.
+
+    Raises:
+        ValueError: a folder holds none.
+    """
+    out = []
+    for folder in folders:
+        found = sorted((folder / "scores").glob("*.json"))
+        if not found:
+            raise ValueError(f"{folder} holds no scores; give the folder that --out named")
+        for path in found:
+            score: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            out.append({**score, "case": f"{folder.name}/{score['case']}"})
+    return out
+
+
 def planned(args: argparse.Namespace) -> Blind:
     """The set of cases; an earlier one in --out is gone on with.
 

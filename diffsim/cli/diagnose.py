@@ -75,7 +75,7 @@ def _finding(step: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="CSV",
-        help="runs that are not in the study, one group; again for another group",
+        help="judge runs that are not in the study: one group; again for another group",
     )
     step.add_argument(
         "--fact",

@@ -42,14 +42,19 @@ def with_new(given: str, new: Sequence[Sequence[Path]], facts: Mapping[str, str]
         return study
     keys = study.faults
     entries: list[dict[str, Any]] = []
-    for k, files in enumerate(new):
-        label = NEW if len(new) == 1 else f"{NEW}_{k + 1}"
-        setup = {keys.known.fact: "-", keys.per: label} | dict(facts)
+    for label, files in zip(new_labels(len(new)), new, strict=True):
+        unknown = dict.fromkeys((keys.known.fact, keys.state or keys.known.fact), "-")
+        setup = {**unknown, keys.per: label} | dict(facts)
         entries += [
             {"name": f"{label} {f.stem}", "file": str(f.resolve()), "use": "test", "setup": setup}
             for f in files
         ]
     return load_study(path, entries)
+
+
+def new_labels(count: int) -> tuple[str, ...]:
+    """Labels of new groups."""
+    return (NEW,) if count == 1 else tuple(f"{NEW}_{k + 1}" for k in range(count))
 
 
 def judged(
@@ -108,4 +113,4 @@ def _paragraph(verdict: FaultVerdict) -> list[str]:
     return out
 
 
-__all__ = ["judged", "lines", "with_new"]
+__all__ = ["judged", "lines", "new_labels", "with_new"]

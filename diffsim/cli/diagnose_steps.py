@@ -11,7 +11,7 @@ from typing import Any
 
 from diffsim.cli.arguments import DIAGNOSES
 from diffsim.cli.diagnose_check import check, require_ready
-from diffsim.cli.diagnose_faults import judged, with_new
+from diffsim.cli.diagnose_faults import judged, new_labels, with_new
 from diffsim.cli.diagnose_init import init
 from diffsim.cli.diagnose_inputs import changed, inputs_of, read_study
 from diffsim.core.files import write_json_atomic, write_text_atomic
@@ -222,7 +222,8 @@ def _faults(args: argparse.Namespace) -> None:
     study = with_new(args.study, args.new, dict(args.fact))
     require_ready(study, args.study, plan=False)
     out = args.out or Path(DIAGNOSES) / study.name
-    judged(study, out, groups=args.groups, everything=args.all, seed=args.seed)
+    groups = args.groups or new_labels(len(args.new))
+    judged(study, out, groups=groups, everything=args.all, seed=args.seed)
 
 
 def _next(args: argparse.Namespace) -> None:

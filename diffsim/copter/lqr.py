@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -63,7 +62,7 @@ def lyapunov(A: Tensor, Q: Tensor, *, num_threads: int = 1) -> Tensor:
     n = A.shape[-1]
     _require_square("A", A)
     Q = require("Q", Q, ("...", n, n))
-    batch = np.broadcast_shapes(A.shape[:-2], Q.shape[:-2])
+    batch = torch.Size(np.broadcast_shapes(A.shape[:-2], Q.shape[:-2]))
     X = _ops_riccati.lyapunov_layer(A=_flat(A, batch), Q=_flat(Q, batch), num_threads=num_threads)
     return X.reshape(*batch, n, n)
 
@@ -131,16 +130,16 @@ class LQR(nn.Module):
 def _solve(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, num_threads: int) -> tuple[Tensor, Tensor]:
     G = B @ torch.linalg.solve(R, B.mT)
     G = 0.5 * (G + G.mT)
-    batch = np.broadcast_shapes(A.shape[:-2], G.shape[:-2], Q.shape[:-2])
+    batch = torch.Size(np.broadcast_shapes(A.shape[:-2], G.shape[:-2], Q.shape[:-2]))
     P, report = _ops_riccati.care_layer(
         A=_flat(A, batch), G=_flat(G, batch), Q=_flat(Q, batch), num_threads=num_threads
     )
     return P.reshape(*batch, *A.shape[-2:]), report.reshape(*batch, -1)
 
 
-def _flat(matrix: Tensor, batch: tuple[int, ...]) -> Tensor:
+def _flat(matrix: Tensor, batch: torch.Size) -> Tensor:
     n = matrix.shape[-1]
-    return matrix.expand(*batch, n, n).reshape(math.prod(batch), n, n)
+    return matrix.expand(*batch, n, n).reshape(batch.numel(), n, n)
 
 
 def _require_square(name: str, matrix: Tensor) -> None:

@@ -189,6 +189,11 @@ class Blocks(Part):
         {}, description="Pieces by use, counted from 1; all others have the run's `use`"
     )
     restart_time: bool = Field(False, description="Whether each piece begins at 0 s")
+    run_up: bool = Field(
+        False,
+        description="Whether each piece is simulated from the beginning of the run, while only its "
+        "own samples are compared: then all pieces share one start",
+    )
 
     @model_validator(mode="after")
     def _one_length(self) -> Blocks:

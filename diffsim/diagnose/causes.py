@@ -146,7 +146,8 @@ def cause_rows(told: Told, base: Sequence[BaseRow]) -> tuple[CauseRow, ...]:
         told: Verdict, probabilities and candidates.
         base: Base parameters, findings among them.
     """
-    rows = [_effect_row(told, i) for i in range(len(told.effects))]
+    values = {row.name: row.value for row in base}
+    rows = [_effect_row(told, i, values) for i in range(len(told.effects))]
     rows += [_unjudged(name, why) for name, why in told.unmet.items()]
     rows += [_finding_row(told, row) for row in base if row.finding]
     rows += _unknown_rows(told)
@@ -159,7 +160,7 @@ def _rank(row: CauseRow) -> tuple[int, float, float]:
     return ORDER.index(row.status), -round(row.probability or 0.0, 3), -gained
 
 
-def _effect_row(told: Told, i: int) -> CauseRow:
+def _effect_row(told: Told, i: int, values: Mapping[str, float]) -> CauseRow:
     effect, about = told.effects[i], told.about
     decision, gains = told.judgment.decision, told.judgment.gains
     smallest = _smallest_visible(told, i)
@@ -184,6 +185,8 @@ def _effect_row(told: Told, i: int) -> CauseRow:
     sizes = about.size(i) or row.size
     value = next(iter(sizes.values())).value if len(sizes) == 1 else 0.0
     words = effect.words(value) if effect.words is not None and value else row.words
+    if effect.says is not None and value:
+        words = effect.says(value, values)
     return replace(
         row,
         words=words,

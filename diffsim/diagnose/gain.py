@@ -165,7 +165,8 @@ def _blocks(run: Run, block_s: float, null: Array, extended: Array, fit: Frozen)
     # a whitened row belongs to its newest sample: the largest column it uses
     newest = np.maximum.reduceat(matrix.indices, matrix.indptr[:-1])
     time = run.time_s[newest // run.measured.shape[1]]
-    label = ((time - run.time_s[0]) / block_s).astype(int)
+    since = time - run.time_s[0]  # a run of one sample is a block
+    label = (since / block_s).astype(int) if block_s > 0.0 else np.zeros(len(since), dtype=int)
     size = label.max() + 1
     rows = [np.bincount(label, w, size) for w in (np.ones_like(null), null**2, extended**2)]
     table = np.column_stack(rows)

@@ -92,7 +92,7 @@ class _Iterate:
             The next iterate, and whether the cost is lower there.
         """
         x = self.problem.standardized(self.scaled + step)
-        longest = float(np.abs(step).max())
+        longest = float((np.abs(step) / self.problem.step_factors).max())
         shorter = replace(self, radius=0.25 * longest)
         try:
             record = record_at(self.problem, x)
@@ -177,10 +177,12 @@ def _first(problem: Problem, start: Linearization) -> _Iterate:
 
 
 def _step(s: _Iterate, low: Array, high: Array) -> Array:
-    """argmin |r - J d|^2 + |x(u + d)|^2 within the bounds and the trust region |d_i| <= radius."""
+    """argmin |r - J d|^2 + |x(u + d)|^2 within the bounds and the trust region |d_i| <= radius f_i,
+    f_i below 1 for parameters that move edges."""
     u = s.scaled
     gram = s.jacobian.T @ s.jacobian
     is_size = np.arange(len(u)) >= s.problem.num_base
-    least, most = np.maximum(low, u - s.radius), np.minimum(high, u + s.radius)
+    reach = s.radius * s.problem.step_factors
+    least, most = np.maximum(low, u - reach), np.minimum(high, u + reach)
     end = optimum(gram, s.jacobian.T @ s.residual + gram @ u, least, most, is_size, u)
     return np.asarray(end - u)

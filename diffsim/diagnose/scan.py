@@ -52,7 +52,8 @@ class Scan:
 
 
 def groups(effects: Sequence[Effect], members: Members, room: int) -> Iterator[Members]:
-    """Effects with kinks outside a set; then pairs of effects that mask each other.
+    """Effects outside a set that are located in time, those with kinks, then pairs of effects that
+    mask each other.
 
     Args:
         effects: All candidates.
@@ -62,8 +63,13 @@ def groups(effects: Sequence[Effect], members: Members, room: int) -> Iterator[M
     if room < 1:
         return
     outside = [i for i in range(len(effects)) if i not in members]
+    placed = {effects[i].family for i in members if effects[i].locate is not None}
     for i in outside:
-        if _is_scanned(effects[i]):
+        # forms of one event share their place in time: a second one cannot lie elsewhere
+        if effects[i].locate is not None and effects[i].family not in placed:
+            yield frozenset({i})
+    for i in outside:
+        if effects[i].locate is None and _is_scanned(effects[i]):
             yield frozenset({i})
     yield from masking_pairs(effects, members, room)
 
@@ -105,13 +111,13 @@ def scan(wide: Problem, own: Sequence[int], center: Linearization, group: Sequen
     columns = [c for e in effects for c in wide.columns_of(e)]
     tried = _combined(effects)
     coordinates = sorted({*own, *columns})
-    narrow = _narrow(wide, coordinates)
+    narrow = narrowed(wide, coordinates)
     points = np.tile(center.x, (len(tried), 1))
     points[:, columns] = tried
     records = records_for(narrow, points[:, coordinates], center.record)
     rest = [c for c in own if c not in columns]
-    costs = _costs(wide, center, rest, records, points[:, columns])
-    here = _costs(wide, center, rest, center.record[None], np.zeros((1, len(columns))))[0]
+    costs = costs_of(wide, center, rest, records, points[:, columns])
+    here = costs_of(wide, center, rest, center.record[None], np.zeros((1, len(columns))))[0]
     best = int(np.argmin(costs))
     if not costs[best] < here - 2.0:  # within a nat of what no size of theirs does
         return Scan(None, len(tried))
@@ -152,7 +158,8 @@ def _tried(effect: Effect, is_coarse: bool) -> list[Array]:
     return [v * unit for unit in np.eye(count) for part in values for v in part]
 
 
-def _narrow(wide: Problem, coordinates: Sequence[int]) -> Problem:
+def narrowed(wide: Problem, coordinates: Sequence[int]) -> Problem:
+    """The problem with the effects only whose coordinates are among the given ones."""
     inside = set(coordinates)
     return replace(
         wide, effects=tuple(e for e in wide.effects if set(wide.columns_of(e)) <= inside)
@@ -195,7 +202,7 @@ def _repeats(run: Run, first: Run) -> bool:
     )
 
 
-def _costs(
+def costs_of(
     wide: Problem, center: Linearization, rest: Sequence[int], records: Array, sizes: Array
 ) -> Array:
     """chi2 and prior of records after a linear refit of the rest, (num_points,)."""

@@ -107,7 +107,12 @@ class Search:
         swapped = [(members - {i}) | {j} for i in members for j in others]
         room = self.settings.max_effects - len(members)
         pairs = [members | pair for pair in masking_pairs(self.wide.effects, members, room)]
-        return [*more, *pairs, *less, *swapped]
+        return [s for s in (*more, *pairs, *less, *swapped) if self._lies_once(s)]
+
+    def _lies_once(self, members: Members) -> bool:
+        """Whether no two effects of a set share one place in time."""
+        families = [e.family for i in members if (e := self.wide.effects[i]).locate is not None]
+        return len(set(families)) == len(families)
 
     def linear_slack(self, members: Members) -> float:
         """Largest error of linear evidence at a set [nats]."""

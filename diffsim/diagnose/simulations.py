@@ -18,9 +18,11 @@ from scipy import linalg
 from diffsim.diagnose.evidence import Hypothesis, LaplaceEvidence, Weighed
 from diffsim.diagnose.fit import Null
 from diffsim.diagnose.gauss_newton import gauss_newton
+from diffsim.diagnose.located import course_at, scan_located
 from diffsim.diagnose.scan import Scan, groups, num_points, scan
 from diffsim.diagnose.store import Store
 from diffsim.identify import Fit, Problem
+from diffsim.identify.effect import Effect
 from diffsim.identify.effort import SearchSettings
 from diffsim.identify.linearization import (
     Linearization,
@@ -29,6 +31,7 @@ from diffsim.identify.linearization import (
     record_at,
     whitened,
 )
+from diffsim.identify.locate import Course
 from diffsim.identify.unknown import Unknown, by_group
 
 Array = NDArray[np.float64]
@@ -202,16 +205,28 @@ class Simulations:
             num_families: Families of effects, for the evidence.
         """
         made, found = self, {}
+        courses: dict[Effect, Course] = {}
         room = settings.max_effects - len(center.members)
         for group in groups(self.wide.effects, center.members, room):
             key, members = (center.members, group), sorted(group)
             if key not in made.scans:
-                points = sum(s.num_points for s in made.scans.values())
-                points += num_points([self.wide.effects[i] for i in members])
-                if points > settings.scan_points or made.scan_seconds > settings.scan_seconds:
-                    continue
+                effect = self.wide.effects[members[0]]
                 own, start = self.coordinates(center.members), process_time()
-                result = scan(self.wide, own, center.at, members)
+                if effect.locate is not None:
+                    if made.scan_seconds > settings.scan_seconds:
+                        continue
+                    if effect.locate.course not in courses:
+                        courses[effect.locate.course] = course_at(
+                            self.wide, own, center.at, effect.locate
+                        )
+                    course = courses[effect.locate.course]
+                    result = scan_located(self.wide, own, center.at, effect, course)
+                else:
+                    points = sum(s.num_points for s in made.scans.values())
+                    points += num_points([self.wide.effects[i] for i in members])
+                    if points > settings.scan_points or made.scan_seconds > settings.scan_seconds:
+                        continue
+                    result = scan(self.wide, own, center.at, members)
                 spent = made.scan_seconds + process_time() - start
                 made = replace(made, scans={**made.scans, key: result}, scan_seconds=spent)
             if (at := made.scans[key].at) is not None:

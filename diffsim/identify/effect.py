@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,7 @@ from torch import Tensor
 
 from diffsim.core.check import require_choice
 from diffsim.data.study import Run, Study
+from diffsim.identify.locate import Locator
 
 KINDS = ("force", "actuator", "sensor", "material", "environment", "numerical")
 Apply = Callable[[Any, Tensor, Run], Any]
@@ -50,6 +51,10 @@ class Effect:
         also_looks_like: Physical causes and other forms that data may not distinguish from it.
         words: Function of a size that says it in plain words where its number would not be
             understood, such as "a speed limit near 100 mm/s"; None: name and size.
+        says: The same with the values of the base parameters by name, for causes that these place
+            in time; it comes before ``words``.
+        locate: How it finds where it lies in time, for causes of limited duration; None: it acts
+            always.
         needs: Function of a study: what it lacks for the effect to be judged; None if nothing.
     """
 
@@ -68,6 +73,8 @@ class Effect:
     masks: tuple[str, ...] = ()
     also_looks_like: tuple[str, ...] = ()
     words: Callable[[float], str] | None = None
+    says: Callable[[float, Mapping[str, float]], str] | None = None
+    locate: Locator | None = None
     needs: Needs = needs_nothing
 
     def __post_init__(self) -> None:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from threading import Lock
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
 import torch
@@ -34,6 +35,8 @@ class Parameter:
         unit: SI unit, "-" if none.
         log: The logarithm is what is normally distributed; for positive quantities.
         lower, upper: Bounds of the value, in ``unit``.
+        step: Longest step of a difference quotient, in ``unit``, where the record has edges that
+            move with the value; not where ``log``.
     """
 
     name: str
@@ -43,6 +46,7 @@ class Parameter:
     log: bool = False
     lower: float = -math.inf
     upper: float = math.inf
+    step: float = math.inf
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.value) or not self.lower <= self.value <= self.upper:
@@ -127,9 +131,12 @@ class SimModel:
     Attributes:
         prepared_q: Point that ``prepared_at`` made this model for, (num_base,) standardized; None
             where nothing is prepared.
+        made_from: What sizes of effects mean by: magnitudes of recordings, in types that YAML has.
+            Extended models are saved with them.
     """
 
     prepared_q: Tensor | None = None
+    made_from: Mapping[str, Any] = MappingProxyType({})
 
     def __init__(
         self,

@@ -201,6 +201,8 @@ def rebuilt(saved: SavedModel, setup: DiagnosisSetup) -> ExtendedModel:
         ValueError: an effect or parameter that the setup does not have; the message names the
             closest ones.
     """
+    if setup.remade is not None and (made_from := saved.facts.get("made_from")):
+        setup = setup.remade(made_from)
     effects = effects_of(saved, setup.effects)
     known = {p.name: p for p in setup.model.base}
     for name in saved.parameters:

@@ -259,7 +259,8 @@ class Problem:
         point = torch.from_numpy(np.ascontiguousarray(u, dtype=np.float64))
         # bounds of sizes are zero or infinite: the same in both coordinates
         low, high = self.bounds
-        step = self.jacobian.step * stretch
+        steps = stretch * self.step_factors
+        step = self.jacobian.step * steps
         below, above = u - step < low, u + step > high
         inward = [int(below[i]) or -int(above[i]) for i in range(len(x))]
         secant = [0.0] * self.num_base + [
@@ -278,7 +279,7 @@ class Problem:
                 inward=inward,
                 secant=secant,
                 smooth=smooth,
-                stretch=stretch.tolist(),
+                stretch=steps.tolist(),
                 tangents=lambda stencils: self._tangents(run, point, stencils),
             )
             matrix = self.whitener.matrix(run)
@@ -289,6 +290,15 @@ class Problem:
 
         parts = self._each(one)
         return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+
+    @property
+    def step_factors(self) -> Array:
+        """Factors on steps along the coordinates: below 1 where a parameter asks for it, (n,)."""
+        own = [
+            1.0 if p.log else min(1.0, p.step / (p.sd * self.jacobian.step))
+            for p in self.model.base
+        ]
+        return np.array(own + [1.0] * len(self.owners))
 
     def _tangents(
         self, run: Run, at: Tensor, stencils: Mapping[int, Stencil]

@@ -106,8 +106,11 @@ class UnknownDrift(Unknown):
         """Smooth functions of time; nothing is simulated."""
         longest = max(float(r.time_s[-1] - r.time_s[0]) for r in problem.runs)
         count = min(max(round(longest * self.knots_per_s) + 1, 4), self.num_knots)
-        knots = np.linspace(0.0, longest, count)
-        root = _root(smooth_covariance(knots, 2.0 * longest / (count - 1)))
+        if longest > 0.0:
+            knots = np.linspace(0.0, longest, count)
+            root = _root(smooth_covariance(knots, 2.0 * longest / (count - 1)))
+        else:  # poses, a sample each: a change of the channel in each
+            knots, root = np.zeros(1), np.ones((1, 1))
         blocks = []
         for run in problem.runs:
             curves = [np.interp(run.time_s - run.time_s[0], knots, e) for e in root.T]

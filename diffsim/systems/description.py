@@ -45,6 +45,12 @@ class Quantity(Part):
         None, description="`run`, or a fact of the runs' `setup`: a value of its own for each"
     )
     unit: str = Field("-", description="Unit that the description wants; written by the schema")
+    step: float = Field(
+        math.inf,
+        gt=0,
+        description="Longest step of difference quotients, in the unit, where records have edges "
+        "that move with it",
+    )
 
     @model_validator(mode="after")
     def _one_width(self) -> Quantity:
@@ -68,7 +74,7 @@ class Quantity(Part):
         else:
             assert self.sd is not None
             sd, is_log = self.sd, False
-        return Parameter(name, self.value, sd, self.unit, is_log, self.lower, self.upper)
+        return Parameter(name, self.value, sd, self.unit, is_log, self.lower, self.upper, self.step)
 
 
 _IN_UNIT = ("value", "sd", "lower", "upper")
@@ -114,6 +120,9 @@ class Effort(Part):
     max_effects: int | None = Field(None, ge=1, description="Largest number of causes in one set")
     num_refits: int | None = Field(None, ge=1, description="Sets that are refitted per round")
     max_rounds: int | None = Field(None, ge=1, description="Moves to a better set, at most")
+    scan_points: int | None = Field(
+        None, ge=0, description="Sizes of causes with kinks that are tried before fits, at most"
+    )
     difference_step: float | None = Field(
         None, gt=0, description="Step of difference quotients, in standard deviations of the priors"
     )

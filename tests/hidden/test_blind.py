@@ -172,6 +172,17 @@ def test_answers_and_scores_are_kept(solved, monkeypatch):
     assert blind.run(2) == scores
 
 
+def test_sets_are_counted_together(solved, capsys, tmp_path):
+    blind, scores = solved
+    assert command.main(["--tables", str(blind.out), str(blind.out)]) == 0
+    counted = confusion([*scores, *scores])
+    printed = capsys.readouterr().out
+    for kind, row in counted.items():
+        assert f"| {kind} | {row['n']} | {row['right']} |" in printed
+    assert command.main(["--tables", str(tmp_path)]) == 2
+    assert "holds no scores" in capsys.readouterr().err
+
+
 def test_an_exchanged_label_stops_the_scoring(solved, tmp_path):
     blind, _ = solved
     for path in blind.vault.glob("case_*.json"):

@@ -21,6 +21,7 @@ from diffsim.systems.rigid_body.effects import TOSS
 from diffsim.systems.soft_body import unknown_force
 from diffsim.systems.soft_body.hanging import SLACK_STRING
 from diffsim.systems.starfish.effects import STARFISH_EFFECTS, unknown_pull, unknown_push
+from tests.systems.rod.test_rod_description import study as rod_study
 from tests.systems.toy_cart import cart_study
 
 DESCRIBED = Vehicle(
@@ -52,6 +53,7 @@ def libraries() -> dict[str, tuple[Effect, ...]]:
         "balls": BALL_EFFECTS,
         "ode": setup_of(cart_study()).effects,
         "rigid_body": TOSS,
+        "rod": setup_of(rod_study()).effects,
         "starfish": STARFISH_EFFECTS,
         "unknown": (
             unknown_wrench(3, 1.0),

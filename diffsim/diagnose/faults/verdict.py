@@ -23,6 +23,7 @@ from diffsim.identify.sizes import PRIOR_WIDTH
 
 Array = NDArray[np.float64]
 SILENT, UNLISTED = "nothing visible", "not in the library"
+SOUND = "nothing"
 VERDICTS = (SILENT, CERTAIN, LIKELY, UNTOLD, UNLISTED)
 SOUND_LIMIT = 0.1  # probability of "sound" below which a fault is named
 CERTAIN_LIMIT = 0.05  # and below which it may be certain
@@ -80,7 +81,8 @@ class FaultVerdict:
         sound: Probability that nothing is wrong, by these runs alone.
         strength: Length of the named causes' misfit, in sd of noise and scatter together.
         sizes: Their sizes.
-        rivals: Other sets that the runs themselves do not tell from it.
+        rivals: Other sets that the runs themselves do not tell from it; ``SOUND`` and ``UNLISTED``
+            stand for those without a cause.
         sets: Most probable explanations.
         smallest_visible: Smallest size of each cause that would be visible alone, in its unit.
         words: The verdict as a sentence.
@@ -220,11 +222,16 @@ def _rivals(weighed: Sequence[Weighed], alone: Array, best: int) -> tuple[tuple[
     chosen = set(weighed[best].candidate.causes)
     within = alone >= alone.max() * np.exp(-REACH_NATS)
     found = [
-        (-float(p), w.candidate.causes)
+        (-float(p), _name(w.candidate))
         for w, p, near in zip(weighed, alone, within, strict=True)
         if near and not chosen <= set(w.candidate.causes)
     ]
-    return tuple(causes or (UNLISTED,) for _, causes in sorted(found))
+    return tuple(name for _, name in sorted(found))
+
+
+def _name(candidate: Candidate) -> tuple[str, ...]:
+    """Causes of a candidate, or what stands for none."""
+    return candidate.causes or ((SOUND,) if candidate.is_sound else (UNLISTED,))
 
 
 def _sizes(

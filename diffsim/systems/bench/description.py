@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import asdict
+from functools import partial
+from typing import Any, Literal
 
 from pydantic import Field
 
@@ -10,11 +13,10 @@ from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.identify.setup import DiagnosisSetup
-from diffsim.systems.bench.keys import Law
-from diffsim.systems.bench.law_effects import law_effects
 from diffsim.systems.description import chosen_effects, settings_with
 from diffsim.systems.ode.described import Described, Motion
-from diffsim.systems.ode.keys import FormulaKeys, Input, Inputs
+from diffsim.systems.ode.keys import FormulaKeys, Input, Inputs, Law
+from diffsim.systems.ode.law_effects import LawScale, check_laws, law_effects, law_scales
 from diffsim.systems.ode.names import Reader
 
 MAX_EFFECTS = 6  # several quantities, each with causes of its own
@@ -41,20 +43,25 @@ class BenchDescription(FormulaKeys):
         commands = dict.fromkeys(c for run in study.runs for c in run.command)
         inputs = self.inputs or tuple(Input(name=c) for c in commands if c.isidentifier())
         read = Described(self, inputs, Motion(), study, reader)
-        for i, law in enumerate(self.laws):
-            if law.name not in self.define and law.name not in self.tables:
-                reader.report(f"laws[{i}].name", f"no definition {law.name!r}; add it to define")
-            reader.parse(f"laws[{i}].of", law.of, read.known)
-            reader.require_per(f"laws[{i}]", law.per)
+        check_laws(self.laws, (*self.define, *self.tables), read.known, reader)
         return read
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""
+        return self._setup(study, None)
+
+    def _setup(self, study: Study, made_from: Mapping[str, Any] | None) -> DiagnosisSetup:
+        """The setup by the magnitudes of a study, or by those that a saved model was made from."""
         reader = Reader(study)
         read = self._described(study, reader)
         reader.finish()
         model = read.model()
-        laws = law_effects(self.laws, study, model, read.network, read.known)
+        if made_from is None:
+            scales = law_scales(self.laws, study, model, read.network, read.known)
+        else:
+            scales = {name: LawScale(**scale) for name, scale in made_from["laws"].items()}
+        model.made_from = {"laws": {name: asdict(scale) for name, scale in scales.items()}}
+        laws = law_effects(self.laws, study, scales, read.network, read.known)
         advised = DiagnosisSettings(
             search=SearchSettings(
                 max_effects=MAX_EFFECTS,
@@ -65,7 +72,12 @@ class BenchDescription(FormulaKeys):
             )
         )
         effects = chosen_effects((*laws, *read.own), self.effects)
-        return DiagnosisSetup(model, effects, settings=settings_with(advised, self.effort))
+        return DiagnosisSetup(
+            model,
+            effects,
+            settings=settings_with(advised, self.effort),
+            remade=partial(self._setup, study),
+        )
 
 
 __all__ = ["BenchDescription"]

@@ -19,7 +19,8 @@ from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.grid import Grid, delayed, held_delayed
 from diffsim.systems.holding import looks_held
-from diffsim.systems.ode.keys import FormulaKeys, Input, Place, Store
+from diffsim.systems.ode.event_effects import runs_of, timings
+from diffsim.systems.ode.keys import Events, FormulaKeys, Input, Place, Store
 from diffsim.systems.ode.names import (
     RUN_ORDER,
     Reader,
@@ -34,6 +35,7 @@ from diffsim.systems.ode.network import TIME, Network, named, ordered, piecewise
 from diffsim.systems.ode.own_effects import own_effects
 from diffsim.systems.ode.place_effects import shapes
 from diffsim.systems.ode.scene import OdeScene
+from diffsim.systems.ode.store_effects import spilled
 
 SLOW_TIME = "slow_time"
 _WORDS = re.compile(r"\w+")
@@ -49,6 +51,7 @@ class Motion:
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     places: tuple[Place, ...] = ()
     stores: tuple[Store, ...] = ()
+    events: tuple[Events, ...] = ()
     time_step: float | None = None
     slow_time: Quantity | None = None
 
@@ -92,7 +95,7 @@ class Described:
         self.own = own_effects(keys.effects.own, study, self.known, states, reader)
         limits = dict(motion.limits)
         self.network = Network(rates, readings, self._definitions(), self.input_held, limits)
-        self.base = BaseParameters({} if reader.problems else self.quantities, study.runs)
+        self.base = BaseParameters({} if reader.has_errors else self.quantities, study.runs)
 
     def _parsed(self, key: str, formulas: Mapping[str, str]) -> dict[str, Expression]:
         return {n: self._reader.parse(f"{key}.{n}", f, self.known) for n, f in formulas.items()}
@@ -193,6 +196,9 @@ class Described:
         motion, given = self.motion, dict(self.keys.parameters)
         given |= {f"{s}_start": q for s, q in motion.states.items() if isinstance(q, Quantity)}
         given |= {f"{i.name}_delay": i.delay for i in self._given if i.delay is not None}
+        for events in motion.events:
+            given |= timings(events, self.study)
+        given |= {spilled(s): s.spill_share for s in motion.stores if s.spill_share is not None}
         for place in motion.places:
             given |= shapes(place)
         if motion.states and (self._given or motion.places):
@@ -212,12 +218,36 @@ class Described:
             if place.position == place.velocity:
                 reader.report(f"places[{i}].velocity", "is its position, too; name the other state")
             reader.parse(f"places[{i}].inertia", place.inertia, self.known)
+            drives = (*self.keys.define, *self.input_held)
+            if place.force is not None and place.force not in drives:
+                close = did_you_mean(place.force, drives)
+                reader.report(
+                    f"places[{i}].force", f"no definition or input {place.force!r}{close}"
+                )
         for i, store in enumerate(self.motion.stores):
             if store.level not in states:
                 reader.report(f"stores[{i}].level", f"no state {store.level!r}")
             if store.into is not None and store.into not in names:
                 reader.report(f"stores[{i}].into", f"no store {store.into!r}")
             reader.parse(f"stores[{i}].area", store.area, self.known)
+
+        self._check_events()
+
+    def _check_events(self) -> None:
+        channels = [c.name for c in self.study.channels]
+        places = [p.name for p in self.motion.places]
+        between = (*self.input_held, *self.keys.define, *self.keys.tables)
+        for i, events in enumerate(self.motion.events):
+            if not runs_of(events, self.study):
+                self._reader.warn(f"events[{i}].where", "no run has these facts")
+            known = (*places, *between, *channels)
+            for name in events.at:
+                if name not in known:
+                    self._reader.report(
+                        f"events[{i}].at",
+                        f"{name!r} is no place, input, definition or channel"
+                        f"{did_you_mean(name, known)}",
+                    )
 
     def model(self) -> SimModel:
         """The model without effects."""
@@ -241,6 +271,7 @@ class Described:
             starts=self.starts,
             inputs={name: self._input(name, run, grid, known) for name in self.inputs},
             channels=tuple(c.name for c in self.study.channels),
+            ranges=self.keys.ranges,
         )
 
     def _input(self, name: str, run: Run, grid: Grid, known: Mapping[str, Tensor]) -> Tensor:

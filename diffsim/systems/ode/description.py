@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
+from functools import partial
 from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -14,17 +16,21 @@ from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
 from diffsim.systems.ode.described import Described, Motion
 from diffsim.systems.ode.effects import ode_effects
+from diffsim.systems.ode.event_effects import event_effects
 from diffsim.systems.ode.keys import (
     AnyQuantity,
+    Events,
     Formula,
     FormulaKeys,
     Inputs,
+    Law,
     Place,
     Seconds,
     States,
     Store,
 )
-from diffsim.systems.ode.library import Library, magnitudes
+from diffsim.systems.ode.law_effects import LawScale, check_laws, law_effects, law_scales
+from diffsim.systems.ode.library import Library, Magnitudes, magnitudes
 from diffsim.systems.ode.names import Reader, where_of
 from diffsim.systems.ode.unknown import unknown_forces
 
@@ -50,6 +56,12 @@ class OdeDescription(FormulaKeys):
     )
     places: tuple[Place, ...] = Field((), description="Where forces may act; opens their effects")
     stores: tuple[Store, ...] = Field((), description="What fills and empties; opens leaks")
+    laws: tuple[Law, ...] = Field(
+        (), description="Definitions that are laws; opens exponents, zeros, limits of them"
+    )
+    events: tuple[Events, ...] = Field(
+        (), description="What may have acted for a limited time; opens its forms at each place"
+    )
     time_step: Seconds | None = Field(  # type: ignore[valid-type]
         None, gt=0, description="Longest step of the integrator [s]; none: the sample interval"
     )
@@ -87,20 +99,36 @@ class OdeDescription(FormulaKeys):
             limits=self.limits,
             places=self.places,
             stores=self.stores,
+            events=self.events,
             time_step=self.time_step,
             slow_time=self.slow_time,
         )
-        return Described(self, self.inputs, motion, study, reader)
+        read = Described(self, self.inputs, motion, study, reader)
+        check_laws(self.laws, (*self.define, *self.tables), read.known, reader)
+        return read
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""
         if self.function is not None:
             raise ValueError(f"{where_of(study)}.function: {self._not_run()}")
+        return self._setup(study, None)
+
+    def _setup(self, study: Study, made_from: Mapping[str, Any] | None) -> DiagnosisSetup:
+        """The setup by the magnitudes of a study, or by those that a saved model was made from."""
         reader = Reader(study)
         read = self._described(study, reader)
         reader.finish()
         model = read.model()
-        usual = magnitudes(study, model, read.network, read.known, self.places, self.stores)
+        if made_from is None:
+            usual = magnitudes(study, model, read.network, read.known, self.places, self.stores)
+            bends = law_scales(self.laws, study, model, read.network, read.known)
+        else:
+            usual = Magnitudes.of(made_from["library"])
+            bends = {name: LawScale(**scale) for name, scale in made_from["laws"].items()}
+        model.made_from = {
+            "library": usual.saved(),
+            "laws": {name: asdict(scale) for name, scale in bends.items()},
+        }
         library = Library(
             study=study,
             known=read.known,
@@ -108,12 +136,18 @@ class OdeDescription(FormulaKeys):
             unsure=read.unsure,
             places=tuple((p, usual.places[p.name]) for p in self.places),
             stores=tuple((s, usual.stores[s.name]) for s in self.stores),
-            inputs=usual.inputs,
-            one_sided=usual.one_sided,
+            scales=usual,
         )
-        effects = chosen_effects((*ode_effects(library), *read.own), self.effects)
-        settings = settings_with(DiagnosisSettings(), self.effort)
-        return DiagnosisSetup(model, effects, unknown_forces(library), settings=settings)
+        found = (*ode_effects(library), *event_effects(library, model, self.events))
+        laws = law_effects(self.laws, study, bends, read.network, read.known)
+        effects = chosen_effects((*found, *laws, *read.own), self.effects)
+        return DiagnosisSetup(
+            model,
+            effects,
+            unknown_forces(library),
+            settings=settings_with(DiagnosisSettings(), self.effort),
+            remade=partial(self._setup, study),
+        )
 
 
 __all__ = ["OdeDescription"]

@@ -93,6 +93,12 @@ class Place(Part):
     inertia: Formula = Field(
         "1", description="What a force is divided by to give the velocity's rate: a mass, say"
     )
+    force: str | None = Field(
+        None,
+        description="Definition or input that is the force there; forces are added to it, so that "
+        "they reach every rate it stands in, as in a cart with a pendulum. None: they are added to "
+        "the rate of the velocity alone",
+    )
     unit: str = Field("N", description="Unit of the force: N, N m, or any text")
     position_unit: str = Field("m", description="Unit of the position")
     stick_velocity: float | None = Field(
@@ -117,6 +123,50 @@ class Store(Part):
     into: str | None = Field(
         None,
         description="Name of the store that gets what flows out or spills over; none: it is lost",
+    )
+    spill_share: AnyQuantity | None = Field(
+        None,
+        description="Share of what spills over that reaches `into`, 0 to 1; with sd it is fitted; "
+        "none: all of it",
+    )
+
+
+class Law(Part):
+    """A definition that is a law y = f(x); opens what may be wrong with its shape."""
+
+    name: str = Field(description="Name of the definition")
+    of: Formula = Field(description="What it is a law of, x: an input or a formula")
+    unit: str = Field("-", description="Unit of y")
+    of_unit: str = Field("-", description="Unit of x")
+    per: str | None = Field(
+        None,
+        description="Fact of the runs, such as propeller: sizes for each value of it, beside a "
+        "common one that also holds for values that were never fitted",
+    )
+    sweeps: bool = Field(
+        False, description="Whether x was swept up and down, so that hysteresis may be seen"
+    )
+
+
+FORMS = ("step", "pulse", "ramp", "half_sine", "burst", "train")
+
+
+class Events(Part):
+    """What acted for a limited time; where and when is found by the diagnosis."""
+
+    name: str = Field("event", description="Name; its times are called NAME_onset, NAME_width ...")
+    at: tuple[str, ...] = Field(
+        min_length=1,
+        description="Where it may have entered: names of places, inputs, definitions, channels",
+    )
+    where: dict[str, Any] = Field(
+        {}, description="Facts of the runs in which it is looked for; none: all, at one time each"
+    )
+    forms: tuple[Literal["step", "pulse", "ramp", "half_sine", "burst", "train"], ...] = Field(
+        FORMS, description="Forms that it may have: train is pulses in equal distances"
+    )
+    knots: int = Field(
+        300, ge=20, description="Knots of the free force in the longest run, from which it is read"
     )
 
 
@@ -226,6 +276,11 @@ class FormulaKeys(Description):
     define: dict[str, Formula] = Field({}, description="Named formulas that others may use")
     tables: dict[str, Table] = Field({}, description="Measured curves that formulas may use")
     readings: dict[str, Formula] = Field(description="Formula of every channel")
+    ranges: dict[str, tuple[float, float]] = Field(
+        {},
+        description="Least and largest value that the sensor of a channel can show, in SI units; "
+        "readings end there, after all causes",
+    )
     effects: OwnEffects = Field(OwnEffects(), description="Which candidate causes are judged")
     rest: Rest | None = Field(
         None, description="Window of rest: the mean of a channel in it is rest_CHANNEL in formulas"

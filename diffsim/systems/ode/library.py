@@ -7,7 +7,8 @@ state how large a friction could be.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,6 +22,7 @@ from diffsim.systems.ode.network import Network, product
 from diffsim.systems.ode.scene import OdeScene
 
 Array = NDArray[np.float64]
+SHARE_OF_USUAL = 0.1  # of a usual magnitude: what a cause may be without surprise
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,53 @@ class StoreScale:
     high: float
 
 
+@dataclass(frozen=True, eq=False)
+class Magnitudes:
+    """Usual magnitudes of a plain model and of its recordings, over the runs to fit.
+
+    Sizes of causes mean what they mean by these numbers. They are saved with extended models, so
+    that a model is the same on other recordings.
+
+    Attributes:
+        places: Usual magnitudes at each place, by name.
+        stores: Usual magnitudes of each store, by name.
+        inputs: Greatest magnitude of each input, by name.
+        usual: Rms of each input and definition, by name.
+        one_sided: Inputs that are never below zero.
+        ranges: Least and greatest sample of each channel, by name.
+        longest: Duration of the longest run [s].
+        several_runs: Whether something may drift from run to run.
+    """
+
+    places: Mapping[str, PlaceScale]
+    stores: Mapping[str, StoreScale]
+    inputs: Mapping[str, float]
+    usual: Mapping[str, float]
+    one_sided: frozenset[str]
+    ranges: Mapping[str, tuple[float, float]]
+    longest: float
+    several_runs: bool
+
+    def saved(self) -> dict[str, Any]:
+        """In types that YAML has."""
+        out = asdict(self)
+        ranges = {name: list(ends) for name, ends in self.ranges.items()}
+        return out | {"one_sided": sorted(self.one_sided), "ranges": ranges}
+
+    @classmethod
+    def of(cls, saved: Mapping[str, Any]) -> Magnitudes:
+        """The inverse of ``saved``."""
+        return cls(
+            **{
+                **saved,
+                "places": {k: PlaceScale(**v) for k, v in saved["places"].items()},
+                "stores": {k: StoreScale(**v) for k, v in saved["stores"].items()},
+                "one_sided": frozenset(saved["one_sided"]),
+                "ranges": {k: (v[0], v[1]) for k, v in saved["ranges"].items()},
+            }
+        )
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Library:
     """Names and magnitudes of a described system.
@@ -71,8 +120,7 @@ class Library:
         held: Inputs, with whether they are held between samples.
         places: Where forces may act, each with its usual magnitudes.
         stores: What fills and empties, each with its usual magnitudes.
-        inputs: Greatest magnitude of each input, by its name.
-        one_sided: Inputs that are never below zero.
+        scales: Usual magnitudes of everything else.
         unsure: Inputs of which nobody knows whether they are held between samples.
     """
 
@@ -81,35 +129,38 @@ class Library:
     held: Mapping[str, bool]
     places: tuple[tuple[Place, PlaceScale], ...]
     stores: tuple[tuple[Store, StoreScale], ...]
-    inputs: Mapping[str, float]
-    one_sided: frozenset[str] = frozenset()
+    scales: Magnitudes
     unsure: frozenset[str] = frozenset()
+
+    @property
+    def inputs(self) -> Mapping[str, float]:
+        """Greatest magnitude of each input, by its name."""
+        return self.scales.inputs
+
+    @property
+    def usual(self) -> Mapping[str, float]:
+        """Rms of each input and definition, by its name."""
+        return self.scales.usual
+
+    @property
+    def one_sided(self) -> frozenset[str]:
+        """Inputs that are never below zero."""
+        return self.scales.one_sided
 
     @property
     def longest(self) -> float:
         """Duration of the longest run [s]."""
-        return max(float(r.time_s[-1] - r.time_s[0]) for r in self.study.runs)
+        return self.scales.longest
 
     @property
     def several_runs(self) -> bool:
         """Whether something may drift from run to run."""
-        return len({r.order for r in self.study.fit_runs}) > 2
+        return self.scales.several_runs
 
     def spread(self, channel: int) -> float:
         """Range of a channel over the runs to fit [unit of the channel]."""
-        columns = [r.measured[:, channel] for r in self.study.fit_runs or self.study.runs]
-        seen = _finite(columns)
-        return float(np.ptp(seen)) if len(seen) and np.ptp(seen) > 0.0 else 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class Magnitudes:
-    """Usual magnitudes of a plain model, over the runs to fit."""
-
-    places: Mapping[str, PlaceScale]
-    stores: Mapping[str, StoreScale]
-    inputs: Mapping[str, float]
-    one_sided: frozenset[str]
+        low, high = self.scales.ranges[self.study.channels[channel].name]
+        return high - low
 
 
 def magnitudes(
@@ -130,7 +181,9 @@ def magnitudes(
         places: Where forces may act.
         stores: What fills and empties.
     """
-    read = network.with_readings(_inside(network, known, places, stores))
+    between = {n: parse_expression(n, known) for n in (*network.inputs, *network.definitions)}
+    inside = _inside(network, known, places, stores)
+    read = network.with_readings({**inside, **{f"usual {n}": e for n, e in between.items()}})
     columns: dict[str, list[Array]] = {}
     inputs: dict[str, float] = {}
     two_sided: set[str] = set()
@@ -148,8 +201,19 @@ def magnitudes(
         {p.name: _place_scale(p, columns) for p in places},
         {s.name: _store_scale(s, columns) for s in stores},
         {name: most or 1.0 for name, most in inputs.items()},
+        {name: _rms(columns[f"usual {name}"]) for name in between},
         frozenset(inputs) - two_sided,
+        {c.name: _range(study, i) for i, c in enumerate(study.channels)},
+        max(float(r.time_s[-1] - r.time_s[0]) for r in study.runs),
+        len({r.order for r in study.fit_runs}) > 2,
     )
+
+
+def _range(study: Study, channel: int) -> tuple[float, float]:
+    """Least and greatest sample of a channel over the runs to fit; one apart if all are alike."""
+    seen = _finite([r.measured[:, channel] for r in study.fit_runs or study.runs])
+    low, high = (float(seen.min()), float(seen.max())) if len(seen) else (0.0, 0.0)
+    return (low, high) if high > low else (low - 0.5, low + 0.5)
 
 
 def _inside(

@@ -102,6 +102,10 @@ class Reader:
         """Add a mistake at a key such as "rates.v"."""
         self.problems.append(Problem("error", f"{where_of(self.study)}.{key}", message))
 
+    def warn(self, key: str, message: str) -> None:
+        """Add what may be meant, but rather is a mistake."""
+        self.problems.append(Problem("warning", f"{where_of(self.study)}.{key}", message))
+
     def note(self, key: str, message: str) -> None:
         """Add what was taken for granted, which is no mistake."""
         self.notes.append(Problem("note", f"{where_of(self.study)}.{key}", message))
@@ -141,6 +145,11 @@ class Reader:
                     f"no channel {name!r}{did_you_mean(name, channels)}; "
                     f"the study has {', '.join(channels)}",
                 )
+        for name, (low, high) in keys.ranges.items():
+            if name not in channels:
+                self.report(f"ranges.{name}", f"no channel {name!r}{did_you_mean(name, channels)}")
+            elif not low < high:
+                self.report(f"ranges.{name}", f"{low:g} is not below {high:g}")
         for name in channels:
             if name not in keys.readings:
                 self.report("readings", f"channel {name} has no formula; add `{name}: ...`")
@@ -154,6 +163,11 @@ class Reader:
                 hint = did_you_mean(per, [str(k) for k in run.setup])
                 self.report(key, f"per: run {run.name} states no {per} in its setup{hint}")
                 return
+
+    @property
+    def has_errors(self) -> bool:
+        """Whether anything reported makes the description unusable."""
+        return any(p.severity == "error" for p in self.problems)
 
     def finish(self) -> None:
         """Raise what was collected.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.identify.effect import Effect
@@ -77,6 +77,24 @@ def _forces(scale: PlaceScale) -> Iterator[_Force]:
         unit="F",
         typical=0.5 * f,
         also=("constant force, where it moves all the time",),
+    )
+    yield _Force(
+        name="viscous_asymmetry",
+        form="Viscous friction is size larger forwards and size less backwards.",
+        family="asymmetry",
+        force="-size*abs(v)",
+        unit="F s/X",
+        typical=0.5 * f / v,
+        also=("dry friction that differs with the direction, at one speed",),
+    )
+    yield _Force(
+        name="friction_along_stroke",
+        form="Dry friction grows by size per distance along the stroke, from its middle on.",
+        family="damping",
+        force="-size*(x - 0.5*(low + high))*tanh(v/w)",
+        unit="F/X",
+        typical=f / x,
+        also=("a guide that is not straight", "a screw that is worn in the middle"),
     )
     yield _Force(
         name="stribeck_friction",
@@ -181,7 +199,8 @@ def place_effects(library: Library) -> tuple[Effect, ...]:
         plain = (place.unit, place.position_unit) == ("N", "m")
         tail = "" if plain and len(library.places) == 1 else f"_at_{place.name}"
         out += [_effect(library, place, scale, force, tail) for force in _forces(scale)]
-        out.append(_inertia(library, place, scale, tail))
+        if place.force is None:  # else other rates hold the inertia, too
+            out.append(_inertia(library, place, scale, tail))
     return tuple(out)
 
 
@@ -247,10 +266,10 @@ def _effect(library: Library, place: Place, scale: PlaceScale, force: _Force, ta
     name = force.name + tail
     parts = _letters(library, place, scale, name)
     slow = f"slow state of {name}"
-    letters = parse_expression(f"({force.force})/inertia", parts)
+    letters = parse_expression(force.force, parts)
     creeps = "slow" in letters.names
-    change = Change(
-        rates={place.velocity: filled(letters, parts)},
+    change = replace(
+        pushed(place, filled(letters, parts), library.known),
         states={slow: filled(parse_expression("(x - slow)/tau"), parts)} if creeps else {},
         starts={slow: named(at_start(place.position))} if creeps else {},
     )
@@ -268,6 +287,23 @@ def _effect(library: Library, place: Place, scale: PlaceScale, force: _Force, ta
         tries=force.tries,
         apply=by_formulas(change, symbol(name), steps=steps),
     )
+
+
+def pushed(place: Place, force: Expression, known: Iterable[str]) -> Change:
+    """A force at a place: added to what is the force there, or to the rate of the velocity.
+
+    Args:
+        place: Where it acts.
+        force: The force [unit of the place].
+        known: Names that formulas may use.
+    """
+    if place.force is not None:
+        total = parse_expression("before + force", ("before", "force"))
+        both = {"before": named(place.force), "force": force}
+        return Change(names={place.force: filled(total, both)})
+    share = parse_expression("force/inertia", ("force", "inertia"))
+    inertia = parse_expression(place.inertia, known)
+    return Change(rates={place.velocity: filled(share, {"force": force, "inertia": inertia})})
 
 
 def _inertia(library: Library, place: Place, scale: PlaceScale, tail: str) -> Effect:

@@ -32,6 +32,7 @@ class OdeScene:
         changes: What effects have changed in the formulas.
         readers: What effects do to channels: name of the channel, function.
         channels: Names of the channels in order.
+        ranges: Least and largest value that the sensor of a channel can show, by channel.
         steps: Steps of the integrator between two times of the grid.
     """
 
@@ -44,6 +45,7 @@ class OdeScene:
     changes: tuple[Change, ...] = ()
     readers: tuple[tuple[str, SignalMap], ...] = ()
     channels: tuple[str, ...] = field(default=())
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     steps: int = 1
 
     def with_change(self, change: Change, sizes: Mapping[str, Tensor], steps: int = 1) -> OdeScene:
@@ -81,6 +83,11 @@ class OdeScene:
             for channel, change in self.readers:
                 columns[channel] = change(columns[channel], self.grid)
             readings = torch.stack(torch.broadcast_tensors(*columns.values()), -1)
+        for channel, (low, high) in self.ranges.items():
+            # the sensor ends after all that happens before it
+            own = torch.zeros(len(self.channels), dtype=torch.bool)
+            own[self.channels.index(channel)] = True
+            readings = torch.where(own, readings.clamp(low, high), readings)
         if readings.shape[-2] == len(self.grid.samples):
             return readings
         return readings[..., self.grid.samples, :]
@@ -125,7 +132,7 @@ def at_start(state: str) -> str:
     return f"{state} at start"
 
 
-def _stacked(values: list[Tensor], lead: torch.Size) -> Tensor:
+def _stacked(values: list[Tensor], lead: tuple[int, ...]) -> Tensor:
     if not values:
         return torch.zeros((*lead, 0), dtype=torch.float64)
     return torch.stack([v.expand(lead) for v in values], -1)

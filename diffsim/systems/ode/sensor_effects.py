@@ -10,7 +10,7 @@ from torch import Tensor
 
 from diffsim.data.study import Channel, Run
 from diffsim.identify.effect import Effect
-from diffsim.systems.grid import SizedMap
+from diffsim.systems.grid import Grid, SizedMap
 from diffsim.systems.instrument import sensor_causes
 from diffsim.systems.ode.library import Library
 from diffsim.systems.ode.scene import OdeScene
@@ -35,7 +35,28 @@ def sensor_effects(library: Library) -> tuple[Effect, ...]:
             tail = f"_of_{kind}" if len(kinds) > 1 or model.name in PER_CHANNEL else ""
             apply = partial(_read, channels=names, change=change)
             out.append(replace(model, name=model.name + tail, apply=apply))
+        tail = f"_of_{kind}" if len(kinds) > 1 else ""
+        bent = _bent(*_range_of(own, library))
+        apply = partial(_read, channels=names, change=bent)
+        out.append(replace(_CURVATURE, name=_CURVATURE.name + tail, apply=apply))
     return tuple(out)
+
+
+def _bent(middle: float, width: float) -> SizedMap:
+    """A scale that is straight in the middle of its range, more and more off towards its ends."""
+
+    def change(y: Tensor, grid: Grid, size: Tensor) -> Tensor:
+        away = (y - middle) / (0.5 * width)
+        return y + size[..., None] * width * away * away
+
+    return change
+
+
+def _range_of(channels: Sequence[Channel], library: Library) -> tuple[float, float]:
+    """Middle and width of what channels have shown in the runs to fit."""
+    ends = [library.scales.ranges[c.name] for c in channels]
+    low, high = min(e[0] for e in ends), max(e[1] for e in ends)
+    return 0.5 * (low + high), high - low
 
 
 def _read(
@@ -46,3 +67,20 @@ def _read(
     for channel, k in zip(channels, own, strict=True):
         scene = scene.with_reading(channel, lambda y, grid, k=k: change(y, grid, k))  # type: ignore[misc]
     return scene
+
+
+def _refuse(*_: object) -> None:
+    raise TypeError("a pattern of an effect, made for sensors by sensor_effects")
+
+
+_CURVATURE = Effect(
+    name="sensor_curvature",
+    form="Readings are larger by the share size of the range at both of its ends, in the middle by "
+    "nothing.",
+    family="shape",
+    kind="sensor",
+    unit="-",
+    typical=0.05,
+    also_looks_like=("a stiffness or outflow that changes with the level",),
+    apply=_refuse,
+)

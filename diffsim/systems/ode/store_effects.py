@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.identify.effect import Effect
 from diffsim.systems.ode.applying import by_formulas, symbol
@@ -10,7 +12,7 @@ from diffsim.systems.ode.library import Library, StoreScale
 from diffsim.systems.ode.network import Change, filled, named
 
 SHARE = 0.1  # of the usual rate that a cause may be without surprise
-SPILL_TIME_SHARE = 0.2  # of the time in which the usual rate fills the usual level
+SPILL_TIME_SHARE = 0.01  # of the time in which the usual rate fills the usual level
 ROUND = 1e-3  # of the usual level: where the root is straightened
 
 
@@ -93,7 +95,9 @@ def _flow(
 
 def _spill(library: Library, store: Store, scale: StoreScale, tail: str) -> Effect:
     name = "overflow" + tail
-    per_s = scale.rate / scale.level / SPILL_TIME_SHARE
+    # water stands over a rim by little; what is quicker than the samples would be stiff
+    quickest = min(float(np.median(np.diff(run.time_s))) for run in library.study.runs)
+    per_s = min(scale.rate / scale.level / SPILL_TIME_SHARE, 1.0 / quickest)
     parts = {
         "h": named(store.level),
         "size": named(symbol(name)),
@@ -101,7 +105,8 @@ def _spill(library: Library, store: Store, scale: StoreScale, tail: str) -> Effe
         "quick": parse_expression(repr(per_s)),
     }
     gain = filled(parse_expression("-quick*max(h - (high - size), 0)*(size > 0)"), parts)
-    rates = _moved(library, store, gain, flows_on=True)
+    share = named(spilled(store)) if store.spill_share is not None else None
+    rates = _moved(library, store, gain, flows_on=True, share=share)
     return Effect(
         name=name,
         form="Spills over at a level that lies size below the highest of the plain model.",
@@ -111,19 +116,33 @@ def _spill(library: Library, store: Store, scale: StoreScale, tail: str) -> Effe
         typical=0.2 * scale.level,
         signed=False,
         smooth=False,
+        masks=("overflow", "exponent", "sensor_curvature"),
         also_looks_like=("outflow that grows faster than the root", "limit of the sensor"),
         apply=by_formulas(Change(rates=rates), symbol(name)),
     )
 
 
+def spilled(store: Store) -> str:
+    """Name of the share of what spills over that reaches the next store."""
+    return f"spill_share_of_{store.name}"
+
+
 def _moved(
-    library: Library, store: Store, gain: Expression, flows_on: bool
+    library: Library,
+    store: Store,
+    gain: Expression,
+    flows_on: bool,
+    share: Expression | None = None,
 ) -> dict[str, Expression]:
-    """Terms of rates from what a store gains; the store it flows into gets what this one loses."""
+    """Terms of rates from what a store gains; the store it flows into gets what this one loses, or
+    a share of it."""
     areas = {"gain": gain, "own": parse_expression(store.area, library.known)}
     rates = {store.level: filled(parse_expression("gain/own"), areas)}
     into = next((s for s, _ in library.stores if s.name == store.into), None)
     if flows_on and into is not None:
         areas["other"] = parse_expression(into.area, library.known)
-        rates[into.level] = filled(parse_expression("-gain/other"), areas)
+        passed = (
+            parse_expression("-gain/other") if share is None else parse_expression("-k*gain/other")
+        )
+        rates[into.level] = filled(passed, areas | ({} if share is None else {"k": share}))
     return rates

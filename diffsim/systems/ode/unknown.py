@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -14,6 +15,7 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.unknown import Unknown, UnknownForce, smooth_covariance
 from diffsim.systems.ode.library import Library
 from diffsim.systems.ode.network import Change, filled, named
+from diffsim.systems.ode.place_effects import pushed
 from diffsim.systems.ode.scene import OdeScene
 
 KNOTS, MOST_KNOTS = 40, 120  # over the longest run
@@ -23,10 +25,8 @@ def unknown_forces(library: Library) -> tuple[Unknown, ...]:
     """One for each place; for each input where there is no place; else for each state's rate."""
     out: list[Unknown] = []
     for place, scale in library.places:
-        inertia = parse_expression(place.inertia, library.known)
         name = f"unknown_force_at_{place.name}"
-        term = filled(parse_expression("u/inertia"), {"u": named(name), "inertia": inertia})
-        change = Change(rates={place.velocity: term}, inputs=(name,))
+        change = replace(pushed(place, named(name), library.known), inputs=(name,))
         said = "unknown force" if len(library.places) == 1 else f"unknown force at {place.name}"
         size, knots = 0.1 * scale.force, place.unknown_knots_per_s
         out.append(_smooth(library, name, said, change, place.unit, size, knots))

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
+from diffsim.systems import grid as signals
 from diffsim.systems.actuator import command_causes
 from diffsim.systems.grid import SizedMap
 from diffsim.systems.outside.hooks import SHARE, Group, plain
@@ -23,17 +24,16 @@ def command_effects(group: Group, held: bool) -> list[Effect]:
         held: Commands are held from sample to sample; else straight lines join the samples.
     """
     end = f"_of_{plain(group.name)}" if group.name else ""
-    return [
-        replace(
-            model,
-            name=model.name + end,
-            masks=tuple(m + end for m in model.masks),
-            apply=partial(_commanded, names=group.columns, change=change),
-        )
-        for model, change in command_causes(
-            group.reach, SHARE, held=held, one_sided=group.one_sided
-        )
-    ]
+    # the simulator hears samples only: a delay must not smooth them, as straight lines would
+    late = partial(signals.held_delayed, signed=False) if held else signals.smoothly_delayed
+    found = []
+    for model, change in command_causes(group.reach, SHARE, held=held, one_sided=group.one_sided):
+        if model.name == "delay":
+            model, change = replace(model, signed=False), late
+        apply = partial(_commanded, names=group.columns, change=change)
+        masks = tuple(m + end for m in model.masks)
+        found.append(replace(model, name=model.name + end, masks=masks, apply=apply))
+    return found
 
 
 def _commanded(

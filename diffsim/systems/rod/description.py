@@ -27,7 +27,9 @@ class RodDescription(RodKeys):
     def _found(self, study: Study) -> Iterator[Problem]:
         for channel in study.channels:
             if self.reading(channel.name) is None:
-                guess = did_you_mean(channel.name, [f"{m}_{a}" for m in self.markers for a in "xyz"])
+                guess = did_you_mean(
+                    channel.name, [f"{m}_{a}" for m in self.markers for a in "xyz"]
+                )
                 yield Problem(
                     "error",
                     f"model.channels.{channel.name}",
@@ -48,7 +50,9 @@ class RodDescription(RodKeys):
             if self.sessions is not None and self.sessions not in run.setup:
                 guess = did_you_mean(self.sessions, run.setup)
                 yield Problem(
-                    "error", "model.sessions", f"run {run.name} states no {self.sessions!r}{guess}"
+                    "warning",
+                    "model.sessions",
+                    f"run {run.name} states no {self.sessions!r}{guess}; taken as of the first",
                 )
         for key, q in self.quantities().items():
             if q.per not in (None, "run") and any(q.per not in r.setup for r in study.runs):

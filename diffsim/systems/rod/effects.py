@@ -214,16 +214,20 @@ def _of_tendons(given: RodKeys, study: Study, length: float) -> Iterator[Effect]
             apply=adding("command_gain"),
         )
     yield Effect(
-        name="tendon_slack",
-        form="Nothing is pulled until the command exceeds size, then that much less.",
-        family="shape",
+        name="drive_loss",
+        form="Nothing is pulled until the tension exceeds size, then that much less.",
+        family="loss",
         kind="actuator",
-        unit="command",
+        unit="N",
         typical=SHARE * pull,
         signed=False,
-        also_looks_like=("dry friction of motor and pulley", "torque of an idle motor"),
+        also_looks_like=(
+            "slack",
+            "dry friction of motor and pulley",
+            "torque that turns an idle motor",
+        ),
         words=lambda size: f"{size:.2g} N lost in each drive",
-        apply=adding("tendon_slack"),
+        apply=adding("drive_loss"),
     )
     yield Effect(
         name="pretension",
@@ -302,7 +306,7 @@ def _of_tendons(given: RodKeys, study: Study, length: float) -> Iterator[Effect]
 
 def _of_sessions(given: RodKeys, fact: str, study: Study) -> Iterator[Effect]:
     """What may have changed between sessions, the first of them as described."""
-    labels = sorted({str(run.setup.get(fact)) for run in study.runs})
+    labels = sorted({str(run.setup[fact]) for run in study.runs if fact in run.setup})
 
     def later(*names: str) -> dict[str, object]:
         """Components of the later sessions, and how they act."""
@@ -359,9 +363,10 @@ def _in_session(
     names: Sequence[str],
 ) -> RodScene:
     """Numbers larger by the sizes (..., later sessions times names) of the run's session."""
-    session = labels.index(str(run.setup.get(fact))) - 1
-    if session < 0:
+    label = str(run.setup.get(fact, labels[0]))
+    if label not in labels[1:]:  # the first, or one that was never fitted: as described
         return scene
+    session = labels.index(label) - 1
     for i, name in enumerate(names):
         scene = scene.with_added(name, size[..., session * len(names) + i])
     return scene

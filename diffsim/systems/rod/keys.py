@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Literal
 
 from pydantic import Field, model_validator
@@ -138,7 +139,7 @@ class RodKeys(Description):
     @model_validator(mode="after")
     def _on_the_rod(self) -> RodKeys:
         at = [s.at for s in self.stations]
-        if at[0] != 0.0 or any(b <= a for a, b in zip(at, at[1:], strict=False)):
+        if at[0] != 0.0 or any(b <= a for a, b in itertools.pairwise(at)):
             raise ValueError("stations: the first is at 0, and each lies beyond the one before")
         where = {f"masses[{i}]": [m.at] for i, m in enumerate(self.masses)}
         where |= {f"markers.{name}": [m.at] for name, m in self.markers.items()}
@@ -148,7 +149,7 @@ class RodKeys(Description):
                 raise ValueError(f"{key}: {max(places):g} m is beyond the rod's end, {at[-1]:g} m")
         for i, tendon in enumerate(self.tendons):
             own = [p.at for p in tendon.path]
-            if own[0] != 0.0 or any(b <= a for a, b in zip(own, own[1:], strict=False)):
+            if own[0] != 0.0 or any(b <= a for a, b in itertools.pairwise(own)):
                 raise ValueError(f"tendons[{i}].path: from 0 on, each point beyond the one before")
         return self
 

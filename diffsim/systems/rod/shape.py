@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -64,7 +65,7 @@ def rod_shape(at: Array, radius: Array, cells: int, breaks: Sequence[float]) -> 
     inner = [b for b in breaks if at[0] < b < at[-1]]
     knots = np.unique(np.round([*at, *inner], 9))
     parts = [np.zeros(1)]
-    for low, high in zip(knots[:-1], knots[1:], strict=True):
+    for low, high in itertools.pairwise(knots):
         count = max(FEWEST, round(cells * (high - low) / (at[-1] - at[0])))
         parts.append(np.linspace(low, high, count + 1)[1:])
     edges = np.concatenate(parts)

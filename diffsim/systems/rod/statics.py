@@ -289,7 +289,9 @@ def equilibrium(
     while share < 1.0:
         tried = min(1.0, share + step)
         try:
-            found, slopes = _newton(rod.with_pull(tried), found, tolerance if tried == 1.0 else 1e-3)
+            found, slopes = _newton(
+                rod.with_pull(tried), found, tolerance if tried == 1.0 else 1e-3
+            )
         except ConvergenceError:
             step *= 0.5
             if step < 0.01:
@@ -300,7 +302,11 @@ def equilibrium(
 
 
 def nearby(
-    residual: Callable[[Tensor], Tensor], u: Tensor, slopes: Tensor, lengths: Tensor, tolerance: float
+    residual: Callable[[Tensor], Tensor],
+    u: Tensor,
+    slopes: Tensor,
+    lengths: Tensor,
+    tolerance: float,
 ) -> Tensor | None:
     """Equilibria of rows that differ little from one whose slopes are known; None: too much.
 

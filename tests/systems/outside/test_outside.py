@@ -342,3 +342,22 @@ def test_a_registered_environment_by_its_name():
     assert seen[0] == pytest.approx([np.cos(3.0), 0.0])
     # semi-implicit Euler, as the environment steps: 3 g / 2 l sin(angle)
     assert seen[1, 1] == pytest.approx(0.05 * 15.0 * np.sin(3.0), rel=1e-5)
+
+
+def test_a_delay_of_straight_commands_does_not_smooth_them():
+    """Half a sample late, straight lines would be read at their middles: a low-pass filter."""
+    run = scenes.run_of("sine")
+    time = np.arange(0.0, 2.0, 0.02)
+    fast = replace(
+        run,
+        time_s=time,
+        measured=np.zeros((len(time), run.measured.shape[1])),
+        command={"moment_Nm": np.sin(15.0 * time)},
+    )
+    setup = setup_of(scenes.recorded())
+    sizes = {effect_of(setup, "delay"): torch.tensor([0.01], dtype=torch.float64)}
+    heard = setup.model.scene(fast, setup.model.at_prior(), sizes).job().run.command["moment_Nm"]
+    by_lines = np.interp(time - 0.01, time, np.sin(15.0 * time))
+    true = np.sin(15.0 * (time - 0.01))
+    assert np.std((heard - true)[5:]) < 0.5 * np.std((by_lines - true)[5:])
+    assert not effect_of(setup, "delay").signed

@@ -19,7 +19,9 @@ TENSE = 1e6  # factor on stretch and shear stiffness: closed forms know neither
 F64 = torch.float64
 
 
-def rod(cells, *, force=0.0, pull=0.0, distance=0.004, friction=0.0, density=0.0, taper=1.0, end=1.0):
+def rod(
+    cells, *, force=0.0, pull=0.0, distance=0.004, friction=0.0, density=0.0, taper=1.0, end=1.0
+):
     """A clamped rod along x with a weight at its end and a tendon towards y."""
     ends = np.array([RADIUS, taper * RADIUS])
     shape = rod_shape(np.array([0.0, LENGTH]), ends, cells, [end * LENGTH])
@@ -131,7 +133,9 @@ def test_friction_around_a_bend_follows_the_capstan_law():
     u = bent(made)
     tension = made.tension(u)[0, 0].numpy()
     angle = np.cumsum(u[0, :, 2].numpy()) * LENGTH / 60
-    assert tension[-1] / tension[0] == pytest.approx(np.exp(-0.3 * (angle[-1] - angle[0])), rel=1e-3)
+    assert tension[-1] / tension[0] == pytest.approx(
+        np.exp(-0.3 * (angle[-1] - angle[0])), rel=1e-3
+    )
     assert tension[-1] < 0.7 * tension[0]
 
 
@@ -145,7 +149,9 @@ def test_weight_beyond_an_element_turns_with_a_rod_that_hangs_sideways():
 
     def beyond(s):  # weight of the rest
         volume = np.pi / 3.0 * (1.0 - s)
-        return 9.81 * density * volume * (radius(s) ** 2 + radius(s) * radius(1.0) + radius(1.0) ** 2)
+        return (
+            9.81 * density * volume * (radius(s) ** 2 + radius(s) * radius(1.0) + radius(1.0) ** 2)
+        )
 
     def rates(s, y):  # angle down from x, moment, x, z
         bend = y[1] / (YOUNG * np.pi * radius(s) ** 4 / 4)

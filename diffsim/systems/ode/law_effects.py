@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,8 +13,9 @@ from diffsim.core.expression import parse_expression
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply, Effect
 from diffsim.identify.model import SimModel
-from diffsim.systems.bench.keys import Law
 from diffsim.systems.ode.applying import Groups, by_formulas_in, symbol
+from diffsim.systems.ode.keys import Law
+from diffsim.systems.ode.names import Reader
 from diffsim.systems.ode.network import Change, Network, filled, named
 from diffsim.systems.ode.scene import OdeScene
 
@@ -146,19 +147,40 @@ def _bends(law: Law, scale: LawScale, num_runs: int) -> Iterator[_Bend]:
         )
 
 
+def check_laws(
+    laws: Sequence[Law], definitions: Collection[str], known: Sequence[str], reader: Reader
+) -> None:
+    """Report laws that name no definition, or are of what is not there.
+
+    Args:
+        laws: Laws of the description.
+        definitions: Names of definitions and tables.
+        known: Names that formulas may use.
+        reader: Receives the mistakes.
+    """
+    for i, law in enumerate(laws):
+        if law.name not in definitions:
+            reader.report(f"laws[{i}].name", f"no definition {law.name!r}; add it to define")
+        reader.parse(f"laws[{i}].of", law.of, known)
+        reader.require_per(f"laws[{i}]", law.per)
+
+
 def law_effects(
-    laws: Sequence[Law], study: Study, model: SimModel, network: Network, known: Sequence[str]
+    laws: Sequence[Law],
+    study: Study,
+    scales: Mapping[str, LawScale],
+    network: Network,
+    known: Sequence[str],
 ) -> tuple[Effect, ...]:
     """Effects of every law, and of one law on another's reading.
 
     Args:
         laws: Laws of the description.
         study: Study with the recordings.
-        model: Plain model, simulated once per run for usual magnitudes.
-        network: Its formulas.
+        scales: Usual magnitudes of each law, by its name (``law_scales``).
+        network: Formulas of the plain model.
         known: Names that formulas may use.
     """
-    scales = _scales(laws, study, model, network, known)
     num_runs = len({run.order for run in study.fit_runs})
     out = []
     for law in laws:
@@ -247,7 +269,7 @@ class _Bent:
 
     def __call__(self, scene: OdeScene, size: Tensor, run: Run) -> OdeScene:
         signals = {
-            name: _share(run) if name == _SHARE else self._way(scene) for name in self.further
+            name: _share(scene) if name == _SHARE else self._way(scene) for name in self.further
         }
         scene = self.plain(scene, size, run)
         return replace(scene, inputs={**scene.inputs, **signals})
@@ -259,14 +281,25 @@ class _Bent:
         return torch.from_numpy(np.sign(np.gradient(path)))
 
 
-def _share(run: Run) -> Tensor:
-    since = run.time_s - run.time_s[0]
-    return torch.from_numpy(since / since[-1] if since[-1] > 0.0 else since)
+def _share(scene: OdeScene) -> Tensor:
+    since = scene.grid.times - scene.grid.times[0]
+    return since / since[-1] if since[-1] > 0.0 else since
 
 
-def _scales(
+def law_scales(
     laws: Sequence[Law], study: Study, model: SimModel, network: Network, known: Sequence[str]
 ) -> dict[str, LawScale]:
+    """Usual magnitudes of laws, from one simulation of each run to fit.
+
+    Args:
+        laws: Laws of the description.
+        study: Study with the recordings.
+        model: Plain model.
+        network: Its formulas.
+        known: Names that formulas may use.
+    """
+    if not laws:
+        return {}
     pairs = [(law, w) for law in laws for w in (law.of, law.name)]
     read = network.with_readings(
         {f"{law.name} {w}": parse_expression(w, known) for law, w in pairs}

@@ -1,0 +1,91 @@
+"""Where a cause lies in time, read off the force that the data ask for.
+
+A cause of limited duration has an onset, a width, a period: a descent from zero finds none of
+them. Any course in time is made of knots. Their responses are linear, so that the misfit under any
+form at any place in time follows from one Gram matrix, without another simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from diffsim.data.study import Run
+    from diffsim.identify.effect import Effect
+
+Array = NDArray[np.float64]
+VISIBLE_SHARE = 1e-6  # of the most visible knot
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """What any course in time would gain, all that is fitted refitted with it.
+
+    Attributes:
+        times: Time of each knot in the runs' clock, (K,) [s].
+        gram: Whitened responses of the knots times each other, (K, K) [1/unit^2].
+        score: Whitened responses of the knots times the residual, (K,) [1/unit].
+    """
+
+    times: Array
+    gram: Array
+    score: Array
+
+    def sizes(self, shapes: Array) -> Array:
+        """Best size of each shape, (C,) [unit]; 0 where the data do not move.
+
+        Args:
+            shapes: Values at the knots, (K, C).
+        """
+        power = np.einsum("kc,kc->c", shapes, self.gram @ shapes)
+        # what hardly moves the record would be divided by rounding
+        seen = power > VISIBLE_SHARE * float(np.diag(self.gram).max(initial=0.0))
+        return np.divide(self.score @ shapes, power, out=np.zeros(len(power)), where=seen)
+
+    def gains(self, shapes: Array) -> Array:
+        """What each shape gains at its best size, (C,) [nats]."""
+        return np.asarray(0.5 * self.sizes(shapes) * (self.score @ shapes))
+
+    def force(self, usual: float) -> Array:
+        """The course that the data ask for, (K,) [unit].
+
+        Args:
+            usual: Standard deviation of each knot beforehand [unit].
+        """
+        k = len(self.times)
+        return np.asarray(np.linalg.solve(self.gram + np.eye(k) / usual**2, self.score))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Proposal:
+    """A place in time that is worth a simulation.
+
+    Attributes:
+        sizes: Sizes of the effect's components, (num_components,) [unit].
+        parameters: Base parameters by name that go with them, such as onset and width.
+    """
+
+    sizes: Array
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Locator:
+    """How an effect finds where it lies.
+
+    Attributes:
+        course: Effect whose components are values at the knots, in the order of ``times``.
+        times: Time of each knot in the runs' clock, (K,) [s].
+        acts_in: Whether the effect acts in a run.
+        propose: Places worth a simulation, best first, given what any course would gain.
+    """
+
+    course: Effect
+    times: Array
+    acts_in: Callable[[Run], bool]
+    propose: Callable[[Course], Sequence[Proposal]]

@@ -1,0 +1,47 @@
+"""What docs/measured/emps.md says of the positioning system, with nothing but its description."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.servo_metrics import inverse_error, joined, published_model, whole_study
+from diffsim.cli.diagnose_inputs import read_study
+from diffsim.diagnose import diagnose
+from diffsim.systems.registry import setup_of
+from tests.measured import data_folder
+
+pytestmark = pytest.mark.reference
+
+
+@pytest.fixture(scope="module")
+def study():
+    data_folder("emps")
+    return read_study("emps")
+
+
+def test_the_published_rule_gives_the_published_figure(study):
+    """4.083 % (2.184 N rms) on the first record; ends of the filter are our own choice."""
+    runs = joined(study)
+    percent, rms = inverse_error(published_model(whole_study(study, runs)), runs["steps"])
+    assert percent == pytest.approx(4.083, abs=0.06)
+    assert rms == pytest.approx(2.184, abs=0.03)
+
+
+@pytest.mark.slow
+def test_the_force_that_nobody_told_about_is_named(study):
+    setup = setup_of(study)
+    report = diagnose(
+        study, setup.model, setup.effects, unknowns=setup.unknowns, seed=0, settings=setup.settings
+    )
+    assert report.verdict == "named"
+    certain = {row.name: row for row in report.causes if row.status == "certain"}
+    train = next(row for name, row in certain.items() if name.startswith("train_event_at_"))
+    assert train.name.endswith(("carriage", "drive"))  # behind the controller
+    assert train.words.startswith("pulses of 17")
+    times = {row.name: row.value for row in report.base}
+    assert times["event_onset"] == pytest.approx(0.344, abs=0.001)
+    assert times["event_width"] == pytest.approx(0.5, abs=0.001)
+    assert times["event_period"] == pytest.approx(1.0, abs=1e-4)
+    assert {"dry_friction", "viscous_friction", "viscous_asymmetry"} <= set(certain)
+    after = {row.run: row.after for row in report.errors if row.kind == "position"}
+    assert max(after.values()) < 2.0  # um; the controller's own step is 0.05
