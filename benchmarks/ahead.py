@@ -68,18 +68,20 @@ class Record:
 Predict = Callable[[Tensor], Record]
 
 
-def errors_ahead(predict: Predict, truth: Record) -> Tensor:
+def errors_ahead(predict: Predict, truth: Record, every: int = 1) -> Tensor:
     """Mean error by the number of samples ahead, (AHEAD, 4) in the order of ``COLUMNS``.
 
     Args:
         predict: Function of starts (num_starts,): what follows them, (num_starts, AHEAD, ...).
         truth: Recording, (num_samples, ...).
+        every: Samples from start to start; 1 is the rule.
     """
     count = len(truth.position) - AHEAD
     total = torch.zeros(AHEAD, 4, dtype=torch.float64)
-    for starts in torch.arange(count).split(_CHUNK):
+    chosen = torch.arange(0, count, every)
+    for starts in chosen.split(_CHUNK):
         total += _lengths(predict(starts), truth.after(starts)).sum(0)
-    return total / count
+    return total / len(chosen)
 
 
 def _lengths(a: Record, b: Record) -> Tensor:
@@ -122,6 +124,9 @@ def flown(model: ExtendedModel, run: Run, q: Tensor | None = None) -> Predict:
     offset = matrix_from_quaternion(quaternion_from_rotation_vector(-scene.attitude_offset[:1]))
     states[:, 3:6] = rpy_from_matrix(frames.rotation(shown @ offset))
     states[:, 9:12] = frames.in_body(channels[:, 10:13] - scene.body_rates_offset)
+    scale = scene.position_scale[:1] * scene.ground_scale[:1]
+    states[:, :2] /= scale  # the place that was shown, not the true one, is recorded
+    states[:, 2] /= scene.position_scale[0]
     past = scene.commands[:, 0]
     thrusts = scene.delivered(past)[0]
     # delivered at a sample: over the step before it; the last step has none

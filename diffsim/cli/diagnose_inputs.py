@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import ModuleType
@@ -166,7 +166,7 @@ def inputs_of(
     """
     setup = setup_of(study) if setup_file is None else own_setup(setup_file, study)
     if with_bank and not setup.bank:
-        setup = _with_bank(setup, setup.study or study)
+        setup = _with_bank(setup, setup.study or study, {run.name for run in study.runs})
     study = setup.study or study
     settings = replace(
         setup.settings,
@@ -180,9 +180,16 @@ def inputs_of(
     return Inputs(study, setup, seed, _fingerprint(study, setup, setup_file, seed))
 
 
-def _with_bank(setup: DiagnosisSetup, study: Study) -> DiagnosisSetup:
-    """The setup with runs that could be recorded; each gets parameters of its own if runs do."""
-    bank = generated_bank(study)
+def _with_bank(setup: DiagnosisSetup, study: Study, recorded: Collection[str]) -> DiagnosisSetup:
+    """The setup with runs that could be recorded; each gets parameters of its own if runs do.
+
+    Args:
+        setup: Setup of the study.
+        study: Study as the setup cuts it.
+        recorded: Names of its runs; others are what the setup adds, such as clicked points.
+    """
+    runs = tuple(run for run in study.runs if run.name in recorded)
+    bank = generated_bank(replace(study, runs=runs))
     if study.model is not None and any("@" in p.name for p in setup.model.base):
         wider = setup_of(replace(study, runs=(*study.runs, *bank)))
         setup = replace(wider, study=setup.study)

@@ -21,6 +21,7 @@ from diffsim.diagnose.diagnosis import diagnose
 from diffsim.diagnose.frozen import judge_saved
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.progress import progress_bar
+from diffsim.diagnose.records import OutsideRow
 from diffsim.diagnose.refit import advise, extend, fit_null, rival_sets
 from diffsim.diagnose.report import Report
 from diffsim.identify.model_file import MODEL_FILE, read_extended
@@ -28,7 +29,7 @@ from diffsim.identify.numerics import Numerics
 
 INPUTS_FILE, REPORT_FILE, CACHE = "inputs.json", "report.json", "interrupted"
 JUDGE_FILE = "judge.json"
-MAX_OUTSIDE = 8  # lines; the file holds all
+MAX_OUTSIDE = 3  # lines per run; the file holds all
 
 
 def run_step(args: argparse.Namespace) -> None:
@@ -199,8 +200,10 @@ def _extend(args: argparse.Namespace) -> None:
 
 def _judge(args: argparse.Namespace) -> None:
     """Errors of a saved model on runs that it has not seen."""
-    inputs, out = _inputs(args)
+    study = read_study(args.study)
+    out = args.out or Path(DIAGNOSES) / study.name
     saved = read_extended(args.saved or out)
+    inputs, _ = _inputs(args, saved.framed(study))
     found = judge_saved(inputs, saved, args.runs)
     heads = (f"{h:>9}" for h in ("before", "after", "noise"))
     print(f"{'run':<24} {'quantity':<14} {' '.join(heads)}  {'unit':<8} fitted to it")
@@ -209,12 +212,21 @@ def _judge(args: argparse.Namespace) -> None:
         print(f"{row.run:<24} {row.kind:<14} {numbers}  {row.unit:<8} {row.num_fitted} values")
     if saved.components and found.gain is not None:
         print(found.gain.words)
-    for far in found.outside[:MAX_OUTSIDE]:
-        print(far.words)
-    if len(found.outside) > MAX_OUTSIDE:
-        print(f"and {len(found.outside) - MAX_OUTSIDE} more outside of what was fitted")
+    for name in found.runs:
+        _tell_outside(name, [far for far in found.outside if far.run == name])
     content = {"study": inputs.study.name, "model": str(saved.path), **found.to_dict()}
     print(f"wrote {write_json_atomic(out / JUDGE_FILE, content)}")
+
+
+def _tell_outside(name: str, rows: Sequence[OutsideRow]) -> None:
+    """Where a run lies outside of what was fitted: facts of its set-up first, then the farthest."""
+    if not rows:
+        print(f"Run {name}: inside of what was fitted.")
+    shown = sorted(rows, key=lambda row: not row.is_fact)[:MAX_OUTSIDE]
+    for row in shown:
+        print(row.words)
+    if len(rows) > len(shown):
+        print(f"Run {name}: {len(rows) - len(shown)} more quantities outside.")
 
 
 def _faults(args: argparse.Namespace) -> None:

@@ -18,6 +18,9 @@ SYSTEMS = ("soft_body", "copter", "stokes", "rigid_body")
 USES = ("fit", "select", "test")
 
 
+TIMELESS = "_timeless"  # fact of runs whose samples have no order, made by a system
+
+
 @dataclass(frozen=True)
 class Channel:
     """One measured quantity with its unit and noise.
@@ -104,6 +107,8 @@ class Study:
         left_out: What of the study's folder is not used, a sentence each.
         todo: What the study says is still to be stated, a sentence each.
         allows: Facts of ``setup`` that can be changed for a next run, with possible values.
+        frame: What an earlier fit took from its runs, such as usual magnitudes: with it the causes
+            of a saved model mean the same on new runs. Empty: it is taken from these runs.
         faults: How groups of runs are judged for faults; None: they are not.
     """
 
@@ -119,6 +124,7 @@ class Study:
     left_out: tuple[str, ...] = ()
     todo: tuple[str, ...] = ()
     allows: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+    frame: Mapping[str, Any] = field(default_factory=dict)
     faults: FaultKeys | None = None
 
     @property

@@ -21,6 +21,7 @@ from diffsim.diagnose.fit import Null
 from diffsim.diagnose.force_map import ForceMap, force_map
 from diffsim.diagnose.gates import NUMERICS_GATES, GateResult
 from diffsim.diagnose.judge import EXPLAINED, NAMES, Judgment
+from diffsim.diagnose.left_out import unmet_by
 from diffsim.diagnose.next_run import next_run
 from diffsim.diagnose.noise import UNREPEATABLE
 from diffsim.diagnose.outside import spans_of
@@ -174,9 +175,11 @@ def tested(frozen: Report, study: Study, seed: int) -> Report:
         study.test_runs or seen.select_runs,
         seen.channels,
         sd,
-        spans_of(seen.fit_runs, seen.channels),
+        spans_of(seen.fit_runs, seen.channels, seen.commands),
         seed=seed,
         use="test" if is_test else "select",
+        commands=seen.commands,
+        unmet=unmet_by(frozen.best.problem),
     )
     gained = found.gain if is_test and frozen.best.problem.effects else None
     assert frozen.answer is not None  # of the same diagnosis

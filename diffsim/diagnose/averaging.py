@@ -9,7 +9,7 @@ it. Normals are widened to the spread over fits without a part of the runs (``wi
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,19 +77,30 @@ class Averaged:
         return float(sum(w for h, w in self.weights.items() if h.unknown == u))
 
     def added(self, members: frozenset[int], i: int) -> float:
-        """Nats that an effect adds to a set, by linear evidence at it; below zero: it costs."""
-        search, both = self.search, Hypothesis(members | {i})
-        known = {**search.linear, **search.weighed}
-        if both in known and Hypothesis(members) in known:
-            return known[both].nats - known[Hypothesis(members)].nats
+        """Nats that an effect adds to a set, by linear evidence at it; below zero: it costs.
+
+        Beside the unknown cause of the best of all sets: what that takes up asks for no effect.
+        """
+        search, u = self.search, max(self.weights, key=lambda h: self.weights[h]).unknown
         made = search.simulations
+        if (members, u) not in made.unknown_slopes:
+            u = None
+        without, both = Hypothesis(members, u), Hypothesis(members | {i}, u)
+        known = {**search.linear, **search.weighed}
+        if both in known and without in known:
+            return known[both].nats - known[without].nats
         if members not in made.screened:
             return 0.0
         if members not in self._centers:
-            center = made.center(members, made.screened[members], search.num_families)
-            self._centers[members] = center.evidence
-        evidence = self._centers[members]
-        return evidence.weigh(both).nats - evidence.weigh(Hypothesis(members)).nats
+            families, at = search.num_families, made.screened[members]
+            self._centers[members] = (
+                made.center(members, at, families).evidence
+                if u is None
+                else made.beside(members, search.unknowns[u], u, families)
+            )
+        evidence, only = self._centers[members], None if u is None else 0
+        both, without = replace(both, unknown=only), replace(without, unknown=only)
+        return evidence.weigh(both).nats - evidence.weigh(without).nats
 
     def size(self, i: int) -> dict[str, Interval]:
         """Size of an effect by component; empty where no set with it was weighed."""

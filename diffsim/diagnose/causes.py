@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diffsim.diagnose.averaging import HALF_90, Averaged
-from diffsim.diagnose.data_sheet import PULLED, words_of
+from diffsim.diagnose.data_sheet import PULLED, pull_of, words_of
 from diffsim.diagnose.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
 from diffsim.diagnose.judge import NAMES, Decision, Judgment
 from diffsim.diagnose.records import (
@@ -302,10 +302,9 @@ def _finding_row(told: Told, row: BaseRow) -> CauseRow:
         others = _sets_without_pull(told, about, row.name)
         if others:
             status, rivals = UNTOLD, others
-    words = row.words if row.run is None else f"{words_of(row.name.partition('@')[0])} in all runs"
     return CauseRow(
         name=row.name,
-        words=words,
+        words=row.words,
         origin=DATA_SHEET,
         status=status,
         probability=None,
@@ -321,9 +320,10 @@ def _sets_without_pull(told: Told, about: Averaged | None, name: str) -> tuple[s
     names: dict[str, None] = {}
     for h in () if about is None else about.reach:
         fit = about.search.weighed[h].fit if about and h in about.search.weighed else None
-        if fit is None or name not in fit.problem.names:
+        if fit is None:
             continue
-        if abs(fit.x[fit.problem.names.index(name)]) <= PULLED:
+        own = [i for i, n in enumerate(fit.problem.names) if n == name or n.startswith(f"{name}@")]
+        if own and abs(pull_of(fit.x[own].tolist())) <= PULLED:
             more = h.effects - told.judgment.decision.best
             names |= dict.fromkeys(told.effects[k].name for k in sorted(more))
     return tuple(names)

@@ -49,11 +49,8 @@ def base_rows(
         rows.append(_base_row(p, float(fit.x[i]), float(sd[i]) * factor, run))
     if not judged:
         return tuple(rows)
-    together = _pulled_together(rows)
-    return tuple(
-        replace(r, finding=abs(r.pull) > PULLED if r.run is None else r.name in together)
-        for r in rows
-    )
+    alone = (replace(r, finding=r.run is None and abs(r.pull) > PULLED) for r in rows)
+    return (*alone, *_pulled_together(rows))
 
 
 def _base_row(p: Parameter, x: float, sd: float, run: str | None) -> BaseRow:
@@ -76,16 +73,34 @@ def _base_row(p: Parameter, x: float, sd: float, run: str | None) -> BaseRow:
     )
 
 
-def _pulled_together(rows: Sequence[BaseRow]) -> set[str]:
-    """Parameters of single runs that lie on one side of their data sheet in all runs."""
+def pull_of(pulls: Sequence[float]) -> float:
+    """Pull of one parameter, or of what several runs have each [prior sd of their mean]."""
+    return float(np.mean(pulls) * np.sqrt(len(pulls)))
+
+
+def _pulled_together(rows: Sequence[BaseRow]) -> tuple[BaseRow, ...]:
+    """Parameters of single runs that lie on one side of their data sheet in all runs: a row for
+    each, with the mean over the runs; its interval holds those of all runs."""
     stems: dict[str, list[BaseRow]] = {}
     for row in rows:
         if row.run is not None:
             stems.setdefault(row.name.partition("@")[0], []).append(row)
-    found: set[str] = set()
-    for own in stems.values():
-        pulls = np.array([row.pull for row in own])
+    found = []
+    for stem, own in stems.items():
+        pulls = [row.pull for row in own]
         same_side = len(own) >= TOGETHER and abs(np.sign(pulls).sum()) == len(own)
-        if same_side and abs(pulls.mean()) * np.sqrt(len(own)) > PULLED:
-            found |= {max(own, key=lambda row: abs(row.pull)).name}
-    return found
+        if same_side and abs(pull_of(pulls)) > PULLED:
+            together = replace(
+                own[0],
+                name=stem,
+                words=f"{words_of(stem)} in all runs",
+                value=float(np.mean([row.value for row in own])),
+                sd=float(np.sqrt(np.mean([row.sd**2 for row in own]))),  # of one run
+                low=min(row.low for row in own),
+                high=max(row.high for row in own),
+                pull=pull_of(pulls),
+                run=None,
+                finding=True,
+            )
+            found.append(together)
+    return tuple(found)

@@ -20,6 +20,7 @@ from diffsim.diagnose.gates import (
     data_gate,
     numerical_effects,
     repeatability_gate,
+    scan_gate,
 )
 from diffsim.diagnose.gradients import GRADIENT_SHARE, gradient_gate
 from diffsim.diagnose.judge import Decision, Judgment, decision_of, judge
@@ -94,7 +95,8 @@ def diagnose(
     case.progress("gain", 0.88, "unseen runs")
     select = search.null.case.study.select_runs
     referee = referee_of(search.fit_of(NONE), select)
-    checks, judgment = _judged(search, checks, referee, seed)
+    late = scan_gate(len(search.simulations.scans_late), search.settings.scan_seconds)
+    checks, judgment = _judged(search, checks.joined(late), referee, seed)
     frozen = report_of(search.null, checks, judgment, screened, seed, bank, referee)
     # only now test runs are looked at, once
     return tested(frozen, study, seed)

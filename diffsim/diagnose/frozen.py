@@ -38,7 +38,7 @@ def facts_of(study: Study, noise: ArWhitener) -> dict[str, Any]:
         "seen_runs": {run.name: {"use": run.use, "content": content_of(run)} for run in seen},
         "range": {
             what: {**asdict(span), "labels": list(span.labels)}
-            for what, span in spans_of(study.fit_runs, study.channels).items()
+            for what, span in spans_of(study.fit_runs, study.channels, study.commands).items()
         },
     }
 
@@ -69,7 +69,18 @@ def judge_saved(inputs: Inputs, saved: SavedModel, names: Sequence[str] = ()) ->
         what: Span(**{**s, "labels": tuple(s["labels"])}) for what, s in facts["range"].items()
     }
     plain, extended = (_at(model, noise, inputs) for model in models)
-    return on_unseen(plain, extended, runs, study.channels, noise.sd, spans, seed=inputs.seed)
+    unmet = [p.name for p in inputs.setup.model.base if "[" in p.name]
+    return on_unseen(
+        plain,
+        extended,
+        runs,
+        study.channels,
+        noise.sd,
+        spans,
+        seed=inputs.seed,
+        commands=study.commands,
+        unmet=[name for name in unmet if name not in saved.parameters],
+    )
 
 
 def _chosen(study: Study, saved: SavedModel, names: Sequence[str]) -> tuple[Run, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.data.study import Run
-from diffsim.diagnose.left_out import own_point
+from diffsim.diagnose.left_out import own_point, unmet_by
 from diffsim.identify import Problem
 
 Array = NDArray[np.float64]
@@ -154,7 +154,8 @@ def held_out_residual(fit: Frozen, run: Run) -> Array:
 
 def held_out_point(fit: Frozen, run: Run) -> Array:
     """The fit's coordinates with what is a run's own ("offset@run") fitted to it."""
-    return own_point(replace(fit.problem, runs=(run,)), fit.x, run)
+    alone = replace(fit.problem, runs=(run,))
+    return own_point(alone, fit.x, run, unmet=unmet_by(fit.problem))
 
 
 def _blocks(run: Run, block_s: float, null: Array, extended: Array, fit: Frozen) -> Array:

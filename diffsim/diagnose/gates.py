@@ -163,6 +163,21 @@ def numerical_shift(fit: Fit, changes: Mapping[str, Array]) -> Array:
     return np.asarray(np.sqrt(total))
 
 
+def scan_gate(num_late: int, seconds: float) -> tuple[GateResult, ...]:
+    """Whether the budget ended before all effects with kinks were tried over decades.
+
+    It is in CPU seconds, so that a faster machine may see more: where it ended, this is said.
+
+    Args:
+        num_late: Groups of effects that were not tried.
+        seconds: The budget [CPU s].
+    """
+    if num_late == 0:
+        return ()
+    note = f"groups of causes not tried over decades: {seconds:g} CPU s were over before"
+    return (GateResult("scan_budget", False, float(num_late), 0.0, note),)
+
+
 def repeatability_gate(fit: Fit) -> list[GateResult]:
     """One check for each kind of nuisance that every run has for itself (``name@run``).
 

@@ -11,7 +11,7 @@ fit repeated in full, a limited number of times.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from diffsim.core.errors import DiffsimError
-from diffsim.data.study import Run
+from diffsim.data.study import TIMELESS, Run
 from diffsim.diagnose.gauss_newton import gauss_newton
 from diffsim.diagnose.noise import ArWhitener
 from diffsim.diagnose.optimum import optimum
@@ -134,16 +134,21 @@ def blocks_of(problem: Problem) -> Folds | None:
     """Blocks of time of all runs at once; None where they are too short for three.
 
     A block is ten times as long as the noise remembers, and an eighth of the longest run or more.
+    Runs without time, such as points of a camera's calibration, stay.
     """
     row_run, time = _run_of_rows(problem), _time_of_rows(problem)
-    longest = float(time.max()) if len(time) else 0.0
-    steps = [float(np.median(np.diff(r.time_s))) for r in problem.runs if len(r.time_s) > 1]
+    stay = [i for i, run in enumerate(problem.runs) if run.setup.get(TIMELESS)]
+    is_cut = ~np.isin(row_run, stay)
+    longest = float(time[is_cut].max()) if is_cut.any() else 0.0
+    cut = replace(problem, runs=tuple(r for i, r in enumerate(problem.runs) if i not in stay))
+    steps = [float(np.median(np.diff(r.time_s))) for r in cut.runs if len(r.time_s) > 1]
     shortest = MIN_SAMPLES * max(steps, default=0.0)
-    block_s = max(longest / MAX_FOLDS, MEMORY * memory_s(problem), shortest)
+    block_s = max(longest / MAX_FOLDS, MEMORY * memory_s(cut), shortest)
     count = int(longest / block_s) if block_s > 0.0 else 0
     if count < MIN_FOLDS:
         return None
     label = np.minimum((time / longest * count).astype(np.int64), count - 1)
+    label[~is_cut] = -1
     folds = []
     for k in range(count):
         rows = label == k
@@ -233,17 +238,47 @@ def _simulated(fit: Fit, fold: Fold, x: Array) -> Array:
     """Residual of a part simulated at x, the values of its own runs fitted to it."""
     rows = _run_of_rows(fit.problem)
     found = np.zeros(len(rows))
+    unmet = unmet_by(replace(fit.problem, runs=_kept_runs(fit.problem, fold)))
     for i in fold.runs:
         run, own = fit.problem.runs[i], rows == i
         alone = replace(fit.problem, runs=(run,))
         point = x
         if fold.is_whole:
-            point = own_point(alone, x, run, fit.jacobian[own])
+            point = own_point(alone, x, run, fit.jacobian[own], unmet)
         found[own] = alone.residual(point)
     return np.asarray(found[fold.rows])
 
 
-def own_point(problem: Problem, x: Array, run: Run, slopes: Array | None = None) -> Array:
+def unmet_by(problem: Problem) -> tuple[str, ...]:
+    """Base parameters of a rotor, a material, ... that no run of the problem has."""
+    known = {n for run in problem.runs for n in problem.names if is_of_fact(n, run)}
+    return tuple(p.name for p in problem.model.base if "[" in p.name and p.name not in known)
+
+
+def is_of_fact(name: str, run: Run) -> bool:
+    """Whether a parameter, as "gain[rotor=A]", is that of a fact of the run."""
+    return any(name.endswith(f"[{fact}={value}]") for fact, value in run.setup.items())
+
+
+def own_names(names: Sequence[str], run: Run, unmet: Collection[str] = ()) -> tuple[str, ...]:
+    """Parameters that are fitted to a run whatever it is used for.
+
+    Args:
+        names: Names of all coordinates.
+        run: Run that they belong to.
+        unmet: Parameters that no fitted run has; those of this run's facts are its own.
+    """
+    at_run = f"@{run.name}"
+    return tuple(n for n in names if n.endswith(at_run) or (n in unmet and is_of_fact(n, run)))
+
+
+def own_point(
+    problem: Problem,
+    x: Array,
+    run: Run,
+    slopes: Array | None = None,
+    unmet: Collection[str] = (),
+) -> Array:
     """Coordinates with the values of one run ("offset@run") fitted to it, all others as given.
 
     Args:
@@ -251,8 +286,10 @@ def own_point(problem: Problem, x: Array, run: Run, slopes: Array | None = None)
         x: Standardized coordinates, (n,); the run's own are fitted from the middle of their prior.
         run: Run that they belong to.
         slopes: Whitened slopes of the run's rows, (num_valid, n); None: simulated.
+        unmet: Parameters that no fitted run has, as of ``own_names``.
     """
-    own = [i for i, n in enumerate(problem.names) if n.endswith(f"@{run.name}")]
+    names = set(own_names(problem.names, run, unmet))
+    own = [i for i, n in enumerate(problem.names) if n in names]
     if not own:
         return x
 
@@ -261,15 +298,18 @@ def own_point(problem: Problem, x: Array, run: Run, slopes: Array | None = None)
         point[own] = part
         return point
 
-    # they act almost linearly: slopes of their start serve for all steps
-    if slopes is None:
-        slopes = problem.linearize(full(np.zeros(len(own))), only=own)[1]
-    columns = -slopes[:, own]
+    def columns_at(part: Array) -> Array:
+        return -np.asarray(problem.linearize(full(part), only=own)[1][:, own])
+
+    # what is stated per run acts almost linearly: slopes of its start serve for all steps
+    is_linear = not names & set(unmet)
+    start = np.zeros(len(own))
+    columns = columns_at(start) if slopes is None else -slopes[:, own]
     low, high = (b[own] for b in problem.bounds)
     solution = optimize.least_squares(
         lambda part: np.concatenate([problem.residual(full(part)), part]),
-        np.clip(np.zeros(len(own)), low, high),
-        jac=lambda part: np.vstack([columns, np.eye(len(own))]),
+        np.clip(start, low, high),
+        jac=lambda part: np.vstack([columns if is_linear else columns_at(part), np.eye(len(own))]),
         bounds=(low, high),
         method="trf" if not (np.isfinite(low).any() or np.isfinite(high).any()) else "dogbox",
         max_nfev=20,

@@ -21,7 +21,7 @@ from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
 from diffsim.diagnose.scan import BORROWED, Scan, costs_of, narrowed
 from diffsim.identify import Problem
-from diffsim.identify.effect import Effect
+from diffsim.identify.effect import Effect, Locator
 from diffsim.identify.linearization import (
     Linearization,
     linearization_at,
@@ -29,7 +29,7 @@ from diffsim.identify.linearization import (
     records_at,
     whitened,
 )
-from diffsim.identify.locate import Course, Locator, Proposal
+from diffsim.identify.locate import Course, Proposal
 
 Array = NDArray[np.float64]
 CHUNK = 128  # knots that are simulated at once

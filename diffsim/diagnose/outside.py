@@ -1,5 +1,5 @@
-"""How far runs lie outside of what was fitted: amplitude, rate and frequency of commands, strokes,
-facts of the set-up.
+"""How far runs lie outside of what was fitted: levels, strokes, rates and frequencies, facts of
+the set-up.
 
 A model is fitted where it was excited: the misfit of a lag is seen at any amplitude, that of a
 speed limit only above it. So an error on a test run means little without its distance from the
@@ -14,14 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.data.study import Channel, Run
-from diffsim.diagnose.records import OutsideRow
+from diffsim.data.study import Channel, Command, Run
+from diffsim.diagnose.records import RATIOS, OutsideRow
 
 Array = NDArray[np.float64]
 TAIL = 0.01  # share of samples on either side that a range leaves out: spikes are none
 MARGIN = 1.02  # of the distance from the middle of the range: rounding is not outside
 LEAST_WIDTH = 0.1  # half-width of a range over its middle, where all fitted runs are alike
-MAGNITUDES = ("stroke of", "rate of")
+LEVEL = "level of"  # smallest and largest value alike: what lies between was passed through
 FEW = 8  # samples; fewer have no rate and no frequency
 
 
@@ -41,16 +41,19 @@ class Span:
     unit: str = ""
 
 
-def spans_of(runs: Sequence[Run], channels: Sequence[Channel]) -> dict[str, Span]:
+def spans_of(
+    runs: Sequence[Run], channels: Sequence[Channel], commands: Sequence[Command] = ()
+) -> dict[str, Span]:
     """Range of every quantity over runs, by name of the quantity.
 
     Args:
         runs: Runs that were fitted.
         channels: Columns of their ``measured``.
+        commands: What is known of commands: their units.
     """
     found: dict[str, list[tuple[float | str, str]]] = {}
     for run in runs:
-        for what, value, unit in _quantities(run, channels):
+        for what, value, unit in _quantities(run, channels, commands):
             found.setdefault(what, []).append((value, unit))
     out = {}
     for what, values in found.items():
@@ -62,7 +65,10 @@ def spans_of(runs: Sequence[Run], channels: Sequence[Channel]) -> dict[str, Span
 
 
 def outside_rows(
-    runs: Sequence[Run], channels: Sequence[Channel], spans: Mapping[str, Span]
+    runs: Sequence[Run],
+    channels: Sequence[Channel],
+    spans: Mapping[str, Span],
+    commands: Sequence[Command] = (),
 ) -> tuple[OutsideRow, ...]:
     """Quantities of runs outside of fitted ranges, the farthest first.
 
@@ -70,14 +76,16 @@ def outside_rows(
         runs: Runs that are judged.
         channels: Columns of their ``measured``.
         spans: Ranges of the fitted runs, as ``spans_of`` returns them.
+        commands: What is known of commands: their units.
     """
-    rows = []
+    rows: dict[tuple[str, str], OutsideRow] = {}
     for run in runs:
-        for what, value, unit in _quantities(run, channels):
+        for what, value, unit in _quantities(run, channels, commands):
             if what in spans and (times := _times(what, value, spans[what])) > MARGIN:
-                span = spans[what]
-                rows.append(OutsideRow(run.name, what, value, span.low, span.high, times, unit))
-    return tuple(sorted(rows, key=lambda row: -row.times))
+                span, key = spans[what], (run.name, what)
+                if key not in rows or rows[key].times < times:
+                    rows[key] = OutsideRow(run.name, what, value, span.low, span.high, times, unit)
+    return tuple(sorted(rows.values(), key=lambda row: -row.times))
 
 
 def _times(what: str, value: float | str, span: Span) -> float:
@@ -91,7 +99,7 @@ def _times(what: str, value: float | str, span: Span) -> float:
         return 1.0 if value in span.labels else float("inf")
     if span.low is None or span.high is None:
         return float("inf")
-    if what.startswith(MAGNITUDES):
+    if what.startswith(RATIOS):
         return value / span.high if span.high > 0.0 else (1.0 if value <= 0.0 else float("inf"))
     middle, half = 0.5 * (span.low + span.high), 0.5 * (span.high - span.low)
     if span.low <= value <= span.high:
@@ -100,16 +108,21 @@ def _times(what: str, value: float | str, span: Span) -> float:
     return abs(value - middle) / half if half > 0.0 else float("inf")
 
 
-def _quantities(run: Run, channels: Sequence[Channel]) -> list[tuple[str, float | str, str]]:
+def _quantities(
+    run: Run, channels: Sequence[Channel], commands: Sequence[Command]
+) -> list[tuple[str, float | str, str]]:
     """Name, value and unit of everything that says where a run lies."""
     out: list[tuple[str, float | str, str]] = []
+    units = {c.name: c.unit for c in commands if c.unit not in (None, "-")}
     for name, values in run.command.items():
-        out += _of_signal(name, np.asarray(values, dtype=np.float64), run.time_s, "")
+        unit = units.get(name) or ""
+        out += _of_signal(name, np.asarray(values, dtype=np.float64), run.time_s, unit)
     for channel, values in zip(channels, run.measured.T, strict=True):
         seen = values[np.isfinite(values)]
         if len(seen):
             low, high = np.quantile(seen, [TAIL, 1.0 - TAIL])
             out.append((f"stroke of {channel.name}", float(high - low), channel.unit))
+            out += [(f"{LEVEL} {channel.name}", float(v), channel.unit) for v in (low, high)]
     for name, fact in run.setup.items():
         if name.startswith("_"):  # found by the system, such as a start state
             continue
@@ -128,13 +141,19 @@ def _of_signal(
         return []
     low, high = np.quantile(values, [TAIL, 1.0 - TAIL])
     out: list[tuple[str, float | str, str]] = [
-        (f"smallest {name}", float(low), unit),
-        (f"largest {name}", float(high), unit),
+        (f"{LEVEL} {name}", float(low), unit),
+        (f"{LEVEL} {name}", float(high), unit),
     ]
     if len(values) < FEW or not high > low:
         return out
     slope = np.diff(values) / np.diff(time_s)
-    out.append((f"rate of {name}", float(np.quantile(np.abs(slope), 1.0 - TAIL)), f"{unit}/s"))
+    out.append(
+        (
+            f"rate of {name}",
+            float(np.quantile(np.abs(slope), 1.0 - TAIL)),
+            f"{unit}/s" if unit else "",
+        )
+    )
     middle = 0.5 * (values[1:] + values[:-1])
     spread = float(np.average((middle - middle.mean()) ** 2, weights=np.diff(time_s)))
     if spread > 0.0:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import isfinite
 
 from diffsim.diagnose.gain import Gain
 
@@ -15,6 +16,8 @@ CERTAIN, LIKELY, UNTOLD = "certain", "likely", "cannot be told from"
 REFUTED, HIDDEN, UNJUDGED = "refuted", "not visible below", "not judged"
 STATUSES = (CERTAIN, LIKELY, UNTOLD, REFUTED, HIDDEN, UNJUDGED)
 EFFECT, DATA_SHEET, UNKNOWN = "effect", "data sheet", "unknown"
+RATIOS = ("stroke of", "rate of")  # quantities whose distance is a ratio to the largest fitted
+SIGNALS = (*RATIOS, "level of", "frequency of")  # quantities of commands and channels
 ORIGINS = (EFFECT, DATA_SHEET, UNKNOWN)
 
 
@@ -141,7 +144,7 @@ class OutsideRow:
 
     Attributes:
         run: Name of the test run.
-        what: What was compared, such as "amplitude of force_N", "rate of force_N", "payload_kg".
+        what: What was compared, such as "level of force_N", "rate of force_N", "payload_kg".
         value: Value in the test run; a label as text.
         low, high: Range over the fitted runs; None for labels.
         times: How far outside, at most 1 is inside: strokes and rates over the largest fitted one,
@@ -158,10 +161,26 @@ class OutsideRow:
     unit: str = ""
 
     @property
+    def is_fact(self) -> bool:
+        """Whether it is a fact of the set-up, and nothing of a signal."""
+        return not self.what.startswith(SIGNALS)
+
+    @property
     def words(self) -> str:
         """The row in a sentence."""
         unit = f" {self.unit}" if self.unit else ""
         if isinstance(self.value, str) or self.low is None or self.high is None:
             return f"Run {self.run}: no fitted run has {self.what} {self.value}."
-        where = f"{self.low:.3g} to {self.high:.3g}{unit}"
-        return f"Run {self.run}: {self.what} is {self.value:.3g}{unit}, fitted runs have {where}."
+        per, unit = (1000.0, " mm") if self._in_mm else (1.0, unit)
+        numbers = [f"{per * v:.3g}" for v in (self.value, self.low, self.high)]
+        said = f"Run {self.run}: {self.what} is {numbers[0]}{unit}, fitted runs have "
+        if self.low == self.high:
+            return f"{said}{numbers[1]}{unit}."
+        of = "the largest" if self.what.startswith(RATIOS) else "as far from the middle"
+        far = f" ({self.times:.2g} times {of})" if isfinite(self.times) else ""
+        return f"{said}{numbers[1]} to {numbers[2]}{unit}{far}."
+
+    @property
+    def _in_mm(self) -> bool:
+        ends = (self.value, self.low, self.high)
+        return self.unit == "m" and all(abs(v) < 1.0 for v in ends if isinstance(v, float))

@@ -45,10 +45,12 @@ class Scan:
         at: Linearization at the best sizes, in wide coordinates with all slopes; None where none
             is better than zero.
         num_points: Number of sizes that were simulated.
+        seconds: CPU time that this took [s].
     """
 
     at: Linearization | None
     num_points: int
+    seconds: float = 0.0
 
 
 def groups(effects: Sequence[Effect], members: Members, room: int) -> Iterator[Members]:

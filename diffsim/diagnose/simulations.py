@@ -81,6 +81,7 @@ class Simulations:
             the cause.
         scans: Sizes that were tried, by members of the center and group of effects.
         scan_seconds: CPU time that these took [s].
+        scans_late: Groups of effects that were not tried because that time was over.
     """
 
     wide: Problem
@@ -90,6 +91,7 @@ class Simulations:
     unknown_slopes: Mapping[tuple[Members, int], Array] = field(default_factory=dict)
     scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
     scan_seconds: float = 0.0
+    scans_late: frozenset[tuple[Members, Members]] = frozenset()
 
     def under(self, null: Null) -> Simulations:
         """The same simulations for another fit of the plain model or another noise floor."""
@@ -194,6 +196,11 @@ class Simulations:
         """A fitted set with the linear evidence of its neighbors; nothing is simulated."""
         return Center(members, at, self._evidence(at, [], num_families))
 
+    def beside(self, members: Members, unknown: Unknown, u: int, families: int) -> LaplaceEvidence:
+        """Evidence of a set's neighbors, an unknown cause beside; both were simulated there."""
+        moved, _ = self.responses(unknown, u, members, self.screened[members])
+        return self._evidence(self.screened[members], [moved], families)
+
     def scanned(
         self, center: Center, settings: SearchSettings, num_families: int
     ) -> tuple[Center, Simulations]:
@@ -210,28 +217,49 @@ class Simulations:
         for group in groups(self.wide.effects, center.members, room):
             key, members = (center.members, group), sorted(group)
             if key not in made.scans:
-                effect = self.wide.effects[members[0]]
-                own, start = self.coordinates(center.members), process_time()
-                if effect.locate is not None:
-                    if made.scan_seconds > settings.scan_seconds:
-                        continue
-                    if effect.locate.course not in courses:
-                        courses[effect.locate.course] = course_at(
-                            self.wide, own, center.at, effect.locate
-                        )
-                    course = courses[effect.locate.course]
-                    result = scan_located(self.wide, own, center.at, effect, course)
-                else:
+                points = 0  # of what is located by its course none are tried
+                if self.wide.effects[members[0]].locate is None:
                     points = sum(s.num_points for s in made.scans.values())
                     points += num_points([self.wide.effects[i] for i in members])
-                    if points > settings.scan_points or made.scan_seconds > settings.scan_seconds:
-                        continue
-                    result = scan(self.wide, own, center.at, members)
-                spent = made.scan_seconds + process_time() - start
+                if points > settings.scan_points or made.scan_seconds > settings.scan_seconds:
+                    is_late = points <= settings.scan_points
+                    made = replace(made, scans_late=made.scans_late | ({key} if is_late else set()))
+                    continue
+                result = self._scan(center, members, courses)
+                spent = made.scan_seconds + result.seconds
                 made = replace(made, scans={**made.scans, key: result}, scan_seconds=spent)
             if (at := made.scans[key].at) is not None:
                 found[group] = made.center(center.members, at, num_families)
         return replace(center, scanned=found), made
+
+    def _scan(self, center: Center, group: Sequence[int], courses: dict[Effect, Course]) -> Scan:
+        """Sizes of a group at a center, from this process or an earlier one.
+
+        Args:
+            center: A fitted set.
+            group: Indices of effects that are tried together.
+            courses: Courses at this center that are known, which grow.
+        """
+        label = f"scan of {self._label(frozenset(group))} at {self._label(center.members)}"
+        if self.store is not None and (kept := self.store.load_array(label)) is not None:
+            at = self.store.load(f"best {label}")
+            if at is not None or not kept[2]:
+                return Scan(at, int(kept[0]), float(kept[1]))
+        start = process_time()
+        own, effect = self.coordinates(center.members), self.wide.effects[group[0]]
+        if (locate := effect.locate) is not None:
+            if locate.course not in courses:
+                courses[locate.course] = course_at(self.wide, own, center.at, locate)
+            found = scan_located(self.wide, own, center.at, effect, courses[locate.course])
+        else:
+            found = scan(self.wide, own, center.at, group)
+        found = replace(found, seconds=process_time() - start)
+        if self.store is not None:
+            if found.at is not None:
+                self.store.save(f"best {label}", found.at)
+            numbers = [found.num_points, found.seconds, found.at is not None]
+            self.store.save_array(label, np.array(numbers, dtype=np.float64))
+        return found
 
     def with_unknowns(
         self, center: Center, unknowns: Sequence[Unknown], num_families: int

@@ -6,7 +6,7 @@ for the plain and the extended model alike.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -15,9 +15,9 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim.core.units import factor
-from diffsim.data.study import Channel, Run
+from diffsim.data.study import Channel, Command, Run
 from diffsim.diagnose.gain import Frozen, Gain, compared
-from diffsim.diagnose.left_out import own_point
+from diffsim.diagnose.left_out import own_names, own_point
 from diffsim.diagnose.noise import without_spikes
 from diffsim.diagnose.outside import Span, outside_rows
 from diffsim.diagnose.records import ErrorRow, OutsideRow
@@ -72,6 +72,8 @@ def on_unseen(
     *,
     seed: int,
     use: str = "test",
+    commands: Sequence[Command] = (),
+    unmet: Collection[str] = (),
 ) -> Unseen:
     """Judge a model and its extension on runs; each at its own coordinates, which stay.
 
@@ -84,15 +86,17 @@ def on_unseen(
         spans: What the fitted runs covered, as ``spans_of`` returns it.
         seed: Seed of the bootstraps.
         use: What the runs are for, as the rows say it.
+        commands: What is known of commands: their units.
+        unmet: Parameters of facts that no fitted run has: a run with such a fact tells its own.
     """
     errors: list[ErrorRow] = []
     cleaned, before, after, num_spikes = [], [], [], 0
     for given in runs:
         run, count = _without_spikes((plain, extended), given)
         num_spikes += count
-        points = [_alone(frozen, run) for frozen in (plain, extended)]
+        points = [_alone(frozen, run, unmet) for frozen in (plain, extended)]
         left = [_left(frozen, run) for frozen in points]
-        errors += _error_rows(run, left, channels, sd, _num_own(extended, run), use)
+        errors += _error_rows(run, left, channels, sd, _num_own(extended, run, unmet), use)
         before.append(points[0].problem.residual(points[0].x))
         after.append(points[1].problem.residual(points[1].x))
         cleaned.append(run)
@@ -105,7 +109,7 @@ def on_unseen(
         errors=tuple(errors),
         gain=compared(cleaned, plain, before, after, seed=seed) if cleaned else None,
         gains=gains,
-        outside=outside_rows(cleaned, channels, spans),
+        outside=outside_rows(cleaned, channels, spans, commands),
         num_spikes=num_spikes,
     )
 
@@ -124,10 +128,10 @@ def shown_unit(channel: Channel) -> tuple[str, float]:
     return (unit, 1.0) if unit == channel.unit else (unit, factor(channel.unit, unit))
 
 
-def _alone(frozen: Frozen, run: Run) -> At:
+def _alone(frozen: Frozen, run: Run, unmet: Collection[str]) -> At:
     """A model on one run, with the values that are the run's own fitted to it."""
     problem = replace(frozen.problem, runs=(run,))
-    return At(problem, own_point(problem, frozen.x, run))
+    return At(problem, own_point(problem, frozen.x, run, unmet=unmet))
 
 
 def _left(frozen: Frozen, run: Run) -> Array:
@@ -148,10 +152,10 @@ def _without_spikes(models: Sequence[Frozen], run: Run) -> tuple[Run, int]:
     return (replace(run, measured=measured), count) if count else (run, 0)
 
 
-def _num_own(frozen: Frozen, run: Run) -> int:
+def _num_own(frozen: Frozen, run: Run, unmet: Collection[str]) -> int:
     """Values that are fitted to one run: what the study declares unknown, and start states that a
     model fits away."""
-    declared = sum(name.endswith(f"@{run.name}") for name in frozen.problem.names)
+    declared = len(own_names(frozen.problem.names, run, unmet))
     inside = getattr(frozen.problem.model, "num_fitted_inside", None)
     return declared + (int(inside(run)) if callable(inside) else 0)
 

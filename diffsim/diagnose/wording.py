@@ -293,7 +293,9 @@ def _rest(answer: Answer) -> list[str]:
     decision, out = answer.decision, []
     open_ = [r for r in _effects(answer) if r.status not in (CERTAIN, LIKELY) and r.rivals]
     if answer.verdict == "named" and answer.rivals and open_:
-        out.append(f"What else acts cannot be told: {_sets(answer.rivals)}.")
+        shared = set.intersection(*map(set, answer.rivals))
+        apart = [tuple(n for n in names if n not in shared) for names in answer.rivals]
+        out.append(f"What else acts cannot be told: {_sets([a for a in apart if a])}.")
     if answer.verdict in ("named", "ambiguous") and decision.best and decision.share < EXPLAINED:
         out.append(
             f"That explains {decision.share:.0%} of the misfit; what is left is no cause that "

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.core.check import require_choice
 from diffsim.data.study import Run, Study
-from diffsim.identify.locate import Locator
+from diffsim.identify.locate import Course, Proposal
 
 KINDS = ("force", "actuator", "sensor", "material", "environment", "numerical")
+Array = NDArray[np.float64]
 Apply = Callable[[Any, Tensor, Run], Any]
 Needs = Callable[[Study], "str | None"]
 
@@ -20,6 +23,23 @@ Needs = Callable[[Study], "str | None"]
 def needs_nothing(study: Study) -> str | None:
     """Accept every study."""
     return None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Locator:
+    """How an effect finds where it lies.
+
+    Attributes:
+        course: Effect whose components are values at the knots, in the order of ``times``.
+        times: Time of each knot in the runs' clock, (K,) [s].
+        acts_in: Whether the effect acts in a run.
+        propose: Places worth a simulation, best first, given what any course would gain.
+    """
+
+    course: Effect
+    times: Array
+    acts_in: Callable[[Run], bool]
+    propose: Callable[[Course], Sequence[Proposal]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

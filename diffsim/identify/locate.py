@@ -7,16 +7,11 @@ form at any place in time follows from one Gram matrix, without another simulati
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from diffsim.data.study import Run
-    from diffsim.identify.effect import Effect
 
 Array = NDArray[np.float64]
 VISIBLE_SHARE = 1e-6  # of the most visible knot
@@ -72,20 +67,3 @@ class Proposal:
 
     sizes: Array
     parameters: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Locator:
-    """How an effect finds where it lies.
-
-    Attributes:
-        course: Effect whose components are values at the knots, in the order of ``times``.
-        times: Time of each knot in the runs' clock, (K,) [s].
-        acts_in: Whether the effect acts in a run.
-        propose: Places worth a simulation, best first, given what any course would gain.
-    """
-
-    course: Effect
-    times: Array
-    acts_in: Callable[[Run], bool]
-    propose: Callable[[Course], Sequence[Proposal]]

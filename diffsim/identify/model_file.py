@@ -12,6 +12,7 @@
       mass: {value: 1.41, sd: 0.004, unit: kg}
     effects:                     # sizes; components of vector effects as "wind.north"
       wind.north: {value: 0.31, sd: 0.01, unit: N}
+    frame: {labels: ...}         # what the causes took from the fitted runs
     plain:                       # parameters of the plain model at its own fit
       mass: {value: 1.52, sd: 0.003, unit: kg}
     facts: ...                   # noise floor, fitted runs and their range: to judge new runs by
@@ -60,6 +61,7 @@ class SavedModel:
             files of before.
         facts: What judging new runs needs beside the model: noise floor, fitted runs, their range.
         numerics: Refined numerical settings of the fits; None: the model's own.
+        frame: What the causes took from the fitted runs, for a study of other runs.
     """
 
     path: Path
@@ -74,6 +76,11 @@ class SavedModel:
     plain: Mapping[str, float] = field(default_factory=dict)
     facts: Mapping[str, Any] = field(default_factory=dict)
     numerics: Numerics | None = None
+    frame: Mapping[str, Any] = field(default_factory=dict)
+
+    def framed(self, study: Study) -> Study:
+        """A study of new runs, its causes as they were where the model was fitted."""
+        return replace(study, frame=self.frame)
 
 
 def save_extended(
@@ -109,6 +116,7 @@ def save_extended(
         else dict(zip(problem.names, prepared.tolist(), strict=False)),
         "parameters": dict(list(entries.items())[:count]),
         "effects": dict(list(entries.items())[count:]),
+        **({"frame": dict(problem.model.frame)} if problem.model.frame else {}),
         **({} if plain is None else {"plain": _entries(plain)}),
         **({} if facts is None else {"facts": dict(facts)}),
     }
@@ -169,6 +177,7 @@ def read_extended(path: str | Path) -> SavedModel:
         plain={name: float(entry["value"]) for name, entry in parts["plain"].items()},
         facts=content.get("facts") or {},
         numerics=Numerics(**content["numerics"]) if content.get("numerics") else None,
+        frame=content.get("frame") or {},
     )
 
 
@@ -205,7 +214,10 @@ def rebuilt(saved: SavedModel, setup: DiagnosisSetup) -> ExtendedModel:
         setup = setup.remade(made_from)
     effects = effects_of(saved, setup.effects)
     known = {p.name: p for p in setup.model.base}
+    stems = {name.partition("[")[0] for name in known}
     for name in saved.parameters:
+        if "[" in name and name.partition("[")[0] in stems:
+            continue  # of a rotor, a material, ... that no run of this study has
         if "@" not in name:
             require_choice(f"{saved.path}: parameter", name, known)
     values = {name: p.value for name, p in known.items()} | dict(saved.values)
@@ -223,13 +235,13 @@ def effects_of(saved: SavedModel, candidates: Sequence[Effect]) -> tuple[Effect,
     numerical = [coarse(name, finer) for name, finer in REFINEMENTS.items()]
     by_name: dict[str, Effect] = {e.name: e for e in (*numerical, *candidates)}
     names = dict.fromkeys(
-        c if c in by_name else c.rsplit(".", 1)[0] for c in saved.components
-    )  # a component is "wind.north", an effect with one component its own name
+        c if c in by_name else c.partition(".")[0] for c in saved.components
+    )  # "wind.north", or "gain.[propeller=5x4.5]"; an effect with one component its own name
     chosen = []
     for name in names:
         require_choice(f"{saved.path}: effect", name, by_name)
         wanted = effect_coordinates([by_name[name]])
-        given = [c for c in saved.components if c == name or c.rsplit(".", 1)[0] == name]
+        given = [c for c in saved.components if c == name or c.partition(".")[0] == name]
         if sorted(wanted) != sorted(given):
             raise ValueError(
                 f"{saved.path}: effect {name} must have {', '.join(wanted)}, got {', '.join(given)}"

@@ -1,11 +1,10 @@
 """Systems by name: the setup of a study, the candidate causes of a system, saved models.
 
 A study describes its system under ``model:``, ``model: {system: ode, ...}``; the classes of
-``DESCRIPTIONS`` read that. Studies of the laboratories, and older ones, name a setup instead:
-
-it stands in the metadata, ``setup: silicone_beam`` or, with options, ``setup: {name:
-silicone_beam, cells: [10, 2, 2]}``. Each setup is a module of ``published`` or ``laboratories``
-with a function ``setup(study, **options) -> DiagnosisSetup``, imported when asked for.
+``DESCRIPTIONS`` read that. Studies of the laboratories name a setup instead: it stands in the
+metadata, ``setup: lab_beam`` or, with options, ``setup: {name: lab_beam, cells: [10, 2, 2]}``.
+Each setup is a module of ``laboratories`` with a function ``setup(study, **options) ->
+DiagnosisSetup``, imported when asked for.
 """
 
 from __future__ import annotations
@@ -26,12 +25,7 @@ from diffsim.identify.model_file import read_extended, rebuilt
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import Description
 
-_LABORATORIES = ("lab_beam", "lab_copter", "lab_network")
-_PUBLISHED = (
-    "silicone_beam",
-    "starfish",
-)
-SETUPS = (*_LABORATORIES, *_PUBLISHED)
+SETUPS = ("lab_beam", "lab_copter", "lab_network")
 _LIBRARIES = {
     "soft_body": ("diffsim.systems.soft_body", "soft_body_library"),
     "copter": ("diffsim.systems.multicopter", "copter_library"),
@@ -102,10 +96,8 @@ def setup_of(study: Study, **options: Any) -> DiagnosisSetup:
             f"got {given!r}"
         )
     name = require_choice(f"study {study.name}: setup", str(entry.pop("name")), SETUPS)
-    room = "laboratories" if name in _LABORATORIES else "published"
-    made: DiagnosisSetup = import_module(f"diffsim.systems.{room}.{name}").setup(
-        study, **{**entry, **options}
-    )
+    module = import_module(f"diffsim.systems.laboratories.{name}")
+    made: DiagnosisSetup = module.setup(study, **{**entry, **options})
     return made
 
 
@@ -143,4 +135,5 @@ def load_extended(
         ValueError: an effect or parameter that the setup does not have; the message names the
             closest ones.
     """
-    return rebuilt(read_extended(path), setup_of(study) if setup is None else setup)
+    saved = read_extended(path)
+    return rebuilt(saved, setup_of(saved.framed(study)) if setup is None else setup)

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from benchmarks.ahead import AHEAD, Record, errors_ahead, flown, naive
-from benchmarks.nano_drone import scores, whole_flight
+from benchmarks.nano_drone import scores, whole_flights
 from diffsim.identify.extended import ExtendedModel
 from diffsim.systems.registry import setup_of
 from tests.measured import data_folder
@@ -48,7 +48,7 @@ def test_published_controls_are_reproduced():
 @pytest.mark.reference
 def test_flights_start_from_the_recorded_state():
     data_folder("nano_drone")
-    study = whole_flight("random1_4")
+    study = whole_flights(("random1_4",))
     run = study.runs[0]
     setup = setup_of(study)
     truth = Record.of(torch.as_tensor(run.measured, dtype=f64))

@@ -89,12 +89,13 @@ def test_how_far_outside_is_told(model_folder, new_folder, tmp_path):
     far = replace(run, command={"u": 3.0 * run.command["u"]}, setup={"payload_kg": 0.2})
     inputs = inputs_of(replace(study, runs=(far,)), seed=0, setup_file=Path(SETUP))
     rows = {row.what: row for row in judge_saved(inputs, read_extended(model_folder)).outside}
-    largest = rows["largest u"]
-    assert largest.value == pytest.approx(2.7, rel=0.01) and largest.high < 1.01
-    # the fitted ends are 0.35 and 1: the middle 0.67, half the width 0.33
-    assert largest.times == pytest.approx((2.7 - 0.675) / 0.325, rel=0.1)
+    largest = rows["level of u"]
+    assert abs(largest.value) == pytest.approx(2.7, rel=0.01) and largest.high < 1.01
+    middle, half = 0.5 * (largest.low + largest.high), 0.5 * (largest.high - largest.low)
+    assert largest.times == pytest.approx(abs(largest.value - middle) / half, rel=1e-6)
     assert "fitted runs have" in largest.words
-    assert not any(row.what.startswith("smallest") and row.times <= 1.0 for row in rows.values())
+    assert f"{largest.times:.2g} times as far" in largest.words
+    assert all(row.times > 1.0 for row in rows.values())
 
 
 def test_what_was_fitted_proves_nothing(model_folder, study, tmp_path):

@@ -12,9 +12,9 @@ from diffsim.data.study import Study
 from diffsim.diagnose import Report, assemble, diagnose
 from diffsim.diagnose.averaging import _interval, widening
 from diffsim.diagnose.causes import certain_of
-from diffsim.diagnose.data_sheet import words_of
+from diffsim.diagnose.data_sheet import _pulled_together, words_of
 from diffsim.diagnose.left_out import folds_of
-from diffsim.diagnose.records import CauseRow, ErrorRow
+from diffsim.diagnose.records import BaseRow, CauseRow, ErrorRow
 from diffsim.diagnose.wording import _on_unseen
 from diffsim.identify import DiagnosisSettings, SearchSettings, fit
 from tests.diagnose import linear
@@ -239,3 +239,28 @@ def test_a_size_whose_widened_interval_holds_zero_is_not_certain(monkeypatch):
     vague = replace(about, factors={wide.names[wide.columns_of(PUSH)[0]]: 100.0})
     assert vague.size(0)["size"].low < 0.0
     assert certain_of(decision, vague, judgment) == frozenset()
+
+
+def _row(run, pull):
+    return BaseRow(
+        f"onset@{run}",
+        f"onset of {run}",
+        "s",
+        0.015 * pull,
+        0.001,
+        0.015 * pull - 0.002,
+        0.015 * pull + 0.002,
+        0.0,
+        0.015,
+        pull,
+        run,
+    )
+
+
+def test_what_all_runs_pull_alike_is_one_finding_under_its_own_name():
+    rows = [_row(name, pull) for name, pull in zip("abcd", (-2.0, -2.5, -3.0, -2.5), strict=True)]
+    (found,) = _pulled_together(rows)
+    assert (found.name, found.words, found.run) == ("onset", "onset in all runs", None)
+    assert found.value == pytest.approx(-0.0375) and found.pull == pytest.approx(-5.0)
+    assert (found.low, found.high) == (pytest.approx(-0.047), pytest.approx(-0.028))
+    assert not _pulled_together([*rows[:3], _row("d", 0.5)])

@@ -10,11 +10,13 @@ from diffsim.data.study import Study
 from diffsim.diagnose import search as diagnose_search
 from diffsim.diagnose.evidence import Hypothesis
 from diffsim.diagnose.fit import Case, Null
+from diffsim.diagnose.gates import scan_gate
 from diffsim.diagnose.gauss_newton import gauss_newton
 from diffsim.diagnose.noise import noise_floor
 from diffsim.diagnose.scan import groups, num_points, records_for, scan
 from diffsim.diagnose.search import begin, repaired, search_sets
 from diffsim.diagnose.simulations import Simulations
+from diffsim.diagnose.store import Store
 from diffsim.identify import DiagnosisSettings, Effect, SearchSettings, UnknownDrift
 from diffsim.identify.fitting import summary
 from diffsim.identify.linearization import linearization_at, record_at
@@ -193,6 +195,26 @@ def test_scans_end_when_their_time_is_spent():
     short = DiagnosisSettings(search=SearchSettings(scan_seconds=-1.0))
     search = searched(effects, {pair.slack: 6.0, pair.rate_limit: 2.0}, short)
     assert not search.simulations.scans
+    (said,) = scan_gate(len(search.simulations.scans_late), -1.0)
+    assert said.value > 0.0 and not said.passed and "CPU s" in said.note
+    assert not scan_gate(0, 10.0)
+
+
+def test_an_interrupted_diagnosis_does_not_scan_again(tmp_path, monkeypatch):
+    effects = (linear.line("push"), clipped())
+    problem = linear.problem(effects)
+    made = Simulations(problem, Store(tmp_path, "key"))
+    at = linearization_at(problem, np.zeros(4), screen=True)
+    made = replace(made, screened={frozenset(): at})
+    center = made.center(frozenset(), at, 2)
+    settings = SearchSettings()
+    first, _ = made.scanned(center, settings, 2)
+    calls = []
+    monkeypatch.setattr("diffsim.diagnose.simulations.scan", lambda *a: calls.append(a))
+    again, kept = made.scanned(center, settings, 2)
+    assert not calls
+    assert set(again.scanned) == set(first.scanned)
+    assert kept.scan_seconds > 0.0
 
 
 def test_a_set_beside_an_unknown_cause_is_worth_what_a_simulation_says(monkeypatch):

@@ -7,11 +7,11 @@ import pytest
 import torch
 from scipy.optimize import least_squares
 
-from diffsim.data.study import Study
+from diffsim.data.study import TIMELESS, Study
 from diffsim.diagnose import diagnose
 from diffsim.diagnose import diagnosis as pipeline
 from diffsim.diagnose.gain import held_out_residual
-from diffsim.diagnose.left_out import Repeats, folds_of, left_out_residual
+from diffsim.diagnose.left_out import Repeats, blocks_of, folds_of, left_out_residual
 from diffsim.diagnose.referee import LeftOut, gain_over, referee_of
 from diffsim.identify import DiagnosisSettings, SearchSettings, SimModel, fit
 from diffsim.identify.sizes import coordinate_of
@@ -169,3 +169,18 @@ def test_linear_refits_predict_as_full_ones_do_where_a_model_is_not_linear():
         full = float(sum(r @ r for r in apart))
         near = float(linear_only[fold.rows] @ linear_only[fold.rows])
         assert near == pytest.approx(full, rel=0.02)
+
+
+def test_points_without_time_leave_blocks_of_a_film_as_they_are():
+    """Clicked points are numbered, not dated: 60 "seconds" of them are no block."""
+    film = linear.run("film", 1)
+    clicks = replace(
+        linear.run("clicks", 2),
+        time_s=np.arange(float(linear.NUM_SAMPLES)),
+        setup={TIMELESS: True},
+    )
+    folds = blocks_of(linear.problem(runs=(film, clicks)))
+    assert folds is not None and len(folds.parts) >= 3
+    assert all(fold.runs == (0,) for fold in folds.parts)
+    dated = blocks_of(linear.problem(runs=(film, replace(clicks, setup={}))))
+    assert dated is None or any(fold.runs != (0,) for fold in dated.parts)

@@ -18,6 +18,7 @@ PAGES = (
     "docs/copter.md",
     "docs/ode.md",
     "docs/optim.md",
+    "docs/own_causes.md",
     "docs/soft.md",
     "docs/stokes.md",
     "docs/transformations.md",

@@ -20,7 +20,6 @@ from diffsim.systems.rigid_body.ball_effects import BALL_EFFECTS
 from diffsim.systems.rigid_body.effects import TOSS
 from diffsim.systems.soft_body import unknown_force
 from diffsim.systems.soft_body.hanging import SLACK_STRING
-from diffsim.systems.starfish.effects import STARFISH_EFFECTS, unknown_pull, unknown_push
 from tests.systems.rod.test_rod_description import study as rod_study
 from tests.systems.toy_cart import cart_study
 
@@ -54,12 +53,9 @@ def libraries() -> dict[str, tuple[Effect, ...]]:
         "ode": setup_of(cart_study()).effects,
         "rigid_body": TOSS,
         "rod": setup_of(rod_study()).effects,
-        "starfish": STARFISH_EFFECTS,
         "unknown": (
             unknown_wrench(3, 1.0),
             unknown_force(3, 1.0),
-            unknown_push(3, 1.0),
-            unknown_pull(3, 1.0),
         ),
         "numerical": tuple(coarse(name, finer) for name, finer in REFINEMENTS.items()),
     }

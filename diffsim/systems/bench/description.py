@@ -14,9 +14,16 @@ from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
+from diffsim.systems.ode.applying import LABELS
 from diffsim.systems.ode.described import Described, Motion
 from diffsim.systems.ode.keys import FormulaKeys, Input, Inputs, Law
-from diffsim.systems.ode.law_effects import LawScale, check_laws, law_effects, law_scales
+from diffsim.systems.ode.law_effects import (
+    LawScale,
+    check_laws,
+    labels_of_laws,
+    law_effects,
+    law_scales,
+)
 from diffsim.systems.ode.names import Reader
 
 MAX_EFFECTS = 6  # several quantities, each with causes of its own
@@ -61,6 +68,7 @@ class BenchDescription(FormulaKeys):
         else:
             scales = {name: LawScale(**scale) for name, scale in made_from["laws"].items()}
         model.made_from = {"laws": {name: asdict(scale) for name, scale in scales.items()}}
+        model.frame = {LABELS: {**read.labels, **labels_of_laws(self.laws, study)}}
         laws = law_effects(self.laws, study, scales, read.network, read.known)
         advised = DiagnosisSettings(
             search=SearchSettings(

@@ -167,6 +167,9 @@ def quantities_of(
             yield f"pressure_zero_{meter.channel}", zero
 
 
+_OF_LEVELS = tuple(e.name for e in (causes.COMPLIANCE, causes.THINNING, causes.ENTRANCE_LOSS))
+
+
 def network_causes(network: LumpedNetwork, study: Study) -> tuple[Effect, ...]:
     """Candidate causes that the study's meters and commands can show.
 
@@ -182,13 +185,12 @@ def network_causes(network: LumpedNetwork, study: Study) -> tuple[Effect, ...]:
     ]
     is_flow = [m.flow_in is not None for m in network.meters]
     sees_pressure = not all(is_flow) or any(isinstance(s.pressure, str) for s in network.sources)
-    levels = {
-        float(v) for run in study.runs for name in run.command for v in np.unique(run.command[name])
-    }
     return tuple(
-        replace(effect, needs=_nothing, smooth=True)
+        replace(
+            effect, needs=_several_levels if effect.name in _OF_LEVELS else _nothing, smooth=True
+        )
         for effect in (
-            *(_of_walls(min(narrow), len(levels) > 1) if narrow else ()),
+            *(_of_walls(min(narrow)) if narrow else ()),
             *((causes.VISCOSITY,) if sees_pressure else ()),
             *((causes.LEAK,) if sees_pressure and layout.pumps else ()),
             *((_pressure_scale(is_flow),) if not all(is_flow) else ()),
@@ -200,13 +202,12 @@ def network_causes(network: LumpedNetwork, study: Study) -> tuple[Effect, ...]:
     )
 
 
-def _of_walls(narrowest: float, has_levels: bool) -> Iterator[Effect]:
+def _of_walls(narrowest: float) -> Iterator[Effect]:
     yield _sized(causes.SLIP, 0.01 * narrowest)
     yield _sized(causes.WALL_OFFSET, 0.01 * narrowest)
-    if has_levels:
-        yield _sized(causes.COMPLIANCE, 5e-4)
-        yield causes.THINNING
-        yield causes.ENTRANCE_LOSS
+    yield _sized(causes.COMPLIANCE, 5e-4)
+    yield causes.THINNING
+    yield causes.ENTRANCE_LOSS
 
 
 def _places(is_flow: Sequence[bool]) -> list[int]:
@@ -229,6 +230,12 @@ def _pressure_scale(is_flow: Sequence[bool]) -> Effect:
 
 def _sized(effect: Effect, typical: float) -> Effect:
     return replace(effect, typical=typical)
+
+
+def _several_levels(study: Study) -> str | None:
+    """Only several levels of a command tell it from a constant."""
+    levels = {float(v) for run in study.runs for c in run.command.values() for v in np.unique(c)}
+    return None if len(levels) > 1 else "two levels of a command or more"
 
 
 def _nothing(study: Study) -> str | None:

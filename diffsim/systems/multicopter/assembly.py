@@ -14,7 +14,7 @@ from diffsim.copter.vehicle import GRAVITY
 from diffsim.data.study import Study
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.multicopter.candidates import Vehicle
-from diffsim.systems.multicopter.cutting import Cutter
+from diffsim.systems.multicopter.cutting import LONGEST, LONGEST_S, Cutter
 from diffsim.systems.multicopter.described import DescribedFlights
 from diffsim.systems.multicopter.frames import Frames
 from diffsim.systems.multicopter.loads import SLING_M
@@ -25,6 +25,7 @@ from diffsim.systems.multicopter.shooting import SPREAD
 from diffsim.systems.multicopter.spectrum import strongest_frequency
 from diffsim.systems.multicopter.thrust_law import ThrustLaw
 
+FULL_THRUST = "full_thrust"  # its place in a study's frame
 _PAST = 0.5  # spread of the thrusts before the record, over what hovers
 _WIDE = 5.0  # [%]: a mass no better known needs no cause that adds to it
 _GAINS = {"thrust_gain": 5.0, "torque_gain": 20.0, "inertia_gain": 10.0}  # [%]
@@ -44,7 +45,10 @@ def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
     known = {k: torch.tensor(q.value).double() for k, q in parameters.quantities.items()}
     mass, count = float(known["mass"]), len(of.commands.columns)
     hover = mass * GRAVITY / count
-    asked = max(float(law.thrusts(run, known).max()) for run in study.runs)
+    full_thrust = study.frame.get(FULL_THRUST) or of.max_thrust
+    if full_thrust is None:
+        asked = max(float(law.thrusts(run, known).max()) for run in study.runs)
+        full_thrust = max(asked, 2.0 * hover)
     sensing = sensing_of(of.sensors, study)
     lag_of = of.lag_of or ("thrust" if of.commands.meaning == "thrust" else "speed")
     return DescribedFlights(
@@ -60,11 +64,12 @@ def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
             window_s=of.windows.length,
             rigid_spread=SPREAD,
             past_spread=_PAST * hover,
+            longest_s=study.frame.get(LONGEST, LONGEST_S),
         ),
         substeps=of.windows.substeps,
         radius=_radius(of, rotor),
         max_thrust=of.max_thrust,
-        full_thrust=of.max_thrust or max(asked, 2.0 * hover),
+        full_thrust=full_thrust,
         thrust_coefficient=float(known["thrust_coefficient"])
         if law.is_squared
         else THRUST_COEFFICIENT,

@@ -139,6 +139,8 @@ def _of_sensors(of: Vehicle, arm: float, in_body: Callable[[Effect], Effect]) ->
     if "position" in of.sensors:
         yield _scaled(in_body(seen.MARKER_PLACEMENT), arm)
         yield seen.POSITION_SCALE
+        if "velocity" in of.sensors:  # two sensors whose scales may disagree
+            yield seen.GROUND_SCALE
     if "body_rates" in of.sensors:
         yield seen.GYRO_OFFSET
     if "body_rates" in of.sensors or force:

@@ -11,9 +11,10 @@ from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
-from diffsim.systems.multicopter.assembly import assembled, vehicle_of, with_shapes
+from diffsim.systems.multicopter.assembly import FULL_THRUST, assembled, vehicle_of, with_shapes
 from diffsim.systems.multicopter.bank import flights_to_record
 from diffsim.systems.multicopter.candidates import acting_in, candidate_causes
+from diffsim.systems.multicopter.cutting import LONGEST
 from diffsim.systems.multicopter.model import CopterModel
 from diffsim.systems.multicopter.model_keys import MulticopterKeys
 from diffsim.systems.multicopter.sampling import evenly_sampled
@@ -45,8 +46,10 @@ class MulticopterDescription(MulticopterKeys):
         flights = with_shapes(self, flights, study, [e.name for e in effects])
         if self.causes_act_in:
             effects = tuple(acting_in(e, self.causes_act_in) for e in effects)
+        model = CopterModel(flights, flights.parameters.base)
+        model.frame = {FULL_THRUST: flights.full_thrust, LONGEST: flights.cutter.longest_s}
         return DiagnosisSetup(
-            CopterModel(flights, flights.parameters.base),
+            model,
             effects,
             (wrench_of(study.runs, vehicle.mass * GRAVITY),),
             flights_to_record(flights, study.runs),
@@ -55,8 +58,9 @@ class MulticopterDescription(MulticopterKeys):
         )
 
     def _command_problems(self, study: Study) -> Iterator[Problem]:
+        # new runs of a saved model need not be of those in which its causes act
         for fact, value in self.causes_act_in.items():
-            if not any(run.setup.get(fact) == value for run in study.runs):
+            if not study.frame and not any(run.setup.get(fact) == value for run in study.runs):
                 said = f"no run has {fact}: {value} in its setup"
                 yield Problem("error", "model.causes_act_in", said)
         wanted = [("commands.columns", name) for name in self.commands.columns]

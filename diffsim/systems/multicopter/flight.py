@@ -75,6 +75,7 @@ class CopterFlight:
         imu_tilt: Rotation vector of the inertial unit in the body frame, small, (points, 3) [rad].
         position_scale, accelerometer_scale: Scale of the position and of the accelerometer
             readings, shown over true, (points,) [-].
+        ground_scale: Scale of the position along the ground alone, likewise.
         attitude_offset, body_rates_offset, accelerometer_offset: Added to what these show,
             (points, 3) [rad], [rad/s], [m/s^2], in the recording's frames.
         camera_delay: Age of the position, velocity and attitude that are shown, (points,) [s];
@@ -102,6 +103,7 @@ class CopterFlight:
     imu_tilt: Tensor = field(default_factory=_origin)
     position_scale: Tensor = field(default_factory=_unit)
     accelerometer_scale: Tensor = field(default_factory=_unit)
+    ground_scale: Tensor = field(default_factory=_unit)
     attitude_offset: Tensor = field(default_factory=_origin)
     body_rates_offset: Tensor = field(default_factory=_origin)
     accelerometer_offset: Tensor = field(default_factory=_origin)

@@ -18,7 +18,7 @@ from diffsim.identify import Parameter
 from diffsim.identify.effect import Effect
 from diffsim.identify.model import Build, Numerics, SimModel
 from diffsim.systems.grid import held_lagged, on_columns
-from diffsim.systems.multicopter.cutting import FEWEST, Cutter, spacing
+from diffsim.systems.multicopter.cutting import FEWEST, LONGEST, Cutter, spacing
 from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.multicopter.shooting import RIGID, Windows
 
@@ -82,7 +82,9 @@ class CopterModel(SimModel):
             return None
         longest_s = 0.5 * max(length * spacing(run) for run, length in lengths.items())
         shorter = replace(self.flights, cutter=replace(cutter, longest_s=longest_s), known={})
-        return CopterModel(shorter, self.base)
+        made = CopterModel(shorter, self.base)
+        made.frame = {**self.frame, LONGEST: longest_s}
+        return made
 
     def num_fitted_inside(self, run: Run) -> int:
         """Number of values that are fitted to a run whatever it is used for: start states."""

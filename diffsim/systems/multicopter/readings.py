@@ -90,7 +90,13 @@ class _Shown:
         """Place of the marker in the recording's world."""
         scene = self.scene
         seen = self.position + (self.rotation * _wide(scene.marker[:, None])).sum(-1)
-        return scene.frames.in_world(_wide(scene.position_scale)[..., None] * seen)
+        scale = scene.position_scale[:, None] * self._ground()
+        return scene.frames.in_world(_wide(scale) * seen)
+
+    def _ground(self) -> Tensor:
+        """Scale of the three axes by what holds along the ground alone, (points, 3)."""
+        along = self.scene.ground_scale[:, None]
+        return torch.cat([along, along, torch.ones_like(along)], -1)
 
     def shown_velocity(self) -> Tensor:
         """Velocity of the center of mass in the recording's world."""

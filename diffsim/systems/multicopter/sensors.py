@@ -21,6 +21,10 @@ def _position_scale(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     return scene.changed(position_scale=scene.position_scale * (1.0 + amount(size, 0)))
 
 
+def _ground_scale(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
+    return scene.changed(ground_scale=scene.ground_scale * (1.0 + amount(size, 0)))
+
+
 def _accelerometer_scale(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     scale = scene.accelerometer_scale * (1.0 + amount(size, 0))
     return scene.changed(accelerometer_scale=scale)
@@ -56,6 +60,16 @@ IMU_TILT = Effect(
     components=("x", "y", "z"),
     also_looks_like=("body tilt, if only the accelerometer is seen",),
     apply=_imu_tilt,
+)
+GROUND_SCALE = Effect(
+    name="ground_scale",
+    form="Positions along the ground are shown 1 + size times the true ones; heights are right.",
+    family="sensor",
+    kind="sensor",
+    unit="-",
+    typical=0.02,
+    also_looks_like=("velocities along the ground that are shown too large or small",),
+    apply=_ground_scale,
 )
 POSITION_SCALE = Effect(
     name="sensor_scale",

@@ -44,6 +44,9 @@ def _changed(
     return scene.with_change(change, {s: size[..., i] for i, s in enumerate(symbols)}, needed)
 
 
+LABELS = "labels"  # place of the values of facts in a study's frame
+
+
 @dataclass(frozen=True)
 class Groups:
     """One size for all, and what each group of runs has beside it.
@@ -63,7 +66,7 @@ class Groups:
         """Groups of a study's runs."""
         if per is None:
             return cls()
-        return cls(per, tuple(dict.fromkeys(_label(per, run) for run in study.runs)))
+        return cls(per, labels_of(per, study))
 
     @property
     def components(self) -> tuple[str, ...]:
@@ -81,6 +84,12 @@ class Groups:
         if label not in self.labels:
             return own
         return own + size[..., 1 + self.labels.index(label)]
+
+
+def labels_of(per: str, study: Study) -> tuple[str, ...]:
+    """Values of a fact in the runs of a study, or in those that its ``frame`` is from."""
+    kept = study.frame.get(LABELS, {}).get(per)
+    return tuple(kept or dict.fromkeys(_label(per, run) for run in study.runs))
 
 
 def _label(per: str, run: Run) -> str:

@@ -19,6 +19,7 @@ from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.grid import Grid, delayed, held_delayed
 from diffsim.systems.holding import looks_held
+from diffsim.systems.ode.applying import labels_of
 from diffsim.systems.ode.event_effects import runs_of, timings
 from diffsim.systems.ode.keys import Events, FormulaKeys, Input, Place, Store
 from diffsim.systems.ode.names import (
@@ -38,6 +39,7 @@ from diffsim.systems.ode.scene import OdeScene
 from diffsim.systems.ode.store_effects import spilled
 
 SLOW_TIME = "slow_time"
+HELD, LONGEST = "held", "longest"  # places in a study's frame
 _WORDS = re.compile(r"\w+")
 _SLOW_SHARE = 0.1  # of the longest run: how long a slow share takes, if nobody says
 
@@ -157,7 +159,10 @@ class Described:
         for i, given in enumerate(self._given):
             commands = self._commands_of(given)
             out[given.name] = given.held or False
-            if given.held is None and looks_held(self.study.runs, commands):
+            kept = self.study.frame.get(HELD, {}).get(given.name)
+            if given.held is None and kept is not None:
+                out[given.name] = bool(kept)
+            elif given.held is None and looks_held(self.study.runs, commands):
                 out[given.name] = True
                 self._reader.note(
                     f"inputs[{i}].held",
@@ -202,7 +207,8 @@ class Described:
         for place in motion.places:
             given |= shapes(place)
         if motion.states and (self._given or motion.places):
-            value = _SLOW_SHARE * longest(self.study.runs)
+            kept = self.study.frame.get(LONGEST)
+            value = _SLOW_SHARE * (kept or longest(self.study.runs))
             given.setdefault(
                 SLOW_TIME, motion.slow_time or Quantity(value=value, percent=100.0, unit="s")
             )
@@ -232,6 +238,12 @@ class Described:
             reader.parse(f"stores[{i}].area", store.area, self.known)
 
         self._check_events()
+
+    @property
+    def labels(self) -> dict[str, list[str]]:
+        """Values of the facts that the user's own causes are sized by."""
+        pers = {block.per for block in self.keys.effects.own if block.per is not None}
+        return {per: list(labels_of(per, self.study)) for per in sorted(pers)}
 
     def _check_events(self) -> None:
         channels = [c.name for c in self.study.channels]

@@ -14,7 +14,8 @@ from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
-from diffsim.systems.ode.described import Described, Motion
+from diffsim.systems.ode.applying import LABELS
+from diffsim.systems.ode.described import HELD, LONGEST, Described, Motion
 from diffsim.systems.ode.effects import ode_effects
 from diffsim.systems.ode.event_effects import event_effects
 from diffsim.systems.ode.keys import (
@@ -29,9 +30,15 @@ from diffsim.systems.ode.keys import (
     States,
     Store,
 )
-from diffsim.systems.ode.law_effects import LawScale, check_laws, law_effects, law_scales
+from diffsim.systems.ode.law_effects import (
+    LawScale,
+    check_laws,
+    labels_of_laws,
+    law_effects,
+    law_scales,
+)
 from diffsim.systems.ode.library import Library, Magnitudes, magnitudes
-from diffsim.systems.ode.names import Reader, where_of
+from diffsim.systems.ode.names import Reader, longest, where_of
 from diffsim.systems.ode.unknown import unknown_forces
 
 
@@ -138,6 +145,12 @@ class OdeDescription(FormulaKeys):
             stores=tuple((s, usual.stores[s.name]) for s in self.stores),
             scales=usual,
         )
+        labels = {**read.labels, **labels_of_laws(self.laws, study)}
+        model.frame = {
+            LABELS: labels,
+            HELD: dict(read.input_held),
+            LONGEST: study.frame.get(LONGEST) or longest(study.runs),
+        }
         found = (*ode_effects(library), *event_effects(library, model, self.events))
         laws = law_effects(self.laws, study, bends, read.network, read.known)
         effects = chosen_effects((*found, *laws, *read.own), self.effects)

@@ -17,8 +17,8 @@ from torch import Tensor
 
 from diffsim.core.expression import parse_expression
 from diffsim.data.study import Run, Study
-from diffsim.identify.effect import Effect
-from diffsim.identify.locate import Course, Locator, Proposal
+from diffsim.identify.effect import Effect, Locator
+from diffsim.identify.locate import Course, Proposal
 from diffsim.identify.model import SimModel
 from diffsim.systems.description import Quantity
 from diffsim.systems.ode.event_forms import ONSET, PERIOD, SAID, TIMINGS, WIDTH, placed, shape_of

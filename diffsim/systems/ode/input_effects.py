@@ -14,7 +14,7 @@ from diffsim.identify.effect import Effect, needs_nothing
 from diffsim.systems.actuator import command_causes, in_words
 from diffsim.systems.grid import SizedMap
 from diffsim.systems.ode.applying import by_formulas, by_input, symbol
-from diffsim.systems.ode.library import Library
+from diffsim.systems.ode.library import Library, needs_order
 from diffsim.systems.ode.network import Change, filled, named
 from diffsim.systems.ode.scene import OdeScene
 
@@ -27,8 +27,7 @@ def input_effects(library: Library) -> tuple[Effect, ...]:
     for name, held in library.held.items():
         tail = "" if len(library.held) == 1 else f"_of_{name}"
         out += _of_input(library, name, held, tail)
-        if library.several_runs:
-            out.append(_gain_drift(name, tail, len(library.study.runs)))
+        out.append(_gain_drift(name, tail, len({r.order for r in library.study.fit_runs})))
     return tuple(out)
 
 
@@ -102,7 +101,7 @@ def _slow_share(name: str, tail: str) -> Effect:
     )
     return Effect(
         name=own,
-        form="A share size of the input comes within ``slow_time``.",
+        form="A share size of the input comes within the slow time.",
         family="slow",
         kind="actuator",
         unit="-",
@@ -121,7 +120,8 @@ def _gain_drift(name: str, tail: str, num_runs: int) -> Effect:
         family="drift",
         kind="actuator",
         unit="1/run",
-        typical=0.1 / num_runs,
+        typical=0.1 / max(num_runs, 1),
+        needs=needs_order,
         also_looks_like=("warming", "wear", "growth with the level, where levels rose in order"),
         apply=by_formulas(
             Change(names={name: filled(parse_expression("u*(1 + size*n)"), parts)}), symbol(own)

@@ -11,10 +11,11 @@ from torch import Tensor
 
 from diffsim.core.expression import parse_expression
 from diffsim.data.study import Run, Study
-from diffsim.identify.effect import Apply, Effect
+from diffsim.identify.effect import Apply, Effect, Needs, needs_nothing
 from diffsim.identify.model import SimModel
-from diffsim.systems.ode.applying import Groups, by_formulas_in, symbol
+from diffsim.systems.ode.applying import Groups, by_formulas_in, labels_of, symbol
 from diffsim.systems.ode.keys import Law
+from diffsim.systems.ode.library import needs_order
 from diffsim.systems.ode.names import Reader
 from diffsim.systems.ode.network import Change, Network, filled, named
 from diffsim.systems.ode.scene import OdeScene
@@ -55,6 +56,7 @@ class _Bend:
     signed: bool = True
     smooth: bool = True
     also: tuple[str, ...] = ()
+    needs: Needs = needs_nothing
 
 
 def _bends(law: Law, scale: LawScale, num_runs: int) -> Iterator[_Bend]:
@@ -134,17 +136,17 @@ def _bends(law: Law, scale: LawScale, num_runs: int) -> Iterator[_Bend]:
         kind="environment",
         also=("warming", "a battery that drains"),
     )
-    if num_runs > 2:
-        yield _Bend(
-            name="order_drift",
-            form="The law grows by the share size from run to run.",
-            formula="y*(1 + size*run_order)",
-            typical=0.1 / num_runs,
-            unit="1/run",
-            family="drift",
-            kind="environment",
-            also=("wear", "weather"),
-        )
+    yield _Bend(
+        name="order_drift",
+        form="The law grows by the share size from run to run.",
+        formula="y*(1 + size*run_order)",
+        typical=0.1 / max(num_runs, 1),
+        unit="1/run",
+        family="drift",
+        kind="environment",
+        also=("wear", "weather"),
+        needs=needs_order,
+    )
 
 
 def check_laws(
@@ -163,6 +165,12 @@ def check_laws(
             reader.report(f"laws[{i}].name", f"no definition {law.name!r}; add it to define")
         reader.parse(f"laws[{i}].of", law.of, known)
         reader.require_per(f"laws[{i}]", law.per)
+
+
+def labels_of_laws(laws: Sequence[Law], study: Study) -> dict[str, list[str]]:
+    """Values of the facts that laws are sized by, as a study's ``frame`` keeps them."""
+    pers = {law.per for law in laws if law.per is not None}
+    return {per: list(labels_of(per, study)) for per in sorted(pers)}
 
 
 def law_effects(
@@ -244,6 +252,7 @@ def _effect(
         signed=bend.signed,
         smooth=bend.smooth,
         also_looks_like=bend.also,
+        needs=bend.needs,
         components=groups.components,
         apply=_Bent(
             by_formulas_in(change, symbol(name), groups),

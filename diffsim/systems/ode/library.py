@@ -25,6 +25,11 @@ Array = NDArray[np.float64]
 SHARE_OF_USUAL = 0.1  # of a usual magnitude: what a cause may be without surprise
 
 
+def needs_order(study: Study) -> str | None:
+    """What a study lacks for something to drift from run to run."""
+    return None if len({r.order for r in study.fit_runs}) > 2 else "three runs to fit"
+
+
 @dataclass(frozen=True)
 class PlaceScale:
     """Usual magnitudes at a place in the plain model, over the runs to fit.
@@ -122,6 +127,7 @@ class Library:
         stores: What fills and empties, each with its usual magnitudes.
         scales: Usual magnitudes of everything else.
         unsure: Inputs of which nobody knows whether they are held between samples.
+        usual: Magnitudes of the plain model and of the recordings.
     """
 
     study: Study
@@ -172,6 +178,8 @@ def magnitudes(
     stores: Sequence[Store],
 ) -> Magnitudes:
     """From one simulation of each run to fit, with the best guess of everything.
+
+    A study with a ``frame`` has them from there.
 
     Args:
         study: Study with the recordings.

@@ -181,7 +181,7 @@ def _forces(scale: PlaceScale) -> Iterator[_Force]:
     )
     yield _Force(
         name="relaxing_spring",
-        form="A spring of stiffness size whose force is lost within ``slow_time``.",
+        form="A spring of stiffness size whose force is lost within the slow time.",
         family="creep",
         kind="material",
         force="-size*(x - slow)",

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from diffsim.data.study import Run, Study
 
 Array = NDArray[np.float64]
+COMMANDS, OUTPUTS = "commands", "outputs"  # their places in a study's frame
 SHARE = 0.05  # of a command's or channel's range: no surprise
 PER_DISTANCE = {"N": "m", "N m": "rad"}
 
@@ -85,6 +87,8 @@ def command_groups(study: Study, by_name: Mapping[str, Sequence[str]] | None) ->
     Raises:
         ValueError: a group without commands, or a command that no run has.
     """
+    if COMMANDS in study.frame:
+        return _kept(study.frame[COMMANDS])
     known = list(dict.fromkeys(name for run in study.runs for name in run.command))
     given = {"": known} if by_name is None else by_name
     out = []
@@ -108,6 +112,8 @@ def output_groups(study: Study, by_name: Mapping[str, Sequence[str]] | None) -> 
     Raises:
         ValueError: an instrument without channels, or a channel that the study lacks.
     """
+    if OUTPUTS in study.frame:
+        return _kept(study.frame[OUTPUTS])
     known = [c.name for c in study.channels]
     longest = max(float(run.time_s[-1] - run.time_s[0]) for run in study.runs)
     kinds = dict.fromkeys(c.kind for c in study.channels)
@@ -131,6 +137,18 @@ def output_groups(study: Study, by_name: Mapping[str, Sequence[str]] | None) -> 
             )
         )
     return tuple(out)
+
+
+def frame_of(hooks: Hooks) -> dict[str, list[dict[str, Any]]]:
+    """What a study of other runs needs for the same groups, with the same reach."""
+    return {
+        COMMANDS: [asdict(group) for group in hooks.commands],
+        OUTPUTS: [asdict(group) for group in hooks.outputs],
+    }
+
+
+def _kept(groups: Sequence[Mapping[str, Any]]) -> tuple[Group, ...]:
+    return tuple(Group(**{**g, "columns": tuple(g["columns"])}) for g in groups)
 
 
 def plain(name: str) -> str:

@@ -14,7 +14,7 @@ from diffsim.identify.model import Parameter
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.outside.effects import outside_library, unknown_forces
-from diffsim.systems.outside.hooks import Hooks, Place, command_groups, output_groups
+from diffsim.systems.outside.hooks import Hooks, Place, command_groups, frame_of, output_groups
 from diffsim.systems.outside.model import OutsideModel
 from diffsim.systems.outside.source import Environment, Source
 
@@ -70,6 +70,7 @@ def outside_setup(
         places=[p.name for p in places],
         workers=workers,
     )
+    model.frame = frame_of(hooks)
     return DiagnosisSetup(
         model=model,
         effects=(*outside_library(hooks, names, held=held), *more_effects),

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from diffsim.data.calibration import calibrate
 from diffsim.data.importers.common import read_columns
-from diffsim.data.study import Channel, Run, Study
+from diffsim.data.study import TIMELESS, Channel, Run, Study
 from diffsim.identify.effect import Effect
 from diffsim.identify.model import Numerics, SimModel
 from diffsim.systems.description import BaseParameters, Quantity
@@ -28,7 +28,7 @@ from diffsim.systems.rigid_body.ball_scene import (
     Stage,
 )
 from diffsim.systems.rigid_body.ball_starts import SPIN_SD, BallStarts
-from diffsim.systems.rigid_body.camera import on_plane, plain_camera
+from diffsim.systems.rigid_body.camera import in_free_flight, on_plane, plain_camera
 from diffsim.systems.rigid_body.parts import GROUND, Body, Camera, Contact, Measure, Starts
 from diffsim.systems.rigid_body.tossing import UP
 
@@ -37,6 +37,7 @@ CLICKS = "calibration_points"
 CLICK_CHANNELS = ("clicked_u_px", "clicked_v_px")
 FOCAL_SD, SHIFT_SD = 0.15, 0.1
 SOLID = 0.4
+FIRST_FLIGHT = 0.3  # s: long enough to show how a ball falls, short of most bounces
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +87,8 @@ class Balls:
         measured[:, width:] = points.pixels
         order = min(r.order for r in runs) - 1
         no_command = {n: np.zeros(len(measured)) for n in runs[0].command}
-        clicks = Run(
-            CLICKS, np.arange(float(len(measured))), measured, no_command, CLICKS, order, "fit"
-        )
+        time_s, facts = np.arange(float(len(measured))), {TIMELESS: True}
+        clicks = Run(CLICKS, time_s, measured, no_command, CLICKS, order, "fit", facts)
         channels = [*study.channels, *(Channel(c, "px", "image", sd) for c in CLICK_CHANNELS)]
         return replace(study, channels=tuple(channels), runs=(clicks, *runs))
 
@@ -111,6 +111,7 @@ class Balls:
             runs,
             lambda run, body: self._seen(run, body, study, eye, camera),
             self.gravity.value,
+            frozenset(m.body for m in self.measures if m.pixels),
         )
         zero = torch.zeros((), dtype=torch.float64)
         plain = {n: zero + v for n, v in PLAIN.items()} | ({} if eye is None else dict(eye.plain))
@@ -132,7 +133,8 @@ class Balls:
             start = {} if is_clicks else starts.in_run(values, run)
             since = 0.0 if is_clicks else starts.at(run)
             time = torch.from_numpy(np.asarray(run.time_s, dtype=np.float64) - since)
-            shown = _of_part(stages[run.name], clocks[run.name], run)
+            # a run that nobody has recorded yet is seen as all others are
+            shown = _of_part(stages.get(run.name, stage), clocks.get(run.name, run.time_s), run)
             return BallScene({**plain, **known, **start}, time, shown)
 
         base = (*quantities.base, *starts.base)
@@ -302,12 +304,18 @@ class Balls:
             if measure.pixels and eye is not None:
                 pixels = run.measured[:, [names.index(c) for c in measure.pixels]]
                 values = {n: torch.tensor(q.value).double() for n, q in camera.items()}
+                values = {**eye.plain, **values}
+                if body.begins == "flying":
+                    first = run.time_s - run.time_s[0] < FIRST_FLIGHT
+                    pixels = np.where(first[:, None], pixels, np.nan)
+                    seen, time = torch.from_numpy(pixels), torch.from_numpy(run.time_s)
+                    return in_free_flight(
+                        values, eye.rotation, seen, time, self.gravity.value
+                    ).numpy()
                 diameter = self._shape(body).sphere
                 assert diameter is not None
                 level = 0.5 * diameter.value + (self.height or 0.0)
-                flat = on_plane(
-                    {**eye.plain, **values}, eye.rotation, torch.from_numpy(pixels), level
-                )
+                flat = on_plane(values, eye.rotation, torch.from_numpy(pixels), level)
                 return np.column_stack([flat.numpy(), np.full(len(flat), level)])
         frame = np.nan_to_num(Rotation.from_rotvec(UP[self.up]).as_matrix().round())
         world = np.zeros_like(place)

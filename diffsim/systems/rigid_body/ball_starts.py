@@ -20,6 +20,7 @@ Seen = Callable[[Run, Body], Array]  # places of a ball, (num_samples, 3) [m], N
 
 #: Standard deviations of what the data's first guess leaves open.
 PLACE_SD, SPEED_SD, ROLL_SD, SPIN_SD = 0.02, 0.2, 0.3, 0.3
+FILMED_SD, FILMED_SPEED_SD = 0.2, 1.0  # in flight, through one camera
 _SAMPLES = 10
 
 
@@ -32,6 +33,7 @@ class BallStarts:
         runs: Runs of the study.
         seen: Places of a ball as a run shows them.
         gravity: [m/s^2].
+        filmed: Balls that a camera shows: in flight their distance is told by their fall alone.
     """
 
     def __init__(
@@ -41,25 +43,26 @@ class BallStarts:
         runs: Sequence[Run],
         seen: Seen,
         gravity: float,
+        filmed: frozenset[str] = frozenset(),
     ):
         self.starts, self.bodies = starts, bodies
         self.base: list[Parameter] = []
         self.known: dict[str, float] = {}
-        self.names: dict[str, dict[str, str]] = {run.name: {} for run in runs}
+        self.names: dict[str, dict[str, str]] = {}  # by what follows a parameter's name
         first: dict[str, Run] = {}
         for run in sorted(runs, key=lambda r: (r.order, float(r.time_s[0]))):
             first.setdefault(self._label(run), run)
         for label, run in first.items():
             for body in bodies:
-                for key, quantity in _quantities(body, run, seen, gravity, self.at(run)).items():
+                is_rough = body.name in filmed and body.begins == "flying"
+                made = _quantities(body, run, seen, gravity, self.at(run), is_rough)
+                for key, quantity in made.items():
                     name = key + label
                     if quantity.is_fitted:
                         self.base.append(quantity.parameter(name))
                     else:
                         self.known[name] = quantity.value
-                    for other in runs:
-                        if self._label(other) == label:
-                            self.names[other.name][key] = name
+                    self.names.setdefault(label, {})[key] = name
 
     def in_run(self, values: Mapping[str, Tensor], run: Run) -> dict[str, Tensor]:
         """Start of every ball in a run.
@@ -72,7 +75,7 @@ class BallStarts:
             key: values[name]
             if name in values
             else torch.tensor(self.known[name], dtype=torch.float64)
-            for key, name in self.names[run.name].items()
+            for key, name in self.names[self._label(run)].items()
         }
 
     def at(self, run: Run) -> float:
@@ -95,7 +98,7 @@ class BallStarts:
 
 
 def _quantities(
-    body: Body, run: Run, seen: Seen, gravity: float, at: float
+    body: Body, run: Run, seen: Seen, gravity: float, at: float, is_rough: bool
 ) -> Mapping[str, Quantity]:
     """Start of one ball: stated, else by its first places."""
     flies, moves = body.begins == "flying", body.begins != "at_rest"
@@ -106,11 +109,12 @@ def _quantities(
         place, speed = _guess(run, seen(run, body), gravity if flies else 0.0, at, moves)
     out: dict[str, Quantity] = {}
     n = body.name
+    place_sd, speed_sd = (FILMED_SD, FILMED_SPEED_SD) if is_rough else (PLACE_SD, SPEED_SD)
     for i, axis in enumerate(axes):
-        guess = Quantity(value=float(place[i]), sd=PLACE_SD, unit="m")
+        guess = Quantity(value=float(place[i]), sd=place_sd, unit="m")
         out[f"{n}_{axis}"] = stated.place[i] if i < len(stated.place) else guess
         if moves:
-            guess = Quantity(value=float(speed[i]), sd=SPEED_SD, unit="m/s")
+            guess = Quantity(value=float(speed[i]), sd=speed_sd, unit="m/s")
             out[f"{n}_v{axis}"] = stated.velocity[i] if i < len(stated.velocity) else guess
     if moves:
         for i, axis in enumerate(AXES[:2]):

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 WIDTH_PX, HEIGHT_PX = 1280.0, 720.0
+LEAST_SEEN = 6  # samples that show how a ball falls
 
 
 def plain_camera(size_px: Sequence[float] = (WIDTH_PX, HEIGHT_PX)) -> dict[str, Tensor]:
@@ -58,6 +59,39 @@ def on_plane(
     b = (0.5 * HEIGHT_PX + values["center_v"] - pixels[..., 1]) / values["focal"]
     ray = torch.stack([a, b, torch.ones_like(a)], -1) @ turned
     return at[:2] + ray[..., :2] * ((height - at[2]) / ray[..., 2])[..., None]
+
+
+def in_free_flight(
+    values: Mapping[str, Tensor], rotation: Tensor, pixels: Tensor, time: Tensor, gravity: float
+) -> Tensor:
+    """Places (T, 3) [m] of what falls freely, by its pixels (T, 2), NaN where unseen.
+
+    One camera does not see how far away a ball is; the curve of its fall tells. The pixels are
+    linear in place and velocity at the start, so least squares find both, without distortion.
+
+    Args:
+        values, rotation: As for ``projected``.
+        pixels: Where it was seen, six samples or more [px].
+        time: Times of the samples, (T,) [s].
+        gravity: Downwards along z [m/s^2].
+
+    Returns:
+        Places at all times; NaN where it was seen too rarely.
+    """
+    turned, shift = _pose(values, rotation)
+    a = (pixels[:, 0] - 0.5 * WIDTH_PX - values["center_u"]) / values["focal"]
+    b = (0.5 * HEIGHT_PX + values["center_v"] - pixels[:, 1]) / values["focal"]
+    t = time - time[0]
+    fallen = torch.stack([torch.zeros_like(t), torch.zeros_like(t), -0.5 * gravity * t**2], -1)
+    known = fallen @ turned.T + shift
+    rows = torch.cat([turned[i] - c[:, None] * turned[2] for i, c in ((0, a), (1, b))])
+    right = torch.cat([c * known[:, 2] - known[:, i] for i, c in ((0, a), (1, b))])
+    columns = torch.cat([rows, rows * t.repeat(2)[:, None]], -1)
+    seen = torch.isfinite(right)
+    if int(seen.sum()) < 2 * LEAST_SEEN:
+        return torch.full_like(fallen, torch.nan)
+    start = torch.linalg.lstsq(columns[seen], right[seen, None], driver="gelsd").solution[:, 0]
+    return start[:3] + start[3:] * t[:, None] + fallen
 
 
 def _pose(values: Mapping[str, Tensor], rotation: Tensor) -> tuple[Tensor, Tensor]:

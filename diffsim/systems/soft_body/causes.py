@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from diffsim.data.study import Study
     from diffsim.systems.soft_body.body_keys import SoftBodyKeys
 
+REACH, TIMED = "reach", "timed"  # their places in a study's frame
 MOST_KNOTS = 16
 KNOTS_PER_S = 6.0
 TYPICAL_SHARE = 0.1  # of the commanded range: slack, play and dead band that are no surprise
@@ -47,7 +48,7 @@ def library(given: SoftBodyKeys, study: Study, mass_kg: float) -> tuple[Effect, 
         mass_kg: Mass of the body [kg].
     """
     still = given.numerics.motion == "quasi_static"
-    timed = not still or (bool(given.commands) and any(len(r.time_s) > 2 for r in study.runs))
+    timed = is_timed(given, study)
     found: list[Effect] = [] if still else [material.LOSS_FACTOR, material.CREEP]
     if not given.material.rayleigh_beta.is_fitted and not still:
         found.append(material.STIFFNESS_DAMPING)
@@ -58,6 +59,15 @@ def library(given: SoftBodyKeys, study: Study, mass_kg: float) -> tuple[Effect, 
     found += _of_loads(given, study, mass_kg, still)
     found += _of_commands(given, study, timed)
     return (*found, *_of_cameras(given, timed))
+
+
+def is_timed(given: SoftBodyKeys, study: Study) -> bool:
+    """Whether time matters: something moves by itself, or commands were recorded over time."""
+    if TIMED in study.frame:
+        return bool(study.frame[TIMED])
+    is_still = given.numerics.motion == "quasi_static"
+    is_long = any(len(r.time_s) > 2 for r in study.runs)
+    return not is_still or (bool(given.commands) and is_long)
 
 
 def _of_surroundings(given: SoftBodyKeys, still: bool) -> list[Effect]:
@@ -106,7 +116,8 @@ def _of_commands(given: SoftBodyKeys, study: Study, timed: bool) -> list[Effect]
     if not timed:
         found = [e for e in found if e.name not in ("lag", "rate_limit", "backlash")]
     # of a command that only pulls, slack and dead band are one
-    pulls_only = bool(given.tendons) and commanded_reach(study, given.commands)[0] >= 0.0
+    least = study.frame.get(REACH) or commanded_reach(study, given.commands)
+    pulls_only = bool(given.tendons) and least[0] >= 0.0
     doubled = "dead_band" if pulls_only else "slack"
     found = [e for e in found if e.name != doubled]
     units = {c.name: c.unit for c in study.commands}
@@ -149,10 +160,11 @@ def commanded(study: Study, names: Sequence[str]) -> tuple[float, float]:
 
 
 def commanded_reach(study: Study, names: Sequence[str]) -> tuple[float, float]:
-    """Least and greatest command of the study, 0 included."""
+    """Least and greatest command of the study and of its ``frame``, 0 included."""
     every = np.concatenate([np.asarray(r.command[n], float) for r in study.runs for n in names])
     known = every[np.isfinite(every)]
-    return min(0.0, float(known.min())), max(0.0, float(known.max()))
+    low, high = study.frame.get(REACH) or (0.0, 0.0)
+    return min(0.0, low, float(known.min())), max(0.0, high, float(known.max()))
 
 
 def unknowns(given: SoftBodyKeys, study: Study) -> tuple[Unknown, ...]:
@@ -181,4 +193,4 @@ def seen_axes(given: SoftBodyKeys, study: Study) -> set[int]:
     return {main_axis(r) for r in readings if r.axis is not None} or {0, 1, 2}
 
 
-__all__ = ["commanded", "commanded_reach", "library", "unknowns"]
+__all__ = ["commanded", "commanded_reach", "is_timed", "library", "unknowns"]

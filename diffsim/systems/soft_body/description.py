@@ -17,7 +17,14 @@ from diffsim.systems.description import (
     settings_with,
 )
 from diffsim.systems.soft_body.body_keys import SoftBodyKeys
-from diffsim.systems.soft_body.causes import commanded_reach, library, unknowns
+from diffsim.systems.soft_body.causes import (
+    REACH,
+    TIMED,
+    commanded_reach,
+    is_timed,
+    library,
+    unknowns,
+)
 from diffsim.systems.soft_body.described import DescribedModel
 
 DIFFERENCE = 1e-4  # prior sd: a larger step sees tendons go slack and taut again
@@ -82,6 +89,8 @@ class SoftBodyDescription(SoftBodyKeys):
             raise ValueError("\n".join(str(p) for p in wrong))
         described = self._described(study)
         model = described.model()
+        reach = {REACH: list(commanded_reach(study, self.commands))} if self.commands else {}
+        model.frame = {TIMED: is_timed(self, study), **reach}
         rig = described.rig()
         mass_kg = float(rig.volume.sum()) * self.material.density.value
         advised = DiagnosisSettings(

@@ -10,8 +10,7 @@ from diffsim.data.beam import load_beam_study
 from diffsim.data.importers import import_study
 from diffsim.data.recording import find_dataset
 from diffsim.diagnose import diagnose
-from diffsim.systems.published.silicone_beam import free_swing, tip_window
-from diffsim.systems.registry import setup_of
+from examples.demo.beam_setup import free_swing, setup, tip_window
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +32,7 @@ def test_window_shows_the_rotation_that_the_markers_made(study):
 
 def test_swing_starts_as_recorded_before_anything_is_fitted(study):
     """The first quarter swing of the free window, by prior values alone."""
-    made = setup_of(study, cells=(4, 1, 1), with_weight=True)
+    made = setup(study, cells=(4, 1, 1), with_weight=True)
     for run in made.study.runs:
         recorded = next(r for r in study.runs if r.name == run.name)
         assert run.time_s[0] == 0.0 and run.measured.shape == (len(run.time_s), 1)
@@ -65,7 +64,7 @@ def test_clamp_sways_near_the_frequency_of_the_bar(study):
 @pytest.mark.parametrize("fitted", ["gravity_a", "gravity_b"])
 def test_swaying_clamp_and_loss_factor_explain_the_bar_without_weight(study, fitted):
     """The claim of docs/measured/silicone_beam.md, whichever recording is held out."""
-    made = setup_of(study)
+    made = setup(study)
     runs = tuple(replace(r, use="fit" if r.name == fitted else "test") for r in made.study.runs)
     chosen = [e for e in made.effects if e.name in ("loss_factor", "creep", "support_motion")]
     found = diagnose(

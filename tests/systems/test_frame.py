@@ -1,0 +1,107 @@
+"""Causes of a saved model on new runs: they mean what they meant where the model was fitted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from diffsim.cli.diagnose_inputs import inputs_of
+from diffsim.data.study import Channel, Study
+from diffsim.diagnose import diagnose
+from diffsim.diagnose.frozen import judge_saved
+from diffsim.identify.model_file import read_extended
+from diffsim.systems import setup_of
+from tests.systems.test_bench_description import NOISE, bench, found
+from tests.systems.toy_cart import cart_study
+
+
+def _at(setup, run, effect=None):
+    q = torch.tensor([0.0 if "@" in p.name else 0.3 for p in setup.model.base]).double()
+    sizes = {}
+    if effect is not None:
+        known = {e.name: e for e in setup.effects}[effect.name]
+        assert known.components == effect.components
+        sizes = {known: torch.full((len(effect.components),), effect.typical).double()}
+    with torch.no_grad():
+        return setup.model.predict(run, q, sizes).numpy()
+
+
+def _large_carts():
+    return replace(cart_study(), channels=(Channel("position_m", "m", "position", 1e-3),))
+
+
+def _fast_bench():
+    return bench(runs=(("A", "fit"), ("B", "fit"), ("C", "fit"), ("B", "test")))
+
+
+@pytest.mark.parametrize(
+    ("made", "faster"), [(_large_carts, "force"), (_fast_bench, "speed")], ids=["ode", "bench"]
+)
+def test_causes_mean_the_same_on_new_runs(made, faster):
+    study = made()
+    full = setup_of(study)
+    like = study.runs[1]
+    new = replace(
+        like,
+        name="new",
+        use="test",
+        time_s=like.time_s * 1.5,
+        command={**like.command, faster: 3.0 * like.command[faster]},
+    )
+    later = replace(study, runs=(new,))
+    framed = setup_of(replace(later, frame=full.model.frame)).remade(full.model.made_from)
+    plain, moved, alone = _at(full, new), [], setup_of(later)
+    for effect in full.effects:
+        there = _at(full, new, effect)
+        np.testing.assert_allclose(_at(framed, new, effect), there, rtol=1e-12, atol=1e-15)
+        moved.append(np.nanmax(np.abs(there - plain)) > 0.0)
+    assert sum(moved) > 5
+    # without what the fit took from its runs some mean something else, or have other sizes
+    known = {e.name: e for e in alone.effects}
+    assert any(
+        known[e.name].components != e.components
+        or not np.allclose(_at(alone, new, e), _at(full, new, e))
+        for e in full.effects
+    )
+
+
+def test_an_unseen_propeller_tells_its_own_coefficient(tmp_path):
+    """Its name has a dot, its coefficient is 8 prior sd off: only the law's exponent is known."""
+    study = bench(lambda w: 1e-5 * w**2 * (w / 500.0) ** 0.12)
+    report = found(study)
+    assert "exponent_of_thrust" in report.named
+    report.save(tmp_path)
+    saved = read_extended(tmp_path)
+    fresh = bench(
+        lambda w: 1e-5 * w**2 * (w / 500.0) ** 0.12,
+        runs=(("9x4.5", "test"),),
+        scales={"9x4.5": 12.0},
+        seed=3,
+    )
+    judged = judge_saved(inputs_of(saved.framed(fresh), seed=0), saved)
+    (row,) = judged.errors
+    assert row.num_fitted == 1 and row.unit == "N"
+    assert row.before > 20.0 * NOISE and row.after < 0.25 * row.before
+    assert any("no fitted run has propeller 9x4.5" in far.words for far in judged.outside)
+
+
+def test_a_components_label_may_have_dots(tmp_path):
+    runs = (("5x4.5", "fit"), ("5x3.0", "fit"), ("6x4.5", "fit"), ("5x4.5", "test"))
+    report = found(bench(lambda w: 1e-5 * w**2 * (w / 500.0) ** 0.12, runs=runs, scales={}))
+    report.save(tmp_path)
+    study: Study = bench(runs=(("5x4.5", "test"),), scales={}, seed=7)
+    saved = read_extended(tmp_path)
+    judged = judge_saved(inputs_of(saved.framed(study), seed=0), saved)
+    assert judged.runs == ("5x4.5_0",)
+
+
+def test_a_drift_from_run_to_run_needs_three_runs():
+    study = bench(runs=(("A", "fit"), ("B", "fit")))
+    setup = setup_of(study)
+    report = diagnose(study, setup.model, setup.effects[-3:], seed=0, settings=setup.settings)
+    notes = {row.name: row.note for row in report.causes}
+    assert "order_drift_of_thrust" in {e.name for e in setup.effects}
+    assert all("three runs" in notes[n] for n in notes if n == "order_drift_of_thrust")
