@@ -49,7 +49,7 @@ def base_rows(
         rows.append(_base_row(p, float(fit.x[i]), float(sd[i]) * factor, run))
     if not judged:
         return tuple(rows)
-    alone = (replace(r, finding=r.run is None and abs(r.pull) > PULLED) for r in rows)
+    alone = (replace(r, finding=r.run is None and _is_off(r)) for r in rows)
     return (*alone, *_pulled_together(rows))
 
 
@@ -71,6 +71,12 @@ def _base_row(p: Parameter, x: float, sd: float, run: str | None) -> BaseRow:
         pull=x,
         run=run,
     )
+
+
+def _is_off(row: BaseRow) -> bool:
+    """Whether a parameter ended far off, and its interval does not hold the data sheet's value."""
+    is_held = row.low <= row.prior_value <= row.high
+    return abs(row.pull) > PULLED and not is_held
 
 
 def pull_of(pulls: Sequence[float]) -> float:

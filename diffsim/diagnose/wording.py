@@ -134,7 +134,7 @@ def _missing(named: Sequence[CauseRow]) -> list[str]:
         value, unit = next(iter(row.size.values())), "" if row.unit == "-" else f" {row.unit}"
         prior = row.note.partition("data sheet: ")[2].partition(" +-")[0]
         others = "" if len(sheet) == 1 else f" (and {len(sheet) - 1} more)"
-        said = f"{_capital(row.words)} is {value.value:.3g}{unit}"
+        said = f"{_opened(row.words)} is {value.value:.3g}{unit}"
         return [f"{said}, the data sheet says {prior}{unit}{others}", f"{said}, not {prior}{unit}"]
     sure = "" if all(row.status == CERTAIN for row in effects) else " probably"
     words = [row.words for row in effects[:MAX_NAMES]]
@@ -279,9 +279,7 @@ def _data_sheets(answer: Answer) -> list[str]:
             unit = "" if row.unit == "-" else f" {row.unit}"
             size = next(iter(row.size.values()))
             sheet = row.note.partition("data sheet: ")[2].partition(" (")[0]
-            text = (
-                f"{_capital(row.words)} is {_ends(size)}{unit}, the data sheet says {sheet}{unit}"
-            )
+            text = f"{_opened(row.words)} is {_ends(size)}{unit}, the data sheet says {sheet}{unit}"
             if row.rivals:
                 text += f" (or {', '.join(row.rivals)} acts in its place)"
             out.append(f"{text}.")
@@ -367,3 +365,8 @@ def _ends(size: Interval) -> str:
 
 def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
+
+
+def _opened(name: str) -> str:
+    """The name of a parameter at the begin of a sentence; m and M are two parameters."""
+    return name if len(name.partition(" ")[0]) <= 2 else _capital(name)

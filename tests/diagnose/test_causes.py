@@ -10,12 +10,12 @@ from scipy import stats
 
 from diffsim.data.study import Study
 from diffsim.diagnose import Report, assemble, diagnose
-from diffsim.diagnose.averaging import _interval, widening
+from diffsim.diagnose.averaging import Widening, _interval, widening
 from diffsim.diagnose.causes import certain_of
-from diffsim.diagnose.data_sheet import _pulled_together, words_of
+from diffsim.diagnose.data_sheet import _pulled_together, base_rows, words_of
 from diffsim.diagnose.left_out import folds_of
 from diffsim.diagnose.records import BaseRow, CauseRow, ErrorRow
-from diffsim.diagnose.wording import _on_unseen
+from diffsim.diagnose.wording import _on_unseen, _opened
 from diffsim.identify import DiagnosisSettings, SearchSettings, fit
 from tests.diagnose import linear
 
@@ -105,6 +105,23 @@ def test_a_data_sheet_that_is_wrong_is_a_finding_and_never_noise():
     base = {b.name: b for b in report.base}
     assert base["mass"].finding and base["mass"].pull == pytest.approx(6.0, abs=0.5)
     assert not base["gain"].finding
+
+
+def test_an_interval_that_holds_the_data_sheet_is_no_finding():
+    """Far off by its best value, and widened to decades by runs that disagree."""
+    report = diagnosed({}, (PUSH,), base=(6.0, 0.5))
+    best = report.best
+    rows = {
+        wide: base_rows(best, best.problem.runs, Widening(usual=wide), judged=True)
+        for wide in (1.0, 1e4)
+    }
+    found = {w: [r.name for r in made if r.finding] for w, made in rows.items()}
+    assert found == {1.0: ["mass"], 1e4: []}
+
+
+def test_symbols_keep_their_case():
+    """m and M are two parameters of one cart."""
+    assert [_opened(t) for t in ("m", "kp of a", "mass")] == ["m", "kp of a", "Mass"]
 
 
 def test_a_null_has_no_cause_and_no_finding():
