@@ -38,7 +38,9 @@ class MulticopterKeys(Description):
         description="Name of a shipped design, or a design file beside study.yaml; gives mass, "
         "inertia, rotors and propellers",
     )
-    mass: Mass | None = Field(None, description="Mass, payload not counted [kg]")
+    mass: Mass | None = Field(
+        None, description="Mass [kg]; a load is the fact `payload_kg` of a run's `setup`"
+    )
     inertia: InertiaKeys | None = Field(
         None, description="[xx, yy, zz] or [xx, yy, zz, xy, xz, yz] about the center of mass"
     )
