@@ -132,7 +132,7 @@ def _pull(layout: Layout, numbers: Numbers, command: Tensor) -> Tensor:
     gain = numbers.stacked(*(f"{n}_gain" for n in names))
     wanted = gain * (1.0 + numbers["command_gain"][..., None]) * command
     loss = numbers.each(names, "drive_loss")
-    pulled = torch.where(loss == 0.0, wanted, (wanted - loss).clamp(min=0.0) * (wanted > 0.0))
+    pulled = (wanted - loss).clamp(min=0.0) * (wanted > 0.0)  # a tendon never pushes
     held = numbers.each(names, "pretension")
     return torch.where(held == 0.0, pulled, torch.maximum(pulled, held))
 

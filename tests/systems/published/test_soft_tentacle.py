@@ -80,3 +80,30 @@ def left_out(found, study):
             shown = found.problem.predict(run, torch.from_numpy(found.x)).numpy()
         errors.append(distance_mm(shown, run))
     return np.mean(errors)
+
+
+def test_poses_left_out_are_within_the_goal_and_causes_bring_them_nearer(study):
+    plain = fitted(study)  # stiffness, density and places of markers
+    found = fitted(
+        study, "drive_loss", "tendon_distance", "tendon_turn", "clamp_tilt", "moved_m4"
+    )
+    assert found.chi2 < 0.4 * plain.chi2
+    assert found.values["drive_loss"] == pytest.approx(0.42, abs=0.15)  # N
+    assert found.values["tendon_distance"] == pytest.approx(3.7e-3, abs=1.5e-3)  # to the surface
+    assert found.values["youngs_modulus"] > 1.5 * PUBLISHED["youngs_modulus"]
+    assert left_out(plain, study) < GOAL_MM
+    assert left_out(found, study) < left_out(plain, study) - 1.0
+
+
+@pytest.mark.slow
+def test_the_loss_of_the_drives_and_the_moved_marker_are_certain(study):
+    s = setup_of(study)
+    report = diagnose(study, s.model, s.effects, seed=0, unknowns=s.unknowns, settings=s.settings)
+    status = {c.name: c.status for c in report.causes}
+    assert report.verdict == "named"
+    assert status["drive_loss"] == "certain"
+    assert status["moved_m4"] == "certain"
+    assert status["tendon_distance"] in ("certain", "likely")
+    assert {status[n] for n in ("tendon_friction", "tendon_end", "pretension")} == {"refuted"}
+    after = np.array([e.after for e in report.errors if e.use == "test"])
+    assert after.mean() < 5.0  # mm a coordinate
