@@ -18,7 +18,7 @@ from diffsim.data.beam import BASE_MARKERS, BeamTrial, load_beam_study, rigid_ro
 from diffsim.data.importers import import_study
 from diffsim.data.recording import find_dataset
 from diffsim.data.study import Run
-from examples.demo.beam_setup import HEIGHT, tip_window
+from diffsim.systems.published.silicone_beam import HEIGHT, tip_window
 
 Array = NDArray[np.float64]
 FINE_S = 1e-3

@@ -23,7 +23,7 @@ import torch
 from numpy.typing import NDArray
 from scipy import signal
 
-from diffsim.data import load_study
+from diffsim.cli.diagnose_inputs import read_study
 from diffsim.data.study import Run, Study
 from diffsim.identify.extended import extended_at
 from diffsim.identify.model import SimModel
@@ -140,7 +140,7 @@ def published_model(study: Study) -> SimModel:
 
 def main(model: str = "runs/diagnoses/emps") -> dict[str, dict[str, float]]:
     """Print and return the errors [%] of each record and model."""
-    study = load_study("emps")
+    study = read_study("emps")
     runs = joined(study)
     whole = whole_study(study, runs)
     models = {"published": published_model(whole), "ours": load_extended(Path(model), whole)}

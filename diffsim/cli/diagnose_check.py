@@ -16,6 +16,7 @@ from diffsim.data.header_units import header_units
 from diffsim.data.run_files import BLOCK_OF
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_check import TODO, Problem, check_study
+from diffsim.diagnose.faults.given import given_by
 from diffsim.diagnose.separate import cut_in_two, require_separate
 from diffsim.systems.registry import description_of, setup_of
 
@@ -172,6 +173,11 @@ def _of_setup(study: Study) -> tuple[list[Problem], str]:
     except (ValueError, KeyError, TypeError, OSError, DiffsimError) as error:
         return [Problem("error", "model", f"{type(error).__name__}: {error}")], ""
     base, causes = setup.model.base, [e.name for e in setup.effects]
+    if study.faults is not None:
+        try:
+            given_by(study, setup)
+        except ValueError as error:
+            return [Problem("error", "study.yaml", str(error))], ""
     return list(trial_problems(study, setup)), (
         f"model: {len(base)} base parameters ({_some([p.name for p in base])}), "
         f"{len(causes)} candidate causes ({_some(causes)})"

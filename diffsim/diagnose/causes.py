@@ -156,7 +156,7 @@ def cause_rows(told: Told, base: Sequence[BaseRow]) -> tuple[CauseRow, ...]:
 
 def _rank(row: CauseRow) -> tuple[int, float, float]:
     """By status, by probability, and by what a cause explains."""
-    gained = 0.0 if row.gain is None else row.gain.value
+    gained = 0.0 if row.gain is None else row.gain.value * row.gain.excess
     return ORDER.index(row.status), -round(row.probability or 0.0, 3), -gained
 
 

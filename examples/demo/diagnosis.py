@@ -15,7 +15,7 @@ from diffsim.data import BeamStudy
 from diffsim.data.importers import import_silicone_beam
 from diffsim.diagnose import Report, diagnose
 from diffsim.identify import SearchSettings
-from examples.demo import beam_setup
+from diffsim.systems.published import silicone_beam
 from examples.demo.plan import Plan
 
 SKIPPED = (
@@ -38,7 +38,7 @@ def describe(study: BeamStudy, plan: Plan) -> dict[str, Any]:
     if not plan.diagnosis_effects:
         return {"skipped": NOT_RUN}
     began = time.process_time()
-    made = beam_setup.setup(
+    made = silicone_beam.setup(
         import_silicone_beam(study.folder),
         cells=plan.diagnosis_cells,
         dt_s=plan.diagnosis_dt_s,

@@ -88,12 +88,18 @@ def test_explain_judges_every_group(folder, capsys):
 
 def test_what_is_missing_is_said(folder, capsys):
     new = folder / "new" / "weak.csv"
-    bare = STUDY.replace("defaults: {setup: {rig: A}}\n", "").replace("{day", "{rig: A, day")
-    (folder / "study.yaml").write_text(bare)
-    assert main(["diagnose", "faults", str(folder), "--new", str(new)]) != 0
-    assert "stated per rig" in capsys.readouterr().out
     (folder / "study.yaml").write_text(
-        STUDY.replace(STUDY[STUDY.index("faults:") : STUDY.index("defaults:")], "")
+        STUDY.replace("defaults: {setup: {rig: A}}\n", "").replace("{day", "{rig: A, day")
     )
+    assert main(["diagnose", "faults", str(folder), "--new", str(new)]) != 0
+    assert "model.parameters.level: per: run new weak" in capsys.readouterr().out
+    bare = STUDY[: STUDY.index("faults:")] + STUDY[STUDY.index("defaults:") :]
+    (folder / "study.yaml").write_text(bare)
     assert main(["diagnose", "faults", str(folder)]) != 0
     assert "has no `faults`" in capsys.readouterr().err
+
+
+def test_check_finds_names_that_there_are_not(folder, capsys):
+    (folder / "study.yaml").write_text(STUDY.replace("[[gain_1, gain_2]]", "[[gain_1, gain_3]]"))
+    assert main(["diagnose", "check", str(folder)]) != 0
+    assert "faults.scatter[0]: no fitted quantity 'gain_3'" in capsys.readouterr().out

@@ -16,9 +16,14 @@ def case(kind, hidden=None, also=()):
     return Case(None, None, kind, hidden or {}, also)
 
 
-def answer(verdict, named=(), rivals=(), size=None, sd=None):
-    sizes = {n: {"size": {"size": size}, "sd": {"size": sd}} for n in named}
-    return {"verdict": verdict, "named": list(named), "rivals": list(rivals), "sizes": sizes}
+def answer(verdict, named=(), rivals=(), size=None):
+    intervals = {n: {"size": size} for n in named}
+    return {
+        "verdict": verdict,
+        "named": list(named),
+        "rivals": list(rivals),
+        "intervals": intervals,
+    }
 
 
 @pytest.mark.parametrize(
@@ -54,7 +59,7 @@ def test_what_counts_as_right(hidden, given, right, wrong_name, false_alarm):
 
 
 def test_a_size_counts_where_its_truth_is_a_number():
-    near = answer("named", ["lag"], size=0.11, sd=0.01)
+    near = answer("named", ["lag"], size=(0.11, 0.095, 0.125))
     assert held_against(case("single", {"lag": 0.1}), near)["inside"] is True
     assert held_against(case("single", {"lag": 0.2}), near)["inside"] is False
     assert held_against(case("single", {"lag": None}), near)["inside"] is None

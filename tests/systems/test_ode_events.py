@@ -193,3 +193,45 @@ def test_a_saved_model_means_the_same_on_new_recordings_alone(tmp_path):
     torch.testing.assert_close(record(second, saved), meant, rtol=0, atol=1e-12)
     forgotten = record(second, replace(saved, facts={}))
     assert (forgotten - meant).abs().max() > 1e-3
+
+
+TANK = """
+name: tank
+model:
+  system: ode
+  states: {level: {value: 2 m, sd: 0.2}}
+  inputs: [{name: pump, held: true}]
+  rates: {level: "0.1*pump - 0.05*level"}
+  readings: {seen: level}
+  ranges: {seen: [0, 2.5]}
+channels: [{name: seen, unit: m, sd: 0.01}]
+commands: [{name: pump, unit: "-"}]
+runs: [{name: all, file: all.csv, blocks: {num: 4, run_up: true, use: {test: [4]}}}]
+"""
+
+
+def test_blocks_with_a_run_up_share_one_start_and_a_sensor_ends(tmp_path):
+    """Each block is simulated from the record's first sample, and compared on its own ones."""
+    from diffsim.data import load_study
+    from diffsim.systems import setup_of
+
+    t = np.arange(0.0, 40.0, 0.5)
+    table = np.column_stack([t, np.full_like(t, 2.0), np.full_like(t, 3.0)])
+    np.savetxt(
+        tmp_path / "all.csv",
+        table,
+        delimiter=",",
+        header="time_s,seen,pump",
+        comments="",
+        fmt="%.4f",
+    )
+    (tmp_path / "study.yaml").write_text(TANK)
+    study = load_study(tmp_path)
+    made = setup_of(study)
+    assert [p.name for p in made.model.base if "start" in p.name] == ["level_start"]
+    last = study.test_runs[0]
+    assert last.time_s[0] == 0.0 and len(last.time_s) == len(t)
+    assert np.isfinite(last.measured[:, 0]).sum() == len(t) // 4
+    level = 6.0 - 4.0 * np.exp(-0.05 * t)  # from 2 m towards 6 m
+    shown = made.model.predict(last, made.model.at_prior(), {})[:, 0].numpy()
+    np.testing.assert_allclose(shown, np.minimum(level, 2.5), atol=1e-6)

@@ -4,7 +4,7 @@ A vehicle differs from day to day. What sound groups differ by is learned here a
 base parameters stated per group or per run, whose spreads are found from groups with known faults.
 A new group is then judged by itself: which causes of the library explain it, beyond that scatter.
 
-Files in reading order: ``groups`` and ``layout`` (what is given), ``local`` (one group,
+Files in reading order: ``groups``, ``layout``, ``given`` (what is stated), ``local`` (one group,
 linearized), ``marginal`` (scatter integrated out), ``learn`` (spreads and common parameters),
 ``states`` and ``candidates`` (what a group may be, with odds), ``evidence`` (one set in one group),
 ``verdict`` (what may be said), ``judging`` (all groups).

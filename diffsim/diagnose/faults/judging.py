@@ -14,11 +14,10 @@ from diffsim.diagnose.faults.candidates import (
     UNLISTED_FACTOR,
     Candidate,
     candidates,
-    sets_of,
 )
 from diffsim.diagnose.faults.evidence import Evidence, evidence, informations, mixed
-from diffsim.diagnose.faults.groups import Group, groups_of
-from diffsim.diagnose.faults.layout import layout_of
+from diffsim.diagnose.faults.given import given_by
+from diffsim.diagnose.faults.groups import Group
 from diffsim.diagnose.faults.learn import Learned, learn
 from diffsim.diagnose.faults.local import Local, local_at, problem_of
 from diffsim.diagnose.faults.marginal import Information
@@ -66,16 +65,12 @@ def judge_faults(
     Raises:
         ValueError: the study has no ``faults``, or they name what is not there.
     """
-    if study.faults is None:
-        raise ValueError("the study has no `faults`; see `faults` in docs/study_keys.md")
-    keys = study.faults
-    all_groups = groups_of(study, keys)
+    given = given_by(study, setup)
+    keys, all_groups, sets = given.keys, given.groups, given.sets
     for label in groups:
         require_choice("--groups", label, [g.label for g in all_groups])
     problem = Problem(setup.model, study.runs, WhiteNoise(study.channels), setup.effects)
-    sets = sets_of(keys, setup.effects)
-    layout = layout_of(setup.model.base, keys)
-    learned = learn(problem, layout, all_groups, seed=seed, state=keys.state)
+    learned = learn(problem, given.layout, all_groups, seed=seed, state=keys.state)
     judged = [g for g in all_groups if g.label in groups] if groups else _unknown(all_groups)
     verdicts = []
     for done, group in enumerate(judged):

@@ -134,7 +134,7 @@ def learn(
     rng = np.random.default_rng(seed)
     half = rng.standard_normal((NUM_DRAWS // 2, len(layout.families)))
     empty = np.zeros(0)
-    states = {g.label: str(g.runs[0].setup.get(state, "")) for g in teachers}
+    states = {g.label: str(g.runs[0].setup.get(state or "", "")) for g in teachers}
     started = Learned(
         layout,
         problem,

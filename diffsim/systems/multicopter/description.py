@@ -54,7 +54,7 @@ class MulticopterDescription(MulticopterKeys):
             (wrench_of(study.runs, vehicle.mass * GRAVITY),),
             flights_to_record(flights, study.runs),
             settings_with(DiagnosisSettings(), self.effort),
-            study,
+            study=study,
         )
 
     def _command_problems(self, study: Study) -> Iterator[Problem]:

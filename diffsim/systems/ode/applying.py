@@ -20,28 +20,20 @@ def symbol(effect: str) -> str:
     return f"size of {effect}"
 
 
-def by_formulas(change: Change, *symbols: str, steps: int = 1) -> Apply:
+def by_formulas(change: Change, *symbols: str) -> Apply:
     """An effect that changes formulas.
 
     Args:
         change: Formulas in which the sizes are called ``symbols``.
         symbols: One for each component, in order.
-        steps: Steps of the integrator that a size other than zero needs where one is enough else.
     """
-    return partial(_changed, change=change, symbols=symbols, steps=steps)
+    return partial(_changed, change=change, symbols=symbols)
 
 
 def _changed(
-    scene: OdeScene,
-    size: Tensor,
-    run: Run,
-    *,
-    change: Change,
-    symbols: Sequence[str],
-    steps: int,
+    scene: OdeScene, size: Tensor, run: Run, *, change: Change, symbols: Sequence[str]
 ) -> OdeScene:
-    needed = steps if bool(size.detach().any()) else 1  # at zero it is the plain model to the bit
-    return scene.with_change(change, {s: size[..., i] for i, s in enumerate(symbols)}, needed)
+    return scene.with_change(change, {s: size[..., i] for i, s in enumerate(symbols)})
 
 
 LABELS = "labels"  # place of the values of facts in a study's frame

@@ -261,6 +261,12 @@ class Described:
                         f"{did_you_mean(name, known)}",
                     )
 
+    @property
+    def step(self) -> float:
+        """Longest step of the integrator [s]."""
+        usual = (float(np.median(np.diff(r.time_s))) for r in self.study.runs if len(r.time_s) > 1)
+        return self.motion.time_step or max(usual, default=math.inf)
+
     def model(self) -> SimModel:
         """The model without effects."""
         return SimModel(self._build, self.base.base, self.study.name, batched=True)

@@ -141,6 +141,7 @@ class OdeDescription(FormulaKeys):
             known=read.known,
             held=read.input_held,
             unsure=read.unsure,
+            step=read.step,
             places=tuple((p, usual.places[p.name]) for p in self.places),
             stores=tuple((s, usual.stores[s.name]) for s in self.stores),
             scales=usual,

@@ -121,15 +121,16 @@ def _starts(form: str, course: Course, usual: float, step: float) -> Array:
     widths = np.geomspace(4.0 * step, span, 12)
     if form == "burst":
         periods = np.geomspace(6.0 * step, 0.5 * span, 16)
-        grid = [
-            (o + quarter * p, w, p)
-            for o, w, p in product(onsets[::4], widths[5::2], periods)
-            for quarter in (0.0, 0.25)
-            if w > p
-        ]
+        places = np.array(
+            [
+                (o + quarter * p, w, p)
+                for o, w, p in product(onsets[::4], widths[5::2], periods)
+                for quarter in (0.0, 0.25)
+                if w > p
+            ]
+        )
     else:
-        grid = list(product(onsets, widths))
-    places = np.array(grid)
+        places = np.array(list(product(onsets, widths)))
     gains = course.gains(_shapes(form, t, places, step))
     return places[np.argsort(-gains)[:NUM_PLACED]]
 
@@ -148,7 +149,7 @@ def _boxes(course: Course, form: str, step: float) -> Array:
     gains = np.where(allowed & (total > least), 0.5 * score**2 / np.maximum(total, least), -1.0)
     out: list[Array] = []
     for _ in range(NUM_PLACED):
-        i, j = np.unravel_index(int(np.argmax(gains)), gains.shape)
+        i, j = divmod(int(np.argmax(gains)), len(edges))
         if gains[i, j] <= 0.0:
             break
         onset = course.times[min(i, len(course.times) - 1)] - 0.5 * step

@@ -6,6 +6,7 @@ state how large a friction could be.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -126,6 +127,7 @@ class Library:
         places: Where forces may act, each with its usual magnitudes.
         stores: What fills and empties, each with its usual magnitudes.
         scales: Usual magnitudes of everything else.
+        step: Longest step of the integrator [s].
         unsure: Inputs of which nobody knows whether they are held between samples.
         usual: Magnitudes of the plain model and of the recordings.
     """
@@ -137,6 +139,7 @@ class Library:
     stores: tuple[tuple[Store, StoreScale], ...]
     scales: Magnitudes
     unsure: frozenset[str] = frozenset()
+    step: float = math.inf
 
     @property
     def inputs(self) -> Mapping[str, float]:

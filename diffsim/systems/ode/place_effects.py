@@ -20,7 +20,7 @@ SHARE = 0.1  # of the usual force that a cause may be without surprise
 STOP_STIFFNESS = 50.0  # usual forces per usual distance, times e^stop_hardness
 REACH_SHARE = 0.3  # of how far it moves from the start: how far inside a stop may be
 STOP_TRIES = (0.1, 0.3, 0.6, 1.0, 1.4, 1.8, 2.2, 2.6, 3.0)  # so that all that distance is scanned
-STOP_STEPS = 4  # of the integrator, to one: what touches a stop swings faster than what is free
+STOP_LIMIT = 2.0  # inertias per square of a step: what an explicit step follows on a stiffer stop
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,11 +255,15 @@ def _letters(library: Library, place: Place, scale: PlaceScale, name: str) -> di
         "size": named(symbol(name)),
         "inertia": parse_expression(place.inertia, library.known),
         "bend": named(f"stiffening_bend_at_{place.name}"),
-        "stop": filled(parse_expression(f"{stiffness}*exp(stop_hardness)"), own),
+        "hard": filled(parse_expression(f"{stiffness}*exp(stop_hardness)"), own),
         "loss": filled(parse_expression("exp(stop_loss)"), own),
     }
     width = "width" if place.stick_velocity else f"width*{sticking(place)}"
-    return out | {"w": filled(parse_expression(width), out)}
+    stop = f"min(hard, {STOP_LIMIT / library.step**2!r}*inertia)"
+    return out | {
+        "w": filled(parse_expression(width), out),
+        "stop": filled(parse_expression(stop), out),
+    }
 
 
 def _effect(library: Library, place: Place, scale: PlaceScale, force: _Force, tail: str) -> Effect:
@@ -273,7 +277,6 @@ def _effect(library: Library, place: Place, scale: PlaceScale, force: _Force, ta
         states={slow: filled(parse_expression("(x - slow)/tau"), parts)} if creeps else {},
         starts={slow: named(at_start(place.position))} if creeps else {},
     )
-    steps = STOP_STEPS if force.family == "stop" else 1
     return Effect(
         name=name,
         form=force.form,
@@ -285,7 +288,7 @@ def _effect(library: Library, place: Place, scale: PlaceScale, force: _Force, ta
         smooth=force.smooth,
         also_looks_like=force.also,
         tries=force.tries,
-        apply=by_formulas(change, symbol(name), steps=steps),
+        apply=by_formulas(change, symbol(name)),
     )
 
 

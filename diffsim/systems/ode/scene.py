@@ -33,7 +33,6 @@ class OdeScene:
         readers: What effects do to channels: name of the channel, function.
         channels: Names of the channels in order.
         ranges: Least and largest value that the sensor of a channel can show, by channel.
-        steps: Steps of the integrator between two times of the grid.
     """
 
     run: Run
@@ -46,17 +45,10 @@ class OdeScene:
     readers: tuple[tuple[str, SignalMap], ...] = ()
     channels: tuple[str, ...] = field(default=())
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    steps: int = 1
 
-    def with_change(self, change: Change, sizes: Mapping[str, Tensor], steps: int = 1) -> OdeScene:
-        """A copy with other formulas; ``sizes`` are values of the symbols in them, ``steps`` what
-        the integrator needs for them."""
-        return replace(
-            self,
-            changes=(*self.changes, change),
-            values={**self.values, **sizes},
-            steps=max(self.steps, steps),
-        )
+    def with_change(self, change: Change, sizes: Mapping[str, Tensor]) -> OdeScene:
+        """A copy with other formulas; ``sizes`` are values of the symbols in them."""
+        return replace(self, changes=(*self.changes, change), values={**self.values, **sizes})
 
     def with_input(self, name: str, change: SignalMap) -> OdeScene:
         """A copy in which an input is f(input, grid)."""
@@ -114,7 +106,6 @@ class OdeScene:
             _stacked(starts, lead),
             torch.stack([u.expand(*own, steps) for u in inputs], -1) if inputs else None,
             _stacked(parameters, lead),
-            num_steps=self.steps,
         )
 
     def _starts(self, states: Sequence[str], further: Mapping[str, Expression]) -> list[Tensor]:

@@ -90,10 +90,10 @@ def test_words_say_the_size(judged):
 
 
 def test_a_group_does_not_teach_its_own_judge():
-    """A sound day that is far off is silent only if it may widen the scatter it is judged by."""
+    """With few days, one that is far off would widen the scatter that it is judged by."""
     rng = np.random.default_rng(2)
-    runs = [r for k in range(NUM_SOUND) for r in days.group(f"sound{k}", rng, {}, "sound")]
-    runs += days.group("odd", rng, {"first": 0.4}, "sound")
+    runs = [r for k in range(4) for r in days.group(f"sound{k}", rng, {}, "sound")]
+    runs += days.group("odd", rng, {"first": 0.2}, "sound")
     study = days.study(runs)
     (verdict,) = judge_faults(study, days.setup(study), groups=["odd"]).verdicts
     assert verdict.causes == ("first",)

@@ -37,7 +37,7 @@ def test_a_bent_sensor_scale_helps_and_something_is_left(study):
     assert report.verdict == "unknown"
     curvature = causes["sensor_curvature"]
     assert curvature.helps and curvature.size["size"].low > 0.0
-    assert causes["linear_leak_of_upper_tank"].status in ("refuted", "not visible below")
+    assert causes["lag"].status in ("refuted", "not visible below")
     after = [row.after for row in report.errors if row.use == "test"]
     assert max(after) < 0.8 * PUBLISHED
     assert all(row.after < 0.8 * row.before for row in report.errors if row.use == "test")

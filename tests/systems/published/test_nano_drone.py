@@ -10,9 +10,6 @@ import yaml
 from scipy.signal import butter, csd, sosfiltfilt, welch
 
 from benchmarks.nano_drone import MODEL, scores, whole_flights
-from diffsim.cli.diagnose_inputs import read_study
-from diffsim.diagnose import diagnose
-from diffsim.systems.registry import setup_of
 from tests.measured import data_folder
 
 pytestmark = pytest.mark.reference
@@ -78,19 +75,3 @@ def test_named_physics_beats_every_published_column(tmp_path):
     assert all(a < b for a, b in zip(rows["named"][1:], published_best[1:], strict=True))
     most = (0.82, 0.8, 0.78, 0.73)
     assert all(a < m * b for a, m, b in zip(rows["no scale"], most, published_best, strict=True))
-
-
-@pytest.mark.slow
-def test_verdict():
-    data_folder("nano_drone")
-    setup = setup_of(read_study("nano_drone"))
-    report = diagnose(
-        setup.study,
-        setup.model,
-        setup.effects,
-        seed=0,
-        unknowns=setup.unknowns,
-        settings=setup.settings,
-    )
-    status = {c.name: c.status for c in report.causes}
-    assert status["flow_moment"] == "certain"

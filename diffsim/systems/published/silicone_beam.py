@@ -1,4 +1,4 @@
-"""The recorded silicone beam (``import_study("silicone_beam")``): model, causes, next runs."""
+"""What the demo shows of the recorded silicone beam: the bar without weight, its first swing."""
 
 from __future__ import annotations
 

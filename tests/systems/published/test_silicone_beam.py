@@ -10,7 +10,7 @@ from diffsim.data.beam import load_beam_study
 from diffsim.data.importers import import_study
 from diffsim.data.recording import find_dataset
 from diffsim.diagnose import diagnose
-from examples.demo.beam_setup import free_swing, setup, tip_window
+from diffsim.systems.published.silicone_beam import free_swing, setup, tip_window
 
 
 @pytest.fixture(scope="module")

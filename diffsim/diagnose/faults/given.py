@@ -1,0 +1,42 @@
+"""What a study states for its faults, checked against its runs and its model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from diffsim.data.fault_keys import FaultKeys
+from diffsim.data.study import Study
+from diffsim.diagnose.faults.candidates import sets_of
+from diffsim.diagnose.faults.groups import Group, groups_of
+from diffsim.diagnose.faults.layout import Layout, layout_of
+from diffsim.identify.setup import DiagnosisSetup
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """A study with ``faults``, taken apart.
+
+    Attributes:
+        keys: ``faults`` of the study.
+        groups: Its groups of runs.
+        layout: Where the base parameters of its model belong.
+        sets: Sets of causes that may act at once.
+    """
+
+    keys: FaultKeys
+    groups: tuple[Group, ...]
+    layout: Layout
+    sets: tuple[tuple[str, ...], ...]
+
+
+def given_by(study: Study, setup: DiagnosisSetup) -> Given:
+    """What a study states for its faults; nothing is simulated.
+
+    Raises:
+        ValueError: the study has no ``faults``, or they name what is not there.
+    """
+    keys = study.faults
+    if keys is None:
+        raise ValueError("the study has no `faults`; see `faults` in docs/study_keys.md")
+    sets = sets_of(keys, setup.effects)
+    return Given(keys, groups_of(study, keys), layout_of(setup.model.base, keys), sets)
