@@ -151,7 +151,7 @@ def _callable(
     def vmap(info: Any, in_dims: tuple[Any, ...], call: Call, *row: Any) -> Any:
         return _one_by_one(lambda *at: kind.apply(call, *at), info.batch_size, in_dims[1:], row)
 
-    members = {
+    members: dict[str, Callable[..., Any]] = {
         "forward": forward,
         "setup_context": setup,
         "backward": backward,
@@ -159,7 +159,9 @@ def _callable(
         "vmap": vmap,
     }
     kind: Any = type(
-        _name(op), (torch.autograd.Function,), {k: staticmethod(f) for k, f in members.items()}
+        _name(op),
+        (torch.autograd.Function,),
+        {name: staticmethod(member) for name, member in members.items()},
     )
     arguments = op._opoverload._schema.arguments
     by_place = [a.name for a in arguments if not a.kwarg_only]
