@@ -152,7 +152,7 @@ def _log_share(mean: Array, covariance: Array, signed: NDArray[np.bool_]) -> flo
     if len(one) == 1:
         i = one[0]
         return float(log_ndtr(mean[i] / np.sqrt(covariance[i, i])))
-    from scipy.stats import multivariate_normal  # takes a second to import, and is seldom needed
+    from scipy.stats import multivariate_normal  # half a second that other commands do not need
 
     normal = multivariate_normal(cov=covariance[np.ix_(one, one)], allow_singular=True, seed=0)
     return float(np.log(max(float(normal.cdf(mean[one])), LEAST_SHARE)))
