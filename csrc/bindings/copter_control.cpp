@@ -72,6 +72,26 @@ void bind_copter_control(nb::module_& m) {
       "num_rotors"_a, "thrusts"_a, "multipliers"_a, "state"_a, "info"_a, "grad_thrusts"_a,
       "grad_force"_a, "grad_torque"_a, "grad_weights"_a, "grad_upper"_a, "num_threads"_a);
   m.def(
+      "hover_tangent",
+      [](Address force, Address torque, Address weights, Address upper, double barrier,
+         std::int64_t batch, int num_rotors, Address thrusts, Address multipliers, Address state,
+         Address info, Address d_force, Address d_torque, Address d_weights, Address d_upper,
+         Address d_thrusts, int num_threads) {
+        nb::gil_scoped_release release;
+        ThreadPool pool(num_threads);
+        const int n = num_rotors;
+        pool.run(batch, [&](std::int64_t b) {
+          const HoverDirection direction{in(d_force) + b * 3 * n, in(d_torque) + b * 3 * n,
+                                         in(d_weights) + b * n, in(d_upper) + b * n};
+          solve_hover_tangent(hover_problem(force, torque, weights, upper, barrier, n, b),
+                              in(thrusts) + b * n, in(multipliers) + b * 4, in_index(state) + b * n,
+                              in_index(info) + b * kHoverInfo, direction, out(d_thrusts) + b * n);
+        });
+      },
+      nb::kw_only(), "force"_a, "torque"_a, "weights"_a, "upper"_a, "barrier"_a, "batch"_a,
+      "num_rotors"_a, "thrusts"_a, "multipliers"_a, "state"_a, "info"_a, "d_force"_a, "d_torque"_a,
+      "d_weights"_a, "d_upper"_a, "d_thrusts"_a, "num_threads"_a);
+  m.def(
       "lyapunov",
       [](Address A, Address Q, std::int64_t batch, std::int64_t size, Address X, Address solved,
          int num_threads) {

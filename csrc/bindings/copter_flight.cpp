@@ -95,6 +95,17 @@ void bind_copter_flight(nb::module_& m) {
       },
       nb::kw_only(), "num_rotors"_a, "batch"_a, "steps"_a, "options"_a, "inputs"_a, "records"_a,
       "grad_records"_a, "grads"_a, "num_threads"_a);
+  m.def(
+      "flight_rollout_tangent",
+      [](int num_rotors, std::int64_t batch, std::int64_t steps, const FlightOptions& options,
+         const FlightArrays& inputs, const FlightArrays& directions, Address rates,
+         int num_threads) {
+        nb::gil_scoped_release release;
+        flight_rollout_tangent(num_rotors, batch, steps, options, inputs.inputs(),
+                               directions.inputs(), out(rates), num_threads);
+      },
+      nb::kw_only(), "num_rotors"_a, "batch"_a, "steps"_a, "options"_a, "inputs"_a, "directions"_a,
+      "rates"_a, "num_threads"_a);
 }
 
 }  // namespace diffsim

@@ -86,6 +86,19 @@ void bind_ode(nb::module_& m) {
       nb::arg("problem"), nb::arg("inputs"), nb::arg("parameters"), nb::arg("states"),
       nb::arg("grad_readings"), nb::arg("grad_states"), nb::arg("grad_start"),
       nb::arg("grad_inputs"), nb::arg("grad_parameters"), nb::arg("num_threads"));
+  m.def(
+      "ode_integrate_tangent",
+      [](const OdeAddresses& problem, Address start, Address inputs, Address parameters,
+         Address d_start, Address d_inputs, Address d_parameters, Address d_readings,
+         Address d_states, int num_threads) {
+        nb::gil_scoped_release release;
+        integrate_tangent(problem.problem(), in(start), in(inputs), in(parameters), in(d_start),
+                          in(d_inputs), in(d_parameters), out(d_readings), out(d_states),
+                          num_threads);
+      },
+      nb::arg("problem"), nb::arg("start"), nb::arg("inputs"), nb::arg("parameters"),
+      nb::arg("d_start"), nb::arg("d_inputs"), nb::arg("d_parameters"), nb::arg("d_readings"),
+      nb::arg("d_states"), nb::arg("num_threads"));
 }
 
 }  // namespace diffsim

@@ -183,6 +183,16 @@ void bind_soft(nb::module_& m) {
       },
       nb::kw_only(), nb::arg("pattern"), nb::arg("inputs"), nb::arg("x"), nb::arg("z"),
       nb::arg("grad_x"), nb::arg("grads"), nb::arg("num_threads"));
+  m.def(
+      "elastic_gradient_tangent",
+      [](const SoftPattern& pattern, const SoftArrays& inputs, Address x, Address dx,
+         const SoftArrays& directions, Address tangent, int num_threads) {
+        nb::gil_scoped_release release;
+        elastic_gradient_tangent(pattern.model(), inputs.inputs(), in(x), in(dx),
+                                 directions.directions(1).parameters, out(tangent), num_threads);
+      },
+      nb::kw_only(), nb::arg("pattern"), nb::arg("inputs"), nb::arg("x"), nb::arg("dx"),
+      nb::arg("directions"), nb::arg("tangent"), nb::arg("num_threads"));
   m.def("count_inverted", [](const SoftPattern& pattern, Address x) {
     nb::gil_scoped_release release;
     return count_inverted(pattern.model(), in(x));

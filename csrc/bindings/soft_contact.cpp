@@ -32,6 +32,14 @@ struct ContactArrays {
     grads.friction = out(friction);
     return grads;
   }
+  ContactRates rates() const {
+    ContactRates d;
+    d.normal = in(normal);
+    d.reference = in(reference);
+    d.offset = in(offset);
+    d.friction = in(friction);
+    return d;
+  }
 };
 
 }  // namespace
@@ -76,6 +84,23 @@ void bind_soft_contact(nb::module_& m) {
       nb::arg("cache_columns"), nb::arg("batch"), nb::arg("x"), nb::arg("status"),
       nb::arg("grad_x"), nb::arg("grad_force"), nb::arg("grads"), nb::arg("contact_grads"),
       nb::arg("stats"), nb::arg("num_threads"));
+  m.def(
+      "contact_step_tangent",
+      [](const ConstantSystem& system, const SoftArrays& inputs, const ContactArrays& contacts,
+         const StepOptions& options, bool cache_columns, Address x, Address status,
+         const SoftArrays& directions, const ContactArrays& contact_directions, Address dx,
+         Address dforce, Address stats, int num_threads) {
+        nb::gil_scoped_release release;
+        ThreadPool pool(num_threads);
+        *reinterpret_cast<StepStats*>(stats) =
+            contact_step_tangent(system, inputs.inputs(), contacts.inputs(), options,
+                                 {cache_columns}, in(x), in_index(status), directions.directions(1),
+                                 contact_directions.rates(), out(dx), out(dforce), pool);
+      },
+      nb::kw_only(), nb::arg("system"), nb::arg("inputs"), nb::arg("contacts"), nb::arg("options"),
+      nb::arg("cache_columns"), nb::arg("x"), nb::arg("status"), nb::arg("directions"),
+      nb::arg("contact_directions"), nb::arg("dx"), nb::arg("dforce"), nb::arg("stats"),
+      nb::arg("num_threads"));
 }
 
 }  // namespace diffsim

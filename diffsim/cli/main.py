@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import shlex
+import signal
 import sys
 from collections.abc import Sequence
 
@@ -71,8 +72,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: Arguments without the program's name; None takes the process's own.
 
     Returns:
-        Exit status: 0, 2 after a user's or a numerical error, 130 after Ctrl-C.
+        Exit status: 0, 2 after a user's or a numerical error, 130 after Ctrl-C or SIGTERM.
     """
+    if argv is None:  # of the process itself: a queue's or a service's stop is one, too
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     given = list(sys.argv[1:] if argv is None else argv)
     cut = given.index("--") if given[:2] == ["examples", "run"] and "--" in given else len(given)
     args = parser().parse_args(given[:cut])

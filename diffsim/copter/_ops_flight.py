@@ -14,6 +14,7 @@ from torch import Tensor
 
 from diffsim.core.compiled import core
 from diffsim.core.custom_op import custom_op
+from diffsim.core.layer import make_first_order, make_layer
 
 BODY: int = core.FLIGHT_BODY
 MAX_ROTORS: int = core.FLIGHT_MAX_ROTORS
@@ -79,7 +80,7 @@ class FlightSettings(NamedTuple):
 def rollout(inputs: FlightInputs, settings: FlightSettings, *, batch: int, steps: int) -> Tensor:
     """Records (batch, steps + 1, BODY + num_rotors) of a flight; record 0 is the start."""
     contiguous = {name: value.contiguous() for name, value in inputs._asdict().items()}
-    return flight(**contiguous, batch=batch, steps=steps, **settings._asdict())
+    return flight_layer(**contiguous, batch=batch, steps=steps, **settings._asdict())
 
 
 @torch.compiler.assume_constant_result
@@ -253,10 +254,74 @@ def _setup_context(ctx, inputs, output):
 def _backward(ctx, grad_records):
     records, *saved = ctx.saved_tensors
     inputs = FlightInputs(*saved)
-    grads = flight_vjp(
+    grads = flight_vjp_layer(
         grad_records=grad_records, records=records, **inputs._asdict(), **ctx.settings._asdict()
     )
     return (*grads, *(None,) * 7)
 
 
-flight.register_autograd(_backward, setup_context=_setup_context)
+@custom_op("diffsim::flight_jvp")
+def flight_jvp(
+    start: Tensor,
+    feed_forward: Tensor,
+    gain: Tensor,
+    reference: Tensor,
+    wind: Tensor,
+    parameters: Tensor,
+    d_start: Tensor,
+    d_feed_forward: Tensor,
+    d_gain: Tensor,
+    d_reference: Tensor,
+    d_wind: Tensor,
+    d_parameters: Tensor,
+    batch: int,
+    steps: int,
+    dt: float,
+    gravity: float,
+    substeps: int,
+    effects: str,
+    num_threads: int,
+) -> Tensor:
+    """Records of :func:`flight` along one direction in ``FlightInputs``."""
+    inputs = FlightInputs(start, feed_forward, gain, reference, wind, parameters)
+    given = d_start, d_feed_forward, d_gain, d_reference, d_wind, d_parameters
+    directions = FlightInputs(*(direction.contiguous() for direction in given))
+    rates = start.new_empty(batch, steps + 1, BODY + inputs.num_rotors)
+    core.flight_rollout_tangent(
+        num_rotors=inputs.num_rotors,
+        batch=batch,
+        steps=steps,
+        options=_options(dt, gravity, substeps, effects, inputs.feedback),
+        inputs=_arrays(inputs, batch, steps),
+        directions=_arrays(directions, batch, steps),
+        rates=rates.data_ptr(),
+        num_threads=num_threads,
+    )
+    return rates
+
+
+@flight_jvp.register_fake
+def _(start, feed_forward, *args):
+    batch, steps = args[10:12]
+    return start.new_empty(batch, steps + 1, BODY + feed_forward.shape[-1])
+
+
+def _tangent(ctx, *moved):
+    records, *saved = ctx.saved_tensors
+    inputs = FlightInputs(*saved)
+    directions = {
+        f"d_{name}": torch.zeros_like(value) if direction is None else direction
+        for (name, value), direction in zip(inputs._asdict().items(), moved, strict=False)
+    }
+    return flight_jvp_layer(
+        **inputs._asdict(),
+        **directions,
+        batch=records.shape[0],
+        steps=records.shape[1] - 1,
+        **ctx.settings._asdict(),
+    )
+
+
+flight_vjp_layer = make_first_order(flight_vjp)
+flight_jvp_layer = make_first_order(flight_jvp)
+flight_layer = make_layer(flight, setup=_setup_context, backward=_backward, tangent=_tangent)

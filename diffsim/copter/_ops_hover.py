@@ -9,6 +9,7 @@ from torch import Tensor
 
 from diffsim.core.compiled import core
 from diffsim.core.custom_op import custom_op
+from diffsim.core.layer import make_first_order, make_layer
 
 INFO = ("status", "rank", "free_rank", "num_iters")
 STATUSES = ("optimal", "infeasible", "rank_deficient", "not_converged")
@@ -48,7 +49,9 @@ class HoverSolution(NamedTuple):
 
 def solve(problem: HoverProblem, *, barrier: float, num_threads: int) -> HoverSolution:
     """Thrusts of least effort; ``barrier`` weighs the logarithms of the distances to the bounds."""
-    return HoverSolution(*hover(**problem._asdict(), barrier=barrier, num_threads=num_threads))
+    return HoverSolution(
+        *hover_layer(**problem._asdict(), barrier=barrier, num_threads=num_threads)
+    )
 
 
 def _addresses(tensors: HoverProblem | HoverSolution, prefix: str = "") -> dict[str, int]:
@@ -72,6 +75,16 @@ def _checked(problem: HoverProblem) -> HoverProblem:
         torque=_check("torque", problem.torque, (batch, 3, n), torch.float64),
         weights=_check("weights", problem.weights, (batch, n), torch.float64),
         upper=_check("upper", problem.upper, (batch, n), torch.float64),
+    )
+
+
+def _checked_solution(solution: HoverSolution, problem: HoverProblem) -> HoverSolution:
+    batch, _, n = problem.force.shape
+    return HoverSolution(
+        thrusts=_check("thrusts", solution.thrusts, (batch, n), torch.float64),
+        multipliers=_check("multipliers", solution.multipliers, (batch, 4), torch.float64),
+        state=_check("state", solution.state, (batch, n), torch.int64),
+        info=_check("info", solution.info, (batch, len(INFO)), torch.int64),
     )
 
 
@@ -126,12 +139,7 @@ def hover_vjp(
     """Gradients of a ``HoverProblem`` from its ``HoverSolution`` and dL/dthrusts."""
     problem = _checked(HoverProblem(force, torque, weights, upper))
     batch, _, n = force.shape
-    solution = HoverSolution(
-        thrusts=_check("thrusts", thrusts, (batch, n), torch.float64),
-        multipliers=_check("multipliers", multipliers, (batch, 4), torch.float64),
-        state=_check("state", state, (batch, n), torch.int64),
-        info=_check("info", info, (batch, len(INFO)), torch.int64),
-    )
+    solution = _checked_solution(HoverSolution(thrusts, multipliers, state, info), problem)
     grad_thrusts = _check("grad_thrusts", grad_thrusts, (batch, n), torch.float64)
     # not empty_like: the problem may be an expanded view, the kernel writes densely
     grads = HoverProblem(*(torch.empty(t.shape, dtype=torch.float64) for t in problem))
@@ -172,7 +180,7 @@ def _backward(ctx: Any, grad_thrusts: Tensor, *_: Any) -> tuple[Tensor | None, .
     count = len(HoverProblem._fields)
     problem = HoverProblem(*ctx.saved_tensors[:count])
     solution = HoverSolution(*ctx.saved_tensors[count:])
-    grads = hover_vjp(
+    grads = hover_vjp_layer(
         **problem._asdict(),
         **solution._asdict(),
         grad_thrusts=grad_thrusts.contiguous(),
@@ -181,4 +189,60 @@ def _backward(ctx: Any, grad_thrusts: Tensor, *_: Any) -> tuple[Tensor | None, .
     return (*grads, None, None)
 
 
-hover.register_autograd(_backward, setup_context=_setup)
+@custom_op("diffsim::hover_jvp")
+def hover_jvp(
+    force: Tensor,
+    torque: Tensor,
+    weights: Tensor,
+    upper: Tensor,
+    thrusts: Tensor,
+    multipliers: Tensor,
+    state: Tensor,
+    info: Tensor,
+    d_force: Tensor,
+    d_torque: Tensor,
+    d_weights: Tensor,
+    d_upper: Tensor,
+    barrier: float,
+    num_threads: int,
+) -> Tensor:
+    """Thrusts along one direction in a ``HoverProblem``, from its ``HoverSolution``."""
+    problem = _checked(HoverProblem(force, torque, weights, upper))
+    directions = _checked(HoverProblem(d_force, d_torque, d_weights, d_upper))
+    solution = _checked_solution(HoverSolution(thrusts, multipliers, state, info), problem)
+    d_thrusts = force.new_empty(thrusts.shape)
+    core.hover_tangent(
+        **_addresses(problem),
+        **_addresses(solution),
+        **_addresses(directions, "d_"),
+        d_thrusts=d_thrusts.data_ptr(),
+        barrier=barrier,
+        batch=force.shape[0],
+        num_rotors=force.shape[2],
+        num_threads=num_threads,
+    )
+    return d_thrusts
+
+
+@hover_jvp.register_fake
+def _(force: Tensor, torque: Tensor, weights: Tensor, *_rest: Any) -> Tensor:
+    return force.new_empty(weights.shape)
+
+
+def _tangent(ctx: Any, *moved: Tensor | None) -> tuple[Tensor | None, ...]:
+    count = len(HoverProblem._fields)
+    problem = HoverProblem(*ctx.saved_tensors[:count])
+    solution = HoverSolution(*ctx.saved_tensors[count:])
+    directions = {
+        f"d_{name}": torch.zeros_like(value) if direction is None else direction
+        for (name, value), direction in zip(problem._asdict().items(), moved, strict=False)
+    }
+    d_thrusts = hover_jvp_layer(
+        **problem._asdict(), **solution._asdict(), **directions, **ctx.options
+    )
+    return d_thrusts, None, None, None
+
+
+hover_vjp_layer = make_first_order(hover_vjp)
+hover_jvp_layer = make_first_order(hover_jvp)
+hover_layer = make_layer(hover, setup=_setup, backward=_backward, tangent=_tangent)

@@ -14,6 +14,7 @@ from torch import Tensor
 from diffsim.copter.stabilizability import raise_lyapunov_failure, raise_riccati_failure
 from diffsim.core.compiled import core
 from diffsim.core.custom_op import custom_op
+from diffsim.core.layer import make_layer
 
 REPORT = ("solved", "num_iters", "residual", "abscissa")
 
@@ -63,11 +64,21 @@ def _setup_lyapunov(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
 #   dL/dQ = S,  dL/dA = S X' + S' X.
 def _backward_lyapunov(ctx: Any, grad_X: Tensor) -> tuple[Tensor, Tensor, None]:
     A, X = ctx.saved_tensors
-    S = lyapunov(A=A.mT.contiguous(), Q=grad_X.contiguous(), num_threads=ctx.num_threads)
+    S = lyapunov_layer(A=A.mT.contiguous(), Q=grad_X.contiguous(), num_threads=ctx.num_threads)
     return S @ X.mT + S.mT @ X, S, None
 
 
-lyapunov.register_autograd(_backward_lyapunov, setup_context=_setup_lyapunov)
+def _tangent_lyapunov(ctx: Any, dA: Tensor | None, dQ: Tensor | None, _: None) -> Tensor:
+    A, X = ctx.saved_tensors
+    load = torch.zeros_like(X) if dQ is None else dQ
+    if dA is not None:
+        load = load + dA @ X + X @ dA.mT
+    return lyapunov_layer(A=A, Q=load, num_threads=ctx.num_threads)
+
+
+lyapunov_layer = make_layer(
+    lyapunov, setup=_setup_lyapunov, backward=_backward_lyapunov, tangent=_tangent_lyapunov
+)
 
 
 @custom_op("diffsim::care")
@@ -114,8 +125,20 @@ def _setup_care(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]
 # A_c S + S A_c' + sym(dL/dP) = 0:  dL/dA = 2 P S,  dL/dG = -P S P,  dL/dQ = S.
 def _backward_care(ctx: Any, grad_P: Tensor, _: Any) -> tuple[Tensor, Tensor, Tensor, None]:
     A, G, P = ctx.saved_tensors
-    S = lyapunov(A=A - G @ P, Q=0.5 * (grad_P + grad_P.mT), num_threads=ctx.num_threads)
+    S = lyapunov_layer(A=A - G @ P, Q=0.5 * (grad_P + grad_P.mT), num_threads=ctx.num_threads)
     return 2.0 * P @ S, -P @ S @ P, S, None
 
 
-care.register_autograd(_backward_care, setup_context=_setup_care)
+def _tangent_care(
+    ctx: Any, dA: Tensor | None, dG: Tensor | None, dQ: Tensor | None, _: None
+) -> tuple[Tensor, None]:
+    A, G, P = ctx.saved_tensors
+    load = torch.zeros_like(P) if dQ is None else dQ
+    if dA is not None:
+        load = load + dA.mT @ P + P @ dA
+    if dG is not None:
+        load = load - P @ dG @ P
+    return lyapunov_layer(A=(A - G @ P).mT, Q=load, num_threads=ctx.num_threads), None
+
+
+care_layer = make_layer(care, setup=_setup_care, backward=_backward_care, tangent=_tangent_care)

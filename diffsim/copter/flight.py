@@ -15,7 +15,7 @@ from diffsim.copter.effects import FlightEffects
 from diffsim.copter.fleet import Fleet
 from diffsim.copter.flight_state import FlightState
 from diffsim.copter.vehicle import GRAVITY, Multicopter
-from diffsim.core.check import require, require_number
+from diffsim.core.check import require, require_number, values_of
 from diffsim.core.errors import DiffsimError
 
 _NAMES = {"feed_forward": "commands"}  # what callers know an input as
@@ -223,6 +223,7 @@ def _parameters(fleet: Fleet, effects: FlightEffects, dt: float) -> Tensor:
 def _require_airborne(records: Tensor, effects: FlightEffects) -> None:
     if torch.compiler.is_compiling():
         return
+    records = values_of(records).flatten(end_dim=-3)
     # a sum is the cheapest look at all of them
     if not math.isfinite(float(records.sum())) and bool((bad := ~torch.isfinite(records)).any()):
         vehicle, step, _ = (int(i) for i in torch.nonzero(bad)[0])

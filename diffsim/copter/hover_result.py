@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from diffsim.copter import _ops_hover
+from diffsim.core.check import values_of
 from diffsim.core.errors import DiffsimError
 from diffsim.core.rotation import matrix_from_rpy
 
@@ -88,9 +89,27 @@ class HoverResult:
 
 
 def report(result: HoverResult, on_infeasible: str) -> None:
-    """Raise or warn if the hover of one design failed or is rank deficient."""
-    status = result.STATUSES[int(result.status_code)]
-    residual = result.residual.tolist()
+    """Raise or warn if the hover of a design failed or is rank deficient.
+
+    There is one design, or as many as ``torch.func.vmap`` maps.
+    """
+    codes = values_of(result.status_code).flatten().tolist()
+    residuals = values_of(result.residual).reshape(-1, 4).tolist()
+    ranks = zip(
+        *(values_of(r).flatten().tolist() for r in (result.free_rank, result.rank)), strict=True
+    )
+    for code, residual, found in zip(codes, residuals, ranks, strict=True):
+        _report_one(result, result.STATUSES[code], residual, found, on_infeasible)
+
+
+def _report_one(
+    result: HoverResult,
+    status: str,
+    residual: list[float],
+    ranks: tuple[int, ...],
+    on_infeasible: str,
+) -> None:
+    free_rank, rank = ranks
     shown = (
         f"lift {100.0 * (1.0 + residual[0]):.4g} % of the weight, torques "
         f"({', '.join(f'{t:.2g}' for t in residual[1:])}) of weight times mean lever"
@@ -105,12 +124,12 @@ def report(result: HoverResult, on_infeasible: str) -> None:
         message = f"the hover solve did not converge; last: {shown}; try smoothing=1e-4"
         if on_infeasible == "raise":
             raise HoverError(message, result)
-        warnings.warn(message, HoverWarning, stacklevel=4)
+        warnings.warn(message, HoverWarning, stacklevel=5)
     if status == "rank_deficient":
         warnings.warn(
-            f"the free rotors command {int(result.free_rank)} of lift, roll, pitch and yaw (all "
-            f"rotors: {int(result.rank)}): hovering, but derivatives are least-norm ones and "
+            f"the free rotors command {free_rank} of lift, roll, pitch and yaw (all "
+            f"rotors: {rank}): hovering, but derivatives are least-norm ones and "
             "the vehicle cannot be controlled there; move rotors or change axes or spins",
             HoverWarning,
-            stacklevel=4,
+            stacklevel=5,
         )

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require
+from diffsim.core.check import require, values_of
 
 GRAVITY = 9.81  # [m/s^2]
 
@@ -70,26 +70,31 @@ class Multicopter:
             self._require_physical()
 
     def _require_physical(self) -> None:
-        if not float(self.mass) > 0.0:
-            raise ValueError(f"mass must be above 0 kg, got {float(self.mass):g}")
-        skew = float((self.inertia - self.inertia.T).abs().max())
-        least = float(torch.linalg.eigvalsh(0.5 * (self.inertia + self.inertia.T))[0])
-        if skew > 1e-9 * float(self.inertia.abs().max()) or not least > 0.0:
+        lightest = float(values_of(self.mass).min())
+        if not lightest > 0.0:
+            raise ValueError(f"mass must be above 0 kg, got {lightest:g}")
+        inertia = values_of(self.inertia)
+        skew = float((inertia - inertia.mT).abs().max())
+        least = float(torch.linalg.eigvalsh(0.5 * (inertia + inertia.mT)).min())
+        if skew > 1e-9 * float(inertia.abs().max()) or not least > 0.0:
             raise ValueError(
                 "inertia must be symmetric positive definite, got smallest eigenvalue "
                 f"{least:g} kg m^2 and asymmetry {skew:g} kg m^2"
             )
-        off = (self.directions.norm(dim=-1) - 1.0).abs()
-        if float(off.max()) > 1e-6:
+        lengths = values_of(self.directions).norm(dim=-1).flatten()
+        worst = int((lengths - 1.0).abs().argmax())
+        if abs(float(lengths[worst]) - 1.0) > 1e-6:
             raise ValueError(
-                f"directions must be unit vectors; that of rotor {int(off.argmax())} has length "
-                f"{float(self.directions[int(off.argmax())].norm()):g}"
+                f"directions must be unit vectors; that of rotor {worst % self.num_rotors} has "
+                f"length {float(lengths[worst]):g}"
             )
-        if bool((self.spins.abs() != 1.0).any()):
-            raise ValueError(f"spins must be +1 or -1, got {self.spins.tolist()}")
+        spins = values_of(self.spins)
+        if bool((spins.abs() != 1.0).any()):
+            raise ValueError(f"spins must be +1 or -1, got {spins.tolist()}")
         for name in ("torque_ratios", "max_thrusts", "radii"):
-            if bool((getattr(self, name) < 0.0).any()):
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name).tolist()}")
+            entries = values_of(getattr(self, name))
+            if bool((entries < 0.0).any()):
+                raise ValueError(f"{name} must not be negative, got {entries.tolist()}")
 
     @property
     def num_rotors(self) -> int:

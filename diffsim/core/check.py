@@ -10,6 +10,18 @@ import torch
 from torch import Tensor
 
 
+def values_of(value: Tensor) -> Tensor:
+    """The numbers behind the wrappers of ``torch.func``, mapped axes and all: for checks alone.
+
+    A mapped tensor refuses to say whether its entries are, say, finite; the tensor behind it does
+    not, for all items at once.
+    """
+    wrappers = torch._C._functorch  # PyTorch has no public name for what is behind a wrapper
+    while wrappers.is_functorch_wrapped_tensor(value):
+        value = wrappers.get_unwrapped(value)
+    return value.detach()
+
+
 def require(
     name: str,
     value: Tensor,
@@ -59,8 +71,9 @@ def require(
         raise ValueError(f"{name} must have shape ({expected}), got {tuple(got)}")
     if not finite or not value.is_floating_point() or torch.compiler.is_compiling():
         return value.contiguous()
-    if not bool(torch.isfinite(value).all()):
-        bad = torch.nonzero(~torch.isfinite(value))
+    is_finite = torch.isfinite(values_of(value))
+    if not bool(is_finite.all()):
+        bad = torch.nonzero(~is_finite)
         first = tuple(int(i) for i in bad[0])
         raise ValueError(
             f"{name} must be finite, got {len(bad)} NaN or infinite entries, first at {first}"
@@ -99,7 +112,7 @@ def require_range(
     hint: str = "",
 ) -> Tensor:
     """``require_number`` for every entry of a tensor; the message shows the worst entry."""
-    v = value.detach()
+    v = values_of(value)
     bad = ~((v > above) & (v < below) & (v >= at_least) & (v <= at_most))
     if bool(bad.any()):
         worst = float(v[bad].flatten()[0])

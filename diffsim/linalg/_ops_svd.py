@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from diffsim.core.compiled import core
 from diffsim.core.custom_op import custom_op
+from diffsim.core.layer import make_first_order, make_layer
+
+GAP_TOLERANCE = 1e-15
+"""Gaps of singular values below this, relative to s0, are rounding; kGapTolerance of svd3_vjp.h."""
 
 
 def _check(name: str, value: Tensor, like: tuple[int, ...]) -> Tensor:
@@ -110,3 +116,60 @@ def polar3_vjp(F: Tensor, R: Tensor, grad_R: Tensor, num_threads: int) -> Tensor
 @polar3_vjp.register_fake
 def _(F: Tensor, R: Tensor, grad_R: Tensor, num_threads: int) -> Tensor:
     return F.new_empty(F.shape)
+
+
+def _setup_svd(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
+    ctx.save_for_backward(*output)
+    ctx.num_threads = inputs[1]
+
+
+# With M = U^T dF V, dU = U X, dV = V Y and X, Y antisymmetric: M = X S + dS - S Y, so
+#   ds_i = M_ii,  (s_j^2 - s_i^2) X_ij = s_j M_ij + s_i M_ji,
+#                 (s_j^2 - s_i^2) Y_ij = s_i M_ij + s_j M_ji.
+def _backward_svd(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
+    contiguous = (grad.contiguous() for grad in grads)
+    return svd3_vjp_layer(*ctx.saved_tensors, *contiguous, ctx.num_threads), None
+
+
+def _tangent_svd(ctx: Any, dF: Tensor, _: None) -> tuple[Tensor, Tensor, Tensor]:
+    U, s, V = ctx.saved_tensors
+    M = U.mT @ dF @ V
+    row, column = s[..., :, None], s[..., None, :]
+    # as in svd3_vjp.h: equal values have no X and Y; not felt where nothing would turn them
+    distinct = (row.abs() - column.abs()).abs() > GAP_TOLERANCE * s[..., :1, None]
+    over = (column - row) * (column + row)
+    blank = torch.full_like(M, torch.nan)
+    on_diagonal = torch.eye(3, dtype=torch.bool)
+
+    def turn(first: Tensor, second: Tensor) -> Tensor:
+        load = first * M + second * M.mT
+        skew = torch.where(distinct, load / over, torch.where(load == 0.0, load, blank))
+        return torch.where(on_diagonal, torch.zeros_like(skew), skew)
+
+    X, Y = turn(column, row), turn(row, column)
+    return U @ X, M.diagonal(dim1=-2, dim2=-1), V @ Y
+
+
+def _setup_polar(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
+    ctx.save_for_backward(inputs[0], output)
+    ctx.num_threads = inputs[1]
+
+
+# dR = R [w], (tr(H) 1 - H) w = axial(R^T dF - dF^T R): eigenvalues s_i + s_j, no differences. The
+# map from dF to dR is symmetric, so it is its own adjoint.
+def _backward_polar(ctx: Any, grad_R: Tensor) -> tuple[Tensor, None]:
+    F, R = ctx.saved_tensors
+    return polar3_vjp_layer(F, R, grad_R.contiguous(), ctx.num_threads), None
+
+
+def _tangent_polar(ctx: Any, dF: Tensor, _: None) -> Tensor:
+    F, R = ctx.saved_tensors
+    return polar3_vjp_layer(F, R, dF.contiguous(), ctx.num_threads)
+
+
+svd3_vjp_layer = make_first_order(svd3_vjp)
+polar3_vjp_layer = make_first_order(polar3_vjp)
+svd3_layer = make_layer(svd3, setup=_setup_svd, backward=_backward_svd, tangent=_tangent_svd)
+polar3_layer = make_layer(
+    polar3, setup=_setup_polar, backward=_backward_polar, tangent=_tangent_polar
+)

@@ -4,52 +4,9 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from diffsim.core.check import require
 from diffsim.linalg import _ops_svd
-
-
-class Svd3Function(torch.autograd.Function):
-    """F = U diag(s) V^T; backward is its exact VJP in F."""
-
-    @staticmethod
-    def forward(F, num_threads):
-        return _ops_svd.svd3(F, num_threads)
-
-    @staticmethod
-    def setup_context(ctx, inputs, output):
-        ctx.save_for_backward(*output)
-        ctx.num_threads = inputs[1]
-
-    # With M = U^T dF V, dU = U X, dV = V Y and X, Y antisymmetric: M = X S + dS - S Y, so
-    #   ds_i = M_ii,  (s_j^2 - s_i^2) X_ij = s_j M_ij + s_i M_ji,
-    #                 (s_j^2 - s_i^2) Y_ij = s_i M_ij + s_j M_ji.
-    @staticmethod
-    @once_differentiable
-    def backward(ctx, grad_U, grad_s, grad_V):
-        grads = (g.contiguous() for g in (grad_U, grad_s, grad_V))
-        return _ops_svd.svd3_vjp(*ctx.saved_tensors, *grads, ctx.num_threads), None
-
-
-class Polar3Function(torch.autograd.Function):
-    """R of F = R H; backward is its exact VJP in F."""
-
-    @staticmethod
-    def forward(F, num_threads):
-        return _ops_svd.polar3(F, num_threads)
-
-    @staticmethod
-    def setup_context(ctx, inputs, output):
-        ctx.save_for_backward(inputs[0], output)
-        ctx.num_threads = inputs[1]
-
-    # dR = R [w], (tr(H) 1 - H) w = axial(R^T dF - dF^T R): eigenvalues s_i + s_j, no differences.
-    @staticmethod
-    @once_differentiable
-    def backward(ctx, grad_R):
-        F, R = ctx.saved_tensors
-        return _ops_svd.polar3_vjp(F, R, grad_R.contiguous(), ctx.num_threads), None
 
 
 def svd3(F: Tensor, *, num_threads: int = 1) -> tuple[Tensor, Tensor, Tensor]:
@@ -83,7 +40,7 @@ def svd3(F: Tensor, *, num_threads: int = 1) -> tuple[Tensor, Tensor, Tensor]:
     For the rotation U V^T use ``polar3``, which repeated values do not trouble.
     """
     F = _checked(F, num_threads)
-    return Svd3Function.apply(F, num_threads)
+    return _ops_svd.svd3_layer(F, num_threads)
 
 
 def polar3(F: Tensor, *, num_threads: int = 1) -> Tensor:
@@ -109,7 +66,7 @@ def polar3(F: Tensor, *, num_threads: int = 1) -> Tensor:
     unless dL/dR has exactly no part that turns R.
     """
     F = _checked(F, num_threads)
-    return Polar3Function.apply(F, num_threads)
+    return _ops_svd.polar3_layer(F, num_threads)
 
 
 def _checked(F: Tensor, num_threads: int) -> Tensor:

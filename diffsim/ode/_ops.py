@@ -9,6 +9,7 @@ from torch import Tensor
 
 from diffsim.core.compiled import core
 from diffsim.core.custom_op import custom_op
+from diffsim.core.layer import make_first_order, make_layer
 
 _PROBLEM = (
     *("rate_code", "reading_code", "rate_out", "reading_out", "constants"),
@@ -128,6 +129,95 @@ def _(*args: Any, **named: Any) -> tuple[Tensor, Tensor, Tensor]:
         states.new_empty((states.shape[0], *inputs.shape[1:])),
         parameters.new_empty(parameters.shape),
     )
+
+
+@custom_op("diffsim::ode_integrate_jvp")
+def ode_integrate_jvp(
+    rate_code: Tensor,
+    reading_code: Tensor,
+    rate_out: Tensor,
+    reading_out: Tensor,
+    constants: Tensor,
+    times: Tensor,
+    lower: Tensor,
+    upper: Tensor,
+    held: Tensor,
+    num_steps: int,
+    num_threads: int,
+    start: Tensor,
+    inputs: Tensor,
+    parameters: Tensor,
+    d_start: Tensor,
+    d_inputs: Tensor,
+    d_parameters: Tensor,
+) -> tuple[Tensor, Tensor]:
+    """Readings and states along one direction of start, inputs and parameters."""
+    given = {k: v for k, v in locals().items() if k in _PROBLEM}
+    problem, kept = _problem(given, num_steps, start, inputs, parameters)
+    values = [start, inputs, parameters, d_start, d_inputs, d_parameters]
+    values = [value.contiguous() for value in values]
+    if [v.shape for v in values[:3]] != [v.shape for v in values[3:]]:
+        raise ValueError("directions must have the shapes of start, inputs and parameters")
+    d_readings = start.new_empty((len(start), len(times), len(reading_out)))
+    d_states = start.new_empty((len(start), len(times), start.shape[1]))
+    core.ode_integrate_tangent(
+        problem,
+        *(value.data_ptr() for value in values),
+        d_readings=d_readings.data_ptr(),
+        d_states=d_states.data_ptr(),
+        num_threads=num_threads,
+    )
+    del kept
+    return d_readings, d_states
+
+
+@ode_integrate_jvp.register_fake
+def _(*args: Any, **named: Any) -> tuple[Tensor, Tensor]:
+    given = _by_name(_FORWARD, args, named)
+    start, shape = given["start"], (given["start"].shape[0], given["times"].shape[0])
+    return (
+        start.new_empty((*shape, given["reading_out"].shape[0])),
+        start.new_empty((*shape, start.shape[1])),
+    )
+
+
+def _setup(ctx: Any, args: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
+    given = dict(zip(_FORWARD, args, strict=True))
+    ctx.options = {name: given.pop(name) for name in ("num_steps", "num_threads")}
+    ctx.save_for_backward(*given.values(), output[1])
+
+
+def _saved(ctx: Any) -> dict[str, Any]:
+    """Arguments of the op by name, with the states."""
+    names = [*(name for name in _FORWARD if name not in ctx.options), "states"]
+    return dict(zip(names, ctx.saved_tensors, strict=True)) | ctx.options
+
+
+def _backward(ctx: Any, grad_readings: Tensor, grad_states: Tensor) -> tuple[Any, ...]:
+    given = _saved(ctx)
+    del given["start"]
+    grads = ode_integrate_vjp_layer(
+        **given, grad_readings=grad_readings.contiguous(), grad_states=grad_states.contiguous()
+    )
+    grad_start, grad_inputs, grad_parameters = grads
+    if len(given["inputs"]) == 1:
+        grad_inputs = grad_inputs.sum(0, keepdim=True)
+    return (*(None,) * (len(_FORWARD) - 3), grad_start, grad_inputs, grad_parameters)
+
+
+def _tangent(ctx: Any, *moved: Any) -> tuple[Tensor, Tensor]:
+    given = _saved(ctx)
+    del given["states"]
+    directions = {
+        f"d_{name}": torch.zeros_like(given[name]) if direction is None else direction
+        for name, direction in zip(_FORWARD[-3:], moved[-3:], strict=True)
+    }
+    return ode_integrate_jvp_layer(**given, **directions)
+
+
+ode_integrate_vjp_layer = make_first_order(ode_integrate_vjp)
+ode_integrate_jvp_layer = make_first_order(ode_integrate_jvp)
+ode_integrate_layer = make_layer(ode_integrate, setup=_setup, backward=_backward, tangent=_tangent)
 
 
 def _problem(

@@ -10,7 +10,6 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from diffsim.core.check import require, require_choice
 from diffsim.core.expression import Expression, parse_expression
@@ -126,14 +125,11 @@ class Ode:
             raise ValueError(f"batch axes of start, inputs, parameters disagree: {sorted(sizes)}")
         batch = max(sizes, default=1)
         u = inputs if inputs.ndim == 3 else inputs[None]
-        readings, states = _Solve.apply(
-            self,
-            times,
-            start.expand(batch, n),
-            u,
-            parameters.expand(batch, q),
-            num_steps,
-            num_threads,
+        readings, states = _ops.ode_integrate_layer(
+            **self.problem(times, num_steps, num_threads),
+            start=start.expand(batch, n),
+            inputs=u,
+            parameters=parameters.expand(batch, q),
         )
         return (readings, states) if sizes else (readings[0], states[0])
 
@@ -154,45 +150,3 @@ class Ode:
             "num_steps": num_steps,
             "num_threads": num_threads,
         }
-
-
-class _Solve(torch.autograd.Function):
-    """The steps forward; their discrete adjoint backward."""
-
-    @staticmethod
-    def forward(
-        ode: Ode,
-        times: Tensor,
-        start: Tensor,
-        inputs: Tensor,
-        parameters: Tensor,
-        num_steps: int,
-        num_threads: int,
-    ) -> tuple[Tensor, Tensor]:
-        given = ode.problem(times, num_steps, num_threads)
-        readings, states = _ops.ode_integrate(
-            **given, start=start, inputs=inputs, parameters=parameters
-        )
-        return readings, states
-
-    @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
-        ode, times, _, u, parameters, num_steps, num_threads = inputs
-        ctx.given = ode.problem(times, num_steps, num_threads)
-        ctx.save_for_backward(u, parameters, output[1])
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, grad_readings: Tensor, grad_states: Tensor) -> tuple[Any, ...]:
-        u, parameters, states = ctx.saved_tensors
-        grad_start, grad_u, grad_parameters = _ops.ode_integrate_vjp(
-            **ctx.given,
-            inputs=u,
-            parameters=parameters,
-            states=states,
-            grad_readings=grad_readings,
-            grad_states=grad_states,
-        )
-        if len(u) == 1:
-            grad_u = grad_u.sum(0, keepdim=True)
-        return None, None, grad_start, grad_u, grad_parameters, None, None

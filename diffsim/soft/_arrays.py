@@ -85,6 +85,24 @@ class Arrays:
         specs = self.specs
         return {n: t[k] if specs[n].batched and t.numel() else t for n, t in self.named().items()}
 
+    @classmethod
+    def directions(cls, tangents: Sequence[Tensor | None], like: Tensor) -> list[Tensor]:
+        """Tangents as ops take them: an empty tensor for what does not move."""
+        still = like.new_empty(0)
+        return [still if t is None or not t.numel() else t for t in tangents]
+
+    def moving(self, directions: Sequence[Tensor]) -> dict[str, Tensor]:
+        """The directions of an op's list that move, by name, as kernels read them."""
+        named = dict(zip(self.specs, directions, strict=True))
+        moved = {n: named[n].contiguous() for n in self.differentiable() if named[n].numel()}
+        for name, direction in moved.items():
+            require_array(f"direction of {name}", direction, tuple(getattr(self, name).shape))
+        return moved
+
+    def item_of(self, moved: Mapping[str, Tensor], k: int) -> dict[str, Tensor]:
+        """Item k of the batch of some directions; shared ones as they are."""
+        return {n: t[k] if self.specs[n].batched else t for n, t in moved.items()}
+
     def require_sizes(self, batch: int, sizes: Mapping[str, int], *, damped: bool = True) -> None:
         """Refuse any other size than that of a body: kernels read whole arrays.
 

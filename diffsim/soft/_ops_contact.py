@@ -10,6 +10,7 @@ from torch import Tensor
 
 from diffsim.core.compiled import core
 from diffsim.core.custom_op import custom_op
+from diffsim.core.layer import make_first_order, make_layer
 from diffsim.soft._arrays import ContactArrays, StepArrays, require_array
 from diffsim.soft._context import (
     contact_addresses,
@@ -21,6 +22,7 @@ from diffsim.soft._ops_step import (
     ADJOINT_HINT,
     STATS,
     STEP_HINT,
+    TANGENT_HINT,
     adjoint_arguments,
     new_stats,
     notify,
@@ -186,7 +188,7 @@ def _setup(ctx, inputs, keyword_only_inputs, output):
 def _backward(ctx, grad_x, grad_force, _grad_status, _grad_stats):
     x, status, nodes, *rest = ctx.saved_tensors
     tensors, contacts = rest[: len(StepArrays.specs)], rest[len(StepArrays.specs) :]
-    *grads, _stats = contact_step_vjp(
+    *grads, _stats = contact_step_vjp_layer(
         grad_x, grad_force, x, status, tensors, contacts, nodes, **ctx.arguments
     )
     split = len(StepArrays.differentiable())
@@ -197,4 +199,88 @@ def _backward(ctx, grad_x, grad_force, _grad_status, _grad_stats):
     )
 
 
-contact_step.register_autograd(_backward, setup_context=_setup)
+@custom_op("diffsim::contact_step_jvp")
+def contact_step_jvp(
+    x: Tensor,
+    status: Tensor,
+    inputs: list[Tensor],
+    contacts: list[Tensor],
+    nodes: Tensor,
+    directions: list[Tensor],
+    contact_directions: list[Tensor],
+    *,
+    handle: int,
+    cache_columns: bool,
+    method: str,
+    rtol: float,
+    max_iters: int,
+    num_threads: int,
+    on_failure: str,
+) -> tuple[Tensor, Tensor]:
+    """Positions and contact forces along one direction, for every item of the batch.
+
+    Args:
+        x, status: Answers of :func:`contact_step`.
+        inputs: Tensors of a :class:`StepArrays`.
+        contacts: Tensors of a :class:`ContactArrays`.
+        nodes: (num_contacts,) int64.
+        directions, contact_directions: Tangents in the order of ``inputs`` and ``contacts``; an
+            empty tensor where one does not move.
+
+    Returns:
+        (batch, num_vertices, 3), (batch, num_contacts, 3).
+    """
+    ctx = context(handle)
+    batch, count = x.shape[0], nodes.shape[0]
+    x, status = x.contiguous(), status.contiguous()
+    arrays = require_step(ctx, inputs, batch, x=x)
+    planes = _require_contacts(ctx.num_vertices, batch, nodes, contacts)
+    moved = arrays.moving(directions)
+    planes_moved = planes.moving(contact_directions)
+    dx, dforce = torch.empty_like(x), x.new_empty(batch, count, 3)
+    stats = new_stats(batch)
+    for k in range(batch):
+        core.contact_step_tangent(
+            system=ctx.system(arrays, num_threads),
+            inputs=soft_addresses(arrays.item(k)),
+            contacts=contact_addresses(count, {"node": nodes, **planes.item(k)}),
+            options=step_options(method, rtol=rtol, max_iters=max_iters),
+            cache_columns=cache_columns,
+            x=x[k].data_ptr(),
+            status=status[k].data_ptr(),
+            directions=soft_addresses(arrays.item_of(moved, k)),
+            contact_directions=contact_addresses(count, planes.item_of(planes_moved, k)),
+            dx=dx[k].data_ptr(),
+            dforce=dforce[k].data_ptr(),
+            stats=stats[k].data_ptr(),
+            num_threads=num_threads,
+        )
+    notify("tangent", stats)
+    report_failure(stats, "tangent solve in contact", TANGENT_HINT, on_failure)
+    return dx, dforce
+
+
+@contact_step_jvp.register_fake
+def _(x, status, inputs, contacts, nodes, directions, contact_directions, **_options):
+    return torch.empty_like(x), x.new_empty(x.shape[0], nodes.shape[0], 3)
+
+
+def _tangent(ctx, moved, contacts_moved, _nodes):
+    x, status, nodes, *rest = ctx.saved_tensors
+    tensors, contacts = rest[: len(StepArrays.specs)], rest[len(StepArrays.specs) :]
+    dx, dforce = contact_step_jvp_layer(
+        x,
+        status,
+        tensors,
+        contacts,
+        nodes,
+        StepArrays.directions(moved, x),
+        ContactArrays.directions(contacts_moved, x),
+        **ctx.arguments,
+    )
+    return dx, dforce, None, None
+
+
+contact_step_vjp_layer = make_first_order(contact_step_vjp)
+contact_step_jvp_layer = make_first_order(contact_step_jvp)
+contact_step_layer = make_layer(contact_step, setup=_setup, backward=_backward, tangent=_tangent)

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from diffsim.core.compiled import core
 from diffsim.core.custom_op import custom_op
+from diffsim.core.layer import make_first_order, make_layer
 from diffsim.soft._arrays import EnergyArrays, require_array
 from diffsim.soft._context import SoftContext, context, require_upright, soft_addresses
 
@@ -93,10 +94,66 @@ def _elastic_setup(ctx, inputs, keyword_only_inputs, output):
 
 def _elastic_backward(ctx, grad_gradient, grad_energy):
     x, gradient, *tensors = ctx.saved_tensors
-    g_x, *others = elastic_gradient_vjp(grad_gradient, x, tensors, **ctx.arguments)
+    g_x, *others = elastic_gradient_vjp_layer(grad_gradient, x, tensors, **ctx.arguments)
     if not ctx.damped:
         g_x = g_x + grad_energy[:, None, None] * gradient
     return g_x, EnergyArrays.all_gradients(others)
 
 
-elastic_gradient.register_autograd(_elastic_backward, setup_context=_elastic_setup)
+@custom_op("diffsim::elastic_gradient_jvp")
+def elastic_gradient_jvp(
+    x: Tensor,
+    inputs: list[Tensor],
+    dx: Tensor,
+    directions: list[Tensor],
+    *,
+    handle: int,
+    num_threads: int,
+) -> Tensor:
+    """The gradient output along one direction; ``dx`` and ``directions`` empty where still."""
+    ctx = context(handle)
+    x, dx = x.contiguous(), dx.contiguous()
+    arrays = _require(ctx, inputs, x=x)
+    moved = arrays.moving(directions)
+    if dx.numel():
+        require_array("dx", dx, tuple(x.shape))
+    tangent = torch.empty_like(x)
+    for k in range(x.shape[0]):
+        core.elastic_gradient_tangent(
+            pattern=ctx.pattern,
+            inputs=soft_addresses(arrays.item(k)),
+            x=x[k].data_ptr(),
+            dx=dx[k].data_ptr() if dx.numel() else 0,
+            directions=soft_addresses(arrays.item_of(moved, k)),
+            tangent=tangent[k].data_ptr(),
+            num_threads=num_threads,
+        )
+    return tangent
+
+
+@elastic_gradient_jvp.register_fake
+def _(x, inputs, dx, directions, **_options):
+    return torch.empty_like(x)
+
+
+def _elastic_tangent(ctx, dx, moved):
+    x, gradient, *tensors = ctx.saved_tensors
+    still = x.new_empty(0)
+    tangent = elastic_gradient_jvp_layer(
+        x,
+        tensors,
+        still if dx is None else dx,
+        EnergyArrays.directions(moved, x),
+        **ctx.arguments,
+    )
+    if ctx.damped:
+        return tangent, None
+    energy = torch.zeros_like(x[:, 0, 0]) if dx is None else (gradient * dx).sum((-2, -1))
+    return tangent, energy  # as in reverse mode, of the positions alone
+
+
+elastic_gradient_vjp_layer = make_first_order(elastic_gradient_vjp)
+elastic_gradient_jvp_layer = make_first_order(elastic_gradient_jvp)
+elastic_gradient_layer = make_layer(
+    elastic_gradient, setup=_elastic_setup, backward=_elastic_backward, tangent=_elastic_tangent
+)

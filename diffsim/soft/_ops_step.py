@@ -16,6 +16,7 @@ from torch import Tensor
 from diffsim.core.compiled import core
 from diffsim.core.custom_op import custom_op
 from diffsim.core.errors import ConvergenceError, ConvergenceWarning
+from diffsim.core.layer import make_first_order, make_layer
 from diffsim.soft._arrays import StepArrays, require_array
 from diffsim.soft._context import SoftContext, context, require_upright, soft_addresses
 
@@ -193,11 +194,8 @@ def _step_setup(ctx, inputs, keyword_only_inputs, output):
 def _step_backward(ctx, grad_x, _grad_stats):
     # H z = dL/dx, then dL/dp = -z . d(grad g)/dp (thesis eqs. 4.9, 4.10): one solve for all inputs.
     x, *tensors = ctx.saved_tensors
-    *grads, _stats = soft_step_vjp(grad_x, x, tensors, **ctx.arguments)
+    *grads, _stats = soft_step_vjp_layer(grad_x, x, tensors, **ctx.arguments)
     return StepArrays.all_gradients(grads)
-
-
-soft_step.register_autograd(_step_backward, setup_context=_step_setup)
 
 
 def step_tangents(
@@ -247,3 +245,65 @@ def step_tangents(
     notify("tangent", stats)
     report_failure(stats, "tangent solve", TANGENT_HINT, on_failure)
     return dx
+
+
+@custom_op("diffsim::soft_step_jvp")
+def soft_step_jvp(
+    x: Tensor,
+    inputs: list[Tensor],
+    directions: list[Tensor],
+    *,
+    handle: int,
+    method: str,
+    rtol: float,
+    max_iters: int,
+    num_threads: int,
+    on_failure: str,
+) -> Tensor:
+    """Derivative of :func:`soft_step` along one direction of its inputs, for every batch item.
+
+    Args:
+        x: Answer of the step, (batch, num_vertices, 3) [m].
+        inputs: Tensors of a :class:`StepArrays`.
+        directions: Tangents in the same order; an empty tensor where an input does not move.
+
+    Returns:
+        (batch, num_vertices, 3).
+    """
+    ctx = context(handle)
+    x = x.contiguous()
+    arrays = require_step(ctx, inputs, x.shape[0], x=x)
+    moved = arrays.moving(directions)
+    dx, stats = torch.empty_like(x), new_stats(x.shape[0])
+    for k in range(x.shape[0]):
+        core.implicit_step_tangent(
+            system=ctx.system(arrays, num_threads),
+            inputs=soft_addresses(arrays.item(k)),
+            options=step_options(method, rtol=rtol, max_iters=max_iters),
+            count=1,
+            x=x[k].data_ptr(),
+            directions=soft_addresses(arrays.item_of(moved, k)),
+            dx=dx[k].data_ptr(),
+            stats=stats[k].data_ptr(),
+            num_threads=num_threads,
+        )
+    notify("tangent", stats)
+    report_failure(stats, "tangent solve", TANGENT_HINT, on_failure)
+    return dx
+
+
+@soft_step_jvp.register_fake
+def _(x, inputs, directions, **_options):
+    return torch.empty_like(x)
+
+
+def _step_tangent(ctx, moved):
+    x, *tensors = ctx.saved_tensors
+    return soft_step_jvp_layer(x, tensors, StepArrays.directions(moved, x), **ctx.arguments), None
+
+
+soft_step_vjp_layer = make_first_order(soft_step_vjp)
+soft_step_jvp_layer = make_first_order(soft_step_jvp)
+soft_step_layer = make_layer(
+    soft_step, setup=_step_setup, backward=_step_backward, tangent=_step_tangent
+)

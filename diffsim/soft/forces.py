@@ -23,7 +23,7 @@ def elastic_gradient(
     The arguments are checked already; the energy's gradient is right in x alone.
     """
     arrays = energy_arrays(body, loads, frame)
-    gradient, energy = _ops_elastic.elastic_gradient(
+    gradient, energy = _ops_elastic.elastic_gradient_layer(
         flat(x),
         arrays.tensors(),
         handle=body.handle,

@@ -61,7 +61,7 @@ def solve_in_contact(
         friction=flat(planes.friction, 1),
         force_guess=flat(guess[..., nodes, :].expand(vector)),
     )
-    x, force, _, _ = _ops_contact.contact_step(
+    x, force, _, _ = _ops_contact.contact_step_layer(
         problem.arrays(body).tensors(),
         contacts.tensors(),
         nodes,

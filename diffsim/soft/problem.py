@@ -46,7 +46,7 @@ class Problem:
 
 def solve(body: Solid, problem: Problem) -> Tensor:
     """The positions (..., num_vertices, 3) that solve a problem [m]."""
-    x, _ = _ops_step.soft_step(
+    x, _ = _ops_step.soft_step_layer(
         problem.arrays(body).tensors(), handle=body.handle, **body.solver.arguments()
     )
     return x.reshape(problem.y.shape)

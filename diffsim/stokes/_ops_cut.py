@@ -12,6 +12,7 @@ from torch import Tensor
 
 from diffsim.core.compiled import core
 from diffsim.core.custom_op import custom_op
+from diffsim.core.layer import make_first_order, make_layer
 
 
 def _grid(cells: list[int], spacing: list[float], phi: Tensor) -> object:
@@ -89,7 +90,7 @@ def _cut_setup(ctx, inputs, output):
 
 def _cut_backward(ctx, grad_volume, grad_area, grad_normal):
     (phi,) = ctx.saved_tensors
-    grad_phi = cut_cells_vjp(
+    grad_phi = cut_cells_vjp_layer(
         grad_volume=grad_volume,
         grad_area=grad_area,
         grad_normal=grad_normal,
@@ -101,7 +102,8 @@ def _cut_backward(ctx, grad_volume, grad_area, grad_normal):
     return grad_phi, None, None, None
 
 
-cut_cells.register_autograd(_cut_backward, setup_context=_cut_setup)
+cut_cells_vjp_layer = make_first_order(cut_cells_vjp)
+cut_cells_layer = make_layer(cut_cells, setup=_cut_setup, backward=_cut_backward)
 
 
 @custom_op("diffsim::stokes_plane_flux")
@@ -172,7 +174,7 @@ def _flux_setup(ctx, inputs, output):
 
 def _flux_backward(ctx, grad_flux):
     phi, velocity = ctx.saved_tensors
-    grad_phi, grad_velocity = plane_flux_vjp(
+    grad_phi, grad_velocity = plane_flux_vjp_layer(
         grad_flux=grad_flux,
         phi=phi,
         velocity=velocity,
@@ -184,4 +186,5 @@ def _flux_backward(ctx, grad_flux):
     return grad_phi, grad_velocity, None, None, None, None
 
 
-plane_flux.register_autograd(_flux_backward, setup_context=_flux_setup)
+plane_flux_vjp_layer = make_first_order(plane_flux_vjp)
+plane_flux_layer = make_layer(plane_flux, setup=_flux_setup, backward=_flux_backward)

@@ -17,6 +17,7 @@ from torch import Tensor
 from diffsim.core.compiled import core
 from diffsim.core.custom_op import custom_op
 from diffsim.core.errors import ConvergenceError, ConvergenceWarning
+from diffsim.core.layer import make_first_order, make_layer
 from diffsim.stokes._systems import StokesContext, context
 from diffsim.stokes.boundary import refuse_net_inflow
 
@@ -71,7 +72,7 @@ class FlowOutputs(NamedTuple):
 def solve(inputs: FlowInputs, *, handle: int, num_threads: int, on_failure: str) -> FlowOutputs:
     """The flow of a level set by the prepared systems behind a handle."""
     return FlowOutputs(
-        *stokes_flow(
+        *stokes_flow_layer(
             **inputs._asdict(), handle=handle, num_threads=num_threads, on_failure=on_failure
         )
     )
@@ -202,7 +203,7 @@ def _setup(ctx, inputs, output):
 def _backward(ctx, grad_velocity, grad_pressure, grad_fraction, _grad_stats):
     # One solve with the forward's factor serves all inputs; csrc/kernels/stokes/flow_system.cpp.
     velocity, pressure, *saved = ctx.saved_tensors
-    grads = stokes_flow_vjp(
+    grads = stokes_flow_vjp_layer(
         grad_velocity=grad_velocity,
         grad_pressure=grad_pressure,
         grad_fraction=grad_fraction,
@@ -216,7 +217,8 @@ def _backward(ctx, grad_velocity, grad_pressure, grad_fraction, _grad_stats):
     return *grads, None, None, None
 
 
-stokes_flow.register_autograd(_backward, setup_context=_setup)
+stokes_flow_vjp_layer = make_first_order(stokes_flow_vjp)
+stokes_flow_layer = make_layer(stokes_flow, setup=_setup, backward=_backward)
 
 
 def _require_size(name: str, tensor: Tensor, shape: tuple[int, ...]) -> None:

@@ -40,7 +40,7 @@ def cut_cells(grid: Grid, phi: Tensor, *, num_threads: int = 1) -> CutCells:
     Reference: thesis eqs. 4.72, 4.74 (the same numbers where those are defined).
     """
     phi = require("phi", phi, grid.node_shape, torch.float64)
-    volume, area, normal = _ops_cut.cut_cells(
+    volume, area, normal = _ops_cut.cut_cells_layer(
         phi=phi.reshape(-1),
         cells=list(grid.shape),
         spacing=list(grid.spacing),

@@ -170,3 +170,20 @@ def test_fit_rotors_needs_data(capsys, monkeypatch, tmp_path):
     monkeypatch.setenv("DIFFSIM_DATA", str(tmp_path / "absent"))
     assert cli.main(["fit-rotors"]) == 2
     assert "--data" in capsys.readouterr().err
+
+
+def test_a_stop_by_a_queue_says_how_to_go_on():
+    """SIGTERM, as batch systems and services send it, is answered as Ctrl-C is."""
+    code = (
+        "import os, signal, sys, time\n"
+        "from diffsim.cli import diagnose, main\n"
+        "def stopped(args):\n"
+        "    os.kill(os.getpid(), signal.SIGTERM)\n"
+        "    time.sleep(5)\n"
+        "diagnose.command = stopped\n"
+        "sys.argv = ['diffsim', 'diagnose', 'explain', 'my rig']\n"
+        "sys.exit(main())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 130
+    assert "go on with: diffsim diagnose explain 'my rig'" in done.stderr

@@ -124,17 +124,17 @@ def call(**changes):
     """The op with correct arguments but for ``changes`` (by name)."""
     body = slab("hex", (1, 1, 1), (1.0, 1.0, 1.0))
     captured = {}
-    op = _ops_contact.contact_step
+    op = _ops_contact.contact_step_layer
 
     def spy(*args, **options):
         captured.setdefault("call", (args, options))
         return op(*args, **options)
 
-    _ops_contact.contact_step = spy
+    _ops_contact.contact_step_layer = spy
     try:
         body(body.rest_state(), obstacles=FLOOR)
     finally:
-        _ops_contact.contact_step = op
+        _ops_contact.contact_step_layer = op
     (inputs, planes, nodes), options = captured["call"]
     named = ContactArrays.of(planes).named()
     named |= {k: change(named[k]) for k, change in changes.items() if k in named}

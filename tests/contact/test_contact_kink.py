@@ -34,14 +34,14 @@ def start(body, contact_force=None):
 
 def loss_of(body, state, height, friction, monkeypatch):
     """A generic loss of a step on a floor, and the node's status: 0 separate, 1 stick, 2 slip."""
-    seen, op = [], _ops_contact.contact_step
+    seen, op = [], _ops_contact.contact_step_layer
 
     def spy(*args, **options):
         out = op(*args, **options)
         seen.append(int(out[2]))
         return out
 
-    monkeypatch.setattr(_ops_contact, "contact_step", spy)
+    monkeypatch.setattr(_ops_contact, "contact_step_layer", spy)
     end = body(state, obstacles=contact.floor(height, friction=friction))
     monkeypatch.undo()
     weights = noise(2, *end.x.shape, seed=6)

@@ -186,7 +186,9 @@ def test_gradient_with_smoothing(smoothing):
     def layer(*args):
         return hover_thrusts(*args, smoothing=smoothing).thrusts
 
-    assert torch.autograd.gradcheck(layer, args, eps=1e-6, atol=1e-6, rtol=1e-5)
+    assert torch.autograd.gradcheck(
+        layer, args, eps=1e-6, atol=1e-6, rtol=1e-5, check_forward_ad=True
+    )
 
 
 @pytest.mark.grad
@@ -208,7 +210,9 @@ def test_gradient_in_the_design():
     load = (0.93 * max_hover_weight(copter) - copter.weight).detach()
     values = (copter.mass, copter.positions, copter.directions, copter.torque_ratios)
     args = [t.clone().requires_grad_() for t in (*values, copter.max_thrusts, load)]
-    assert torch.autograd.gradcheck(layer, args, eps=1e-6, atol=1e-6, rtol=1e-5)
+    assert torch.autograd.gradcheck(
+        layer, args, eps=1e-6, atol=1e-6, rtol=1e-5, check_forward_ad=True
+    )
 
 
 @pytest.mark.grad

@@ -21,6 +21,7 @@ PAGES = (
     "docs/own_causes.md",
     "docs/soft.md",
     "docs/stokes.md",
+    "docs/transformations.md",
 )
 LINKED = ("README.md", "examples/*.md", "docs/**/*.md")
 

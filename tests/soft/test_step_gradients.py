@@ -22,7 +22,7 @@ from tests.soft.cases import (
 )
 
 pytestmark = pytest.mark.grad
-TOLERANCE = {"eps": 1e-6, "atol": 2e-5, "rtol": 2e-5}
+TOLERANCE = {"eps": 1e-6, "atol": 2e-5, "rtol": 2e-5, "check_forward_ad": True}
 INTEGRATORS = ["implicit_euler", "bdf2", "implicit_midpoint", "semi_implicit_euler"]
 METHODS = ["auto", "quasi_newton", "newton_pcg", "newton_jacobi", "newton_cholesky"]
 STATE_INPUTS = ("x", "v", "external_force", "activation", "dirichlet_target")
@@ -74,14 +74,14 @@ def recorded_ops(monkeypatch, function, *names):
     calls = {}
     for name in names:
         module = _ops_elastic if name.startswith("elastic") else _ops_step
-        op = getattr(module, name)
+        op, layer = getattr(module, name), getattr(module, f"{name}_layer")
 
-        def record(*args, _op=op, _name=name, **options):
+        def record(*args, _op=op, _layer=layer, _name=name, **options):
             keep = not _name.endswith("_vjp")  # first order only: a _vjp has no gradient
             calls.setdefault(_name, (_op, tuple(_detached(a, keep) for a in args), options))
-            return _op(*args, **options)
+            return _layer(*args, **options)
 
-        monkeypatch.setattr(module, name, record)
+        monkeypatch.setattr(module, f"{name}_layer", record)
     function()
     monkeypatch.undo()
     return [calls[name] for name in names]

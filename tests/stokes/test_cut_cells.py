@@ -132,6 +132,7 @@ def test_contract(dim):
             (ops.cut_cells, (flat.clone().requires_grad_(), *args)),
             (ops.cut_cells_vjp, (*ones, flat, *args)),
         ],
+        forward=False,
     )
 
 

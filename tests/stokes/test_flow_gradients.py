@@ -86,6 +86,7 @@ def test_contract(dim):
             (_ops_cut.plane_flux, (flat.clone().requires_grad_(), velocity, *flux_args)),
             (_ops_cut.plane_flux_vjp, (tensor(1.0, 1.0), flat, velocity, *flux_args)),
         ],
+        forward=False,
         rtol=1e-5,
         atol=1e-4,  # pressures of about 1e3, of which differences are taken
         fast_mode=True,

@@ -18,6 +18,7 @@ from diffsim.systems.multicopter import effects as causes
 from diffsim.systems.multicopter import flight_model, unknown_wrench
 from diffsim.systems.multicopter.flying import Flyer
 from diffsim.systems.multicopter.motion import Motion
+from diffsim.systems.multicopter.sensors import GROUND_SCALE
 from diffsim.systems.multicopter.shooting import Windows
 from tests.diagnose.gate import score_error, typical
 
@@ -341,6 +342,9 @@ def test_sensors_by_their_formulas():
     larger, _ = straight_up(causes.POSITION_SCALE, size(0.1), **still)
     torch.testing.assert_close(larger[:, :3], 1.1 * plain[:, :3])
     torch.testing.assert_close(larger[:, 3:], plain[:, 3:])
+    along, _ = straight_up(GROUND_SCALE, size(0.1), **still)
+    torch.testing.assert_close(along[:, :2], 1.1 * plain[:, :2])
+    torch.testing.assert_close(along[:, 2:], plain[:, 2:])
     moved, t = straight_up(causes.MARKER_PLACEMENT, size(0.01, 0.0, 0.0), **still)
     np.testing.assert_allclose((moved - plain)[:, 0], 0.01 * np.cos(t), atol=1e-12)
     np.testing.assert_allclose((moved - plain)[:, 1], 0.01 * np.sin(t), atol=1e-12)

@@ -2,7 +2,7 @@
 
 #include <vector>
 
-#include "kernels/copter/flight_step.h"
+#include "kernels/copter/flight_moving.h"
 #include "kernels/parallel.h"
 
 namespace diffsim {
@@ -24,6 +24,27 @@ void fly(Flight& flight, const Crew& crew, std::int64_t steps, const FlightOptio
   };
   Record x;
   load_row(inputs.start, crew, 0, size, x);
+  save(0, x);
+  for (std::int64_t step = 0; step < steps; ++step) {
+    flight.command(step, x);
+    for (int k = 0; k < options.substeps; ++k) flight.step(x);
+    save(step + 1, x);
+  }
+}
+
+/// Rates of the records along a direction in the inputs.
+void fly_along(Flying<MovingRows>& flight, const MovingRows& rows, std::int64_t steps,
+               const FlightOptions& options, double* rates) {
+  const int size = flight.record();
+  const Crew& crew = rows.crew;
+  const auto save = [&](std::int64_t step, const Moving* x) {
+    for (int lane = 0; lane < crew.count; ++lane) {
+      double* row = rates + ((crew.first + lane) * (steps + 1) + step) * size;
+      for (int k = 0; k < size; ++k) row[k] = x[k].rate[lane];
+    }
+  };
+  Moving x[kBody + kMaxRotors];
+  rows.load(&FlightInputs::start, 0, size, x);
   save(0, x);
   for (std::int64_t step = 0; step < steps; ++step) {
     flight.command(step, x);
@@ -98,6 +119,16 @@ void flight_rollout_vjp(int num_rotors, std::int64_t batch, std::int64_t steps,
   flight::for_crews(batch, num_threads, [&](const flight::Crew& crew) {
     flight::Flight one(num_rotors, options, inputs, crew);
     flight::fly_back(one, crew, steps, options, records, grad_records, grads);
+  });
+}
+
+void flight_rollout_tangent(int num_rotors, std::int64_t batch, std::int64_t steps,
+                            const FlightOptions& options, const FlightInputs& inputs,
+                            const FlightInputs& directions, double* rates, int num_threads) {
+  flight::for_crews(batch, num_threads, [&](const flight::Crew& crew) {
+    const flight::MovingRows rows{inputs, directions, crew};
+    flight::Flying<flight::MovingRows> one(num_rotors, options, rows);
+    flight::fly_along(one, rows, steps, options, rates);
   });
 }
 

@@ -1,4 +1,4 @@
-// Batched flight of multicopters: classical Runge-Kutta of order four and its adjoint.
+// Batched flight of multicopters: classical Runge-Kutta of order four, its adjoint and its tangent.
 //
 // NED. One control step reads the state, computes the thrust commands
 //   c = clamp(feed_forward - K (x12 - reference), 0, u_max)
@@ -61,5 +61,12 @@ void flight_rollout_vjp(int num_rotors, std::int64_t batch, std::int64_t steps,
                         const FlightOptions& options, const FlightInputs& inputs,
                         const double* records, const double* grad_records,
                         const FlightInputGrads& grads, int num_threads);
+
+/// Records along one direction in the inputs.
+/// @param[in]  directions  of the same sizes, with strides of their own
+/// @param[out] rates       same shape as records
+void flight_rollout_tangent(int num_rotors, std::int64_t batch, std::int64_t steps,
+                            const FlightOptions& options, const FlightInputs& inputs,
+                            const FlightInputs& directions, double* rates, int num_threads);
 
 }  // namespace diffsim

@@ -11,49 +11,52 @@
 
 namespace diffsim::flight {
 
+template <class T>
 struct BodyTrace {
-  RotorTrace rotors;
-  V R[9], world_air[3], air[3], speed;  // velocity relative to the air
-  V force[3], torque[3];                // torque: M - w x J w
-  V momentum[3];
+  RotorTrace<T> rotors;
+  T R[9], world_air[3], air[3], speed;  // velocity relative to the air
+  T force[3], torque[3];                // torque: M - w x J w
+  T momentum[3];
 };
 
 /// Velocity of a hub across its axis, relative to the air.
-DIFFSIM_INLINE void across(const V* air, const V* w, const V* arm, const V* axis, V* hub,
-                           V* crossing) {
+template <class T>
+DIFFSIM_INLINE void across(const T* air, const T* w, const T* arm, const T* axis, T* hub,
+                           T* crossing) {
   for (int k = 0; k < 3; ++k) hub[k] = air[k];
   add_cross(w, arm, hub);
-  const V along = dot(axis, hub);
+  const T along = dot(axis, hub);
   for (int k = 0; k < 3; ++k) crossing[k] = hub[k] - along * axis[k];
 }
 
-inline void body_derivative(const FlightLayout& at, const FlightOptions& on, const V* P, const V* x,
-                            const V* s, const V* wind, BodyTrace& tr, V* dx) {
-  const V *q = x + kQuaternion, *v = x + kVelocity, *w = x + kRates;
+template <class T>
+inline void body_derivative(const FlightLayout& at, const FlightOptions& on, const T* P, const T* x,
+                            const T* s, const T* wind, BodyTrace<T>& tr, T* dx) {
+  const T *q = x + kQuaternion, *v = x + kVelocity, *w = x + kRates;
   rotation(q, tr.R);
   for (int k = 0; k < 3; ++k) {
     tr.world_air[k] = v[k] - wind[k];
-    tr.air[k] = tr.force[k] = tr.torque[k] = tr.momentum[k] = V{};
+    tr.air[k] = tr.force[k] = tr.torque[k] = tr.momentum[k] = T{};
   }
   add_transposed(tr.R, tr.world_air, tr.air);
   rotor_thrusts(at, on, P, x, s, tr.R, tr.rotors);
   for (int i = 0; i < at.num_rotors; ++i) {
-    const V *arm = P + at.arms + 3 * i, *axis = P + at.axes + 3 * i;
-    const V u = tr.rotors.thrust[i];
-    V e[3] = {u * axis[0], u * axis[1], u * axis[2]};
+    const T *arm = P + at.arms + 3 * i, *axis = P + at.axes + 3 * i;
+    const T u = tr.rotors.thrust[i];
+    T e[3] = {u * axis[0], u * axis[1], u * axis[2]};
     if (on.rotor_drag) {
-      V hub[3], crossing[3];
+      T hub[3], crossing[3];
       across(tr.air, w, arm, axis, hub, crossing);
       add(-P[at.rotor_drag] * u, crossing, e);
     }
-    add(broadcast<V>(1.0), e, tr.force);
+    add(constant<T>(1.0), e, tr.force);
     add_cross(arm, e, tr.torque);
     add(tr.rotors.bench[i], P + at.reactions + 3 * i, tr.torque);
   }
   if (on.body_drag) {
     tr.speed = sqrt(dot(tr.air, tr.air));
     for (int k = 0; k < 3; ++k) {
-      const V drag = P[at.drag_linear + k] + P[at.drag_quadratic + k] * tr.speed;
+      const T drag = P[at.drag_linear + k] + P[at.drag_quadratic + k] * tr.speed;
       tr.force[k] -= drag * tr.air[k];
     }
   }
@@ -70,7 +73,7 @@ inline void body_derivative(const FlightLayout& at, const FlightOptions& on, con
   dx[kQuaternion + 1] = 0.5 * (q[0] * w[0] + q[2] * w[2] - q[3] * w[1]);
   dx[kQuaternion + 2] = 0.5 * (q[0] * w[1] + q[3] * w[0] - q[1] * w[2]);
   dx[kQuaternion + 3] = 0.5 * (q[0] * w[2] + q[1] * w[1] - q[2] * w[0]);
-  dx[kCharge] = on.battery ? -P[at.inverse_capacity] * tr.rotors.current : V{};
+  dx[kCharge] = on.battery ? -P[at.inverse_capacity] * tr.rotors.current : T{};
 }
 
 DIFFSIM_INLINE void spin_vjp(const V* q, const V* w, const V* g, V* grad_q, V* grad_w) {
@@ -87,7 +90,7 @@ DIFFSIM_INLINE void spin_vjp(const V* q, const V* w, const V* g, V* grad_q, V* g
 /// @param[in]     grad_dx gradient of the derivative
 /// @param[in,out] grad_x, grad_s, grad_wind, grad_P  added to
 inline void body_derivative_vjp(const FlightLayout& at, const FlightOptions& on, const V* P,
-                                const V* x, const V* s, const BodyTrace& tr, const V* grad_dx,
+                                const V* x, const V* s, const BodyTrace<V>& tr, const V* grad_dx,
                                 V* grad_x, V* grad_s, V* grad_wind, V* grad_P) {
   const V *q = x + kQuaternion, *w = x + kRates;
   V *grad_v = grad_x + kVelocity, *grad_w = grad_x + kRates;

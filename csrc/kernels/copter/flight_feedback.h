@@ -10,9 +10,10 @@
 
 namespace diffsim::flight {
 
+template <class T>
 struct FeedbackTrace {
-  V R[9];
-  V cos_pitch, sin_roll, cos_roll, tan_pitch, turn;  // turn: rate about the body's lean
+  T R[9];
+  T cos_pitch, sin_roll, cos_roll, tan_pitch, turn;  // turn: rate about the body's lean
 };
 
 inline V angle(const V& y, const V& x) {
@@ -25,11 +26,12 @@ DIFFSIM_INLINE void angle_vjp(const V& y, const V& x, V grad, V& grad_y, V& grad
   grad_x -= scaled * y;
 }
 
-inline void feedback_state(const V* x, FeedbackTrace& tr, V* x12) {
-  const V *v = x + kVelocity, *w = x + kRates;
+template <class T>
+inline void feedback_state(const T* x, FeedbackTrace<T>& tr, T* x12) {
+  const T *v = x + kVelocity, *w = x + kRates;
   rotation(x + kQuaternion, tr.R);
-  const V* R = tr.R;
-  tr.cos_pitch = sqrt<V>(R[7] * R[7] + R[8] * R[8]);
+  const T* R = tr.R;
+  tr.cos_pitch = sqrt(R[7] * R[7] + R[8] * R[8]);
   tr.sin_roll = R[7] / tr.cos_pitch;
   tr.cos_roll = R[8] / tr.cos_pitch;
   tr.tan_pitch = -R[6] / tr.cos_pitch;
@@ -38,14 +40,14 @@ inline void feedback_state(const V* x, FeedbackTrace& tr, V* x12) {
   x12[3] = angle(R[7], R[8]);
   x12[4] = angle(-R[6], tr.cos_pitch);
   x12[5] = angle(R[3], R[0]);
-  for (int k = 0; k < 3; ++k) x12[6 + k] = V{};
+  for (int k = 0; k < 3; ++k) x12[6 + k] = T{};
   add_transposed(R, v, x12 + 6);
   x12[9] = w[0] + tr.tan_pitch * tr.turn;
   x12[10] = tr.cos_roll * w[1] - tr.sin_roll * w[2];
   x12[11] = tr.turn / tr.cos_pitch;
 }
 
-inline void feedback_state_vjp(const V* x, const FeedbackTrace& tr, const V* g, V* grad_x) {
+inline void feedback_state_vjp(const V* x, const FeedbackTrace<V>& tr, const V* g, V* grad_x) {
   const V *v = x + kVelocity, *w = x + kRates, *R = tr.R;
   V* grad_w = grad_x + kRates;
   V grad_R[9] = {};
@@ -73,14 +75,17 @@ inline void feedback_state_vjp(const V* x, const FeedbackTrace& tr, const V* g, 
   rotation_vjp(x + kQuaternion, grad_R, grad_x + kQuaternion);
 }
 
-/// x12 - reference, angles the short way round.
-inline void feedback_error(const V* x12, const V* reference, V* error) {
-  for (int k = 0; k < kFeedback; ++k) error[k] = x12[k] - reference[k];
+/// An angle the short way round.
+inline V wrapped(const V& a) {
   constexpr double kTurn = 6.283185307179586476925286766559;
-  for (int k : {3, 5}) {
-    error[k] = each(error[k], error[k],
-                    [](double a, double) { return a - kTurn * std::nearbyint(a / kTurn); });
-  }
+  return each(a, a, [](double x, double) { return x - kTurn * std::nearbyint(x / kTurn); });
+}
+
+/// x12 - reference, angles the short way round.
+template <class T>
+inline void feedback_error(const T* x12, const T* reference, T* error) {
+  for (int k = 0; k < kFeedback; ++k) error[k] = x12[k] - reference[k];
+  for (int k : {3, 5}) error[k] = wrapped(error[k]);
 }
 
 }  // namespace diffsim::flight

@@ -9,22 +9,36 @@ namespace diffsim::flight {
 
 using V = Native;
 
-DIFFSIM_INLINE V dot(const V* a, const V* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+/// The same number in every lane.
+template <class T>
+DIFFSIM_INLINE T constant(double value) {
+  return broadcast<T>(value);
+}
+
+// T is V, or the Moving of flight_moving.h, which carries a derivative along.
+template <class T>
+DIFFSIM_INLINE T dot(const T* a, const T* b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
 /// y += scale x
-DIFFSIM_INLINE void add(V scale, const V* x, V* y) {
+template <class T>
+DIFFSIM_INLINE void add(const T& scale, const T* x, T* y) {
   for (int k = 0; k < 3; ++k) y[k] += scale * x[k];
 }
 /// y += a x b
-DIFFSIM_INLINE void add_cross(const V* a, const V* b, V* y) {
+template <class T>
+DIFFSIM_INLINE void add_cross(const T* a, const T* b, T* y) {
   y[0] += a[1] * b[2] - a[2] * b[1];
   y[1] += a[2] * b[0] - a[0] * b[2];
   y[2] += a[0] * b[1] - a[1] * b[0];
 }
 /// y += A x, and y += A' x
-DIFFSIM_INLINE void add_product(const V* A, const V* x, V* y) {
+template <class T>
+DIFFSIM_INLINE void add_product(const T* A, const T* x, T* y) {
   for (int i = 0; i < 3; ++i) y[i] += dot(A + 3 * i, x);
 }
-DIFFSIM_INLINE void add_transposed(const V* A, const V* x, V* y) {
+template <class T>
+DIFFSIM_INLINE void add_transposed(const T* A, const T* x, T* y) {
   for (int i = 0; i < 3; ++i) y[i] += A[i] * x[0] + A[3 + i] * x[1] + A[6 + i] * x[2];
 }
 /// A += scale x y'
@@ -33,8 +47,9 @@ DIFFSIM_INLINE void add_outer(V scale, const V* x, const V* y, V* A) {
 }
 
 /// World from body; scales with |q|^2, so that it is a polynomial and its stages need no root.
-DIFFSIM_INLINE void rotation(const V* q, V* R) {
-  const V a = q[0], b = q[1], c = q[2], d = q[3];
+template <class T>
+DIFFSIM_INLINE void rotation(const T* q, T* R) {
+  const T a = q[0], b = q[1], c = q[2], d = q[3];
   R[0] = a * a + b * b - c * c - d * d;
   R[4] = a * a - b * b + c * c - d * d;
   R[8] = a * a - b * b - c * c + d * d;

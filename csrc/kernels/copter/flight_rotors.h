@@ -8,35 +8,38 @@
 namespace diffsim::flight {
 
 /// What the thrusts of one instant came from.
+template <class T>
 struct RotorTrace {
-  V curve[kMaxRotors];   // after the thrust curve [N]
-  V bench[kMaxRotors];   // ... and the battery: the thrust that a bench would show [N]
-  V freed[kMaxRotors];   // ... and interference [N]
-  V factor[kMaxRotors];  // of the ground
-  V height[kMaxRotors];  // above the ground, at least half a radius [m]
-  V thrust[kMaxRotors];  // that acts [N]
-  V drawn[kMaxRotors];   // s^alpha
-  V current, voltage, sag;
+  T curve[kMaxRotors];   // after the thrust curve [N]
+  T bench[kMaxRotors];   // ... and the battery: the thrust that a bench would show [N]
+  T freed[kMaxRotors];   // ... and interference [N]
+  T factor[kMaxRotors];  // of the ground
+  T height[kMaxRotors];  // above the ground, at least half a radius [m]
+  T thrust[kMaxRotors];  // that acts [N]
+  T drawn[kMaxRotors];   // s^alpha
+  T current, voltage, sag;
 };
 
 constexpr double kLeastVoltage = 0.05;  // of the nominal one; below it thrusts stay as they are
 
-inline void battery_sag(const FlightLayout& at, const V* P, const V* s, V charge, RotorTrace& tr) {
+template <class T>
+inline void battery_sag(const FlightLayout& at, const T* P, const T* s, const T& charge,
+                        RotorTrace<T>& tr) {
   tr.current = P[at.idle_current];
   for (int i = 0; i < at.num_rotors; ++i) {
     tr.drawn[i] = power(s[i], P[at.current_exponent + i]);
     tr.current += P[at.current_coefficient + i] * tr.drawn[i];
   }
-  const V* c = P + at.open_circuit;
-  const V open = c[0] + charge * (c[1] + charge * (c[2] + charge * c[3]));
+  const T* c = P + at.open_circuit;
+  const T open = c[0] + charge * (c[1] + charge * (c[2] + charge * c[3]));
   tr.voltage = open - P[at.resistance] * tr.current;
-  const V relative = tr.voltage / P[at.nominal_voltage];
-  tr.sag = power(max(relative, broadcast<V>(kLeastVoltage)), P[at.sag_exponent]);
+  const T relative = tr.voltage / P[at.nominal_voltage];
+  tr.sag = power(max(relative, constant<T>(kLeastVoltage)), P[at.sag_exponent]);
 }
 
 /// Adds to grad_s, grad_charge, grad_P.
 inline void battery_sag_vjp(const FlightLayout& at, const V* P, const V* s, V charge,
-                            const RotorTrace& tr, V grad_sag, V grad_current, V* grad_s,
+                            const RotorTrace<V>& tr, V grad_sag, V grad_current, V* grad_s,
                             V& grad_charge, V* grad_P) {
   const V nominal = P[at.nominal_voltage];
   const V relative = tr.voltage / nominal, least = broadcast<V>(kLeastVoltage);
@@ -65,13 +68,14 @@ inline void battery_sag_vjp(const FlightLayout& at, const V* P, const V* s, V ch
 
 /// @param[in] s   thrust states: the command, or what the lagging motor has made of it [N]
 /// @param[in] R   world from body
-inline void rotor_thrusts(const FlightLayout& at, const FlightOptions& on, const V* P, const V* x,
-                          const V* s, const V* R, RotorTrace& tr) {
+template <class T>
+inline void rotor_thrusts(const FlightLayout& at, const FlightOptions& on, const T* P, const T* x,
+                          const T* s, const T* R, RotorTrace<T>& tr) {
   const int n = at.num_rotors;
-  tr.sag = broadcast<V>(1.0);
+  tr.sag = constant<T>(1.0);
   if (on.battery) battery_sag(at, P, s, x[kCharge], tr);
   for (int i = 0; i < n; ++i) {
-    const V reference = P[at.curve_reference + i];
+    const T reference = P[at.curve_reference + i];
     tr.curve[i] =
         on.thrust_curve ? reference * power(s[i] / reference, P[at.curve_exponent + i]) : s[i];
     tr.bench[i] = tr.sag * tr.curve[i];
@@ -84,10 +88,10 @@ inline void rotor_thrusts(const FlightLayout& at, const FlightOptions& on, const
     tr.thrust[i] = tr.freed[i];
     if (on.ground_effect) {
       // Cheeseman and Bennett 1955 with a coefficient: 1 / (1 - k (radius / 4 height)^2)
-      const V radius = P[at.radii + i];
-      const V height = -(x[2] + dot(R + 6, P + at.arms + 3 * i)) - P[at.terrain_height];
-      tr.height[i] = max(height, 0.5 * radius);
-      const V near = radius / (4.0 * tr.height[i]);
+      const T radius = P[at.radii + i];
+      const T height = -(x[2] + dot(R + 6, P + at.arms + 3 * i)) - P[at.terrain_height];
+      tr.height[i] = max(height, T(0.5 * radius));
+      const T near = radius / (4.0 * tr.height[i]);
       tr.factor[i] = 1.0 / (1.0 - P[at.ground_coefficient] * near * near);
       tr.thrust[i] = tr.freed[i] * tr.factor[i];
     }
@@ -99,7 +103,7 @@ inline void rotor_thrusts(const FlightLayout& at, const FlightOptions& on, const
 ///                as working space
 /// @param[in,out] grad_x, grad_s, grad_R, grad_P         added to
 inline void rotor_thrusts_vjp(const FlightLayout& at, const FlightOptions& on, const V* P,
-                              const V* x, const V* s, const V* R, const RotorTrace& tr,
+                              const V* x, const V* s, const V* R, const RotorTrace<V>& tr,
                               V* grad_bench, const V* grad_thrust, V grad_current, V* grad_x,
                               V* grad_s, V* grad_R, V* grad_P) {
   const int n = at.num_rotors;

@@ -38,25 +38,39 @@ inline void add_row(const FlightGrads& grads, const Crew& crew, std::int64_t ste
   }
 }
 
-/// One register's vehicles: their parameters, and what a step needs.
-class Flight {
+/// Rows of the inputs as lanes.
+struct Rows {
+  using Value = V;
+  const FlightInputs& inputs;
+  const Crew& crew;
+  void load(FlightRows FlightInputs::* which, std::int64_t step, int width, V* out) const {
+    load_row(inputs.*which, crew, step, width, out);
+  }
+};
+
+/// One register's vehicles: their parameters, and what a step needs. `Source` gives the rows of the
+/// inputs, and says of which type T the numbers are.
+template <class Source>
+class Flying {
  public:
-  Flight(int num_rotors, const FlightOptions& options, const FlightInputs& inputs, const Crew& crew)
-      : at_(num_rotors), n_(num_rotors), on_(options), inputs_(inputs), crew_(crew), P_(at_.size) {
-    load_row(inputs.parameters, crew, 0, at_.size, P_.data());
+  using T = typename Source::Value;
+
+  Flying(int num_rotors, const FlightOptions& options, const Source& rows)
+      : at_(num_rotors), n_(num_rotors), on_(options), rows_(rows), P_(u(at_.size)) {
+    rows_.load(&FlightInputs::parameters, 0, at_.size, P_.data());
     if (on_.feedback) {
       K_.resize(static_cast<std::size_t>(n_) * kFeedback);
-      load_row(inputs.gain, crew, 0, n_ * kFeedback, K_.data());
+      rows_.load(&FlightInputs::gain, 0, n_ * kFeedback, K_.data());
     }
   }
 
   /// Commands of a control step before and after the clamp, and the wind.
-  void command(std::int64_t step, const V* x) {
-    load_row(inputs_.feed_forward, crew_, step, n_, wanted_);
-    load_row(inputs_.wind, crew_, step, 3, wind_);
+  void command(std::int64_t step, const T* x) {
+    rows_.load(&FlightInputs::feed_forward, step, n_, wanted_);
+    rows_.load(&FlightInputs::wind, step, 3, wind_);
     if (on_.feedback) {
-      V x12[kFeedback], reference[kFeedback];
-      load_row(inputs_.reference, crew_, step, kFeedback, reference);
+      T x12[kFeedback], reference[kFeedback];
+      rows_.load(&FlightInputs::reference, step, kFeedback, reference);
       feedback_state(x, feedback_, x12);
       feedback_error(x12, reference, error_);
       for (int i = 0; i < n_; ++i) {
@@ -64,58 +78,24 @@ class Flight {
       }
     }
     for (int i = 0; i < n_; ++i) {
-      command_[i] = min(max(wanted_[i], V{}), P_[u(at_.max_thrusts + i)]);
+      command_[i] = min(max(wanted_[i], T{}), P_[u(at_.max_thrusts + i)]);
     }
-  }
-
-  /// Adjoint of command(); grad_command is overwritten.
-  void command_vjp(std::int64_t step, const V* x, V* grad_command, const V* grad_wind, V* grad_x,
-                   V* grad_P, V* grad_K, const FlightInputGrads& grads) {
-    for (int i = 0; i < n_; ++i) {
-      const MaskOf<V> high = greater(wanted_[i], P_[u(at_.max_thrusts + i)]);
-      grad_P[at_.max_thrusts + i] += keep<V>(high, grad_command[i]);
-      const MaskOf<V> inside = ~high & ~less(wanted_[i], V{});
-      grad_command[i] = keep<V>(inside, grad_command[i]);
-    }
-    add_row(grads.feed_forward, crew_, step, n_, grad_command);
-    add_row(grads.wind, crew_, step, 3, grad_wind);
-    if (!on_.feedback) return;
-    V grad_error[kFeedback] = {}, grad_reference[kFeedback];
-    for (int i = 0; i < n_; ++i) {
-      for (int k = 0; k < kFeedback; ++k) {
-        grad_error[k] -= K_[u(kFeedback * i + k)] * grad_command[i];
-        grad_K[kFeedback * i + k] -= grad_command[i] * error_[k];
-      }
-    }
-    for (int k = 0; k < kFeedback; ++k) grad_reference[k] = -grad_error[k];
-    add_row(grads.reference, crew_, step, kFeedback, grad_reference);
-    feedback_state_vjp(x, feedback_, grad_error, grad_x);
   }
 
   /// Thrust states at the middle and the end of a step from those at its start: the exact answer of
   /// tau s' = command - s.
-  void lag(const V* start, V* middle, V* end) const {
+  void lag(const T* start, T* middle, T* end) const {
     for (int i = 0; i < n_; ++i) {
-      const V decay = P_[u(at_.lag_decay + i)], gap = start[i] - command_[i];
+      const T decay = P_[u(at_.lag_decay + i)], gap = start[i] - command_[i];
       middle[i] = command_[i] + decay * gap;
       end[i] = command_[i] + decay * decay * gap;
     }
   }
-  void lag_vjp(const V* start, const V* grad_middle, const V* grad_end, V* grad_start,
-               V* grad_command, V* grad_P) const {
-    for (int i = 0; i < n_; ++i) {
-      const V decay = P_[u(at_.lag_decay + i)], gap = start[i] - command_[i];
-      const V grad_gap = decay * (grad_middle[i] + decay * grad_end[i]);
-      grad_command[i] += grad_middle[i] + grad_end[i] - grad_gap;
-      grad_start[i] += grad_gap;
-      grad_P[at_.lag_decay + i] += gap * (grad_middle[i] + 2.0 * decay * grad_end[i]);
-    }
-  }
 
   /// One step of integration; x holds the body and, behind it, the thrust states.
-  void step(V* x) {
-    V middle[kMaxRotors], end[kMaxRotors];
-    const V *s0 = x + kBody, *s1 = command_, *s2 = command_;
+  void step(T* x) {
+    T middle[kMaxRotors], end[kMaxRotors];
+    const T *s0 = x + kBody, *s1 = command_, *s2 = command_;
     if (on_.motor_lag) {
       lag(s0, middle, end);
       s1 = middle;
@@ -128,8 +108,78 @@ class Flight {
       x[k] += on_.dt / 6.0 * (k_[0][k] + 2.0 * (k_[1][k] + k_[2][k]) + k_[3][k]);
     }
     for (int i = 0; i < n_; ++i) x[kBody + i] = s2[i];
-    const V scale = 1.0 / sqrt<V>(norm2(x + kQuaternion));
+    const T scale = 1.0 / sqrt(norm2(x + kQuaternion));
     for (int k = 0; k < 4; ++k) x[kQuaternion + k] *= scale;
+  }
+
+  int record() const { return kBody + n_; }
+  const FlightLayout& layout() const { return at_; }
+
+ protected:
+  static std::size_t u(int i) { return static_cast<std::size_t>(i); }
+  static T norm2(const T* q) { return q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]; }
+  double reach_of(int stage) const { return stage == 2 ? on_.dt : 0.5 * on_.dt; }
+
+  void stages(const T* x, const T* s0, const T* s1, const T* s2) {
+    const T* thrusts[4] = {s0, s1, s1, s2};
+    for (int k = 0; k < kBody; ++k) stage_[0][k] = x[k];
+    for (int i = 0; i < 4; ++i) {
+      body_derivative(at_, on_, P_.data(), stage_[i], thrusts[i], wind_, trace_[i], k_[i]);
+      if (i == 3) break;
+      for (int k = 0; k < kBody; ++k) stage_[i + 1][k] = x[k] + reach_of(i) * k_[i][k];
+    }
+  }
+
+  FlightLayout at_;
+  int n_;
+  const FlightOptions& on_;
+  Source rows_;
+  std::vector<T> P_, K_;
+  T wanted_[kMaxRotors], command_[kMaxRotors], wind_[3], error_[kFeedback];
+  FeedbackTrace<T> feedback_;
+  T stage_[4][kBody], k_[4][kBody];
+  BodyTrace<T> trace_[4];
+};
+
+/// The vehicles with the adjoints of what they do.
+class Flight : public Flying<Rows> {
+ public:
+  Flight(int num_rotors, const FlightOptions& options, const FlightInputs& inputs, const Crew& crew)
+      : Flying(num_rotors, options, Rows{inputs, crew}) {}
+
+  /// Adjoint of command(); grad_command is overwritten.
+  void command_vjp(std::int64_t step, const V* x, V* grad_command, const V* grad_wind, V* grad_x,
+                   V* grad_P, V* grad_K, const FlightInputGrads& grads) {
+    for (int i = 0; i < n_; ++i) {
+      const MaskOf<V> high = greater(wanted_[i], P_[u(at_.max_thrusts + i)]);
+      grad_P[at_.max_thrusts + i] += keep<V>(high, grad_command[i]);
+      const MaskOf<V> inside = ~high & ~less(wanted_[i], V{});
+      grad_command[i] = keep<V>(inside, grad_command[i]);
+    }
+    add_row(grads.feed_forward, rows_.crew, step, n_, grad_command);
+    add_row(grads.wind, rows_.crew, step, 3, grad_wind);
+    if (!on_.feedback) return;
+    V grad_error[kFeedback] = {}, grad_reference[kFeedback];
+    for (int i = 0; i < n_; ++i) {
+      for (int k = 0; k < kFeedback; ++k) {
+        grad_error[k] -= K_[u(kFeedback * i + k)] * grad_command[i];
+        grad_K[kFeedback * i + k] -= grad_command[i] * error_[k];
+      }
+    }
+    for (int k = 0; k < kFeedback; ++k) grad_reference[k] = -grad_error[k];
+    add_row(grads.reference, rows_.crew, step, kFeedback, grad_reference);
+    feedback_state_vjp(x, feedback_, grad_error, grad_x);
+  }
+
+  void lag_vjp(const V* start, const V* grad_middle, const V* grad_end, V* grad_start,
+               V* grad_command, V* grad_P) const {
+    for (int i = 0; i < n_; ++i) {
+      const V decay = P_[u(at_.lag_decay + i)], gap = start[i] - command_[i];
+      const V grad_gap = decay * (grad_middle[i] + decay * grad_end[i]);
+      grad_command[i] += grad_middle[i] + grad_end[i] - grad_gap;
+      grad_start[i] += grad_gap;
+      grad_P[at_.lag_decay + i] += gap * (grad_middle[i] + 2.0 * decay * grad_end[i]);
+    }
   }
 
   /// Adjoint of step(): grad_x is that of its result when called, of its start afterwards.
@@ -174,24 +224,7 @@ class Flight {
     }
   }
 
-  int record() const { return kBody + n_; }
-  const FlightLayout& layout() const { return at_; }
-
  private:
-  static std::size_t u(int i) { return static_cast<std::size_t>(i); }
-  static V norm2(const V* q) { return q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]; }
-  double reach_of(int stage) const { return stage == 2 ? on_.dt : 0.5 * on_.dt; }
-
-  void stages(const V* x, const V* s0, const V* s1, const V* s2) {
-    const V* thrusts[4] = {s0, s1, s1, s2};
-    for (int k = 0; k < kBody; ++k) stage_[0][k] = x[k];
-    for (int i = 0; i < 4; ++i) {
-      body_derivative(at_, on_, P_.data(), stage_[i], thrusts[i], wind_, trace_[i], k_[i]);
-      if (i == 3) break;
-      for (int k = 0; k < kBody; ++k) stage_[i + 1][k] = x[k] + reach_of(i) * k_[i][k];
-    }
-  }
-
   /// Through q / |q| at the end of a step, q from the stages.
   void normalize_vjp(const V* start, V* grad_q) const {
     V q[4];
@@ -204,17 +237,6 @@ class Flight {
     for (int k = 0; k < 4; ++k) along += grad_q[k] * q[k] * scale * scale;
     for (int k = 0; k < 4; ++k) grad_q[k] = scale * (grad_q[k] - along * q[k]);
   }
-
-  FlightLayout at_;
-  int n_;
-  const FlightOptions& on_;
-  const FlightInputs& inputs_;
-  const Crew& crew_;
-  std::vector<V> P_, K_;
-  V wanted_[kMaxRotors], command_[kMaxRotors], wind_[3], error_[kFeedback];
-  FeedbackTrace feedback_;
-  V stage_[4][kBody], k_[4][kBody];
-  BodyTrace trace_[4];
 };
 
 }  // namespace diffsim::flight

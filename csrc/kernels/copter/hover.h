@@ -48,4 +48,18 @@ void solve_hover_vjp(const HoverProblem& problem, const double* u, const double*
                      double* grad_force, double* grad_torque, double* grad_weights,
                      double* grad_upper);
 
+/// A direction in the design, shapes as in HoverProblem.
+struct HoverDirection {
+  const double* force;
+  const double* torque;
+  const double* weights;
+  const double* upper;
+};
+
+/// du along a direction: the transpose of solve_hover_vjp, with the same set of rotors at a bound.
+/// @param[out] du  (num_rotors,)
+void solve_hover_tangent(const HoverProblem& problem, const double* u, const double* multipliers,
+                         const std::int64_t* state, const std::int64_t* info,
+                         const HoverDirection& direction, double* du);
+
 }  // namespace diffsim

@@ -5,6 +5,29 @@ namespace diffsim {
 
 using namespace hover_system;
 
+namespace {
+
+/// The result of solve_hover, and what both derivatives need of it.
+struct Solved {
+  Solved(const View& p, const double* u, const double* multipliers, const std::int64_t* state,
+         const std::int64_t* info) {
+    at.u = Eigen::Map<const VectorXd>(u, p.n);
+    at.y = Eigen::Map<const Vector4d>(multipliers);
+    for (int i = 0; i < p.n; ++i) at.state.push_back(static_cast<BoundState>(state[i]));
+    at.feasible = info[0] != static_cast<std::int64_t>(HoverStatus::kInfeasible);
+    const Vector3d f = p.F * at.u;
+    lift = f.norm();
+    if (lift > 0.0) a = f / lift;
+    free = free_rotors(at.state);
+  }
+  Iterate at;
+  double lift = 0.0;
+  Vector3d a = Vector3d::Zero();
+  std::vector<int> free;
+};
+
+}  // namespace
+
 // With the free rotors' conditions z_F(u, y; design) = 0 and c(u; design) = delta y, the adjoint
 // solves K (v, w) = (dL/du_F, 0), and dL/d(design) = -d/d(design) of
 //   v' z_F + w' c,  z = h u + dc/du' y + barrier.
@@ -13,11 +36,8 @@ void solve_hover_vjp(const HoverProblem& problem, const double* u, const double*
                      double* grad_force, double* grad_torque, double* grad_weights,
                      double* grad_upper) {
   const View p(problem);
-  Iterate at;
-  at.u = Eigen::Map<const VectorXd>(u, p.n);
-  at.y = Eigen::Map<const Vector4d>(multipliers);
-  for (int i = 0; i < p.n; ++i) at.state.push_back(static_cast<BoundState>(state[i]));
-  at.feasible = info[0] != static_cast<std::int64_t>(HoverStatus::kInfeasible);
+  const Solved solved(p, u, multipliers, state, info);
+  const Iterate& at = solved.at;
   const Eigen::Map<const VectorXd> g(grad_u, p.n);
   Eigen::Map<Rows3> gF(grad_force, 3, p.n), gT(grad_torque, 3, p.n);
   Eigen::Map<VectorXd> gh(grad_weights, p.n), gup(grad_upper, p.n);
@@ -25,11 +45,10 @@ void solve_hover_vjp(const HoverProblem& problem, const double* u, const double*
   gT.setZero();
   gh.setZero();
   gup.setZero();
-  const Vector3d f = p.F * at.u;
-  const double lift = f.norm();
-  if (!(lift > 0.0)) return;
-  const Vector3d a = f / lift;
-  const std::vector<int> free = free_rotors(at.state);
+  if (!(solved.lift > 0.0)) return;
+  const double lift = solved.lift;
+  const Vector3d& a = solved.a;
+  const std::vector<int>& free = solved.free;
   const int m = static_cast<int>(free.size());
   VectorXd rhs = VectorXd::Zero(m + 4);
   rhs.head(m) = g(free);
@@ -51,6 +70,42 @@ void solve_hover_vjp(const HoverProblem& problem, const double* u, const double*
       gup[i] = v[i] * p.barrier / (room * room);
     }
   }
+}
+
+// K (du_F, dy) = -(dz_F, dc) for what the direction does to z and c, read off the adjoint above.
+void solve_hover_tangent(const HoverProblem& problem, const double* u, const double* multipliers,
+                         const std::int64_t* state, const std::int64_t* info,
+                         const HoverDirection& direction, double* du_out) {
+  const View p(problem);
+  const Solved solved(p, u, multipliers, state, info);
+  const Iterate& at = solved.at;
+  Eigen::Map<VectorXd> du(du_out, p.n);
+  du.setZero();
+  if (!(solved.lift > 0.0)) return;
+  const Vector3d& a = solved.a;
+  const Eigen::Map<const Rows3> dF(direction.force, 3, p.n), dT(direction.torque, 3, p.n);
+  const Eigen::Map<const VectorXd> dh(direction.weights, p.n), dup(direction.upper, p.n);
+  const MatrixXd turn = turning(p, a);
+  if (!(p.barrier > 0.0))
+    for (int i = 0; i < p.n; ++i)
+      if (at.state[i] == BoundState::kUpper) du[i] = dup[i];
+  const Vector3d moved = dF * at.u, twisted = dT * at.u;
+  VectorXd z = at.y[0] * (dF.transpose() * a + turn.transpose() * moved / solved.lift) +
+               dT.transpose() * at.y.tail<3>() + dh.cwiseProduct(at.u) +
+               at.y[0] / solved.lift * turn.transpose() * (turn * du);
+  Vector4d c = jacobian(p, a) * du;
+  c[0] += a.dot(moved);
+  c.tail<3>() += twisted;
+  if (p.barrier > 0.0) {
+    const VectorXd room = p.upper - at.u;
+    z -= p.barrier * dup.cwiseQuotient(room.cwiseProduct(room));
+  }
+  const int m = static_cast<int>(solved.free.size());
+  VectorXd rhs(m + 4);
+  rhs.head(m) = -z(solved.free);
+  rhs.tail<4>() = -c;
+  const VectorXd step = pseudo_solve(kkt_matrix(p, at, solved.free), rhs);
+  for (int k = 0; k < m; ++k) du[solved.free[k]] = step[k];
 }
 
 }  // namespace diffsim

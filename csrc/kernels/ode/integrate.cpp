@@ -49,6 +49,56 @@ class Sweep {
     }
   }
 
+  /// Readings and states along a direction: the steps and their tangents side by side.
+  void tangent(const double* start, const double* d_start, const double* d_inputs,
+               const double* d_parameters, double* d_readings, double* d_states) {
+    const std::int64_t n = p_.num_states, size = n * Lanes;
+    tangents_.assign(registers_.size(), 0.0);
+    d_inputs_ = d_inputs;
+    for (std::int64_t i = 0; i < p_.num_parameters; ++i)
+      for (int l = 0; l < Lanes; ++l)
+        tangents_[(1 + n + p_.num_inputs + i) * Lanes + l] =
+            d_parameters[(first_ + l) * p_.num_parameters + i];
+    std::vector<double> x(size), dx(size), d_rates(4 * size), d_stage(size);
+    for (std::int64_t s = 0; s < n; ++s)
+      for (int l = 0; l < Lanes; ++l) {
+        x[s * Lanes + l] = start[(first_ + l) * n + s];
+        dx[s * Lanes + l] = d_start[(first_ + l) * n + s];
+      }
+    for (std::int64_t k = 0; k < p_.num_samples; ++k) {
+      read(k, x.data());
+      place_tangent(k, 0.0, dx.data());
+      tangent_tape<Lanes>(p_.readings, registers_.data(), tangents_.data());
+      for (int l = 0; l < Lanes; ++l) {
+        const std::int64_t row = (first_ + l) * p_.num_samples + k;
+        for (std::int64_t s = 0; s < n; ++s) d_states[row * n + s] = dx[s * Lanes + l];
+        for (std::int64_t c = 0; c < p_.num_channels; ++c)
+          d_readings[row * p_.num_channels + c] = tangents_[p_.reading_out[c] * Lanes + l];
+      }
+      if (k + 1 == p_.num_samples) break;
+      const double h = width(k), steps = static_cast<double>(p_.num_steps);
+      for (std::int64_t j = 0; j < p_.num_steps; ++j) {
+        for (int r = 0; r < 4; ++r) {
+          rate(k, j, r, stage(r, h, x.data()));
+          for (std::int64_t i = 0; i < size; ++i)
+            d_stage[i] = dx[i] + (r > 0 ? kShare[r] * h * d_rates[(r - 1) * size + i] : 0.0);
+          place_tangent(k, (static_cast<double>(j) + kShare[r]) / steps, d_stage.data());
+          tangent_tape<Lanes>(p_.rates, registers_.data(), tangents_.data());
+          for (std::int64_t s = 0; s < n; ++s)
+            std::copy_n(&tangents_[p_.rate_out[s] * Lanes], Lanes, &d_rates[r * size + s * Lanes]);
+        }
+        for (std::int64_t i = 0; i < size; ++i) {
+          const double end = x[i] + advance(h, i);
+          const bool inside = end >= p_.lower[i / Lanes] && end <= p_.upper[i / Lanes];
+          double moved = dx[i];
+          for (int r = 0; r < 4; ++r) moved += h / 6.0 * kWeight[r] * d_rates[r * size + i];
+          dx[i] = inside ? moved : 0.0;
+          x[i] = std::clamp(end, p_.lower[i / Lanes], p_.upper[i / Lanes]);
+        }
+      }
+    }
+  }
+
   void backward(const double* states, const double* grad_readings, const double* grad_states,
                 double* grad_start, double* grad_inputs, double* grad_parameters) {
     const std::int64_t n = p_.num_states;
@@ -100,6 +150,20 @@ class Sweep {
         const double now = own[k * p_.num_inputs + i];
         const double then = own[next * p_.num_inputs + i];
         u[i * Lanes + l] = p_.held[i] ? now : now + share * (then - now);
+      }
+  }
+
+  /// Tangents of what `place` sets; time does not move.
+  void place_tangent(std::int64_t k, double share, const double* dx) {
+    const std::int64_t next = std::min(k + 1, p_.num_samples - 1);
+    std::copy_n(dx, p_.num_states * Lanes, &tangents_[Lanes]);
+    double* du = &tangents_[(1 + p_.num_states) * Lanes];
+    for (std::int64_t i = 0; i < p_.num_inputs; ++i)
+      for (int l = 0; l < Lanes; ++l) {
+        const double* own = d_inputs_ + (first_ + l) * p_.input_stride;
+        const double now = own[k * p_.num_inputs + i];
+        const double then = own[next * p_.num_inputs + i];
+        du[i * Lanes + l] = p_.held[i] ? now : now + share * (then - now);
       }
   }
 
@@ -205,7 +269,8 @@ class Sweep {
   std::int64_t first_;
   const double* inputs_;
   double* grad_inputs_ = nullptr;
-  std::vector<double> registers_, rates_, stage_, adjoints_;
+  const double* d_inputs_ = nullptr;
+  std::vector<double> registers_, rates_, stage_, adjoints_, tangents_;
 };
 
 /// Calls f with the width and first member of every group; groups do not depend on the threads.
@@ -239,6 +304,16 @@ void integrate_vjp(const OdeProblem& problem, const double* inputs, const double
   each_group(problem.batch, num_threads, [&](auto lanes, std::int64_t first) {
     Sweep<decltype(lanes)::value>(problem, first, inputs, parameters)
         .backward(states, grad_readings, grad_states, grad_start, grad_inputs, grad_parameters);
+  });
+}
+
+void integrate_tangent(const OdeProblem& problem, const double* start, const double* inputs,
+                       const double* parameters, const double* d_start, const double* d_inputs,
+                       const double* d_parameters, double* d_readings, double* d_states,
+                       int num_threads) {
+  each_group(problem.batch, num_threads, [&](auto lanes, std::int64_t first) {
+    Sweep<decltype(lanes)::value>(problem, first, inputs, parameters)
+        .tangent(start, d_start, d_inputs, d_parameters, d_readings, d_states);
   });
 }
 

@@ -46,4 +46,13 @@ void integrate_vjp(const OdeProblem& problem, const double* inputs, const double
                    double* grad_start, double* grad_inputs, double* grad_parameters,
                    int num_threads);
 
+/// Readings and states along one direction of start, inputs and parameters.
+/// @param[in]  d_start, d_inputs, d_parameters  of the sizes of start, inputs and parameters
+/// @param[out] d_readings  (batch, num_samples, num_channels)
+/// @param[out] d_states    (batch, num_samples, num_states)
+void integrate_tangent(const OdeProblem& problem, const double* start, const double* inputs,
+                       const double* parameters, const double* d_start, const double* d_inputs,
+                       const double* d_parameters, double* d_readings, double* d_states,
+                       int num_threads);
+
 }  // namespace diffsim

@@ -160,122 +160,141 @@ void run_tape(const Tape& tape, double* registers) {
   }
 }
 
+/// Calls visit(operand's register, slope by lane) for every operand that result i depends on.
+///
+/// At kinks the derivative is that of one side: abs and sign 0 at 0, min and max of the first.
+/// @param registers as run_tape left them
+template <int Lanes, typename Visit>
+void each_partial(const Tape& tape, std::int64_t i, const double* registers, const Visit& visit) {
+  const TapeInstruction& t = tape.code[i];
+  const double* a = registers + t.a * Lanes;
+  const double* b = registers + t.b * Lanes;
+  const double* y = registers + (tape.num_given + i) * Lanes;
+  switch (static_cast<TapeOp>(t.op)) {
+    case TapeOp::kAdd:
+      visit(t.a, [](int) { return 1.0; });
+      visit(t.b, [](int) { return 1.0; });
+      break;
+    case TapeOp::kSub:
+      visit(t.a, [](int) { return 1.0; });
+      visit(t.b, [](int) { return -1.0; });
+      break;
+    case TapeOp::kMul:
+      visit(t.a, [=](int l) { return b[l]; });
+      visit(t.b, [=](int l) { return a[l]; });
+      break;
+    case TapeOp::kDiv:
+      visit(t.a, [=](int l) { return 1.0 / b[l]; });
+      visit(t.b, [=](int l) { return -y[l] / b[l]; });
+      break;
+    case TapeOp::kPow:
+      visit(t.a, [=](int l) { return b[l] == 0.0 ? 0.0 : b[l] * std::pow(a[l], b[l] - 1.0); });
+      // of a power of zero or of a negative base, only whole exponents are meant
+      visit(t.b, [=](int l) { return a[l] > 0.0 ? y[l] * std::log(a[l]) : 0.0; });
+      break;
+    case TapeOp::kNeg:
+      visit(t.a, [](int) { return -1.0; });
+      break;
+    case TapeOp::kMin:
+      visit(t.a, [=](int l) { return b[l] < a[l] ? 0.0 : 1.0; });
+      visit(t.b, [=](int l) { return b[l] < a[l] ? 1.0 : 0.0; });
+      break;
+    case TapeOp::kMax:
+      visit(t.a, [=](int l) { return b[l] > a[l] ? 0.0 : 1.0; });
+      visit(t.b, [=](int l) { return b[l] > a[l] ? 1.0 : 0.0; });
+      break;
+    case TapeOp::kWhere:
+      visit(t.b, [=](int l) { return a[l] != 0.0 ? 1.0 : 0.0; });
+      visit(t.c, [=](int l) { return a[l] != 0.0 ? 0.0 : 1.0; });
+      break;
+    case TapeOp::kAbs:
+      visit(t.a, [=](int l) { return static_cast<double>((a[l] > 0.0) - (a[l] < 0.0)); });
+      break;
+    case TapeOp::kSqrt:
+      visit(t.a, [=](int l) { return 0.5 / y[l]; });
+      break;
+    case TapeOp::kExp:
+      visit(t.a, [=](int l) { return y[l]; });
+      break;
+    case TapeOp::kLog:
+      visit(t.a, [=](int l) { return 1.0 / a[l]; });
+      break;
+    case TapeOp::kSin:
+      visit(t.a, [=](int l) { return std::cos(a[l]); });
+      break;
+    case TapeOp::kCos:
+      visit(t.a, [=](int l) { return -std::sin(a[l]); });
+      break;
+    case TapeOp::kTan:
+      visit(t.a, [=](int l) { return 1.0 + y[l] * y[l]; });
+      break;
+    case TapeOp::kAsin:
+      visit(t.a, [=](int l) { return 1.0 / std::sqrt(1.0 - a[l] * a[l]); });
+      break;
+    case TapeOp::kAcos:
+      visit(t.a, [=](int l) { return -1.0 / std::sqrt(1.0 - a[l] * a[l]); });
+      break;
+    case TapeOp::kAtan:
+      visit(t.a, [=](int l) { return 1.0 / (1.0 + a[l] * a[l]); });
+      break;
+    case TapeOp::kSinh:
+      visit(t.a, [=](int l) { return std::cosh(a[l]); });
+      break;
+    case TapeOp::kCosh:
+      visit(t.a, [=](int l) { return std::sinh(a[l]); });
+      break;
+    case TapeOp::kTanh:
+      visit(t.a, [=](int l) { return 1.0 - y[l] * y[l]; });
+      break;
+    case TapeOp::kAsinh:
+      visit(t.a, [=](int l) { return 1.0 / std::sqrt(1.0 + a[l] * a[l]); });
+      break;
+    case TapeOp::kAtan2:
+      visit(t.a, [=](int l) { return b[l] / (a[l] * a[l] + b[l] * b[l]); });
+      visit(t.b, [=](int l) { return -a[l] / (a[l] * a[l] + b[l] * b[l]); });
+      break;
+    case TapeOp::kHypot:
+      visit(t.a, [=](int l) { return a[l] / y[l]; });
+      visit(t.b, [=](int l) { return b[l] / y[l]; });
+      break;
+    case TapeOp::kLess:
+    case TapeOp::kLessEqual:
+    case TapeOp::kSign:
+    case TapeOp::kNumOps:
+      break;  // piecewise constant
+  }
+}
+
 /// Reverse sweep: adds dL/d(given registers) to their adjoints.
 /// @param registers as run_tape left them
 /// @param adjoints  (num_registers, Lanes) dL/d(register); those of the code are used up (left 0)
-///
-/// At kinks the derivative is that of one side: abs and sign 0 at 0, min and max of the first.
 template <int Lanes>
 void reverse_tape(const Tape& tape, const double* registers, double* adjoints) {
-  const auto at = [registers](std::int64_t r) { return registers + r * Lanes; };
   for (std::int64_t i = tape.num_code - 1; i >= 0; --i) {
-    const TapeInstruction& t = tape.code[i];
-    const double* a = at(t.a);
-    const double* b = at(t.b);
-    const double* y = at(tape.num_given + i);
     double* gy = adjoints + (tape.num_given + i) * Lanes;
-    double* ga = adjoints + t.a * Lanes;
-    double* gb = adjoints + t.b * Lanes;
-    double* gc = adjoints + t.c * Lanes;
-    // 0 times infinity is no gradient: what does not reach the result passes nothing on
-    const auto add = [gy](double* g, auto slope) {
+    each_partial<Lanes>(tape, i, registers, [=](std::int64_t operand, auto slope) {
+      double* g = adjoints + operand * Lanes;
+      // 0 times infinity is no gradient: what does not reach the result passes nothing on
       for (int l = 0; l < Lanes; ++l)
         if (gy[l] != 0.0) g[l] += gy[l] * slope(l);
-    };
-    switch (static_cast<TapeOp>(t.op)) {
-      case TapeOp::kAdd:
-        add(ga, [](int) { return 1.0; });
-        add(gb, [](int) { return 1.0; });
-        break;
-      case TapeOp::kSub:
-        add(ga, [](int) { return 1.0; });
-        add(gb, [](int) { return -1.0; });
-        break;
-      case TapeOp::kMul:
-        add(ga, [=](int l) { return b[l]; });
-        add(gb, [=](int l) { return a[l]; });
-        break;
-      case TapeOp::kDiv:
-        add(ga, [=](int l) { return 1.0 / b[l]; });
-        add(gb, [=](int l) { return -y[l] / b[l]; });
-        break;
-      case TapeOp::kPow:
-        add(ga, [=](int l) { return b[l] == 0.0 ? 0.0 : b[l] * std::pow(a[l], b[l] - 1.0); });
-        // of a power of zero or of a negative base, only whole exponents are meant
-        add(gb, [=](int l) { return a[l] > 0.0 ? y[l] * std::log(a[l]) : 0.0; });
-        break;
-      case TapeOp::kNeg:
-        add(ga, [](int) { return -1.0; });
-        break;
-      case TapeOp::kMin:
-        add(ga, [=](int l) { return b[l] < a[l] ? 0.0 : 1.0; });
-        add(gb, [=](int l) { return b[l] < a[l] ? 1.0 : 0.0; });
-        break;
-      case TapeOp::kMax:
-        add(ga, [=](int l) { return b[l] > a[l] ? 0.0 : 1.0; });
-        add(gb, [=](int l) { return b[l] > a[l] ? 1.0 : 0.0; });
-        break;
-      case TapeOp::kWhere:
-        add(gb, [=](int l) { return a[l] != 0.0 ? 1.0 : 0.0; });
-        add(gc, [=](int l) { return a[l] != 0.0 ? 0.0 : 1.0; });
-        break;
-      case TapeOp::kAbs:
-        add(ga, [=](int l) { return static_cast<double>((a[l] > 0.0) - (a[l] < 0.0)); });
-        break;
-      case TapeOp::kSqrt:
-        add(ga, [=](int l) { return 0.5 / y[l]; });
-        break;
-      case TapeOp::kExp:
-        add(ga, [=](int l) { return y[l]; });
-        break;
-      case TapeOp::kLog:
-        add(ga, [=](int l) { return 1.0 / a[l]; });
-        break;
-      case TapeOp::kSin:
-        add(ga, [=](int l) { return std::cos(a[l]); });
-        break;
-      case TapeOp::kCos:
-        add(ga, [=](int l) { return -std::sin(a[l]); });
-        break;
-      case TapeOp::kTan:
-        add(ga, [=](int l) { return 1.0 + y[l] * y[l]; });
-        break;
-      case TapeOp::kAsin:
-        add(ga, [=](int l) { return 1.0 / std::sqrt(1.0 - a[l] * a[l]); });
-        break;
-      case TapeOp::kAcos:
-        add(ga, [=](int l) { return -1.0 / std::sqrt(1.0 - a[l] * a[l]); });
-        break;
-      case TapeOp::kAtan:
-        add(ga, [=](int l) { return 1.0 / (1.0 + a[l] * a[l]); });
-        break;
-      case TapeOp::kSinh:
-        add(ga, [=](int l) { return std::cosh(a[l]); });
-        break;
-      case TapeOp::kCosh:
-        add(ga, [=](int l) { return std::sinh(a[l]); });
-        break;
-      case TapeOp::kTanh:
-        add(ga, [=](int l) { return 1.0 - y[l] * y[l]; });
-        break;
-      case TapeOp::kAsinh:
-        add(ga, [=](int l) { return 1.0 / std::sqrt(1.0 + a[l] * a[l]); });
-        break;
-      case TapeOp::kAtan2:
-        add(ga, [=](int l) { return b[l] / (a[l] * a[l] + b[l] * b[l]); });
-        add(gb, [=](int l) { return -a[l] / (a[l] * a[l] + b[l] * b[l]); });
-        break;
-      case TapeOp::kHypot:
-        add(ga, [=](int l) { return a[l] / y[l]; });
-        add(gb, [=](int l) { return b[l] / y[l]; });
-        break;
-      case TapeOp::kLess:
-      case TapeOp::kLessEqual:
-      case TapeOp::kSign:
-      case TapeOp::kNumOps:
-        break;  // piecewise constant
-    }
+    });
     for (int l = 0; l < Lanes; ++l) gy[l] = 0.0;
+  }
+}
+
+/// Forward sweep: fills the tangents of the registers behind the given ones.
+/// @param registers as run_tape left them
+/// @param tangents  (num_registers, Lanes) d(register)
+template <int Lanes>
+void tangent_tape(const Tape& tape, const double* registers, double* tangents) {
+  for (std::int64_t i = 0; i < tape.num_code; ++i) {
+    double* dy = tangents + (tape.num_given + i) * Lanes;
+    for (int l = 0; l < Lanes; ++l) dy[l] = 0.0;
+    each_partial<Lanes>(tape, i, registers, [=](std::int64_t operand, auto slope) {
+      const double* d = tangents + operand * Lanes;
+      for (int l = 0; l < Lanes; ++l)
+        if (d[l] != 0.0) dy[l] += slope(l) * d[l];
+    });
   }
 }
 

@@ -44,4 +44,23 @@ void elastic_gradient_adjoint(const SoftModel& model, const StepInputs& in, cons
   pressure_adjoint(model, x, z, out.pressure, pool);
 }
 
+void elastic_gradient_tangent(const SoftModel& model, const StepInputs& in, const double* x,
+                              const double* dx, const ParameterDirections& directions, double* out,
+                              int num_threads) {
+  ThreadPool pool(num_threads);
+  ElasticityScratch scratch;
+  const std::vector<DampingFrame> frames = frames_of(model, in, pool);
+  const std::size_t size = static_cast<std::size_t>(3 * model.num_nodes);
+  parameter_tangent(model, in.parameters, frames, x, 1, directions, out, scratch, pool);
+  if (directions.pressure) add_pressure_gradient(model, directions.pressure, x, out, pool);
+  if (!dx) return;
+  AlignedBuffer<double> values(static_cast<std::size_t>(model.values_size()));
+  const Vector no_inertia(static_cast<std::size_t>(model.num_nodes), 0.0);
+  Vector moved(size);
+  tangent(model, in.parameters, frames, x, false, values.data(), scratch, pool);
+  add_pressure_tangent(model, in.parameters.pressure, x, values.data(), pool);
+  block_multiply(model, values.data(), no_inertia.data(), dx, moved.data(), pool);
+  for (std::size_t i = 0; i < size; ++i) out[i] += moved[i];
+}
+
 }  // namespace diffsim

@@ -15,4 +15,11 @@ void elastic_gradient_adjoint(const SoftModel& model, const StepInputs& inputs, 
                               const double* z, double* grad_x, const ParameterAdjoint& out,
                               int num_threads);
 
+/// The gradient along one direction of positions and parameters [N], overwritten.
+/// @param[in]  dx   (num_nodes, 3) [m]; null: positions do not move
+/// @param[out] out  (num_nodes, 3)
+void elastic_gradient_tangent(const SoftModel& model, const StepInputs& inputs, const double* x,
+                              const double* dx, const ParameterDirections& directions, double* out,
+                              int num_threads);
+
 }  // namespace diffsim

@@ -1,5 +1,4 @@
 #include "kernels/soft/linearized_solver.h"
-#include "kernels/soft/pressure.h"
 
 namespace diffsim {
 namespace {
@@ -8,31 +7,21 @@ using Index = std::int64_t;
 
 /// -d(grad g)/dp dp and, for fixed unknowns that move, -H dtarget: (count, size), fixed entries
 /// zero.
-Vector right_hand_sides(StepProblem& problem, const ConstantSystem& system, const StepInputs& in,
-                        const Vector& x, const StepDirections& d, ThreadPool& pool) {
-  const SoftModel& model = system.model();
+Vector right_hand_sides(StepProblem& problem, const ConstantSystem& system, const Vector& x,
+                        const StepDirections& d) {
   const Index size = static_cast<Index>(problem.size());
   Vector rhs(static_cast<std::size_t>(d.count * size));
-  problem.parameter_tangent(x, d.count, d.parameters, rhs.data());
+  problem.load_tangents(x, d, rhs.data());
   Vector pushed(problem.size()), moved(problem.size());
   for (Index k = 0; k < d.count; ++k) {
     double* b = rhs.data() + k * size;
-    if (d.parameters.pressure)
-      add_pressure_gradient(model, d.parameters.pressure + k * model.chambers.num_chambers,
-                            x.data(), b, pool);
     if (d.target) {
       for (Index i = 0; i < size; ++i)
         moved[static_cast<std::size_t>(i)] = system.fixed()[i] ? d.target[k * size + i] : 0.0;
       problem.multiply_all(moved, pushed);
     }
     for (Index i = 0; i < size; ++i) {
-      const std::size_t u = static_cast<std::size_t>(i);
-      const double inertia = system.inertia()[i / 3];
-      b[i] = -b[i];
-      if (d.y) b[i] += inertia * d.y[k * size + i];
-      if (d.force) b[i] += d.force[k * size + i];
-      if (d.inertia) b[i] -= d.inertia[k * model.num_nodes + i / 3] * (x[u] - in.y[i]);
-      if (d.target) b[i] -= pushed[u];
+      if (d.target) b[i] -= pushed[static_cast<std::size_t>(i)];
       if (system.fixed()[i]) b[i] = 0.0;
     }
   }
@@ -54,7 +43,7 @@ StepStats implicit_step_tangent(const ConstantSystem& system, const StepInputs& 
   const Index size = static_cast<Index>(problem.size());
   const Vector x(x_in, x_in + size);
   problem.assemble(x, false);
-  const Vector rhs = right_hand_sides(problem, system, inputs, x, d, pool);
+  const Vector rhs = right_hand_sides(problem, system, x, d);
 
   // Many right-hand sides repay a factor wherever memory allows one.
   const bool direct = std::isfinite(system.plan().factorize_cost) && problem.factorize();

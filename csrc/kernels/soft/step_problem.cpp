@@ -106,6 +106,24 @@ void StepProblem::parameter_tangent(const Vector& x, std::int64_t count,
                              out, elastic_, pool_);
 }
 
+void StepProblem::load_tangents(const Vector& x, const StepDirections& d, double* out) {
+  const SoftModel& model = system_.model();
+  const std::int64_t size = static_cast<std::int64_t>(size_);
+  parameter_tangent(x, d.count, d.parameters, out);
+  for (std::int64_t k = 0; k < d.count; ++k) {
+    double* b = out + k * size;
+    if (d.parameters.pressure)
+      add_pressure_gradient(model, d.parameters.pressure + k * model.chambers.num_chambers,
+                            x.data(), b, pool_);
+    for (std::int64_t i = 0; i < size; ++i) {
+      b[i] = -b[i];
+      if (d.y) b[i] += system_.inertia()[i / 3] * d.y[k * size + i];
+      if (d.force) b[i] += d.force[k * size + i];
+      if (d.inertia) b[i] -= d.inertia[k * model.num_nodes + i / 3] * (x[at(i)] - in_.y[i]);
+    }
+  }
+}
+
 void StepProblem::solve_constant(const Vector& r, Vector& z) {
   ++num_solves;
   system_.solve(r, z, constant_, pool_);

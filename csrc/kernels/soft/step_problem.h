@@ -42,6 +42,10 @@ class StepProblem {
   void parameter_tangent(const Vector& x, std::int64_t count, const ParameterDirections& directions,
                          double* out);
 
+  /// -d(grad g)/dp along each direction but the targets' [N], overwritten, fixed unknowns too.
+  /// @param[out] out  (count, size())
+  void load_tangents(const Vector& x, const StepDirections& directions, double* out);
+
   /// z = A^-1 r.
   void solve_constant(const Vector& r, Vector& z);
   /// z = (3x3 diagonal blocks of H)^-1 r.

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.special import log_ndtr, logsumexp
-from scipy.stats import multivariate_normal
 
 from diffsim.diagnose.faults.learn import Learned
 from diffsim.diagnose.faults.local import Local
@@ -153,6 +152,8 @@ def _log_share(mean: Array, covariance: Array, signed: NDArray[np.bool_]) -> flo
     if len(one) == 1:
         i = one[0]
         return float(log_ndtr(mean[i] / np.sqrt(covariance[i, i])))
+    from scipy.stats import multivariate_normal  # half a second that other commands do not need
+
     normal = multivariate_normal(cov=covariance[np.ix_(one, one)], allow_singular=True, seed=0)
     return float(np.log(max(float(normal.cdf(mean[one])), LEAST_SHARE)))
 

@@ -148,7 +148,8 @@ class Law(Part):
     )
 
 
-FORMS = ("step", "pulse", "ramp", "half_sine", "burst", "train")
+Form = Literal["step", "pulse", "ramp", "half_sine", "burst", "train"]
+FORMS: tuple[Form, ...] = ("step", "pulse", "ramp", "half_sine", "burst", "train")
 
 
 class Events(Part):
@@ -162,7 +163,7 @@ class Events(Part):
     where: dict[str, Any] = Field(
         {}, description="Facts of the runs in which it is looked for; none: all, at one time each"
     )
-    forms: tuple[Literal["step", "pulse", "ramp", "half_sine", "burst", "train"], ...] = Field(
+    forms: tuple[Form, ...] = Field(
         FORMS, description="Forms that it may have: train is pulses in equal distances"
     )
     knots: int = Field(

@@ -1,32 +1,8 @@
-#include <limits>
-
 #include "kernels/soft/contact/contact_solve.h"
 #include "kernels/soft/contact/contact_step.h"
 
 namespace diffsim {
 namespace {
-
-/// The forward step's statuses, with slip directions and stiffnesses from its answer.
-/// @param[in] stiffness  (num_nodes,) [N/m]
-void restore(ContactSpace& space, const std::int64_t* status, const Vector& x, const Vector& r,
-             const double* stiffness) {
-  for (std::size_t k = 0; k < space.size(); ++k) {
-    space.status[k] = static_cast<ContactStatus>(status[k]);
-    if (space.status[k] != ContactStatus::kSlip) continue;
-    double u[3];
-    const double slip = space.slip(k, x, u);
-    const double friction = space.inputs().friction[k];
-    if (friction == 0.0) continue;
-    if (slip <= space.rounding(k, x)) {  // on the verge of slipping: the sticking side's derivative
-      space.status[k] = ContactStatus::kStick;
-      continue;
-    }
-    for (std::size_t i = 0; i < 3; ++i) space.direction[3 * k + i] = u[i] / slip;
-    space.slip_stiffness[k] = friction * std::max(0.0, space.normal_part(k, r)) / slip;
-    if (space.slip_stiffness[k] > kMaxSlipStiffness * stiffness[space.node(k)])
-      space.slip_stiffness[k] = std::numeric_limits<double>::infinity();
-  }
-}
 
 /// With e = dL/dx - H z, sticking: x = reference + offset n and e is the multiplier of all three;
 /// slipping: n . e is that of the gap, p that of Coulomb's law (contact_space.h).
@@ -83,7 +59,7 @@ StepStats contact_step_adjoint(const ConstantSystem& system, const StepInputs& i
   Vector r;
   problem.value_gradient(x, r);
   ContactSpace space(contacts);
-  restore(space, status, x, r, system.diagonal());
+  space.restore(status, x, r, system.diagonal());
   problem.assemble(x, false);
 
   // The forces r = grad g at nodes in contact are outputs as well: c is their cotangent.
@@ -114,7 +90,7 @@ StepStats contact_step_adjoint(const ConstantSystem& system, const StepInputs& i
     problem.assemble(x, true);
     solve.prepare_tangent();
     problem.assemble(x, false);
-    result = solve.solve_indefinite(b, stats.tolerance, options.max_iters, p);
+    result = solve.solve_indefinite_transposed(b, stats.tolerance, options.max_iters, p);
     result.num_iters += spent;
   }
   stats.residual_norm = result.residual_norm;

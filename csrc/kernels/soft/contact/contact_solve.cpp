@@ -74,12 +74,14 @@ KrylovResult ContactSolve::iterate(Apply&& apply, const Vector& r, double tolera
   return result;
 }
 
+void ContactSolve::apply(const Vector& in, Vector& out) {
+  problem_.multiply(in, out);
+  space_.reduce(out);
+  space_.add_slip_stiffness(in, out);
+}
+
 KrylovResult ContactSolve::solve(const Vector& r, double tolerance, int max_iters, Vector& q) {
-  const auto apply = [this](const Vector& in, Vector& out) {
-    problem_.multiply(in, out);
-    space_.reduce(out);
-    space_.add_slip_stiffness(in, out);
-  };
+  const auto apply = [this](const Vector& in, Vector& out) { this->apply(in, out); };
   return iterate(apply, r, tolerance, max_iters, q);
 }
 
@@ -98,7 +100,14 @@ KrylovResult ContactSolve::solve_transposed(const Vector& r, double tolerance, i
 }
 
 KrylovResult ContactSolve::solve_indefinite(const Vector& r, double tolerance, int max_iters,
-                                            Vector& p) {
+                                            Vector& q) {
+  const auto apply = [this](const Vector& in, Vector& out) { this->apply(in, out); };
+  const auto precondition = [this](const Vector& in, Vector& out) { this->precondition(in, out); };
+  return gmres(apply, precondition, r, q, tolerance, max_iters, problem_.ops());
+}
+
+KrylovResult ContactSolve::solve_indefinite_transposed(const Vector& r, double tolerance,
+                                                       int max_iters, Vector& p) {
   const auto apply = [this](const Vector& in, Vector& out) { apply_transposed(in, out); };
   const auto precondition = [this](const Vector& in, Vector& out) { this->precondition(in, out); };
   return gmres(apply, precondition, r, p, tolerance, max_iters, problem_.ops());

@@ -18,8 +18,10 @@ class ContactSolve {
   KrylovResult solve(const Vector& r, double tolerance, int max_iters, Vector& q);
   /// The transpose: p with P H (p + mu (t . p) n) + D p = r.
   KrylovResult solve_transposed(const Vector& r, double tolerance, int max_iters, Vector& p);
-  /// The transpose where H may be indefinite, on a factor made by `prepare_tangent`.
-  KrylovResult solve_indefinite(const Vector& r, double tolerance, int max_iters, Vector& p);
+  /// Both where H may be indefinite, on a factor made by `prepare_tangent`.
+  KrylovResult solve_indefinite(const Vector& r, double tolerance, int max_iters, Vector& q);
+  KrylovResult solve_indefinite_transposed(const Vector& r, double tolerance, int max_iters,
+                                           Vector& p);
   /// A factor of the tangent from here on.
   void use_tangent() { kind_ = Kind::kTangent; }
   /// Preconditions by the factor of this tangent, whatever H is assembled later.
@@ -29,6 +31,7 @@ class ContactSolve {
   enum class Kind { kConstant, kTangent, kJacobi };
   void choose();
   void prepare();
+  void apply(const Vector& in, Vector& out);
   void apply_transposed(const Vector& in, Vector& out);
   void precondition(const Vector& in, Vector& out);
   template <typename Apply>

@@ -108,6 +108,26 @@ void ContactSpace::add_slip_stiffness(const Vector& v, Vector& out) const {
   }
 }
 
+void ContactSpace::restore(const std::int64_t* taken, const Vector& x, const Vector& r,
+                           const double* stiffness) {
+  for (std::size_t k = 0; k < size(); ++k) {
+    status[k] = static_cast<ContactStatus>(taken[k]);
+    if (status[k] != ContactStatus::kSlip) continue;
+    double u[3];
+    const double length = slip(k, x, u);
+    const double friction = in_.friction[k];
+    if (friction == 0.0) continue;
+    if (length <= rounding(k, x)) {  // on the verge of slipping: the sticking side's derivative
+      status[k] = ContactStatus::kStick;
+      continue;
+    }
+    for (std::size_t i = 0; i < 3; ++i) direction[3 * k + i] = u[i] / length;
+    slip_stiffness[k] = friction * std::max(0.0, normal_part(k, r)) / length;
+    if (slip_stiffness[k] > kMaxSlipStiffness * stiffness[node(k)])
+      slip_stiffness[k] = std::numeric_limits<double>::infinity();
+  }
+}
+
 void ContactSpace::correction(const Vector& x, Vector& dx) const {
   dx.assign(x.size(), 0.0);
   for (std::size_t k = 0; k < size(); ++k) {

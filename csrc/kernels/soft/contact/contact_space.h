@@ -72,6 +72,11 @@ class ContactSpace {
   void add_slip_stiffness(const Vector& v, Vector& out) const;
   /// Whether the node may only move along t.
   bool on_rail(std::size_t k) const;
+  /// The statuses of a step that was taken, with slip directions and stiffnesses of its answer x.
+  /// @param[in] r          grad g at x [N]
+  /// @param[in] stiffness  (num_nodes,) [N/m]
+  void restore(const std::int64_t* taken, const Vector& x, const Vector& r,
+               const double* stiffness);
   /// Displacement that puts x on the constraints: zero at all nodes but those in contact.
   void correction(const Vector& x, Vector& dx) const;
 

@@ -41,6 +41,25 @@ StepStats contact_step_adjoint(const ConstantSystem& system, const StepInputs& i
                                const double* grad_force, const StepAdjoint& out,
                                const ContactAdjoint& contact_out, ThreadPool& pool);
 
+/// A direction in the contacts; null where none moves.
+struct ContactRates {
+  const double* normal = nullptr;     // (num_contacts, 3)
+  const double* reference = nullptr;  // (num_contacts, 3)
+  const double* offset = nullptr;     // (num_contacts,)
+  const double* friction = nullptr;   // (num_contacts,)
+};
+
+/// The answer's derivative along one direction (`directions.count` is 1), the transpose of
+/// contact_step_adjoint: statuses are held.
+/// @param[out] dx      (num_nodes, 3)
+/// @param[out] dforce  (num_contacts, 3)
+StepStats contact_step_tangent(const ConstantSystem& system, const StepInputs& inputs,
+                               const ContactInputs& contacts, const StepOptions& options,
+                               const ContactOptions& contact_options, const double* x,
+                               const std::int64_t* status, const StepDirections& direction,
+                               const ContactRates& contact_direction, double* dx, double* dforce,
+                               ThreadPool& pool);
+
 /// Batches: nodes are shared by the items, all else has a leading batch axis.
 void contact_step_batch(const ConstantSystem& system, const StepInputs& inputs,
                         const ContactInputs& contacts, const StepOptions& options,

@@ -1,0 +1,207 @@
+"""One way to make a kernel a differentiable function of PyTorch, in reverse and in forward mode.
+
+A custom op alone has no forward mode: PyTorch takes its derivative for zero, without a word. A
+:class:`torch.autograd.Function` has one, but the compiler of PyTorch refuses to trace it. So a
+layer is both: the op where PyTorch compiles, the function everywhere else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+
+class Call(NamedTuple):
+    """How the flat arguments of a function become those of an op.
+
+    Attributes:
+        lengths: Number of tensors of every positional argument that is a list; None: no list.
+        options: Keyword-only arguments, none of them a tensor.
+    """
+
+    lengths: tuple[int | None, ...]
+    options: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, args: Sequence[Any], options: Mapping[str, Any]) -> Call:
+        """The structure of a call."""
+        return cls(tuple(len(a) if isinstance(a, list) else None for a in args), options)
+
+    def flat(self, args: Sequence[Any]) -> list[Any]:
+        """The arguments in a row; None for a list stands for as many None."""
+        row: list[Any] = []
+        for length, value in zip(self.lengths, args, strict=True):
+            if length is None:
+                row.append(value)
+            else:
+                row.extend([None] * length if value is None else value)
+        return row
+
+    def nested(self, row: Sequence[Any]) -> list[Any]:
+        """The arguments of the op."""
+        args: list[Any] = []
+        at = 0
+        for length in self.lengths:
+            args.append(row[at] if length is None else list(row[at : at + length]))
+            at += 1 if length is None else length
+        return args
+
+
+def make_layer(
+    op: Any,
+    *,
+    setup: Callable[..., None],
+    backward: Callable[..., Any],
+    tangent: Callable[..., Any] | None = None,
+) -> Callable[..., Any]:
+    """A function that calls an op and has its derivatives in both modes.
+
+    Backward and tangent call further ops as :func:`make_first_order` returns them: so a second
+    derivative raises instead of being wrong.
+
+    Args:
+        op: A custom op of ``torch.library``. Positional arguments are tensors, numbers, text or
+            lists of tensors; keyword-only ones are no tensors.
+        setup: As ``setup_context`` of ``torch.library``: (ctx, inputs, output), or (ctx, inputs,
+            keyword_only_inputs, output) where the op has keyword-only arguments.
+        backward: As ``backward`` of ``torch.library``: one gradient for every positional input,
+            lists for lists, None where there is none.
+        tangent: Takes ctx and the tangents of the positional inputs (lists for lists, None where an
+            input does not move) and returns those of the outputs (None where an output has no
+            derivative). It reads ``ctx.saved_tensors`` as backward does. None: refused.
+
+    Returns:
+        A function with the arguments of the op. ``torch.func.vmap`` calls the op item by item.
+    """
+    op.register_autograd(backward, setup_context=setup)
+    name = _name(op)
+
+    def set_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+        ctx.call, *row = inputs
+        args = tuple(ctx.call.nested(row))
+        if ctx.call.options:
+            setup(ctx, args, ctx.call.options, output)
+        else:
+            setup(ctx, args, output)
+        ctx.save_for_forward(*(ctx.to_save or ()))
+
+    def flat_backward(ctx: Any, *grads: Any) -> tuple[Any, ...]:
+        given = backward(ctx, *grads)
+        return None, *ctx.call.flat(given if isinstance(given, tuple) else (given,))
+
+    def flat_tangent(ctx: Any, _call: None, *row: Any) -> Any:
+        if tangent is None:
+            raise NotImplementedError(
+                f"{name} has no forward-mode derivative; use reverse mode (backward, "
+                "torch.func.grad, vjp, jacrev)"
+            )
+        return tangent(ctx, *ctx.call.nested(row))
+
+    return _callable(op, set_context, flat_backward, flat_tangent)
+
+
+def make_first_order(op: Any) -> Callable[..., Any]:
+    """A function that calls an op whose derivative is not known, and raises where one is asked for.
+
+    For ops that are derivatives themselves. Without it PyTorch takes the derivative for zero.
+
+    Args:
+        op: As for :func:`make_layer`.
+
+    Returns:
+        A function with the arguments of the op.
+    """
+    message = (
+        f"{_name(op)} is a derivative that cannot be differentiated again: derivatives of second "
+        "order are not available here; differentiate once, without create_graph=True"
+    )
+
+    def refuse(*_: Any) -> Any:
+        raise NotImplementedError(message)
+
+    return _callable(op, lambda ctx, inputs, output: None, refuse, refuse)
+
+
+def _callable(
+    op: Any,
+    setup: Callable[..., None],
+    backward: Callable[..., Any],
+    tangent: Callable[..., Any],
+) -> Callable[..., Any]:
+    """An op with derivatives in both modes and an axis to map, called as the op is.
+
+    Args:
+        op: The op.
+        setup, backward, tangent: Of a :class:`torch.autograd.Function` of a :class:`Call` and the
+            arguments in a row.
+    """
+
+    def rule(info: Any, in_dims: Sequence[Any], *args: Any, **options: Any) -> Any:
+        return _one_by_one(lambda *at: op(*at, **options), info.batch_size, in_dims, args)
+
+    op.register_vmap(rule)
+
+    def forward(call: Call, *row: Any) -> Any:
+        out = op(*call.nested(row), **call.options)
+        return tuple(out) if isinstance(out, list) else out  # tensors of a list are not followed
+
+    def vmap(info: Any, in_dims: tuple[Any, ...], call: Call, *row: Any) -> Any:
+        return _one_by_one(lambda *at: kind.apply(call, *at), info.batch_size, in_dims[1:], row)
+
+    members: dict[str, Callable[..., Any]] = {
+        "forward": forward,
+        "setup_context": setup,
+        "backward": backward,
+        "jvp": tangent,
+        "vmap": vmap,
+    }
+    kind: Any = type(
+        _name(op),
+        (torch.autograd.Function,),
+        {name: staticmethod(member) for name, member in members.items()},
+    )
+    arguments = op._opoverload._schema.arguments
+    by_place = [a.name for a in arguments if not a.kwarg_only]
+    by_name = {a.name for a in arguments if a.kwarg_only}
+
+    def layer(*args: Any, **named: Any) -> Any:
+        if torch.compiler.is_compiling():
+            return op(*args, **named)
+        args = (*args, *(named[name] for name in by_place[len(args) :]))
+        call = Call.of(args, {name: value for name, value in named.items() if name in by_name})
+        return kind.apply(call, *call.flat(args))
+
+    layer.__name__ = layer.__qualname__ = _name(op)
+    layer.__doc__ = op.__doc__
+    return layer
+
+
+def _name(op: Any) -> str:
+    return str(op._qualname).replace("::", ".")
+
+
+def _one_by_one(
+    one: Callable[..., Any], count: int, in_dims: Sequence[Any], args: Sequence[Any]
+) -> tuple[Any, Any]:
+    """Outputs of every item of a mapped axis, stacked on axis 0, and where that axis is."""
+    items = [
+        one(*(_item(value, dim, k) for value, dim in zip(args, in_dims, strict=True)))
+        for k in range(count)
+    ]
+    if isinstance(items[0], Tensor):
+        return torch.stack(items), 0
+    kind = type(items[0])
+    stacked = [torch.stack(list(same)) for same in zip(*items, strict=True)]
+    return kind(stacked), kind([0] * len(stacked))
+
+
+def _item(value: Any, dim: Any, k: int) -> Any:
+    """Item k of an argument, or of every tensor of a list."""
+    if dim is None:
+        return value
+    if isinstance(value, list):
+        return [_item(v, d, k) for v, d in zip(value, dim, strict=True)]
+    return value.select(dim, k).contiguous()

@@ -1,0 +1,177 @@
+"""Transformations of torch.func on every layer: right, or refused (docs/transformations.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Tensor
+from torch.func import jacfwd, jacrev, jvp, vjp, vmap
+
+from diffsim import contact, soft
+from diffsim.copter import hover, lqr
+from diffsim.linalg import polar3, svd3
+from diffsim.ode import Ode
+from tests.copter.flight_cases import all_effects, crooked_copter, tumbling
+from tests.soft.cases import deformed, irregular_mesh, noise, soft_body
+from tests.stokes.cases import small_flow, small_inputs
+
+pytestmark = pytest.mark.grad
+Layer = Callable[[Tensor], Tensor]
+
+
+def soft_step() -> tuple[Layer, Tensor]:
+    m = irregular_mesh("tet", (1, 1, 1))
+    body = soft_body(m, fixed=torch.tensor([0, 1]))
+    x, v = deformed(m, 0.1), 0.2 * noise(m.num_vertices, 3, seed=2)
+    return lambda u: body(soft.State(x, u)).x, v
+
+
+def soft_rollout() -> tuple[Layer, Tensor]:
+    m = irregular_mesh("hex", (1, 1, 1))
+    body = soft_body(m, fixed=torch.tensor([0, 1, 2, 3]))
+    start = soft.State(body.x_rest, torch.zeros_like(body.x_rest))
+
+    def layer(c: Tensor) -> Tensor:
+        physics = body.physics(youngs_modulus=30.0 + c[0], density=1.5 + c[1])
+        return soft.rollout(body, start, 3, physics=physics).x[-1]
+
+    return layer, torch.tensor([0.3, 0.1]).double()
+
+
+def soft_statics() -> tuple[Layer, Tensor]:
+    m = irregular_mesh("hex", (1, 1, 1))
+    body = soft_body(m, fixed=torch.tensor([0, 1, 2, 3]))
+    return lambda f: body.static_equilibrium(external_force=f).x, 0.1 * noise(m.num_vertices, 3)
+
+
+def soft_contact() -> tuple[Layer, Tensor]:
+    m = irregular_mesh("tet", (1, 1, 1))
+    body = soft_body(m)
+    x = m.x_rest.clone()
+    x[:, 2] += 0.02 - x[:, 2].min()
+    ground = contact.plane((0.0, 0.0, 1.0), friction=0.2)
+    down = torch.tensor([0.8, 0.3, -2.0]).double()
+
+    def layer(v: Tensor) -> Tensor:
+        state = soft.step(body, soft.State(x, v), obstacles=ground)
+        return torch.cat([state.x, 0.1 * state.contact_force])
+
+    return layer, down + 0.02 * noise(m.num_vertices, 3, seed=2)
+
+
+def elastic_force() -> tuple[Layer, Tensor]:
+    m = irregular_mesh("hex", (1, 1, 1))
+    body = soft_body(m)
+    return body.elastic_force, deformed(m)
+
+
+def flight() -> tuple[Layer, Tensor]:
+    from diffsim.copter.flight import fly
+
+    vehicle, effects = crooked_copter(5), all_effects(5, 3)
+    start = tumbling(1, 5)
+    commands = 3.0 + 0.3 * noise(1, 3, 5)
+
+    def layer(scale: Tensor) -> Tensor:
+        flown = fly(vehicle, start, commands * scale, dt=0.03, effects=effects, substeps=2)
+        return torch.cat([flown.state.position, flown.state.body_rates], dim=-1)
+
+    return layer, 1.0 + 0.05 * noise(5, seed=4)
+
+
+def least_hover() -> tuple[Layer, Tensor]:
+    copter = crooked_copter(5)
+
+    def layer(mass: Tensor) -> Tensor:
+        return hover(copter.replace(mass=mass[0])).thrusts
+
+    return layer, torch.tensor([0.9]).double() * float(copter.mass)
+
+
+def gain() -> tuple[Layer, Tensor]:
+    A = torch.tensor([[0.0, 1.0], [0.4, -0.3]]).double()
+    B = torch.tensor([[0.1], [1.0]]).double()
+    Q, R = torch.eye(2).double(), torch.eye(1).double()
+    return lambda b: lqr(A, b, Q, R)[0], B
+
+
+def ode() -> tuple[Layer, Tensor]:
+    system = Ode(
+        rates={"x": "v", "v": "-k*sin(x) - c*v*abs(v)"},
+        readings={"y": "x + 0.1*v**2"},
+        parameters=["k", "c"],
+    )
+    t = torch.linspace(0.0, 1.0, 6, dtype=torch.float64)
+    start = torch.tensor([0.4, 0.3]).double()
+    return lambda p: system.solve(t, start, None, p)[0], torch.tensor([3.0, 0.4]).double()
+
+
+def decomposition() -> tuple[Layer, Tensor]:
+    def layer(F: Tensor) -> Tensor:
+        U, s, V = svd3(F)
+        return torch.cat([U @ V.mT, s[..., None, :], polar3(F)], dim=-2)
+
+    return layer, torch.eye(3).double() + 0.4 * noise(2, 3, 3)
+
+
+LAYERS = [
+    soft_step, soft_rollout, soft_statics, soft_contact, elastic_force,
+    flight, least_hover, gain, ode, decomposition,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("made", LAYERS, ids=lambda f: f.__name__)
+def test_forward_and_reverse_mode_are_each_other_s_transpose(made):
+    layer, x = made()
+    direction = noise(*x.shape, seed=7)
+    out, moved = jvp(layer, (x,), (direction,))
+    cotangent = noise(*out.shape, seed=8)
+    (gradient,) = vjp(layer, x)[1](cotangent)
+    forward, reverse = (cotangent * moved).sum(), (gradient * direction).sum()
+    scale = (cotangent * moved).abs().sum()
+    assert float(scale) > 0.0
+    assert abs(float(forward - reverse)) < 1e-8 * float(scale)
+
+
+@pytest.mark.parametrize("made", LAYERS, ids=lambda f: f.__name__)
+def test_jacobians_and_mapped_axes(made):
+    layer, x = made()
+    forward, reverse = jacfwd(layer)(x), jacrev(layer)(x)
+    torch.testing.assert_close(forward, reverse, rtol=1e-7, atol=1e-8 * float(reverse.abs().max()))
+    both = torch.stack([x, x * 1.001])
+    torch.testing.assert_close(vmap(layer)(both), torch.stack([layer(b) for b in both]))
+
+
+@pytest.mark.parametrize("made", [f for f in LAYERS if f is not gain], ids=lambda f: f.__name__)
+def test_second_derivatives_are_refused(made):
+    layer, x = made()
+    with pytest.raises(RuntimeError, match="second order"):
+        jacfwd(jacrev(lambda z: layer(z).square().sum()))(x)
+    with pytest.raises(RuntimeError, match="second order"):
+        jacrev(jacrev(lambda z: layer(z).square().sum()))(x)
+
+
+def test_second_derivatives_of_a_gain():
+    layer, x = gain()
+    hessians = [d(jacrev(lambda z: layer(z).square().sum()))(x) for d in (jacfwd, jacrev)]
+    torch.testing.assert_close(hessians[0], hessians[1])
+    step = 1e-5 * noise(*x.shape)
+    slope = jacrev(lambda z: layer(z).square().sum())
+    change = (slope(x + step) - slope(x - step)) / 2.0
+    torch.testing.assert_close((hessians[0] * step).sum((-2, -1)), change, rtol=1e-6, atol=1e-13)
+
+
+def test_stokes_flow_refuses_forward_mode_and_has_jacobians():
+    flow = small_flow(2)
+    inlet = small_inputs(flow)["inlet"]
+    nodes = flow.grid.nodes
+
+    def layer(r: Tensor) -> Tensor:
+        return flow((nodes - 0.5).norm(dim=-1) - r, inlet).velocity[..., 0].sum(-1, keepdim=True)
+
+    r = torch.tensor(0.21, dtype=torch.float64)
+    with pytest.raises(NotImplementedError, match="forward-mode"):
+        jvp(layer, (r,), (torch.ones_like(r),))
+    assert float(jacrev(layer)(r).abs().sum()) > 0.0
