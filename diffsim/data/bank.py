@@ -74,7 +74,7 @@ def generated_bank(study: Study) -> tuple[Run, ...]:
     if study.system in _FLOWN:  # what is commanded there follows from the motion
         drives = []
     made = [
-        *(run for drive in drives for run in _signals(like, drive)),
+        *(run for drive in drives for run in (_signals if _lasts(like) else _poses)(like, drive)),
         *_other_sizes(study, drives),
         *_other_facts(study),
         *_again(study),
@@ -125,6 +125,19 @@ def _drive(study: Study, name: str) -> _Drive | None:
     shown = known.shown_unit or known.unit or ""
     scale = factor(known.unit, shown) if known.unit and shown else 1.0
     return _Drive(name, low, high, rest, rate, "" if shown == "-" else shown, scale)
+
+
+def _lasts(run: Run) -> bool:
+    """Whether a run is more than one sample, a pose."""
+    return bool(run.time_s[-1] > run.time_s[0])
+
+
+def _poses(like: Run, drive: _Drive) -> Iterator[Run]:
+    """One command at levels over its range; all others rest."""
+    for share in np.linspace(0.0, 1.0, _STAIRS):
+        level = drive.low + float(share) * (drive.high - drive.low)
+        values = np.full(len(like.time_s), level)
+        yield _driven(like, drive, f"held at {drive.level(level)}", values)
 
 
 def _signals(like: Run, drive: _Drive) -> Iterator[Run]:
@@ -195,7 +208,7 @@ def _other_sizes(study: Study, drives: list[_Drive]) -> Iterator[Run]:
     for run in _one_of_each_command(study):
         for size in (0.5, 1.5):
             yield from _changed(run, drives, f"{run.name} again, {size:g} times as large", size, 1)
-        for speed in (0.5, 2.0):
+        for speed in (0.5, 2.0) if _lasts(run) else ():
             words = "twice as fast" if speed == 2.0 else "half as fast"
             yield from _changed(run, drives, f"{run.name} again, {words}", 1.0, speed)
 

@@ -248,7 +248,7 @@ class Numerics(Part):
         "means the same on every mesh",
     )
     poses: int = Field(
-        24, ge=4, description="quasi_static with one command: poses that others lie between"
+        24, ge=5, description="quasi_static with one command: poses that others lie between"
     )
 
 

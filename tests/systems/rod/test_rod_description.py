@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from diffsim.data.bank import generated_bank
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_check import check_study
 from diffsim.diagnose import diagnose
@@ -191,3 +192,9 @@ def test_poses_of_one_sample_drift_each_by_itself():
     found = fit(s.model, made.fit_runs, made.channels)
     slopes = UnknownDrift(1, "drift of middle_y").slopes(found.problem, found.x)
     assert slopes.reshape(len(made.fit_runs), 6).tolist() == [[0, 1, 0, 0, 0, 0]] * 5
+
+
+def test_next_poses_are_levels_of_each_tendon():
+    names = [run.name for run in generated_bank(study())]
+    assert "left: held at 3, 0 s" in names
+    assert not [name for name in names if "fast" in name or "chirp" in name]
