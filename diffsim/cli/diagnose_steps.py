@@ -210,6 +210,8 @@ def _judge(args: argparse.Namespace) -> None:
     for row in found.errors:
         numbers = " ".join(f"{v:>9.3g}" for v in (row.before, row.after, row.noise))
         print(f"{row.run:<24} {row.kind:<14} {numbers}  {row.unit:<8} {row.num_fitted} values")
+    for name, why in found.failed.items():
+        print(f"run {name} could not be simulated, so no gain is quoted: {why}")
     if saved.components and found.gain is not None:
         print(found.gain.words)
     for name in found.runs:

@@ -189,8 +189,8 @@ def tested(frozen: Report, study: Study, seed: int) -> Report:
         errors=found.errors,
         outside=found.outside,
         gain=gained,
-        headline=headline(frozen.answer, found.errors),
-        sentences=sentences(frozen.answer, gained, found.errors),
+        headline=headline(frozen.answer, found.errors, found.failed),
+        sentences=sentences(frozen.answer, gained, found.errors, found.failed),
     )
 
 

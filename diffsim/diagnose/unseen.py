@@ -7,13 +7,14 @@ for the plain and the extended model alike.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from diffsim.core.errors import DiffsimError
 from diffsim.core.units import factor
 from diffsim.data.study import Channel, Command, Run
 from diffsim.diagnose.gain import Frozen, Gain, compared
@@ -36,6 +37,7 @@ class Unseen:
         gains: The same by run.
         outside: Where the runs lie outside of what was fitted.
         num_spikes: Samples that were left out as spikes, for both models.
+        failed: Runs that a model cannot simulate, with why; nothing is known of a gain then.
     """
 
     runs: tuple[str, ...]
@@ -44,6 +46,7 @@ class Unseen:
     gains: Mapping[str, Gain]
     outside: tuple[OutsideRow, ...]
     num_spikes: int = 0
+    failed: Mapping[str, str] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Content of ``judge.json``."""
@@ -54,6 +57,7 @@ class Unseen:
             "gains": {name: gain_to_dict(g) for name, g in self.gains.items()},
             "outside": [asdict(row) for row in self.outside],
             "num_spikes": self.num_spikes,
+            "failed": dict(self.failed),
         }
 
 
@@ -90,15 +94,21 @@ def on_unseen(
         unmet: Parameters of facts that no fitted run has: a run with such a fact tells its own.
     """
     errors: list[ErrorRow] = []
+    failed: dict[str, str] = {}
     cleaned, before, after, num_spikes = [], [], [], 0
     for given in runs:
-        run, count = _without_spikes((plain, extended), given)
+        try:
+            run, count = _without_spikes((plain, extended), given)
+            points = [_alone(frozen, run, unmet) for frozen in (plain, extended)]
+            left = [_left(frozen, run) for frozen in points]
+            whitened = [point.problem.residual(point.x) for point in points]
+        except DiffsimError as error:  # of one run: the answer to all others stands
+            failed[given.name] = str(error)
+            continue
         num_spikes += count
-        points = [_alone(frozen, run, unmet) for frozen in (plain, extended)]
-        left = [_left(frozen, run) for frozen in points]
         errors += _error_rows(run, left, channels, sd, _num_own(extended, run, unmet), use)
-        before.append(points[0].problem.residual(points[0].x))
-        after.append(points[1].problem.residual(points[1].x))
+        before.append(whitened[0])
+        after.append(whitened[1])
         cleaned.append(run)
     gains = {
         run.name: compared([run], plain, [b], [a], seed=seed)
@@ -107,10 +117,12 @@ def on_unseen(
     return Unseen(
         runs=tuple(run.name for run in runs),
         errors=tuple(errors),
-        gain=compared(cleaned, plain, before, after, seed=seed) if cleaned else None,
+        # a gain without the runs that fail would be one over chosen runs
+        gain=compared(cleaned, plain, before, after, seed=seed) if cleaned and not failed else None,
         gains=gains,
         outside=outside_rows(cleaned, channels, spans, commands),
         num_spikes=num_spikes,
+        failed=failed,
     )
 
 

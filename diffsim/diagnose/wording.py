@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
+from types import MappingProxyType
 
 import numpy as np
 
@@ -69,18 +70,22 @@ class Answer:
         ]
 
 
-def headline(answer: Answer, errors: Sequence[ErrorRow]) -> str:
+def headline(answer: Answer, errors: Sequence[ErrorRow], failed: Collection[str] = ()) -> str:
     """The answer in at most 25 plain words, error on test runs before and after.
 
     Args:
         answer: What is put into words.
         errors: Errors on runs that were not fitted; none without such runs.
+        failed: Runs that could not be simulated; errors are not quoted then.
     """
     said = _said(answer)
     changed = any(row.helps or row.status in (CERTAIN, LIKELY) for row in _effects(answer))
     named = [row for row in _effects(answer) if row.name in answer.named]
     subject = "They take" if len(named) > 1 else "It takes"
-    endings = _on_unseen(errors, changed, subject)
+    if failed:
+        endings = [f"; run {min(failed)} could not be simulated", "; a run cannot be simulated"]
+    else:
+        endings = _on_unseen(errors, changed, subject)
     # the error comes before details of the cause: a shorter beginning with it, if one fits
     for first, second in (*product(said, endings), *product(said, ("",))):
         text = f"{first}{second}."
@@ -211,17 +216,28 @@ def _telling_kind(errors: Sequence[ErrorRow], changed: bool) -> ErrorRow:
     )
 
 
-def sentences(answer: Answer, gained: Gain | None, unseen: Sequence[ErrorRow]) -> tuple[str, ...]:
+def sentences(
+    answer: Answer,
+    gained: Gain | None,
+    unseen: Sequence[ErrorRow],
+    failed: Mapping[str, str] = MappingProxyType({}),
+) -> tuple[str, ...]:
     """Two to seven sentences with numbers and units.
 
     Args:
         answer: What is put into words.
         gained: Gain on test runs; None without such runs or without a name.
         unseen: Errors on test runs.
+        failed: Runs that could not be simulated, by name, with why.
     """
     out = [_first(answer), *_data_sheets(answer), *_rest(answer)]
     if gained is not None:
         out.append(gained.words)
+    elif failed:
+        out += [
+            f"Run {name} could not be simulated, so no gain is quoted: {why}"
+            for name, why in failed.items()
+        ]
     elif not any(row.use == "test" for row in unseen):
         out.append("No gain is known: no run is kept for a test (use: test).")
     if answer.chosen_by and answer.verdict not in ("numerical", "unrepeatable"):

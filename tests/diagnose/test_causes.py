@@ -281,3 +281,19 @@ def test_what_all_runs_pull_alike_is_one_finding_under_its_own_name():
     assert found.value == pytest.approx(-0.0375) and found.pull == pytest.approx(-5.0)
     assert (found.low, found.high) == (pytest.approx(-0.047), pytest.approx(-0.028))
     assert not _pulled_together([*rows[:3], _row("d", 0.5)])
+
+
+def test_a_test_run_that_cannot_be_simulated_costs_the_gain_and_not_the_answer():
+    def breaking(scene, size, run):
+        push = linear.shapes("push", run)[..., 0] * size
+        return replace(scene, record=scene.record + (np.nan if run.name == "t1" else 1.0) * push)
+
+    breaks = replace(PUSH, apply=breaking)
+    runs = [recorded(f"r{k}", k, {PUSH: 1.0}) for k in range(4)]
+    runs += [recorded(f"t{k}", 50 + k, {PUSH: 1.0}, use="test") for k in range(2)]
+    study = Study("lines", "copter", linear.CHANNELS, tuple(runs))
+    report = diagnose(study, linear.model(), (breaks,), seed=0, settings=QUICK)
+    assert (report.verdict, report.named, report.gain) == ("named", ("push",), None)
+    assert "run t1 could not be simulated" in report.headline
+    assert any(s.startswith("Run t1 could not be simulated") for s in report.sentences)
+    assert {row.run for row in report.errors} == {"t0"}
