@@ -10,6 +10,8 @@ from diffsim.diagnose.records import BaseRow, CauseRow, Interval
 from diffsim.diagnose.report import Report
 from diffsim.viz.report import Table
 
+MOST_OUTSIDE = 10  # rows: a flight has twenty quantities, most just outside
+
 
 def errors(r: Report) -> Table:
     """Error before and after on every run that was not fitted."""
@@ -85,9 +87,11 @@ def outside(r: Report) -> list[Table]:
             "–" if o.low is None or o.high is None else f"{figure(o.low)} to {figure(o.high)}",
             "never fitted" if math.isinf(o.times) else f"{o.times:.2g} times",
         ]
-        for o in beyond
+        for o in beyond[:MOST_OUTSIDE]
     ]
     caption = "These runs ask for more than was fitted: the model is extrapolated there."
+    if len(beyond) > MOST_OUTSIDE:  # the farthest come first
+        caption += f" {len(beyond) - MOST_OUTSIDE} more lie outside by less; report.json has them."
     columns = ["run", "quantity", "value", "fitted range", "outside"]
     return [Table(columns=columns, rows=rows, caption=caption)]
 

@@ -270,6 +270,16 @@ def test_outside_of_what_was_fitted_is_said():
     assert table.rows == [["b", "amplitude of pull_N", "1.5 N", "-1 to 1", "1.5 times"]]
 
 
+def test_only_the_farthest_outside_are_shown_and_the_rest_is_counted():
+    far = tuple(
+        OutsideRow("b", f"stroke of x{k}", 9.0 - k, 0.0, 1.0, 9.0 - k / 2) for k in range(14)
+    )
+    shown = dr.diagnosis_page(example(outside=far))
+    table = next(s for s in shown.sections if s.title.startswith("Error on runs")).content[1]
+    assert [row[1] for row in table.rows] == [f"stroke of x{k}" for k in range(10)]
+    assert "4 more lie outside" in table.caption
+
+
 def test_what_is_missing_is_said():
     page_ = dr.diagnosis_page(
         example(
