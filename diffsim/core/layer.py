@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 
 
 class Call(NamedTuple):
@@ -172,11 +173,24 @@ def _callable(
             return op(*args, **named)
         args = (*args, *(named[name] for name in by_place[len(args) :]))
         call = Call.of(args, {name: value for name, value in named.items() if name in by_name})
-        return kind.apply(call, *call.flat(args))
+        row = call.flat(args)
+        if not _is_differentiated(row):
+            return op(*args, **call.options)
+        return kind.apply(call, *row)
 
     layer.__name__ = layer.__qualname__ = _name(op)
     layer.__doc__ = op.__doc__
     return layer
+
+
+def _is_differentiated(row: Sequence[Any]) -> bool:
+    """Whether a derivative or a mapping is asked for; if none is, the op alone is faster."""
+    # PyTorch has no public names for "inside of torch.func" and "inside of a dual level"
+    if torch._C._functorch.maybe_current_level() is not None or forward_ad._current_level >= 0:
+        return True
+    return torch.is_grad_enabled() and any(
+        isinstance(value, Tensor) and value.requires_grad for value in row
+    )
 
 
 def _name(op: Any) -> str:
