@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from diffsim.data.study import Channel, Run
-from diffsim.identify import Jacobian, Parameter, Problem, SimModel, WhiteNoise
+from diffsim.identify import Jacobian, Parameter, Problem, WhiteNoise
 from diffsim.systems import actuator, library
 from diffsim.systems.soft_body import SoftModel, beam_model, tendon_model, unknown_force
 from diffsim.systems.soft_body import forces as soft_forces
@@ -63,13 +63,13 @@ def assert_alike(problem, x, rtol=1e-4):
 def simulations(monkeypatch):
     """Counts scenes that are simulated as a whole."""
     count = []
-    simulate = SimModel.simulate_scenes
+    simulate = SoftModel.simulate_scenes
 
     def counted(self, scenes):
         count.extend(scenes)
         return simulate(self, scenes)
 
-    monkeypatch.setattr(SimModel, "simulate_scenes", counted)
+    monkeypatch.setattr(SoftModel, "simulate_scenes", counted)
     return count
 
 
