@@ -10,6 +10,7 @@ import numpy as np
 from diffsim.diagnose.averaging import HALF_90, Averaged
 from diffsim.diagnose.data_sheet import PULLED, pull_of, words_of
 from diffsim.diagnose.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
+from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.judge import NAMES, Decision, Judgment
 from diffsim.diagnose.records import (
     CERTAIN,
@@ -40,7 +41,7 @@ def certain_of(decision: Decision, about: Averaged, judgment: Judgment) -> froze
     None where an unknown cause beside the best set is a rival: the set explains too little then.
     Where larger sets were not fitted although they have the evidence, what they would hold must not
     be enough to replace the effect. Nor is an effect certain that only stands in for what the
-    referee took away, or whose size may as well be zero.
+    referee took away, that helps nothing on unseen parts, or whose size may as well be zero.
     """
     if decision.verdict not in NAMES:
         return frozenset()
@@ -55,7 +56,7 @@ def certain_of(decision: Decision, about: Averaged, judgment: Judgment) -> froze
         and not _may_be_replaced(about, i, left_out)
         and all(i in h.effects for h in about.reach)
         and all(i in members for members in refused)
-        and not (i in judgment.gains and judgment.gains[i].status == "withdrawn")
+        and not _helps_nothing(judgment.gains.get(i))
         and not _may_be_zero(about, i)
     )
 
@@ -74,6 +75,12 @@ def vetoed(
     if most < weighed[Hypothesis(best)] + ALONE_NATS:
         return []
     return [members for members, nats in taken.items() if nats > most - ALONE_NATS]
+
+
+def _helps_nothing(gain: Gain | None) -> bool:
+    """Whether the interval of an effect's gain on unseen parts lies at zero or below, although
+    there is something to gain."""
+    return gain is not None and gain.high <= 0.0 < gain.excess
 
 
 def _may_be_zero(about: Averaged, i: int) -> bool:

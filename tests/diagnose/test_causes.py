@@ -13,6 +13,7 @@ from diffsim.diagnose import Report, assemble, diagnose
 from diffsim.diagnose.averaging import Widening, _interval, widening
 from diffsim.diagnose.causes import certain_of
 from diffsim.diagnose.data_sheet import _pulled_together, base_rows, words_of
+from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.left_out import folds_of
 from diffsim.diagnose.records import BaseRow, CauseRow, ErrorRow
 from diffsim.diagnose.wording import _on_unseen, _opened
@@ -256,6 +257,8 @@ def test_a_size_whose_widened_interval_holds_zero_is_not_certain(monkeypatch):
     vague = replace(about, factors={wide.names[wide.columns_of(PUSH)[0]]: 100.0})
     assert vague.size(0)["size"].low < 0.0
     assert certain_of(decision, vague, judgment) == frozenset()
+    useless = replace(judgment, gains={0: Gain(-0.2, -0.3, 0.0, 1.0, 5)})
+    assert certain_of(decision, about, useless) == frozenset()
 
 
 def _row(run, pull):
