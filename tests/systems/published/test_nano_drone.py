@@ -10,6 +10,9 @@ import yaml
 from scipy.signal import butter, csd, sosfiltfilt, welch
 
 from benchmarks.nano_drone import MODEL, scores, whole_flights
+from diffsim.cli.diagnose_inputs import read_study
+from diffsim.diagnose import diagnose
+from diffsim.systems.registry import setup_of
 from tests.measured import data_folder
 
 pytestmark = pytest.mark.reference
@@ -75,3 +78,24 @@ def test_named_physics_beats_every_published_column(tmp_path):
     assert all(a < b for a, b in zip(rows["named"][1:], published_best[1:], strict=True))
     most = (0.82, 0.8, 0.78, 0.73)
     assert all(a < m * b for a, m, b in zip(rows["no scale"], most, published_best, strict=True))
+
+
+@pytest.mark.slow
+def test_the_moment_of_the_air_is_named():
+    data_folder("nano_drone")
+    study = read_study("nano_drone")
+    setup = setup_of(study)
+    report = diagnose(
+        setup.study or study,
+        setup.model,
+        setup.effects,
+        unknowns=setup.unknowns,
+        seed=0,
+        settings=setup.settings,
+    )
+    assert report.verdict == "named"
+    assert "flow_moment" in {row.name for row in report.causes if row.status == "certain"}
+    assert "inertia_zz" in report.findings
+    (rates,) = (row for row in report.errors if row.kind == "angular_velocity")
+    assert rates.after < 0.5 * rates.before
+    assert report.gain is not None and report.gain.low > 0.0
