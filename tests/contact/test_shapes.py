@@ -5,9 +5,10 @@ import math
 import pytest
 import torch
 
-from diffsim import contact, mesh, stokes
+from diffsim import contact, mesh
 from diffsim.contact.height_field import _padded
 from diffsim.core.errors import MeshError
+from diffsim.stokes import shapes
 from tests.contact.cases import SHAPES, points, tensor, uniform, unit, waves
 
 KINDS = list(SHAPES)
@@ -271,10 +272,10 @@ def test_a_shape_is_a_signed_distance_for_meshes_and_flows_too():
     ball, x = contact.Sphere(0.5), points(50)
     same = mesh.sdf.sphere(0.5)(x)
     assert torch.equal(ball(x), same)
-    assert torch.equal(stokes.shapes.Sphere(0.5)(x), same)
+    assert torch.equal(shapes.Sphere(0.5)(x), same)
     block, bounds = mesh.sdf.box((1.0,) * 3), ((-0.6,) * 3, (0.6,) * 3)
     carved = mesh.hex_from_sdf(mesh.sdf.difference(block, ball), bounds, 0.1)
     removed = mesh.hex_from_sdf(block, bounds, 0.1).num_elements - carved.num_elements
     assert removed == mesh.hex_from_sdf(ball, bounds, 0.1).num_elements > 0
-    wall = stokes.shapes.Custom(ball)
+    wall = shapes.Custom(ball)
     assert torch.equal(wall(x), same)
