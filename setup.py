@@ -96,8 +96,26 @@ NO_COMPILER = """{name!r} is missing: diffsim needs a C++17 compiler (GCC >= 11 
 """
 
 
+def read(path: Path) -> str:
+    """Text of a file, empty where there is none."""
+    return path.read_text() if path.is_file() else ""
+
+
+def content_hash(rule: Path) -> str:
+    """Hash of the files of csrc that an object was made of, by the rule that the compiler wrote.
+
+    Contents, not times: a fresh checkout beside old objects compiles what differs and no more.
+    """
+    files = re.split(r"[\s\\]+", read(rule).partition(":")[2])
+    ours = sorted(name for name in files if name.startswith("csrc/"))
+    parts = [f"{name} {hashlib.sha256(read(Path(name)).encode()).hexdigest()}" for name in ours]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
 class BuildExt(build_ext):
     """Compile every (instruction set, source) pair in parallel, and only what changed.
+
+    An object is current while the source and the headers it includes read as they did.
 
     Objects are kept in build/objects/<key> (pip's own build folder is gone after each run); the key
     holds all that changes an object besides the sources: compiler, flags, nanobind, Eigen, Python.
@@ -114,9 +132,8 @@ class BuildExt(build_ext):
         key = repr([compiler, nanobind.__version__, eigen_version(), sys.version])
         self.objects = ROOT / "build" / "objects" / hashlib.sha256(key.encode()).hexdigest()[:12]
         jobs = [(ext, source) for ext in self.extensions for source in ext.sources]
-        newest = max(Path(p).stat().st_mtime for p in [*self.extensions[0].depends, __file__])
         with ThreadPoolExecutor(max_workers=self.parallel or os.cpu_count()) as pool:
-            objects = list(pool.map(lambda job: self._compile(*job, newest), jobs))
+            objects = list(pool.map(lambda job: self._compile(*job), jobs))
         for ext in self.extensions:
             print(f"linking {ext.name}", flush=True)
             target = self.get_ext_fullpath(ext.name)
@@ -128,21 +145,23 @@ class BuildExt(build_ext):
                 target_lang="c++",
             )
 
-    def _compile(self, ext: Extension, source: str, newest_header: float) -> str:
+    def _compile(self, ext: Extension, source: str) -> str:
         flags = repr([ext.extra_compile_args, ext.define_macros])
         out = self.objects / f"{ext.name}-{hashlib.sha256(flags.encode()).hexdigest()[:8]}"
         obj = Path(self.compiler.object_filenames([source], output_dir=str(out))[0])
-        changed = max(Path(source).stat().st_mtime, newest_header)
-        if self.force or not obj.is_file() or obj.stat().st_mtime < changed:
+        made_of = obj.with_suffix(".sha256")
+        if self.force or not obj.is_file() or read(made_of) != content_hash(obj.with_suffix(".d")):
             sys.stdout.write(f"compiling {source} for {ext.name}\n")  # one write: threads
             sys.stdout.flush()
+            made_of.unlink(missing_ok=True)
             self.compiler.compile(
                 [source],
                 output_dir=str(out),
                 macros=ext.define_macros,
                 include_dirs=ext.include_dirs,
-                extra_postargs=ext.extra_compile_args,
+                extra_postargs=[*ext.extra_compile_args, "-MMD", "-MF", str(obj.with_suffix(".d"))],
             )
+            made_of.write_text(content_hash(obj.with_suffix(".d")))
         return str(obj)
 
 
