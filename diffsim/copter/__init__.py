@@ -19,7 +19,7 @@ from diffsim.copter.design import Design, build_design
 from diffsim.copter.design_file import load_design, save_design
 from diffsim.copter.effects import BodyDrag, FlightEffects, MotorLag
 from diffsim.copter.fleet import Fleet
-from diffsim.copter.flight import Feedback, Flight, FlightError, fly
+from diffsim.copter.flight import Feedback, Flight, FlightError, PreparedFlight, fly, prepare_flight
 from diffsim.copter.flight_state import FlightState
 from diffsim.copter.hover import Hover, hover, hover_thrusts
 from diffsim.copter.hover_result import HoverError, HoverResult, HoverWarning
@@ -58,6 +58,7 @@ __all__ = [
     "Multicopter",
     "PartEntry",
     "PartSpec",
+    "PreparedFlight",
     "RiccatiError",
     "RotorModel",
     "build_design",
@@ -77,6 +78,7 @@ __all__ = [
     "max_hover_weight",
     "min_clearance",
     "motor_lag",
+    "prepare_flight",
     "response_time",
     "rotor_model",
     "rotor_names",
