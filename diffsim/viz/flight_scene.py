@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from diffsim.copter.design import Design
 from diffsim.copter.rotor import RotorModel
 from diffsim.copter.simulator import FlightLog, FlightSample, flight_rotors
-from diffsim.viz._require import optional
+from diffsim.core.optional import optional
 from diffsim.viz.figures import COLORS
 from diffsim.viz.scene import rgb, write_recording
 

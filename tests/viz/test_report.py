@@ -9,12 +9,12 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-pytest.importorskip("matplotlib", reason="reports need pip install 'diffsim-robot[viz]'")
-pytest.importorskip("jinja2", reason="reports need pip install 'diffsim-robot[viz]'")
+pytest.importorskip("matplotlib", reason="reports need pip install -e '.[viz]'")
+pytest.importorskip("jinja2", reason="reports need pip install -e '.[viz]'")
 
 from diffsim.viz import figures
 from diffsim.viz import report as rp
-from diffsim.viz._require import optional
+from diffsim.core.optional import optional
 
 
 def example(**changes) -> rp.Report:
