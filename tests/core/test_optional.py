@@ -19,14 +19,14 @@ def test_the_advice_is_what_pip_knows():
 def test_a_missing_module_is_named_with_its_purpose_and_what_works_without():
     with pytest.raises(ImportError, match="a test needs nowhere_known, which is not installed"):
         optional("nowhere_known.part", purpose="a test")
-    with pytest.raises(ImportError, match="pip install nowhere-known; or use another$"):
+    with pytest.raises(ImportError, match=r"pip install nowhere-known; or use another$"):
         optional("nowhere_known", purpose="a test", otherwise="use another")
 
 
 def test_a_module_that_fails_to_import_is_told_from_a_missing_one(tmp_path, monkeypatch):
     (tmp_path / "broken_inside.py").write_text("import nowhere_known\n")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(ImportError, match="which does not import .*nowhere_known"):
+    with pytest.raises(ImportError, match=r"which does not import .*nowhere_known"):
         optional("broken_inside", purpose="a test")
 
 
