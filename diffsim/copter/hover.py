@@ -11,6 +11,7 @@ from diffsim.copter._ops_hover import HoverProblem, HoverSolution
 from diffsim.copter.hover_result import HoverResult, report
 from diffsim.copter.vehicle import Multicopter
 from diffsim.core.check import require, require_choice, require_number, require_range
+from diffsim.core.record import announce, is_recording
 from diffsim.core.rotation import roll_pitch_of_thrust
 
 _WEAK = 1e-6  # multiplier or distance to a bound, in shares of the weight per rotor
@@ -96,7 +97,7 @@ def hover_thrusts(
     if smoothing:
         weak = torch.zeros_like(weak)
     code, rank, free_rank, num_iters = (solution.info[:, k].reshape(batch) for k in range(4))
-    return HoverResult(
+    result = HoverResult(
         thrusts=(u * share).reshape(*batch, n),
         attitude=roll_pitch_of_thrust(net).reshape(*batch, 2),
         residual=residual.reshape(*batch, 4),
@@ -109,6 +110,9 @@ def hover_thrusts(
         weakly_active=weak.reshape(*batch, n),
         num_iters=num_iters,
     )
+    if is_recording() and not torch.compiler.is_compiling():
+        announce(result.solve)
+    return result
 
 
 def hover(
