@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-import trimesh
 
 from diffsim.core.errors import MeshError
 from diffsim.mesh.reference import Array, IntArray
 
-SurfaceLike = trimesh.Trimesh | str | Path
+if TYPE_CHECKING:
+    import trimesh
+
+
+SurfaceLike: TypeAlias = "trimesh.Trimesh | str | Path"
 
 
 def closed_surface(surface: SurfaceLike) -> tuple[Array, IntArray]:
@@ -24,6 +28,8 @@ def closed_surface(surface: SurfaceLike) -> tuple[Array, IntArray]:
         MeshError: open edges, edges of more than two triangles, inconsistent orientation, no
             volume.
     """
+    import trimesh
+
     if isinstance(surface, str | Path):
         from diffsim.mesh.files import load_surface
 
