@@ -77,6 +77,7 @@ def fly(
     feedback: Feedback | None = None,
     effects: FlightEffects | None = None,
     substeps: int = 1,
+    clamp: bool = True,
     num_threads: int = 1,
 ) -> Flight:
     """Fly a batch of multicopters.
@@ -95,6 +96,8 @@ def fly(
         feedback: Makes the commands a feed-forward.
         effects: What is there besides gravity and ideal rotors.
         substeps: Integration steps per control period.
+        clamp: Whether thrusts stay within 0..max_thrusts; False: they are what is commanded,
+            negative ones too, for moments that are given to the vehicle through its thrusts.
         num_threads: Threads of the kernel; the result does not depend on it.
 
     Returns:
@@ -111,6 +114,12 @@ def fly(
         if count != int(count) or count < 1:
             raise ValueError(f"{name} must be a whole number >= 1, got {count}")
     effects = FlightEffects() if effects is None else effects
+    present = [name for name, _ in effects.present()]
+    if not clamp and (powers := sorted({"thrust_curve", "battery"} & set(present))):
+        raise ValueError(
+            f"clamp=False lets thrusts be negative, of which effects.{powers[0]} takes a power; "
+            "leave one of them out"
+        )
     fleet = vehicle if isinstance(vehicle, Fleet) else _fleet(vehicle)
     n = fleet.num_rotors
     require("commands", commands, ("batch", "steps", n))
@@ -138,7 +147,7 @@ def fly(
         dt=dt / substeps,
         gravity=GRAVITY,
         substeps=substeps,
-        effects=",".join(name for name, _ in effects.present()),
+        effects=",".join(present if clamp else [*present, "free_thrusts"]),
         num_threads=num_threads,
     )
     records = _ops_flight.rollout(inputs, settings, batch=batch, steps=steps)
