@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import torch
 
+from diffsim.core.interrupts import EXIT_INTERRUPTED, terminate_as_interrupt
 from diffsim.learn.run import Learner, Run, train
 from diffsim.learn.setup import Setup
 
@@ -87,6 +88,8 @@ def main_training(
     parser = training_parser(description)
     add_options(parser, options, "method")
     args = parser.parse_args(argv)
+    if argv is None:
+        terminate_as_interrupt()
     torch.set_num_threads(args.threads)
     setup = setup_from(args)
     folder = args.out or Path("runs") / setup.task / method / f"seed_{setup.seed}"
@@ -95,7 +98,7 @@ def main_training(
     try:
         run = train(setup, made, folder, resume=args.resume)
     except KeyboardInterrupt:
-        raise SystemExit(130) from None
+        raise SystemExit(EXIT_INTERRUPTED) from None
     last = run.rows[-1]
     print(
         f"{setup.task}, {method}, seed {setup.seed}: reward {run.rows[0]['reward']:.4g} -> "
