@@ -12,6 +12,7 @@ import numpy as np
 
 from diffsim.core.check import did_you_mean
 from diffsim.data.columns import Rows, Table, as_label
+from diffsim.data.formats import is_container, split_part
 from diffsim.data.study_schema import RunEntry, RunKeys
 
 _FIELD = re.compile(r"\{(\w+)(?::[^}]*)?\}")
@@ -74,7 +75,7 @@ def cases_of(
     for words in rows:
         first, *further = [_known(p, words) for p in patterns]
         for path, found in _files(root, first, where):
-            all_words = {**words, **found, "file": path.stem}
+            all_words = {**words, **found, "file": split_part(path)[0].stem}
             others = (root / filled(p, all_words, f"{where}.file") for p in further)
             cases.append(Case(where, entry, (path, *others), all_words))
     return cases, left_out
@@ -86,6 +87,14 @@ def _known(pattern: str, words: Mapping[str, str]) -> str:
 
 def _files(root: Path, pattern: str, where: str) -> list[tuple[Path, dict[str, str]]]:
     """Files of a pattern with ``*`` and {words}; a plain name is one file, whether there or not."""
+    if is_container(pattern):  # FILE#PART: the pattern is that of the file
+        file, part = split_part(pattern)
+        found = _files_named(root, str(file), where)
+        return [(Path(f"{path}#{part}") if part else path, words) for path, words in found]
+    return _files_named(root, pattern, where)
+
+
+def _files_named(root: Path, pattern: str, where: str) -> list[tuple[Path, dict[str, str]]]:
     if "*" not in pattern and not _FIELD.search(pattern):
         return [(root / pattern, {})]
     parts = re.split(r"(\*|\{\w+\})", pattern)
