@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from diffsim.copter import _ops_riccati
-from diffsim.core.check import require
+from diffsim.core.check import require, require_threads
 
 _SYMMETRY = 1e-9  # relative to the largest entry: products in two orders round apart
 _SEMIDEFINITE = 1e-10  # eigenvalue below zero, relative to the largest, that is rounding
@@ -58,6 +58,7 @@ def lyapunov(A: Tensor, Q: Tensor, *, num_threads: int = 1) -> Tensor:
 
     Gradients: A, Q; any order.
     """
+    num_threads = require_threads(num_threads)
     A = require("A", A, ("...", "n", "n"))
     n = A.shape[-1]
     _require_square("A", A)
@@ -92,7 +93,7 @@ def lqr(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, *, num_threads: int = 1) -> 
     Gradients: A, B, Q, R (of their symmetric parts); any order.
     """
     A, B, Q, R = _require_problem(A, B, Q, R)
-    P, _ = _solve(A, B, Q, R, num_threads)
+    P, _ = _solve(A, B, Q, R, require_threads(num_threads))
     return LqrGain(torch.linalg.solve(R, B.mT @ P), P)
 
 

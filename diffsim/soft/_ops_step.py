@@ -6,6 +6,7 @@ Everything here has a leading batch axis and float64.
 from __future__ import annotations
 
 import math
+import threading
 import warnings
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -48,12 +49,23 @@ def step_options(method: str, *, rtol: float, max_iters: int, atol: float = 0.0)
     return options
 
 
-listeners: list[Callable[[str, Tensor], None]] = []
-"""Called with ("step" or "adjoint", stats) after every solve; see diffsim.soft.record_stats."""
+class _Listeners(threading.local):
+    """Of one Python thread: solves of others are none of its business.
+
+    Attributes:
+        each: Called with ("step" or "adjoint", stats) after every solve; see
+            diffsim.soft.record_stats.
+    """
+
+    def __init__(self) -> None:
+        self.each: list[Callable[[str, Tensor], None]] = []
+
+
+listeners = _Listeners()
 
 
 def notify(kind: str, stats: Tensor) -> None:
-    for listen in listeners:
+    for listen in listeners.each:
         listen(kind, stats)
 
 

@@ -50,6 +50,7 @@ class SolveStats(NamedTuple):
 def record_stats() -> Iterator[list[SolveStats]]:
     """Collect the statistics of every solve inside the ``with`` block, in order of execution.
 
+    Solves of other Python threads are theirs to record: each thread opens a block of its own.
     Steps that checkpointing computes twice are listed twice; explicit steps solve nothing.
 
     with soft.record_stats() as solves:
@@ -62,8 +63,8 @@ def record_stats() -> Iterator[list[SolveStats]]:
     def listen(kind: str, stats: Tensor) -> None:
         solves.append(SolveStats(kind, *stats.clone().unbind(1)))
 
-    _ops_step.listeners.append(listen)
+    _ops_step.listeners.each.append(listen)
     try:
         yield solves
     finally:
-        _ops_step.listeners.remove(listen)
+        _ops_step.listeners.each.remove(listen)
