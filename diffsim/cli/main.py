@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from diffsim.cli import (
+    convert,
     demo,
     devices,
     diagnose,
@@ -32,6 +33,7 @@ COMMANDS = {
     "fly": fly,
     "fabricate": fabricate,
     "track": track,
+    "convert": convert,
     "devices": devices,
     "fit-rotors": fit_rotors,
     "info": info,

@@ -5,14 +5,18 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from diffsim.copter.geometry import Array, rotation_rpy
 from diffsim.copter.spec import Connection, PartSpec
 from diffsim.core.errors import MeshError
 from diffsim.mesh.files import load_surface
+
+if TYPE_CHECKING:
+    import trimesh
+
 
 _GAP = 0.003  # parts closer than this touch; the tool's designs leave up to 2.4 mm [m]
 _ASIDE = 1e-3  # and their centers are on one line up to this [m]

@@ -55,30 +55,42 @@ def require(
         raise TypeError(
             f"{name} must be {dtype}, got {value.dtype}; convert with {name}.to({dtype})"
         )
-    if value.device.type != "cpu":
+    if not value.is_cpu:
         raise TypeError(f"{name} must be on the CPU, got device {value.device}; use {name}.cpu()")
-    want = list(shape)
-    got = list(value.shape)
-    tail = got
-    if want and want[0] == "...":
-        want = want[1:]
-        tail = got[len(got) - len(want) :] if len(got) >= len(want) else [-1]
-    matches = len(tail) == len(want) and all(
-        isinstance(w, str) or w == g for w, g in zip(want, tail, strict=True)
-    )
-    if not matches:
+    if not _fits(value.shape, shape):
         expected = ", ".join(str(s) for s in shape)
-        raise ValueError(f"{name} must have shape ({expected}), got {tuple(got)}")
+        raise ValueError(f"{name} must have shape ({expected}), got {tuple(value.shape)}")
     if not finite or not value.is_floating_point() or torch.compiler.is_compiling():
         return value.contiguous()
-    is_finite = torch.isfinite(values_of(value))
-    if not bool(is_finite.all()):
-        bad = torch.nonzero(~is_finite)
+    numbers = values_of(value)
+    if not all_finite(numbers):
+        bad = torch.nonzero(~torch.isfinite(numbers))
         first = tuple(int(i) for i in bad[0])
         raise ValueError(
             f"{name} must be finite, got {len(bad)} NaN or infinite entries, first at {first}"
         )
     return value.contiguous()
+
+
+def _fits(got: Sequence[int], want: Sequence[int | str]) -> bool:
+    """Whether a shape is as wanted; see ``require``."""
+    if want and want[0] == "...":
+        want = want[1:]
+        if len(got) < len(want):
+            return False
+        got = got[len(got) - len(want) :]
+    elif len(got) != len(want):
+        return False
+    for size, wanted in zip(got, want, strict=True):  # called too often for a generator
+        if size != wanted and not isinstance(wanted, str):
+            return False
+    return True
+
+
+def all_finite(value: Tensor) -> bool:
+    """Whether no entry is NaN or infinite."""
+    # a sum is the cheapest look at all entries; finite ones may overflow it, and are looked at
+    return math.isfinite(float(value.sum())) or bool(torch.isfinite(value).all())
 
 
 def require_number(

@@ -13,6 +13,7 @@ import numpy as np
 from diffsim.core.check import did_you_mean
 from diffsim.core.inside import inside
 from diffsim.data.columns import Rows, Table, as_label
+from diffsim.data.formats import is_container, split_part
 from diffsim.data.study_schema import RunEntry, RunKeys
 
 _FIELD = re.compile(r"\{(\w+)(?::[^}]*)?\}")
@@ -79,7 +80,7 @@ def cases_of(
     for words in rows:
         first, *further = [_known(p, words) for p in patterns]
         for path, found in _files(root, first, where, given):
-            all_words = {**words, **found, "file": path.stem}
+            all_words = {**words, **found, "file": split_part(path)[0].stem}
             others = [
                 _placed(root, filled(p, all_words, f"{where}.file"), where, given) for p in further
             ]
@@ -99,6 +100,16 @@ def _placed(root: Path, stated: str, where: str, given: Given) -> Path:
 
 def _files(root: Path, pattern: str, where: str, given: Given) -> list[tuple[Path, dict[str, str]]]:
     """Files of a pattern with ``*`` and {words}; a plain name is one file, whether there or not."""
+    if is_container(pattern):  # FILE#PART: the pattern is that of the file
+        file, part = split_part(pattern)
+        found = _files_named(root, str(file), where, given)
+        return [(Path(f"{path}#{part}") if part else path, words) for path, words in found]
+    return _files_named(root, pattern, where, given)
+
+
+def _files_named(
+    root: Path, pattern: str, where: str, given: Given
+) -> list[tuple[Path, dict[str, str]]]:
     if "*" not in pattern and not _FIELD.search(pattern):
         return [(_placed(root, pattern, where, given), {})]
     inside(root, pattern, f"{where}.file")

@@ -33,6 +33,7 @@ from pydantic import ValidationError
 from diffsim.core.schema import problem_lines
 from diffsim.core.units import to_si
 from diffsim.core.yaml_text import read_yaml_file
+from diffsim.data.formats import split_part
 from diffsim.data.recording import find_dataset
 from diffsim.data.run_files import RunReader
 from diffsim.data.study import Channel, Command, Study
@@ -168,7 +169,7 @@ def _command(entry: CommandEntry) -> Command:
 
 def _left_out(reader: RunReader, stated: StudyFile, root: Path) -> tuple[str, ...]:
     """Files and columns that no run uses, and what the reader left out."""
-    used = set(reader.tables)
+    used = {split_part(path)[0] for path in reader.tables}
     folders = {path.parent for path in used} | {root}
     mentioned = str(stated.model)
     files = sorted(

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-import scipy.sparse as sp
 import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_choice
 from diffsim.core.errors import FactorizationError
 from diffsim.linalg._ops_cholesky import SparseFactor
+
+if TYPE_CHECKING:
+    import scipy.sparse as sp
 
 _SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry: assembly in two orders rounds apart
 
@@ -224,6 +228,8 @@ class _Pattern:
 
 
 def _to_scipy(matrix: sp.spmatrix | sp.sparray | Tensor) -> sp.csr_matrix:
+    import scipy.sparse as sp
+
     if isinstance(matrix, Tensor):
         if matrix.layout != torch.sparse_csr:
             raise TypeError(

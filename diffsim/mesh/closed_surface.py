@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-import trimesh
 
 from diffsim.core.errors import MeshError
 from diffsim.mesh.reference import Array, IntArray
 from diffsim.mesh.surface_check import check_indices
 
-SurfaceLike = trimesh.Trimesh | str | Path
+if TYPE_CHECKING:
+    import trimesh
+
+
+SurfaceLike: TypeAlias = "trimesh.Trimesh | str | Path"
 
 
 def closed_surface(surface: SurfaceLike) -> tuple[Array, IntArray]:
@@ -25,6 +29,8 @@ def closed_surface(surface: SurfaceLike) -> tuple[Array, IntArray]:
         MeshError: faces of vertices that there are not, open edges, edges of more than two
             triangles, inconsistent orientation, no volume.
     """
+    import trimesh
+
     if isinstance(surface, str | Path):
         from diffsim.mesh.files import load_surface
 

@@ -8,11 +8,10 @@ from __future__ import annotations
 import difflib
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import meshio
 import numpy as np
 import torch
-import trimesh
 from torch import Tensor
 
 from diffsim.core.check import require, require_number
@@ -23,6 +22,10 @@ from diffsim.mesh.reference import HEX_FROM_VTK, VTK_FROM_HEX
 from diffsim.mesh.repair import remove_unreferenced_nodes
 from diffsim.mesh.surface import to_trimesh
 from diffsim.mesh.surface_check import check_file, check_indices
+
+if TYPE_CHECKING:
+    import trimesh
+
 
 VOLUME_FORMATS = {
     ".vtu": "vtu",
@@ -71,6 +74,8 @@ def load_arrays(path: str | Path, scale: float = 1.0) -> tuple[Tensor, Tensor]:
     suffix = _suffix(path, list(VOLUME_FORMATS))
     if not path.is_file():
         raise FileNotFoundError(f"no file {path}{_similar_files(path)}")
+    import meshio
+
     try:
         content = meshio.read(path, file_format=VOLUME_FORMATS[suffix])
     except (Exception, SystemExit) as error:  # meshio ends the program on some bad files
@@ -115,6 +120,8 @@ def load_surface(path: str | Path, scale: float = 1.0) -> trimesh.Trimesh:
     _suffix(path, list(SURFACE_FORMATS))
     if not path.is_file():
         raise FileNotFoundError(f"no file {path}{_similar_files(path)}")
+    import trimesh
+
     check_file(path)
     try:
         surface = trimesh.load_mesh(path)
@@ -188,6 +195,8 @@ def _write_volume(
     name = "tetra"
     if mesh.kind == "hex":
         elements, name = elements[:, VTK_FROM_HEX], "hexahedron"
+    import meshio
+
     content = meshio.Mesh(
         x.numpy(),
         [(name, elements)],
