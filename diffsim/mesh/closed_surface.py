@@ -9,6 +9,7 @@ import numpy as np
 
 from diffsim.core.errors import MeshError
 from diffsim.mesh.reference import Array, IntArray
+from diffsim.mesh.surface_check import check_indices
 
 if TYPE_CHECKING:
     import trimesh
@@ -25,8 +26,8 @@ def closed_surface(surface: SurfaceLike) -> tuple[Array, IntArray]:
 
     Raises:
         TypeError: neither a trimesh nor a path.
-        MeshError: open edges, edges of more than two triangles, inconsistent orientation, no
-            volume.
+        MeshError: faces of vertices that there are not, open edges, edges of more than two
+            triangles, inconsistent orientation, no volume.
     """
     import trimesh
 
@@ -44,6 +45,7 @@ def closed_surface(surface: SurfaceLike) -> tuple[Array, IntArray]:
         raise MeshError("the surface has no triangles")
     if not np.isfinite(x).all():
         raise MeshError("the surface has vertices that are not finite")
+    check_indices(np.asarray(surface.faces, np.int64), x)
     x, inverse = np.unique(x, axis=0, return_inverse=True)
     faces = inverse.reshape(-1)[np.asarray(surface.faces, np.int64)]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]

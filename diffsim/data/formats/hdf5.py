@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from diffsim.core.optional import optional
 from diffsim.data.formats.columns import Columns, flat
 
+MAX_DEPTH = 50  # groups inside of each other; a group can hold the one that holds it
+
 
 def parts(path: Path) -> list[str]:
     """Groups that hold arrays; the file's root is ""."""
@@ -24,9 +26,19 @@ def read(path: Path, part: str) -> Columns:
     """Columns of a group: one-dimensional arrays, and rows of larger ones."""
     h5py = _h5py()
     with h5py.File(path, "r") as file:
-        arrays = _arrays(h5py, file[part] if part else file)
+        arrays = _arrays(h5py, _group(h5py, file, part))
     columns = dict(pair for name, values in arrays.items() for pair in flat(name, values))
     return with_equal_lengths(columns)
+
+
+def _group(h5py: Any, file: Any, part: str) -> Any:
+    """A group by its path, which leads through the file's own groups only."""
+    group = file
+    for name in filter(None, part.split("/")):
+        group = dict(_own(h5py, group)).get(name)
+        if not isinstance(group, h5py.Group):
+            raise ValueError(f"{file.filename}: has no group {part!r} of its own")
+    return group
 
 
 def write(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
@@ -46,17 +58,29 @@ def with_equal_lengths(columns: Columns) -> Columns:
     return {name: values for name, values in columns.items() if len(values) == most}
 
 
-def _groups(h5py: Any, name: str, group: Any) -> Iterator[tuple[str, Any]]:
+def _groups(h5py: Any, name: str, group: Any, depth: int = 0) -> Iterator[tuple[str, Any]]:
+    if depth > MAX_DEPTH:
+        raise ValueError(f"{group.file.filename}: more than {MAX_DEPTH} groups inside of each other")
     yield name, group
-    for key, inner in group.items():
+    for key, inner in _own(h5py, group):
         if isinstance(inner, h5py.Group):
-            yield from _groups(h5py, f"{name}/{key}" if name else key, inner)
+            yield from _groups(h5py, f"{name}/{key}" if name else key, inner, depth + 1)
+
+
+def _own(h5py: Any, group: Any) -> Iterator[tuple[str, Any]]:
+    """What a group itself holds: links, and arrays kept elsewhere, could read any other file."""
+    for name in group:
+        if isinstance(group.get(name, getlink=True), h5py.HardLink):
+            inner = group[name]
+            is_array = isinstance(inner, h5py.Dataset)
+            if not (is_array and (inner.external or inner.is_virtual)):
+                yield name, inner
 
 
 def _arrays(h5py: Any, group: Any) -> dict[str, NDArray[Any]]:
     """Arrays of numbers or text of a group; a compound type gives its fields."""
     out = {}
-    for name, data in group.items():
+    for name, data in _own(h5py, group):
         if not isinstance(data, h5py.Dataset) or not data.shape:
             continue
         values = data[()]
