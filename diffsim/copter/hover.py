@@ -17,6 +17,7 @@ from diffsim.core.check import (
     require_range,
     require_threads,
 )
+from diffsim.core.record import announce, is_recording
 from diffsim.core.rotation import roll_pitch_of_thrust
 
 _WEAK = 1e-6  # multiplier or distance to a bound, in shares of the weight per rotor
@@ -103,7 +104,7 @@ def hover_thrusts(
     if smoothing:
         weak = torch.zeros_like(weak)
     code, rank, free_rank, num_iters = (solution.info[:, k].reshape(batch) for k in range(4))
-    return HoverResult(
+    result = HoverResult(
         thrusts=(u * share).reshape(*batch, n),
         attitude=roll_pitch_of_thrust(net).reshape(*batch, 2),
         residual=residual.reshape(*batch, 4),
@@ -116,6 +117,9 @@ def hover_thrusts(
         weakly_active=weak.reshape(*batch, n),
         num_iters=num_iters,
     )
+    if is_recording() and not torch.compiler.is_compiling():
+        announce(result.solve)
+    return result
 
 
 def hover(

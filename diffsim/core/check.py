@@ -22,6 +22,12 @@ def values_of(value: Tensor) -> Tensor:
     return value.detach()
 
 
+def has_values(value: Tensor) -> bool:
+    """Whether a tensor is one of numbers: not mapped by ``torch.func``, nor without data."""
+    wrapped = torch._C._functorch.is_functorch_wrapped_tensor(value)
+    return not wrapped and value.device.type != "meta"
+
+
 def require(
     name: str,
     value: Tensor,

@@ -10,7 +10,6 @@ from pathlib import Path
 from types import ModuleType
 
 from diffsim.core.forked import keep_forks_alive
-
 from diffsim.core.processor import NEEDS, supported
 
 
