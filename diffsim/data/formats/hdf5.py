@@ -55,7 +55,7 @@ def _groups(h5py: Any, name: str, group: Any) -> Iterator[tuple[str, Any]]:
 
 def _arrays(h5py: Any, group: Any) -> dict[str, NDArray[Any]]:
     """Arrays of numbers or text of a group; a compound type gives its fields."""
-    out = {}
+    out: dict[str, NDArray[Any]] = {}
     for name, data in group.items():
         if not isinstance(data, h5py.Dataset) or not data.shape:
             continue
