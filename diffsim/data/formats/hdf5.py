@@ -81,7 +81,7 @@ def _own(h5py: Any, group: Any) -> Iterator[tuple[str, Any]]:
 
 def _arrays(h5py: Any, group: Any) -> dict[str, NDArray[Any]]:
     """Arrays of numbers or text of a group; a compound type gives its fields."""
-    out = {}
+    out: dict[str, NDArray[Any]] = {}
     for name, data in _own(h5py, group):
         if not isinstance(data, h5py.Dataset) or not data.shape:
             continue
