@@ -16,7 +16,8 @@ from diffsim.core.check import require_choice
 from diffsim.core.errors import DiffsimError
 from diffsim.identify.jacobian import Jacobian
 from diffsim.identify.model import Parameter
-from diffsim.identify.problem import Problem, Whitener, WhiteNoise
+from diffsim.identify.problem import Problem
+from diffsim.identify.whitening import Whitener, WhiteNoise
 
 if TYPE_CHECKING:
     from diffsim.data.study import Channel, Run
