@@ -35,6 +35,7 @@ StepProblem::StepProblem(const ConstantSystem& system, const StepInputs& inputs,
       ops_(pool),
       size_(at(3 * system.model().num_nodes)),
       scale_(force_scale(system, inputs)) {
+  elastic_.keep_frames = true;
   if (in_.parameters.damp_mu)
     frames_ = damping_frames(system.model(), in_.x_frame, in_.x_velocity, pool);
 }
