@@ -107,7 +107,13 @@ def _judging(step: argparse.ArgumentParser) -> None:
     )
     step.add_argument("--quick", action="store_true", help="fewer refits: a first impression")
     step.add_argument(
-        "--workers", type=positive, default=1, metavar="N", help="threads over runs (default: 1)"
+        "--threads",
+        "--workers",  # its name before all commands had one word for it
+        dest="workers",
+        type=positive,
+        default=1,
+        metavar="N",
+        help="simulate N runs at a time (default: 1)",
     )
     step.add_argument(
         "--accept-numerics",

@@ -12,6 +12,13 @@ from typing import Any
 from diffsim.cli.arguments import DIAGNOSES
 from diffsim.cli.diagnose_check import check, require_ready
 from diffsim.cli.diagnose_faults import judged, new_labels, with_new
+from diffsim.cli.diagnose_files import (
+    INPUTS_FILE,
+    PAGE_FILE,
+    RECORDING_FILE,
+    REPORT_FILE,
+    lacking,
+)
 from diffsim.cli.diagnose_init import init
 from diffsim.cli.diagnose_inputs import changed, inputs_of, read_study
 from diffsim.core.files import write_json_atomic, write_text_atomic
@@ -27,8 +34,7 @@ from diffsim.diagnose.report import Report
 from diffsim.identify.model_file import MODEL_FILE, read_extended
 from diffsim.identify.numerics import Numerics
 
-INPUTS_FILE, REPORT_FILE, CACHE = "inputs.json", "report.json", "interrupted"
-JUDGE_FILE = "judge.json"
+CACHE, JUDGE_FILE = "interrupted", "judge.json"
 MAX_OUTSIDE = 3  # lines per run; the file holds all
 
 
@@ -111,11 +117,15 @@ def _explain(args: argparse.Namespace) -> None:
     inputs, out = _inputs(args, study)
     before = _read_json(out / INPUTS_FILE)  # written last: it says that all files are there
     if before is not None and (out / REPORT_FILE).is_file() and not args.force:
-        differs = changed(before, inputs.fingerprint)
-        if not differs:
+        differs, lacks = changed(before, inputs.fingerprint), lacking(out, before)
+        if not differs and not lacks:
             _say_again(out)
             return
-        print(f"{out} holds a diagnosis of other inputs ({', '.join(differs)}): diagnosing again")
+        if differs:
+            what = f"holds a diagnosis of other inputs ({', '.join(differs)})"
+        else:
+            what = f"lacks {', '.join(lacks)}"
+        print(f"{out} {what}: diagnosing again")
     setup = inputs.setup
     cache = out / CACHE / inputs.key  # an interrupted diagnosis goes on from what is there
     if args.force:
@@ -134,8 +144,8 @@ def _explain(args: argparse.Namespace) -> None:
             progress=progress,
             cache=cache,
         )
-    _write(report, inputs, out)
-    shutil.rmtree(out / CACHE, ignore_errors=True)
+    if _write(report, inputs, out):  # else a page, once it can be drawn, costs no diagnosis
+        shutil.rmtree(out / CACHE, ignore_errors=True)
     _tell(report.headline, report.verdict, report.sentences)
 
 
@@ -146,10 +156,13 @@ def _tell(headline: str, verdict: str, sentences: Sequence[str]) -> None:
         print(sentence)
 
 
-def _write(report: Report, inputs: Inputs, out: Path) -> None:
+def _write(report: Report, inputs: Inputs, out: Path) -> bool:
     """Answer first, then pictures: what cannot be drawn must not lose the answer.
 
     The file of the inputs comes last: until it is there, the same command goes on from the cache.
+
+    Returns:
+        Whether all pictures were drawn.
     """
     (out / INPUTS_FILE).unlink(missing_ok=True)
     report.save(out)
@@ -158,16 +171,19 @@ def _write(report: Report, inputs: Inputs, out: Path) -> None:
     def page() -> Path:
         from diffsim.viz.diagnosis_report import write_diagnosis
 
-        return write_diagnosis(report, out / "report.html")
+        return write_diagnosis(report, out / PAGE_FILE)
 
     def recording() -> Path:
         from diffsim.viz.diagnosis_recording import write_recording_of
 
-        return write_recording_of(report, out / "runs.rrd")
+        return write_recording_of(report, out / RECORDING_FILE)
 
-    _if_installed(page)
-    _if_installed(recording)
-    write_json_atomic(out / INPUTS_FILE, dict(inputs.fingerprint))
+    pictures = {PAGE_FILE: page, RECORDING_FILE: recording}
+    for name in pictures:
+        (out / name).unlink(missing_ok=True)  # of other inputs: not to pass for this answer's
+    not_drawn = [name for name, write in pictures.items() if not _if_installed(write)]
+    write_json_atomic(out / INPUTS_FILE, {**inputs.fingerprint, "not_drawn": not_drawn})
+    return not not_drawn
 
 
 def _say_again(out: Path) -> None:
@@ -268,12 +284,14 @@ def _next(args: argparse.Namespace) -> None:
         print(f"wrote {write_text_atomic(out / 'next.csv', command_table(best, inputs.study))}")
 
 
-def _if_installed(write: Callable[[], Path]) -> None:
-    """Pictures need packages of the ``viz`` extra; results do not."""
+def _if_installed(write: Callable[[], Path]) -> bool:
+    """Whether it was written: pictures need packages of the ``viz`` extra; results do not."""
     try:
         print(f"wrote {write()}")
     except ImportError as error:
         print(f"not drawn: {error}")
+        return False
+    return True
 
 
 def _read_json(path: Path) -> Mapping[str, Any] | None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import os
 import shlex
-import signal
 import sys
 from collections.abc import Sequence
 
 from diffsim.cli import (
+    convert,
     demo,
     devices,
     diagnose,
@@ -18,13 +18,14 @@ from diffsim.cli import (
     fit_rotors,
     fly,
     info,
+    serve,
     track,
 )
 from diffsim.core.errors import DiffsimError
+from diffsim.core.interrupts import EXIT_INTERRUPTED, ending_at_once, terminate_as_interrupt
 from diffsim.core.version import __version__
 
 EXIT_MISTAKE = 2  # what argparse uses too
-EXIT_INTERRUPTED = 130  # 128 + SIGINT
 
 COMMANDS = {
     "demo": demo,
@@ -33,7 +34,9 @@ COMMANDS = {
     "fly": fly,
     "fabricate": fabricate,
     "track": track,
+    "convert": convert,
     "devices": devices,
+    "serve": serve,
     "fit-rotors": fit_rotors,
     "info": info,
 }
@@ -75,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         Exit status: 0, 2 after a user's or a numerical error, 130 after Ctrl-C or SIGTERM.
     """
     if argv is None:  # of the process itself: a queue's or a service's stop is one, too
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        terminate_as_interrupt()
     given = list(sys.argv[1:] if argv is None else argv)
     cut = given.index("--") if given[:2] == ["examples", "run"] and "--" in given else len(given)
     args = parser().parse_args(given[:cut])
@@ -85,6 +88,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return status
     except KeyboardInterrupt:
+        if argv is None:
+            ending_at_once()
         print("\ninterrupted; finished work is kept", file=sys.stderr)
         again = given
         if args.command == "demo" and not args.resume:

@@ -19,7 +19,7 @@ from diffsim.copter.design import Design, build_design
 from diffsim.copter.design_file import load_design, save_design
 from diffsim.copter.effects import BodyDrag, FlightEffects, MotorLag
 from diffsim.copter.fleet import Fleet
-from diffsim.copter.flight import Feedback, Flight, FlightError, fly
+from diffsim.copter.flight import Feedback, Flight, FlightError, PreparedFlight, fly, prepare_flight
 from diffsim.copter.flight_state import FlightState
 from diffsim.copter.hover import Hover, hover, hover_thrusts
 from diffsim.copter.hover_result import HoverError, HoverResult, HoverWarning
@@ -32,6 +32,8 @@ from diffsim.copter.spec import Connection, DesignSpec, PartSpec
 from diffsim.copter.spec_file import shipped_designs
 from diffsim.copter.stabilizability import RiccatiError
 from diffsim.copter.vehicle import GRAVITY, Multicopter
+from diffsim.copter.vehicle_file import load_vehicle
+from diffsim.copter.vehicle_record import FlyingVehicle
 
 __all__ = [
     "GRAVITY",
@@ -47,6 +49,7 @@ __all__ = [
     "FlightEffects",
     "FlightError",
     "FlightState",
+    "FlyingVehicle",
     "Hover",
     "HoverError",
     "HoverResult",
@@ -58,6 +61,7 @@ __all__ = [
     "Multicopter",
     "PartEntry",
     "PartSpec",
+    "PreparedFlight",
     "RiccatiError",
     "RotorModel",
     "build_design",
@@ -71,12 +75,14 @@ __all__ = [
     "import_xml",
     "linearize",
     "load_design",
+    "load_vehicle",
     "lqr",
     "lqr_stats",
     "lyapunov",
     "max_hover_weight",
     "min_clearance",
     "motor_lag",
+    "prepare_flight",
     "response_time",
     "rotor_model",
     "rotor_names",

@@ -66,7 +66,8 @@ class FlightSettings(NamedTuple):
         dt: Integration step [s].
         gravity: [m/s^2].
         substeps: Integration steps per control step.
-        effects: Names of the effects that are modeled, out of ``EFFECTS``, separated by commas.
+        effects: Names of the effects that are modeled, out of ``EFFECTS``, separated by commas;
+            ``free_thrusts`` among them: commands are not clamped.
         num_threads: Threads of the kernel.
     """
 
@@ -83,10 +84,20 @@ def rollout(inputs: FlightInputs, settings: FlightSettings, *, batch: int, steps
     return flight_layer(**contiguous, batch=batch, steps=steps, **settings._asdict())
 
 
-@torch.compiler.assume_constant_result
+# known before PyTorch's compiler looks, which cannot follow the core
+_FIELDS: dict[int, list[tuple[str, int]]] = {
+    n: core.flight_fields(n) for n in range(1, MAX_ROTORS + 1)
+}
+
+
 def fields(num_rotors: int) -> list[tuple[str, int]]:
     """Names and sizes of the parameters of one vehicle, in the order of their row."""
-    return core.flight_fields(num_rotors)
+    return _FIELDS[num_rotors]
+
+
+def parameter_width(num_rotors: int) -> int:
+    """Numbers in the row of parameters of one vehicle."""
+    return sum(size for _, size in _FIELDS[num_rotors])
 
 
 def _widths(inputs: FlightInputs) -> dict[str, int]:
@@ -96,7 +107,7 @@ def _widths(inputs: FlightInputs) -> dict[str, int]:
         "start": BODY + num_rotors,
         "feed_forward": num_rotors,
         "wind": 3,
-        "parameters": sum(size for _, size in fields(num_rotors)),
+        "parameters": parameter_width(num_rotors),
     }
     return widths | ({"gain": 12 * num_rotors, "reference": 12} if inputs.feedback else {})
 

@@ -239,14 +239,12 @@ class FlightEffects:
 
     def __post_init__(self) -> None:
         if self.wind is not None:
-            require("wind", self.wind, ("...", 3))
-            if self.wind.dim() > 3:
-                raise ValueError(
-                    "wind must have shape (3,), (steps, 3) or (batch, steps, 3), got "
-                    f"{tuple(self.wind.shape)}"
-                )
-            if self.rotor_drag is None and self.body_drag is None:
-                raise ValueError("wind acts through drag; give rotor_drag or body_drag as well")
+            require_wind(self.wind, self.has_drag)
+
+    @property
+    def has_drag(self) -> bool:
+        """Whether there is something that feels wind."""
+        return self.rotor_drag is not None or self.body_drag is not None
 
     def present(self) -> Iterator[tuple[str, Any]]:
         """Names and values of those that are there, but for the wind."""
@@ -254,3 +252,15 @@ class FlightEffects:
             value = getattr(self, field.name)
             if field.name != "wind" and value is not None:
                 yield field.name, value
+
+
+def require_wind(wind: Tensor, has_drag: bool) -> Tensor:
+    """Check a wind, (3,), (steps, 3) or (batch, steps, 3) [m/s], and that something feels it."""
+    require("wind", wind, ("...", 3))
+    if wind.dim() > 3:
+        raise ValueError(
+            f"wind must have shape (3,), (steps, 3) or (batch, steps, 3), got {tuple(wind.shape)}"
+        )
+    if not has_drag:
+        raise ValueError("wind acts through drag; give rotor_drag or body_drag as well")
+    return wind

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,15 +10,21 @@ from torch import Tensor
 
 from diffsim.copter import _ops_flight
 from diffsim.copter._ops_flight import FlightInputs, FlightSettings
-from diffsim.copter.effects import FlightEffects
+from diffsim.copter.effects import FlightEffects, require_wind
 from diffsim.copter.fleet import Fleet
+from diffsim.copter.flight_rows import (
+    common_size,
+    fleet_of,
+    parameter_rows,
+    start_rows,
+    with_batch_and_steps,
+)
 from diffsim.copter.flight_state import FlightState
 from diffsim.copter.vehicle import GRAVITY, Multicopter
-from diffsim.core.check import require, require_number, values_of
+from diffsim.core.check import all_finite, require, require_number, require_threads, values_of
 from diffsim.core.errors import DiffsimError
 
 _NAMES = {"feed_forward": "commands"}  # what callers know an input as
-_NEUTRAL = {"curve_reference": 1.0, "nominal_voltage": 1.0}  # the others are zero where absent
 
 
 class FlightError(DiffsimError):
@@ -77,6 +82,7 @@ def fly(
     feedback: Feedback | None = None,
     effects: FlightEffects | None = None,
     substeps: int = 1,
+    clamp: bool = True,
     num_threads: int = 1,
 ) -> Flight:
     """Fly a batch of multicopters.
@@ -95,6 +101,8 @@ def fly(
         feedback: Makes the commands a feed-forward.
         effects: What is there besides gravity and ideal rotors.
         substeps: Integration steps per control period.
+        clamp: Whether thrusts stay within 0..max_thrusts; False: they are what is commanded,
+            negative ones too, for moments that are given to the vehicle through its thrusts.
         num_threads: Threads of the kernel; the result does not depend on it.
 
     Returns:
@@ -106,134 +114,183 @@ def fly(
 
     Gradients: start, commands, gain, reference, every tensor of vehicle and effects; first order.
     """
-    dt = require_number("dt", dt, above=0.0)
-    for name, count in (("substeps", substeps), ("num_threads", num_threads)):
-        if count != int(count) or count < 1:
-            raise ValueError(f"{name} must be a whole number >= 1, got {count}")
-    effects = FlightEffects() if effects is None else effects
-    fleet = vehicle if isinstance(vehicle, Fleet) else _fleet(vehicle)
-    n = fleet.num_rotors
-    require("commands", commands, ("batch", "steps", n))
-    steps = commands.shape[1]
-    gain = reference = commands.new_empty(0, 0, 0)
-    if feedback is not None:
-        gain = require("gain", feedback.gain, ("...", n, 12)).reshape(-1, 1, 12 * n)
-        reference = _rows(feedback.reference)
-    inputs = FlightInputs(
-        start=_start_rows(start, commands),
-        feed_forward=commands,
-        gain=gain,
-        reference=reference,
-        wind=commands.new_zeros(1, 1, 3) if effects.wind is None else _rows(effects.wind),
-        parameters=_parameters(fleet, effects, dt / substeps),
-    )
-    lengths = {
-        "wind": inputs.wind.shape[1],
-        "reference": reference.shape[1],
-        "commands": steps,
-    }
-    batch = _common("batch", {_NAMES.get(k, k): v.shape[0] for k, v in inputs._asdict().items()})
-    _common("steps", lengths)
-    settings = FlightSettings(
-        dt=dt / substeps,
-        gravity=GRAVITY,
+    prepared = prepare_flight(
+        vehicle,
+        dt=dt,
+        effects=effects,
         substeps=substeps,
-        effects=",".join(name for name, _ in effects.present()),
+        clamp=clamp,
         num_threads=num_threads,
     )
-    records = _ops_flight.rollout(inputs, settings, batch=batch, steps=steps)
-    _require_airborne(records.detach(), effects)
-    position, quaternion, velocity, rates, charge, thrusts = records.split([3, 4, 3, 3, 1, n], -1)
-    state = FlightState(position, quaternion, velocity, rates, thrusts, charge[..., 0])
-    return Flight(state, dt * torch.arange(steps + 1, dtype=torch.float64))
+    return prepared.fly(start, commands, feedback=feedback)
 
 
-def _fleet(vehicle: Multicopter | Sequence[Multicopter]) -> Fleet:
-    vehicles = [vehicle] if isinstance(vehicle, Multicopter) else list(vehicle)
-    counts = sorted({v.num_rotors for v in vehicles})
-    if len(counts) != 1:
-        raise ValueError(f"vehicles of one flight need equal rotor counts, got {counts}")
-    if counts[0] > _ops_flight.MAX_ROTORS:
-        raise ValueError(f"flights take up to {_ops_flight.MAX_ROTORS} rotors, got {counts[0]}")
-    return Fleet.of(vehicles)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PreparedFlight:
+    """Vehicles and effects as the kernel reads them, for many flights; see ``prepare_flight``.
+
+    Attributes:
+        parameters: Row of every vehicle, (batch or 1, 1, size); carries the gradients of vehicle
+            and effects. Changes of their tensors in place come too late.
+        num_rotors: Rotors of every vehicle.
+        dt: Control period [s].
+        wind: Of the effects; a flight may be given another one.
+        settings: How the kernel integrates.
+        has_battery, has_drag: Whether the effects have a battery, and a drag to feel wind by.
+    """
+
+    parameters: Tensor
+    num_rotors: int
+    dt: float
+    wind: Tensor | None
+    settings: FlightSettings
+    has_battery: bool
+    has_drag: bool
+
+    def fly(
+        self,
+        start: FlightState,
+        commands: Tensor,
+        *,
+        feedback: Feedback | None = None,
+        wind: Tensor | None = None,
+    ) -> Flight:
+        """A flight; the same as the function ``fly``.
+
+        Args:
+            start, commands, feedback: As of ``fly``.
+            wind: As of ``FlightEffects``; the prepared one by default.
+        """
+        records = self._records(start, commands, feedback, wind)
+        steps = records.shape[1] - 1
+        time = self.dt * torch.arange(steps + 1, dtype=torch.float64)
+        return Flight(self._state(records), time)
+
+    def step(
+        self, start: FlightState, thrusts: Tensor, *, wind: Tensor | None = None
+    ) -> FlightState:
+        """One control period: where the vehicles are at its end.
+
+        Args:
+            start: Leading axis (batch or 1,).
+            thrusts: Commands, (batch or 1, n_rotors) [N].
+            wind: World frame, (3,) or (batch or 1, 3) [m/s]; the prepared one by default.
+
+        Returns:
+            The state, leading axis (batch,).
+
+        Raises:
+            As ``fly``. Gradients: as ``fly``.
+        """
+        require("thrusts", thrusts, ("batch", self.num_rotors), finite=False)
+        gust = None if wind is None else wind[..., None, :]
+        return self._state(self._records(start, thrusts[:, None], None, gust)[:, 1])
+
+    def _records(
+        self, start: FlightState, commands: Tensor, feedback: Feedback | None, wind: Tensor | None
+    ) -> Tensor:
+        n = self.num_rotors
+        require("commands", commands, ("batch", "steps", n))
+        gain = reference = commands.new_empty(0, 0, 0)
+        if feedback is not None:
+            gain = require("gain", feedback.gain, ("...", n, 12)).reshape(-1, 1, 12 * n)
+            reference = with_batch_and_steps(feedback.reference)
+        inputs = FlightInputs(
+            start=start_rows(start, commands),
+            feed_forward=commands,
+            gain=gain,
+            reference=reference,
+            wind=self._wind_rows(wind, commands),
+            parameters=self.parameters,
+        )
+        names = {_NAMES.get(name, name): rows for name, rows in inputs._asdict().items()}
+        batch = common_size("batch", {name: rows.shape[0] for name, rows in names.items()})
+        timed = ("wind", "reference", "commands")
+        common_size("steps", {name: names[name].shape[1] for name in timed})
+        steps = commands.shape[1]
+        records = _ops_flight.rollout(inputs, self.settings, batch=batch, steps=steps)
+        _require_airborne(records.detach(), self.has_battery)
+        return records
+
+    def _wind_rows(self, wind: Tensor | None, commands: Tensor) -> Tensor:
+        if wind is None:
+            if self.wind is None:
+                return commands.new_zeros(1, 1, 3)
+            return with_batch_and_steps(self.wind)
+        require_wind(wind, self.has_drag)
+        return with_batch_and_steps(wind)
+
+    def _state(self, records: Tensor) -> FlightState:
+        widths = [3, 4, 3, 3, 1, self.num_rotors]
+        position, quaternion, velocity, rates, charge, thrusts = records.split_with_sizes(
+            widths, -1
+        )
+        return FlightState(position, quaternion, velocity, rates, thrusts, charge[..., 0])
 
 
-def _common(what: str, sizes: dict[str, int]) -> int:
-    """The size that all share but for those that are one (or absent: zero)."""
-    many = {name: size for name, size in sizes.items() if size > 1}
-    if len(set(many.values())) > 1:
-        listed = ", ".join(f"{name} {size}" for name, size in many.items())
-        raise ValueError(f"{what} sizes disagree: {listed}; each must be one of them or 1")
-    return max([1, *many.values()])
+def prepare_flight(
+    vehicle: Multicopter | Sequence[Multicopter] | Fleet,
+    *,
+    dt: float,
+    effects: FlightEffects | None = None,
+    substeps: int = 1,
+    clamp: bool = True,
+    num_threads: int = 1,
+) -> PreparedFlight:
+    """Pack vehicles and effects once, for flights that are called step by step.
 
+    Args:
+        vehicle, dt, effects, substeps, clamp, num_threads: As of ``fly``.
 
-def _rows(value: Tensor) -> Tensor:
-    """(width,), (steps, width) or (batch, steps, width) as the last."""
-    return value.reshape((1,) * (3 - value.dim()) + value.shape)
+    Returns:
+        What flies them, with the same results and gradients as ``fly``. If a tensor of vehicle or
+        effects carries gradients, one backward pass frees the history; prepare anew after it.
 
-
-def _start_rows(start: FlightState, commands: Tensor) -> Tensor:
-    require("start.position", start.position, ("batch", 3))
-    norm = start.quaternion.norm(dim=-1, keepdim=True)
-    if not torch.compiler.is_compiling() and bool((norm.detach() < 1e-6).any()):
-        raise ValueError("start.quaternion must not be zero; (1, 0, 0, 0) is level, heading north")
-    charge = (
-        start.position.new_ones(start.position.shape[0]) if start.charge is None else start.charge
+    Raises:
+        TypeError, ValueError: bad arguments.
+    """
+    dt = require_number("dt", dt, above=0.0)
+    if substeps != int(substeps) or substeps < 1:
+        raise ValueError(f"substeps must be a whole number >= 1, got {substeps}")
+    num_threads = require_threads(num_threads)
+    effects = FlightEffects() if effects is None else effects
+    present = [name for name, _ in effects.present()]
+    if not clamp and (powers := sorted({"thrust_curve", "battery"} & set(present))):
+        raise ValueError(
+            f"clamp=False lets thrusts be negative, of which effects.{powers[0]} takes a power; "
+            "leave one of them out"
+        )
+    fleet = vehicle if isinstance(vehicle, Fleet) else fleet_of(vehicle)
+    return PreparedFlight(
+        parameters=parameter_rows(fleet, effects, dt / substeps),
+        num_rotors=fleet.num_rotors,
+        dt=dt,
+        wind=effects.wind,
+        settings=FlightSettings(
+            dt=dt / substeps,
+            gravity=GRAVITY,
+            substeps=substeps,
+            effects=",".join(present if clamp else [*present, "free_thrusts"]),
+            num_threads=num_threads,
+        ),
+        has_battery=effects.battery is not None,
+        has_drag=effects.has_drag,
     )
-    thrusts = commands[:, 0] if start.thrusts is None else start.thrusts
-    if commands.shape[1] == 0 and start.thrusts is None:
-        raise ValueError("commands has no steps; give at least one, or start.thrusts")
-    parts = [
-        start.position,
-        start.quaternion / norm,
-        start.velocity,
-        start.body_rates,
-        charge[:, None],
-        thrusts,
-    ]
-    batch = _common("batch", {"start": start.position.shape[0], "commands": thrusts.shape[0]})
-    row = torch.cat([p.expand(batch, -1) for p in parts], dim=-1)
-    return require("start", row, ("batch", row.shape[1]))[:, None]
 
 
-def _parameters(fleet: Fleet, effects: FlightEffects, dt: float) -> Tensor:
-    """Rows of the kernel's parameters, (batch or 1, 1, size)."""
-    n = fleet.num_rotors
-    values = fleet.rows()
-    for _, effect in effects.present():
-        values |= effect.row(dt)
-    pieces = []
-    for name, size in _ops_flight.fields(n):
-        value = values.get(name)
-        if value is None:
-            value = torch.full((1, size), _NEUTRAL.get(name, 0.0), dtype=torch.float64)
-        if value.numel() % size:
-            raise ValueError(f"{name} needs {size} values per vehicle, got {tuple(value.shape)}")
-        pieces.append(value.reshape(-1, size))
-    batch = _common(
-        "vehicle and effects",
-        {
-            name: piece.shape[0]
-            for (name, _), piece in zip(_ops_flight.fields(n), pieces, strict=True)
-        },
-    )
-    return torch.cat([piece.expand(batch, -1) for piece in pieces], dim=-1)[:, None]
-
-
-def _require_airborne(records: Tensor, effects: FlightEffects) -> None:
+def _require_airborne(records: Tensor, has_battery: bool) -> None:
     if torch.compiler.is_compiling():
         return
     records = values_of(records).flatten(end_dim=-3)
-    # a sum is the cheapest look at all of them
-    if not math.isfinite(float(records.sum())) and bool((bad := ~torch.isfinite(records)).any()):
-        vehicle, step, _ = (int(i) for i in torch.nonzero(bad)[0])
+    if not all_finite(records):
+        vehicle, step, _ = (int(i) for i in torch.nonzero(~torch.isfinite(records))[0])
         raise FlightError(
             f"vehicle {vehicle} has no finite state after step {step}; shorten dt or raise "
             "substeps, check the gain, and keep the pitch away from +-90 degrees under feedback",
             vehicle=vehicle,
             step=step,
         )
-    if effects.battery is not None:
+    if has_battery:
         charge = records[..., 13]
         if bool((charge < 0.0).any()):
             vehicle, step = (int(i) for i in torch.nonzero(charge < 0.0)[0])

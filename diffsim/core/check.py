@@ -22,6 +22,12 @@ def values_of(value: Tensor) -> Tensor:
     return value.detach()
 
 
+def has_values(value: Tensor) -> bool:
+    """Whether a tensor is one of numbers: not mapped by ``torch.func``, nor without data."""
+    wrapped = torch._C._functorch.is_functorch_wrapped_tensor(value)
+    return not wrapped and value.device.type != "meta"
+
+
 def require(
     name: str,
     value: Tensor,
@@ -55,30 +61,42 @@ def require(
         raise TypeError(
             f"{name} must be {dtype}, got {value.dtype}; convert with {name}.to({dtype})"
         )
-    if value.device.type != "cpu":
+    if not value.is_cpu:
         raise TypeError(f"{name} must be on the CPU, got device {value.device}; use {name}.cpu()")
-    want = list(shape)
-    got = list(value.shape)
-    tail = got
-    if want and want[0] == "...":
-        want = want[1:]
-        tail = got[len(got) - len(want) :] if len(got) >= len(want) else [-1]
-    matches = len(tail) == len(want) and all(
-        isinstance(w, str) or w == g for w, g in zip(want, tail, strict=True)
-    )
-    if not matches:
+    if not _fits(value.shape, shape):
         expected = ", ".join(str(s) for s in shape)
-        raise ValueError(f"{name} must have shape ({expected}), got {tuple(got)}")
+        raise ValueError(f"{name} must have shape ({expected}), got {tuple(value.shape)}")
     if not finite or not value.is_floating_point() or torch.compiler.is_compiling():
         return value.contiguous()
-    is_finite = torch.isfinite(values_of(value))
-    if not bool(is_finite.all()):
-        bad = torch.nonzero(~is_finite)
+    numbers = values_of(value)
+    if not all_finite(numbers):
+        bad = torch.nonzero(~torch.isfinite(numbers))
         first = tuple(int(i) for i in bad[0])
         raise ValueError(
             f"{name} must be finite, got {len(bad)} NaN or infinite entries, first at {first}"
         )
     return value.contiguous()
+
+
+def _fits(got: Sequence[int], want: Sequence[int | str]) -> bool:
+    """Whether a shape is as wanted; see ``require``."""
+    if want and want[0] == "...":
+        want = want[1:]
+        if len(got) < len(want):
+            return False
+        got = got[len(got) - len(want) :]
+    elif len(got) != len(want):
+        return False
+    for size, wanted in zip(got, want, strict=True):  # called too often for a generator
+        if size != wanted and not isinstance(wanted, str):
+            return False
+    return True
+
+
+def all_finite(value: Tensor) -> bool:
+    """Whether no entry is NaN or infinite."""
+    # a sum is the cheapest look at all entries; finite ones may overflow it, and are looked at
+    return math.isfinite(float(value.sum())) or bool(torch.isfinite(value).all())
 
 
 def require_number(
@@ -99,6 +117,22 @@ def require_number(
         interval = _interval(above, below, at_least, at_most)
         raise ValueError(f"{name} must lie in {interval}, got {value:g}{_hint(hint)}")
     return value
+
+
+MAX_THREADS = 1024
+"""More than any processor runs; a larger number is a mistake, or the size of something else."""
+
+
+def require_threads(num_threads: int) -> int:
+    """Check a number of threads: a whole number from 1 to ``MAX_THREADS``."""
+    if isinstance(num_threads, bool) or not isinstance(num_threads, int):
+        raise TypeError(f"num_threads must be an int, got {type(num_threads).__name__}")
+    if not 1 <= num_threads <= MAX_THREADS:
+        raise ValueError(
+            f"num_threads must lie in [1, {MAX_THREADS}], got {num_threads}; more than the "
+            "processor has cores does not pay"
+        )
+    return num_threads
 
 
 def require_range(

@@ -169,7 +169,7 @@ def _callable(
     by_name = {a.name for a in arguments if a.kwarg_only}
 
     def layer(*args: Any, **named: Any) -> Any:
-        if torch.compiler.is_compiling():
+        if torch.compiler.is_compiling() or not _may_be_differentiated():
             return op(*args, **named)
         args = (*args, *(named[name] for name in by_place[len(args) :]))
         call = Call.of(args, {name: value for name, value in named.items() if name in by_name})
@@ -185,12 +185,18 @@ def _callable(
 
 def _is_differentiated(row: Sequence[Any]) -> bool:
     """Whether a derivative or a mapping is asked for; if none is, the op alone is faster."""
-    # PyTorch has no public names for "inside of torch.func" and "inside of a dual level"
-    if torch._C._functorch.maybe_current_level() is not None or forward_ad._current_level >= 0:
-        return True
-    return torch.is_grad_enabled() and any(
+    return _is_transformed() or any(
         isinstance(value, Tensor) and value.requires_grad for value in row
     )
+
+
+def _may_be_differentiated() -> bool:
+    return torch.is_grad_enabled() or _is_transformed()
+
+
+def _is_transformed() -> bool:
+    # PyTorch has no public names for "inside of torch.func" and "inside of a dual level"
+    return torch._C._functorch.maybe_current_level() is not None or forward_ad._current_level >= 0
 
 
 def _name(op: Any) -> str:

@@ -13,6 +13,28 @@ from torch import Tensor
 _SERIES = 1e-2
 """Below this angle [rad] the series is used: its first neglected term is below 1e-17."""
 
+# Entry k of the matrix of a quaternion, row by row, is identity_k + factor_k (q_a q_b + sign_k q_c
+# q_d): one table in place of forty small operations, for a single quaternion is bound by their
+# number. Written (a b, c d) with w, x, y, z for 0 to 3.
+_PRODUCTS = (
+    ("yy zz", "xy wz", "xz wy"),
+    ("xy wz", "xx zz", "yz wx"),
+    ("xz wy", "yz wx", "xx yy"),
+)
+_PAIRS = [pair.split() for row in _PRODUCTS for pair in row]
+_LEFT, _RIGHT = (
+    torch.tensor(["wxyz".index(pair[term][side]) for term in (0, 1) for pair in _PAIRS])
+    for side in (0, 1)
+)
+_TERMS = torch.tensor(
+    [
+        [1.0, -1.0, 1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0],  # sign
+        [-2.0, 2.0, 2.0, 2.0, -2.0, 2.0, 2.0, 2.0, -2.0],  # factor
+        [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],  # identity
+    ],
+    dtype=torch.float64,
+)
+
 
 def skew(v: Tensor) -> Tensor:
     """Matrix [v] of the cross product, [v] w = v x w.
@@ -163,13 +185,13 @@ def matrix_from_quaternion(quaternion: Tensor) -> Tensor:
     Returns:
         (..., 3, 3).
     """
-    w, x, y, z = quaternion.unbind(-1)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return _matrix(rows)
+    entries = quaternion.movedim(-1, 0)  # each in a row of its own: batches are long, vectors short
+    product = entries.index_select(0, _LEFT) * entries.index_select(0, _RIGHT)
+    by_entry = (9,) + (1,) * (quaternion.dim() - 1)
+    sign, factor, identity = _TERMS.to(quaternion.dtype).view(3, *by_entry)
+    sums = torch.addcmul(product[:9], product[9:], sign)
+    matrix = torch.addcmul(identity, sums, factor)
+    return matrix.movedim(0, -1).unflatten(-1, (3, 3)).contiguous()
 
 
 # Roll, pitch and yaw.

@@ -17,7 +17,7 @@ from scipy import linalg
 
 from diffsim.diagnose.evidence import Hypothesis, LaplaceEvidence, Weighed
 from diffsim.diagnose.fit import Null
-from diffsim.diagnose.gauss_newton import gauss_newton
+from diffsim.diagnose.fit_store import gauss_newton_kept
 from diffsim.diagnose.located import course_at, scan_located
 from diffsim.diagnose.scan import Scan, groups, num_points, scan
 from diffsim.diagnose.store import Store
@@ -114,8 +114,6 @@ class Simulations:
         x = np.zeros(len(self.wide.names))
         x[own] = at.x
         wide = replace(at, x=x, idx=tuple(own))
-        if self.store is not None and members:
-            self.store.save(f"fitted {self._label(members)}", wide)
         return replace(self, fitted={**self.fitted, members: wide})
 
     def fit(
@@ -139,7 +137,7 @@ class Simulations:
         at = Linearization(
             start.x[own], start.record, tuple(range(len(own))), start.slopes(own), start.slope_error
         )
-        return gauss_newton(self.narrow(members), at, best_cost=best_cost)
+        return gauss_newton_kept(self.store, self.narrow(members), at, best_cost)
 
     def start(self, members: Members, center: Linearization, x: Array) -> Linearization:
         """Warm start of a set, from fits of its subsets.
@@ -147,8 +145,8 @@ class Simulations:
         An earlier fit of it; the center itself where the set only adds to it; else the optimum
         ``x`` of the linear evidence, with the center's slopes.
         """
-        if (before := self._known(members)) is not None:
-            return before
+        if members in self.fitted:
+            return self.fitted[members]
         own = self.coordinates(members)
         outside = np.ones(len(center.x), dtype=bool)
         outside[own] = False
@@ -288,12 +286,6 @@ class Simulations:
         residual = whitened(wide, measured_of(wide) - at.record)
         jacobian = whitened(wide, at.slopes(range(len(at.x)))) * wide.stretch(at.x)
         return LaplaceEvidence(wide, at.x, residual, jacobian, blocks, num_families)
-
-    def _known(self, members: Members) -> Linearization | None:
-        """The fit of a set, from this process or an earlier one."""
-        if members in self.fitted or self.store is None:
-            return self.fitted.get(members)
-        return self.store.load(f"fitted {self._label(members)}")
 
     def _screened(self, members: Members, at: Linearization) -> Simulations:
         return replace(self, screened={**self.screened, members: at})

@@ -34,7 +34,7 @@ class Store:
 
     def save(self, name: str, at: Linearization) -> None:
         """Write a linearization to the folder."""
-        self._write(
+        self.save_arrays(
             name,
             x=at.x,
             record=at.record,
@@ -45,7 +45,7 @@ class Store:
 
     def load(self, name: str) -> Linearization | None:
         """A linearization; None if there is none that can be read."""
-        kept = self._read(name)
+        kept = self.load_arrays(name)
         if kept is None:
             return None
         idx = tuple(int(i) for i in kept["idx"])
@@ -54,19 +54,21 @@ class Store:
 
     def save_array(self, name: str, array: Array) -> None:
         """Write an array to the folder."""
-        self._write(name, array=array)
+        self.save_arrays(name, array=array)
 
     def load_array(self, name: str) -> Array | None:
         """An array; None if there is none that can be read."""
-        kept = self._read(name)
+        kept = self.load_arrays(name)
         return None if kept is None else kept["array"]
 
-    def _write(self, name: str, **arrays: NDArray) -> None:
+    def save_arrays(self, name: str, **arrays: NDArray) -> None:
+        """Write arrays of numbers, truth values or text to the folder."""
         buffer = BytesIO()
         np.savez(buffer, **arrays)  # type: ignore[arg-type]
         write_bytes_atomic(self._path(name), buffer.getvalue())
 
-    def _read(self, name: str) -> dict[str, NDArray] | None:
+    def load_arrays(self, name: str) -> dict[str, NDArray] | None:
+        """Arrays by name; None if there are none that can be read."""
         try:
             with np.load(self._path(name)) as file:
                 return dict(file)

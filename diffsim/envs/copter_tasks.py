@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import operator
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import numpy as np
 import torch
@@ -14,15 +17,22 @@ from diffsim.copter import (
     FlightEffects,
     FlightState,
     Multicopter,
-    fly,
+    PreparedFlight,
     hover,
     load_design,
+    prepare_flight,
 )
 from diffsim.copter.effects import BodyDrag, MotorLag
 from diffsim.core.check import require_number
+from diffsim.core.rotation import matrix_from_quaternion
 from diffsim.envs.pictures import copter_picture
 from diffsim.envs.task import Entry, Randomization, Task, TaskState
 
+T = TypeVar("T")
+_ORIGIN = torch.zeros(1, 3, dtype=torch.float64)
+# a figure of eight, along x, y and z: amplitudes over its half length, turns per round
+_WIDTHS = torch.tensor([1.0, 0.5, 0.0], dtype=torch.float64)
+_LOOPS = torch.tensor([1.0, 2.0, 0.0], dtype=torch.float64)
 _STATE = ("position", "quaternion", "velocity", "body_rates", "thrusts")
 REACH = 3.0  # from the reference [m], beyond which an episode ends
 MAX_RATE = 30.0  # of turning, beyond which an episode ends [rad/s]
@@ -81,13 +91,15 @@ class CopterHover(Task):
         self.level = torch.tensor([*trim.attitude.tolist(), 0.0], dtype=torch.float64)
         # as far up as down, so that actions act linearly
         self.span = torch.minimum(self.trim, design.max_thrusts - self.trim).detach()
-        self._lag = MotorLag(
+        lag = MotorLag(
             time_constants=torch.full(
                 (n,), require_number("motor_time_constant", motor_time_constant, above=0.0)
             ).double()
         )
         linear = torch.full((3,), require_number("drag", drag, at_least=0.0), dtype=torch.float64)
-        self._drag = BodyDrag(linear=linear, quadratic=torch.zeros(3, dtype=torch.float64))
+        body_drag = BodyDrag(linear=linear, quadratic=torch.zeros(3, dtype=torch.float64))
+        self._effects = FlightEffects(motor_lag=lag, body_drag=body_drag)
+        self._packed: _Kept[PreparedFlight] | None = None
         self.actions = tuple(Entry(f"thrust of rotor {i}", -1.0, 1.0) for i in range(n))
         self.observations = tuple(self._entries())
 
@@ -102,7 +114,8 @@ class CopterHover(Task):
         state = FlightState.at_rest(position, self.level + normal(3, 0.1 * s))
         wind = normal(3, self.wind_speed) * torch.tensor([1.0, 1.0, 0.0], dtype=torch.float64)
         phase = torch.from_numpy(rng.uniform(0.0, 2.0 * math.pi, batch))
-        place, along = self._reference(torch.zeros_like(phase), phase)
+        begin = {"step": torch.zeros(batch, dtype=torch.int64), "phase": phase}
+        place, along = self._reference(begin)
         return {
             "position": position + place,
             "quaternion": state.quaternion,
@@ -115,27 +128,28 @@ class CopterHover(Task):
 
     def advance(self, state: TaskState, action: Tensor) -> TaskState:
         """One control period of flight."""
-        thrust = (self.trim + self.span * action) * self.factor(state, "thrust")[:, None]
-        effects = FlightEffects(
-            motor_lag=self._lag, body_drag=self._drag, wind=state["wind"][:, None]
-        )
-        start = FlightState(*(state[k] for k in _STATE))
-        end = fly(self.vehicle, start, thrust[:, None], dt=self.dt, effects=effects).state
-        after = {k: getattr(end, k)[:, -1] for k in _STATE}
+        thrust = self.trim + self.span * action
+        if "random.thrust" in state:
+            thrust = thrust * state["random.thrust"][:, None]
+        end = self._flights().step(self._flight(state), thrust, wind=state["wind"])
+        after = {k: getattr(end, k) for k in _STATE}
         return after | {"wind": state["wind"], "phase": state["phase"]}
 
     def observe(self, state: TaskState) -> Tensor:
         """Errors and velocities in the body frame, attitude, turning, thrust, what comes next."""
-        now = self._flight(state)
-        rotation = now.rotation
-        place, velocity = self._reference_at(state, 0.0)
+        rotation = matrix_from_quaternion(state["quaternion"])
+        place, course = self._reference(state)
+        vectors = [state["position"] - place, state["velocity"] - course]
+        if self.lookahead:
+            coming = self._places(state, self.lookahead) - place[:, None]
+            vectors += coming.unbind(1)
+        in_body = torch.stack(vectors, 1) @ rotation
         parts = [
-            _in_body(rotation, state["position"] - place),
-            _in_body(rotation, state["velocity"] - velocity),
+            in_body[:, :2].flatten(1),
             rotation.flatten(1),
             state["body_rates"],
             state["thrusts"] / self.vehicle.max_thrusts,
-            *(_in_body(rotation, self._reference_at(state, t)[0] - place) for t in self.lookahead),
+            in_body[:, 2:].flatten(1),
         ]
         return torch.cat(parts, -1)
 
@@ -143,40 +157,49 @@ class CopterHover(Task):
 
     def reward_terms(self, before: TaskState, action: Tensor, after: TaskState) -> TaskState:
         """What flying earns, minus smooth distances; 1 in all at best."""
-        place, velocity = self._reference_at(after, 0.0)
-        sizes = {
-            "position": _smooth_norm(after["position"] - place),
-            "velocity": _smooth_norm(after["velocity"] - velocity),
-            "turning": _smooth_norm(after["body_rates"]),
-            "effort": action.square().mean(-1),
-        }
+        place, course = self._reference(after)
+        errors = [after["position"] - place, after["velocity"] - course, after["body_rates"]]
+        distances = _smooth_norm(torch.stack(errors)).unbind()
+        sizes = dict(zip(("position", "velocity", "turning"), distances, strict=True))
+        sizes["effort"] = action.square().mean(-1)
         alive = torch.full_like(sizes["effort"], WEIGHTS["alive"])
         return {"alive": alive} | {name: -WEIGHTS[name] * size for name, size in sizes.items()}
 
     def failed(self, state: TaskState) -> Tensor:
         """Too far from the reference, upside down, or turning too fast."""
-        place, _ = self._reference_at(state, 0.0)
-        far = (state["position"] - place).norm(dim=-1) > REACH
-        fast = state["body_rates"].norm(dim=-1) > MAX_RATE
-        return far | fast | (self._flight(state).rotation[:, 2, 2] < 0.0)
+        away = state["position"] - self._reference(state)[0]
+        far = torch.linalg.vector_norm(away, dim=-1) > REACH
+        fast = torch.linalg.vector_norm(state["body_rates"], dim=-1) > MAX_RATE
+        # the last entry of the rotation is 1 - 2 (x^2 + y^2)
+        upside_down = state["quaternion"][:, 1:3].square().sum(-1) > 0.5
+        return far | fast | upside_down
 
     def picture(self, state: TaskState, index: int) -> NDArray[np.uint8]:
         """Seen from behind, above and to the side."""
         one = {k: v[index : index + 1] for k, v in state.items()}
-        place, _ = self._reference_at(one, 0.0)
-        return copter_picture(self.vehicle, self._flight(one), place[0], self._path(one))
+        place = self._reference(one)[0][0]
+        path = self._places(one, np.linspace(0.0, 6.0, 60).tolist())[0]
+        return copter_picture(self.vehicle, self._flight(one), place, path)
 
-    def _reference(self, time: Tensor, phase: Tensor) -> tuple[Tensor, Tensor]:
-        """Place and velocity asked for, (batch, 3)."""
-        zero = torch.zeros(len(phase), 3, dtype=torch.float64)
-        return zero, zero
+    def _flights(self) -> PreparedFlight:
+        """What flies the vehicle; packed anew where a tensor of it changed or carries gradients."""
+        sources = self.vehicle, self._effects.motor_lag, self._effects.body_drag
+        tensors = [t for s in sources for t in vars(s).values() if isinstance(t, Tensor)]
+        kept = self._packed
+        if kept is not None and kept.is_of(tensors) and kept.value.dt == self.dt:
+            return kept.value
+        flights = prepare_flight(self.vehicle, dt=self.dt, effects=self._effects)
+        if not any(t.requires_grad for t in tensors):
+            self._packed = _Kept(flights, tensors)
+        return flights
 
-    def _reference_at(self, state: TaskState, ahead: float) -> tuple[Tensor, Tensor]:
-        return self._reference(state["step"].double() * self.dt + ahead, state["phase"])
+    def _reference(self, state: TaskState) -> tuple[Tensor, Tensor]:
+        """Place and velocity asked for now, (batch or 1, 3)."""
+        return _ORIGIN, _ORIGIN
 
-    def _path(self, state: TaskState) -> Tensor:
-        """Reference over the next seconds, (n, 3), for the picture."""
-        return torch.cat([self._reference_at(state, t)[0] for t in np.linspace(0.0, 6.0, 60)])
+    def _places(self, state: TaskState, ahead: Sequence[float]) -> Tensor:
+        """Places asked for some seconds ahead, (batch or 1, len(ahead), 3)."""
+        return _ORIGIN.expand(1, len(ahead), 3)
 
     @staticmethod
     def _flight(state: TaskState) -> FlightState:
@@ -222,19 +245,48 @@ class CopterTrack(CopterHover):
     ):
         self.size = require_number("size", size, above=0.0)
         self.period = require_number("period", period, above=0.0)
+        self._asked: _Kept[tuple[Tensor, Tensor]] | None = None
         super().__init__(design, **options)  # type: ignore[arg-type]
 
-    def _reference(self, time: Tensor, phase: Tensor) -> tuple[Tensor, Tensor]:
-        rate = 2.0 * math.pi / self.period
-        a = rate * time + phase
-        zero = torch.zeros_like(a)
-        place = [self.size * torch.sin(a), 0.5 * self.size * torch.sin(2.0 * a), zero]
-        slope = [self.size * torch.cos(a), self.size * torch.cos(2.0 * a), zero]
-        return torch.stack(place, -1), rate * torch.stack(slope, -1)
+    def _reference(self, state: TaskState) -> tuple[Tensor, Tensor]:
+        # reward, failure and observation of one state ask for the same
+        of = [state["step"], state["phase"]]
+        if self._asked is not None and self._asked.is_of(of):
+            return self._asked.value
+        turns = self._turns(state, torch.zeros(1, dtype=torch.float64))[:, 0]
+        slope = self.size * _WIDTHS * _LOOPS * torch.cos(turns)
+        asked = self.size * _WIDTHS * torch.sin(turns), 2.0 * math.pi / self.period * slope
+        if not asked[0].requires_grad:
+            self._asked = _Kept(asked, of)
+        return asked
+
+    def _places(self, state: TaskState, ahead: Sequence[float]) -> Tensor:
+        times = torch.tensor(ahead, dtype=torch.float64)
+        return self.size * _WIDTHS * torch.sin(self._turns(state, times))
+
+    def _turns(self, state: TaskState, ahead: Tensor) -> Tensor:
+        """Angle of each coordinate along the figure, (batch, len(ahead), 3) [rad]."""
+        now = (state["step"].double() * self.dt)[:, None] + ahead
+        along = 2.0 * math.pi / self.period * now + state["phase"][:, None]
+        return along[..., None] * _LOOPS
 
 
-def _in_body(rotation: Tensor, vector: Tensor) -> Tensor:
-    return (rotation.mT @ vector[..., None])[..., 0]
+class _Kept(Generic[T]):
+    """A value and the tensors that it was made of, as they were then."""
+
+    def __init__(self, value: T, tensors: list[Tensor]):
+        self.value = value
+        self._tensors, self._versions = tensors, _versions(tensors)
+
+    def is_of(self, tensors: list[Tensor]) -> bool:
+        """Whether it was made of these, and none has changed since."""
+        same = all(map(operator.is_, tensors, self._tensors))
+        return same and _versions(tensors) == self._versions
+
+
+def _versions(tensors: list[Tensor]) -> list[int]:
+    """How often each was changed in place; tensors of inference mode do not count it."""
+    return [-1 if t.is_inference() else t._version for t in tensors]
 
 
 def _smooth_norm(vector: Tensor, width: float = 0.1) -> Tensor:

@@ -64,9 +64,9 @@ class TaskEnv(gymnasium.Env):
         row = torch.as_tensor(np.asarray(action), dtype=torch.float64).reshape(1, -1)
         with torch.no_grad():
             self.state, terms = self.task.step_terms(state, row)
-            failed = bool(self.task.failed(self.state)[0])
-        info = {name: float(value[0]) for name, value in terms.items()}
-        truncated = int(self.state["step"][0]) >= self.task.max_steps
+            failed = bool(self.task.failed(self.state).item())
+        info = {name: value.item() for name, value in terms.items()}
+        truncated = self.state["step"].item() >= self.task.max_steps
         return self._observation(), sum(info.values()), failed, truncated and not failed, info
 
     def render(self) -> NDArray[np.uint8] | None:

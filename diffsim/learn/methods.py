@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from diffsim.core.check import require_choice
-from diffsim.core.files import to_plain, write_json_atomic
+from diffsim.core.files import to_plain, write_json_atomic, write_text_atomic
 from diffsim.learn.gradient import BadGradients, GradientLearner, GradientOptions
 from diffsim.learn.mixed import MixedLearner, MixedOptions
 from diffsim.learn.run import Learner, is_finished, read_rows, train
@@ -157,7 +157,6 @@ def train_once(
     except (ArithmeticError, RuntimeError, ValueError) as error:
         if not (isinstance(error, BadGradients) or broke_down(error)):
             raise  # a mistake, not a result
-        failure.parent.mkdir(parents=True, exist_ok=True)
-        failure.write_text(f"{type(error).__name__}: {error}")
+        write_text_atomic(failure, f"{type(error).__name__}: {error}")
         return failure.read_text()
     return None

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import torch
 
+from diffsim.core.interrupts import EXIT_INTERRUPTED
 from diffsim.learn.run import Learner, Run, train
 from diffsim.learn.setup import Setup
 
@@ -95,7 +96,7 @@ def main_training(
     try:
         run = train(setup, made, folder, resume=args.resume)
     except KeyboardInterrupt:
-        raise SystemExit(130) from None
+        raise SystemExit(EXIT_INTERRUPTED) from None
     last = run.rows[-1]
     print(
         f"{setup.task}, {method}, seed {setup.seed}: reward {run.rows[0]['reward']:.4g} -> "

@@ -15,6 +15,7 @@ from torch import nn
 from tqdm import tqdm
 
 from diffsim.core.files import to_plain, write_bytes_atomic, write_text_atomic
+from diffsim.core.optional import ask_for
 from diffsim.learn.setup import Setup, evaluate
 
 Row = dict[str, Any]
@@ -81,7 +82,8 @@ def train(
 ) -> Run:
     """Update until the budget is spent; rate, log and save on the way.
 
-    Checkpoints are written with the ratings. Ctrl-C leaves the last one and raises
+    A checkpoint is written before the rating that counts it: a run whose ratings say that it is
+    finished has its last checkpoint, wherever it was killed. Ctrl-C leaves the last one and raises
     KeyboardInterrupt: what was done since is done again on resuming.
 
     Args:
@@ -104,6 +106,7 @@ def train(
     try:
         if not run.rows:
             _rate(run, setup, task, learner)
+        _write_rows(run)
         while run.steps < setup.steps:
             begin, begin_wall = time.process_time(), time.perf_counter()
             update = learner.update(run.steps / setup.steps)
@@ -121,6 +124,7 @@ def train(
                 writer.add_scalar("reward", row["reward"], run.steps)
                 bar.set_postfix(reward=f"{row['reward']:.4g}")
                 _save(run, setup, learner)
+                _write_rows(run)
     except KeyboardInterrupt:
         # an update cut in half would not be repeatable: the last checkpoint stands
         bar.write(f"interrupted; continue with --resume (from {run.folder / CHECKPOINT})")
@@ -150,12 +154,9 @@ def is_finished(folder: str | Path) -> bool:
 
 
 def _writer(folder: Path) -> Any:
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError as error:
-        raise ImportError(
-            "training writes a TensorBoard log; install it with pip install 'diffsim-robot[rl]'"
-        ) from error
+    ask_for(["tensorboard"], purpose="the log of a training")
+    from torch.utils.tensorboard import SummaryWriter
+
     return SummaryWriter(str(folder))
 
 
@@ -171,9 +172,13 @@ def _rate(run: Run, setup: Setup, task: Any, learner: Learner) -> Row:
         "finished": run.finished,
     }
     run.rows.append(row)
+    return row
+
+
+def _write_rows(run: Run) -> None:
+    """The ratings, after the checkpoint that holds them: resuming writes those that a kill lost."""
     lines = [json.dumps(to_plain(r), allow_nan=False) for r in run.rows]
     write_text_atomic(run.folder / RESULTS, "\n".join(lines) + "\n")
-    return row
 
 
 def _save(run: Run, setup: Setup, learner: Learner) -> None:

@@ -24,6 +24,7 @@ from diffsim.identify.model_file import read_extended
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems import load_extended
 from tests.diagnose import linear, toy, toy_setup
+from tests.kills import Killed, killing_replace
 
 SETUP = str(Path(toy_setup.__file__))
 
@@ -42,6 +43,19 @@ def explained(study_folder, tmp_path_factory):
     return out
 
 
+@pytest.fixture(scope="module")
+def explained_quick(study_folder, tmp_path_factory):
+    """Explained with --quick; beside the folder, the number of files that it wrote on the way."""
+    out = tmp_path_factory.mktemp("quick") / "out"
+    dying = killing_replace(10**9, before=False)
+    with pytest.MonkeyPatch.context() as patch:
+        calls = []
+        patch.setattr("diffsim.core.files.os.replace", lambda *a: (calls.append(a), dying(*a))[1])
+        assert run("explain", study_folder, out, "--quick") == 0
+    out.with_suffix(".calls").write_text(str(len(calls)))
+    return out
+
+
 def run(step, study, out, *more):
     return cli.main(
         ["diagnose", step, str(study), "--out", str(out), "--setup", SETUP, "--debug", *more]
@@ -53,13 +67,13 @@ def test_explain_writes_everything(explained):
     assert (report["verdict"], report["named"]) == ("named", ["drag"])
     saved = yaml.safe_load((explained / "extended_model.yaml").read_text())
     assert saved["effects"]["drag"]["value"] == pytest.approx(0.2, rel=0.1)
-    pytest.importorskip("matplotlib", reason="pages need pip install 'diffsim-robot[viz]'")
+    pytest.importorskip("matplotlib", reason="pages need pip install -e '.[viz]'")
     page = (explained / "report.html").read_text()
     assert report["sentences"][0] in page
 
 
 def test_recording_holds_measured_null_and_extended(explained):
-    pytest.importorskip("rerun", reason="recordings need pip install 'diffsim-robot[viz]'")
+    pytest.importorskip("rerun", reason="recordings need pip install -e '.[viz]'")
     content = (explained / "runs.rrd").read_bytes()
     assert content[:3] == b"RRF"
     for curve in ("measured", "null", "extended"):
@@ -93,6 +107,65 @@ def stopped_report(*_, **__):
     raise KeyboardInterrupt
 
 
+FILES = ("report.json", "extended_model.yaml", "report.html", "runs.rrd", "inputs.json")
+
+
+@pytest.mark.parametrize("lost", ["report.html", "runs.rrd"])
+def test_an_explanation_is_finished_when_all_its_files_are_there(
+    study_folder, explained_quick, tmp_path, capsys, lost
+):
+    pytest.importorskip("rerun", reason="recordings need pip install 'diffsim-robot[viz]'")
+    for name in FILES:
+        if name != lost:
+            (tmp_path / name).write_bytes((explained_quick / name).read_bytes())
+    assert run("explain", study_folder, tmp_path, "--quick") == 0
+    assert "holds the answer" not in capsys.readouterr().out
+    assert all((tmp_path / name).is_file() for name in FILES)
+    for name in ("report.json", "extended_model.yaml"):
+        assert (tmp_path / name).read_bytes() == (explained_quick / name).read_bytes(), name
+
+
+def test_a_page_that_lacked_its_package_is_made_once_it_is_there(
+    study_folder, tmp_path, monkeypatch, capsys
+):
+    pytest.importorskip("matplotlib", reason="pages need pip install 'diffsim-robot[viz]'")
+
+    def no_package(*_, **__):
+        raise ImportError("no matplotlib")
+
+    monkeypatch.setattr("diffsim.viz.diagnosis_report.write_diagnosis", no_package)
+    assert run("explain", study_folder, tmp_path, "--quick") == 0
+    monkeypatch.undo()
+    assert "not drawn: no matplotlib" in capsys.readouterr().out
+    assert not (tmp_path / "report.html").exists()
+    assert run("explain", study_folder, tmp_path, "--quick") == 0
+    said = capsys.readouterr().out
+    assert "lacks report.html" in said and "going on with what" in said
+    assert (tmp_path / "report.html").exists() and not (tmp_path / "interrupted").exists()
+
+
+@pytest.mark.parametrize("last", [-2, -5, 3])
+def test_killed_at_any_file_an_explanation_goes_on_to_the_same(
+    study_folder, explained_quick, tmp_path, monkeypatch, last
+):
+    """Counted from the end where negative: the answer's own files are the last ones."""
+    calls = explained_quick.with_suffix(".calls")
+    last = last if last > 0 else int(calls.read_text()) + 1 + last
+    with pytest.raises(Killed), monkeypatch.context() as patch:
+        patch.setattr("diffsim.core.files.os.replace", killing_replace(last, before=last % 2 == 0))
+        run("explain", study_folder, tmp_path, "--quick")
+    assert run("explain", study_folder, tmp_path, "--quick") == 0
+    for name in ("extended_model.yaml", "inputs.json"):
+        assert (tmp_path / name).read_bytes() == (explained_quick / name).read_bytes(), name
+    resumed, whole = (
+        json.loads((p / "report.json").read_text()) for p in (tmp_path, explained_quick)
+    )
+    for answer in (resumed, whole):  # what this process simulated: less after an interruption
+        del answer["settings"]["num_simulations"]
+    assert resumed == whole  # to the last bit
+    assert (tmp_path / "runs.rrd").exists() and (tmp_path / "report.html").exists()
+
+
 @pytest.mark.parametrize(
     "stopped",
     [
@@ -109,7 +182,7 @@ def test_an_interruption_while_files_are_written_goes_on(
     for name in ("inputs.json", "report.json", "extended_model.yaml"):
         (tmp_path / name).write_bytes((explained / name).read_bytes())
     options = ("--quick", "--effects", "drag,bias")
-    pytest.importorskip("matplotlib", reason="pages need pip install 'diffsim-robot[viz]'")
+    pytest.importorskip("matplotlib", reason="pages need pip install -e '.[viz]'")
     monkeypatch.setattr(stopped, stopped_report)
     assert run("explain", study_folder, tmp_path, *options) == 130
     monkeypatch.undo()

@@ -23,10 +23,18 @@ from diffsim.learn.gradient import BadGradients, GradientLearner, GradientOption
 from diffsim.learn.members import steer_members
 from diffsim.learn.methods import make_learner
 from diffsim.learn.open_loop import fit_open_loop, make_open_loop
-from diffsim.learn.run import Learner, Update, read_rows, train
+from diffsim.learn.run import (
+    Learner,
+    Update,
+    is_finished,
+    load_controller,
+    read_rows,
+    train,
+)
 from diffsim.learn.setup import Setup, evaluate, first_controller
 from diffsim.learn.shac import ShacLearner, ShacOptions
 from rl import train_cma, train_gradient, train_mixed, train_ppo, train_sac, train_sapo, train_shac
+from tests.kills import Killed, killing_replace
 
 TINY = Setup(
     "CopterHover",
@@ -151,6 +159,30 @@ def test_an_interrupted_run_continues_bit_for_bit(method: str, tmp_path: Path) -
         assert torch.equal(value, again.controller().state_dict()[key]), key
     for key in ("steps", "reward", "forward_equivalents"):
         assert [r[key] for r in resumed.rows] == [r[key] for r in straight.rows]
+
+
+@pytest.mark.parametrize(
+    ("last", "before"), [(1, False), (5, True), (8, True), (8, False), (9, True), (9, False)]
+)
+def test_killed_at_any_file_it_continues_bit_for_bit(
+    last: int, before: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A kill between checkpoint and ratings must not make a run of an older state 'finished'."""
+    whole = learner("gradient")
+    straight = train(TINY, whole, tmp_path / "a", show=False)
+    with pytest.raises(Killed), monkeypatch.context() as patch:
+        patch.setattr("diffsim.core.files.os.replace", killing_replace(last, before=before))
+        train(TINY, learner("gradient"), tmp_path / "b", show=False)
+    again = learner("gradient")
+    if is_finished(tmp_path / "b"):  # then nobody trains on: what is there must be the end
+        load_controller(tmp_path / "b", again.controller())
+        rows = read_rows(tmp_path / "b")
+    else:
+        rows = train(TINY, again, tmp_path / "b", resume=True, show=False).rows
+    for key, value in whole.controller().state_dict().items():
+        assert torch.equal(value, again.controller().state_dict()[key]), key
+    assert [r["reward"] for r in rows] == [r["reward"] for r in straight.rows]
+    assert [r["reward"] for r in read_rows(tmp_path / "b")] == [r["reward"] for r in rows]
 
 
 @pytest.mark.parametrize("method", ["ppo", "sac"])

@@ -1,0 +1,46 @@
+"""Ctrl-C and SIGTERM: a script ends with one line and its own status, never with a traceback."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells count
+
+
+def terminate_as_interrupt() -> None:
+    """Answer SIGTERM, as batch systems and services send it, as Ctrl-C is answered.
+
+    Only the main thread may set signal handlers; elsewhere nothing is changed.
+    """
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+
+
+def ending_at_once() -> None:
+    """From here on a further Ctrl-C or SIGTERM ends the process without another word."""
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_DFL)
+
+
+@contextmanager
+def interruptible(hint: str = "") -> Iterator[None]:
+    """The main part of a script: an interruption prints a line and exits with status 130.
+
+    Args:
+        hint: How to go on, printed after the word that it was interrupted.
+
+    Raises:
+        SystemExit: it was interrupted.
+    """
+    terminate_as_interrupt()
+    try:
+        yield
+    except KeyboardInterrupt:
+        ending_at_once()
+        print(f"\ninterrupted{'; ' + hint if hint else ''}", file=sys.stderr)
+        raise SystemExit(EXIT_INTERRUPTED) from None

@@ -1,0 +1,105 @@
+"""What the copters' tasks keep from step to step, and when they must not."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+pytest.importorskip("gymnasium", reason="environments need the extra 'rl'")
+
+from diffsim.copter import flight, load_design
+from diffsim.envs import make_task
+
+
+def started(task, batch=2):
+    action = torch.full((batch, task.num_actions), 0.1, dtype=torch.float64)
+    return task.start(batch, np.random.default_rng(0)), action
+
+
+def test_parameters_are_packed_once(monkeypatch):
+    count, pack = [], flight.parameter_rows
+    monkeypatch.setattr(flight, "parameter_rows", lambda *a: count.append(1) or pack(*a))
+    task = make_task("CopterHover")
+    state, action = started(task)
+    for _ in range(5):
+        state, _ = task.step(state, action)
+    assert len(count) == 1
+
+
+def test_a_vehicle_changed_in_place_or_replaced_is_flown():
+    """Twice the mass falls; what was packed before must not be used."""
+    task = make_task("CopterHover")
+    state, action = started(task)
+    before = task.step(state, action)[0]["velocity"]
+    light = task.vehicle
+    task.vehicle = light.replace(mass=2.0 * light.mass)
+    replaced = task.step(state, action)[0]["velocity"]
+    task.vehicle = light
+    light.mass.mul_(2.0)
+    in_place = task.step(state, action)[0]["velocity"]
+    assert bool((replaced[:, 2] > before[:, 2] + 0.05).all())
+    assert torch.equal(replaced, in_place)
+
+
+def test_gradients_reach_the_vehicle_after_a_step_without():
+    vehicle = load_design("quadcopter").multicopter()
+    mass = vehicle.mass.detach().clone().requires_grad_()
+    task = make_task("CopterHover", design=vehicle.replace(mass=mass))
+    state, action = started(task)
+    with torch.no_grad():
+        task.step(state, action)
+    for _ in range(2):  # a second backward pass needs a history of its own
+        task.step(state, action)[0]["velocity"].sum().backward()
+    assert float(mass.grad) != 0.0
+
+
+def test_a_reference_changed_in_place_is_followed():
+    task = make_task("CopterTrack")
+    state, _ = started(task)
+    before = task.observe(state)
+    state["phase"].add_(1.0)
+    after = task.observe(state)
+    fresh = task.observe({name: value.clone() for name, value in state.items()})
+    assert not torch.equal(before, after)
+    assert torch.equal(after, fresh)
+
+
+def test_steps_of_inference_mode():
+    task = make_task("CopterTrack")
+    with torch.inference_mode():
+        state, action = started(task)
+        for _ in range(2):
+            state, reward = task.step(state, action)
+    assert bool(torch.isfinite(reward).all())
+
+
+FORKED_WORKERS = """
+import multiprocessing, gymnasium, torch
+import diffsim.envs
+
+torch.set_num_threads(2)
+large = torch.rand(400, 400, dtype=torch.float64)
+(large @ large).exp().sum()  # PyTorch's pool starts in the parent
+
+def make():
+    (large @ large).exp().sum()  # would wait for ever in the child
+    return gymnasium.make("diffsim/CopterHover-v0")
+
+multiprocessing.set_start_method("fork")  # what Linux does unless told otherwise, up to Python 3.13
+envs = gymnasium.vector.AsyncVectorEnv([make, make])
+observation, _ = envs.reset(seed=0)
+observation, *_ = envs.step(envs.action_space.sample())
+print(observation.shape)
+envs.close()
+"""
+
+
+def test_forked_workers_of_gymnasium():
+    done = subprocess.run(
+        [sys.executable, "-c", FORKED_WORKERS], capture_output=True, text=True, timeout=90
+    )
+    assert done.stdout.split("\n")[0] == "(2, 22)", done.stderr
