@@ -60,7 +60,8 @@ def with_equal_lengths(columns: Columns) -> Columns:
 
 def _groups(h5py: Any, name: str, group: Any, depth: int = 0) -> Iterator[tuple[str, Any]]:
     if depth > MAX_DEPTH:
-        raise ValueError(f"{group.file.filename}: more than {MAX_DEPTH} groups inside of each other")
+        file = group.file.filename
+        raise ValueError(f"{file}: more than {MAX_DEPTH} groups inside of each other")
     yield name, group
     for key, inner in _own(h5py, group):
         if isinstance(inner, h5py.Group):
@@ -79,7 +80,7 @@ def _own(h5py: Any, group: Any) -> Iterator[tuple[str, Any]]:
 
 def _arrays(h5py: Any, group: Any) -> dict[str, NDArray[Any]]:
     """Arrays of numbers or text of a group; a compound type gives its fields."""
-    out = {}
+    out: dict[str, NDArray[Any]] = {}
     for name, data in _own(h5py, group):
         if not isinstance(data, h5py.Dataset) or not data.shape:
             continue
