@@ -114,7 +114,7 @@ def hover_thrusts(
         weakly_active=weak.reshape(*batch, n),
         num_iters=num_iters,
     )
-    if is_recording() and not torch.compiler.is_compiling():
+    if not torch.compiler.is_compiling() and is_recording():
         announce(result.solve)
     return result
 
