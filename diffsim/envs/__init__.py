@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 try:
-    import gymnasium
+    import gymnasium  # noqa: F401
 except ImportError as error:
     raise ImportError(
         "diffsim.envs needs gymnasium and, for training, stable-baselines3: "
@@ -17,23 +17,11 @@ except ImportError as error:
     ) from error
 
 from diffsim.envs.env import TaskEnv
-from diffsim.envs.registry import ENV_IDS, make_task, make_vector
+from diffsim.envs.registry import ENV_IDS, make_task, make_vector, register
 from diffsim.envs.task import Entry, Randomization, Task, TaskState
 from diffsim.envs.vector_env import TaskVectorEnv
 
-
-def _register() -> None:
-    for env_id in ENV_IDS:
-        if env_id not in gymnasium.registry:
-            name = env_id.removeprefix("diffsim/").removesuffix("-v0")
-            gymnasium.register(
-                env_id,
-                entry_point=f"diffsim.envs.registry:{name}Env",
-                vector_entry_point=f"diffsim.envs.registry:{name}VectorEnv",
-            )
-
-
-_register()
+register()
 
 
 def __getattr__(name: str) -> Any:

@@ -69,6 +69,7 @@ class Task(ABC):
         max_steps: Length of an episode, after which it is truncated.
         actions, observations: Data sheets; actions lie in [-1, 1].
         randomizable: Quantities that ``randomization`` may name.
+        clock_inputs: Which observations are a clock's.
     """
 
     name: str
@@ -77,6 +78,7 @@ class Task(ABC):
     actions: tuple[Entry, ...]
     observations: tuple[Entry, ...]
     randomizable: tuple[str, ...] = ()
+    clock_inputs: tuple[int, ...] = ()
 
     def __init__(self, *, action_delay: int = 0, randomization: Randomization | None = None):
         if isinstance(action_delay, bool) or action_delay != int(action_delay) or action_delay < 0:

@@ -178,7 +178,7 @@ def test_refusals_of_environments() -> None:
     with pytest.raises(ValueError, match="action"):
         vector.step(np.zeros((2, 3)))
     with pytest.raises(ValueError, match="render_mode"):
-        envs.TaskEnv(Advance(block(), 5), render_mode="human")
+        envs.TaskEnv(Advance(block(), 5), render_mode="window")
     with pytest.raises(ValueError, match="goal_low"):
         Reach(block(), 5, goal_low=(0.0, 0.0, 0.1), goal_high=(0.0, 0.0, 0.0))
     with pytest.raises(ValueError, match="drive must have shape"):
