@@ -17,6 +17,7 @@ from diffsim.cli import (
     fit_rotors,
     fly,
     info,
+    play,
     track,
 )
 from diffsim.core.errors import DiffsimError
@@ -30,6 +31,7 @@ COMMANDS = {
     "examples": examples,
     "diagnose": diagnose,
     "fly": fly,
+    "play": play,
     "fabricate": fabricate,
     "track": track,
     "devices": devices,

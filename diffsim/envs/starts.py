@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,6 +10,7 @@ import torch
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
+from diffsim.core.check import did_you_mean
 from diffsim.envs.task import Task, TaskState
 
 RESET_MASK = "reset_mask"
@@ -31,11 +31,9 @@ def with_options(state: TaskState, options: Mapping[str, Any], where: str) -> Ta
     out = dict(state)
     for name, value in options.items():
         if name not in state:
-            close = difflib.get_close_matches(name, state, 1)
-            hint = f"; did you mean {close[0]!r}?" if close else ""
             raise ValueError(
                 f"options[{name!r}] is no quantity of {where}'s state, which has "
-                f"{', '.join(state)}{hint}"
+                f"{', '.join(state)}{did_you_mean(name, state)}"
             )
         drawn = state[name]
         given = torch.as_tensor(value, dtype=drawn.dtype)
