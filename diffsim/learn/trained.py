@@ -131,9 +131,8 @@ def write_trained(path: str | Path, trained: Trained) -> Path:
     """Write a controller; ``stored`` says how its numbers must be rounded before it is rated."""
     about = {name: value for name, value in asdict(trained).items() if name != "state"}
     content = io.BytesIO()
-    np.savez_compressed(
-        content, **{_ABOUT: np.array(json.dumps(to_plain(about)))}, **dict(trained.state)
-    )
+    arrays: dict[str, Any] = {_ABOUT: np.array(json.dumps(to_plain(about))), **trained.state}
+    np.savez_compressed(content, **arrays)
     return write_bytes_atomic(Path(path), content.getvalue())
 
 

@@ -1,16 +1,20 @@
-"""TorchRL collects transitions of a batch of environments.
+"""TorchRL collects transitions of an environment.
 
 `python examples/learning/torchrl_collector.py` (extra `rl`, and `pip install torchrl`): a random
-policy, 400 frames of CopterHover. Expected: the shape of the data and a mean reward of about 0.8.
+policy, 400 frames of CopterHover. Expected: the shape of the data and a mean reward of about 0.74.
 """
 
 from __future__ import annotations
 
 import gymnasium
 import torch
-from torchrl.collectors import SyncDataCollector
 from torchrl.envs import GymWrapper, RewardSum, StepCounter, TransformedEnv
 from torchrl.envs.utils import RandomPolicy
+
+try:
+    from torchrl.collectors import Collector
+except ImportError:  # before TorchRL 0.14
+    from torchrl.collectors import SyncDataCollector as Collector
 
 import diffsim.envs  # noqa: F401 - registers the environments
 
@@ -24,7 +28,7 @@ def main(frames: int = 400) -> dict[str, object]:
     env.append_transform(StepCounter())
     env.set_seed(0)
     policy = RandomPolicy(env.action_spec)
-    collector = SyncDataCollector(env, policy, frames_per_batch=200, total_frames=frames)
+    collector = Collector(env, policy, frames_per_batch=200, total_frames=frames)
     batches = list(collector)
     collector.shutdown()
     data = torch.cat(batches)
