@@ -47,7 +47,9 @@ def test_own_quadrotor(tmp_path, monkeypatch):
 def test_own_recording(tmp_path, monkeypatch, capsys):
     names = run("3_own_recording.ipynb", tmp_path, monkeypatch)
     certain = {c["name"] for c in names["report"]["causes"] if c["status"] == "certain"}
-    assert certain == {"dry_friction"}, capsys.readouterr().out  # the rubbing joint, nothing else
+    assert certain == {"dry_friction_at_hinge"}, (
+        capsys.readouterr().out
+    )  # the rubbing joint, nothing else
 
 
 def test_every_tutorial_is_tested_and_has_no_outputs():
