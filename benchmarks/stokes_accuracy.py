@@ -33,6 +33,7 @@ from benchmarks.plot_style import (
 )
 from benchmarks.stokes_exact import Exact, all_flows
 from benchmarks.thesis_stokes import ThesisFlow
+from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.stokes import Grid, StokesFlow
 from diffsim.viz.figures import INK
@@ -112,9 +113,10 @@ def table(rows: Rows, flow: str) -> str:
         found = sorted(select(mine, label=name), key=lambda r: r["cells"])
         entries = [f"{r['error']:.2e}" for r in found] + [f"{order(found):.1f}"]
         lines.append(f"| {name} | " + " | ".join(entries) + " |")
-    known = dict(zip(CELLS, PROTOTYPE[flow], strict=True))
-    entries = [f"{known[n]:.1e}" if n in known else "" for n in cells]
-    lines.append("| prototype | " + " | ".join(entries) + " | |")
+    if flow in PROTOTYPE:
+        known = dict(zip(CELLS, PROTOTYPE[flow], strict=True))
+        entries = [f"{known[n]:.1e}" if n in known else "" for n in cells]
+        lines.append("| prototype | " + " | ".join(entries) + " | |")
     return "\n".join(lines)
 
 
@@ -220,4 +222,5 @@ def main(argv: Sequence[str] | None = None) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

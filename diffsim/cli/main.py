@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from diffsim.cli import (
+    convert,
     demo,
     devices,
     diagnose,
@@ -17,6 +18,7 @@ from diffsim.cli import (
     fit_rotors,
     fly,
     info,
+    serve,
     track,
 )
 from diffsim.core.errors import DiffsimError
@@ -32,7 +34,9 @@ COMMANDS = {
     "fly": fly,
     "fabricate": fabricate,
     "track": track,
+    "convert": convert,
     "devices": devices,
+    "serve": serve,
     "fit-rotors": fit_rotors,
     "info": info,
 }

@@ -26,7 +26,7 @@ from diffsim.copter.effects import BodyDrag, MotorLag
 from diffsim.core.check import require_number
 from diffsim.core.rotation import matrix_from_quaternion
 from diffsim.envs.pictures import copter_picture
-from diffsim.envs.task import Entry, Randomization, Task, TaskState
+from diffsim.envs.task import Entry, Randomizing, Task, TaskState
 
 T = TypeVar("T")
 _ORIGIN = torch.zeros(1, 3, dtype=torch.float64)
@@ -75,7 +75,7 @@ class CopterHover(Task):
         drag: float = 0.1,
         wind_speed: float = 0.0,
         action_delay: int = 0,
-        randomization: Randomization | None = None,
+        randomization: Randomizing = None,
     ):
         super().__init__(action_delay=action_delay, randomization=randomization)
         if not isinstance(design, Multicopter):

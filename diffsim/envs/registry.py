@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.check import require_choice
+from diffsim.core.check_options import require_options
 from diffsim.envs.env import TaskEnv
 from diffsim.envs.task import Task
 from diffsim.envs.vector_env import TaskVectorEnv
@@ -35,12 +36,14 @@ def make_task(name: str, **options: Any) -> Task:
         **options: Options of the task's class.
 
     Raises:
-        ValueError: no such task; the message offers the closest names.
+        ValueError: no such task, or an option that it does not have; the message offers the closest
+            names.
     """
     short = name.removeprefix("diffsim/").removesuffix("-v0")
     module = import_module(_TASKS[require_choice("task", short, _TASKS)])
-    task: Task = getattr(module, short)(**options)
-    return task
+    kind: type[Task] = getattr(module, short)
+    require_options(short, options, kind)
+    return kind(**options)
 
 
 def make_vector(

@@ -11,8 +11,9 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim.core.check import require_choice, require_number
-from diffsim.envs.env import RENDER_MODES, spaces_of
+from diffsim.core.check import require_choice
+from diffsim.core.check_options import require_count
+from diffsim.envs.env import RENDER_MODES, action_rows, refuse_reset_options, spaces_of
 from diffsim.envs.sensing import Sensing
 from diffsim.envs.task import Task, TaskState, where
 
@@ -44,10 +45,10 @@ class TaskVectorEnv(VectorEnv):
         render_mode: str | None = None,
         sensor_noise: float | NDArray[np.float64] = 0.0,
     ):
-        require_number("num_envs", num_envs, at_least=1)
+        num_envs = require_count("num_envs", num_envs, at_least=1)
         if render_mode is not None:
             require_choice("render_mode", render_mode, RENDER_MODES)
-        self.task, self.num_envs, self.render_mode = task, int(num_envs), render_mode
+        self.task, self.num_envs, self.render_mode = task, num_envs, render_mode
         self.sensing = Sensing(sensor_noise, task.num_observations)
         self.single_action_space, self.single_observation_space = spaces_of(task)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -59,6 +60,7 @@ class TaskVectorEnv(VectorEnv):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start all episodes."""
         super().reset(seed=seed)
+        refuse_reset_options(self.task, options)
         with torch.no_grad():
             self.state = self.task.start(self.num_envs, self.np_random)
         return self._observations(), {}
@@ -75,7 +77,7 @@ class TaskVectorEnv(VectorEnv):
         """One control step of all members."""
         if self.state is None:
             raise RuntimeError(f"{self.task.name}: call reset() before step()")
-        rows = torch.as_tensor(np.asarray(actions), dtype=torch.float64)
+        rows = action_rows(self.task, actions, (self.num_envs,))
         with torch.no_grad():
             self.state, terms = self.task.step_terms(self.state, rows)
             failed = self.task.failed(self.state)

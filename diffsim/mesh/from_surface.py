@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from types import ModuleType
 
@@ -11,6 +10,7 @@ import torch
 
 from diffsim.core.check import require_choice, require_number
 from diffsim.core.optional import optional
+from diffsim.core.record import warn
 from diffsim.mesh.closed_surface import SurfaceLike, closed_surface
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.distance import SurfaceDistance
@@ -33,6 +33,7 @@ def voxelize(surface: SurfaceLike, spacing: float, keep: str = "largest") -> Hex
     Raises:
         MeshError: the surface is not closed, or no center is inside.
     """
+    spacing = require_number("spacing", spacing, above=0.0)
     x, faces = closed_surface(surface)
     _, counts = grid([x.min(axis=0).tolist(), x.max(axis=0).tolist()], spacing)
     low = 0.5 * (x.min(axis=0) + x.max(axis=0)) - 0.5 * spacing * counts
@@ -65,15 +66,15 @@ def tetrahedralize(
         MeshError: the surface is not closed.
     """
     require_choice("method", method, ["auto", "ftetwild", "stuffing"])
-    spacing = require_number("spacing", float(spacing), above=0.0)
+    spacing = require_number("spacing", spacing, above=0.0)
     if tolerance is not None:
-        tolerance = require_number("tolerance", float(tolerance), above=0.0)
+        tolerance = require_number("tolerance", tolerance, above=0.0)
     if method == "auto":
         try:
             _pytetwild()
             method = "ftetwild"
         except ImportError:
-            warnings.warn(
+            warn(
                 "pytetwild is not installed: tetrahedralize uses lattice stuffing, which rounds "
                 "edges sharper than the spacing; pip install pytetwild keeps them, "
                 "method='stuffing' silences this",

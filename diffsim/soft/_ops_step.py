@@ -6,8 +6,7 @@ Everything here has a leading batch axis and float64.
 from __future__ import annotations
 
 import math
-import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -17,24 +16,12 @@ from diffsim.core.compiled import core
 from diffsim.core.custom_op import custom_op
 from diffsim.core.errors import ConvergenceError, ConvergenceWarning
 from diffsim.core.layer import make_first_order, make_layer
+from diffsim.core.record import warn
 from diffsim.soft._arrays import StepArrays, require_array
 from diffsim.soft._context import SoftContext, context, require_upright, soft_addresses
+from diffsim.soft._solves import STATS, notify
 
 METHODS = ("auto", "quasi_newton", "newton_pcg", "newton_jacobi", "newton_cholesky")
-STATS = (
-    "residual_norm",
-    "tolerance",
-    "scale",
-    "num_iters",
-    "num_solves",
-    "num_factorizations",
-    "energy",
-    "converged",
-    "num_contacts",
-    "num_slipping",
-    "num_set_changes",
-    "num_cycles",
-)
 TANGENT_HINT = "lower rtol of the steps or raise adjoint_max_iters"
 STEP_HINT = "halve dt, raise max_iters, or loosen rtol (or set atol) where rounding forbids less"
 ADJOINT_HINT = "loosen adjoint_rtol or raise max_iters"
@@ -48,15 +35,6 @@ def step_options(method: str, *, rtol: float, max_iters: int, atol: float = 0.0)
     return options
 
 
-listeners: list[Callable[[str, Tensor], None]] = []
-"""Called with ("step" or "adjoint", stats) after every solve; see diffsim.soft.record_stats."""
-
-
-def notify(kind: str, stats: Tensor) -> None:
-    for listen in listeners:
-        listen(kind, stats)
-
-
 def report_failure(stats: Tensor, what: str, hint: str, on_failure: str) -> None:
     failed = stats[:, STATS.index("converged")] == 0
     if not bool(failed.any()):
@@ -68,7 +46,7 @@ def report_failure(stats: Tensor, what: str, hint: str, on_failure: str) -> None
         f"{tolerance:.3e}; {hint}"
     )
     if on_failure == "warn" and math.isfinite(residual):
-        warnings.warn(message, ConvergenceWarning, stacklevel=2)
+        warn(message, ConvergenceWarning, stacklevel=2)
         return
     raise ConvergenceError(message, residual_norm=residual, tolerance=tolerance, num_iters=iters)
 
@@ -93,6 +71,7 @@ def soft_step(
     *,
     handle: int,
     method: str,
+    preconditioner: str,
     rtol: float,
     atol: float,
     max_iters: int,
@@ -115,7 +94,7 @@ def soft_step(
     x = torch.empty_like(arrays.y)
     stats = new_stats(batch)
     core.implicit_step(
-        system=ctx.system(arrays, num_threads),
+        system=ctx.system(arrays, num_threads, method, preconditioner),
         inputs=soft_addresses(arrays.named()),
         options=step_options(method, rtol=rtol, atol=atol, max_iters=max_iters),
         batch=batch,
@@ -123,7 +102,7 @@ def soft_step(
         stats=stats.data_ptr(),
         num_threads=num_threads,
     )
-    notify("step", stats)
+    notify("step", stats, max_iters)
     require_upright(ctx, stats[:, STATS.index("energy")], x)  # x is the start where that failed
     report_failure(stats, "implicit step", STEP_HINT, on_failure)
     return x, stats
@@ -143,6 +122,7 @@ def soft_step_vjp(
     *,
     handle: int,
     method: str,
+    preconditioner: str,
     rtol: float,
     max_iters: int,
     num_threads: int,
@@ -156,7 +136,7 @@ def soft_step_vjp(
     grads = arrays.gradient_buffers(batch)
     stats = new_stats(batch)
     core.implicit_step_adjoint(
-        system=ctx.system(arrays, num_threads),
+        system=ctx.system(arrays, num_threads, method, preconditioner),
         inputs=soft_addresses(arrays.named()),
         options=step_options(method, rtol=rtol, max_iters=max_iters),
         batch=batch,
@@ -166,7 +146,7 @@ def soft_step_vjp(
         stats=stats.data_ptr(),
         num_threads=num_threads,
     )
-    notify("adjoint", stats)
+    notify("adjoint", stats, max_iters)
     report_failure(stats, "adjoint solve", ADJOINT_HINT, on_failure)
     return [*StepArrays.summed(grads), stats]
 
@@ -178,7 +158,7 @@ def _(grad_x, x, inputs, **_options):
 
 def adjoint_arguments(step: Mapping[str, Any]) -> dict[str, Any]:
     """Keyword arguments of a step's adjoint from those of the step."""
-    same = ("handle", "method", "num_threads", "on_failure")
+    same = ("handle", "method", "preconditioner", "num_threads", "on_failure")
     own = {"rtol": step["adjoint_rtol"], "max_iters": step["adjoint_max_iters"]}
     return {name: step[name] for name in same} | own
 
@@ -205,6 +185,7 @@ def step_tangents(
     *,
     handle: int,
     method: str,
+    preconditioner: str,
     rtol: float,
     max_iters: int,
     num_threads: int,
@@ -217,7 +198,8 @@ def step_tangents(
         inputs: Of the step, of batch 1.
         directions: By name of ``StepArrays.differentiable()``, with a leading K instead of the
             batch axis; what does not move may be missing.
-        handle, method, rtol, max_iters, num_threads, on_failure: As for :func:`soft_step_vjp`.
+        handle, method, preconditioner, rtol, max_iters, num_threads, on_failure: As for
+            :func:`soft_step_vjp`.
 
     Returns:
         (K, V, 3).
@@ -232,7 +214,7 @@ def step_tangents(
     dx = x.new_empty(count, *x.shape[1:])
     stats = new_stats(1)
     core.implicit_step_tangent(
-        system=ctx.system(arrays, num_threads),
+        system=ctx.system(arrays, num_threads, method, preconditioner),
         inputs=soft_addresses(arrays.named()),
         options=step_options(method, rtol=rtol, max_iters=max_iters),
         count=count,
@@ -242,7 +224,7 @@ def step_tangents(
         stats=stats.data_ptr(),
         num_threads=num_threads,
     )
-    notify("tangent", stats)
+    notify("tangent", stats, max_iters)
     report_failure(stats, "tangent solve", TANGENT_HINT, on_failure)
     return dx
 
@@ -255,6 +237,7 @@ def soft_step_jvp(
     *,
     handle: int,
     method: str,
+    preconditioner: str,
     rtol: float,
     max_iters: int,
     num_threads: int,
@@ -277,7 +260,7 @@ def soft_step_jvp(
     dx, stats = torch.empty_like(x), new_stats(x.shape[0])
     for k in range(x.shape[0]):
         core.implicit_step_tangent(
-            system=ctx.system(arrays, num_threads),
+            system=ctx.system(arrays, num_threads, method, preconditioner),
             inputs=soft_addresses(arrays.item(k)),
             options=step_options(method, rtol=rtol, max_iters=max_iters),
             count=1,
@@ -287,7 +270,7 @@ def soft_step_jvp(
             stats=stats[k].data_ptr(),
             num_threads=num_threads,
         )
-    notify("tangent", stats)
+    notify("tangent", stats, max_iters)
     report_failure(stats, "tangent solve", TANGENT_HINT, on_failure)
     return dx
 
