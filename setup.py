@@ -8,8 +8,10 @@ import hashlib
 import os
 import platform
 import re
+import runpy
 import shutil
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -18,14 +20,14 @@ from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
 
 ROOT = Path(__file__).resolve().parent
+# What each needs of the processor, and what this one has: the file that the import reads as well.
+PROCESSOR = runpy.run_path(str(ROOT / "diffsim" / "core" / "processor.py"))
 # name -> compiler flags; diffsim/core/compiled.py picks the best one the processor has.
+PREFIX = "diffsim._core_"
 INSTRUCTION_SETS: dict[str, list[str]] = {"baseline": []}
 if platform.machine().lower() in ("x86_64", "amd64"):
     INSTRUCTION_SETS["avx2"] = ["-march=x86-64-v3"]
     INSTRUCTION_SETS["avx512"] = ["-march=x86-64-v4", "-mprefer-vector-width=512"]
-# Developers: DIFFSIM_BUILD_ISA=avx512 builds one instruction set only (a third of the time).
-if only := os.environ.get("DIFFSIM_BUILD_ISA"):
-    INSTRUCTION_SETS = {name: INSTRUCTION_SETS[name] for name in only.split(",")}
 
 
 def eigen_include() -> str:
@@ -67,7 +69,7 @@ def extensions() -> list[Extension]:
     ]
     return [
         Extension(
-            f"diffsim._core_{name}",
+            f"{PREFIX}{name}",
             sources=sources,
             depends=headers,
             include_dirs=[
@@ -96,9 +98,43 @@ NO_COMPILER = """{name!r} is missing: diffsim needs a C++17 compiler (GCC >= 11 
 """
 
 
+def chosen(wanted: str, here: str) -> set[str]:
+    """Names of the instruction sets to build.
+
+    Args:
+        wanted: comma-separated names; ``native`` is this machine's best, ``all`` is all.
+        here: this machine's best.
+    """
+    names = {here if name == "native" else name for name in wanted.split(",") if name}
+    if "all" in names:
+        return set(INSTRUCTION_SETS)
+    if unknown := names - set(INSTRUCTION_SETS):
+        raise SystemExit(
+            f"DIFFSIM_BUILD_ISA={wanted!r}: {sorted(unknown)} unknown; "
+            f"choose from native, all, {', '.join(INSTRUCTION_SETS)}"
+        )
+    return names
+
+
+def folder_of(key: list[object]) -> Path:
+    """Where objects are kept that were made with such tools."""
+    return ROOT / "build" / "objects" / hashlib.sha256(repr(key).encode()).hexdigest()[:12]
+
+
 def read(path: Path) -> str:
     """Text of a file, empty where there is none."""
     return path.read_text() if path.is_file() else ""
+
+
+def sources_of(rule: Path) -> list[Path]:
+    """Files of csrc that an object was made of, by the rule that the compiler wrote."""
+    files = re.split(r"[\s\\]+", read(rule).partition(":")[2])
+    return [Path(name) for name in sorted(set(files)) if name.startswith("csrc/")]
+
+
+def newest(rule: Path) -> float:
+    """Time of the last change of what an object was made of."""
+    return max((p.stat().st_mtime for p in sources_of(rule) if p.is_file()), default=0.0)
 
 
 def content_hash(rule: Path) -> str:
@@ -106,8 +142,7 @@ def content_hash(rule: Path) -> str:
 
     Contents, not times: a fresh checkout beside old objects compiles what differs and no more.
     """
-    files = re.split(r"[\s\\]+", read(rule).partition(":")[2])
-    ours = sorted(name for name in files if name.startswith("csrc/"))
+    ours = [str(path) for path in sources_of(rule)]
     parts = [f"{name} {hashlib.sha256(read(Path(name)).encode()).hexdigest()}" for name in ours]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
@@ -118,8 +153,19 @@ class BuildExt(build_ext):
     An object is current while the source and the headers it includes read as they did.
 
     Objects are kept in build/objects/<key> (pip's own build folder is gone after each run); the key
-    holds all that changes an object besides the sources: compiler, flags, nanobind, Eigen, Python.
+    holds all that changes an object besides the sources: compiler, flags and Eigen; for bindings
+    nanobind and Python as well.
+
+    An editable install is for this machine: it gets this machine's instruction set. What may be
+    carried elsewhere (wheels) gets all; ``DIFFSIM_BUILD_ISA`` says otherwise.
     """
+
+    def finalize_options(self) -> None:
+        super().finalize_options()
+        here = self.inplace or getattr(self, "editable_mode", False)
+        wanted = os.environ.get("DIFFSIM_BUILD_ISA", "native" if here else "all")
+        names = chosen(wanted, PROCESSOR["supported"]()[0])
+        self.extensions = [e for e in self.extensions if e.name.removeprefix(PREFIX) in names]
 
     def build_extensions(self) -> None:
         self.check_extensions_list(self.extensions)
@@ -129,8 +175,8 @@ class BuildExt(build_ext):
         name = getattr(self.compiler, "compiler_so_cxx", self.compiler.compiler_so)[0]
         if shutil.which(name) is None:
             raise SystemExit(NO_COMPILER.format(name=name))
-        key = repr([compiler, nanobind.__version__, eigen_version(), sys.version])
-        self.objects = ROOT / "build" / "objects" / hashlib.sha256(key.encode()).hexdigest()[:12]
+        key = [compiler, nanobind.__version__, eigen_version(), sys.version]
+        self.kernels = self.bindings = folder_of(key)
         jobs = [(ext, source) for ext in self.extensions for source in ext.sources]
         with ThreadPoolExecutor(max_workers=self.parallel or os.cpu_count()) as pool:
             objects = list(pool.map(lambda job: self._compile(*job), jobs))
@@ -147,13 +193,15 @@ class BuildExt(build_ext):
 
     def _compile(self, ext: Extension, source: str) -> str:
         flags = repr([ext.extra_compile_args, ext.define_macros])
-        out = self.objects / f"{ext.name}-{hashlib.sha256(flags.encode()).hexdigest()[:8]}"
+        folder = self.kernels if source.startswith("csrc/kernels/") else self.bindings
+        out = folder / f"{ext.name}-{hashlib.sha256(flags.encode()).hexdigest()[:8]}"
         obj = Path(self.compiler.object_filenames([source], output_dir=str(out))[0])
         made_of = obj.with_suffix(".sha256")
         if self.force or not obj.is_file() or read(made_of) != content_hash(obj.with_suffix(".d")):
             sys.stdout.write(f"compiling {source} for {ext.name}\n")  # one write: threads
             sys.stdout.flush()
             made_of.unlink(missing_ok=True)
+            began = time.time()
             self.compiler.compile(
                 [source],
                 output_dir=str(out),
@@ -161,7 +209,8 @@ class BuildExt(build_ext):
                 include_dirs=ext.include_dirs,
                 extra_postargs=[*ext.extra_compile_args, "-MMD", "-MF", str(obj.with_suffix(".d"))],
             )
-            made_of.write_text(content_hash(obj.with_suffix(".d")))
+            if newest(obj.with_suffix(".d")) < began:  # else one changed meanwhile: compile again
+                made_of.write_text(content_hash(obj.with_suffix(".d")))
         return str(obj)
 
 

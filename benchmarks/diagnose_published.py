@@ -12,6 +12,7 @@ from pathlib import Path
 
 from diffsim.cli.diagnose_check import require_ready
 from diffsim.cli.diagnose_inputs import inputs_of, read_study
+from diffsim.core import interruptible
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_text_atomic
 from diffsim.data.study import Study
@@ -84,4 +85,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

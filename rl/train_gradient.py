@@ -15,6 +15,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
+from diffsim.core import interruptible
 from diffsim.learn import GradientLearner, GradientOptions, main_training, open_loop
 
 QUICK = {"batch": 8, "horizon": 0}
@@ -29,4 +30,5 @@ def main(argv: Sequence[str] | None = None) -> Any:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

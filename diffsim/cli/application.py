@@ -16,6 +16,7 @@ from diffsim.applications.application import SOLVERS, Application, solver_option
 from diffsim.applications.minimize import Outcome, minimize
 from diffsim.applications.normalize import normalized, random_losses
 from diffsim.core.files import write_json_atomic
+from diffsim.core.optional import ask_for
 from diffsim.optim import LogError
 from diffsim.viz.application_pictures import motion_strip, recording
 
@@ -47,6 +48,8 @@ def main(
         The numbers that it prints.
     """
     args = _parser(doc, max_evaluations).parse_args(argv)
+    if not args.no_pictures:
+        ask_for(["matplotlib", "rerun"], purpose="a picture and a recording (or --no-pictures)")
     torch.set_num_threads(args.threads)
     application = build(
         solver_options(args.solver, rtol=rtol, num_threads=args.threads), args.quick

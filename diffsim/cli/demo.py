@@ -10,6 +10,7 @@ from pathlib import Path
 from types import ModuleType
 
 from diffsim.cli.arguments import positive
+from diffsim.core.optional import ask_for
 from diffsim.core.paths import PROJECT
 
 HELP = "the silicone beam's story: measured against simulated, on one page"
@@ -31,10 +32,13 @@ def command(args: argparse.Namespace) -> None:
     Raises:
         ValueError: ``--data`` is no folder.
         FileNotFoundError: diffsim was installed without its source checkout.
+        ImportError: what draws the page is not installed.
     """
     if args.data is not None and not args.data.is_dir():
         raise ValueError(f"--data must be an existing folder, got {args.data}")
-    _story().main(
+    story = _story()
+    ask_for(["matplotlib", "plotly", "jinja2"], purpose="the page of the demo")
+    story.main(
         data=args.data,
         out=args.out,
         quick=args.quick,

@@ -52,8 +52,13 @@ def command(args: argparse.Namespace) -> None:
     import torch
 
     from diffsim.cli.device_design import run
+    from diffsim.core.optional import ask_for
     from diffsim.stokes.devices import make
 
+    if args.out is not None:
+        ask_for(["matplotlib"], purpose="the picture of a device")
+    if args.export:
+        ask_for(["rerun"], purpose="--export")
     torch.set_num_threads(1)
     options = {"wall": "no_slip"} if args.no_slip else {}
     device = make(args.name, args.resolution, **options)

@@ -28,8 +28,10 @@ def command(args: argparse.Namespace) -> None:
     """Plan the fabrication, write its page and files, print the sums."""
     from diffsim.copter import load_design
     from diffsim.copter.fabrication import Printer, plan
+    from diffsim.core.optional import ask_for
     from diffsim.viz.fabrication_page import write_fabrication
 
+    ask_for(["matplotlib", "jinja2"], purpose="the page of a fabrication")
     design = load_design(args.design)
     made = plan(design, stock=args.stock, kerf=args.kerf, printer=Printer(bed=tuple(args.bed)))
     page = write_fabrication(made, args.out or Path("runs/fabricate") / design.name)

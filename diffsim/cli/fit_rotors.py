@@ -25,8 +25,11 @@ def command(args: argparse.Namespace) -> None:
     """
     from diffsim.copter.fit_rotor import fit_rotor, write_rotor
     from diffsim.copter.rotor_table import read_rotor_bench
+    from diffsim.core.optional import ask_for
     from diffsim.core.paths import data_folder
 
+    if args.figures:
+        ask_for(["matplotlib"], purpose="--figures")
     data = args.data or data_folder()
     if data is None:
         raise FileNotFoundError("no data folder found; give --data or set DIFFSIM_DATA")

@@ -12,13 +12,18 @@ if TYPE_CHECKING:
     from diffsim.copter.simulator.flight_simulator import FlightSimulator, Observer
     from diffsim.copter.simulator.pacing import Pacer
     from diffsim.copter.simulator.setpoint import Pilot
+    from diffsim.copter.vehicle_record import FlyingVehicle
 
 HELP = "fly a multicopter in simulation"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of ``diffsim fly``."""
-    parser.add_argument("design", metavar="DESIGN", help="a shipped design or a YAML file")
+    parser.add_argument(
+        "design",
+        metavar="DESIGN",
+        help="a shipped design, a design or vehicle file (YAML), or MJCF with motors at sites",
+    )
     pilot = parser.add_mutually_exclusive_group()
     pilot.add_argument(
         "--mission", default="hover", help="a shipped one or a YAML file (default: %(default)s)"
@@ -47,13 +52,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def command(args: argparse.Namespace) -> None:
     """Fly as the arguments say; errors are raised, what was flown is kept."""
-    from diffsim.copter.design_file import load_design
     from diffsim.copter.simulator.flight_simulator import FlightSimulator
     from diffsim.copter.simulator.pacing import Pacer
 
-    design = load_design(args.design)
+    flown = _flown(args.design)
     simulator = FlightSimulator(
-        design,
+        flown,
         controller=args.controller,
         payload=args.payload,
         pwm_max=args.pwm_max,
@@ -63,14 +67,27 @@ def command(args: argparse.Namespace) -> None:
     live = args.view or args.input is not None
     speed = (1.0 if live else 0.0) if args.speed is None else args.speed
     pacer = Pacer(speed)
-    observers = [_viewer(design, args.payload)] if args.view else []
-    print(f"{design.name}, {float(simulator.vehicle.mass):.3f} kg, controller {args.controller}")
+    observers = [_viewer(flown, args.payload)] if args.view else []
+    print(f"{flown.name}, {float(simulator.vehicle.mass):.3f} kg, controller {args.controller}")
     try:
         simulator.run(pilot, seconds=args.seconds, pacer=pacer, observers=observers)
     finally:
         if simulator.log.samples:
             _report(simulator, pacer)
-            _save(simulator, design, args.payload, args.out)
+            _save(simulator, flown, args.payload, args.out)
+
+
+def _flown(name: str) -> Design | FlyingVehicle:
+    """A design of parts, or a vehicle of numbers: they differ by the key ``parts``."""
+    from diffsim.copter.design_file import load_design
+    from diffsim.copter.vehicle_file import is_vehicle_file, load_vehicle
+
+    if not is_vehicle_file(name):
+        return load_design(name)
+    vehicle = load_vehicle(name)
+    if vehicle.assumed:
+        print(f"assumed, as usual for its size: {', '.join(vehicle.assumed)}")
+    return vehicle
 
 
 def _pilot(args: argparse.Namespace) -> Pilot:
@@ -88,7 +105,7 @@ def _pilot(args: argparse.Namespace) -> Pilot:
     return load_mission(args.mission)
 
 
-def _viewer(design: Design, payload: float) -> Observer:
+def _viewer(design: Design | FlyingVehicle, payload: float) -> Observer:
     from diffsim.viz.flight_scene import live_scene
 
     return live_scene(design, payload=payload).frame
@@ -105,7 +122,9 @@ def _report(simulator: FlightSimulator, pacer: Pacer) -> None:
         )
 
 
-def _save(simulator: FlightSimulator, design: Design, payload: float, out: Path) -> None:
+def _save(
+    simulator: FlightSimulator, design: Design | FlyingVehicle, payload: float, out: Path
+) -> None:
     log = simulator.log
     log.save(out)
     written = ["flight.csv", "flight.yaml"]

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from diffsim.cli import (
+    convert,
     demo,
     devices,
     diagnose,
@@ -18,6 +19,7 @@ from diffsim.cli import (
     fly,
     info,
     play,
+    serve,
     track,
 )
 from diffsim.core.errors import DiffsimError
@@ -34,7 +36,9 @@ COMMANDS = {
     "play": play,
     "fabricate": fabricate,
     "track": track,
+    "convert": convert,
     "devices": devices,
+    "serve": serve,
     "fit-rotors": fit_rotors,
     "info": info,
 }

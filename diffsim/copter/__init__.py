@@ -32,6 +32,8 @@ from diffsim.copter.spec import Connection, DesignSpec, PartSpec
 from diffsim.copter.spec_file import shipped_designs
 from diffsim.copter.stabilizability import RiccatiError
 from diffsim.copter.vehicle import GRAVITY, Multicopter
+from diffsim.copter.vehicle_file import load_vehicle
+from diffsim.copter.vehicle_record import FlyingVehicle
 
 __all__ = [
     "GRAVITY",
@@ -47,6 +49,7 @@ __all__ = [
     "FlightEffects",
     "FlightError",
     "FlightState",
+    "FlyingVehicle",
     "Hover",
     "HoverError",
     "HoverResult",
@@ -72,6 +75,7 @@ __all__ = [
     "import_xml",
     "linearize",
     "load_design",
+    "load_vehicle",
     "lqr",
     "lqr_stats",
     "lyapunov",

@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-import trimesh
 from torch import Tensor
 
 from diffsim.copter.assemble import assemble
@@ -25,6 +24,9 @@ from diffsim.copter.spec import DesignSpec
 from diffsim.copter.spec_file import write_spec
 from diffsim.copter.vehicle import Multicopter
 from diffsim.core.check import require, require_choice
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 @dataclass(frozen=True, eq=False)

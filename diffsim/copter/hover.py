@@ -10,7 +10,14 @@ from diffsim.copter import _ops_hover
 from diffsim.copter._ops_hover import HoverProblem, HoverSolution
 from diffsim.copter.hover_result import HoverResult, report
 from diffsim.copter.vehicle import Multicopter
-from diffsim.core.check import require, require_choice, require_number, require_range
+from diffsim.core.check import (
+    require,
+    require_choice,
+    require_number,
+    require_range,
+    require_threads,
+)
+from diffsim.core.record import announce, is_recording
 from diffsim.core.rotation import roll_pitch_of_thrust
 
 _WEAK = 1e-6  # multiplier or distance to a bound, in shares of the weight per rotor
@@ -62,6 +69,7 @@ def hover_thrusts(
     max_thrusts = require("max_thrusts", max_thrusts, ("...", n))
     weights = torch.ones_like(max_thrusts) if weights is None else weights
     weights = require("weights", weights, ("...", n))
+    num_threads = require_threads(num_threads)
     smoothing = require_number("smoothing", smoothing, at_least=0.0)
     if n == 0:
         raise ValueError("force_matrix must have at least one rotor, got none")
@@ -96,7 +104,7 @@ def hover_thrusts(
     if smoothing:
         weak = torch.zeros_like(weak)
     code, rank, free_rank, num_iters = (solution.info[:, k].reshape(batch) for k in range(4))
-    return HoverResult(
+    result = HoverResult(
         thrusts=(u * share).reshape(*batch, n),
         attitude=roll_pitch_of_thrust(net).reshape(*batch, 2),
         residual=residual.reshape(*batch, 4),
@@ -109,6 +117,9 @@ def hover_thrusts(
         weakly_active=weak.reshape(*batch, n),
         num_iters=num_iters,
     )
+    if is_recording() and not torch.compiler.is_compiling():
+        announce(result.solve)
+    return result
 
 
 def hover(

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy.sparse
 
 from diffsim.copter.geometry import Array
 from diffsim.core.errors import ConvergenceError
+from diffsim.core.optional import optional
 
 
 def solve_qp(hessian: Array, gradient: Array, rows: Array, lower: Array, upper: Array) -> Array:
@@ -25,13 +28,7 @@ def solve_qp(hessian: Array, gradient: Array, rows: Array, lower: Array, upper: 
         ImportError: osqp is not installed.
         ConvergenceError: it stopped early.
     """
-    try:
-        import osqp
-    except ImportError as error:
-        raise ImportError(
-            "the closest feasible design needs osqp, which is not installed; "
-            "pip install 'diffsim-robot[opt]'"
-        ) from error
+    osqp: Any = optional("osqp", purpose="the closest feasible design")
     solver = osqp.OSQP()
     solver.setup(
         scipy.sparse.csc_matrix(np.triu(hessian)),

@@ -5,30 +5,12 @@
 
 import importlib
 import os
-import platform
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from types import ModuleType
 
-# What each build needs of the processor, best first: the x86-64-v4 and -v3 levels (abm is lzcnt).
-_V3 = {"avx", "avx2", "fma", "bmi1", "bmi2", "f16c", "movbe", "abm"}
-_NEEDS = {
-    "avx512": _V3 | {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"},
-    "avx2": _V3,
-    "baseline": set[str](),
-}
-
-
-def _cpu_flags() -> set[str]:
-    """Processor flags as the kernel lists them; empty where it does not."""
-    if platform.machine().lower() not in ("x86_64", "amd64"):
-        return set()
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return set()
-    flags = next((line for line in lines if line.startswith("flags")), "")
-    return set(flags.partition(":")[2].split())
+from diffsim.core.forked import keep_forks_alive
+from diffsim.core.processor import NEEDS, supported
 
 
 def built() -> list[str]:
@@ -36,15 +18,15 @@ def built() -> list[str]:
     here = Path(__file__).parents[1]
     return [
         name
-        for name in _NEEDS
+        for name in NEEDS
         if any((here / f"_core_{name}{suffix}").is_file() for suffix in EXTENSION_SUFFIXES)
     ]
 
 
 def available() -> list[str]:
     """Instruction sets that are built and that this processor has, best first."""
-    flags = _cpu_flags()
-    return [name for name, needs in _NEEDS.items() if needs <= flags and name in built()]
+    there = built()
+    return [name for name in supported() if name in there]
 
 
 def load() -> ModuleType:
@@ -53,7 +35,10 @@ def load() -> ModuleType:
     wanted = os.environ.get("DIFFSIM_ISA")
     if wanted:
         if wanted not in names:
-            raise ImportError(f"DIFFSIM_ISA={wanted!r} is not available here; choose from {names}")
+            raise ImportError(
+                f"DIFFSIM_ISA={wanted!r} is not available here; choose from {names} (built: "
+                f"{built()}; DIFFSIM_BUILD_ISA=all pip install -e . builds all)"
+            )
         names = [wanted]
     if not names:
         raise ImportError(
@@ -63,5 +48,6 @@ def load() -> ModuleType:
     return importlib.import_module(f"diffsim._core_{names[0]}")
 
 
+keep_forks_alive()
 core = load()
 INSTRUCTION_SET: str = core.instruction_set

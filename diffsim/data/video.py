@@ -23,6 +23,7 @@ from scipy.optimize import linear_sum_assignment
 from diffsim.core.check import require_number
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_text_atomic
+from diffsim.core.optional import optional
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -265,10 +266,4 @@ def opencv() -> Any:
     Raises:
         ImportError: OpenCV is not installed.
     """
-    try:
-        import cv2
-    except ImportError as error:
-        raise ImportError(
-            "reading videos needs OpenCV: pip install 'diffsim-robot[video]'"
-        ) from error
-    return cv2
+    return optional("cv2", purpose="reading a video")

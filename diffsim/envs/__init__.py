@@ -8,14 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-try:
-    import gymnasium  # noqa: F401
-except ImportError as error:
-    raise ImportError(
-        "diffsim.envs needs gymnasium and, for training, stable-baselines3: "
-        "pip install 'diffsim-robot[rl]'"
-    ) from error
-
+from diffsim.envs._gymnasium import gymnasium  # noqa: F401
 from diffsim.envs.env import TaskEnv
 from diffsim.envs.registry import ENV_IDS, make_task, make_vector, register
 from diffsim.envs.task import Entry, Randomization, Task, TaskState

@@ -3,7 +3,7 @@
 A learner takes a ``Setup`` (task and seed) and its frozen options; ``Run`` keeps its progress on
 disk and goes on after an interruption; ``comparison`` trains several methods on equal terms.
 
-Needs the extra: ``pip install 'diffsim-robot[rl]'``. Importing this room needs nothing; what is
+Needs the packages of the extra ``rl``. Importing this room needs nothing; what is
 missing is named when a learner is used.
 """
 

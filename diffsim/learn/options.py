@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import torch
 
-from diffsim.core.interrupts import EXIT_INTERRUPTED, terminate_as_interrupt
+from diffsim.core.interrupts import EXIT_INTERRUPTED
 from diffsim.learn.gradient import GradientOptions
 from diffsim.learn.recipes import recipe
 from diffsim.learn.run import Learner, Run, train
@@ -117,8 +117,6 @@ def main_training(
     parser = training_parser(description)
     add_options(parser, options, "method")
     args = start_from_recipe(parser, argv, by_gradient=options is GradientOptions)
-    if argv is None:
-        terminate_as_interrupt()
     torch.set_num_threads(args.threads)
     setup = setup_from(args)
     folder = args.out or Path("runs") / setup.task / method / f"seed_{setup.seed}"

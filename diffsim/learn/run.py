@@ -15,6 +15,7 @@ from torch import nn
 from tqdm import tqdm
 
 from diffsim.core.files import to_plain, write_bytes_atomic, write_text_atomic
+from diffsim.core.optional import ask_for
 from diffsim.learn.setup import Setup, evaluate
 
 Row = dict[str, Any]
@@ -153,12 +154,9 @@ def is_finished(folder: str | Path) -> bool:
 
 
 def _writer(folder: Path) -> Any:
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError as error:
-        raise ImportError(
-            "training writes a TensorBoard log; install it with pip install 'diffsim-robot[rl]'"
-        ) from error
+    ask_for(["tensorboard"], purpose="the log of a training")
+    from torch.utils.tensorboard import SummaryWriter
+
     return SummaryWriter(str(folder))
 
 

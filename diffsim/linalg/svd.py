@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require
+from diffsim.core.check import require, require_threads
 from diffsim.linalg import _ops_svd
 
 
@@ -31,7 +31,7 @@ def svd3(F: Tensor, *, num_threads: int = 1) -> tuple[Tensor, Tensor, Tensor]:
 
     Raises:
         TypeError: F is not a float64 CPU tensor.
-        ValueError: F is not (..., 3, 3), or num_threads < 1.
+        ValueError: F is not (..., 3, 3), or num_threads out of range.
 
     Gradients: F, first order. U and V have no derivative where two of s0, s1, abs(s2) agree (to
     1e-15 s0): there the gradient of F is NaN if the loss feels the rotation of that pair, that is,
@@ -70,6 +70,5 @@ def polar3(F: Tensor, *, num_threads: int = 1) -> Tensor:
 
 
 def _checked(F: Tensor, num_threads: int) -> Tensor:
-    if num_threads < 1:
-        raise ValueError(f"num_threads must be at least 1, got {num_threads}")
+    require_threads(num_threads)
     return require("F", F, ("...", 3, 3), torch.float64, finite=False)

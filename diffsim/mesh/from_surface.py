@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import warnings
 from pathlib import Path
 from types import ModuleType
 
@@ -11,6 +9,8 @@ import numpy as np
 import torch
 
 from diffsim.core.check import require_choice, require_number
+from diffsim.core.optional import optional
+from diffsim.core.record import warn
 from diffsim.mesh.closed_surface import SurfaceLike, closed_surface
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.distance import SurfaceDistance
@@ -53,7 +53,7 @@ def tetrahedralize(
         surface: A watertight `trimesh.Trimesh`, or the path of a surface file in meters.
         spacing: Target edge length [m].
         method: "ftetwild" keeps sharp edges (Hu et al. 2020, "Fast Tetrahedral Meshing in the
-            Wild"; needs ``pip install diffsim-robot[mesh]``; two runs give two meshes, so save
+            Wild"; needs ``pip install pytetwild``; two runs give two meshes, so save
             what you publish); "stuffing" is reproducible, needs nothing further
             and rounds features below ``spacing`` (`tet_from_sdf`); "auto" takes the first where it
             is installed and otherwise warns and takes the second.
@@ -73,9 +73,9 @@ def tetrahedralize(
             _pytetwild()
             method = "ftetwild"
         except ImportError:
-            warnings.warn(
+            warn(
                 "pytetwild is not installed: tetrahedralize uses lattice stuffing, which rounds "
-                "edges sharper than the spacing; pip install 'diffsim-robot[mesh]' keeps them, "
+                "edges sharper than the spacing; pip install pytetwild keeps them, "
                 "method='stuffing' silences this",
                 stacklevel=2,
             )
@@ -96,13 +96,11 @@ def tetrahedralize(
 
 
 def _pytetwild() -> ModuleType:
-    try:
-        return importlib.import_module("pytetwild")
-    except ImportError as error:
-        raise ImportError(
-            "tetrahedralize(method='ftetwild') needs pytetwild: pip install "
-            f"'diffsim-robot[mesh]' ({error}); or use method='stuffing'"
-        ) from error
+    return optional(
+        "pytetwild",
+        purpose="tetrahedralize(method='ftetwild')",
+        otherwise="use method='stuffing'",
+    )
 
 
 def _ftetwild(x: Array, faces: IntArray, spacing: float, tolerance: float | None) -> TetMesh:

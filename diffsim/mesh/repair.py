@@ -7,12 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from diffsim.core.check import require
+from diffsim.mesh.components import connected_parts
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import HEX_MIRROR, IntArray
 from diffsim.mesh.validate import (
@@ -41,9 +39,10 @@ def merge_duplicate_nodes(
     points = x.numpy()
     if tol is None:
         tol = COINCIDENT * bounding_diagonal(points)
+    from scipy.spatial import cKDTree
+
     pairs = cKDTree(points).query_pairs(tol, output_type="ndarray")
-    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(x), len(x)))
-    _, group = connected_components(graph, directed=False)
+    group = connected_parts(len(x), pairs[:, 0], pairs[:, 1])
     _, first, inverse = np.unique(group, return_index=True, return_inverse=True)
     keep = np.sort(first)
     new_idx = np.searchsorted(keep, first)[inverse]

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy import ndimage
 
 from diffsim.core.check import require_choice, require_number
 from diffsim.core.errors import MeshError
@@ -55,6 +54,8 @@ def hex_from_mask(inside: np.ndarray, origin: Array, spacing: float, keep: str) 
             "inside"
         )
     if keep == "largest":
+        from scipy import ndimage
+
         labels, _ = ndimage.label(inside)  # connected through faces
         sizes = np.bincount(labels.reshape(-1))
         sizes[0] = 0

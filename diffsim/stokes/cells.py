@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require
+from diffsim.core.check import require, require_threads
 from diffsim.stokes import _ops_cut
 from diffsim.stokes.grid import Grid
 
@@ -44,7 +44,7 @@ def cut_cells(grid: Grid, phi: Tensor, *, num_threads: int = 1) -> CutCells:
         phi=phi.reshape(-1),
         cells=list(grid.shape),
         spacing=list(grid.spacing),
-        num_threads=num_threads,
+        num_threads=require_threads(num_threads),
     )
     return CutCells(
         volume.reshape(grid.shape), area.reshape(grid.shape), normal.reshape(*grid.shape, grid.dim)

@@ -1,6 +1,6 @@
 """Figures, HTML reports and rerun scenes; imported by entry points, never by the simulator.
 
-Needs the extra: ``pip install 'diffsim-robot[viz]'``. Importing this room needs nothing; what is
+Needs the packages of the extra ``viz``. Importing this room needs nothing; what is
 missing is named when it is used. Its modules are its API, with every name that has no underscore:
 ``figures``, ``report`` and ``scene`` are for anything, the others draw one kind of result.
 """

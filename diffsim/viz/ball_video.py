@@ -17,8 +17,8 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim.core.check import require_number
+from diffsim.core.optional import optional
 from diffsim.systems.rigid_body.camera import HEIGHT_PX, WIDTH_PX, eye, projected
-from diffsim.viz._require import optional
 
 if TYPE_CHECKING:
     from diffsim.systems.balls.soft import SoftBallModel
@@ -85,7 +85,7 @@ def film_balls(
     Raises:
         OSError: OpenCV cannot write there.
     """
-    cv2 = optional("cv2", purpose="writing a video", extra="video")
+    cv2 = optional("cv2", purpose="writing a video")
     require_number("radius", radius, above=0.0, hint="unit is m")
     require_number("rate", rate, above=0.0, hint="unit is 1/s")
     path = Path(path)

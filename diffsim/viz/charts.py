@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.viz._require import optional
+from diffsim.core.optional import optional
 from diffsim.viz.figures import COLORS, INK, LINE, SOFT
 
 Array = NDArray[np.float64]

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from diffsim.core.files import write_bytes_atomic
+from diffsim.core.optional import optional
 from diffsim.stokes.devices.device import Device, quiet
 from diffsim.stokes.devices.optimum import Optimum
-from diffsim.viz._require import optional
 from diffsim.viz.figures import INK, new_figure
 from diffsim.viz.flow import SPEED
 

@@ -11,10 +11,10 @@ import torch
 from torch import Tensor
 
 from diffsim.core.files import write_bytes_atomic
+from diffsim.core.optional import optional
 from diffsim.stokes.devices.device import Device, quiet
 from diffsim.stokes.devices.optimum import Optimum
 from diffsim.stokes.field import FlowField
-from diffsim.viz._require import optional
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from diffsim.viz._require import optional
+from diffsim.core.optional import optional
 from diffsim.viz.figures import COLORS, CYCLE, INK, LINE, SOFT, Array, new_figure
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ def write_fabrication(plan: FabricationPlan, folder: str | Path) -> Path:
         The page.
 
     Raises:
-        ImportError: matplotlib or jinja2 is missing (``pip install diffsim-robot[viz]``).
+        ImportError: matplotlib or jinja2 is missing.
     """
     shown = page(plan)
     return write(shown, write_plan(plan, folder) / "index.html")

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.viz._require import optional
+from diffsim.core.optional import optional
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

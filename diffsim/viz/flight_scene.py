@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from diffsim.copter.design import Design
-from diffsim.copter.rotor import RotorModel
-from diffsim.copter.simulator import FlightLog, FlightSample, flight_rotors
-from diffsim.viz._require import optional
+from diffsim.copter.simulator import FlightLog, FlightSample
+from diffsim.copter.vehicle_record import FlyingVehicle
+from diffsim.core.optional import optional
 from diffsim.viz.figures import COLORS
+from diffsim.viz.flight_shapes import FlightShapes, shapes_of
 from diffsim.viz.scene import rgb, write_recording
 
 Array = NDArray[np.float64]
@@ -34,25 +35,33 @@ class FlightScene:
 
     Args:
         stream: Stream of type ``rerun.RecordingStream`` that the scene is logged to.
-        design: Design of the vehicle that flies.
+        design: What flies: a design, or a vehicle without parts (arms and discs are drawn).
         payload: Carried below the center of mass [kg].
         drop: Distance below the vehicle [m].
     """
 
-    def __init__(self, stream: Any, design: Design, *, payload: float = 0.0, drop: float = 0.05):
+    def __init__(
+        self,
+        stream: Any,
+        design: Design | FlyingVehicle,
+        *,
+        payload: float = 0.0,
+        drop: float = 0.05,
+    ):
         self._rr = optional("rerun", purpose="a flight's scene")
         self._stream = stream
-        vehicle = design.multicopter().detach()
-        self._rotors: tuple[RotorModel, ...] = flight_rotors(vehicle)
+        shapes = shapes_of(design)
+        vehicle = shapes.vehicle
+        self._rotors = shapes.rotors
         shift = np.array([0.0, 0.0, drop]) * payload / (float(vehicle.mass) + payload)
-        self._center = design.center_of_mass().detach().numpy() + shift
+        self._center = shapes.center_of_mass + shift
         self._hubs = vehicle.positions.numpy() - shift
         self._axes = vehicle.directions.numpy()
         self._turns = -vehicle.spins.numpy()  # +1 about the thrust is counter-clockwise from above
         self._angles = np.zeros(len(self._hubs))
-        self._names = design.rotor_names
+        self._names = shapes.rotor_names
         self._last: float | None = None
-        self._log_parts(design)
+        self._log_parts(shapes)
         if payload:
             self._log_load(drop - shift[2])
         self._log_plot_names()
@@ -83,9 +92,9 @@ class FlightScene:
         self._turn(sample.thrusts, elapsed)
         self._log_numbers(sample)
 
-    def _log_parts(self, design: Design) -> None:
+    def _log_parts(self, shapes: FlightShapes) -> None:
         rr = self._rr
-        for name, mesh in design.meshes().items():
+        for name, mesh in shapes.meshes.items():
             motor = name.removesuffix("__propeller")
             propeller = motor in self._names and name != motor
             origin = self._center
@@ -143,7 +152,9 @@ class FlightScene:
         stream.log("plots/height", rr.Scalars([-sample.position[2], -sample.target[2]]))
 
 
-def write_flight(path: str | Path, log: FlightLog, design: Design, *, payload: float = 0.0) -> Path:
+def write_flight(
+    path: str | Path, log: FlightLog, design: Design | FlyingVehicle, *, payload: float = 0.0
+) -> Path:
     """Write a flight as an ``.rrd`` file, in place of an older one only when it is whole.
 
     Raises:
@@ -161,7 +172,7 @@ def write_flight(path: str | Path, log: FlightLog, design: Design, *, payload: f
     return write_recording(path, f"flight of {design.name}", write)
 
 
-def live_scene(design: Design, *, payload: float = 0.0) -> FlightScene:
+def live_scene(design: Design | FlyingVehicle, *, payload: float = 0.0) -> FlightScene:
     """Open the rerun viewer; its ``frame`` is an observer of ``FlightSimulator.run``.
 
     Raises:

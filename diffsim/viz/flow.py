@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.files import write_bytes_atomic
+from diffsim.core.optional import optional
 from diffsim.stokes.fabrication import wall_mesh
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.streamlines import Streamline, streamlines
 from diffsim.viz._flow_cut import FINE, Cut, Plane, cut_through, length_unit
-from diffsim.viz._require import optional
 from diffsim.viz.figures import COLORS, INK, LINE, SOFT, new_figure
 
 if TYPE_CHECKING:

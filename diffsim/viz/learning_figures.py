@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from diffsim.core.files import write_bytes_atomic
+from diffsim.core.optional import optional
 from diffsim.learn.comparison import AXES, Runs
 from diffsim.learn.statistics import Scale, bootstrap_interval, held, interquartile_mean
-from diffsim.viz._require import optional
 from diffsim.viz.figures import CYCLE, INK, LINE, SOFT
 
 if TYPE_CHECKING:

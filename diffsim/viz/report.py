@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from diffsim.core.files import write_text_atomic
+from diffsim.core.optional import optional
 from diffsim.core.version import __version__
 from diffsim.viz import charts
-from diffsim.viz._require import optional
 
 _NUMERIC = re.compile(r"[-+−–±]?(\d|$)")  # a cell that starts with a number, or says there is none
 TONES = ("good", "fair", "bad", "plain")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.files import replacing
-from diffsim.viz._require import optional
+from diffsim.core.optional import optional
 
 Array = NDArray[np.float64]
 

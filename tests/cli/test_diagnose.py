@@ -67,13 +67,13 @@ def test_explain_writes_everything(explained):
     assert (report["verdict"], report["named"]) == ("named", ["drag"])
     saved = yaml.safe_load((explained / "extended_model.yaml").read_text())
     assert saved["effects"]["drag"]["value"] == pytest.approx(0.2, rel=0.1)
-    pytest.importorskip("matplotlib", reason="pages need pip install 'diffsim-robot[viz]'")
+    pytest.importorskip("matplotlib", reason="pages need pip install -e '.[viz]'")
     page = (explained / "report.html").read_text()
     assert report["sentences"][0] in page
 
 
 def test_recording_holds_measured_null_and_extended(explained):
-    pytest.importorskip("rerun", reason="recordings need pip install 'diffsim-robot[viz]'")
+    pytest.importorskip("rerun", reason="recordings need pip install -e '.[viz]'")
     content = (explained / "runs.rrd").read_bytes()
     assert content[:3] == b"RRF"
     for curve in ("measured", "null", "extended"):
@@ -182,7 +182,7 @@ def test_an_interruption_while_files_are_written_goes_on(
     for name in ("inputs.json", "report.json", "extended_model.yaml"):
         (tmp_path / name).write_bytes((explained / name).read_bytes())
     options = ("--quick", "--effects", "drag,bias")
-    pytest.importorskip("matplotlib", reason="pages need pip install 'diffsim-robot[viz]'")
+    pytest.importorskip("matplotlib", reason="pages need pip install -e '.[viz]'")
     monkeypatch.setattr(stopped, stopped_report)
     assert run("explain", study_folder, tmp_path, *options) == 130
     monkeypatch.undo()

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from diffsim.core import compiled
+from diffsim.core import compiled, processor
 
 
 def _load(isa):
@@ -31,12 +31,26 @@ def test_unknown_instruction_set_lists_the_choices():
 
 
 def test_an_old_processor_gets_the_baseline(monkeypatch):
-    monkeypatch.setattr(compiled, "_cpu_flags", set)
+    monkeypatch.setattr(compiled, "supported", lambda: ["baseline"])
     assert compiled.available() == [name for name in compiled.built() if name == "baseline"]
 
 
 def test_each_level_contains_the_one_below():
-    assert compiled._NEEDS["baseline"] < compiled._NEEDS["avx2"] < compiled._NEEDS["avx512"]
+    needs = processor.NEEDS
+    assert needs["baseline"] < needs["avx2"] < needs["avx512"]
+
+
+def test_a_processor_gets_the_best_level_it_has_in_full(monkeypatch):
+    flags = processor.NEEDS["avx2"] | {"avx512f"}  # the first AVX-512 processors lack the rest
+    monkeypatch.setattr(processor, "cpu_flags", lambda: flags)
+    assert processor.supported() == ["avx2", "baseline"]
+
+
+def test_the_build_reads_the_same_levels_as_the_import():
+    """setup.py runs this file alone, before anything is installed."""
+    import runpy
+
+    assert runpy.run_path(processor.__file__)["supported"]() == processor.supported()
 
 
 def test_cores_of_all_instruction_sets_share_a_process():

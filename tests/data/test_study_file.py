@@ -100,7 +100,7 @@ def change(folder, file, old, new):
             r"yaml: runs\[0\]\.setup\.temperature_C must be",
         ),
         ("study.yaml", "order: 0", "order: 0.5", r"yaml: runs\[0\]\.order: must be a whole number"),
-        ("study.yaml", "unit: m\n", "sd: 1.0\n", r"yaml: channels\[0\]\.unit: is missing"),
+        ("study.yaml", "unit: m\n", "shown_unit: m\n", r"yaml: channels\[0\]\.unit: is missing"),
         ("study.yaml", "runs:", "runs: {", "not YAML"),
     ],
 )

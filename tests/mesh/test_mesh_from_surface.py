@@ -57,7 +57,7 @@ def test_stuffing(make):
 
 def test_ftetwild(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    pytest.importorskip("pytetwild", reason="pip install 'diffsim-robot[mesh]'")
+    pytest.importorskip("pytetwild", reason="pip install pytetwild")
     surface = trimesh.creation.box((0.2, 0.1, 0.1))
     mesh = m.tetrahedralize(surface, 0.05, method="ftetwild")
     # the envelope, 1e-3 of the diagonal, over a third of the width

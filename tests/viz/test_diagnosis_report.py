@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-pytest.importorskip("matplotlib", reason="reports need pip install 'diffsim-robot[viz]'")
-pytest.importorskip("plotly", reason="reports need pip install 'diffsim-robot[viz]'")
-pytest.importorskip("jinja2", reason="reports need pip install 'diffsim-robot[viz]'")
+pytest.importorskip("matplotlib", reason="reports need pip install -e '.[viz]'")
+pytest.importorskip("plotly", reason="reports need pip install -e '.[viz]'")
+pytest.importorskip("jinja2", reason="reports need pip install -e '.[viz]'")
 
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import EffectRow, ForceMap, Gain, GateResult, NextRun, Report

@@ -10,7 +10,7 @@ namespace {
 template <int D>
 void cut_cells_of(const GridShape& shape, const double* phi, double* volume, double* area,
                   double* normal, ThreadPool& pool) {
-  const FlowGeometry<D> geometry(StokesGrid<D>(shape), phi, pool);
+  const FlowGeometry<D> geometry(StokesGrid<D>(shape), phi, false, pool);
   const StokesGrid<D>& grid = geometry.grid();
   for (std::int64_t cell = 0; cell < grid.num_cells; ++cell) {
     const CutCell<D>* cut = geometry.cut(cell);
@@ -25,21 +25,18 @@ template <int D>
 void cut_cells_vjp_of(const GridShape& shape, const double* phi, const double* grad_volume,
                       const double* grad_area, const double* grad_normal, double* grad_phi,
                       ThreadPool& pool) {
-  const FlowGeometry<D> geometry(StokesGrid<D>(shape), phi, pool);
+  const FlowGeometry<D> geometry(StokesGrid<D>(shape), phi, false, pool);
   const StokesGrid<D>& grid = geometry.grid();
   std::fill(grad_phi, grad_phi + grid.num_nodes, 0.0);
   for (std::int64_t cell : geometry.cut_cells()) {
     using Cut = CutCell<D>;
-    double by_value[Cut::kSize] = {}, by_plane[Cut::kParameters], corner[1 << D] = {};
+    double by_value[Cut::kSize] = {};
     for (int q = 0; q < Cut::kPoints; ++q) {
       by_value[Cut::kVolume + q] = grad_volume[cell];
       by_value[Cut::kArea + q] = grad_area[cell];
     }
     for (int a = 0; a < D; ++a) by_value[Cut::kNormal + a] = grad_normal[cell * D + a];
-    geometry.cut(cell)->vjp(by_value, by_plane);
-    CellPlane<D>::vjp(by_plane, corner);
-    const std::int64_t node = geometry.first_node(cell);
-    for (int i = 0; i < 1 << D; ++i) grad_phi[node + grid.corner_offset[i]] += corner[i];
+    geometry.cut_vjp(cell, phi, 1.0, by_value, grad_phi);
   }
 }
 
@@ -60,7 +57,7 @@ void plane_flux_of(const GridShape& shape, const double* phi, const double* v, s
                    int axis, std::int64_t index, double* flux, const double* grad_flux,
                    double* grad_phi, double* grad_v) {
   ThreadPool pool(1);
-  const FlowGeometry<D> geometry(StokesGrid<D>(shape), phi, pool);
+  const FlowGeometry<D> geometry(StokesGrid<D>(shape), phi, false, pool);
   const StokesGrid<D>& grid = geometry.grid();
   const std::int64_t N = grid.num_nodes * D;
   for_plane<D>(grid, axis, index, [&](std::int64_t cell, int side, double share) {
@@ -83,11 +80,7 @@ void plane_flux_of(const GridShape& shape, const double* phi, const double* v, s
                                  grad_flux[k] * share * moments[q].value * shape_fn[i];
                          }
                        });
-    if (!grad_flux || !geometry.cut(cell)) return;
-    double corner[1 << D] = {};
-    CellPlane<D>::vjp(by_plane, corner);
-    const std::int64_t node = geometry.first_node(cell);
-    for (int i = 0; i < 1 << D; ++i) grad_phi[node + grid.corner_offset[i]] += corner[i];
+    if (grad_flux && geometry.cut(cell)) geometry.plane_vjp(cell, by_plane, 1.0, grad_phi);
   });
 }
 

@@ -1,5 +1,9 @@
 #include "kernels/stokes/flow_geometry.h"
 
+#include <algorithm>
+
+#include "kernels/stokes/wall_normal.h"
+
 namespace diffsim {
 
 namespace {
@@ -28,10 +32,15 @@ constexpr int kFaceColors = 3 << (D - 1);
 }  // namespace
 
 template <int D>
-FlowGeometry<D>::FlowGeometry(const StokesGrid<D>& grid, const double* phi, ThreadPool& pool)
-    : grid_(grid), fraction_(u(grid.num_cells), 0.0), cut_index_(u(grid.num_cells), -1) {
+FlowGeometry<D>::FlowGeometry(const StokesGrid<D>& grid, const double* phi, bool curved,
+                              ThreadPool& pool)
+    : grid_(grid),
+      curved_(curved),
+      fraction_(u(grid.num_cells), 0.0),
+      cut_index_(u(grid.num_cells), -1) {
   classify_cells(phi);
   make_cuts(phi, pool);
+  if (curved_) make_wall_normals(phi);
   color_cells();
   color_penalty_faces();
   number_nodes();
@@ -66,6 +75,50 @@ void FlowGeometry<D>::make_cuts(const double* phi, ThreadPool& pool) {
     for (int q = 0; q < CutCell<D>::kPoints; ++q) volume += cuts_[u(i)].volume()[q];
     fraction_[u(cut_cells_[u(i)])] = volume / grid_.cell_volume;
   }
+}
+
+template <int D>
+void FlowGeometry<D>::make_wall_normals(const double* phi) {
+  wall_normals_.resize(cuts_.size() * D);
+  for (std::size_t i = 0; i < cuts_.size(); ++i) {
+    const FacetMeans<D> means(cuts_[i].area());
+    double* normal = wall_normals_.data() + i * D;
+    if (means.area > 0.0)
+      WallNormal<D>(grid_, phi, first_node(cut_cells_[i]), means.value, cuts_[i].normal())
+          .normal(normal);
+    else
+      std::copy_n(cuts_[i].normal(), D, normal);
+  }
+}
+
+template <int D>
+void FlowGeometry<D>::cut_vjp(std::int64_t cell, const double* phi, double sign, double* by_value,
+                              double* grad_phi) const {
+  using Cut = CutCell<D>;
+  const Cut& c = *cut(cell);
+  if (curved_) {
+    const FacetMeans<D> means(c.area());
+    double by_mean[1 << D], by_plane_normal[D];
+    if (means.area > 0.0) {
+      const std::int64_t node = first_node(cell);
+      WallNormal<D>(grid_, phi, node, means.value, c.normal())
+          .vjp(grid_, node, by_value + Cut::kNormal, sign, by_mean, by_plane_normal, grad_phi);
+      means.vjp(by_mean, by_value + Cut::kArea);
+      std::copy_n(by_plane_normal, D, by_value + Cut::kNormal);
+    }
+  }
+  double by_plane[Cut::kParameters];
+  c.vjp(by_value, by_plane);
+  plane_vjp(cell, by_plane, sign, grad_phi);
+}
+
+template <int D>
+void FlowGeometry<D>::plane_vjp(std::int64_t cell, const double* by_plane, double sign,
+                                double* grad_phi) const {
+  double corner[1 << D] = {};
+  CellPlane<D>::vjp(by_plane, corner);
+  const std::int64_t node = first_node(cell);
+  for (int i = 0; i < 1 << D; ++i) grad_phi[node + grid_.corner_offset[i]] += sign * corner[i];
 }
 
 template <int D>

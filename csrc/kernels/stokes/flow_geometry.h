@@ -79,8 +79,9 @@ void run_colors(const Colors& colors, ThreadPool& pool, F&& f) {
 template <int D>
 class FlowGeometry {
  public:
-  /// @param phi (num_nodes,) level set, > 0 in the fluid [any unit], finite
-  FlowGeometry(const StokesGrid<D>& grid, const double* phi, ThreadPool& pool);
+  /// @param phi    (num_nodes,) level set, > 0 in the fluid [any unit], finite
+  /// @param curved whether walls have the normals of wall_normal.h, or those of the cells' planes
+  FlowGeometry(const StokesGrid<D>& grid, const double* phi, bool curved, ThreadPool& pool);
 
   const StokesGrid<D>& grid() const { return grid_; }
   bool active(std::int64_t cell) const { return fraction_[u(cell)] > kOnFace; }
@@ -91,6 +92,16 @@ class FlowGeometry {
     const std::int32_t index = cut_index_[u(cell)];
     return index < 0 ? nullptr : &cuts_[u(index)];
   }
+  /// Normal of the wall in a cut cell, out of the fluid, (D,).
+  const double* wall_normal(std::int64_t cell) const {
+    return curved_ ? wall_normals_.data() + cut_index_[u(cell)] * D : cut(cell)->normal();
+  }
+  /// Adds `sign` times dL/dphi, given dL/d(weights, wall's normal, apertures) of a cut cell.
+  /// @param by_value (CutCell::kSize,), used up
+  void cut_vjp(std::int64_t cell, const double* phi, double sign, double* by_value,
+               double* grad_phi) const;
+  /// The same, given dL/dc and dL/dg of the cell's plane.
+  void plane_vjp(std::int64_t cell, const double* by_plane, double sign, double* grad_phi) const;
   double aperture(std::int64_t cell, int axis, int side) const {
     const CutCell<D>* c = cut(cell);
     return c ? c->aperture(axis, side) : (active(cell) ? 1.0 : 0.0);
@@ -135,6 +146,7 @@ class FlowGeometry {
   /// Steps of the constructor, in this order.
   void classify_cells(const double* phi);               // full, cut or empty
   void make_cuts(const double* phi, ThreadPool& pool);  // and the fluid fractions of cut cells
+  void make_wall_normals(const double* phi);
   void color_cells();
   void color_penalty_faces();
   void number_nodes();
@@ -150,6 +162,8 @@ class FlowGeometry {
   }
 
   StokesGrid<D> grid_;
+  bool curved_;
+  std::vector<double> wall_normals_;     // (cut cells, D) where curved
   std::vector<double> fraction_;         // (num_cells,)
   std::vector<std::int32_t> cut_index_;  // (num_cells,), -1: not cut
   std::vector<CutCell<D>> cuts_;

@@ -33,7 +33,7 @@ void face_values(const StokesGrid<D>& grid, std::int64_t node, int axis, const i
 template <int D>
 FlowOperator<D>::FlowOperator(const StokesGrid<D>& grid, const double* phi, const bool* open,
                               const FlowOptions& options, ThreadPool& pool)
-    : geometry_(grid, phi, pool),
+    : geometry_(grid, phi, options.slip, pool),
       form_(grid, options.beta, options.slip),
       options_(options),
       phi_(phi, phi + grid.num_nodes),
@@ -261,18 +261,10 @@ void FlowOperator<D>::gradient(const double* v, const double* z, const FlowData&
     }
   }
 
-  const auto to_corners = [&](std::int64_t cell, const double* by_plane) {
-    double corner[kCorners] = {};
-    CellPlane<D>::vjp(by_plane, corner);
-    const std::int64_t node = geometry_.first_node(cell);
-    for (int i = 0; i < kCorners; ++i) grad_phi[node + grid.corner_offset[i]] -= corner[i];
-  };
-  for (std::int64_t i = 0; i < num_cuts; ++i) {
-    if (!geometry_.active(cut_cells[u(i)])) continue;
-    double by_plane[Cut::kParameters];
-    geometry_.cut(cut_cells[u(i)])->vjp(by_value.data() + i * Cut::kSize, by_plane);
-    to_corners(cut_cells[u(i)], by_plane);
-  }
+  for (std::int64_t i = 0; i < num_cuts; ++i)
+    if (geometry_.active(cut_cells[u(i)]))
+      geometry_.cut_vjp(cut_cells[u(i)], phi_.data(), -1.0, by_value.data() + i * Cut::kSize,
+                        grad_phi);
 
   if (!data.traction) return;
   for (const OpenFace& face : open_faces_) {
@@ -294,23 +286,20 @@ void FlowOperator<D>::gradient(const double* v, const double* z, const FlowData&
                                grad.traction[nodes[i] * D + a] += moments[q].value * N[i] * test;
                          }
                        });
-    if (geometry_.cut(face.cell)) to_corners(face.cell, by_plane);
+    if (geometry_.cut(face.cell)) geometry_.plane_vjp(face.cell, by_plane, -1.0, grad_phi);
   }
 }
 
 template <int D>
 void FlowOperator<D>::fraction_gradient(const double* grad_fraction, double* grad_phi) const {
   using Cut = CutCell<D>;
-  const StokesGrid<D>& grid = geometry_.grid();
   for (std::int64_t cell : geometry_.cut_cells()) {
     if (!geometry_.active(cell)) continue;
-    double by_value[Cut::kSize] = {}, by_plane[Cut::kParameters], corner[kCorners] = {};
+    double by_value[Cut::kSize] = {}, by_plane[Cut::kParameters];
     for (int q = 0; q < Cut::kPoints; ++q)
-      by_value[Cut::kVolume + q] = grad_fraction[cell] / grid.cell_volume;
+      by_value[Cut::kVolume + q] = grad_fraction[cell] / geometry_.grid().cell_volume;
     geometry_.cut(cell)->vjp(by_value, by_plane);
-    CellPlane<D>::vjp(by_plane, corner);
-    const std::int64_t node = geometry_.first_node(cell);
-    for (int i = 0; i < kCorners; ++i) grad_phi[node + grid.corner_offset[i]] += corner[i];
+    geometry_.plane_vjp(cell, by_plane, 1.0, grad_phi);
   }
 }
 

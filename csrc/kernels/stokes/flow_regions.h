@@ -124,10 +124,11 @@ class FlowRegions {
         }
       const CutCell<D>* cut = geometry.cut(cell);
       if (!cut || !wall_velocity) continue;
+      const double* normal = geometry.wall_normal(cell);
       for (int q = 0; q < CutCell<D>::kPoints; ++q)
         for (int i = 0; i < 1 << D; ++i)
           for (int a = 0; a < D; ++a) {
-            const double flux = cut->area()[q] * cut->normal()[a] * op.form().basis().N[q][i] *
+            const double flux = cut->area()[q] * normal[a] * op.form().basis().N[q][i] *
                                 wall_velocity[(node + grid.corner_offset[i]) * D + a];
             net[u(region)] += flux;
             gross[u(region)] += std::abs(flux);

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.check import require_choice, require_number
+from diffsim.core.optional import optional
 
 Array = NDArray[np.float64]
 
@@ -108,11 +109,4 @@ def require_cvxpy() -> ModuleType:
     Raises:
         ImportError: it is not installed.
     """
-    try:
-        import cvxpy
-    except ImportError as error:
-        raise ImportError(
-            "the alternation and the bound of co-design need cvxpy, which is not installed; "
-            "pip install 'diffsim-robot[opt]'"
-        ) from error
-    return cvxpy
+    return optional("cvxpy", purpose="the alternation or the bound of a co-design")

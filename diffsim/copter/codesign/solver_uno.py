@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.copter.codesign.free_program import FreeProgram, Notes
+from diffsim.core.optional import optional
 
 Array = NDArray[np.float64]
 
@@ -19,15 +22,9 @@ def by_uno(
     """Free unknowns, whether converged, message and iterations.
 
     Raises:
-        ModuleNotFoundError: Uno is not installed.
+        ImportError: Uno is not installed.
     """
-    try:
-        import unopy
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            f"solver {solver!r} needs unopy, which is not installed; "
-            "pip install 'diffsim-robot[opt]', or use solver 'slsqp'"
-        ) from error
+    unopy: Any = optional("unopy", purpose=f"solver {solver!r}", otherwise="use solver 'slsqp'")
 
     p, n = free.program, len(free.start)
     num_equal = len(free.values("equalities", free.start))

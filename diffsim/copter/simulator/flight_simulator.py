@@ -29,6 +29,7 @@ from diffsim.copter.simulator.payload import require_payload, with_payload
 from diffsim.copter.simulator.sensing import FlightSensors, SensorStream, StateEstimator
 from diffsim.copter.simulator.setpoint import Pilot, Setpoint
 from diffsim.copter.vehicle import Multicopter
+from diffsim.copter.vehicle_record import FlyingVehicle
 from diffsim.core.check import require_choice, require_number
 
 CONTROLLERS = ("lqr", "pid")
@@ -44,11 +45,11 @@ class FlightSimulator:
     motors' electrical power. Sag thus shows in the pulses, and in thrust once they are clamped.
 
     Args:
-        design: A composed design, or a vehicle.
+        design: A composed design, a vehicle as ``load_vehicle`` gives it, or bare mass properties.
         controller: "lqr", "pid", or one that may believe in another vehicle.
         payload: Carried below the center of mass, known to the controllers named above [kg].
         rotors: One model per rotor; by default those that the vehicle names.
-        battery: By default three cells of 2200 mA h, full.
+        battery: By default that of the vehicle file, else three cells of 2200 mA h; full.
         effects: Drags, wind, ground effect, interference; not the battery. A motor lag here wins
             over that of the rotors.
         sensors: None: the controller sees the true state.
@@ -69,7 +70,7 @@ class FlightSimulator:
 
     def __init__(
         self,
-        design: Design | Multicopter,
+        design: Design | FlyingVehicle | Multicopter,
         *,
         controller: str | Controller = "lqr",
         payload: float = 0.0,
@@ -83,9 +84,9 @@ class FlightSimulator:
         idle_power: float = 3.0,
         seed: int = 0,
     ):
-        vehicle = design if isinstance(design, Multicopter) else design.multicopter()
-        vehicle = vehicle.detach()
-        rotors = flight_rotors(vehicle) if rotors is None else tuple(rotors)
+        vehicle, known, pack = _known(design)
+        rotors = known or flight_rotors(vehicle) if rotors is None else tuple(rotors)
+        battery = pack if battery is None else battery
         self.dt = 1.0 / require_number("rate", rate, above=0.0)
         self._substeps, self._step = substeps, 0
         self._idle_power = require_number("idle_power", idle_power, at_least=0.0)
@@ -109,7 +110,7 @@ class FlightSimulator:
         self._voltage, self._current = self._battery_at(self.state)
         self.log = FlightLog(
             {
-                "design": design.name if isinstance(design, Design) else "multicopter",
+                "design": "multicopter" if isinstance(design, Multicopter) else design.name,
                 "controller": self.controller.name,
                 "mass_kg": float(self.vehicle.mass),
                 "payload_kg": payload,
@@ -260,6 +261,16 @@ class FlightSimulator:
             charge=float(state.charge[0]),
             lag=lag,
         )
+
+
+def _known(
+    design: Design | FlyingVehicle | Multicopter,
+) -> tuple[Multicopter, tuple[RotorModel, ...], Battery | None]:
+    """Vehicle without gradients, and the rotors and the battery that come with it."""
+    if isinstance(design, FlyingVehicle):
+        return design.vehicle.detach(), design.rotors, design.battery
+    vehicle = design if isinstance(design, Multicopter) else design.multicopter()
+    return vehicle.detach(), (), None
 
 
 def _with_lag(effects: FlightEffects | None, rotors: Sequence[RotorModel]) -> FlightEffects:

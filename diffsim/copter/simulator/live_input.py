@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import sys
 from types import ModuleType
@@ -10,6 +9,7 @@ from types import ModuleType
 from diffsim.copter.simulator.sticks import Sticks
 from diffsim.core.check import require_choice, require_number
 from diffsim.core.errors import DiffsimError
+from diffsim.core.optional import optional
 
 DEVICES = ("keyboard", "gamepad")
 HELP = "W/S up and down, A/D turn, arrow keys move over ground; Escape ends the flight"
@@ -86,13 +86,11 @@ class LiveSticks:
 
 def _pygame() -> ModuleType:
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-    try:
-        return importlib.import_module("pygame")
-    except ImportError as error:
-        raise ImportError(
-            "keyboard and gamepad need pygame, which is not installed; pip install "
-            "'diffsim-robot[pilot]', or fly a recorded stick file or a mission"
-        ) from error
+    return optional(
+        "pygame",
+        purpose="flying by keyboard or gamepad",
+        otherwise="fly a recorded stick file or a mission",
+    )
 
 
 def _require_display() -> None:

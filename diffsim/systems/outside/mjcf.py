@@ -11,7 +11,7 @@ In a study::
         body.rod.mass: {value: 0.4, percent: 5}
       hooks: {force: {hinge: {unit: N m, typical: 0.05, speed: 3}}}    # joints of the MJCF
 
-MuJoCo is an optional package: ``pip install 'diffsim-robot[outside]'``.
+MuJoCo is an optional package: ``pip install mujoco``.
 """
 
 from __future__ import annotations

@@ -24,8 +24,8 @@ TINY = Plan(
 
 @pytest.fixture(scope="session")
 def virtual_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    pytest.importorskip("matplotlib", reason="the demo's page needs diffsim-robot[viz]")
-    pytest.importorskip("jinja2", reason="the demo's page needs diffsim-robot[viz]")
+    pytest.importorskip("matplotlib", reason="the demo's page needs the extra viz")
+    pytest.importorskip("jinja2", reason="the demo's page needs the extra viz")
     from examples import demo
 
     out = tmp_path_factory.mktemp("demo") / "run"

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("matplotlib", reason="the demo's page needs diffsim-robot[viz]")
-pytest.importorskip("jinja2", reason="the demo's page needs diffsim-robot[viz]")
+pytest.importorskip("matplotlib", reason="the demo's page needs the extra viz")
+pytest.importorskip("jinja2", reason="the demo's page needs the extra viz")
 
 from diffsim import cli
 from diffsim.data import find_dataset

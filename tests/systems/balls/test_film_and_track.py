@@ -87,7 +87,7 @@ def test_command_says_what_is_wrong_with_the_file(content, words, tmp_path, caps
 def test_command_says_how_to_get_opencv(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None)
     assert cli.main(["track", str(tmp_path / "a.avi"), "-o", "t.csv"]) == cli.EXIT_MISTAKE
-    assert "pip install 'diffsim-robot[video]'" in capsys.readouterr().err
+    assert "pip install 'opencv-python-headless>=" in capsys.readouterr().err
 
 
 def made(centers: np.ndarray) -> Tracks:

@@ -1,0 +1,109 @@
+"""Optional packages: imported when needed, asked for before work starts, named as pip knows them.
+
+The advice names the packages themselves, never an extra of diffsim: it works for every way of
+installing, from a checkout or a wheel.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import importlib.util
+import re
+from collections.abc import Sequence
+from types import ModuleType
+
+DISTRIBUTION = "diffsim-robot"
+# Modules whose distribution has another name.
+_NAMES = {
+    "cv2": "opencv-python-headless",
+    "elastica": "pyelastica",
+    "mcap_ros2": "mcap-ros2-support",
+    "rerun": "rerun-sdk",
+}
+
+
+def requirement(module: str) -> str:
+    """What pip calls the distribution of a module, with the versions diffsim works with.
+
+    Args:
+        module: name as it is imported, such as ``"osqp"`` or ``"stable_baselines3.common"``.
+
+    Returns:
+        Such as ``"osqp>=0.6.7"``; the bare name where diffsim's own metadata is not installed.
+    """
+    top = module.partition(".")[0]
+    name = _NAMES.get(top, top).replace("_", "-")
+    try:
+        lines = importlib.metadata.requires(DISTRIBUTION) or []
+    except importlib.metadata.PackageNotFoundError:
+        return name
+    for line in lines:
+        wanted = line.partition(";")[0].strip()
+        if re.split(r"[<>=!~\[ ]", wanted)[0].replace("_", "-").lower() == name:
+            return wanted
+    return name
+
+
+def advice(modules: Sequence[str]) -> str:
+    """The command that installs such modules.
+
+    Args:
+        modules: names as they are imported.
+
+    Returns:
+        Such as ``pip install 'osqp>=0.6.7' 'cvxpy>=1.5'``.
+    """
+    wanted = dict.fromkeys(requirement(module) for module in modules)
+    return "pip install " + " ".join(f"'{r}'" if re.search(r"[<>=]", r) else r for r in wanted)
+
+
+def optional(module: str, *, purpose: str, otherwise: str = "") -> ModuleType:
+    """Import an optional module, or say what it is for and how to get it.
+
+    Args:
+        module: name as it is imported.
+        purpose: what needs it, as the subject of the sentence.
+        otherwise: what works without it, for the end of the sentence.
+
+    Returns:
+        The module.
+
+    Raises:
+        ImportError: the package is not installed, or does not import.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        top = module.partition(".")[0]
+        lacks = f"which does not import ({error})" if present(top) else "which is not installed"
+        text = f"{purpose} needs {top}, {lacks}: {advice([module])}"
+        raise ImportError(f"{text}; or {otherwise}" if otherwise else text) from error
+
+
+def present(module: str) -> bool:
+    """Whether a module is installed; nothing of it is imported.
+
+    Args:
+        module: name of a top-level module.
+    """
+    return importlib.util.find_spec(module) is not None
+
+
+def ask_for(modules: Sequence[str], *, purpose: str) -> None:
+    """Say what is missing before work starts that needs it at its end.
+
+    Args:
+        modules: names of top-level modules.
+        purpose: what needs them, as the subject of the sentence.
+
+    Raises:
+        ImportError: one or more are not installed; all are named, with the command.
+    """
+    missing = [module for module in modules if not present(module)]
+    if missing:
+        listed = " and ".join([", ".join(missing[:-1]), missing[-1]] if missing[1:] else missing)
+        verb = "is" if len(missing) == 1 else "are"
+        raise ImportError(
+            f"{purpose} needs {listed}, which {verb} not installed: {advice(missing)}"
+        )
