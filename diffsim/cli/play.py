@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import csv
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from diffsim.core.optional import ask_for
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
 
 HELP = "replay a trained controller and film it"
 FPS = 10  # of films, about
-NEEDS = {"gymnasium": "rl", "matplotlib": "viz", "PIL": "viz"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,10 +33,11 @@ def command(args: argparse.Namespace) -> None:
     """Check what is needed, steer the recorded starts, print the reward beside the recorded one.
 
     Raises:
-        ImportError: a package is missing; the message says which extra brings it.
+        ImportError: a package is missing; the message says how to install it.
         ValueError: no controller of this name.
     """
-    require_packages([] if args.no_film else ["matplotlib", "PIL"])
+    film = [] if args.no_film else ["matplotlib"]  # which brings Pillow
+    ask_for(["gymnasium", *film], purpose="diffsim play")
     from diffsim.learn.trained import load_trained, read_trained, trained_names
 
     if args.name is None and args.file is None:
@@ -48,20 +49,6 @@ def command(args: argparse.Namespace) -> None:
     folder = args.out / kept.task
     folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be written costs no episode
     _play(kept, folder, film=not args.no_film)
-
-
-def require_packages(more: list[str]) -> None:
-    """Ask for packages before anything is simulated.
-
-    Raises:
-        ImportError: those that are missing, with the command that installs them.
-    """
-    missing = [name for name in ("gymnasium", *more) if find_spec(name) is None]
-    if missing:
-        extras = ",".join(dict.fromkeys(NEEDS[name] for name in missing))
-        raise ImportError(
-            f"diffsim play needs {', '.join(missing)}: pip install 'diffsim-robot[{extras}]'"
-        )
 
 
 def _play(kept: Trained, folder: Path, *, film: bool) -> None:

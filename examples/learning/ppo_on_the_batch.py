@@ -1,8 +1,8 @@
 """A PPO loop written out, as CleanRL writes them, on the native batch and gymnasium's wrappers.
 
 `python examples/learning/ppo_on_the_batch.py` (extra `rl`): 32 quadcopters learn to hold their
-place. Expected: a return of an episode of about 60 in the beginning (they crash) and above 110
-after 60,000 steps, in some twenty CPU seconds.
+place. Expected: a return of an episode of about 30 in the beginning (they crash) and above 110
+after 60,000 steps, in some ten CPU seconds.
 
 `autoreset_mode="NextStep"` is what gymnasium's `NormalizeObservation` asks for. The step after the
 end of an episode only starts the next one, so that its transition is left out of the loss.

@@ -11,9 +11,9 @@ import torch
 
 pytest.importorskip("gymnasium", reason="learning needs the extra 'rl'")
 
-from diffsim.cli import play
 from diffsim.cli.main import main
 from diffsim.control import MLPController
+from diffsim.core import optional
 from diffsim.learn import trained
 from diffsim.learn.setup import evaluate, first_controller
 
@@ -87,9 +87,10 @@ def test_play_writes_film_and_recording(tmp_path, capsys) -> None:
 
 def test_play_checks_first(tmp_path, monkeypatch, capsys) -> None:
     shutil.copy(trained.write_trained(tmp_path / "own.npz", small()), tmp_path / "b.npz")
-    monkeypatch.setattr(play, "find_spec", lambda name: None if name == "matplotlib" else object())
+    monkeypatch.setattr(optional, "present", lambda name: name != "matplotlib")
     assert main(["play", "--file", str(tmp_path / "b.npz"), "--out", str(tmp_path)]) == 2
-    assert "pip install 'diffsim-robot[viz]'" in capsys.readouterr().err
+    assert "pip install 'matplotlib" in capsys.readouterr().err
+    assert not (tmp_path / "CopterHover").exists()  # nothing was simulated
     assert main(["play", "SharkSwin", "--no-film"]) == 2
     assert "SharkSwim" in capsys.readouterr().err
 
