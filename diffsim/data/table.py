@@ -13,6 +13,7 @@ from typing import TextIO
 
 from diffsim.core.check import did_you_mean
 
+MAKER = "make_csv.py"  # beside recordings that may not be copied: it makes them from the original
 MAX_COLUMNS = 10_000
 MAX_LINE = 4_000_000  # characters
 MISSING = ("nan", "na", "n/a", "null", "none", "-")
