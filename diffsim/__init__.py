@@ -23,6 +23,7 @@ from diffsim.core.errors import (
     MeshError,
 )
 from diffsim.core.lazy import offered
+from diffsim.core.record import Record, Solve, record
 from diffsim.core.version import __version__
 
 if TYPE_CHECKING:
@@ -83,6 +84,8 @@ __all__ = [
     "FactorizationError",
     "InvertedElementError",
     "MeshError",
+    "Record",
+    "Solve",
     "__version__",
     "applications",
     "contact",
@@ -98,6 +101,7 @@ __all__ = [
     "mesh",
     "ode",
     "optim",
+    "record",
     "sim_to_real",
     "soft",
     "stokes",

@@ -35,6 +35,7 @@ HoverProblem hover_problem(Address force, Address torque, Address weights, Addre
 }  // namespace
 
 void bind_copter_control(nb::module_& m) {
+  m.attr("HOVER_FEASIBLE") = kFeasible;
   m.def(
       "hover",
       [](Address force, Address torque, Address weights, Address upper, double barrier,

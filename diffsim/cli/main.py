@@ -18,6 +18,7 @@ from diffsim.cli import (
     fit_rotors,
     fly,
     info,
+    serve,
     track,
 )
 from diffsim.core.errors import DiffsimError
@@ -35,6 +36,7 @@ COMMANDS = {
     "track": track,
     "convert": convert,
     "devices": devices,
+    "serve": serve,
     "fit-rotors": fit_rotors,
     "info": info,
 }

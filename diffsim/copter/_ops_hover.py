@@ -12,6 +12,8 @@ from diffsim.core.custom_op import custom_op
 from diffsim.core.layer import make_first_order, make_layer
 
 INFO = ("status", "rank", "free_rank", "num_iters")
+FEASIBLE: float = core.HOVER_FEASIBLE
+"""Residual below which thrusts hover."""
 STATUSES = ("optimal", "infeasible", "rank_deficient", "not_converged")
 
 

@@ -6,6 +6,7 @@ work too.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch
@@ -15,7 +16,10 @@ from diffsim.copter.stabilizability import raise_lyapunov_failure, raise_riccati
 from diffsim.core.compiled import core
 from diffsim.core.custom_op import custom_op
 from diffsim.core.layer import make_layer
+from diffsim.core.record import Solve, announce, is_recording, verdict
 
+RTOL = 1e-8
+"""Largest relative residual of a Riccati equation that counts as solved."""
 REPORT = ("solved", "num_iters", "residual", "abscissa")
 
 
@@ -81,6 +85,19 @@ lyapunov_layer = make_layer(
 )
 
 
+def care_solve(report: Tensor) -> Solve:
+    """Why the Riccati equations of a batch ended, from their REPORT (B, 4)."""
+    solved, num_iters, residual, _ = (column.tolist() for column in report.unbind(-1))
+    return Solve(
+        solver="Riccati equation",
+        ended=verdict(solved, residual, num_iters, math.inf),
+        residual=tuple(residual),
+        tolerance=(RTOL,) * len(residual),
+        num_iters=tuple(int(n) for n in num_iters),
+        details=dict(zip(REPORT, report.clone().unbind(-1), strict=True)),
+    )
+
+
 @custom_op("diffsim::care")
 def care(A: Tensor, G: Tensor, Q: Tensor, num_threads: int) -> tuple[Tensor, Tensor]:
     """The stabilizing P (B, n, n) of A'P + P A - P G P + Q = 0, and REPORT (B, 4)."""
@@ -99,6 +116,8 @@ def care(A: Tensor, G: Tensor, Q: Tensor, num_threads: int) -> tuple[Tensor, Ten
         report=report.data_ptr(),
         num_threads=num_threads,
     )
+    if is_recording():
+        announce(care_solve(report))
     for index in torch.nonzero(report[:, 0] == 0).flatten().tolist():
         raise_riccati_failure(
             A[index].numpy(),

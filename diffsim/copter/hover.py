@@ -10,8 +10,14 @@ from diffsim.copter import _ops_hover
 from diffsim.copter._ops_hover import HoverProblem, HoverSolution
 from diffsim.copter.hover_result import HoverResult, report
 from diffsim.copter.vehicle import Multicopter
-from diffsim.core.check import require, require_choice, require_number, require_range
-from diffsim.core.check_options import require_threads
+from diffsim.core.check import (
+    require,
+    require_choice,
+    require_number,
+    require_range,
+    require_threads,
+)
+from diffsim.core.record import announce, is_recording
 from diffsim.core.rotation import roll_pitch_of_thrust
 from diffsim.core.values import scalar
 
@@ -64,6 +70,7 @@ def hover_thrusts(
     max_thrusts = require("max_thrusts", max_thrusts, ("...", n))
     weights = torch.ones_like(max_thrusts) if weights is None else weights
     weights = require("weights", weights, ("...", n))
+    num_threads = require_threads(num_threads)
     smoothing = require_number("smoothing", smoothing, at_least=0.0)
     if n == 0:
         raise ValueError("force_matrix must have at least one rotor, got none")
@@ -89,7 +96,6 @@ def hover_thrusts(
     lever = torch.linalg.vector_norm(T, dim=(-2, -1)) / n**0.5
     lever = torch.where(lever > 0.0, lever, 1.0)[:, None, None]
     problem = HoverProblem(force=F / n, torque=T / (n * lever), weights=h, upper=upper)
-    num_threads = require_threads(num_threads)
     solution = _ops_hover.solve(problem, barrier=smoothing, num_threads=num_threads)
     u, state = solution.thrusts, solution.state
     net = (problem.force @ u[..., None]).squeeze(-1)
@@ -99,7 +105,7 @@ def hover_thrusts(
     if smoothing:
         weak = torch.zeros_like(weak)
     code, rank, free_rank, num_iters = (solution.info[:, k].reshape(batch) for k in range(4))
-    return HoverResult(
+    result = HoverResult(
         thrusts=(u * share).reshape(*batch, n),
         attitude=roll_pitch_of_thrust(net).reshape(*batch, 2),
         residual=residual.reshape(*batch, 4),
@@ -112,6 +118,9 @@ def hover_thrusts(
         weakly_active=weak.reshape(*batch, n),
         num_iters=num_iters,
     )
+    if is_recording() and not torch.compiler.is_compiling():
+        announce(result.solve)
+    return result
 
 
 def hover(

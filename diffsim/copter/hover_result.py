@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import torch
@@ -11,6 +10,7 @@ from torch import Tensor
 from diffsim.copter import _ops_hover
 from diffsim.core.check import values_of
 from diffsim.core.errors import DiffsimError
+from diffsim.core.record import Ended, Solve, warn
 from diffsim.core.rotation import matrix_from_rpy
 
 
@@ -24,6 +24,14 @@ class HoverError(DiffsimError):
     def __init__(self, message: str, result: HoverResult):
         super().__init__(message)
         self.result = result
+
+
+_ENDED: dict[str, Ended] = {
+    "optimal": "converged",
+    "rank_deficient": "rank_deficient",
+    "infeasible": "infeasible",
+    "not_converged": "budget",
+}
 
 
 class HoverWarning(UserWarning):
@@ -70,6 +78,19 @@ class HoverResult:
         """optimal, infeasible, rank_deficient or not_converged; a flat list for a batch."""
         names = [self.STATUSES[int(code)] for code in self.status_code.flatten()]
         return names[0] if self.status_code.ndim == 0 else names
+
+    @property
+    def solve(self) -> Solve:
+        """Why every hover of the batch ended, in its flat order."""
+        codes = values_of(self.status_code).flatten().tolist()
+        norms = values_of(self.residual).reshape(-1, 4).norm(dim=-1).tolist()
+        return Solve(
+            solver="hover",
+            ended=tuple(_ENDED[self.STATUSES[code]] for code in codes),
+            residual=tuple(norms),
+            tolerance=(_ops_hover.FEASIBLE,) * len(codes),
+            num_iters=tuple(values_of(self.num_iters).flatten().tolist()),
+        )
 
     @property
     def feasible(self) -> Tensor:
@@ -124,9 +145,9 @@ def _report_one(
         message = f"the hover solve did not converge; last: {shown}; try smoothing=1e-4"
         if on_infeasible == "raise":
             raise HoverError(message, result)
-        warnings.warn(message, HoverWarning, stacklevel=5)
+        warn(message, HoverWarning, stacklevel=5)
     if status == "rank_deficient":
-        warnings.warn(
+        warn(
             f"the free rotors command {free_rank} of lift, roll, pitch and yaw (all "
             f"rotors: {rank}): hovering, but derivatives are least-norm ones and "
             "the vehicle cannot be controlled there; move rotors or change axes or spins",

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from diffsim.copter import _ops_riccati
-from diffsim.core.check import require
-from diffsim.core.check_options import require_threads
+from diffsim.core.check import require, require_threads
+from diffsim.core.record import Solve
 
 _SYMMETRY = 1e-9  # relative to the largest entry: products in two orders round apart
 _SEMIDEFINITE = 1e-10  # eigenvalue below zero, relative to the largest, that is rounding
@@ -35,11 +35,13 @@ class LqrStats(NamedTuple):
         num_iters: Doublings, (...).
         residual: |A'P + PA - PGP + Q| over the sum of the norms of its terms, (...).
         abscissa: Largest real part of a closed-loop eigenvalue, (...) [1/s], < 0.
+        solve: Why every equation of the batch ended.
     """
 
     num_iters: Tensor
     residual: Tensor
     abscissa: Tensor
+    solve: Solve
 
 
 def lyapunov(A: Tensor, Q: Tensor, *, num_threads: int = 1) -> Tensor:
@@ -59,12 +61,12 @@ def lyapunov(A: Tensor, Q: Tensor, *, num_threads: int = 1) -> Tensor:
 
     Gradients: A, Q; any order.
     """
+    num_threads = require_threads(num_threads)
     A = require("A", A, ("...", "n", "n"))
     n = A.shape[-1]
     _require_square("A", A)
     Q = require("Q", Q, ("...", n, n))
     batch = torch.Size(np.broadcast_shapes(A.shape[:-2], Q.shape[:-2]))
-    num_threads = require_threads(num_threads)
     X = _ops_riccati.lyapunov_layer(A=_flat(A, batch), Q=_flat(Q, batch), num_threads=num_threads)
     return X.reshape(*batch, n, n)
 
@@ -94,8 +96,7 @@ def lqr(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, *, num_threads: int = 1) -> 
     Gradients: A, B, Q, R (of their symmetric parts); any order.
     """
     A, B, Q, R = _require_problem(A, B, Q, R)
-    num_threads = require_threads(num_threads)
-    P, _ = _solve(A, B, Q, R, num_threads)
+    P, _ = _solve(A, B, Q, R, require_threads(num_threads))
     return LqrGain(torch.linalg.solve(R, B.mT @ P), P)
 
 
@@ -104,7 +105,12 @@ def lqr_stats(A: Tensor, B: Tensor, Q: Tensor, R: Tensor) -> LqrStats:
     with torch.no_grad():
         A, B, Q, R = _require_problem(A, B, Q, R)
         _, report = _solve(A, B, Q, R, 1)
-    return LqrStats(report[..., 1].to(torch.int64), report[..., 2], report[..., 3])
+    return LqrStats(
+        report[..., 1].to(torch.int64),
+        report[..., 2],
+        report[..., 3],
+        _ops_riccati.care_solve(report.reshape(-1, len(_ops_riccati.REPORT))),
+    )
 
 
 class LQR(nn.Module):

@@ -23,6 +23,12 @@ def values_of(value: Tensor) -> Tensor:
     return value.detach()
 
 
+def has_values(value: Tensor) -> bool:
+    """Whether a tensor is one of numbers: not mapped by ``torch.func``, nor without data."""
+    wrapped = torch._C._functorch.is_functorch_wrapped_tensor(value)
+    return not wrapped and value.device.type != "meta"
+
+
 def require(
     name: str,
     value: Tensor,
@@ -145,6 +151,22 @@ def _item(name: str, value: Any) -> Any:
     if isinstance(value, Tensor) and (value.is_meta or value.layout is not torch.strided):
         raise TypeError(f"{name} must be a number, got a tensor without plain values")
     return value.item()
+
+
+MAX_THREADS = 1024
+"""More than any processor runs; a larger number is a mistake, or the size of something else."""
+
+
+def require_threads(num_threads: int) -> int:
+    """Check a number of threads: a whole number from 1 to ``MAX_THREADS``."""
+    if isinstance(num_threads, bool) or not isinstance(num_threads, int):
+        raise TypeError(f"num_threads must be an int, got {type(num_threads).__name__}")
+    if not 1 <= num_threads <= MAX_THREADS:
+        raise ValueError(
+            f"num_threads must lie in [1, {MAX_THREADS}], got {num_threads}; more than the "
+            "processor has cores does not pay"
+        )
+    return num_threads
 
 
 def require_range(

@@ -31,11 +31,6 @@ def require_count(name: str, value: Any, *, at_least: int = 0, hint: str = "") -
     return int(plain)
 
 
-def require_threads(num_threads: int) -> int:
-    """Check the number of threads of a call."""
-    return require_count("num_threads", num_threads, at_least=1)
-
-
 def require_numbers(
     name: str, values: Sequence[float], count: int | Sequence[int], **limits: Any
 ) -> tuple[float, ...]:

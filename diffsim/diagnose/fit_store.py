@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+from typing import cast
 
 import numpy as np
 
+from diffsim.core.record import Ended
 from diffsim.diagnose.gauss_newton import gauss_newton
 from diffsim.diagnose.store import Store
 from diffsim.identify import Fit, Problem
@@ -29,7 +31,7 @@ def gauss_newton_kept(
     """
     if store is None:
         return gauss_newton(problem, start, best_cost=best_cost)
-    name = f"fit {_digest(problem, start, best_cost)}"
+    name = f"ended fit {_digest(problem, start, best_cost)}"
     kept = store.load_arrays(name)
     if kept is None:
         fit, at = gauss_newton(problem, start, best_cost=best_cost)
@@ -41,7 +43,7 @@ def gauss_newton_kept(
             slope_error=np.array(at.slope_error),
             residual=fit.residual,
             jacobian=fit.jacobian,
-            converged=np.array(fit.converged),
+            ended=np.array(fit.ended),
             message=np.array(fit.message),
             evaluations=np.array(fit.num_evaluations),
         )
@@ -55,7 +57,7 @@ def gauss_newton_kept(
         at.x,
         kept["residual"],
         kept["jacobian"],
-        bool(kept["converged"]),
+        cast(Ended, str(kept["ended"])),
         str(kept["message"]),
         int(kept["evaluations"]),
     )

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from diffsim.core.errors import DiffsimError
+from diffsim.core.record import Ended
 from diffsim.diagnose.optimum import optimum
 from diffsim.identify import Fit, Problem
 from diffsim.identify.fitting import summary
@@ -145,7 +146,8 @@ def gauss_newton(
     """
     low, high = problem.bounds
     s = _first(problem, start)
-    evaluations, converged, message = 0, False, f"no end after {MAX_STEPS} steps"
+    ended: Ended = "budget"
+    evaluations, message = 0, f"no end after {MAX_STEPS} steps"
     for _ in range(MAX_STEPS):
         behind = 0.0 if best_cost is None else max(0.5 * s.cost - best_cost, 0.0)
         step = _step(s, low, high)
@@ -153,19 +155,19 @@ def gauss_newton(
         promised = 0.5 * (s.cost - float(linear @ linear + there @ there))
         if promised < max(TOLERANCE_NATS, MISFIT_RTOL * 0.5 * s.misfit, GAP_RTOL * behind):
             if s.at.slope_error == 0.0 or s.has_exact_slopes or behind > OUTRANKED_NATS:
-                converged, message = True, f"a further step promises {promised:.1g} nats"
+                ended, message = "converged", f"a further step promises {promised:.1g} nats"
                 break
             s = s.refreshed()
             continue
         evaluations += 1
         s, is_lower = s.tried(step)
         if not is_lower and s.radius < MIN_RADIUS:
-            message = "no step along the slopes lowers the cost"
+            ended, message = "stalled", "no step along the slopes lowers the cost"
             break
         if s.at.slope_error > (REFRESH_RTOL if is_lower else 0.0):
             s = s.refreshed()
     slopes = s.jacobian * problem.stretch(s.at.x)
-    return summary(problem, s.at.x, s.residual, slopes, converged, message, evaluations), s.at
+    return summary(problem, s.at.x, s.residual, slopes, ended, message, evaluations), s.at
 
 
 def _first(problem: Problem, start: Linearization) -> _Iterate:

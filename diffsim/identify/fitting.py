@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -14,6 +15,7 @@ from scipy import linalg, optimize
 from diffsim import optim
 from diffsim.core.check import require_choice
 from diffsim.core.errors import DiffsimError
+from diffsim.core.record import Ended, Solve, announce, is_recording
 from diffsim.identify.jacobian import Jacobian
 from diffsim.identify.model import Parameter
 from diffsim.identify.problem import Problem, Whitener, WhiteNoise
@@ -45,7 +47,7 @@ class Fit:
         at_bound: Names on a bound; their sd says nothing.
         undetermined: Names whose posterior sd is above 0.9 of the prior's: the data hardly
             determine them.
-        converged: Whether the solver's tolerance was met.
+        ended: Why the search ended, in the words of ``diffsim.Solve``.
         message: The solver's reason to stop.
         num_evaluations: Residual evaluations of all runs, those for derivatives not counted.
         residual: (num_samples,) whitened, at x.
@@ -62,11 +64,35 @@ class Fit:
     num_samples: int
     at_bound: tuple[str, ...]
     undetermined: tuple[str, ...]
-    converged: bool
+    ended: Ended
     message: str
     num_evaluations: int
     residual: Array
     jacobian: Array
+
+    @property
+    def converged(self) -> bool:
+        """Whether the solver's tolerance was met."""
+        return self.ended == "converged"
+
+    @property
+    def solve(self) -> Solve:
+        """Why the search ended; the residual is the norm of the gradient of half the objective.
+
+        Components of the gradient that push against a bound do not count.
+        """
+        low, high = self.problem.bounds
+        slope = self.x - self.jacobian.T @ self.residual
+        held = ((self.x <= low) & (slope > 0.0)) | ((self.x >= high) & (slope < 0.0))
+        return Solve(
+            solver="fit",
+            ended=(self.ended,),
+            residual=(float(np.linalg.norm(np.where(held, 0.0, slope))),),
+            tolerance=(math.nan,),
+            num_iters=(self.num_evaluations,),
+            unit="nats",
+            details=self.message,
+        )
 
     @property
     def covariance(self) -> Array:
@@ -134,7 +160,7 @@ def fit(
     if latest.num_failed:
         message += f"; {latest.num_failed} trial points could not be simulated"
     return summary(
-        problem, minimum.x, residual, slopes, minimum.converged, message, minimum.num_evaluations
+        problem, minimum.x, residual, slopes, minimum.ended, message, minimum.num_evaluations
     )
 
 
@@ -143,7 +169,7 @@ class _Minimum:
     """End of a solver; fields as of ``Fit``."""
 
     x: Array
-    converged: bool
+    ended: Ended
     message: str
     num_evaluations: int
 
@@ -153,7 +179,7 @@ def summary(
     x: Array,
     residual: Array,
     jacobian: Array,
-    converged: bool,
+    ended: Ended,
     message: str,
     num_evaluations: int,
 ) -> Fit:
@@ -162,7 +188,7 @@ def summary(
     sd_x = np.sqrt(np.diag(covariance))
     low, high = problem.bounds
     names = problem.names
-    return Fit(
+    fit = Fit(
         problem=problem,
         x=x,
         values=_values(problem, x),
@@ -175,12 +201,15 @@ def summary(
             n for n, v, a, b in zip(names, x, low, high, strict=True) if v <= a or v >= b
         ),
         undetermined=tuple(n for n, s in zip(names, sd_x, strict=True) if s > 0.9),
-        converged=converged,
+        ended=ended,
         message=message,
         num_evaluations=num_evaluations,
         residual=residual,
         jacobian=jacobian,
     )
+    if is_recording():
+        announce(fit.solve)
+    return fit
 
 
 def posterior_covariance(jacobian: Array) -> Array:
@@ -222,7 +251,7 @@ class _Latest:
 def _gauss_newton(latest: _Latest, x0: Array, max_evaluations: int, _: str) -> _Minimum:
     low, high = latest.problem.bounds
     if not len(x0):
-        return _Minimum(x0, True, "nothing to fit", 0)
+        return _Minimum(x0, "converged", "nothing to fit", 0)
     n = len(x0)
     minimum = optimize.least_squares(
         lambda x: np.concatenate([latest.residual(x), x]),
@@ -235,13 +264,16 @@ def _gauss_newton(latest: _Latest, x0: Array, max_evaluations: int, _: str) -> _
         gtol=1e-6,
         max_nfev=max_evaluations,
     )
-    return _Minimum(minimum.x, bool(minimum.success), str(minimum.message), int(minimum.nfev))
+    ended: Ended = "converged" if minimum.success else "failed"
+    if minimum.status == 0:
+        ended = "budget"
+    return _Minimum(minimum.x, ended, str(minimum.message), int(minimum.nfev))
 
 
 def _lbfgs(latest: _Latest, x0: Array, max_evaluations: int, gradient: str) -> _Minimum:
     problem = latest.problem
     if not len(x0):
-        return _Minimum(x0, True, "nothing to fit", 0)
+        return _Minimum(x0, "converged", "nothing to fit", 0)
 
     def cost(x: Array) -> tuple[float, Array]:
         if gradient == "autograd":
@@ -261,7 +293,7 @@ def _lbfgs(latest: _Latest, x0: Array, max_evaluations: int, gradient: str) -> _
         ),
     )
     latest.num_failed = minimum.num_failed
-    return _Minimum(minimum.final.x, minimum.converged, minimum.message, minimum.num_evaluations)
+    return _Minimum(minimum.final.x, minimum.ended, minimum.message, minimum.num_evaluations)
 
 
 def _values(problem: Problem, x: Array) -> dict[str, float]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -355,7 +356,8 @@ class Problem:
     def _each(self, job):
         if self.workers > 1:
             with ThreadPoolExecutor(self.workers) as pool:
-                return list(pool.map(job, self.runs))
+                contexts = [copy_context() for _ in self.runs]  # records of solves go along
+                return list(pool.map(lambda c, run: c.run(job, run), contexts, self.runs))
         return [job(run) for run in self.runs]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from types import ModuleType
 
@@ -11,6 +10,7 @@ import torch
 
 from diffsim.core.check import require_choice, require_number
 from diffsim.core.optional import optional
+from diffsim.core.record import warn
 from diffsim.mesh.closed_surface import SurfaceLike, closed_surface
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.distance import SurfaceDistance
@@ -74,7 +74,7 @@ def tetrahedralize(
             _pytetwild()
             method = "ftetwild"
         except ImportError:
-            warnings.warn(
+            warn(
                 "pytetwild is not installed: tetrahedralize uses lattice stuffing, which rounds "
                 "edges sharper than the spacing; pip install pytetwild keeps them, "
                 "method='stuffing' silences this",

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
+from diffsim.core.record import Solve
 from diffsim.optim.evaluation import Array, Evaluation
 
 Ended = Literal["converged", "budget", "callback", "failed"]
@@ -58,6 +62,19 @@ class Result:
     def num_failed(self) -> int:
         """Evaluations that met the wall."""
         return sum(bool(e.failure) for e in self.history)
+
+    @property
+    def solve(self) -> Solve:
+        """Why the search ended; the residual is the gradient's norm at ``final``."""
+        gradient = self.final.gradient
+        return Solve(
+            solver="minimization",
+            ended=(self.ended,),
+            residual=(math.nan if gradient is None else float(np.linalg.norm(gradient)),),
+            tolerance=(math.nan,),
+            num_iters=(self.num_evaluations,),
+            details=self.message,
+        )
 
     @property
     def converged(self) -> bool:

@@ -94,7 +94,7 @@ def contact_step(
         stats=stats.data_ptr(),
         num_threads=num_threads,
     )
-    notify("step", stats)
+    notify("step", stats, max_iters, contact=True)
     require_upright(ctx, stats[:, STATS.index("energy")], x)  # x is the start where that failed
     report_failure(stats, "implicit step in contact", STEP_HINT, on_failure)
     return x, force, status, stats
@@ -161,7 +161,7 @@ def contact_step_vjp(
         stats=stats.data_ptr(),
         num_threads=num_threads,
     )
-    notify("adjoint", stats)
+    notify("adjoint", stats, max_iters, contact=True)
     report_failure(stats, "adjoint solve in contact", ADJOINT_HINT, on_failure)
     return [*StepArrays.summed(grads), *ContactArrays.summed(contact_grads), stats]
 
@@ -255,7 +255,7 @@ def contact_step_jvp(
             stats=stats[k].data_ptr(),
             num_threads=num_threads,
         )
-    notify("tangent", stats)
+    notify("tangent", stats, max_iters, contact=True)
     report_failure(stats, "tangent solve in contact", TANGENT_HINT, on_failure)
     return dx, dforce
 

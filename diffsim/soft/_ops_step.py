@@ -6,8 +6,7 @@ Everything here has a leading batch axis and float64.
 from __future__ import annotations
 
 import math
-import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -17,24 +16,12 @@ from diffsim.core.compiled import core
 from diffsim.core.custom_op import custom_op
 from diffsim.core.errors import ConvergenceError, ConvergenceWarning
 from diffsim.core.layer import make_first_order, make_layer
+from diffsim.core.record import warn
 from diffsim.soft._arrays import StepArrays, require_array
 from diffsim.soft._context import SoftContext, context, require_upright, soft_addresses
+from diffsim.soft._solves import STATS, notify
 
 METHODS = ("auto", "quasi_newton", "newton_pcg", "newton_jacobi", "newton_cholesky")
-STATS = (
-    "residual_norm",
-    "tolerance",
-    "scale",
-    "num_iters",
-    "num_solves",
-    "num_factorizations",
-    "energy",
-    "converged",
-    "num_contacts",
-    "num_slipping",
-    "num_set_changes",
-    "num_cycles",
-)
 TANGENT_HINT = "lower rtol of the steps or raise adjoint_max_iters"
 STEP_HINT = "halve dt, raise max_iters, or loosen rtol (or set atol) where rounding forbids less"
 ADJOINT_HINT = "loosen adjoint_rtol or raise max_iters"
@@ -48,15 +35,6 @@ def step_options(method: str, *, rtol: float, max_iters: int, atol: float = 0.0)
     return options
 
 
-listeners: list[Callable[[str, Tensor], None]] = []
-"""Called with ("step" or "adjoint", stats) after every solve; see diffsim.soft.record_stats."""
-
-
-def notify(kind: str, stats: Tensor) -> None:
-    for listen in listeners:
-        listen(kind, stats)
-
-
 def report_failure(stats: Tensor, what: str, hint: str, on_failure: str) -> None:
     failed = stats[:, STATS.index("converged")] == 0
     if not bool(failed.any()):
@@ -68,7 +46,7 @@ def report_failure(stats: Tensor, what: str, hint: str, on_failure: str) -> None
         f"{tolerance:.3e}; {hint}"
     )
     if on_failure == "warn" and math.isfinite(residual):
-        warnings.warn(message, ConvergenceWarning, stacklevel=2)
+        warn(message, ConvergenceWarning, stacklevel=2)
         return
     raise ConvergenceError(message, residual_norm=residual, tolerance=tolerance, num_iters=iters)
 
@@ -123,7 +101,7 @@ def soft_step(
         stats=stats.data_ptr(),
         num_threads=num_threads,
     )
-    notify("step", stats)
+    notify("step", stats, max_iters)
     require_upright(ctx, stats[:, STATS.index("energy")], x)  # x is the start where that failed
     report_failure(stats, "implicit step", STEP_HINT, on_failure)
     return x, stats
@@ -166,7 +144,7 @@ def soft_step_vjp(
         stats=stats.data_ptr(),
         num_threads=num_threads,
     )
-    notify("adjoint", stats)
+    notify("adjoint", stats, max_iters)
     report_failure(stats, "adjoint solve", ADJOINT_HINT, on_failure)
     return [*StepArrays.summed(grads), stats]
 
@@ -242,7 +220,7 @@ def step_tangents(
         stats=stats.data_ptr(),
         num_threads=num_threads,
     )
-    notify("tangent", stats)
+    notify("tangent", stats, max_iters)
     report_failure(stats, "tangent solve", TANGENT_HINT, on_failure)
     return dx
 
@@ -287,7 +265,7 @@ def soft_step_jvp(
             stats=stats[k].data_ptr(),
             num_threads=num_threads,
         )
-    notify("tangent", stats)
+    notify("tangent", stats, max_iters)
     report_failure(stats, "tangent solve", TANGENT_HINT, on_failure)
     return dx
 

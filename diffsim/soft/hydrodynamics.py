@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import warnings
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from diffsim.core.check import require, require_choice, require_number, require_range
+from diffsim.core.record import warn
 from diffsim.mesh import HexMesh, TetMesh, surface_quads, surface_triangles
 from diffsim.soft.inputs import broadcast
 from diffsim.soft.parameters import Value, as_tensor, hold
@@ -222,7 +222,7 @@ class Hydrodynamics(nn.Module):
         if not count:
             return
         self._warned = True
-        warnings.warn(
+        warn(
             f"hydrodynamic forces on {count} of {limited.numel()} nodes were limited to max_force "
             f"= {self.max_force:g} N ({self.limit}); the largest would be "
             f"{float(forces.norm(dim=-1).max()):.4g} N. Said once; evaluate() tells which nodes, "

@@ -8,7 +8,7 @@ from typing import Any
 
 from torch import Tensor
 
-from diffsim.core.check import require_choice, require_number
+from diffsim.core.check import require_choice, require_number, require_threads
 from diffsim.soft import _ops_step
 from diffsim.soft.parameters import Value
 
@@ -107,11 +107,12 @@ class SolverOptions:
             raise TypeError(
                 f"cache_columns must be True or False, got {type(self.cache_columns).__name__}"
             )
-        for name in ("max_iters", "adjoint_max_iters", "num_threads"):
+        for name in ("max_iters", "adjoint_max_iters"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int):
                 raise TypeError(f"{name} must be an int, got {type(value).__name__}")
             require_number(name, value, at_least=1)
+        require_threads(self.num_threads)
         require_choice("on_failure", self.on_failure, ("raise", "warn"))
 
     def arguments(self) -> dict[str, Any]:

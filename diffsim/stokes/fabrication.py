@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,6 +15,7 @@ from torch import Tensor
 
 from diffsim.core.check import require, require_number
 from diffsim.core.errors import MeshError
+from diffsim.core.record import warn
 from diffsim.stokes.boundary import Boundary
 from diffsim.stokes.cells import cut_cells
 from diffsim.stokes.grid import Grid
@@ -311,7 +311,7 @@ def _warn_if_thin(grid: Grid, phi: Tensor) -> None:
     channel = channel_mesh(grid, phi, height=1.0 if grid.dim == 2 else None).volume
     cells = float(cut_cells(grid, phi).volume.sum())
     if abs(channel - cells) > _MISMATCH * max(cells, channel):
-        warnings.warn(
+        warn(
             f"the fluid has {channel:.3g} m^{grid.dim} within the surface and {cells:.3g} in the "
             "cells: parts are thinner than a cell; refine the grid, or thicken the shape",
             stacklevel=3,
@@ -321,13 +321,13 @@ def _warn_if_thin(grid: Grid, phi: Tensor) -> None:
 def _warn_of_parts(report: FabricationReport, dim: int) -> None:
     if report.num_parts > 1:
         hint = "give floor= or lid= to hold them" if dim == 2 else "connect them to the rest"
-        warnings.warn(
+        warn(
             f"{report.num_parts - 1} of {report.num_parts} solid parts are loose, "
             f"{report.loose_volume:.3g} of {report.volume:.3g} m^3; {hint}",
             stacklevel=3,
         )
     if report.cavity_volumes:
-        warnings.warn(
+        warn(
             f"{len(report.cavity_volumes)} cavities have no way out, "
             f"{sum(report.cavity_volumes):.3g} m^3; what fills them in fabrication stays there",
             stacklevel=3,

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require
+from diffsim.core.record import Solve
 from diffsim.stokes import _ops_cut
 from diffsim.stokes.grid import Grid
 
@@ -29,6 +30,8 @@ class FlowField:
             relative to max speed / longest side of the box), "converged", "net_inflow" (net over
             gross flux of the worst part of the fluid without an open face), "residual" (of the
             iterative solver, relative; zero for the direct one), "imbalance" (``mass_report``).
+        solve: Why every case ended: relative residual of the iterative solver; divergence where a
+            direct flow is incompressible, and elsewhere without a tolerance.
     """
 
     grid: Grid
@@ -37,6 +40,7 @@ class FlowField:
     pressure: Tensor
     volume_fraction: Tensor
     stats: dict[str, Tensor]
+    solve: Solve | None = None
 
     def flux(self, axis: int, index: int) -> Tensor:
         """Volume flow through the fluid part of a grid plane, positive along the axis.

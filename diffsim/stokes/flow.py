@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Mapping
 
 import torch
 from torch import Tensor, nn
 
-from diffsim.core.check import require, require_choice, require_number
+from diffsim.core.check import has_values, require, require_choice, require_number
+from diffsim.core.record import Solve, warn
 from diffsim.stokes import _ops_flow
 from diffsim.stokes._systems import StokesContext
 from diffsim.stokes.boundary import Boundary, Inlet, Open, Wall
@@ -164,6 +164,7 @@ class StokesFlow(nn.Module):
             pressure=outputs.pressure.reshape(cases, *grid.shape),
             volume_fraction=outputs.fraction.reshape(grid.shape),
             stats=dict(zip(_ops_flow.STATS, outputs.stats.unbind(-1), strict=True)),
+            solve=self._solve_of(inputs.phi, outputs.stats),
         ).with_imbalance()
 
     def inlet_positions(self, name: str | None = None) -> Tensor:
@@ -189,10 +190,18 @@ class StokesFlow(nn.Module):
             "solver": "iterative" if report.iterative else "direct"
         }
 
+    def _solve_of(self, phi: Tensor, stats: Tensor) -> Solve | None:
+        """Why the cases ended; None where there are no values (torch.compile, torch.func)."""
+        if torch.compiler.is_compiling() or not has_values(stats):
+            return None
+        with self._context.lock:
+            iterative = self._context.system(phi.detach(), self.num_threads).report.iterative
+        return _ops_flow.solve_of(stats.detach(), "Stokes solve", self._context.options, iterative)
+
     def _inspect(self, report, phi: Tensor) -> None:
         """Warn about what a new geometry will not resolve."""
         if report.num_loose_regions:
-            warnings.warn(
+            warn(
                 f"{report.num_loose_regions} of {report.num_regions} parts of the fluid "
                 f"({report.num_loose_cells} of {report.num_cells} cells) touch no inlet, open face "
                 "or wall of the box; their fluid rests unless wall or force move it"
@@ -205,7 +214,7 @@ class StokesFlow(nn.Module):
             )
         thin = count_thin_cells(self.grid, phi.reshape(self.grid.node_shape))
         if thin:
-            warnings.warn(
+            warn(
                 f"the shape is thinner than a cell in about {thin} cells (the level set's slope "
                 "there is below half of its usual one); refine the grid, or thicken the shape",
                 stacklevel=2,

@@ -16,7 +16,6 @@ using namespace hover_system;
 
 constexpr double kLeastDelta = 1e-9;  // of the search for a hover
 constexpr int kMaxStalls = 6;         // of that search
-constexpr double kFeasible = 1e-10;   // |c| of a hover, in shares of the weight
 constexpr double kRankDrop = 1e-9;    // relative pivot of dc/du that counts as zero
 
 int rank_of(const MatrixXd& C) {

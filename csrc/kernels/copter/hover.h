@@ -14,6 +14,9 @@
 
 namespace diffsim {
 
+/// Largest |c| of a hover, in shares of the weight.
+constexpr double kFeasible = 1e-10;
+
 /// Shapes as in a batch of one; everything row-major.
 struct HoverProblem {
   int num_rotors;

@@ -127,7 +127,7 @@ void FlowMatrix<D>::add_cells(double bulk, double* values, ThreadPool& pool) con
   constexpr int n = kCorners * D;
   std::vector<double> full(n * n);
   op_.form().matrix({op_.form().basis().weight, nullptr, nullptr},
-                    bulk / PressureVolume<D>(1.0, 2 * D, grid.cell_volume, op_.options()).value,
+                    bulk / PressureVolume(1.0, 2 * D, grid.cell_volume, op_.options()).value,
                     full.data());
   run_colors(geometry.cell_colors(), pool, [&](std::int64_t cell) {
     const std::int64_t node = geometry.first_node(cell);

@@ -216,7 +216,7 @@ void FlowOperator<D>::gradient(const double* v, const double* z, const FlowData&
     form_.weight_gradient(w, ve, ze, data.wall_velocity ? ge : nullptr,
                           data.body_force ? fe : nullptr, p[cell], pi[cell], eta,
                           out + Cut::kVolume, out + Cut::kArea, out + Cut::kNormal);
-    const PressureVolume<D> M = pressure_volume_terms(cell);
+    const PressureVolume M = pressure_volume_terms(cell);
     double by_fluid = pi[cell] * p[cell] * inverse_bulk * M.by_fluid_volume;
     for (int k = 0; k < 2 * D; ++k)
       out[Cut::kAperture + k] += pi[cell] * p[cell] * inverse_bulk * M.by_open;

@@ -18,7 +18,7 @@ struct FlowOptions {
   double theta = 0.3;          // penalty on films thinner than a cell [-]
   double ghost_delta = 0.05;   // fraction below which the ghost penalty grows no more [-]
   double volume_delta = 2e-3;  // delta of PressureVolume [-]
-  double open_epsilon = 4.0;   // epsilon of PressureVolume [-]
+  double open_epsilon = 0.2;   // epsilon of PressureVolume [-]
   double bulk = 1e5;           // lambda / eta [-]
   bool incompressible = false;
   double tolerance = 1e-9;  // of the relative divergence, where incompressible
@@ -46,16 +46,14 @@ struct OpenFace {
 };
 
 /// M with pressure = -bulk eta C / M [m^D]: about the fluid volume f h^D,
-///   M = h^D (f + delta) ((a + epsilon) / a)^2 (2 D / (2 D + epsilon))^2,
-/// a the fluid shares of the cell's 2 D faces, summed. Where a wall enters a cell through a corner,
-/// C ~ a and f ~ a^D: the factors with a let the pressure of such a cell fade in. Where a wall
-/// parallel to a face enters, a > 1, and the cell at once keeps its volume.
-template <int D>
+///   M = h^D (f + delta) ((a + epsilon) / a)^2,   a the fluid shares of the cell's faces, summed.
+/// Where a wall enters a cell through a corner, C ~ a and f ~ a^D: the last factor lets the
+/// pressure of such a cell fade in. Where a wall parallel to a face enters, a > 1, and the cell at
+/// once keeps its volume.
 struct PressureVolume {
   double value, by_fluid_volume, by_open;
   PressureVolume(double f, double open, double cell_volume, const FlowOptions& options) {
-    const double e = options.open_epsilon;
-    const double factor = (open + e) / open * (2.0 * D / (2.0 * D + e));
+    const double e = options.open_epsilon, factor = (open + e) / open;
     by_fluid_volume = factor * factor;
     value = cell_volume * (f + options.volume_delta) * by_fluid_volume;
     by_open = -2.0 * value * e / (open * (open + e));
@@ -81,7 +79,7 @@ class FlowOperator {
     if (c) return {c->volume(), c->area(), geometry_.wall_normal(cell)};
     return {form_.basis().weight, nullptr, nullptr};
   }
-  PressureVolume<D> pressure_volume_terms(std::int64_t cell) const {
+  PressureVolume pressure_volume_terms(std::int64_t cell) const {
     double open = 0.0;
     for (int a = 0; a < D; ++a)
       for (int side = 0; side < 2; ++side) open += geometry_.aperture(cell, a, side);

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
-
 import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_choice, require_range
+from diffsim.core.record import warn
 from diffsim.stokes.shapes.base import Shape
 from diffsim.stokes.shapes.bernstein import basis
 from diffsim.stokes.shapes.closest_curve import Chain, closest
@@ -79,7 +78,7 @@ class BezierCurve2d(Shape):
         self._side(self._chain())
         place = crossing(drawn)
         if place is not None:
-            warnings.warn(
+            warn(
                 f"the curve crosses itself near ({place[0]:.4g}, {place[1]:.4g}) m; the fluid's "
                 "side is that of the nearest branch",
                 stacklevel=2,

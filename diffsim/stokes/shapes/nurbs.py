@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 
 import torch
@@ -11,6 +10,7 @@ from torch import Tensor
 
 from diffsim.core.check import require, require_choice, require_number, require_range
 from diffsim.core.errors import ConvergenceWarning
+from diffsim.core.record import warn
 from diffsim.stokes.shapes.base import Shape
 from diffsim.stokes.shapes.closest_surface import Patch, Samples, closest
 from diffsim.stokes.shapes.envelope import signed_distance
@@ -213,7 +213,7 @@ class NurbsSurface(Shape):
     def _report(slope: Tensor, distance: Tensor, length: float, edge: Tensor) -> None:
         stuck = (slope > _NOT_STATIONARY) & (distance > 1e-8 * length) & ~edge
         if bool(stuck.any()):
-            warnings.warn(
+            warn(
                 f"{int(stuck.sum())} closest points are only near a minimum (worst slope "
                 f"{float(slope[stuck].max()):.1e}); raise samples",
                 ConvergenceWarning,
