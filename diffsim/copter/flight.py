@@ -21,8 +21,8 @@ from diffsim.copter.flight_rows import (
 )
 from diffsim.copter.flight_state import FlightState
 from diffsim.copter.vehicle import GRAVITY, Multicopter
-from diffsim.core.check import all_finite, require, require_number, require_threads, values_of
-from diffsim.core.check_options import require_count
+from diffsim.core.check import all_finite, require, require_number, values_of
+from diffsim.core.check_options import require_count, require_threads
 from diffsim.core.errors import DiffsimError
 
 _NAMES = {"feed_forward": "commands"}  # what callers know an input as

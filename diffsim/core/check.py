@@ -153,22 +153,6 @@ def _item(name: str, value: Any) -> Any:
     return value.item()
 
 
-MAX_THREADS = 1024
-"""More than any processor runs; a larger number is a mistake, or the size of something else."""
-
-
-def require_threads(num_threads: int) -> int:
-    """Check a number of threads: a whole number from 1 to ``MAX_THREADS``."""
-    if isinstance(num_threads, bool) or not isinstance(num_threads, int):
-        raise TypeError(f"num_threads must be an int, got {type(num_threads).__name__}")
-    if not 1 <= num_threads <= MAX_THREADS:
-        raise ValueError(
-            f"num_threads must lie in [1, {MAX_THREADS}], got {num_threads}; more than the "
-            "processor has cores does not pay"
-        )
-    return num_threads
-
-
 def require_range(
     name: str,
     value: Tensor,

@@ -10,7 +10,6 @@ from diffsim.core.check import require_choice, require_number
 
 _BY_NAME = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
 
-
 MAX_COUNT = 2**31 - 1
 
 
@@ -29,6 +28,21 @@ def require_count(name: str, value: Any, *, at_least: int = 0, hint: str = "") -
         more = f"; {hint}" if hint else ""
         raise ValueError(f"{name} must be a whole number >= {at_least}{upper}, got {plain!r}{more}")
     return int(plain)
+
+
+MAX_THREADS = 1024
+"""More than any processor runs; a larger number is a mistake, or the size of something else."""
+
+
+def require_threads(num_threads: int) -> int:
+    """Check the number of threads of a call: a whole number from 1 to ``MAX_THREADS``."""
+    count = require_count("num_threads", num_threads, at_least=1)
+    if count > MAX_THREADS:
+        raise ValueError(
+            f"num_threads must lie in [1, {MAX_THREADS}], got {count}; more than the processor has "
+            "cores does not pay"
+        )
+    return count
 
 
 def require_numbers(
