@@ -22,13 +22,14 @@ import numpy as np
 import torch
 
 from diffsim.core.files import to_plain, write_text_atomic
+from diffsim.core.paths import PROJECT
 from diffsim.learn.methods import Options, train_once
 from diffsim.learn.recipes import recipe
 from diffsim.learn.run import Row, is_finished, read_rows
 from diffsim.learn.setup import Setup
 
 SWIMS = 0.1  # mean reward per step above which a run counts as swimming
-RECORD = Path("rl/results/recipe")
+RECORD = PROJECT / "rl" / "results" / "recipe"
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     add("--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS), help="(all)")
     add("--seeds", type=int, default=None, help="how many (the variant's)")
     add("--out", type=Path, default=Path("runs/recipe"), help="of the runs (runs/recipe)")
-    add("--record", type=Path, default=RECORD, help=f"of the ratings ({RECORD})")
+    add("--record", type=Path, default=RECORD, help="of the ratings (rl/results/recipe)")
     add("--report", action="store_true", help="run nothing")
     args = parser.parse_args(argv)
     torch.set_num_threads(1)
