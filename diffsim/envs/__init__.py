@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from diffsim.envs._gymnasium import gymnasium  # noqa: F401
+from diffsim.envs._gymnasium import gymnasium  # noqa: F401  asked for first
 from diffsim.envs.env import TaskEnv
 from diffsim.envs.registry import ENV_IDS, make_task, make_vector, register
 from diffsim.envs.task import Entry, Randomization, Task, TaskState

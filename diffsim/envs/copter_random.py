@@ -9,12 +9,12 @@ from torch import Tensor
 
 from diffsim.copter import Battery, Fleet, FlightEffects, Multicopter, rotor_model
 from diffsim.copter.effects import BatterySag
-from diffsim.envs.task import Randomization
+from diffsim.envs.task import Randomization, Randomizing
 
 PACKED = ("mass", "inertia", "drag", "motor_lag")  # factors that are parameters of the kernel
 
 
-def randomizable(battery: Battery | None, randomization: Randomization | None) -> tuple[str, ...]:
+def randomizable(battery: Battery | None, randomization: Randomizing) -> tuple[str, ...]:
     """Names that a randomization of a copter may have.
 
     Args:
@@ -26,7 +26,8 @@ def randomizable(battery: Battery | None, randomization: Randomization | None) -
     """
     if battery is None:
         return ("thrust", *PACKED)
-    low, high = (randomization.factors if randomization else {}).get("battery", (1.0, 1.0))
+    given = randomization.factors if isinstance(randomization, Randomization) else randomization
+    low, high = (given or {}).get("battery", (1.0, 1.0))
     if high > 1.0:
         raise ValueError(
             "randomization['battery'] is the charge at the start and must be at most 1, got "

@@ -28,7 +28,7 @@ from diffsim.core.check import require_number
 from diffsim.core.rotation import matrix_from_quaternion
 from diffsim.envs.copter_random import PACKED, randomizable, sag_of, with_factors
 from diffsim.envs.pictures import copter_picture
-from diffsim.envs.task import Entry, Randomization, Task, TaskState
+from diffsim.envs.task import Entry, Randomizing, Task, TaskState
 
 T = TypeVar("T")
 _ORIGIN = torch.zeros(1, 3, dtype=torch.float64)
@@ -82,7 +82,7 @@ class CopterHover(Task):
         wind_speed: float = 0.0,
         battery: Battery | None = None,
         action_delay: int = 0,
-        randomization: Randomization | None = None,
+        randomization: Randomizing = None,
     ):
         self.randomizable = randomizable(battery, randomization)
         super().__init__(action_delay=action_delay, randomization=randomization)

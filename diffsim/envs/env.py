@@ -48,6 +48,7 @@ class TaskEnv(gymnasium.Env):
         self.sensing = Sensing(sensor_noise, task.num_observations)
         self.action_space, self.observation_space = spaces_of(task)
         self.state: TaskState | None = None
+        self._has_ended = False
         self.window = Window(task.name, frame_rate(task)) if render_mode == "human" else None
 
     def reset(
@@ -64,6 +65,7 @@ class TaskEnv(gymnasium.Env):
         with torch.no_grad():
             state = self.task.start(1, self.np_random)
         self.state = with_options(state, options or {}, self.task.name)
+        self._has_ended = False
         self._show()
         return self._observation(), {}
 
@@ -72,12 +74,18 @@ class TaskEnv(gymnasium.Env):
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """One control step."""
         state = self._started()
-        row = torch.as_tensor(np.asarray(action), dtype=torch.float64).reshape(1, -1)
+        if self._has_ended:
+            raise gymnasium.error.ResetNeeded(
+                f"{self.task.name}: the episode has ended after {int(state['step'][0])} steps; "
+                "call reset() before the next step()"
+            )
+        row = action_rows(self.task, action, ())[None]
         with torch.no_grad():
             self.state, terms = self.task.step_terms(state, row)
             failed = bool(self.task.failed(self.state).item())
         info = {name: value.item() for name, value in terms.items()}
         truncated = self.state["step"].item() >= self.task.max_steps
+        self._has_ended = failed or truncated
         self._show()
         return self._observation(), sum(info.values()), failed, truncated and not failed, info
 
@@ -121,6 +129,27 @@ class TaskEnv(gymnasium.Env):
         with torch.no_grad():
             plain = self.task.observe(self._started())[0].numpy()
         return self.sensing(plain, self.np_random)
+
+
+def action_rows(task: Task, action: Any, batch: tuple[int, ...]) -> Tensor:
+    """Actions as the task takes them, (*batch, num_actions) float64.
+
+    Raises:
+        TypeError: not numbers.
+        ValueError: another shape, or not finite.
+    """
+    try:
+        given = np.asarray(action, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(f"{task.name}: action must be numbers, got {action!r}") from None
+    shape = (*batch, task.num_actions)
+    if given.shape != shape:
+        raise ValueError(
+            f"{task.name}: action must have shape {shape}, one for each actuator, got {given.shape}"
+        )
+    if not np.isfinite(given).all():
+        raise ValueError(f"{task.name}: action must be finite, got {given.tolist()}")
+    return torch.from_numpy(given.copy())
 
 
 def frame_rate(task: Task) -> int:

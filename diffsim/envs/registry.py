@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from diffsim.core.check import require_choice, require_number
+from diffsim.core.check_options import require_options
 from diffsim.envs.env import TaskEnv
 from diffsim.envs.task import Task
 from diffsim.envs.vector_env import TaskVectorEnv
@@ -76,12 +77,13 @@ def make_task(name: str, **options: Any) -> Task:
         **options: Options of the task's class.
 
     Raises:
-        ValueError: no such task; the message offers the closest names.
+        ValueError: no such task, or an option that it does not have; the message offers the closest
+            names.
     """
     short = short_name(name)
-    module = import_module(_TASKS[short].module)
-    task: Task = getattr(module, short)(**options)
-    return task
+    kind: type[Task] = getattr(import_module(_TASKS[short].module), short)
+    require_options(short, options, kind)
+    return kind(**options)
 
 
 def make_vector(

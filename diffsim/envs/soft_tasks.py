@@ -12,8 +12,9 @@ from torch import Tensor
 
 from diffsim import mesh, soft
 from diffsim.core.check import require_number
+from diffsim.core.check_options import require_count
 from diffsim.envs.pictures import body_picture
-from diffsim.envs.task import Entry, Randomization, Task, TaskState
+from diffsim.envs.task import Entry, Randomizing, Task, TaskState
 from diffsim.systems.robots import SoftRobot
 
 _BODY = ("x", "v", "x_prev", "v_prev", "contact_force")
@@ -55,14 +56,14 @@ class SoftTask(Task):
         current: float = 0.0,
         clock: Sequence[float] = (),
         action_delay: int = 0,
-        randomization: Randomization | None = None,
+        randomization: Randomizing = None,
     ):
         self.randomizable = ("muscles",) if robot.water is None else ("muscles", "water")
         super().__init__(action_delay=action_delay, randomization=randomization)
         self.robot = robot
-        self.substeps = _count("substeps", substeps)
+        self.substeps = require_count("substeps", substeps, at_least=1)
         self.dt = robot.body.dt * self.substeps
-        self.max_steps = _count("num_steps", num_steps)
+        self.max_steps = require_count("num_steps", num_steps, at_least=1)
         self.start_speed = require_number("start_speed", start_speed, at_least=0.0)
         self.current = require_number("current", current, at_least=0.0)
         if self.current and robot.water is None:
@@ -281,9 +282,3 @@ def _frequencies(clock: Sequence[float]) -> Tensor:
     rates = [clock] if isinstance(clock, int | float) else list(clock)
     checked = [require_number("clock", rate, above=0.0) for rate in rates]
     return torch.tensor(checked, dtype=torch.float64)
-
-
-def _count(name: str, value: int) -> int:
-    if isinstance(value, bool) or value != int(value) or value < 1:
-        raise ValueError(f"{name} must be a whole number >= 1, got {value!r}")
-    return int(value)

@@ -12,8 +12,9 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim.core.check import require, require_choice, require_number
-from diffsim.envs.env import RENDER_MODES, frame_rate, spaces_of
+from diffsim.core.check import require_choice
+from diffsim.core.check_options import require_count
+from diffsim.envs.env import RENDER_MODES, action_rows, frame_rate, spaces_of
 from diffsim.envs.sensing import Sensing
 from diffsim.envs.starts import RESET_MASK, Generators, checked_mask, with_options
 from diffsim.envs.task import Task, TaskState
@@ -57,10 +58,10 @@ class TaskVectorEnv(VectorEnv):
         render_mode: str | None = None,
         sensor_noise: float | NDArray[np.float64] = 0.0,
     ):
-        require_number("num_envs", num_envs, at_least=1)
+        num_envs = require_count("num_envs", num_envs, at_least=1)
         if render_mode is not None:
             require_choice("render_mode", render_mode, RENDER_MODES)
-        self.task, self.num_envs, self.render_mode = task, int(num_envs), render_mode
+        self.task, self.num_envs, self.render_mode = task, num_envs, render_mode
         self.autoreset_mode = _mode(autoreset_mode)
         self.metadata = {
             **type(self).metadata,
@@ -114,8 +115,7 @@ class TaskVectorEnv(VectorEnv):
         """One control step of all members."""
         if self.state is None:
             raise RuntimeError(f"{self.task.name}: call reset() before step()")
-        rows = torch.as_tensor(np.asarray(actions), dtype=torch.float64)
-        require("actions", rows, (self.num_envs, self.task.num_actions))
+        rows = action_rows(self.task, actions, (self.num_envs,))
         if self.autoreset_mode == AutoresetMode.DISABLED and self._ended.any():
             over = ", ".join(str(k) for k in np.flatnonzero(self._ended))
             raise ValueError(

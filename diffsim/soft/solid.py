@@ -74,6 +74,7 @@ class Solid(nn.Module):
         contact = _options("contact", contact, ContactOptions)
         self.mesh = mesh
         self.dt = require_number("dt", dt, above=0.0, hint="unit is s")
+        require_number("dt", self.dt, at_least=1e-15, at_most=1e9, hint="unit is s")
         self.integrator = require_choice("integrator", integrator, INTEGRATORS)
         self.material = material if isinstance(material, Material) else Material(material)
         self.solver = _options("solver", solver, SolverOptions)
