@@ -11,6 +11,7 @@ import re
 import runpy
 import shutil
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -23,6 +24,8 @@ ROOT = Path(__file__).resolve().parent
 PROCESSOR = runpy.run_path(str(ROOT / "diffsim" / "core" / "processor.py"))
 # name -> compiler flags; diffsim/core/compiled.py picks the best one the processor has.
 PREFIX = "diffsim._core_"
+# Sanitizers, say; tests/test_sanitizers.py builds with them.
+MORE_FLAGS = os.environ.get("DIFFSIM_BUILD_FLAGS", "").split()
 INSTRUCTION_SETS: dict[str, list[str]] = {"baseline": []}
 if platform.machine().lower() in ("x86_64", "amd64"):
     INSTRUCTION_SETS["avx2"] = ["-march=x86-64-v3"]
@@ -65,6 +68,7 @@ def extensions() -> list[Extension]:
             "-Wno-psabi",
             "-Wno-maybe-uninitialized",
         ),
+        *MORE_FLAGS,
     ]
     return [
         Extension(
@@ -82,7 +86,7 @@ def extensions() -> list[Extension]:
                 ("NB_COMPACT_ASSERTIONS", None),
             ],
             extra_compile_args=[*flags, *arch],
-            extra_link_args=["-pthread"],
+            extra_link_args=["-pthread", *(f for f in MORE_FLAGS if f.startswith("-fsanitize"))],
             language="c++",
         )
         for name, arch in INSTRUCTION_SETS.items()
@@ -125,13 +129,23 @@ def read(path: Path) -> str:
     return path.read_text() if path.is_file() else ""
 
 
+def sources_of(rule: Path) -> list[Path]:
+    """Files of csrc that an object was made of, by the rule that the compiler wrote."""
+    files = re.split(r"[\s\\]+", read(rule).partition(":")[2])
+    return [Path(name) for name in sorted(set(files)) if name.startswith("csrc/")]
+
+
+def newest(rule: Path) -> float:
+    """Time of the last change of what an object was made of."""
+    return max((p.stat().st_mtime for p in sources_of(rule) if p.is_file()), default=0.0)
+
+
 def content_hash(rule: Path) -> str:
     """Hash of the files of csrc that an object was made of, by the rule that the compiler wrote.
 
     Contents, not times: a fresh checkout beside old objects compiles what differs and no more.
     """
-    files = re.split(r"[\s\\]+", read(rule).partition(":")[2])
-    ours = sorted(name for name in files if name.startswith("csrc/"))
+    ours = [str(path) for path in sources_of(rule)]
     parts = [f"{name} {hashlib.sha256(read(Path(name)).encode()).hexdigest()}" for name in ours]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
@@ -190,6 +204,7 @@ class BuildExt(build_ext):
             sys.stdout.write(f"compiling {source} for {ext.name}\n")  # one write: threads
             sys.stdout.flush()
             made_of.unlink(missing_ok=True)
+            began = time.time()
             self.compiler.compile(
                 [source],
                 output_dir=str(out),
@@ -197,7 +212,8 @@ class BuildExt(build_ext):
                 include_dirs=ext.include_dirs,
                 extra_postargs=[*ext.extra_compile_args, "-MMD", "-MF", str(obj.with_suffix(".d"))],
             )
-            made_of.write_text(content_hash(obj.with_suffix(".d")))
+            if newest(obj.with_suffix(".d")) < began:  # else one changed meanwhile: compile again
+                made_of.write_text(content_hash(obj.with_suffix(".d")))
         return str(obj)
 
 

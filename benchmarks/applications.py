@@ -17,6 +17,7 @@ import torch
 
 from benchmarks.machine import machine
 from diffsim.applications import SOLVERS, table
+from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic
 
 
@@ -45,4 +46,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
+from diffsim.core import interruptible
 from diffsim.data.beam import BASE_MARKERS, BeamTrial, load_beam_study, rigid_rotation_deg
 from diffsim.data.importers import import_study
 from diffsim.data.recording import find_dataset
@@ -155,4 +156,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

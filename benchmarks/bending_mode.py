@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from diffsim import mesh, soft
+from diffsim.core import interruptible
 from diffsim.core.errors import ConvergenceError
 
 LENGTH, WIDTH = 0.1, 0.0393  # [m] a square of the cylinder's area (outer radius 22.2 mm)
@@ -120,4 +121,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

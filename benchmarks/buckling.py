@@ -17,6 +17,7 @@ import numpy as np
 import torch
 
 from diffsim import soft
+from diffsim.core import interruptible
 from diffsim.envs import make_task
 from diffsim.envs.soft_tasks import SoftTask
 from diffsim.envs.task import TaskState
@@ -66,4 +67,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

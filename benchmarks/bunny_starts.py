@@ -17,6 +17,7 @@ import torch
 
 from diffsim.applications import Application, Evaluation, minimize, solver_options
 from diffsim.applications.table import OURS, load
+from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic
 
 
@@ -58,4 +59,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

@@ -24,6 +24,7 @@ from benchmarks import contact_napkin, contact_rolling
 from benchmarks.contact_plots import draw_figures
 from benchmarks.contact_tables import report
 from benchmarks.harness import Benchmark
+from diffsim.core import interruptible
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,4 +95,5 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with interruptible():
+        sys.exit(main())

@@ -27,6 +27,7 @@ from benchmarks.harness import Benchmark, Part, cores, repeat_for, spread
 from diffsim.copter import Feedback, Multicopter, fly, load_design, shipped_designs
 from diffsim.copter.codesign import CoDesignError, Limits, SearchOptions, codesign
 from diffsim.copter.flight_state import FlightState
+from diffsim.core import interruptible
 
 Say = Callable[[str], None]
 CASES = {  # design, objective
@@ -231,4 +232,5 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with interruptible():
+        sys.exit(main())

@@ -39,6 +39,7 @@ from diffsim.copter.codesign.joint import FEASIBLE, random_point
 from diffsim.copter.codesign.spin_condition import most_controllable
 from diffsim.copter.codesign.steps import thrust_step
 from diffsim.copter.codesign.task import Point, Task
+from diffsim.core import interruptible
 from diffsim.core.paths import data_folder
 
 OPTIONS = AlternatingOptions()  # eta = 0.3, mu = 0.7 as in the caption of Fig. 3-3
@@ -257,4 +258,5 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with interruptible():
+        sys.exit(main())

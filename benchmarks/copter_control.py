@@ -21,6 +21,7 @@ from torch import Tensor
 
 from benchmarks.harness import repeat_for, spread
 from diffsim.copter import Multicopter, hover, hover_thrusts, linearize, lqr, lqr_stats, lyapunov
+from diffsim.core import interruptible
 from diffsim.core.compiled import INSTRUCTION_SET
 from diffsim.core.files import write_json_atomic
 
@@ -184,4 +185,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

@@ -20,6 +20,7 @@ from diffsim.copter import Multicopter
 from diffsim.copter.effects import BodyDrag, FlightEffects, MotorLag, RotorDrag
 from diffsim.copter.flight import Feedback, fly
 from diffsim.copter.flight_state import FlightState
+from diffsim.core import interruptible
 from diffsim.core.compiled import INSTRUCTION_SET
 
 BATCHES = (1, 8, 64, 512, 4096)
@@ -115,4 +116,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

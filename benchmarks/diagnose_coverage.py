@@ -19,6 +19,7 @@ import numpy as np
 
 from diffsim.cli.arguments import names
 from diffsim.cli.diagnose_inputs import inputs_of, read_study
+from diffsim.core import interruptible
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.averaging import HALF_90, MODEL_FORM, widening
 from diffsim.diagnose.diagnosis import diagnose
@@ -153,4 +154,5 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

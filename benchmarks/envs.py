@@ -26,6 +26,7 @@ from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 import diffsim.envs
 from benchmarks.harness import spread
 from benchmarks.machine import machine
+from diffsim.core import interruptible
 from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.envs import make_task, make_vector
 
@@ -148,4 +149,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

@@ -22,6 +22,7 @@ import torch
 from benchmarks.machine import machine
 from diffsim.applications import Application, evaluate, solver_options
 from diffsim.applications.table import OURS, load
+from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic
 
 NAMES = ("torus", "quadruped", "cow")
@@ -128,4 +129,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

@@ -21,6 +21,7 @@ import torch
 from diffsim.applications import evaluate, minimize, solver_options
 from diffsim.applications.identification import visibility
 from diffsim.applications.table import OURS, load
+from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic
 
 NAMES = ("plant", "bouncing_ball")
@@ -105,4 +106,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

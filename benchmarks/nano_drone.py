@@ -21,6 +21,7 @@ from torch import Tensor
 
 from benchmarks.ahead import AHEAD, Predict, Record, errors_ahead, flown, naive
 from benchmarks.ahead_fit import Flights, fitted, free_names, save
+from diffsim.core import interruptible
 from diffsim.core.rotation import (
     matrix_from_quaternion,
     quaternion_from_rotation_vector,
@@ -144,4 +145,5 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

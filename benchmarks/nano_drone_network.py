@@ -25,6 +25,7 @@ from benchmarks.nano_drone import (
     THRUST_CONSTANT,
     whole_flights,
 )
+from diffsim.core import interruptible
 from diffsim.core.rotation import (
     matrix_from_quaternion,
     quaternion_from_rotation_vector,
@@ -162,4 +163,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.blind.case import answer_of
+from diffsim.core import interruptible
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_json_atomic
 from diffsim.diagnose.diagnosis import diagnose
@@ -194,4 +195,5 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with interruptible():
+        sys.exit(main())

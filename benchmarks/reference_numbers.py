@@ -26,6 +26,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from diffsim.core import interruptible
+
 Item = Callable[[], Mapping[str, Any]]
 GROUPS = (
     "benchmarks.reference_simulators",
@@ -127,4 +129,5 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with interruptible():
+        sys.exit(main())

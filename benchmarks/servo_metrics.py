@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from diffsim.cli.diagnose_inputs import read_study
+from diffsim.core import interruptible
 from diffsim.data.study import Run, Study
 from diffsim.identify.extended import extended_at
 from diffsim.identify.model import SimModel
@@ -157,6 +158,7 @@ def main(model: str = "runs/diagnoses/emps") -> dict[str, dict[str, float]]:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--model", default="runs/diagnoses/emps", help="folder of the answer")
-    main(**vars(parser.parse_args()))
+    with interruptible():
+        parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+        parser.add_argument("--model", default="runs/diagnoses/emps", help="folder of the answer")
+        main(**vars(parser.parse_args()))

@@ -26,6 +26,7 @@ from benchmarks.harness import Benchmark
 from benchmarks.machine import num_cores
 from benchmarks.soft_plots import draw_figures
 from benchmarks.soft_tables import report
+from diffsim.core import interruptible
 
 MILLION_WIDTH = 43  # 4 w x w x w cells: 1,004,784 DoF
 
@@ -136,4 +137,5 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with interruptible():
+        sys.exit(main())

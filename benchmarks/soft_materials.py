@@ -26,6 +26,7 @@ from typing import Any
 from benchmarks.harness import Benchmark, Part, cores, spread
 from benchmarks.soft_scenes import Pass, cantilever, one_pass
 from diffsim import soft
+from diffsim.core import interruptible
 
 METHODS = ("auto", "newton_cholesky", "newton_pcg", "quasi_newton")
 BASELINE = "newton_cholesky"
@@ -216,4 +217,5 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with interruptible():
+        sys.exit(main())

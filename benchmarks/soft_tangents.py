@@ -11,6 +11,7 @@ from collections.abc import Callable
 import torch
 
 from diffsim import mesh, soft
+from diffsim.core import interruptible
 
 STEPS, DIRECTIONS = 60, (1, 10, 50, 200)
 
@@ -66,4 +67,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

@@ -28,6 +28,7 @@ from benchmarks.harness import Benchmark, Part
 from benchmarks.machine import available_memory, num_cores
 from benchmarks.processes import run_child
 from benchmarks.stokes_tables import draw_figures, report
+from diffsim.core import interruptible
 from diffsim.stokes.devices import DEVICES
 
 BYTES_PER_NODE = 40_000
@@ -190,4 +191,5 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with interruptible():
+        sys.exit(main())

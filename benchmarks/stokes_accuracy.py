@@ -33,6 +33,7 @@ from benchmarks.plot_style import (
 )
 from benchmarks.stokes_exact import Exact, all_flows
 from benchmarks.thesis_stokes import ThesisFlow
+from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.stokes import Grid, StokesFlow
 from diffsim.viz.figures import INK
@@ -221,4 +222,5 @@ def main(argv: Sequence[str] | None = None) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

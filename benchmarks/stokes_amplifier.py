@@ -20,6 +20,7 @@ from torch import Tensor
 
 from benchmarks.machine import machine
 from benchmarks.thesis_stokes import ThesisFlow
+from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.stokes import FlowField, Grid, Inlet, Open, StokesFlow
 from diffsim.stokes.shapes import BezierCurve2d, Intersection
@@ -133,4 +134,5 @@ def main(argv: Sequence[str] | None = None) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

@@ -24,6 +24,7 @@ from torch.nn.functional import interpolate
 
 from benchmarks.harness import timed
 from benchmarks.machine import machine
+from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic
 from diffsim.stokes import Grid, Inlet, Open, SolverOptions, StokesFlow
 from diffsim.stokes.devices import funnel, twister
@@ -141,4 +142,5 @@ def main(arguments: Sequence[str] | None = None) -> list[dict[str, Any]]:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

@@ -28,6 +28,7 @@ from benchmarks.plot_style import (
     save,
     style,
 )
+from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.optim import Log
 from diffsim.stokes import devices
@@ -191,4 +192,5 @@ def main(argv: Sequence[str] | None = None) -> Rows:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 from torch.utils.benchmark import Timer
 
+from diffsim.core import interruptible
 from diffsim.core.compiled import INSTRUCTION_SET
 from diffsim.linalg.svd import polar3, svd3
 
@@ -71,4 +72,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

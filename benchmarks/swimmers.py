@@ -26,6 +26,7 @@ from torch import Tensor
 from benchmarks.machine import machine
 from diffsim.applications import SOLVERS, solver_options
 from diffsim.control import MLPController
+from diffsim.core import interruptible
 from diffsim.core.errors import ConvergenceError
 from diffsim.core.files import write_json_atomic
 from diffsim.envs import make_task
@@ -91,4 +92,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

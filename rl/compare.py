@@ -21,6 +21,7 @@ from pathlib import Path
 
 import torch
 
+from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.learn import METHODS, PRESETS, Plan, comparison, preset
 from diffsim.viz.learning_figures import comparison_figure
@@ -77,4 +78,5 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

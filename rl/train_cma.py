@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from diffsim.core import interruptible
 from diffsim.learn import CmaLearner, CmaOptions, Run, main_training
 
 QUICK = {"population": 4}
@@ -20,4 +21,5 @@ def main(argv: Sequence[str] | None = None) -> Run:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from diffsim.core import interruptible
 from diffsim.learn import MixedLearner, MixedOptions, Run, main_training
 
 QUICK = {"batch": 8, "horizon": 0}
@@ -19,4 +20,5 @@ def main(argv: Sequence[str] | None = None) -> Run:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from diffsim.core import interruptible
 from diffsim.learn import PpoLearner, PpoOptions, Run, main_training
 
 QUICK = {"envs": 8, "rollout": 10, "minibatch": 40, "epochs": 2}
@@ -19,4 +20,5 @@ def main(argv: Sequence[str] | None = None) -> Run:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from diffsim.core import interruptible
 from diffsim.learn import Run, ShacLearner, ShacOptions, main_training
 
 QUICK = {"batch": 8, "window": 4, "critic_passes": 1}
@@ -19,4 +20,5 @@ def main(argv: Sequence[str] | None = None) -> Run:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

@@ -12,6 +12,7 @@ from pathlib import Path
 from benchmarks.blind.sessions import kept_scores, planned
 from benchmarks.blind.table import markdown
 from diffsim.cli.arguments import names, positive
+from diffsim.core import interruptible
 from diffsim.core.errors import DiffsimError
 
 SYSTEMS = ("beam", "copter", "network")  # virtual laboratories, as users call them
@@ -91,4 +92,5 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with interruptible():
+        sys.exit(main())

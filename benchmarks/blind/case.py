@@ -16,6 +16,7 @@ from typing import Any
 from torch import Tensor
 
 from diffsim.cli.diagnose_inputs import inputs_of
+from diffsim.core import interruptible
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_json_atomic
 from diffsim.data.labs.sealed import OPTIONS_FILE
@@ -138,4 +139,5 @@ def answer_of(report: Report) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

@@ -8,7 +8,10 @@
 #include <atomic>
 #include <condition_variable>
 #include <cstdint>
+#include <exception>
 #include <mutex>
+#include <stdexcept>
+#include <string>
 #include <thread>
 #include <type_traits>
 #include <vector>
@@ -18,16 +21,21 @@ namespace diffsim {
 class ThreadPool {
  public:
   /// @param num_threads workers including the caller; 1 starts no thread at all.
+  /// @throws std::runtime_error the system refuses to start so many.
   explicit ThreadPool(int num_threads) {
-    for (int i = 1; i < num_threads; ++i) workers_.emplace_back([this] { work(); });
+    try {
+      for (int i = 1; i < num_threads; ++i) workers_.emplace_back([this] { work(); });
+    } catch (const std::exception& error) {  // std::system_error, std::bad_alloc
+      const std::string started = std::to_string(workers_.size() + 1);
+      end();
+      throw std::runtime_error("num_threads is " + std::to_string(num_threads) +
+                               ", and the system refused to start more than " + started + " (" +
+                               error.what() + "); give fewer");
+    }
   }
   ThreadPool(const ThreadPool&) = delete;
   ThreadPool& operator=(const ThreadPool&) = delete;
-  ~ThreadPool() {
-    stop_.store(true, std::memory_order_release);
-    announce();
-    for (std::thread& t : workers_) t.join();
-  }
+  ~ThreadPool() { end(); }
 
   int size() const { return static_cast<int>(workers_.size()) + 1; }
 
@@ -52,6 +60,12 @@ class ThreadPool {
   }
 
  private:
+  void end() {
+    stop_.store(true, std::memory_order_release);
+    announce();
+    for (std::thread& t : workers_) t.join();
+  }
+
   void drain() {
     for (std::int64_t i; (i = next_.fetch_add(1, std::memory_order_relaxed)) < num_tasks_;)
       call_(object_, i);

@@ -23,13 +23,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
 from tqdm import tqdm
 
 from diffsim.applications.catalog import FOLDER, examples
 from diffsim.core.check import require_choice
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_json_atomic, write_text_atomic
+from diffsim.core.yaml_text import read_yaml_file
 
 DOCS = FOLDER.parent / "docs"
 RECORD = "gallery.json"  # beside the page: what it shows of scripts
@@ -79,7 +79,7 @@ def entries(path: Path = FOLDER / "gallery.yaml") -> list[Entry]:
     """
     known = examples()
     found = []
-    for raw in yaml.safe_load(path.read_text(encoding="utf-8")):
+    for raw in read_yaml_file(path):
         try:
             entry = Entry(**{**raw, "options": tuple(str(o) for o in raw.get("options", ()))})
         except TypeError as err:

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from diffsim.cli import (
+    convert,
     demo,
     devices,
     diagnose,
@@ -17,6 +18,8 @@ from diffsim.cli import (
     fit_rotors,
     fly,
     info,
+    play,
+    serve,
     track,
 )
 from diffsim.core.errors import DiffsimError
@@ -30,9 +33,12 @@ COMMANDS = {
     "examples": examples,
     "diagnose": diagnose,
     "fly": fly,
+    "play": play,
     "fabricate": fabricate,
     "track": track,
+    "convert": convert,
     "devices": devices,
+    "serve": serve,
     "fit-rotors": fit_rotors,
     "info": info,
 }

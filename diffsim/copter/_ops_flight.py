@@ -66,7 +66,8 @@ class FlightSettings(NamedTuple):
         dt: Integration step [s].
         gravity: [m/s^2].
         substeps: Integration steps per control step.
-        effects: Names of the effects that are modeled, out of ``EFFECTS``, separated by commas.
+        effects: Names of the effects that are modeled, out of ``EFFECTS``, separated by commas;
+            ``free_thrusts`` among them: commands are not clamped.
         num_threads: Threads of the kernel.
     """
 

@@ -7,6 +7,7 @@ from importlib import resources
 from pathlib import Path
 
 from diffsim.core.check import require_choice
+from diffsim.core.yaml_text import read_text
 
 
 def shipped(folder: str) -> tuple[str, ...]:
@@ -40,4 +41,4 @@ def read_named(folder: str, kind: str, name: str | Path) -> tuple[str, str, Path
         raise FileNotFoundError(
             f"no {kind} file {path}; the shipped ones are {', '.join(shipped(folder))}"
         )
-    return path.read_text(encoding="utf-8"), str(path), path.parent
+    return read_text(path), str(path), path.parent

@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-import trimesh
 from torch import Tensor
 
 from diffsim.copter.assemble import assemble
@@ -27,6 +26,9 @@ from diffsim.copter.vehicle import Multicopter
 from diffsim.core.check import require, require_choice, values_of
 
 _SLACK = 2e-6  # [m], more than the step of a difference quotient at a bound
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,7 @@ from diffsim.copter.flight_rows import (
 from diffsim.copter.flight_state import FlightState
 from diffsim.copter.vehicle import GRAVITY, Multicopter
 from diffsim.core.check import all_finite, require, require_number, values_of
+from diffsim.core.check_options import require_count, require_threads
 from diffsim.core.errors import DiffsimError
 
 _NAMES = {"feed_forward": "commands"}  # what callers know an input as
@@ -82,6 +83,7 @@ def fly(
     feedback: Feedback | None = None,
     effects: FlightEffects | None = None,
     substeps: int = 1,
+    clamp: bool = True,
     num_threads: int = 1,
 ) -> Flight:
     """Fly a batch of multicopters.
@@ -100,6 +102,8 @@ def fly(
         feedback: Makes the commands a feed-forward.
         effects: What is there besides gravity and ideal rotors.
         substeps: Integration steps per control period.
+        clamp: Whether thrusts stay within 0..max_thrusts; False: they are what is commanded,
+            negative ones too, for moments that are given to the vehicle through its thrusts.
         num_threads: Threads of the kernel; the result does not depend on it.
 
     Returns:
@@ -112,7 +116,12 @@ def fly(
     Gradients: start, commands, gain, reference, every tensor of vehicle and effects; first order.
     """
     prepared = prepare_flight(
-        vehicle, dt=dt, effects=effects, substeps=substeps, num_threads=num_threads
+        vehicle,
+        dt=dt,
+        effects=effects,
+        substeps=substeps,
+        clamp=clamp,
+        num_threads=num_threads,
     )
     return prepared.fly(start, commands, feedback=feedback)
 
@@ -226,12 +235,13 @@ def prepare_flight(
     dt: float,
     effects: FlightEffects | None = None,
     substeps: int = 1,
+    clamp: bool = True,
     num_threads: int = 1,
 ) -> PreparedFlight:
     """Pack vehicles and effects once, for flights that are called step by step.
 
     Args:
-        vehicle, dt, effects, substeps, num_threads: As of ``fly``.
+        vehicle, dt, effects, substeps, clamp, num_threads: As of ``fly``.
 
     Returns:
         What flies them, with the same results and gradients as ``fly``. If a tensor of vehicle or
@@ -241,10 +251,15 @@ def prepare_flight(
         TypeError, ValueError: bad arguments.
     """
     dt = require_number("dt", dt, above=0.0)
-    for name, count in (("substeps", substeps), ("num_threads", num_threads)):
-        if count != int(count) or count < 1:
-            raise ValueError(f"{name} must be a whole number >= 1, got {count}")
+    substeps = require_count("substeps", substeps, at_least=1)
+    num_threads = require_threads(num_threads)
     effects = FlightEffects() if effects is None else effects
+    present = [name for name, _ in effects.present()]
+    if not clamp and (powers := sorted({"thrust_curve", "battery"} & set(present))):
+        raise ValueError(
+            f"clamp=False lets thrusts be negative, of which effects.{powers[0]} takes a power; "
+            "leave one of them out"
+        )
     fleet = vehicle if isinstance(vehicle, Fleet) else fleet_of(vehicle)
     return PreparedFlight(
         parameters=parameter_rows(fleet, effects, dt / substeps),
@@ -255,7 +270,7 @@ def prepare_flight(
             dt=dt / substeps,
             gravity=GRAVITY,
             substeps=substeps,
-            effects=",".join(name for name, _ in effects.present()),
+            effects=",".join(present if clamp else [*present, "free_thrusts"]),
             num_threads=num_threads,
         ),
         has_battery=effects.battery is not None,

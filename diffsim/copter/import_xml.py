@@ -23,6 +23,7 @@ from diffsim.copter.geometry import rotation_rpy
 from diffsim.copter.spec import DesignSpec, PartSpec
 from diffsim.copter.xml_links import Links
 from diffsim.copter.xml_nodes import Node, read_nodes
+from diffsim.core.inside import inside
 
 ROTOR_OF_MEASUREMENT = {
     "motor_10inch_prop.txt": "kde2814_10in",
@@ -55,8 +56,8 @@ def import_xml(path: str | Path) -> Design:
 
     Raises:
         FileNotFoundError: no such XML or mesh.
-        ValueError: unknown tags or attributes (with the line and the closest name), missing
-            values, numbers that cannot be read.
+        ValueError: a mesh outside of the design's folder, unknown tags or attributes (with the line
+            and the closest name), missing values, numbers that cannot be read.
     """
     path = Path(path)
     if not path.is_file():
@@ -139,9 +140,12 @@ def _options(node: Node, instance: Node, path: Path) -> tuple[str, dict[str, Any
 
 def _mesh_file(node: Node, path: Path) -> str:
     name = node.text("file")
-    for candidate in (Path(name), Path("mesh") / name):
-        if (path.parent / candidate).is_file():
-            return str(candidate)
+    for candidate in (name, f"mesh/{name}"):
+        try:
+            if inside(path.parent, candidate, "file").is_file():
+                return candidate
+        except ValueError as error:
+            raise node.error(str(error)) from None
     raise FileNotFoundError(
         f"{node.where}: no mesh {name} beside {path.name} or in {path.parent / 'mesh'}"
     )

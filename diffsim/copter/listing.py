@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from torch import Tensor
 
 from diffsim.copter.geometry import Array, frame_of
 from diffsim.copter.placement import PlacedPart
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,8 @@ def placed_meshes(
         directions: Thrust directions, (n_rotors, 3), by which motors and their propellers are
             turned about the propeller's center; None leaves them as built.
     """
+    import trimesh
+
     tilts = _tilts(parts, directions)
     meshes = {}
     for p in parts:

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-import yaml
 from torch import Tensor
 
 from diffsim.copter._shipped import read_shipped, shipped
 from diffsim.copter.effects import MotorLag, ThrustCurve
+from diffsim.core.yaml_text import load_yaml
 
 Number = float | Tensor
 SIGNAL_LOW, SIGNAL_HIGH = 1000.0, 2000.0  # [us]
@@ -148,7 +148,7 @@ def rotor_record(name: str) -> dict[str, Any]:
     Raises:
         ValueError: no such model; the message offers the closest names.
     """
-    return yaml.safe_load(read_shipped("rotors", "name", name))
+    return load_yaml(read_shipped("rotors", "name", name), f"{name}.yaml")
 
 
 def rotor_model(name: str) -> RotorModel:

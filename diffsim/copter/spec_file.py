@@ -29,7 +29,7 @@ Numbers of ``values`` are the free parameters when a design is saved, so that it
 
 from __future__ import annotations
 
-import os
+import hashlib
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -42,7 +42,8 @@ from diffsim.copter.parts.database import PART_KINDS, option_names
 from diffsim.copter.spec import Connection, DesignSpec, PartSpec
 from diffsim.copter.yaml_lines import Located, read_yaml
 from diffsim.copter.yaml_lines import Path as Keys
-from diffsim.core.files import to_plain, write_text_atomic
+from diffsim.core.files import to_plain, write_bytes_atomic, write_text_atomic
+from diffsim.core.inside import inside, require_file_name
 
 _TOP = ["name", "notes", "parts", "connections", "rigid", "constraints", "values"]
 _PART = {"kind", "bounds", "rotation", "place", "anchored", "direction", "propeller"}
@@ -65,7 +66,11 @@ def spec_from_text(text: str, source: str = "design", folder: Path | None = None
 
 
 def write_spec(spec: DesignSpec, path: str | Path) -> Path:
-    """Write a specification as YAML, atomically."""
+    """Write a specification as YAML, atomically; files of its parts that lie elsewhere come along.
+
+    A design names files of its own folder only, so that who gets it from a stranger need not fear
+    what it reads.
+    """
     path = Path(path)
     connections = [_without_defaults(c) for c in spec.connections]
     data: dict[str, Any] = {
@@ -84,10 +89,22 @@ def write_spec(spec: DesignSpec, path: str | Path) -> Path:
 def _part_entry(part: PartSpec, folder: Path | None, path: Path) -> dict[str, Any]:
     options = dict(part.options)
     if "file" in options:
-        absolute = ((folder or Path()) / options["file"]).resolve()
-        options["file"] = os.path.relpath(absolute, path.resolve().parent)
+        here = (folder or Path()) / options["file"]
+        options["file"] = _brought(here.resolve(), path.resolve().parent)
     rest = _without_defaults(part)
     return {"kind": rest.pop("kind"), **options, **{k: rest[k] for k in rest if k in _PART}}
+
+
+def _brought(file: Path, folder: Path) -> str:
+    """Path of a file from a folder; one that is not in it is copied there."""
+    if file.is_relative_to(folder):
+        return file.relative_to(folder).as_posix()
+    content = file.read_bytes()
+    name = file.name
+    if (folder / name).exists() and (folder / name).read_bytes() != content:
+        name = f"{file.stem}_{hashlib.sha256(content).hexdigest()[:8]}{file.suffix}"
+    write_bytes_atomic(folder / name, content)
+    return name
 
 
 def _without_defaults(item: Any) -> dict[str, Any]:
@@ -106,10 +123,11 @@ def _spec(located: Located, folder: Path | None) -> DesignSpec:
     for key in data:
         located.require_choice((key,), "key", key, _TOP)
     parts = _mapping(located, ("parts",), data.get("parts"))
+    name = _file_name(located, ("name",), str(data.get("name", Path(located.source).stem)))
     return DesignSpec(
-        name=str(data.get("name", Path(located.source).stem)),
+        name=name,
         notes=str(data.get("notes", "")),
-        parts=tuple(_part(located, name, value) for name, value in parts.items()),
+        parts=tuple(_part(located, name, value, folder) for name, value in parts.items()),
         connections=tuple(
             _connection(located, ("connections", k), value)
             for k, value in enumerate(_list(located, ("connections",), data.get("connections")))
@@ -129,8 +147,9 @@ def _spec(located: Located, folder: Path | None) -> DesignSpec:
     )
 
 
-def _part(located: Located, name: str, value: Any) -> PartSpec:
+def _part(located: Located, name: str, value: Any, folder: Path | None) -> PartSpec:
     at: Keys = ("parts", name)
+    _file_name(located, at, name)
     data = _mapping(located, at, value)
     if "kind" not in data:
         raise located.error(at, "kind is missing; say which part of the database this is")
@@ -139,6 +158,8 @@ def _part(located: Located, name: str, value: Any) -> PartSpec:
     for key in options:
         known = [*option_names(kind), *sorted(_PART)]
         located.require_choice((*at, key), f"option of a {kind}", key, known)
+    if "file" in options:
+        _require_inside(located, (*at, "file"), str(options["file"]), folder)
     bounds = _mapping(located, (*at, "bounds"), data.get("bounds", {}))
     fields_of_part: dict[str, Any] = {
         "bounds": {key: _interval(located, (*at, "bounds", key), v) for key, v in bounds.items()},
@@ -152,6 +173,20 @@ def _part(located: Located, name: str, value: Any) -> PartSpec:
         return PartSpec(name=name, kind=kind, options=options, **fields_of_part)
     except ValueError as error:
         raise located.error(at, str(error)) from error
+
+
+def _file_name(located: Located, at: Keys, name: str) -> str:
+    try:
+        return require_file_name("name", name)
+    except ValueError as error:
+        raise located.error(at, str(error)) from None
+
+
+def _require_inside(located: Located, at: Keys, stated: str, folder: Path | None) -> None:
+    try:
+        inside(folder or Path(), stated, "file")
+    except ValueError as error:
+        raise located.error(at, str(error)) from None
 
 
 def _connection(located: Located, at: Keys, value: Any) -> Connection:

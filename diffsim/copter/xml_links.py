@@ -5,21 +5,25 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from diffsim.copter.geometry import Array, rotation_rpy
 from diffsim.copter.spec import Connection, PartSpec
 from diffsim.core.errors import MeshError
 from diffsim.mesh.files import load_surface
 
+if TYPE_CHECKING:
+    import trimesh
+
+
 _GAP = 0.003  # parts closer than this touch; the tool's designs leave up to 2.4 mm [m]
 _ASIDE = 1e-3  # and their centers are on one line up to this [m]
 
 
 class Links:
-    """Which parts touch, inferred from their boxes.
+    """Which parts touch, inferred from their boxes, each turned as its part is.
 
     Attributes:
         anchored: Names of parts that stay: the fixed ones, and connectors on plates.
@@ -38,7 +42,7 @@ class Links:
             surfaces.setdefault(file, load_surface(folder / file))
             half = np.abs(surfaces[file].bounds).max(axis=0)
             half = half * np.asarray(p.options.get("scale", (1.0, 1.0, 1.0)))
-            self._half[p.name] = np.abs(self._turn[p.name]) @ half
+            self._half[p.name] = half
         by_stem: dict[str, list[str]] = {}
         for p in parts:
             by_stem.setdefault(p.name.partition("_")[0], []).append(p.name)
@@ -73,16 +77,24 @@ class Links:
         aside = float(np.linalg.norm(offset - along * axis))
         return along if aside < _ASIDE and abs(along) <= 0.5 * self._length[tube] else None
 
+    def _reach(self, part: str, axis: Array) -> float:
+        """Half the extent of a part's box, turned as the part is, along a direction [m]."""
+        return float(np.abs(axis @ self._turn[part]) @ self._half[part])
+
     def _face_to_face(self, a: str, b: str) -> bool:
-        offset = np.abs(self._at[a] - self._at[b])
-        axis = int(offset.argmax())
-        aside = np.delete(offset, axis)
-        reach = self._half[a][axis] + self._half[b][axis]
-        return bool((aside < _ASIDE).all() and abs(offset[axis] - reach) < _GAP)
+        offset = self._at[a] - self._at[b]
+        for axis in (*self._turn[a].T, *self._turn[b].T):  # normals of the faces of both
+            along = float(offset @ axis)
+            aside = float(np.linalg.norm(offset - along * axis))
+            reach = self._reach(a, axis) + self._reach(b, axis)
+            if aside < _ASIDE and abs(abs(along) - reach) < _GAP:
+                return True
+        return False
 
     def _lies_on(self, connector: str, plate: str) -> bool:
-        offset = np.abs(self._at[connector] - self._at[plate])
-        reach = self._half[connector][2] + self._half[plate][2]
+        normal = self._turn[plate][:, 2]
+        offset = np.abs((self._at[connector] - self._at[plate]) @ self._turn[plate])
+        reach = self._reach(connector, normal) + self._half[plate][2]
         inside = offset[:2] <= self._half[plate][:2]
         return bool(inside.all() and abs(offset[2] - reach) < _GAP)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -53,6 +54,8 @@ class Node:
             values = [float(v) for v in text.split()]
         except ValueError as error:
             raise self.error(f"{name}={text!r} must be {count} numbers: {error}") from error
+        if not all(math.isfinite(v) for v in values):
+            raise self.error(f"{name}={text!r} must be finite")
         if len(values) != count:
             raise self.error(f"{name}={text!r} must be {count} numbers, got {len(values)}")
         return values

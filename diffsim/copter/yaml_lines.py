@@ -9,6 +9,7 @@ from typing import Any
 import yaml
 
 from diffsim.core.check import require_choice, require_number
+from diffsim.core.yaml_text import compose_yaml, construct
 
 Path = tuple[str | int, ...]
 
@@ -54,14 +55,9 @@ def read_yaml(text: str, source: str) -> Located:
     """Parse YAML; duplicate keys are errors, as they would silently drop something.
 
     Raises:
-        ValueError: not YAML, or a key stands twice; with the line.
+        ValueError: as ``core.yaml_text.load_yaml``; with the line.
     """
-    try:
-        root = yaml.compose(text, yaml.SafeLoader)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark
-        line = mark.line + 1 if mark else 1
-        raise ValueError(f"{source}, line {line}: not YAML: {error.problem}") from error
+    root = compose_yaml(text, source)
     located = Located(None, source)
     if root is not None:
         located.value = _plain(root, (), located)
@@ -74,13 +70,9 @@ def _plain(node: yaml.Node, path: Path, located: Located) -> Any:
         result: dict[str, Any] = {}
         for key_node, value_node in node.value:
             key = str(key_node.value)
-            line = key_node.start_mark.line + 1
-            if key in result:
-                raise ValueError(f"{located.source}, line {line}: key {key!r} stands twice")
-            located.lines[(*path, key)] = line
+            located.lines[(*path, key)] = key_node.start_mark.line + 1
             result[key] = _plain(value_node, (*path, key), located)
         return result
     if isinstance(node, yaml.SequenceNode):
         return [_plain(item, (*path, k), located) for k, item in enumerate(node.value)]
-    loader = yaml.SafeLoader("")
-    return loader.construct_object(node)
+    return construct(node, located.source)

@@ -8,6 +8,7 @@ from diffsim.core.errors import (
     InvertedElementError,
     MeshError,
 )
+from diffsim.core.interrupts import interruptible
 
 __all__ = [
     "ConvergenceError",
@@ -16,4 +17,5 @@ __all__ = [
     "FactorizationError",
     "InvertedElementError",
     "MeshError",
+    "interruptible",
 ]

@@ -9,6 +9,7 @@ from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from types import ModuleType
 
+from diffsim.core.forked import keep_forks_alive
 from diffsim.core.processor import NEEDS, supported
 
 
@@ -47,5 +48,6 @@ def load() -> ModuleType:
     return importlib.import_module(f"diffsim._core_{names[0]}")
 
 
+keep_forks_alive()
 core = load()
 INSTRUCTION_SET: str = core.instruction_set

@@ -15,7 +15,12 @@ from types import ModuleType
 
 DISTRIBUTION = "diffsim-robot"
 # Modules whose distribution has another name.
-_NAMES = {"cv2": "opencv-python-headless", "rerun": "rerun-sdk", "elastica": "pyelastica"}
+_NAMES = {
+    "cv2": "opencv-python-headless",
+    "elastica": "pyelastica",
+    "mcap_ros2": "mcap-ros2-support",
+    "rerun": "rerun-sdk",
+}
 
 
 def requirement(module: str) -> str:

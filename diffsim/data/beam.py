@@ -50,10 +50,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from diffsim.core.inside import inside
+from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data import signal
 from diffsim.data.recording import Recording, load_csv
 
@@ -177,8 +178,7 @@ def load_beam_study(folder: str | Path) -> BeamStudy:
     path = folder / "metadata.yaml"
     if not path.is_file():
         raise FileNotFoundError(f"{path}: not found; a beam study needs metadata.yaml and its CSVs")
-    with path.open(encoding="utf-8") as file:
-        meta = yaml.safe_load(file)
+    meta = read_yaml_file(path)
     geometry = meta["geometry"]
     material = meta["material"]
     bar = BeamGeometry(
@@ -232,7 +232,7 @@ def rigid_rotation_deg(before: Array, after: Array) -> Array:
 
 
 def _trial(folder: Path, entry: dict[str, Any]) -> BeamTrial:
-    recording = load_csv(folder / entry["file"], metadata=entry)
+    recording = load_csv(inside(folder, str(entry["file"]), "file"), metadata=entry)
     markers = recording.select(TIP_MARKERS).markers
     where = f"{folder / 'metadata.yaml'}, trial {entry['file']}"
     rot = np.array(entry["data_to_model_rotation"], dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Columns of CSV files by name: numbers with their gaps, clocks, labels."""
+"""Columns of recorded files by name: numbers with their gaps, clocks, labels."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
+from diffsim.data.formats import Columns, is_container, read_columns
 from diffsim.data.table import MISSING, open_table, parse_number, time_column
 
 Array = NDArray[np.float64]
@@ -19,10 +20,10 @@ Rows = NDArray[np.int64]
 
 
 class Table:
-    """A CSV file in memory; numbers are read when a column is asked for.
+    """A recorded file in memory; numbers are read when a column is asked for.
 
     Args:
-        path: CSV file.
+        path: CSV file, or ``FILE#PART`` of a format of ``diffsim.data.formats``.
         what: What it should be, for messages, such as "run".
         header_line: Line with the names of the columns, from 1.
         first_line: Line of the first sample; by default the one after the header.
@@ -37,6 +38,14 @@ class Table:
         self, path: Path, what: str, *, header_line: int = 1, first_line: int | None = None
     ):
         self.path = path
+        self._numbers: dict[str, Array] = {}
+        self.used: set[str] = set()
+        self._cells: list[list[str]] = []
+        self._arrays: Columns = read_columns(path) if is_container(path) else {}
+        if self._arrays:
+            self.header = list(self._arrays)
+            self.lines = list(range(1, 1 + len(self._arrays[self.header[0]])))
+            return
         with open_table(path, what, header_line=header_line, first_line=first_line) as (head, rows):
             self.header = head
             numbered = list(rows)
@@ -44,8 +53,6 @@ class Table:
             raise ValueError(f"{path}: no rows below the header; was the export cut short?")
         self.lines = [line for line, _ in numbered]
         self._cells = [row for _, row in numbered]
-        self._numbers: dict[str, Array] = {}
-        self.used: set[str] = set()
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -62,8 +69,7 @@ class Table:
         """Cells of a column, without blanks around them."""
         self.require(name)
         self.used.add(name)
-        at = self.header.index(name)
-        return [row[at].strip() for row in self._cells]
+        return self._column(name)
 
     def numbers(self, name: str) -> Array:
         """Numbers of a column, (num_rows,); NaN where a cell is empty.
@@ -71,6 +77,12 @@ class Table:
         Raises:
             ValueError: no such column, or a cell that is not a number; the message names its row.
         """
+        if name not in self._numbers and self._is_array(name):
+            values = self._arrays[name].astype(np.float64)
+            if np.isinf(values).any():
+                line = self.lines[int(np.argmax(np.isinf(values)))]
+                raise ValueError(f"{self.path}, row {line}, column {name}: not a finite number")
+            self._numbers[name] = values
         if name not in self._numbers:
             cells = self.texts(name)
             try:
@@ -91,9 +103,16 @@ class Table:
     @cached_property
     def is_number(self) -> dict[str, bool]:
         """Whether a column holds numbers, by name; one without any cell does not."""
-        return {name: _all_numbers(self._column(name)) for name in self.header}
+        return {
+            name: self._is_array(name) or _all_numbers(self._column(name)) for name in self.header
+        }
+
+    def _is_array(self, name: str) -> bool:
+        return name in self._arrays and self._arrays[name].dtype.kind in "biuf"
 
     def _column(self, name: str) -> list[str]:
+        if name in self._arrays:
+            return [str(cell).strip() for cell in self._arrays[name].tolist()]
         at = self.header.index(name)
         return [row[at].strip() for row in self._cells]
 

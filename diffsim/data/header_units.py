@@ -6,9 +6,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-import yaml
-
 from diffsim.core.units import factor, to_si
+from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data.study_check import Problem
 from diffsim.data.study_schema import ChannelEntry, CommandEntry, StudyFile
 from diffsim.data.table_guess import column_of
@@ -24,7 +23,7 @@ def header_units(path: Path) -> Iterator[Problem]:
     Args:
         path: ``study.yaml``, which was read before without a mistake.
     """
-    stated = StudyFile.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
+    stated = StudyFile.model_validate(read_yaml_file(path))
     if stated.time is not None and stated.time.column and stated.time.step is None:
         yield from _told("time", stated.time.column, stated.time.unit)
     for what, entries in (("channel", stated.channels), ("command", stated.commands)):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -52,15 +52,16 @@ class RunReader:
 
     Args:
         study: The study file.
-        root: Folder of the run files.
+        root: Folder of the run files, which no file of the study leaves.
+        given: Files that the caller named, and not the study: they may lie anywhere.
 
     Attributes:
         problems: What is wrong, one line each.
         left_out: What is not used, one line each.
     """
 
-    def __init__(self, study: StudyFile, root: Path):
-        self.study, self.root = study, root
+    def __init__(self, study: StudyFile, root: Path, given: Collection[Path] = ()):
+        self.study, self.root, self.given = study, root, given
         self.problems: list[str] = []
         self.left_out: list[str] = []
         self.tables: dict[Path, Table] = {}
@@ -71,7 +72,7 @@ class RunReader:
         for i, stated in enumerate(self.study.runs):
             where, entry = f"runs[{i}]", with_defaults(stated, self.study.defaults)
             try:
-                cases, left_out = cases_of(entry, where, self.root, self._table)
+                cases, left_out = cases_of(entry, where, self.root, self._table, self.given)
             except (ValueError, FileNotFoundError) as error:
                 self._tell(error)
                 continue

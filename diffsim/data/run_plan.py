@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from diffsim.core.check import did_you_mean
+from diffsim.core.inside import inside
 from diffsim.data.columns import Rows, Table, as_label
+from diffsim.data.formats import is_container, split_part
 from diffsim.data.study_schema import RunEntry, RunKeys
 
 _FIELD = re.compile(r"\{(\w+)(?::[^}]*)?\}")
 _RANGE = ("at_least", "below")
+
+
+Given: TypeAlias = Collection[Path]
 
 
 @dataclass(frozen=True)
@@ -44,7 +49,7 @@ def with_defaults(entry: RunEntry, defaults: RunKeys) -> RunEntry:
 
 
 def cases_of(
-    entry: RunEntry, where: str, root: Path, table: Callable[[Path], Table]
+    entry: RunEntry, where: str, root: Path, table: Callable[[Path], Table], given: Given = ()
 ) -> tuple[list[Case], str]:
     """All files that an entry stands for.
 
@@ -53,17 +58,18 @@ def cases_of(
         where: What messages call it, such as "runs[2]".
         root: Folder of the files.
         table: Reads a CSV file.
+        given: Files that the caller named, and not the study: they may lie anywhere.
 
     Returns:
         The files, and a sentence on rows of ``table`` that are left out, or "".
 
     Raises:
-        ValueError: no file fits, or a word of a pattern is unknown.
+        ValueError: no file fits, one is not in the folder, or a word of a pattern is unknown.
     """
     rows: list[dict[str, str]] = [{}]
     left_out = ""
     if entry.table is not None:
-        listing = table(root / entry.table)
+        listing = table(inside(root, entry.table, f"{where}.table"))
         chosen = chosen_rows(listing, np.arange(len(listing)), entry.where, f"{where}.where")
         columns = {name: listing.texts(name) for name in listing.header if name}
         rows = [{name: cells[i] for name, cells in columns.items()} for i in chosen]
@@ -73,9 +79,11 @@ def cases_of(
     patterns = entry.file or (f"{entry.name}.csv",)
     for words in rows:
         first, *further = [_known(p, words) for p in patterns]
-        for path, found in _files(root, first, where):
-            all_words = {**words, **found, "file": path.stem}
-            others = (root / filled(p, all_words, f"{where}.file") for p in further)
+        for path, found in _files(root, first, where, given):
+            all_words = {**words, **found, "file": split_part(path)[0].stem}
+            others = [
+                _placed(root, filled(p, all_words, f"{where}.file"), where, given) for p in further
+            ]
             cases.append(Case(where, entry, (path, *others), all_words))
     return cases, left_out
 
@@ -84,10 +92,27 @@ def _known(pattern: str, words: Mapping[str, str]) -> str:
     return _FIELD.sub(lambda m: words.get(m.group(1), m.group(0)), pattern)
 
 
-def _files(root: Path, pattern: str, where: str) -> list[tuple[Path, dict[str, str]]]:
+def _placed(root: Path, stated: str, where: str, given: Given) -> Path:
+    if Path(stated) in given:
+        return Path(stated)
+    return inside(root, stated, f"{where}.file")
+
+
+def _files(root: Path, pattern: str, where: str, given: Given) -> list[tuple[Path, dict[str, str]]]:
     """Files of a pattern with ``*`` and {words}; a plain name is one file, whether there or not."""
+    if is_container(pattern):  # FILE#PART: the pattern is that of the file
+        file, part = split_part(pattern)
+        found = _files_named(root, str(file), where, given)
+        return [(Path(f"{path}#{part}") if part else path, words) for path, words in found]
+    return _files_named(root, pattern, where, given)
+
+
+def _files_named(
+    root: Path, pattern: str, where: str, given: Given
+) -> list[tuple[Path, dict[str, str]]]:
     if "*" not in pattern and not _FIELD.search(pattern):
-        return [(root / pattern, {})]
+        return [(_placed(root, pattern, where, given), {})]
+    inside(root, pattern, f"{where}.file")
     parts = re.split(r"(\*|\{\w+\})", pattern)
     names = [p[1:-1] for p in parts if p.startswith("{")]
     if len(set(names)) < len(names):
@@ -102,7 +127,8 @@ def _files(root: Path, pattern: str, where: str) -> list[tuple[Path, dict[str, s
     for path in root.glob("".join("*" if p == "*" or p[:1] == "{" else p for p in parts)):
         match = shape.fullmatch(path.relative_to(root).as_posix())
         if match and path.is_file():
-            found.append((path, match.groupdict()))
+            here = inside(root, path.relative_to(root).as_posix(), f"{where}.file")
+            found.append((here, match.groupdict()))
     if not found:
         beside = sorted(p.name for p in root.glob("*.csv"))
         raise ValueError(

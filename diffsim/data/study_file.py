@@ -28,11 +28,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import ValidationError
 
 from diffsim.core.schema import problem_lines
 from diffsim.core.units import to_si
+from diffsim.core.yaml_text import read_yaml_file
+from diffsim.data.formats import split_part
 from diffsim.data.recording import find_dataset
 from diffsim.data.run_files import RunReader
 from diffsim.data.study import Channel, Command, Study
@@ -63,7 +64,8 @@ def load_study(path: str | Path, more_runs: Sequence[Mapping[str, Any]] = ()) ->
 
     Args:
         path: ``study.yaml`` (any YAML file), or the folder that holds it.
-        more_runs: Further entries of ``runs:``, as the file would hold them.
+        more_runs: Further entries of ``runs:``, as the file would hold them; theirs may name files
+            anywhere, the study's own only those in its folder.
 
     Returns:
         The study in SI units; what it lacks for a diagnosis says
@@ -78,15 +80,13 @@ def load_study(path: str | Path, more_runs: Sequence[Mapping[str, Any]] = ()) ->
     path = path / STUDY_FILE if path.is_dir() else path
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such study; give study.yaml or the folder that has it")
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except yaml.YAMLError as error:
-        raise ValueError(f"{path}: not YAML: {error}") from None
+    content = read_yaml_file(path)
     if more_runs and isinstance(content, Mapping):
         content = {**content, "runs": [*content.get("runs", ()), *more_runs]}
     stated = _parsed(path, content)
     root = _root(path, stated)
-    reader = RunReader(stated, root)
+    given = [Path(run["file"]) for run in more_runs if "file" in run]
+    reader = RunReader(stated, root, given)
     runs = reader.runs()
     if reader.problems:
         raise ValueError(_told(path, reader.problems))
@@ -169,7 +169,7 @@ def _command(entry: CommandEntry) -> Command:
 
 def _left_out(reader: RunReader, stated: StudyFile, root: Path) -> tuple[str, ...]:
     """Files and columns that no run uses, and what the reader left out."""
-    used = set(reader.tables)
+    used = {split_part(path)[0] for path in reader.tables}
     folders = {path.parent for path in used} | {root}
     mentioned = str(stated.model)
     files = sorted(

@@ -7,9 +7,17 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, PlainValidator, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    PlainValidator,
+    field_validator,
+    model_validator,
+)
 
 from diffsim.core.check import did_you_mean
+from diffsim.core.inside import require_file_name
 from diffsim.core.schema import Part, Said
 from diffsim.core.units import to_si
 from diffsim.data.fault_keys import FaultKeys
@@ -39,6 +47,10 @@ def _read_system(given: Any) -> Any:
 
 def _read_value(given: Any) -> Any:
     return given if isinstance(given, str) else read_number(given)
+
+
+def _plain_name(given: str) -> str:
+    return require_file_name("name", given)
 
 
 def _named(given: Any) -> Any:
@@ -276,8 +288,10 @@ class RunEntry(RunKeys):
     )
     file: Texts = Field(
         (),
-        description="CSV file; `*` or {level} in it: each file that fits is a run. A list: further "
-        "files are read at the clock of the first. Default: the name with .csv",
+        description="CSV file, or one of another format (Parquet, HDF5, MAT, ULog, MCAP, rosbag), "
+        "`FILE#PART` where it holds several tables. `*` or {level} in it: each file that fits is a "
+        "run. A list: further files are read at the clock of the first. Default: the name with "
+        ".csv",
     )
     table: str | None = Field(
         None, description="CSV file that lists runs: each row is one, its cells are used as {cell}"
@@ -310,7 +324,9 @@ class RunEntry(RunKeys):
 class StudyFile(Part):
     """What was measured, what was commanded, in which runs, of which system."""
 
-    name: str = Field(description="Short name, as reports show it")
+    name: Annotated[str, AfterValidator(_plain_name)] = Field(
+        description="Short name, as reports and the folder of results show it"
+    )
     system: Annotated[
         str | None, PlainValidator(_read_system), Said(f"one of {', '.join(SYSTEMS)}")
     ] = Field(None, description="Kind of system, of studies without `model`")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +13,9 @@ from typing import TextIO
 
 from diffsim.core.check import did_you_mean
 
+MAKER = "make_csv.py"  # beside recordings that may not be copied: it makes them from the original
+MAX_COLUMNS = 10_000
+MAX_LINE = 4_000_000  # characters
 MISSING = ("nan", "na", "n/a", "null", "none", "-")
 _OTHER_TIME = re.compile(r"^(t|time|timestamp|time_?ms|time_?us|t_s|t_ms|seconds)$", re.IGNORECASE)
 
@@ -56,33 +60,66 @@ def open_table(
 
     Raises:
         FileNotFoundError: no such file; the message lists the CSV files beside it.
-        ValueError: no header, a column occurs twice, or a row has another number of cells.
+        ValueError: no header, too many columns, a column occurs twice, a row has another number of
+            cells, or a line is no CSV.
     """
     if not path.is_file():
         beside = sorted(p.name for p in path.parent.glob("*.csv")) if path.parent.is_dir() else []
         there = f"; that folder has {', '.join(beside)}" if beside else ""
+        if (maker := path.parent / MAKER).is_file():
+            there += f"; files of this data set are made by `python {maker}`"
         raise FileNotFoundError(f"{path}: no such {what}{there}{did_you_mean(path.name, beside)}")
     skipped = (first_line or header_line + 1) - 1
     with open_text(path) as file:
         for _ in range(header_line - 1):
             next(file, "")
-        first = next(file, "")
-        mark = delimiter_of(first)
-        header = [name.strip() for name in next(csv.reader([first], delimiter=mark), [])]
-        if not header:
-            raise ValueError(f"{path}: the file is empty; expected a header line with time_s")
-        if repeated := sorted({name for name in header if name and header.count(name) > 1}):
-            raise ValueError(f"{path}: column {repeated[0]!r} occurs more than once in the header")
+        header, mark = _header(path, file, header_line)
         for _ in range(skipped - header_line):
             next(file, "")
         rows = csv.reader(file, delimiter=mark)
         yield header, _numbered(path, header, rows, skipped, mark != ",")
 
 
+def _header(path: Path, file: TextIO, line: int) -> tuple[list[str], str]:
+    """Names of the columns, and the delimiter."""
+    where = f"{path}, row {line}"
+    first = file.readline(MAX_LINE + 1)
+    mark = delimiter_of(first)
+    if len(first) > MAX_LINE or (count := first.count(mark) + 1) > MAX_COLUMNS:
+        size = f"{count:,} columns" if len(first) <= MAX_LINE else f"more than {MAX_LINE:,} letters"
+        raise ValueError(
+            f"{where}: a header must have at most {MAX_COLUMNS:,} columns, got {size}; is a row of "
+            "this file a column of the table?"
+        )
+    try:
+        header = [name.strip() for name in next(csv.reader([first], delimiter=mark), [])]
+    except csv.Error as error:
+        raise ValueError(f"{where}: not CSV: {error}") from None
+    if not header:
+        raise ValueError(f"{path}: the file is empty; expected a header line with time_s")
+    counts = Counter(name for name in header if name)
+    if repeated := sorted(name for name, count in counts.items() if count > 1):
+        raise ValueError(f"{path}: column {repeated[0]!r} occurs more than once in the header")
+    return header, mark
+
+
+def _rows(path: Path, rows: Iterator[list[str]], before: int) -> Iterator[list[str]]:
+    """Rows; one that is no CSV is refused with its line."""
+    while True:
+        try:
+            row = next(rows)
+        except StopIteration:
+            return
+        except csv.Error as error:
+            line: int = before + rows.line_num  # type: ignore[attr-defined]
+            raise ValueError(f"{path}, row {line}: not CSV: {error}") from None
+        yield row
+
+
 def _numbered(
     path: Path, header: list[str], rows: Iterator[list[str]], before: int, comma_is_point: bool
 ) -> Iterator[tuple[int, list[str]]]:
-    for row in rows:
+    for row in _rows(path, rows, before):
         line: int = before + rows.line_num  # type: ignore[attr-defined]
         if not any(cell.strip() for cell in row):
             continue  # blank line, usually the last

@@ -12,7 +12,7 @@
       mass: {value: 1.41, sd: 0.004, unit: kg}
     effects:                     # sizes; components of vector effects as "wind.north"
       wind.north: {value: 0.31, sd: 0.01, unit: N}
-    frame: {labels: ...}         # what the causes took from the fitted runs
+    frame: {labels: ...}         # what the causes took from the fitted runs: labels, magnitudes
     plain:                       # parameters of the plain model at its own fit
       mass: {value: 1.52, sd: 0.003, unit: kg}
     facts: ...                   # noise floor, fitted runs and their range: to judge new runs by
@@ -20,16 +20,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 import torch
 import yaml
 
-from diffsim.core.check import require_choice
+from diffsim.core.check import require_choice, require_number
 from diffsim.core.files import to_plain, write_text_atomic
+from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data.study import Study
 from diffsim.identify.effect import Effect
 from diffsim.identify.extended import ExtendedModel, extended_at
@@ -146,10 +148,7 @@ def read_extended(path: str | Path) -> SavedModel:
         raise FileNotFoundError(
             f"{path}: no such extended model; make one with `diffsim diagnose explain`"
         )
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except yaml.YAMLError as error:
-        raise ValueError(f"{path}: not YAML: {error}") from None
+    content = read_yaml_file(path)
     parts: dict[str, dict[str, Any]] = {}
     for part in ("parameters", "effects", "plain"):
         given = content.get(part) if isinstance(content, dict) else None
@@ -158,12 +157,14 @@ def read_extended(path: str | Path) -> SavedModel:
         if not isinstance(given, dict):
             raise ValueError(f"{path}: {part} must be a mapping of names to value, sd and unit")
         parts[part] = given
+    if "made_from" in (content.get("facts") or {}):
+        raise ValueError(
+            f"{path}: written by an earlier version, which kept magnitudes elsewhere; write it "
+            "again with `diffsim diagnose explain`"
+        )
     entries = {**parts["parameters"], **parts["effects"]}
     for name, entry in (*entries.items(), *parts["plain"].items()):
-        if not isinstance(entry, dict) or not all(
-            isinstance(entry.get(key), (int, float)) for key in ("value", "sd")
-        ):
-            raise ValueError(f"{path}: {name} must have {', '.join(_ENTRY_KEYS)}, got {entry!r}")
+        _require_entry(f"{path}: {name}", entry)
     return SavedModel(
         path=path,
         values={name: float(entry["value"]) for name, entry in entries.items()},
@@ -173,12 +174,54 @@ def read_extended(path: str | Path) -> SavedModel:
         verdict=str(content.get("verdict", "")),
         setup=content.get("setup"),
         units={name: str(entry.get("unit", "-")) for name, entry in entries.items()},
-        prepared_at=content.get("prepared_at"),
+        prepared_at=_numbers(path, content, "prepared_at"),
         plain={name: float(entry["value"]) for name, entry in parts["plain"].items()},
-        facts=content.get("facts") or {},
-        numerics=Numerics(**content["numerics"]) if content.get("numerics") else None,
-        frame=content.get("frame") or {},
+        facts=_mapping(path, content, "facts"),
+        numerics=_numerics(path, _mapping(path, content, "numerics")),
+        frame=_mapping(path, content, "frame"),
     )
+
+
+def _require_entry(what: str, entry: Any) -> None:
+    """Value and standard deviation must be finite numbers, and the latter not negative."""
+    if not isinstance(entry, dict) or not {"value", "sd"} <= set(entry):
+        raise ValueError(f"{what} must have {', '.join(_ENTRY_KEYS)}, got {entry!r}")
+    for key in ("value", "sd"):
+        least = 0.0 if key == "sd" else -math.inf
+        try:
+            require_number(f"{what}: {key}", entry[key], at_least=least)
+        except (TypeError, OverflowError) as error:
+            raise ValueError(str(error)) from None
+
+
+def _mapping(path: Path, content: Mapping[str, Any], key: str) -> dict[str, Any]:
+    given = content.get(key)
+    if given is None:
+        return {}
+    if not isinstance(given, dict):
+        raise ValueError(f"{path}: {key} must be a mapping, got {type(given).__name__}")
+    return given
+
+
+def _numbers(path: Path, content: Mapping[str, Any], key: str) -> dict[str, Any] | None:
+    if content.get(key) is None:
+        return None
+    given = _mapping(path, content, key)
+    for name, value in given.items():
+        _require_entry(f"{path}: {key}.{name}", {"value": value, "sd": 0.0})
+    return given
+
+
+def _numerics(path: Path, given: Mapping[str, Any]) -> Numerics | None:
+    """Numerical settings of the file, by the names that they have here."""
+    known = [f.name for f in fields(Numerics)]
+    for name, value in given.items():
+        require_choice(f"{path}: numerics", name, known)
+        try:
+            require_number(f"{path}: numerics.{name}", value, above=0.0)
+        except TypeError as error:
+            raise ValueError(str(error)) from None
+    return Numerics(**given) if given else None
 
 
 def without_effects(saved: SavedModel) -> SavedModel:
@@ -200,18 +243,18 @@ def rebuilt(saved: SavedModel, setup: DiagnosisSetup) -> ExtendedModel:
 
     Args:
         saved: Content of the file, as ``read_extended`` returns it.
-        setup: Plain model and effects by name. Nuisances of runs that the file does not know
-            ("offset@run_9") keep their prior.
+        setup: Plain model and effects by name, made for a study that is framed by the file
+            (``SavedModel.framed``), so that sizes mean what they were fitted as. Nuisances of runs
+            that the file does not know ("offset@run_9") keep their prior.
 
     Returns:
         A model whose priors are centered at the saved values.
 
     Raises:
         ValueError: an effect or parameter that the setup does not have; the message names the
-            closest ones.
+            closest ones. A setup whose causes mean something else.
     """
-    if setup.remade is not None and (made_from := saved.facts.get("made_from")):
-        setup = setup.remade(made_from)
+    _require_frame(saved, setup.model)
     effects = effects_of(saved, setup.effects)
     known = {p.name: p for p in setup.model.base}
     stems = {name.partition("[")[0] for name in known}
@@ -248,6 +291,17 @@ def effects_of(saved: SavedModel, candidates: Sequence[Effect]) -> tuple[Effect,
             )
         chosen.append(by_name[name])
     return tuple(chosen)
+
+
+def _require_frame(saved: SavedModel, model: SimModel) -> None:
+    made = to_plain(dict(model.frame))
+    differing = [k for k, v in to_plain(dict(saved.frame)).items() if k in made and made[k] != v]
+    if differing:
+        raise ValueError(
+            f"{saved.path}: the setup takes its {differing[0]} from other runs than the model was "
+            "fitted to, so that sizes mean something else; make it for the framed study, "
+            "setup_of(read_extended(path).framed(study))"
+        )
 
 
 def _prepared(model: SimModel, saved: SavedModel) -> SimModel:

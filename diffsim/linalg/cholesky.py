@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import threading
+from typing import TYPE_CHECKING
+
 import numpy as np
-import scipy.sparse as sp
 import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_choice
+from diffsim.core.check_options import require_threads
 from diffsim.core.errors import FactorizationError
 from diffsim.linalg._ops_cholesky import SparseFactor
+
+if TYPE_CHECKING:
+    import scipy.sparse as sp
 
 _SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry: assembly in two orders rounds apart
 
@@ -20,7 +26,8 @@ class SparseCholesky:
     The pattern is analyzed once (nested dissection, supernodes); ``refactor`` takes new values on
     the same pattern and ``solve`` any number of right-hand sides. Results do not depend on the
     number of threads. Not modeled: indefinite or unsymmetric matrices, gradients through ``solve``
-    (build a layer on two solves). Solves of one object from several threads at once are not safe.
+    (build a layer on two solves). Calls of one object from several Python threads wait for each
+    other.
 
     Args:
         matrix: A, (n, n), scipy sparse matrix or torch sparse CSR tensor, float64; both triangles
@@ -55,7 +62,7 @@ class SparseCholesky:
         if isinstance(block, bool) or not isinstance(block, int) or not 1 <= block <= 6:
             raise ValueError(f"block must be an integer from 1 to 6, got {block!r}")
         self.block = block
-        self.num_threads = _require_threads(num_threads)
+        self.num_threads = require_threads(num_threads)
         self.precision = require_choice("precision", precision, ["float64", "float32"])
         csr = _to_scipy(matrix)
         if csr.ndim != 2 or csr.shape[0] != csr.shape[1]:
@@ -77,6 +84,7 @@ class SparseCholesky:
             block,
             self.precision == "float32",
         )
+        self._lock = threading.Lock()  # the factor has one workspace
         self._refactor(csr)
 
     @property
@@ -138,6 +146,14 @@ class SparseCholesky:
         ndim = getattr(tensor, "ndim", 1)
         shape = (self.shape[0],) if ndim == 1 else (self.shape[0], "k")
         tensor = require("b", tensor, shape)
+        with self._lock:
+            self._require_usable()
+            columns = tensor if ndim == 2 else tensor.unsqueeze(1)
+            x = self._factor.solve(columns, self.num_threads)
+        x = x if ndim == 2 else x.squeeze(1)
+        return x.numpy() if isinstance(b, np.ndarray) else x
+
+    def _require_usable(self) -> None:
         if not self._factor.usable:
             raise FactorizationError(
                 "the last refactor failed, so there is no factor to solve with; "
@@ -145,10 +161,6 @@ class SparseCholesky:
                 pivot=-1,
                 value=float("nan"),
             )
-        columns = tensor if ndim == 2 else tensor.unsqueeze(1)
-        x = self._factor.solve(columns, self.num_threads)
-        x = x if ndim == 2 else x.squeeze(1)
-        return x.numpy() if isinstance(b, np.ndarray) else x
 
     def _check_values(self, csr: sp.csr_matrix) -> None:
         if not np.isfinite(csr.data).all():
@@ -159,7 +171,8 @@ class SparseCholesky:
 
     def _refactor(self, csr: sp.csr_matrix) -> None:
         values = torch.as_tensor(self._pattern.blocks(csr.data))
-        unknown, pivot = self._factor.refactor(values, self.num_threads)
+        with self._lock:
+            unknown, pivot = self._factor.refactor(values, self.num_threads)
         if unknown >= 0:
             raise FactorizationError(
                 f"matrix must be positive definite, got pivot {pivot:.3g} at unknown {unknown} "
@@ -224,6 +237,8 @@ class _Pattern:
 
 
 def _to_scipy(matrix: sp.spmatrix | sp.sparray | Tensor) -> sp.csr_matrix:
+    import scipy.sparse as sp
+
     if isinstance(matrix, Tensor):
         if matrix.layout != torch.sparse_csr:
             raise TypeError(
@@ -247,9 +262,3 @@ def _to_scipy(matrix: sp.spmatrix | sp.sparray | Tensor) -> sp.csr_matrix:
     csr = sp.csr_matrix(matrix, copy=True)
     csr.sum_duplicates()
     return csr
-
-
-def _require_threads(num_threads: int) -> int:
-    if isinstance(num_threads, bool) or not isinstance(num_threads, int) or num_threads < 1:
-        raise ValueError(f"num_threads must be an integer >= 1, got {num_threads!r}")
-    return num_threads

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
+from diffsim.mesh.components import connected_parts
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import IntArray
 from diffsim.mesh.surface import surface_triangles
@@ -27,17 +26,16 @@ def cavities(mesh: HexMesh | TetMesh) -> list[Tensor]:
     faces = surface_triangles(mesh).faces.numpy()
     a, b, c = mesh.x_rest.numpy()[faces].transpose(1, 0, 2)
     volume = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
-    count, part = connected_components(_neighbors(faces), directed=False)
-    enclosed = np.bincount(part, weights=volume, minlength=count)  # negative for a void
+    part = connected_parts(len(faces), *_neighbors(faces))
+    enclosed = np.bincount(part, weights=volume)  # negative for a void
     order = [k for k in np.argsort(enclosed, kind="stable") if enclosed[k] < 0.0]
     return [torch.from_numpy(np.ascontiguousarray(faces[part == k])) for k in order]
 
 
-def _neighbors(faces: IntArray) -> coo_array:
-    """Graph of faces that share an edge, (num_faces, num_faces)."""
+def _neighbors(faces: IntArray) -> tuple[IntArray, IntArray]:
+    """Pairs of faces that share an edge, (num_pairs,) each."""
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     edge = np.unique(edges, axis=0, return_inverse=True)[1].reshape(-1)
     order = np.argsort(edge, kind="stable")
     owner, same = order // 3, edge[order][1:] == edge[order][:-1]
-    rows, columns = owner[:-1][same], owner[1:][same]
-    return coo_array((np.ones(len(rows)), (rows, columns)), shape=(len(faces),) * 2)
+    return owner[:-1][same], owner[1:][same]

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-import trimesh
 
 from diffsim.core.errors import MeshError
 from diffsim.mesh.reference import Array, IntArray
+from diffsim.mesh.surface_check import check_indices
 
-SurfaceLike = trimesh.Trimesh | str | Path
+if TYPE_CHECKING:
+    import trimesh
+
+
+SurfaceLike: TypeAlias = "trimesh.Trimesh | str | Path"
 
 
 def closed_surface(surface: SurfaceLike) -> tuple[Array, IntArray]:
@@ -21,9 +26,11 @@ def closed_surface(surface: SurfaceLike) -> tuple[Array, IntArray]:
 
     Raises:
         TypeError: neither a trimesh nor a path.
-        MeshError: open edges, edges of more than two triangles, inconsistent orientation, no
-            volume.
+        MeshError: faces of vertices that there are not, open edges, edges of more than two
+            triangles, inconsistent orientation, no volume.
     """
+    import trimesh
+
     if isinstance(surface, str | Path):
         from diffsim.mesh.files import load_surface
 
@@ -38,6 +45,7 @@ def closed_surface(surface: SurfaceLike) -> tuple[Array, IntArray]:
         raise MeshError("the surface has no triangles")
     if not np.isfinite(x).all():
         raise MeshError("the surface has vertices that are not finite")
+    check_indices(np.asarray(surface.faces, np.int64), x)
     x, inverse = np.unique(x, axis=0, return_inverse=True)
     faces = inverse.reshape(-1)[np.asarray(surface.faces, np.int64)]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]

@@ -6,13 +6,15 @@ The sign is that of the angle-weighted pseudonormal at the closest point: Baeren
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from diffsim.mesh.closed_surface import SurfaceLike, closed_surface
 from diffsim.mesh.reference import Array, IntArray
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 _CHUNK = 20_000
 _MAX_PIECES = 400_000
@@ -64,6 +66,8 @@ class SurfaceDistance:
         self._tree: cKDTree | None = None  # made for the first large search
 
     def _plant(self) -> cKDTree:
+        from scipy.spatial import cKDTree
+
         pieces, self._parent = _pieces(self.x[self.faces])
         centers = pieces.mean(axis=1)
         self._reach = float(np.linalg.norm(pieces - centers[:, None], axis=2).max())

@@ -8,11 +8,10 @@ from __future__ import annotations
 import difflib
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import meshio
 import numpy as np
 import torch
-import trimesh
 from torch import Tensor
 
 from diffsim.core.check import require, require_number
@@ -22,6 +21,11 @@ from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import HEX_FROM_VTK, VTK_FROM_HEX
 from diffsim.mesh.repair import remove_unreferenced_nodes
 from diffsim.mesh.surface import to_trimesh
+from diffsim.mesh.surface_check import check_file, check_indices
+
+if TYPE_CHECKING:
+    import trimesh
+
 
 VOLUME_FORMATS = {
     ".vtu": "vtu",
@@ -66,10 +70,12 @@ def load(path: str | Path, scale: float = 1.0) -> HexMesh | TetMesh:
 def load_arrays(path: str | Path, scale: float = 1.0) -> tuple[Tensor, Tensor]:
     """Positions (V, 3) float64 [m] and elements (E, 8) or (E, 4) int64 of a file, unchecked."""
     path = Path(path)
-    scale = require_number("scale", float(scale), above=0.0)
+    scale = require_number("scale", scale, above=0.0)
     suffix = _suffix(path, list(VOLUME_FORMATS))
     if not path.is_file():
         raise FileNotFoundError(f"no file {path}{_similar_files(path)}")
+    import meshio
+
     try:
         content = meshio.read(path, file_format=VOLUME_FORMATS[suffix])
     except (Exception, SystemExit) as error:  # meshio ends the program on some bad files
@@ -103,20 +109,39 @@ def load_surface(path: str | Path, scale: float = 1.0) -> trimesh.Trimesh:
     Args:
         path: The file.
         scale: Meters per unit of the file, 1e-3 for millimeters.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: unknown extension.
+        MeshError: damaged, cut off, no triangles, or faces of vertices that there are not.
     """
     path = Path(path)
-    scale = require_number("scale", float(scale), above=0.0)
+    scale = require_number("scale", scale, above=0.0)
     _suffix(path, list(SURFACE_FORMATS))
     if not path.is_file():
         raise FileNotFoundError(f"no file {path}{_similar_files(path)}")
+    import trimesh
+
+    check_file(path)
     try:
         surface = trimesh.load_mesh(path)
+    except IndexError as error:
+        raise MeshError(
+            f"{path} could not be read: a face has a vertex that there is not ({error}), or the "
+            "file is cut off; copy or export it again"
+        ) from error
     except Exception as error:
-        raise MeshError(f"{path} could not be read: {error}") from error
+        raise MeshError(
+            f"{path} could not be read, it is damaged or cut off: {error}; copy or export it again"
+        ) from error
     if isinstance(surface, trimesh.Scene):
         surface = surface.to_mesh()
     if not isinstance(surface, trimesh.Trimesh) or len(surface.faces) == 0:
         raise MeshError(f"{path} holds no triangles")
+    try:
+        check_indices(np.asarray(surface.faces, np.int64), np.asarray(surface.vertices))
+    except MeshError as error:
+        raise MeshError(f"{path}: {error}", error.indices) from None
     surface.apply_scale(scale)
     return surface
 
@@ -170,6 +195,8 @@ def _write_volume(
     name = "tetra"
     if mesh.kind == "hex":
         elements, name = elements[:, VTK_FROM_HEX], "hexahedron"
+    import meshio
+
     content = meshio.Mesh(
         x.numpy(),
         [(name, elements)],

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
+from diffsim.mesh.components import connected_parts
 from diffsim.mesh.reference import (
     HEX_EDGES,
     HEX_FACES,
@@ -25,7 +24,7 @@ def without_hinges(elements: IntArray, keep_largest: bool) -> IntArray:
     """
     while len(elements):
         if keep_largest:
-            part = _parts(len(elements), *_neighbors(elements)[:2])
+            part = connected_parts(len(elements), *_neighbors(elements)[:2])
             elements = elements[part == np.bincount(part).argmax()]
         drop = hinged_elements(elements)
         if not drop.any():
@@ -56,7 +55,7 @@ def hinged_elements(elements: IntArray) -> np.ndarray:
     ):
         a = _aligned(keys, face_parts, first, first_face)
         b = _aligned(keys, face_parts, second, second_face)
-        fan = _parts(keys.size, a.reshape(-1), b.reshape(-1))
+        fan = connected_parts(keys.size, a.reshape(-1), b.reshape(-1))
         drop |= _smaller_fans(keys.reshape(-1), fan).reshape(keys.shape).any(axis=1)
     return drop
 
@@ -69,12 +68,6 @@ def _neighbors(elements: IntArray) -> tuple[IntArray, IntArray, IntArray, IntArr
     same = np.flatnonzero(keys[order][1:] == keys[order][:-1])
     a, b = order[same], order[same + 1]
     return a // len(faces), b // len(faces), a % len(faces), b % len(faces)
-
-
-def _parts(num: int, first: IntArray, second: IntArray) -> IntArray:
-    """Number of the connected component of each of ``num`` items, given linked pairs."""
-    graph = coo_matrix((np.ones(len(first), np.int8), (first, second)), shape=(num, num))
-    return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
 def _aligned(keys: IntArray, face_parts: IntArray, element: IntArray, face: IntArray) -> IntArray:

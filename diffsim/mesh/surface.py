@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-import trimesh
 from torch import Tensor
 
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import HEX_FACES, TET_FACES, IntArray
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +66,8 @@ def to_trimesh(mesh: HexMesh | TetMesh, x: Tensor | None = None) -> trimesh.Trim
         and ``metadata["element_idx"]`` the parent of each face. Watertight unless elements meet
         only along an edge or at a node.
     """
+    import trimesh
+
     surface = surface_triangles(mesh)
     vertex_idx, local = torch.unique(surface.faces, return_inverse=True)
     positions = mesh.x_rest if x is None else x.detach()

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy import ndimage
 
 from diffsim.core.check import require_choice, require_number
 from diffsim.core.errors import MeshError
@@ -55,6 +54,8 @@ def hex_from_mask(inside: np.ndarray, origin: Array, spacing: float, keep: str) 
             "inside"
         )
     if keep == "largest":
+        from scipy import ndimage
+
         labels, _ = ndimage.label(inside)  # connected through faces
         sizes = np.bincount(labels.reshape(-1))
         sizes[0] = 0
@@ -67,7 +68,7 @@ def hex_from_mask(inside: np.ndarray, origin: Array, spacing: float, keep: str) 
 
 def grid(bounds: Sequence[Sequence[float]], spacing: float) -> tuple[Array, IntArray]:
     """Lower corner (3,) [m] and number of cells (3,) of a grid that covers the bounds."""
-    spacing = require_number("spacing", float(spacing), above=0.0)
+    spacing = require_number("spacing", spacing, above=0.0)
     corners = np.array(bounds, dtype=np.float64)
     if corners.shape != (2, 3) or not np.isfinite(corners).all():
         raise ValueError(f"bounds must be two corners of three numbers [m], got {bounds}")

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_choice
+from diffsim.core.check_options import require_threads
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.ode import _ops
 from diffsim.ode.tape import Tapes, make_tapes
@@ -109,6 +110,7 @@ class Ode:
         Raises:
             ValueError: shapes disagree, or times do not increase.
         """
+        num_threads = require_threads(num_threads)
         n, m, q = len(self.rates), len(self.inputs), len(self.parameters)
         times = require("times", times, ("num_samples",))
         if not bool((times.diff() > 0).all()):

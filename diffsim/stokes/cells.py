@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require
+from diffsim.core.check_options import require_threads
 from diffsim.stokes import _ops_cut
 from diffsim.stokes.grid import Grid
 
@@ -39,12 +40,13 @@ def cut_cells(grid: Grid, phi: Tensor, *, num_threads: int = 1) -> CutCells:
 
     Reference: thesis eqs. 4.72, 4.74 (the same numbers where those are defined).
     """
+    num_threads = require_threads(num_threads)
     phi = require("phi", phi, grid.node_shape, torch.float64)
     volume, area, normal = _ops_cut.cut_cells_layer(
         phi=phi.reshape(-1),
         cells=list(grid.shape),
         spacing=list(grid.spacing),
-        num_threads=num_threads,
+        num_threads=require_threads(num_threads),
     )
     return CutCells(
         volume.reshape(grid.shape), area.reshape(grid.shape), normal.reshape(*grid.shape, grid.dim)

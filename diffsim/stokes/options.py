@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from diffsim.core.check import require_choice, require_number
+from diffsim.core.check_options import require_threads
 
 METHODS = ("auto", "direct", "iterative")
 
@@ -45,8 +46,9 @@ class SolverOptions:
         require_choice("method", self.method, METHODS)
         require_number("rtol", self.rtol, at_least=1e-13, at_most=0.1)
         require_number("tolerance", self.tolerance, above=0.0)
-        for name in ("max_iters", "num_kept", "num_threads"):
+        for name in ("max_iters", "num_kept"):
             count = getattr(self, name)
             if isinstance(count, bool) or not isinstance(count, int) or count < 1:
                 raise ValueError(f"{name} must be an integer >= 1, got {count!r}")
+        require_threads(self.num_threads)
         require_choice("on_failure", self.on_failure, ("raise", "warn"))

@@ -23,6 +23,7 @@ from diffsim import contact, mesh, soft
 from diffsim.applications import Application
 from diffsim.applications.identification import TRUTH_RTOL, identification
 from diffsim.cli.application import main
+from diffsim.core import interruptible
 
 RTOL, MAX_EVALUATIONS = 1e-4, 40
 TRUTH = (2e6, 0.4)  # Young's modulus [Pa], Poisson's ratio
@@ -93,4 +94,5 @@ def _body(shape: mesh.HexMesh, solver: soft.SolverOptions, integrator: str) -> s
 
 
 if __name__ == "__main__":
-    main(build, __doc__, rtol=RTOL, max_evaluations=MAX_EVALUATIONS)
+    with interruptible():
+        main(build, __doc__, rtol=RTOL, max_evaluations=MAX_EVALUATIONS)

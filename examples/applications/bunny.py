@@ -22,6 +22,7 @@ from torch import Tensor
 from diffsim import contact, mesh, soft
 from diffsim.applications import Application, Parameters
 from diffsim.cli.application import main
+from diffsim.core import interruptible
 from diffsim.mesh.sdf import ellipsoid, rotate, smooth_union, translate
 
 RTOL, MAX_EVALUATIONS = 1e-4, 40
@@ -106,4 +107,5 @@ def bunny(spacing: float) -> mesh.HexMesh:
 
 
 if __name__ == "__main__":
-    main(build, __doc__, rtol=RTOL, max_evaluations=MAX_EVALUATIONS)
+    with interruptible():
+        main(build, __doc__, rtol=RTOL, max_evaluations=MAX_EVALUATIONS)

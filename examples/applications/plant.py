@@ -22,6 +22,7 @@ from diffsim import mesh, soft
 from diffsim.applications import Application
 from diffsim.applications.identification import TRUTH_RTOL, identification
 from diffsim.cli.application import main
+from diffsim.core import interruptible
 
 RTOL, MAX_EVALUATIONS = 1e-4, 30
 TRUTH = (1e6, 0.4)  # Young's modulus [Pa], Poisson's ratio
@@ -120,4 +121,5 @@ def _leaf(k: int, thickness: float) -> mesh.sdf.Sdf:
 
 
 if __name__ == "__main__":
-    main(build, __doc__, rtol=RTOL, max_evaluations=MAX_EVALUATIONS)
+    with interruptible():
+        main(build, __doc__, rtol=RTOL, max_evaluations=MAX_EVALUATIONS)

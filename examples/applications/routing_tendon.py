@@ -19,6 +19,7 @@ from torch import Tensor
 from diffsim import mesh, soft
 from diffsim.applications import Application, Parameters
 from diffsim.cli.application import main
+from diffsim.core import interruptible
 
 RTOL, MAX_EVALUATIONS = 1e-4, 60
 SIDE, HEIGHT, DT, STEPS = 0.04, 0.16, 0.01, 100  # [m], [m], [s]
@@ -97,4 +98,5 @@ def _muscles(shape: mesh.HexMesh) -> list[soft.Muscle]:
 
 
 if __name__ == "__main__":
-    main(build, __doc__, rtol=RTOL, max_evaluations=MAX_EVALUATIONS)
+    with interruptible():
+        main(build, __doc__, rtol=RTOL, max_evaluations=MAX_EVALUATIONS)

@@ -15,6 +15,7 @@ from diffsim import soft
 from diffsim.applications import Application, Parameters
 from diffsim.applications.gait import gait, lines_between_knots
 from diffsim.cli.application import main
+from diffsim.core import interruptible
 from diffsim.systems import robots
 
 RTOL, MAX_EVALUATIONS = 1e-6, 25  # the thesis's tolerance
@@ -47,4 +48,5 @@ def build(solver: soft.SolverOptions, quick: bool, refine: int = 1) -> Applicati
 
 
 if __name__ == "__main__":
-    main(build, __doc__, rtol=RTOL, max_evaluations=MAX_EVALUATIONS, view=(10.0, -82.0))
+    with interruptible():
+        main(build, __doc__, rtol=RTOL, max_evaluations=MAX_EVALUATIONS, view=(10.0, -82.0))

@@ -42,6 +42,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from diffsim import contact, mesh, soft
+from diffsim.core import interruptible
 
 RADIUS = 0.8  # of the slide [m]
 HIGH, LIP = math.radians(60.0), math.radians(20.0)  # ends of its arc, before and after the bottom
@@ -202,14 +203,17 @@ def draw(m: mesh.TetMesh, runs: dict[str, tuple[float, list[float], Tensor]], pa
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--small", action="store_true", help="a coarse duck, two simulations")
-    parser.add_argument("--full", action="store_true", help="the thesis's size, 16,926 DoF")
-    parser.add_argument("--complementarity", action="store_true", help="instead of penalty contact")
-    parser.add_argument("--simulations", type=int, default=12)
-    parser.add_argument("--out", metavar="PNG", help="write the picture here")
-    args = parser.parse_args()
-    size = 0.04 if args.small else THESIS_DUCK if args.full else 0.026
-    rounds = 2 if args.small else args.simulations
-    for name, value in main(size, rounds, args.complementarity, args.out).items():
-        print(f"{name:36s} {value:.4g}")
+    with interruptible():
+        parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+        parser.add_argument("--small", action="store_true", help="a coarse duck, two simulations")
+        parser.add_argument("--full", action="store_true", help="the thesis's size, 16,926 DoF")
+        parser.add_argument(
+            "--complementarity", action="store_true", help="instead of penalty contact"
+        )
+        parser.add_argument("--simulations", type=int, default=12)
+        parser.add_argument("--out", metavar="PNG", help="write the picture here")
+        args = parser.parse_args()
+        size = 0.04 if args.small else THESIS_DUCK if args.full else 0.026
+        rounds = 2 if args.small else args.simulations
+        for name, value in main(size, rounds, args.complementarity, args.out).items():
+            print(f"{name:36s} {value:.4g}")

@@ -27,6 +27,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from diffsim import contact, mesh, soft
+from diffsim.core import interruptible
 
 SIDE, THICK, GAP, DT = 0.3, 0.006, 0.002, 0.01  # [m], [m], [m], [s]
 RADII = (0.065, 0.165, 0.30, 2.0)  # of the ball [m]
@@ -160,10 +161,11 @@ def cap(radius: float) -> Tensor:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--all", action="store_true", help="75 and 100 cells a side, too")
-    parser.add_argument("--small", action="store_true", help="10 cells a side, 20 steps")
-    parser.add_argument("--out", metavar="PNG", help="write the picture here")
-    args = parser.parse_args()
-    chosen = (10,) if args.small else (25, 50, 75, 100) if args.all else (25, 50)
-    main(chosen, 20 if args.small else 40, args.out)
+    with interruptible():
+        parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+        parser.add_argument("--all", action="store_true", help="75 and 100 cells a side, too")
+        parser.add_argument("--small", action="store_true", help="10 cells a side, 20 steps")
+        parser.add_argument("--out", metavar="PNG", help="write the picture here")
+        args = parser.parse_args()
+        chosen = (10,) if args.small else (25, 50, 75, 100) if args.all else (25, 50)
+        main(chosen, 20 if args.small else 40, args.out)

@@ -39,6 +39,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from diffsim import contact, mesh, soft
+from diffsim.core import interruptible
 
 RADIUS, SPIN, DT = 0.2, 10.0, 0.005  # [m], [rad/s], [s]
 FLOORS = {"sticking": math.inf, "friction 0.3": 0.3}
@@ -169,10 +170,11 @@ def draw(body: soft.SoftBody, runs: dict[str, tuple[Tensor, Tensor]], path: str)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--small", action="store_true", help="a coarse ball, 20 steps: 2 s")
-    parser.add_argument("--out", metavar="PNG", help="write the picture here")
-    args = parser.parse_args()
-    size = (0.06, 20) if args.small else (0.044, 100)
-    for name, value in main(*size, out=args.out).items():
-        print(f"{name:44s} {value:.6g}")
+    with interruptible():
+        parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+        parser.add_argument("--small", action="store_true", help="a coarse ball, 20 steps: 2 s")
+        parser.add_argument("--out", metavar="PNG", help="write the picture here")
+        args = parser.parse_args()
+        size = (0.06, 20) if args.small else (0.044, 100)
+        for name, value in main(*size, out=args.out).items():
+            print(f"{name:44s} {value:.6g}")

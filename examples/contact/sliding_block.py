@@ -13,6 +13,7 @@ from __future__ import annotations
 import torch
 
 from diffsim import contact, mesh, soft
+from diffsim.core import interruptible
 
 SPEED, FRICTION, GRAVITY = 1.265, 0.4, 9.81  # [m/s], [-], [m/s^2]
 
@@ -41,5 +42,6 @@ def main(dt: float = 0.005, steps: int = 80) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    for name, value in main().items():
-        print(f"{name:20s} {value:.4f}")
+    with interruptible():
+        for name, value in main().items():
+            print(f"{name:20s} {value:.4f}")

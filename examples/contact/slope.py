@@ -48,6 +48,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from diffsim import contact, mesh, soft
+from diffsim.core import interruptible
 
 ANGLE = math.radians(10.0)
 DOWN = torch.tensor([math.cos(ANGLE), 0.0, -math.sin(ANGLE)], dtype=torch.float64)
@@ -181,16 +182,19 @@ def draw(
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--small", action="store_true", help="a coarser duck, two slopes, 0.5 s")
-    parser.add_argument(
-        "--full", action="store_true", help="the thesis's size: about 8 CPU minutes"
-    )
-    parser.add_argument("--out", metavar="PNG", help="write the picture here")
-    args = parser.parse_args()
-    if args.small:
-        numbers = main(0.05, (0.20, 0.10), 0.5, args.out)
-    else:
-        numbers = main(THESIS_DUCK if args.full else 0.03, out=args.out)
-    for name, value in numbers.items():
-        print(f"{name:36s} {value:.4g}")
+    with interruptible():
+        parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+        parser.add_argument(
+            "--small", action="store_true", help="a coarser duck, two slopes, 0.5 s"
+        )
+        parser.add_argument(
+            "--full", action="store_true", help="the thesis's size: about 8 CPU minutes"
+        )
+        parser.add_argument("--out", metavar="PNG", help="write the picture here")
+        args = parser.parse_args()
+        if args.small:
+            numbers = main(0.05, (0.20, 0.10), 0.5, args.out)
+        else:
+            numbers = main(THESIS_DUCK if args.full else 0.03, out=args.out)
+        for name, value in numbers.items():
+            print(f"{name:36s} {value:.4g}")

@@ -49,6 +49,7 @@ from diffsim.copter import (
     rotor_names,
     shipped_designs,
 )
+from diffsim.core import interruptible
 
 DT = 0.005  # [s]
 TARGET = (2.0, 1.0, -1.5)  # north, east, down [m]
@@ -200,11 +201,12 @@ def table(numbers: dict[str, dict[str, float]]) -> str:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(shipped_designs()))
-    parser.add_argument("--seconds", type=float, default=8.0, help="of flight")
-    parser.add_argument("--out", metavar="FOLDER", help="write pictures here")
-    parser.add_argument("--fabricate", action="store_true", help="and fabrication pages")
-    args = parser.parse_args()
-    chosen = tuple(args.names) or shipped_designs()
-    print(table(main(chosen, args.seconds, args.out, args.fabricate)))
+    with interruptible():
+        parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+        parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(shipped_designs()))
+        parser.add_argument("--seconds", type=float, default=8.0, help="of flight")
+        parser.add_argument("--out", metavar="FOLDER", help="write pictures here")
+        parser.add_argument("--fabricate", action="store_true", help="and fabrication pages")
+        args = parser.parse_args()
+        chosen = tuple(args.names) or shipped_designs()
+        print(table(main(chosen, args.seconds, args.out, args.fabricate)))

@@ -41,6 +41,7 @@ from diffsim.copter import (
     motor_lag,
 )
 from diffsim.copter.simulator import LqrController, MotorOutputs, flight_rotors
+from diffsim.core import interruptible
 
 STANDARD, OPTIMIZED = "quadcopter", "quadcopter_flight_time"
 RATE = 100.0  # of control [Hz]
@@ -172,10 +173,11 @@ def _draw(both: Sequence[tuple[str, Hovering]], out: str) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--seconds", type=int, default=300, help="of hovering")
-    parser.add_argument("--seed", type=int, default=0, help="of the wind")
-    parser.add_argument("--out", metavar="FOLDER", help="picture")
-    args = parser.parse_args()
-    for key, value in main(args.seconds, args.seed, args.out).items():
-        print(f"{key:44s} {value:.6g}")
+    with interruptible():
+        parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+        parser.add_argument("--seconds", type=int, default=300, help="of hovering")
+        parser.add_argument("--seed", type=int, default=0, help="of the wind")
+        parser.add_argument("--out", metavar="FOLDER", help="picture")
+        args = parser.parse_args()
+        for key, value in main(args.seconds, args.seed, args.out).items():
+            print(f"{key:44s} {value:.6g}")

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from diffsim import copter
+from diffsim.core import interruptible
 
 
 def main(step: float = 1e-4) -> dict[str, float]:
@@ -35,5 +36,6 @@ def main(step: float = 1e-4) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    for name, value in main().items():
-        print(f"{name:28s} {value:.4f}")
+    with interruptible():
+        for name, value in main().items():
+            print(f"{name:28s} {value:.4f}")

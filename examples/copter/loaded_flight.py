@@ -39,6 +39,7 @@ from diffsim.copter.simulator import (
     load_mission,
     payload_limit,
 )
+from diffsim.core import interruptible
 
 FLAT, OPTIMIZED = "pentacopter", "pentacopter_payload"
 LOADS = {FLAT: 1.047, OPTIMIZED: 1.392}  # thesis Table 3.1 [kg]
@@ -110,11 +111,12 @@ def main(
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--share", type=float, default=SHARE, help="of the bench's thrust")
-    parser.add_argument("--seconds", type=float, help="end the flights early")
-    parser.add_argument("--seed", type=int, default=0, help="of the sensors' noise")
-    parser.add_argument("--out", metavar="FOLDER", help="picture and recordings")
-    args = parser.parse_args()
-    for key, value in main(args.share, args.seconds, args.seed, args.out).items():
-        print(f"{key:46s} {value}")
+    with interruptible():
+        parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+        parser.add_argument("--share", type=float, default=SHARE, help="of the bench's thrust")
+        parser.add_argument("--seconds", type=float, help="end the flights early")
+        parser.add_argument("--seed", type=int, default=0, help="of the sensors' noise")
+        parser.add_argument("--out", metavar="FOLDER", help="picture and recordings")
+        args = parser.parse_args()
+        for key, value in main(args.share, args.seconds, args.seed, args.out).items():
+            print(f"{key:46s} {value}")

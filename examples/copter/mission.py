@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from diffsim.copter import load_design
 from diffsim.copter.simulator import FlightSimulator, load_mission
+from diffsim.core import interruptible
 
 
 def main(seconds: float = 5.0, payload: float = 0.3) -> dict[str, float]:
@@ -28,5 +29,6 @@ def main(seconds: float = 5.0, payload: float = 0.3) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    for name, value in main().items():
-        print(f"{name:28s} {value:.4f}")
+    with interruptible():
+        for name, value in main().items():
+            print(f"{name:28s} {value:.4f}")

@@ -36,6 +36,7 @@ import torch
 
 from diffsim.copter import GRAVITY, Multicopter, load_design, max_hover_weight, rotor_model
 from diffsim.copter.codesign import Demands, Limits, SearchOptions, codesign
+from diffsim.core import interruptible
 
 #: size x, y [mm]; weight, payload, overall weight [g]; largest motor angle [deg]
 THESIS = {
@@ -130,9 +131,10 @@ def main(starts: int = 4, out: str | None = None) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--starts", type=int, default=4, help="of each co-design")
-    parser.add_argument("--out", metavar="FOLDER", help="fabrication plan of the optimum")
-    args = parser.parse_args()
-    for name, value in main(args.starts, args.out).items():
-        print(f"{name:52s} {value:.4g}")
+    with interruptible():
+        parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+        parser.add_argument("--starts", type=int, default=4, help="of each co-design")
+        parser.add_argument("--out", metavar="FOLDER", help="fabrication plan of the optimum")
+        args = parser.parse_args()
+        for name, value in main(args.starts, args.out).items():
+            print(f"{name:52s} {value:.4g}")

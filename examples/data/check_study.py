@@ -13,6 +13,7 @@ from __future__ import annotations
 import tempfile
 from dataclasses import replace
 
+from diffsim.core import interruptible
 from diffsim.data import Problem, check_study, load_study, save_study
 from diffsim.data.labs import LABS
 
@@ -30,7 +31,8 @@ def main(system: str = "soft_body", seed: int = 0) -> dict[str, list[Problem]]:
 
 
 if __name__ == "__main__":
-    for name, problems in main().items():
-        print(f"{name}: {len(problems)} problems")
-        for problem in problems:
-            print(f"  {problem}")
+    with interruptible():
+        for name, problems in main().items():
+            print(f"{name}: {len(problems)} problems")
+            for problem in problems:
+                print(f"  {problem}")

@@ -13,6 +13,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+from diffsim.core import interruptible
 from diffsim.data import BeamStudy, beam_motion, find_dataset, load_beam_study, write_beam_study
 
 
@@ -33,5 +34,6 @@ def main(study: BeamStudy | None = None) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    for name, value in main().items():
-        print(f"{name:32s} {value:.4f}")
+    with interruptible():
+        for name, value in main().items():
+            print(f"{name:32s} {value:.4f}")

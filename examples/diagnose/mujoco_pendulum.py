@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from diffsim.core import interruptible
 from diffsim.data import load_study
 from diffsim.diagnose import Report, diagnose
 from diffsim.systems import setup_of
@@ -104,7 +105,8 @@ def main(folder: Path, cable: float = 0.6) -> Report:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("folder", nargs="?", type=Path, default=Path(tempfile.mkdtemp()))
-    report = main(parser.parse_args().folder)
-    print(report.verdict, *report.sentences, sep="\n")
+    with interruptible():
+        parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+        parser.add_argument("folder", nargs="?", type=Path, default=Path(tempfile.mkdtemp()))
+        report = main(parser.parse_args().folder)
+        print(report.verdict, *report.sentences, sep="\n")

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from diffsim.core import interruptible
 from diffsim.data import load_study
 from diffsim.diagnose import Report, diagnose
 from diffsim.systems import setup_of
@@ -106,7 +107,8 @@ def main(folder: Path, friction: float = 0.3) -> Report:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("folder", nargs="?", type=Path, default=Path(tempfile.mkdtemp()))
-    report = main(parser.parse_args().folder)
-    print(report.verdict, *report.sentences, sep="\n")
+    with interruptible():
+        parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+        parser.add_argument("folder", nargs="?", type=Path, default=Path(tempfile.mkdtemp()))
+        report = main(parser.parse_args().folder)
+        print(report.verdict, *report.sentences, sep="\n")

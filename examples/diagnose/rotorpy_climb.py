@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from diffsim.core import interruptible
 from diffsim.data import load_study
 from diffsim.diagnose import Report, diagnose
 from diffsim.systems import setup_of
@@ -110,7 +111,8 @@ def main(folder: Path, late_s: float = 0.04) -> Report:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("folder", nargs="?", type=Path, default=Path(tempfile.mkdtemp()))
-    report = main(parser.parse_args().folder)
-    print(report.verdict, *report.sentences, sep="\n")
+    with interruptible():
+        parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+        parser.add_argument("folder", nargs="?", type=Path, default=Path(tempfile.mkdtemp()))
+        report = main(parser.parse_args().folder)
+        print(report.verdict, *report.sentences, sep="\n")

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from diffsim import mesh, soft
+from diffsim.core import interruptible
 
 STEPS, F64 = 20, torch.float64
 
@@ -76,5 +77,6 @@ def main(iterations: int = 60, batch: int = 4, seed: int = 0) -> dict[str, float
 
 
 if __name__ == "__main__":
-    for name, value in main().items():
-        print(f"{name}: {1e3 * value:.2f} mm")
+    with interruptible():
+        for name, value in main().items():
+            print(f"{name}: {1e3 * value:.2f} mm")

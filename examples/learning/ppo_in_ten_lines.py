@@ -14,6 +14,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecMonitor
 
+from diffsim.core import interruptible
 from diffsim.envs import Sb3VecEnv, make_vector
 
 
@@ -28,9 +29,10 @@ def main(steps: int = 60_000, num_envs: int = 32, seed: int = 0) -> dict[str, fl
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--steps", type=int, default=60_000)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
-    for name, value in main(args.steps, seed=args.seed).items():
-        print(f"mean return {name}: {value:.1f}")
+    with interruptible():
+        parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+        parser.add_argument("--steps", type=int, default=60_000)
+        parser.add_argument("--seed", type=int, default=0)
+        args = parser.parse_args()
+        for name, value in main(args.steps, seed=args.seed).items():
+            print(f"mean return {name}: {value:.1f}")

@@ -16,6 +16,7 @@ import time
 import numpy as np
 import scipy.sparse as sp
 
+from diffsim.core import interruptible
 from diffsim.linalg import SparseCholesky
 
 
@@ -43,5 +44,6 @@ def main(n: int = 150) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    for name, value in main().items():
-        print(f"{name:24s} {value:.3g}")
+    with interruptible():
+        for name, value in main().items():
+            print(f"{name:24s} {value:.3g}")

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 
 from diffsim import mesh
+from diffsim.core import interruptible
 
 RADIUS, HOLE = 0.1, 0.04  # [m]
 
@@ -31,5 +32,6 @@ def main(spacings: tuple[float, ...] = (0.025, 0.0125)) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    for name, value in main().items():
-        print(f"{name:20s} {value:+.4f}")
+    with interruptible():
+        for name, value in main().items():
+            print(f"{name:20s} {value:+.4f}")

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic
 from diffsim.data import Run, Study
 from diffsim.systems.balls import SoftBallModel
@@ -72,9 +73,10 @@ def film(path: Path, num_frames: int = 33, size_px: tuple[int, int] = (1280, 720
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("file", type=Path, metavar="FILE.avi")
-    parser.add_argument("--frames", type=int, default=33, help="default: %(default)s")
-    parser.add_argument("--width", type=int, default=1280, help="[px], of 16:9")
-    given = parser.parse_args()
-    print(f"film: {film(given.file, given.frames, (given.width, given.width * 9 // 16))}")
+    with interruptible():
+        parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+        parser.add_argument("file", type=Path, metavar="FILE.avi")
+        parser.add_argument("--frames", type=int, default=33, help="default: %(default)s")
+        parser.add_argument("--width", type=int, default=1280, help="[px], of 16:9")
+        given = parser.parse_args()
+        print(f"film: {film(given.file, given.frames, (given.width, given.width * 9 // 16))}")

@@ -21,6 +21,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+from diffsim.core import interruptible
 from diffsim.data import import_study
 from diffsim.sim_to_real import (
     AwaitingRecordingError,
@@ -98,23 +99,24 @@ def _real(model: Starfish, settings: FitSettings) -> dict | None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--out", default="runs/starfish_loop", help="folder of the loop")
-    parser.add_argument("--quick", action="store_true", help="one short iteration")
-    parser.add_argument("--resume", action="store_true", help="go on with an interrupted loop")
-    parser.add_argument("--rig", metavar="FOLDER", help="hardware of yours, through files")
-    parser.add_argument("--no-real", action="store_true", help="leave the real recordings out")
-    parser.add_argument("--max-iterations", type=int, help="after bl-ctrl; 4 by default")
-    parser.add_argument("--seed", type=int, default=0, help="of the laboratory's scatter")
-    args = parser.parse_args()
-    found = main(
-        args.out,
-        quick=args.quick,
-        resume=args.resume,
-        rig=args.rig,
-        real=not args.no_real,
-        seed=args.seed,
-        max_iterations=args.max_iterations,
-    )
-    for name, value in (found or {}).items():
-        print(f"{name:16s} {value:.4g}")
+    with interruptible():
+        parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+        parser.add_argument("--out", default="runs/starfish_loop", help="folder of the loop")
+        parser.add_argument("--quick", action="store_true", help="one short iteration")
+        parser.add_argument("--resume", action="store_true", help="go on with an interrupted loop")
+        parser.add_argument("--rig", metavar="FOLDER", help="hardware of yours, through files")
+        parser.add_argument("--no-real", action="store_true", help="leave the real recordings out")
+        parser.add_argument("--max-iterations", type=int, help="after bl-ctrl; 4 by default")
+        parser.add_argument("--seed", type=int, default=0, help="of the laboratory's scatter")
+        args = parser.parse_args()
+        found = main(
+            args.out,
+            quick=args.quick,
+            resume=args.resume,
+            rig=args.rig,
+            real=not args.no_real,
+            seed=args.seed,
+            max_iterations=args.max_iterations,
+        )
+        for name, value in (found or {}).items():
+            print(f"{name:16s} {value:.4g}")

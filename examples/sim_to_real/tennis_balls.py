@@ -35,6 +35,7 @@ import torch
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic
 from diffsim.core.paths import data_folder
 from diffsim.data import Channel, Run, Study, ball_tracks_study, ball_video_study
@@ -311,4 +312,5 @@ def arguments() -> argparse.ArgumentParser:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

@@ -13,6 +13,7 @@ from __future__ import annotations
 import torch
 
 from diffsim import mesh, soft
+from diffsim.core import interruptible
 
 
 def main(cells: tuple[int, int, int] = (20, 4, 4), modulus: float = 2.6e5) -> dict[str, float]:
@@ -38,5 +39,6 @@ def main(cells: tuple[int, int, int] = (20, 4, 4), modulus: float = 2.6e5) -> di
 
 
 if __name__ == "__main__":
-    for name, value in main().items():
-        print(f"{name:20s} {value:.4f}")
+    with interruptible():
+        for name, value in main().items():
+            print(f"{name:20s} {value:.4f}")

@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from diffsim import mesh, soft
+from diffsim.core import interruptible
 
 LENGTH, SIDE = 0.2, 0.03  # [m]
 
@@ -126,10 +127,11 @@ def draw(m: mesh.HexMesh, x: Tensor, target: Tensor, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--cells", type=int, default=3, help="cells across the arm")
-    parser.add_argument("--max-evals", type=int, default=25)
-    parser.add_argument("--plot", metavar="PNG", help="write the picture here")
-    args = parser.parse_args()
-    for name, value in main(args.cells, args.max_evals, args.plot).items():
-        print(f"{name:15s} {value:.4g}")
+    with interruptible():
+        parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+        parser.add_argument("--cells", type=int, default=3, help="cells across the arm")
+        parser.add_argument("--max-evals", type=int, default=25)
+        parser.add_argument("--plot", metavar="PNG", help="write the picture here")
+        args = parser.parse_args()
+        for name, value in main(args.cells, args.max_evals, args.plot).items():
+            print(f"{name:15s} {value:.4g}")

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from diffsim import mesh, soft
+from diffsim.core import interruptible
 
 
 def main(pressure: float = 2e4, step: float = 1.0) -> dict[str, float]:
@@ -44,5 +45,6 @@ def main(pressure: float = 2e4, step: float = 1.0) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    for name, value in main().items():
-        print(f"{name:20s} {value:.4f}")
+    with interruptible():
+        for name, value in main().items():
+            print(f"{name:20s} {value:.4f}")

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from diffsim import mesh, optim, soft
+from diffsim.core import interruptible
 
 TRUTH, START, STEPS = 3e5, 2e5, 40  # [Pa], [Pa], steps of 5 ms
 
@@ -51,5 +52,6 @@ def main() -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    for name, value in main().items():
-        print(f"{name:20s} {value:.4f}")
+    with interruptible():
+        for name, value in main().items():
+            print(f"{name:20s} {value:.4f}")

@@ -25,6 +25,7 @@ import torch
 from torch import Tensor
 
 from diffsim import mesh, soft
+from diffsim.core import interruptible
 
 REACH, WIDTH, CORE, THICK = 0.070, 0.015, 0.018, 0.0175  # tip, leg, half center, flat to top [m]
 PULL = 0.018  # longest pull of the servo [m]
@@ -199,11 +200,12 @@ def draw(m: mesh.HexMesh, runs: dict[str, dict[str, Tensor]], path: Path) -> Non
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--iterations", type=int, default=8)
-    parser.add_argument("--periods", type=int, default=3, help="of 0.9 s, at least two")
-    parser.add_argument("--lr", type=float, default=0.8, help="Adam's step in the knots")
-    parser.add_argument("--plot", metavar="PNG", help="write the picture here")
-    args = parser.parse_args()
-    for name, value in main(args.iterations, args.periods, args.lr, args.plot).items():
-        print(f"{name:16s} {value:.4g}")
+    with interruptible():
+        parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+        parser.add_argument("--iterations", type=int, default=8)
+        parser.add_argument("--periods", type=int, default=3, help="of 0.9 s, at least two")
+        parser.add_argument("--lr", type=float, default=0.8, help="Adam's step in the knots")
+        parser.add_argument("--plot", metavar="PNG", help="write the picture here")
+        args = parser.parse_args()
+        for name, value in main(args.iterations, args.periods, args.lr, args.plot).items():
+            print(f"{name:16s} {value:.4g}")

@@ -26,6 +26,7 @@ import torch
 from torch import Tensor
 
 from diffsim import mesh, soft
+from diffsim.core import interruptible
 
 HEIGHT = 0.6  # [m]
 FEET, SHOULDERS, REACH = 0.09, 0.74, 0.16  # parts of the height: clamped below, turned above
@@ -249,28 +250,31 @@ def draw(m: mesh.TetMesh, shapes: list[Tensor], turn: Turn, path: Path) -> None:
 SMALL = {"spacing": 0.045, "frames": 6, "degrees": 90.0}
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--small", action="store_true", help="a coarse creature, a few frames")
-    parser.add_argument("--compare", action="store_true", help="also by a direct solver")
-    parser.add_argument("--mesh", metavar="FILE", help="tetrahedra or a closed surface of your own")
-    parser.add_argument("--spacing", type=float, help="longest edge of a tetrahedron [m]")
-    parser.add_argument("--frames", type=int, help="frames to simulate, 30 are one second")
-    parser.add_argument("--material", default="neo_hookean", choices=soft.MATERIALS)
-    parser.add_argument("--poissons-ratio", type=float, default=0.45)
-    parser.add_argument("--rtol", type=float, default=1e-4)
-    parser.add_argument("--plot", metavar="PNG", help="write the picture here")
-    args = parser.parse_args()
-    torch.set_num_threads(1)  # process time counts those that only wait
-    options = dict(SMALL) if args.small else {}
-    options |= {k: v for k in ("spacing", "frames") if (v := getattr(args, k)) is not None}
-    result = main(
-        **options,
-        material=args.material,
-        poissons_ratio=args.poissons_ratio,
-        rtol=args.rtol,
-        methods=("auto", "newton_cholesky") if args.compare else ("auto",),
-        file=args.mesh,
-        plot=args.plot,
-    )
-    for name, value in result.items():
-        print(f"{name:44s} {value:.4g}")
+    with interruptible():
+        parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+        parser.add_argument("--small", action="store_true", help="a coarse creature, a few frames")
+        parser.add_argument("--compare", action="store_true", help="also by a direct solver")
+        parser.add_argument(
+            "--mesh", metavar="FILE", help="tetrahedra or a closed surface of your own"
+        )
+        parser.add_argument("--spacing", type=float, help="longest edge of a tetrahedron [m]")
+        parser.add_argument("--frames", type=int, help="frames to simulate, 30 are one second")
+        parser.add_argument("--material", default="neo_hookean", choices=soft.MATERIALS)
+        parser.add_argument("--poissons-ratio", type=float, default=0.45)
+        parser.add_argument("--rtol", type=float, default=1e-4)
+        parser.add_argument("--plot", metavar="PNG", help="write the picture here")
+        args = parser.parse_args()
+        torch.set_num_threads(1)  # process time counts those that only wait
+        options = dict(SMALL) if args.small else {}
+        options |= {k: v for k in ("spacing", "frames") if (v := getattr(args, k)) is not None}
+        result = main(
+            **options,
+            material=args.material,
+            poissons_ratio=args.poissons_ratio,
+            rtol=args.rtol,
+            methods=("auto", "newton_cholesky") if args.compare else ("auto",),
+            file=args.mesh,
+            plot=args.plot,
+        )
+        for name, value in result.items():
+            print(f"{name:44s} {value:.4g}")

@@ -25,6 +25,7 @@ import torch
 from torch import Tensor
 
 from diffsim.cli.device_design import run
+from diffsim.core import interruptible
 from diffsim.stokes import devices
 
 
@@ -60,15 +61,18 @@ def main(
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--small", action="store_true", help="half the resolution, four samples")
-    parser.add_argument("--seed", type=int, default=0, help="of the random channels")
-    parser.add_argument("--out", metavar="FOLDER", help="picture, numbers and state; resumable")
-    parser.add_argument("--export", action="store_true", help="write .stl, .vti, .rrd as well")
-    args = parser.parse_args()
-    if args.export and not args.out:
-        parser.error("--export needs --out, the folder to write to")
-    size = {"resolution": 0.5, "num_samples": 4} if args.small else {}
-    results = main(seed=args.seed, out=args.out, with_export=args.export, **size)
-    for name, value in results.items():
-        print(f"{name:32s} {value:.6g}")
+    with interruptible():
+        parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+        parser.add_argument(
+            "--small", action="store_true", help="half the resolution, four samples"
+        )
+        parser.add_argument("--seed", type=int, default=0, help="of the random channels")
+        parser.add_argument("--out", metavar="FOLDER", help="picture, numbers and state; resumable")
+        parser.add_argument("--export", action="store_true", help="write .stl, .vti, .rrd as well")
+        args = parser.parse_args()
+        if args.export and not args.out:
+            parser.error("--export needs --out, the folder to write to")
+        size = {"resolution": 0.5, "num_samples": 4} if args.small else {}
+        results = main(seed=args.seed, out=args.out, with_export=args.export, **size)
+        for name, value in results.items():
+            print(f"{name:32s} {value:.6g}")

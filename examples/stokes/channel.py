@@ -13,6 +13,7 @@ from __future__ import annotations
 import torch
 
 from diffsim import stokes
+from diffsim.core import interruptible
 
 LENGTH, HEIGHT, RATE, VISCOSITY = 1.2, 0.63, 0.1, 2.0  # [m], [m], [m^2/s], [Pa s]
 
@@ -41,5 +42,6 @@ def main(cells: int = 40) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    for name, value in main().items():
-        print(f"{name:20s} {value:.4f}")
+    with interruptible():
+        for name, value in main().items():
+            print(f"{name:20s} {value:.4f}")

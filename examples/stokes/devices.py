@@ -26,6 +26,8 @@ from __future__ import annotations
 import sys
 
 from diffsim.cli import main
+from diffsim.core import interruptible
 
 if __name__ == "__main__":
-    sys.exit(main(["devices", *sys.argv[1:]]))
+    with interruptible():
+        sys.exit(main(["devices", *sys.argv[1:]]))

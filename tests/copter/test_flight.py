@@ -267,6 +267,28 @@ def test_batch_is_many_single_flights():
 
 
 @pytest.mark.property
+def test_a_negative_thrust_is_one_the_other_way():
+    """Without the clamp a rotor pushes back as one that points the other way pushes."""
+    vehicle, commands = crooked_copter(), tensor(np.full((1, 4, 5), 3.0))
+    commands[..., 1], commands[..., 3] = -2.0, 50.0
+    directions, limits = vehicle.directions.clone(), vehicle.max_thrusts.clone()
+    directions[1] *= -1.0
+    limits[3] = 60.0
+    turned = vehicle.replace(directions=directions, max_thrusts=limits)
+    drag = FlightEffects(body_drag=all_effects().body_drag)
+    free = fly(vehicle, tumbling(1), commands, dt=0.02, effects=drag, clamp=False).state
+    want = fly(turned, tumbling(1), commands.abs(), dt=0.02, effects=drag).state
+    for name in ("position", "velocity", "quaternion", "body_rates"):
+        torch.testing.assert_close(getattr(free, name), getattr(want, name), rtol=0, atol=1e-12)
+
+
+def test_powers_of_thrusts_need_the_clamp():
+    commands = tensor(np.full((1, 4, 5), 3.0))
+    with pytest.raises(ValueError, match=r"effects\.battery takes a power"):
+        fly(crooked_copter(), tumbling(1), commands, dt=0.02, effects=all_effects(), clamp=False)
+
+
+@pytest.mark.property
 def test_yaw_does_not_matter_to_physics():
     """Turning start and wind about the vertical turns the flight."""
     vehicle, start = crooked_copter(), tumbling(1)

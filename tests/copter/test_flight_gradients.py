@@ -39,7 +39,7 @@ def outputs(flight):
     return torch.cat(parts, dim=-1)[:, 1:]
 
 
-def run(vehicle=None, start=None, effects=None, closed=True, substeps=2, **changes):
+def run(vehicle=None, start=None, effects=None, closed=True, substeps=2, clamp=True, **changes):
     values = case() | changes
     loop = Feedback(gain=values["gain"], reference=values["reference"]) if closed else None
     flight = fly(
@@ -50,6 +50,7 @@ def run(vehicle=None, start=None, effects=None, closed=True, substeps=2, **chang
         feedback=loop,
         effects=all_effects(ROTORS, STEPS) if effects is None else effects,
         substeps=substeps,
+        clamp=clamp,
     )
     return outputs(flight)
 
@@ -200,6 +201,27 @@ def test_clamp_is_one_sided():
     assert grad[0, 1, 1] == 0.0
     assert grad[0, 2, 2] != 0.0
     assert grad[0, 2, 3] != 0.0
+
+
+def beyond():
+    """Commands below zero and above the largest thrust."""
+    commands = case()["commands"].clone()
+    commands[0, 0, 0], commands[0, 1, 1], commands[1, 0, 2] = -1.0, 30.0, 0.0
+    return commands
+
+
+def test_commands_without_a_clamp_have_gradients_everywhere():
+    effects = replace(all_effects(ROTORS, STEPS), thrust_curve=None, battery=None)
+
+    def flown(commands):
+        return run(effects=effects, commands=commands, clamp=False)
+
+    check(flown, beyond())
+    leaf = crooked_copter(ROTORS).max_thrusts.requires_grad_()
+    vehicle = crooked_copter(ROTORS).replace(max_thrusts=leaf)
+    moved = run(vehicle=vehicle, effects=effects, commands=beyond(), clamp=False)
+    (limits,) = torch.autograd.grad(moved.sum(), leaf)
+    assert bool((limits == 0.0).all())
 
 
 def test_op_contract():

@@ -7,6 +7,8 @@ import shutil
 import numpy as np
 import pytest
 import torch
+import trimesh
+from scipy.spatial.transform import Rotation
 
 from diffsim.copter import GRAVITY, import_xml, load_design
 from tests.measured import data_folder
@@ -152,7 +154,7 @@ def test_broken_files_are_reported_with_their_line(tmp_path, good, bad, message)
     text = (folder / "quadcopter.xml").read_text()
     assert good in text
     line = 1 + text[: text.index(good)].count("\n")
-    (tmp_path / "mesh").symlink_to(folder / "mesh")
+    shutil.copytree(folder / "mesh", tmp_path / "mesh")
     (tmp_path / "copter.xml").write_text(text.replace(good, bad, 1))
     with pytest.raises(ValueError, match=f"copter.xml, line [0-9]+: .*{message}") as caught:
         import_xml(tmp_path / "copter.xml")
@@ -202,9 +204,151 @@ def test_missing_mesh(tmp_path):
 def test_part_that_touches_nothing(tmp_path):
     folder = data_folder("copter_reference")
     text = (folder / "quadcopter.xml").read_text()
-    (tmp_path / "mesh").symlink_to(folder / "mesh")
+    shutil.copytree(folder / "mesh", tmp_path / "mesh")
     moved = text.replace('<translate xyz="0 -0.23 -0.124"/>\n      <translate', "<translate", 1)
     assert moved != text
     (tmp_path / "copter.xml").write_text(moved)
     with pytest.raises(ValueError, match="rotor_3 touches no other part"):
         import_xml(tmp_path / "copter.xml")
+
+
+TAIL = 45.0  # tilt of the motors of a V tail [deg]
+HUB = (("translate", (-0.23, 0.0, -0.126)),)
+LEFT, RIGHT = (("rotate", (TAIL, 0.0, 0.0)), *HUB), (("rotate", (-TAIL, 0.0, 0.0)), *HUB)
+ACROSS = ("rotate", (0.0, 0.0, 90.0))
+
+
+def up(y, z):
+    return ("translate", (0.0, y, z))
+
+
+def at(*place):
+    return ("translate", place)
+
+
+VTAIL = {
+    "plate": [({"size": "0.15 0.15"}, [at(0.0, 0.0, -0.15)])],
+    "battery": [({}, [ACROSS, at(0.0, 0.0, -0.15)])],
+    "electronics": [({}, [at(0.03, 0.0, -0.1644)])],
+    "tube": [
+        ({"length": "0.5"}, [at(0.0, 0.0, -0.126)]),
+        ({"length": "0.5"}, [ACROSS, at(0.23, 0.0, -0.174)]),
+        ({"length": "0.14"}, [ACROSS, up(0.05, -0.0454), *LEFT]),
+        ({"length": "0.14"}, [ACROSS, up(-0.05, -0.0454), *RIGHT]),
+    ],
+    "round_connector": [
+        ({}, [("rotate", (180.0, 0.0, 90.0)), at(0.23, 0.0, -0.174)]),
+        ({}, [at(0.0, 0.0, -0.126)]),
+        ({}, [("rotate", (180.0, 0.0, 0.0)), at(0.23, 0.0, -0.126)]),
+        ({}, [*LEFT]),
+        ({}, [ACROSS, at(0.23, -0.23, -0.174)]),
+        ({}, [("rotate", (0.0, 0.0, -90.0)), at(0.23, 0.23, -0.174)]),
+        *(({}, [ACROSS, up(0.0, -0.0454), *side]) for side in (LEFT, RIGHT)),
+        ({}, [ACROSS, up(0.1, -0.0454), *LEFT]),
+        ({}, [ACROSS, up(-0.1, -0.0454), *RIGHT]),
+    ],
+    "motor": [
+        ({"spin_dir": "cw"}, [up(-0.1, -0.0854), *RIGHT]),
+        ({"spin_dir": "ccw"}, [at(0.23, 0.23, -0.214)]),
+        ({"spin_dir": "cw"}, [up(0.1, -0.0854), *LEFT]),
+        ({"spin_dir": "ccw"}, [at(0.23, -0.23, -0.214)]),
+    ],
+}
+TAGS = {
+    "plate": ("plate.obj", 1180.0, ""),
+    "battery": ("battery.obj", 2857.1, ' capacity="2200"'),
+    "electronics": ("electronics.obj", 601.6, ""),
+    "tube": ("tube.obj", 1638.9, ""),
+    "round_connector": ("connector.obj", 1170.0, ""),
+    "motor": (
+        "motor.obj",
+        4833.3,
+        ' measurement="motor_10inch_prop.txt" propeller_height="0.019"',
+    ),
+}
+
+
+def vtail_xml():
+    """The public tool's V tail, whose two rear motors, connectors and tubes are tilted."""
+    lines = ["<copter>", ' <propeller file="propeller_10inch.obj"/>']
+    for tag, instances in VTAIL.items():
+        file, density, more = TAGS[tag]
+        lines.append(f' <{tag} file="{file}" density="{density}"{more}>')
+        for given, moves in instances:
+            lines.append("  <instance" + "".join(f' {k}="{v}"' for k, v in given.items()) + ">")
+            for kind, values in moves:
+                key = "xyz" if kind == "translate" else "rpy"
+                lines.append(f'   <{kind} {key}="{" ".join(map(str, values))}"/>')
+            lines.append("  </instance>")
+        lines.append(f" </{tag}>")
+    return "\n".join([*lines, "</copter>"])
+
+
+def placed(moves):
+    """4x4 transform of moves in file order."""
+    whole = np.eye(4)
+    for kind, values in moves:
+        move = np.eye(4)
+        if kind == "translate":
+            move[:3, 3] = values
+        else:
+            move[:3, :3] = Rotation.from_euler("xyz", values, degrees=True).as_matrix()
+        whole = move @ whole
+    return whole
+
+
+def mass_by_meshes(folder):
+    """Mass, center and inertia about it, from the triangles alone; place and axis of motors."""
+    total, first, second, rotors = 0.0, np.zeros(3), np.zeros((3, 3)), []
+    for tag, instances in VTAIL.items():
+        file, density, _ = TAGS[tag]
+        for given, moves in instances:
+            mesh = trimesh.load(folder / "mesh" / file, force="mesh")
+            scale = [float(v) for v in given.get("size", "1 1").split()] + [1.0]
+            mesh.apply_transform(np.diag([float(given.get("length", scale[0])), *scale[1:], 1.0]))
+            mesh.apply_transform(placed(moves))
+            mesh.density = density
+            mass, center = mesh.mass, mesh.center_mass
+            total, first = total + mass, first + mass * center
+            second += mesh.moment_inertia + mass * (center @ center * np.eye(3))
+            second -= mass * np.outer(center, center)
+            if tag == "motor":
+                rotors.append((placed(moves)[:3, 3], placed(moves)[:3, :3] @ [0.0, 0.0, -1.0]))
+    center = first / total
+    about = second - total * (center @ center * np.eye(3) - np.outer(center, center))
+    return total, center, about, rotors
+
+
+@pytest.mark.reference
+def test_tilted_motors_are_imported(tmp_path):
+    """Boxes were compared in world axes: rotor_0, rotor_2 touched no other part."""
+    folder = data_folder("copter_reference")
+    shutil.copytree(folder / "mesh", tmp_path / "mesh")
+    (tmp_path / "vtail.xml").write_text(vtail_xml())
+    design = import_xml(tmp_path / "vtail.xml")
+    copter = design.multicopter()
+    mass, center, inertia, rotors = mass_by_meshes(folder)
+    close = {"atol": TOL, "rtol": 0.0}
+    assert float(copter.mass) == pytest.approx(mass, abs=TOL)
+    torch.testing.assert_close(design.center_of_mass(), tensor(center), **close)
+    torch.testing.assert_close(copter.inertia, tensor(inertia), **close)
+    places, axes = (np.array(column) for column in zip(*rotors, strict=True))
+    torch.testing.assert_close(copter.positions, tensor(places - center), **close)
+    torch.testing.assert_close(copter.force_matrix, tensor(axes.T), **close)
+    drag = copter.torque_matrix.numpy() - np.cross(places - center, axes).T
+    np.testing.assert_allclose(
+        np.abs(drag), abs(float(copter.torque_ratios[0])) * abs(axes.T), atol=TOL
+    )
+    assert len(design.spec.rigid) == 7  # motors and connectors face to face, the tilted ones too
+
+
+@pytest.mark.reference
+def test_a_motor_turned_away_from_its_connector_is_refused(tmp_path):
+    folder = data_folder("copter_reference")
+    shutil.copytree(folder / "mesh", tmp_path / "mesh")
+    text = vtail_xml()
+    wrong = text.replace('<rotate rpy="-45.0 0.0 0.0"/>', '<rotate rpy="-40.0 0.0 0.0"/>')
+    last = text.rindex('<rotate rpy="-45.0')
+    (tmp_path / "vtail.xml").write_text(text[:last] + wrong[last:])
+    with pytest.raises(ValueError, match="rotor_0 touches no other part"):
+        import_xml(tmp_path / "vtail.xml")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -72,3 +75,31 @@ def test_steps_of_inference_mode():
         for _ in range(2):
             state, reward = task.step(state, action)
     assert bool(torch.isfinite(reward).all())
+
+
+FORKED_WORKERS = """
+import multiprocessing, gymnasium, torch
+import diffsim.envs
+
+torch.set_num_threads(2)
+large = torch.rand(400, 400, dtype=torch.float64)
+(large @ large).exp().sum()  # PyTorch's pool starts in the parent
+
+def make():
+    (large @ large).exp().sum()  # would wait for ever in the child
+    return gymnasium.make("diffsim/CopterHover-v0")
+
+multiprocessing.set_start_method("fork")  # what Linux does unless told otherwise, up to Python 3.13
+envs = gymnasium.vector.AsyncVectorEnv([make, make])
+observation, _ = envs.reset(seed=0)
+observation, *_ = envs.step(envs.action_space.sample())
+print(observation.shape)
+envs.close()
+"""
+
+
+def test_forked_workers_of_gymnasium():
+    done = subprocess.run(
+        [sys.executable, "-c", FORKED_WORKERS], capture_output=True, text=True, timeout=90
+    )
+    assert done.stdout.split("\n")[0] == "(2, 22)", done.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,9 @@ import torch
 
 from diffsim.copter.fleet import Fleet
 from diffsim.systems.multicopter import moments
+from diffsim.systems.multicopter.flying import Flyer
 from diffsim.systems.multicopter.motion import Motion
+from diffsim.systems.multicopter.scene import CopterScene
 from tests.systems.test_multicopter import quadcopter
 
 f64 = torch.float64
@@ -73,6 +76,28 @@ def test_rotors_that_speed_up_turn_the_vehicle_the_other_way():
     want = [0.0, 0.0, sense * inertia * gained / 0.01]
     np.testing.assert_allclose(got, np.tile(want, (5, 1)), rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(lift, 0.0, atol=1e-9)
+
+
+def test_a_moment_beyond_what_the_rotors_could_give_acts_in_full():
+    """Yaw falls by exp(-5 t), though rotors with this torque could not hold a hundredth of it."""
+    dt, steps, rate = 0.02, 20, 2.0
+    vehicle = quadcopter()
+    weak = replace(Fleet.of([vehicle]), torque_ratios=torch.full((1, 4), 1e-4, dtype=f64))
+    scene = CopterScene(
+        vehicle=weak,
+        commands=torch.full((1, steps, 4), 9.81 / 4, dtype=f64),
+        dt=dt,
+        sensors=("body_rates",),
+        windows=SimpleNamespace(measured=torch.zeros(1, steps, 3, dtype=f64)),
+        substeps=4,
+    )
+    damped = moments.RATE_DAMPING.apply(scene, torch.tensor([0.0, 0.0, 5.0], dtype=f64), None)
+    start = torch.zeros(1, 1, 16, dtype=f64)
+    start[..., 11], start[..., 12:] = rate, 9.81 / 4
+    with torch.no_grad():
+        found = Flyer(damped, 1)(start)[0, 0, :, 2]
+    want = rate * torch.exp(-5.0 * dt * torch.arange(1, steps + 1, dtype=f64))
+    np.testing.assert_allclose(found, want, rtol=2e-2)
 
 
 @pytest.mark.parametrize("effect", [moments.FLOW_MOMENT, moments.RATE_DAMPING, moments.SPIN_UP])

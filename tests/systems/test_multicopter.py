@@ -2,6 +2,7 @@
 
 import pickle
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -395,10 +396,12 @@ def test_profile_of_a_linear_model_is_ridge_regression():
     tangent = tensor(rng.standard_normal((20, 16)))
     measured = tensor(rng.standard_normal((1, 20, 1)))
 
-    def predict(start):
-        return (start @ tangent.T)[..., None]
+    guess = tensor([[0.0] * 12 + [9.0] * 4])  # thrusts before the record are far from zero
 
-    windows = Windows(torch.zeros(1, 16, dtype=torch.float64), measured, tensor([0.5]), [])
+    def predict(start):
+        return ((start - guess) @ tangent.T)[..., None]
+
+    windows = Windows(guess, measured, tensor([0.5]), [])
     shooting = windows.settled(predict)
     spread = np.array([0.3] * 3 + [0.2] * 3 + [1.0] * 6 + [2.0] * 4)
     normal = 4 * tangent.T.numpy() @ tangent.numpy() + np.diag(spread**-2)
@@ -407,22 +410,61 @@ def test_profile_of_a_linear_model_is_ridge_regression():
     np.testing.assert_allclose(found, tangent.numpy() @ best, atol=1e-9)
 
 
-def test_a_past_thrust_that_wants_below_zero_stays_at_zero():
-    """Full steps and halved ones end on the kink; the rest of the state is settled beside it."""
-    guess = torch.zeros(1, 13, dtype=torch.float64)
+def lagging(starts, delay=0.0):
+    """An offset, a thrust before the record, and how the rotor's speed fades from there."""
     place = torch.arange(6, dtype=torch.float64)
+    thrust = starts[..., 12:]
+    fading = thrust.clamp(min=1e-9).sqrt() * torch.exp(-place[1:])
+    return (starts[..., :1] + delay + torch.cat([thrust, fading], -1))[..., None]
 
-    def predict(starts):
-        thrust = (1.0 + starts[..., 12:]).clamp(min=0.0)  # 1 N before the record, by the guess
-        return (starts[..., :1] + thrust * torch.exp(-place))[..., None]
 
-    measured = (0.2 - 3.0 * torch.exp(-place))[None, :, None]
-    sd = torch.tensor([0.05], dtype=torch.float64)
-    windows = Windows(guess, measured, sd, [], rigid_spread=(1.0,) * 4, past_spread=2.0)
-    shooting = windows.settled(predict)
-    left = (measured - predict(windows.latest[0])[None][0])[0, :, 0]
-    assert float(windows.latest[0][0, 12]) == pytest.approx(-1.0, abs=2e-3)
+def pulled(thrust, past=1.3):
+    """Windows of a record that asks for some thrust before it."""
+    guess = tensor([[0.0] * 12 + [past]])
+    fading = thrust * torch.exp(-torch.arange(6, dtype=torch.float64))
+    return Windows(
+        guess,
+        (0.2 + fading)[None, :, None],
+        tensor([0.05]),
+        [],
+        rigid_spread=(1.0,) * 4,
+        past_spread=2.0,
+    )
+
+
+def test_a_past_thrust_that_wants_below_zero_is_held_at_zero():
+    """The rest of the state is settled beside it, and another search finds the same."""
+    windows = pulled(thrust=-3.0)
+    first = windows.settled(lagging).profile(lagging)
+    assert float(windows.latest[0][0, 12]) == 0.0
     # the offset is that of least squares with no thrust, prior N(0, 1) included
-    offset = float(measured.sum() / sd**2 / (6 / sd**2 + 1.0))
-    assert float(windows.latest[0][0, 0]) == pytest.approx(offset, abs=5e-3)
-    assert torch.isfinite(shooting.profile(predict)).all() and torch.isfinite(left).all()
+    offset = float(windows.measured.sum() / 0.05**2 / (6 / 0.05**2 + 1.0))
+    assert float(windows.latest[0][0, 0]) == pytest.approx(offset, abs=1e-4)
+    np.testing.assert_allclose(windows.settled(lagging).profile(lagging), first, atol=1e-12)
+    for start in (0.3, 4.0):
+        other = pulled(thrust=-3.0)
+        other.latest[:] = [tensor([[5.0] * 12 + [start]])]
+        np.testing.assert_allclose(other.settled(lagging).profile(lagging), first, atol=1e-9)
+
+
+def test_a_past_thrust_at_zero_rises_again_when_the_record_asks_for_it():
+    below, above = pulled(thrust=-3.0), pulled(thrust=0.8)
+    free = above.settled(lagging).profile(lagging)
+    below.settled(lagging)
+    held_first = replace(above, latest=list(below.latest))
+    assert float(held_first.latest[0][0, 12]) == 0.0
+    np.testing.assert_allclose(held_first.settled(lagging).profile(lagging), free, atol=1e-6)
+
+
+@pytest.mark.grad
+def test_slopes_beside_a_thrust_held_at_zero_are_those_of_the_profile():
+    """The profile at a moved model, settled anew, over its step is what backward reports."""
+    delay = torch.zeros((), dtype=torch.float64, requires_grad=True)
+    shooting = pulled(thrust=-3.0).settled(lagging)
+    record = shooting.profile(lambda starts: lagging(starts, delay))
+    (slope,) = torch.autograd.grad(record.sum(), delay)
+    ends = []
+    for step in (1e-3, -1e-3):
+        moved = partial(lagging, delay=step)
+        ends.append(float(pulled(thrust=-3.0).settled(moved).profile(moved).sum()))
+    assert float(slope) == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=1e-6)

@@ -35,6 +35,7 @@ struct FlightOptions {
   // which optional effects are there
   bool feedback = false, motor_lag = false, thrust_curve = false, rotor_drag = false;
   bool body_drag = false, ground_effect = false, interference = false, battery = false;
+  bool free_thrusts = false;  ///< commands are not clamped to 0..max_thrusts
 };
 
 struct FlightInputs {

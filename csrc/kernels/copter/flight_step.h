@@ -78,6 +78,8 @@ class Flying {
       }
     }
     for (int i = 0; i < n_; ++i) {
+      command_[i] = wanted_[i];
+      if (on_.free_thrusts) continue;
       command_[i] = min(max(wanted_[i], T{}), P_[u(at_.max_thrusts + i)]);
     }
   }
@@ -150,7 +152,7 @@ class Flight : public Flying<Rows> {
   /// Adjoint of command(); grad_command is overwritten.
   void command_vjp(std::int64_t step, const V* x, V* grad_command, const V* grad_wind, V* grad_x,
                    V* grad_P, V* grad_K, const FlightInputGrads& grads) {
-    for (int i = 0; i < n_; ++i) {
+    for (int i = 0; i < n_ && !on_.free_thrusts; ++i) {
       const MaskOf<V> high = greater(wanted_[i], P_[u(at_.max_thrusts + i)]);
       grad_P[at_.max_thrusts + i] += keep<V>(high, grad_command[i]);
       const MaskOf<V> inside = ~high & ~less(wanted_[i], V{});

@@ -64,6 +64,14 @@ DIFFSIM_INLINE Pair<V> operator/(double x, const Pair<V>& y) {
   return {x / y.a, x / y.b};
 }
 template <class V>
+DIFFSIM_INLINE Pair<V>& operator+=(Pair<V>& x, const Pair<V>& y) {
+  return x = x + y;
+}
+template <class V>
+DIFFSIM_INLINE Pair<V>& operator-=(Pair<V>& x, const Pair<V>& y) {
+  return x = x - y;
+}
+template <class V>
 DIFFSIM_INLINE Pair<V> operator-(const Pair<V>& x) {
   return {-x.a, -x.b};
 }

@@ -1,16 +1,17 @@
 // Eight doubles side by side: one element per lane, the same arithmetic for all.
 //
 // GCC/Clang vector extensions. The same source is compiled once per instruction set, and the
-// compiler lowers a Lane to one AVX-512 register, two AVX2 registers or four SSE2 ones. `+ - * /`
-// lower well everywhere. Comparisons and `?:` on a Lane wider than a register do not (GCC takes
-// them apart lane by lane), so use less(), greater() and select() below. Code that wants registers
-// rather than memory is written as a template over the vector type, instantiated with Native, and
-// applied to each part of a Lane with split() and join(); svd3.h shows how.
+// compiler lowers a Lane to one AVX-512 register, two AVX2 registers or four SSE2 and NEON ones.
+// A vector wider than a register lives in memory, whatever is done with it (comparisons and `?:`
+// are even taken apart lane by lane). So a Lane is what memory holds, and kernels are templates
+// over the vector type, instantiated with Native, one register, and applied to each part of a Lane
+// with split() and join().
 #pragma once
 
 #include <cmath>
 #include <cstdint>
 #include <cstring>
+#include <type_traits>
 
 #if defined(__SSE2__)
 #include <immintrin.h>
@@ -54,11 +55,27 @@ template <>
 struct MaskOfSize<64> {
   using type = std::int64_t __attribute__((vector_size(64)));
 };
+template <int kBytes>
+struct BitsOfSize;
+template <>
+struct BitsOfSize<16> {
+  using type = std::uint64_t __attribute__((vector_size(16)));
+};
+template <>
+struct BitsOfSize<32> {
+  using type = std::uint64_t __attribute__((vector_size(32)));
+};
+template <>
+struct BitsOfSize<64> {
+  using type = std::uint64_t __attribute__((vector_size(64)));
+};
 }  // namespace detail
 
-/// The mask type of a vector of doubles.
+/// The mask type of a vector of doubles, and its bits as unsigned integers.
 template <class V>
 using MaskOf = typename detail::MaskOfSize<sizeof(V)>::type;
+template <class V>
+using BitsOf = typename detail::BitsOfSize<sizeof(V)>::type;
 
 /// Number of doubles in a vector type.
 template <class V>
@@ -93,7 +110,7 @@ DIFFSIM_INLINE void put_part(To& a, int i, const Part& part) {
 
 template <class V = Lane>
 DIFFSIM_INLINE V broadcast(double value) {
-  return V{} + value;
+  return value - V{};  // folds to a broadcast; V{} + value would not, for -0.0 + 0.0 is 0.0
 }
 template <class V = Lane>
 DIFFSIM_INLINE V load(const double* p) {  // any alignment
@@ -224,9 +241,26 @@ DIFFSIM_INLINE bool all(const M& mask) {
   return detail::fold_or(none) == 0;
 }
 
-/// Sum of the eight lanes in one fixed order, the same in every build.
+/// Sum of the lanes in one fixed order. A Lane's is that of its registers, added up pairwise from
+/// the halves: the same in every build.
 DIFFSIM_INLINE double sum(const Lane& a) {
   return ((a[0] + a[4]) + (a[2] + a[6])) + ((a[1] + a[5]) + (a[3] + a[7]));
+}
+template <class V, std::enable_if_t<width<V>() < kLanes, int> = 0>
+DIFFSIM_INLINE double sum(const V& a) {
+  if constexpr (width<V>() == 2)
+    return a[0] + a[1];
+  else
+    return (a[0] + a[2]) + (a[1] + a[3]);
+}
+/// The registers of a Lane added up in the order of sum(), so that sum(fold(parts)) is the Lane's.
+DIFFSIM_INLINE Native fold(const Native part[kParts]) {
+  if constexpr (kParts == 1)
+    return part[0];
+  else if constexpr (kParts == 2)
+    return part[0] + part[1];
+  else
+    return (part[0] + part[2]) + (part[1] + part[3]);
 }
 
 namespace detail {
@@ -265,6 +299,20 @@ DIFFSIM_INLINE void transpose_square(V* rows) {
   }
 }
 }  // namespace detail
+
+/// The sums of width<V>() vectors, as the lanes of one; each in the order of sum().
+template <class V>
+DIFFSIM_INLINE V sum_each(const V* v) {
+  V row[width<V>()];
+  for (int i = 0; i < width<V>(); ++i) row[i] = v[i];
+  detail::transpose_square(row);
+  if constexpr (width<V>() == 2)
+    return row[0] + row[1];
+  else if constexpr (width<V>() == 4)
+    return (row[0] + row[2]) + (row[1] + row[3]);
+  else
+    return ((row[0] + row[4]) + (row[2] + row[6])) + ((row[1] + row[5]) + (row[3] + row[7]));
+}
 
 /// Reads width<V>() consecutive records of kSize doubles; out[k] holds entry k of every record.
 template <int kSize, class V>

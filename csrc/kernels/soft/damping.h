@@ -1,4 +1,4 @@
-// Objective stiffness-proportional damping, eight samples at a time.
+// Objective stiffness-proportional damping, one sample per lane of V.
 //
 // Classical Rayleigh damping beta K v with the rest stiffness K also brakes rigid rotation once a
 // body has turned. Instead the strain *rate* is measured in the frame of a predicted configuration,
@@ -15,42 +15,47 @@
 namespace diffsim {
 
 /// out = F^T G.
-inline void transpose_times(const Lane F[9], const Lane G[9], Lane out[9]) {
+template <class V>
+inline void transpose_times(const V F[9], const V G[9], V out[9]) {
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j)
       out[3 * i + j] = F[i] * G[j] + F[3 + i] * G[3 + j] + F[6 + i] * G[6 + j];
 }
 
 /// out = F G.
-inline void times(const Lane F[9], const Lane G[9], Lane out[9]) {
+template <class V>
+inline void times(const V F[9], const V G[9], V out[9]) {
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j)
       out[3 * i + j] = F[3 * i] * G[j] + F[3 * i + 1] * G[3 + j] + F[3 * i + 2] * G[6 + j];
 }
 
 /// S = sym(F^T G), full 3x3.
-inline void strain_rate(const Lane F[9], const Lane G[9], Lane S[9]) {
-  Lane A[9];
+template <class V>
+inline void strain_rate(const V F[9], const V G[9], V S[9]) {
+  V A[9];
   transpose_times(F, G, A);
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j) S[3 * i + j] = 0.5 * (A[3 * i + j] + A[3 * j + i]);
 }
 
 /// T(S) = d_mu S + d_lambda tr(S) I.
-inline void viscous(const Lane S[9], const Lane& d_mu, const Lane& d_lambda, Lane T[9]) {
-  const Lane pressure = d_lambda * (S[0] + S[4] + S[8]);
+template <class V>
+inline void viscous(const V S[9], const V& d_mu, const V& d_lambda, V T[9]) {
+  const V pressure = d_lambda * (S[0] + S[4] + S[8]);
   for (int i = 0; i < 9; ++i) T[i] = d_mu * S[i];
   T[0] += pressure, T[4] += pressure, T[8] += pressure;
 }
 
 /// Adds the viscous stress to P; returns D [J/m^3].
-inline Lane add_viscous_stress(const Lane Fn[9], const Lane delta[9], const Lane& d_mu,
-                               const Lane& d_lambda, Lane P[9]) {
-  Lane S[9], T[9], FT[9];
+template <class V>
+inline V add_viscous_stress(const V Fn[9], const V delta[9], const V& d_mu, const V& d_lambda,
+                            V P[9]) {
+  V S[9], T[9], FT[9];
   strain_rate(Fn, delta, S);
   viscous(S, d_mu, d_lambda, T);
   times(Fn, T, FT);
-  Lane energy = broadcast(0.0);
+  V energy = broadcast<V>(0.0);
   for (int i = 0; i < 9; ++i) {
     P[i] += FT[i];
     energy += S[i] * T[i];
@@ -58,20 +63,22 @@ inline Lane add_viscous_stress(const Lane Fn[9], const Lane delta[9], const Lane
   return 0.5 * energy;
 }
 
-/// Adds dP_ij/dF_kl = d_mu/2 ((F F^T)_ik delta_jl + F_il F_kj) + d_lambda F_ij F_kl, F = F_n.
-inline void add_viscous_tangent(const Lane Fn[9], const Lane& d_mu, const Lane& d_lambda,
-                                Lane H[81]) {
-  Lane FFt[9];
+/// Adds dP_ij/dF_kl = d_mu/2 ((F F^T)_ik delta_jl + F_il F_kj) + d_lambda F_ij F_kl, F = F_n, to
+/// the entries on and above the diagonal of H.
+template <class V>
+inline void add_viscous_tangent(const V Fn[9], const V& d_mu, const V& d_lambda, V H[81]) {
+  V FFt[9];
   for (int i = 0; i < 3; ++i)
     for (int k = 0; k < 3; ++k)
       FFt[3 * i + k] =
           Fn[3 * i] * Fn[3 * k] + Fn[3 * i + 1] * Fn[3 * k + 1] + Fn[3 * i + 2] * Fn[3 * k + 2];
-  const Lane half = 0.5 * d_mu;
+  const V half = 0.5 * d_mu;
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j)
       for (int k = 0; k < 3; ++k)
         for (int l = 0; l < 3; ++l) {
-          Lane& h = H[9 * (3 * i + j) + 3 * k + l];
+          if (3 * i + j > 3 * k + l) continue;
+          V& h = H[9 * (3 * i + j) + 3 * k + l];
           h += half * Fn[3 * i + l] * Fn[3 * k + j] + d_lambda * Fn[3 * i + j] * Fn[3 * k + l];
           if (j == l) h += half * FFt[3 * i + k];
         }

@@ -2,7 +2,7 @@
 //
 // A *sample* is one quadrature point of one element. Lanes hold eight samples: the 2x2x2 Gauss
 // points of one hexahedron, or one point each of eight tetrahedra. Such eight samples are a
-// *group*.
+// *group*; arithmetic takes it register by register, in kParts *parts*.
 #pragma once
 
 #include <cstdint>
@@ -12,25 +12,18 @@
 
 namespace diffsim {
 
-/// Sums of eight vectors, as the lanes of one: out[i] = sum(v[i]), in the same order as sum().
-inline Lane sum_each(const Lane v[kLanes]) {
-  if constexpr (kParts == 1) {
-    Lane row[kLanes];
-    for (int i = 0; i < kLanes; ++i) row[i] = v[i];
-    detail::transpose_square(row);
-    return ((row[0] + row[4]) + (row[2] + row[6])) + ((row[1] + row[5]) + (row[3] + row[7]));
-  } else {
-    Lane out;
-    for (int i = 0; i < kLanes; ++i) out[i] = sum(v[i]);
-    return out;
-  }
-}
-
 /// Shape-function gradients [1/m] and quadrature weights [m^3] of the eight samples of a group.
 template <int kNodes>
 struct GroupShape {
   Lane grad[kNodes][3];
   Lane weight;
+};
+
+/// The same for a hexahedron with its nodes side by side: row 3 q + j is the j-th component at
+/// sample q.
+struct NodeShape {
+  alignas(64) double grad[24][8];      // [1/m]
+  alignas(64) double weighted[24][8];  // times the quadrature weight [m^2]
 };
 
 /// Some elements of a mesh, all of one kind: the solid itself, or the elements a muscle runs
@@ -41,6 +34,7 @@ struct ElementBlock {
   std::int64_t num_groups = 0;
   std::vector<std::int64_t> nodes;       // (num_elements, 8 or 4)
   std::vector<GroupShape<8>> hex_shape;  // one per congruence class
+  std::vector<NodeShape> hex_nodes;      // one per congruence class
   std::vector<std::int64_t> hex_class;   // (num_elements,)
   std::vector<GroupShape<4>> tet_shape;  // (num_groups,); padding lanes weigh nothing
 
@@ -53,6 +47,7 @@ struct ElementBlock {
 struct HexGroup {
   static constexpr int kNodes = 8;
   using NodeValue = double;  // all lanes see the same eight nodes
+  static Native part_of(NodeValue v, int) { return broadcast<Native>(v); }
 
   static const GroupShape<8>& shape(const ElementBlock& block, std::int64_t g) {
     return block.hex_shape[static_cast<std::size_t>(block.hex_class[static_cast<std::size_t>(g)])];
@@ -68,14 +63,21 @@ struct HexGroup {
                             int i = 0) {
     return broadcast(value[size * g + i]);
   }
-  static void add_element_value(const ElementBlock&, std::int64_t g, const Lane& v, double* out) {
-    out[g] += sum(v);
+  /// The same of one part of the group.
+  static Native part_value(const ElementBlock&, std::int64_t g, int, const double* value,
+                           int size = 1, int i = 0) {
+    return broadcast<Native>(value[size * g + i]);
+  }
+  static void add_element_value(const ElementBlock&, std::int64_t g, const Native v[kParts],
+                                double* out) {
+    out[g] += sum(fold(v));
   }
 };
 
 struct TetGroup {
   static constexpr int kNodes = 4;
   using NodeValue = Lane;
+  static Native part_of(const NodeValue& v, int part) { return split(v, part); }
 
   static const GroupShape<4>& shape(const ElementBlock& block, std::int64_t g) {
     return block.tet_shape[static_cast<std::size_t>(g)];
@@ -103,46 +105,77 @@ struct TetGroup {
     for (int lane = 0; lane < kLanes; ++lane) v[lane] = value[size * element(block, g, lane) + i];
     return load(v);
   }
-  static void add_element_value(const ElementBlock& block, std::int64_t g, const Lane& v,
+  /// The same of one part of the group.
+  static Native part_value(const ElementBlock& block, std::int64_t g, int part, const double* value,
+                           int size = 1, int i = 0) {
+    alignas(kNativeBytes) double v[kNativeLanes];
+    for (int lane = 0; lane < kNativeLanes; ++lane)
+      v[lane] = value[size * element(block, g, part * kNativeLanes + lane) + i];
+    return load<Native>(v);
+  }
+  static void add_element_value(const ElementBlock& block, std::int64_t g, const Native v[kParts],
                                 double* out) {
     const std::int64_t last = block.num_elements - g * kLanes;
-    for (int lane = 0; lane < kLanes && lane < last; ++lane) out[g * kLanes + lane] += v[lane];
+    for (int lane = 0; lane < kLanes && lane < last; ++lane)
+      out[g * kLanes + lane] += v[lane / kNativeLanes][lane % kNativeLanes];
   }
 };
 
-/// F = sum_a x_a (grad N_a)^T, row-major (3, 3) [-].
+/// F = sum_a x_a (grad N_a)^T, row-major (3, 3) [-], of every part of a group.
 template <typename Group>
 inline void deformation_gradient(const ElementBlock& block, std::int64_t g, const double* x,
-                                 Lane F[9]) {
+                                 Native F[kParts][9]) {
   typename Group::NodeValue node[Group::kNodes][3];
   Group::gather(block, g, x, node);
   const auto& shape = Group::shape(block, g);
-  for (int i = 0; i < 9; ++i) F[i] = node[0][i / 3] * shape.grad[0][i % 3];
-  for (int a = 1; a < Group::kNodes; ++a)
-    for (int i = 0; i < 9; ++i) F[i] += node[a][i / 3] * shape.grad[a][i % 3];
+  for (int part = 0; part < kParts; ++part) {
+    Native sum[9];
+    for (int i = 0; i < 9; ++i)
+      sum[i] = Group::part_of(node[0][i / 3], part) * split(shape.grad[0][i % 3], part);
+    for (int a = 1; a < Group::kNodes; ++a) {
+      Native v[3], grad[3];
+      for (int i = 0; i < 3; ++i) v[i] = Group::part_of(node[a][i], part);
+      for (int i = 0; i < 3; ++i) grad[i] = split(shape.grad[a][i], part);
+      for (int i = 0; i < 9; ++i) sum[i] += v[i / 3] * grad[i % 3];
+    }
+    for (int i = 0; i < 9; ++i) F[part][i] = sum[i];
+  }
 }
 
 /// Nodal forces of a stress: f_a = sum over samples of weight P grad N_a [N], into the group's
 /// slice of a vectors buffer (see ElementBlock::vectors_size).
-inline void scatter_stress(const GroupShape<8>& shape, const Lane P[9], double* out) {
-  Lane Pw[9];
-  for (int i = 0; i < 9; ++i) Pw[i] = P[i] * shape.weight;
-  Lane f[24];
-  for (int a = 0; a < 8; ++a)
-    for (int i = 0; i < 3; ++i)
-      f[3 * a + i] = Pw[3 * i] * shape.grad[a][0] + Pw[3 * i + 1] * shape.grad[a][1] +
-                     Pw[3 * i + 2] * shape.grad[a][2];
-  for (int k = 0; k < 24; k += 8) store(out + k, sum_each(f + k));
+inline void scatter_stress(const GroupShape<8>& shape, const Native (*P)[9], double* out) {
+  alignas(64) Native f[24];
+  for (int part = 0; part < kParts; ++part) {
+    const Native weight = split(shape.weight, part);
+    Native Pw[9];
+    for (int i = 0; i < 9; ++i) Pw[i] = P[part][i] * weight;
+    for (int a = 0; a < 8; ++a) {
+      Native grad[3];
+      for (int j = 0; j < 3; ++j) grad[j] = split(shape.grad[a][j], part);
+      for (int i = 0; i < 3; ++i) {
+        const Native force =
+            Pw[3 * i] * grad[0] + Pw[3 * i + 1] * grad[1] + Pw[3 * i + 2] * grad[2];
+        f[3 * a + i] = part == 0 ? force : f[3 * a + i] + force;
+      }
+    }
+  }
+  for (int k = 0; k < 24; k += kNativeLanes) store(out + k, sum_each(f + k));
 }
 
-inline void scatter_stress(const GroupShape<4>& shape, const Lane P[9], double* out) {
-  Lane Pw[9];
-  for (int i = 0; i < 9; ++i) Pw[i] = P[i] * shape.weight;
-  for (int a = 0; a < 4; ++a)
-    for (int i = 0; i < 3; ++i)
-      store(out + (3 * a + i) * kLanes, Pw[3 * i] * shape.grad[a][0] +
-                                            Pw[3 * i + 1] * shape.grad[a][1] +
-                                            Pw[3 * i + 2] * shape.grad[a][2]);
+inline void scatter_stress(const GroupShape<4>& shape, const Native (*P)[9], double* out) {
+  for (int part = 0; part < kParts; ++part) {
+    const Native weight = split(shape.weight, part);
+    Native Pw[9];
+    for (int i = 0; i < 9; ++i) Pw[i] = P[part][i] * weight;
+    for (int a = 0; a < 4; ++a) {
+      Native grad[3];
+      for (int j = 0; j < 3; ++j) grad[j] = split(shape.grad[a][j], part);
+      for (int i = 0; i < 3; ++i)
+        store(out + (3 * a + i) * kLanes + part * kNativeLanes,
+              Pw[3 * i] * grad[0] + Pw[3 * i + 1] * grad[1] + Pw[3 * i + 2] * grad[2]);
+    }
+  }
 }
 
 /// Where the 3-vector of (element, local node) lies in a vectors buffer, and the step between its

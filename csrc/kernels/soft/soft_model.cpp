@@ -19,6 +19,17 @@ GroupShape<kNodes> lanes_of(const double* grad[kLanes], const double weight[kLan
   return shape;
 }
 
+NodeShape by_node(const GroupShape<8>& shape) {
+  NodeShape nodes;
+  for (int q = 0; q < kLanes; ++q)
+    for (int j = 0; j < 3; ++j)
+      for (int a = 0; a < 8; ++a) {
+        nodes.grad[3 * q + j][a] = shape.grad[a][j][q];
+        nodes.weighted[3 * q + j][a] = shape.grad[a][j][q] * shape.weight[q];
+      }
+  return nodes;
+}
+
 /// The block of the elements listed in `subset` (all, where null).
 ElementBlock make_block(const MeshTables& t, const Index* subset, Index count) {
   ElementBlock block;
@@ -38,6 +49,7 @@ ElementBlock make_block(const MeshTables& t, const Index* subset, Index count) {
       const double* grad[kLanes];
       for (int q = 0; q < kLanes; ++q) grad[q] = t.grad + (c * kLanes + q) * 24;
       block.hex_shape.push_back(lanes_of<8>(grad, t.weight + c * kLanes));
+      block.hex_nodes.push_back(by_node(block.hex_shape.back()));
     }
     return block;
   }

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-import trimesh
 
 from diffsim.copter.geometry import Array, LinearMesh, LinearPoints
 from diffsim.copter.parts.rotors import RotorData
@@ -143,6 +142,8 @@ class Part:
         Raises:
             MeshError: the mesh has holes or encloses no volume; names the part.
         """
+        import trimesh
+
         surface = trimesh.Trimesh(
             self.mesh.vertices.at(self.values), self.mesh.faces, process=False
         )

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
+from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data.table import open_table, parse_number
 
 Array = NDArray[np.float64]
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 def read_metadata(folder: Path) -> dict[str, Any]:
     """``metadata.yaml`` of a data set."""
-    content = yaml.safe_load((folder / "metadata.yaml").read_text(encoding="utf-8"))
+    content = read_yaml_file(folder / "metadata.yaml")
     if not isinstance(content, dict):
         raise ValueError(f"{folder / 'metadata.yaml'}: must be a mapping")
     return content

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from diffsim.core.inside import inside
 from diffsim.data.importers.common import facts, read_columns, read_metadata
 from diffsim.data.study import Channel, Run, Study
 
@@ -28,7 +29,7 @@ def import_starfish(folder: Path) -> Study:
     runs = []
     for order, entry in enumerate(meta["runs"]):
         name = Path(entry["file"]).stem
-        data, _ = read_columns(folder / entry["file"], ["time_s", COMMAND, *columns])
+        data, _ = read_columns(inside(folder, entry["file"], "file"), ["time_s", COMMAND, *columns])
         runs.append(
             Run(
                 name=name,

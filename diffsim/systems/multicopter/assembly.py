@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import torch
 
@@ -11,6 +12,7 @@ from diffsim.copter import Multicopter
 from diffsim.copter.design_file import load_design
 from diffsim.copter.rotor import RotorModel, rotor_model
 from diffsim.copter.vehicle import GRAVITY
+from diffsim.core.inside import inside
 from diffsim.data.study import Study
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.multicopter.candidates import Vehicle
@@ -235,8 +237,8 @@ def _designed(of: MulticopterKeys, study: Study) -> Multicopter | None:
     """The vehicle of the design file, beside study.yaml or shipped."""
     if of.design is None:
         return None
-    path = None if study.folder is None else study.folder / of.design
-    design = load_design(path if path is not None and path.is_file() else of.design)
+    path = inside(study.folder or Path(), of.design, "model.design")
+    design = load_design(path if path.is_file() else of.design)
     vehicle = design.multicopter().detach()
     if vehicle.num_rotors != len(of.commands.columns):
         raise ValueError(

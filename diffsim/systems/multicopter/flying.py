@@ -16,7 +16,6 @@ from diffsim.systems.multicopter.readings import Record, read
 from diffsim.systems.multicopter.shooting import RIGID, flight_state
 
 _MAX_PASSES = 40  # over causes that depend on the motion
-_NO_LIMIT_N = 1e6
 _SETTLED = 1e-8  # change of forces from pass to pass [N]
 _MORE_FOR_GRADIENTS = 2  # passes: derivatives settle after the values
 
@@ -38,9 +37,6 @@ class Flyer:
 
     def __init__(self, scene: CopterFlight, points: int):
         self.scene, self.points = scene, points
-        # limits hold for commands; what a gain or a cause makes of them may lie beyond
-        free = torch.full_like(scene.vehicle.max_thrusts, _NO_LIMIT_N)
-        self._fleet = scene.vehicle.replace(max_thrusts=free)
         self._last: tuple[Tensor, Tensor] | None = None
 
     def __call__(self, start: Tensor) -> Tensor:
@@ -55,7 +51,8 @@ class Flyer:
         """
         windows, length = self.scene.windows.measured.shape[:2]
         start = start.expand(self.points, -1, -1)
-        thrusts = self.scene.delivered(start[:, 0, RIGID:])
+        # no rotor pulls backwards; what a gain or a cause makes of its thrust may lie beyond limits
+        thrusts = self.scene.delivered(start[:, 0, RIGID:]).clamp(min=0.0)
         return self.fly_thrusts(start[..., :RIGID], windowed(thrusts, windows, length))
 
     def fly_thrusts(self, start: Tensor, thrusts: Tensor) -> Tensor:
@@ -111,11 +108,12 @@ class Flyer:
         pull = force / scene.vehicle.mass[:, None, None, None]
         frame = _Frame.of(pull, scene.dt)
         flight = fly(
-            self._fleet.repeated(windows),
+            scene.vehicle.repeated(windows),
             flight_state(start.reshape(-1, RIGID)),
             thrusts.expand(points, -1, -1, -1).reshape(-1, length, rotors).contiguous(),
             dt=scene.dt,
             substeps=scene.substeps,
+            clamp=False,
             effects=self._effects(windows, length, frame),
         )
         state = flight.state

@@ -26,7 +26,6 @@ _SMOOTH_S = 0.15  # over which position is differentiated
 MAX_STEPS = 12
 _MAX_CREEPING = 40
 _LEAST_SHARE = 1e-3  # of a step
-_HELD = 1e-8  # of the spread of thrusts before the record, where they stay at a kink
 _SETTLED = 3e-5  # step of an initial state over its spread
 _LINEAR = 1e-2  # likewise, where the tangents suffice without another flight
 
@@ -88,7 +87,9 @@ class Windows:
         rigid_spread: Of position [m], angles [rad], velocity [m/s] and body rates [rad/s] about
             the guess.
         past_spread: Of the thrusts before the record [N].
-        past_is_held: Whether these thrusts stay where they are, at a kink.
+        held: Which of these thrusts stay as they are in the guess, (n_rotors,) bool; none if left
+            out.
+        is_at_zero: Whether those are held because they are zero, and may rise.
     """
 
     guess: Tensor
@@ -98,7 +99,13 @@ class Windows:
     acceleration: Tensor = field(default_factory=lambda: torch.zeros(1, 3, dtype=torch.float64))
     rigid_spread: tuple[float, float, float, float] = SPREAD
     past_spread: float = PAST_SPREAD
-    past_is_held: bool = False
+    held: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.bool))
+    is_at_zero: bool = True
+
+    def __post_init__(self) -> None:
+        if not len(self.held):
+            none = torch.zeros(self.guess.shape[1] - RIGID, dtype=torch.bool)
+            object.__setattr__(self, "held", none)
 
     @property
     def spread(self) -> Tensor:
@@ -109,6 +116,10 @@ class Windows:
     def settled(self, predict: Predict, max_steps: int = MAX_STEPS) -> Shooting:
         """The best initial states for one model, by Gauss-Newton with new tangents at every step.
 
+        No rotor pulls backwards before the record: a thrust that wants below zero is zero, and the
+        rest is best beside it. Such a bound is active in the whole neighborhood of a model, so that
+        its predictions have the slopes that the fit reports.
+
         Args:
             predict: Starts (1 + 2 (12 + n_rotors), num_windows, 12 + n_rotors) -> channels of the
                 same leading axes, (..., length, num_channels).
@@ -118,17 +129,15 @@ class Windows:
             ConvergenceError: the model is too far from the record for windows of this length.
         """
         with torch.no_grad():
-            for change in [*(best - self.guess for best in self.latest), 0.0 * self.guess]:
-                for _ in range(max_steps):
-                    shooting, step = self._step(predict, change)
-                    size = float((step / self.spread).abs().max())
-                    if size < _SETTLED:
-                        self.latest[:] = [self.guess + change]
-                        return shooting
-                    change = change + step / max(1.0, size)
+            latest = [self._at_zero(states, states[0, RIGID:] == 0.0) for states in self.latest]
+            for windows, states in [*latest, (self, self.guess)]:
+                shooting, size, states = windows._bounded(predict, states, max_steps)
+                if size < _SETTLED and not shooting.windows._wants_thrust(predict, states):
+                    self.latest[:] = [states]
+                    return shooting
             if max_steps >= MAX_STEPS:
-                change = self.latest[0] - self.guess if self.latest else 0.0 * self.guess
-                shooting, size = self._crept(predict, change)
+                states = self.latest[0] if self.latest else self.guess
+                shooting, size = self._crept(predict, states - self.guess)
                 if size < _LINEAR:
                     return shooting
         raise ConvergenceError(
@@ -139,11 +148,55 @@ class Windows:
             num_iters=max_steps,
         )
 
+    def _bounded(
+        self, predict: Predict, states: Tensor, max_steps: int
+    ) -> tuple[Shooting, float, Tensor]:
+        """Full steps; where they end below a thrust of zero, again with that thrust at zero.
+
+        Returns:
+            Tangents at the last states, the step that was wanted there over the spread, the states.
+        """
+        windows = self
+        for _ in range(1 + states.shape[1] - RIGID):
+            change = states - windows.guess
+            for _ in range(max_steps):
+                shooting, step = windows._step(predict, change)
+                size = float((step / windows.spread).abs().max())
+                if size < _SETTLED:
+                    break
+                change = change + step / max(1.0, size)
+            states = windows.guess + change
+            below = states[0, RIGID:] < 0.0
+            if size >= _SETTLED or not below.any():
+                break
+            windows, states = windows._at_zero(states, below)
+        return shooting, size, states
+
+    def _at_zero(self, states: Tensor, zero: Tensor) -> tuple[Windows, Tensor]:
+        """The same windows with some thrusts before the record held at zero, and states there."""
+        if not zero.any():
+            return self, states
+        held, guess, states = self.held | zero, self.guess.clone(), states.clone()
+        guess[0, RIGID:][held] = 0.0
+        states[0, RIGID:][held] = 0.0
+        return replace(self, guess=guess, latest=[states], held=held), states
+
+    def _wants_thrust(self, predict: Predict, states: Tensor) -> bool:
+        """Whether a rotor that is held at zero would be better with a little thrust."""
+        rotors = torch.nonzero(self.held)[:, 0] if self.is_at_zero else self.held.new_zeros(0)
+        if not len(rotors):
+            return False
+        tried = states.repeat(1 + len(rotors), 1, 1)
+        tried[1 + torch.arange(len(rotors)), 0, RIGID + rotors] += _NUDGE * self.past_spread
+        off = (predict(tried)[:, 0] - self.measured[0]) / self.sd
+        cost = off.nan_to_num(0.0).square().flatten(1).sum(1)
+        return bool((cost[1:] < cost[0]).any())
+
     def _crept(self, predict: Predict, change: Tensor) -> tuple[Shooting, float]:
         """Steps that are halved until the fit is better; slower, and sure to go down.
 
         Where that has no end the states lie on a kink: a rotor whose thrust before the record wants
-        to be below zero. These thrusts stay there, the rest is settled.
+        to be below zero. It is held there, the rest is settled.
 
         Returns:
             Tangents at the best states found, and the step that was wanted there, over the spread.
@@ -152,7 +205,6 @@ class Windows:
             shooting, step = self._step(predict, change)
             size = float((step / self.spread).abs().max())
             if size < _SETTLED:
-                self.latest[:] = [self.guess + change]
                 break
             here, share = self._cost(predict, change), 1.0 / max(1.0, size)
             while share > _LEAST_SHARE and self._cost(predict, change + share * step) > here:
@@ -160,25 +212,21 @@ class Windows:
             if share <= _LEAST_SHARE:
                 break
             change = change + share * step
-        if size < _LINEAR:
+        states = self.guess + change
+        below = ((states < 0.0) | (states + step < 0.0))[0, RIGID:] & ~self.held
+        if below.any():
+            windows, states = self._at_zero(states, below)
+        elif size < _LINEAR:
+            self.latest[:] = [states]
             return shooting, size
-        return self._with_past_held(predict, change) or (shooting, size)
-
-    def _with_past_held(self, predict: Predict, change: Tensor) -> tuple[Shooting, float] | None:
-        """The best of the rest where the thrusts before the record stay; None if that was tried."""
-        if self.past_is_held or self.guess.shape[1] == RIGID:
-            return None
-        past = torch.zeros_like(change)
-        past[:, RIGID:] = change[:, RIGID:]
-        held = replace(
-            self,
-            guess=self.guess + past,
-            latest=[self.guess + change],
-            past_spread=_HELD * self.past_spread,
-            past_is_held=True,
-        )
-        shooting = held.settled(predict)
-        self.latest[:] = held.latest
+        elif self.held.all():
+            return shooting, size
+        else:  # another kink: thrusts before the record stay where they are
+            windows = replace(self, guess=self.guess.clone(), held=torch.ones_like(self.held))
+            windows.guess[0, RIGID:] = states[0, RIGID:]
+            windows = replace(windows, latest=[states], is_at_zero=False)
+        shooting = windows.settled(predict)
+        self.latest[:] = windows.latest
         return shooting, 0.0
 
     def _cost(self, predict: Predict, change: Tensor) -> float:
@@ -199,6 +247,7 @@ class Windows:
         # thrusts before the record are those of the first window: what they leave of a slow lag in
         # the others is no work of the others' own
         tangent[1:, :, RIGID:] = 0.0
+        tangent[:, :, RIGID:] *= ~self.held
         weight = (torch.isfinite(self.measured) / self.sd**2).reshape(windows, -1, 1)
         normal = tangent.mT @ (weight * tangent) + torch.diag(spread**-2)
         gain = torch.linalg.solve(normal, (weight * tangent).mT)

@@ -13,6 +13,7 @@ from types import ModuleType
 from typing import Any
 
 from diffsim.core.check import did_you_mean
+from diffsim.core.inside import inside
 from diffsim.systems.outside.environment import Environment, Stepped
 
 OFFERS = ("force", "time_step")
@@ -129,7 +130,7 @@ class Source:
             ) from error
 
     def _path(self, where: str) -> Path:
-        return Path(where) if self.folder is None else self.folder / where
+        return inside(self.folder or Path(), where, "simulator")
 
     def _checked(self, predict: Callable[..., Any]) -> Predict:
         """The function, after a look at its signature."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from diffsim.core.inside import inside
 from diffsim.data.calibration import calibrate
 from diffsim.data.importers.common import read_columns
 from diffsim.data.study import TIMELESS, Channel, Run, Study
@@ -255,7 +256,7 @@ class Balls:
         if self.camera is None or self.camera.points is None:
             return None
         given = self.camera.points
-        path = (study.folder or Path()) / given.file
+        path = inside(study.folder or Path(), given.file, "model.camera.points.file")
         if self.camera.is_stated and not path.is_file():
             return None  # as where a saved model is judged, which knows its camera
         data, _ = read_columns(path, list(given.columns))

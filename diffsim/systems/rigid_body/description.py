@@ -9,6 +9,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from diffsim.core.check import did_you_mean
+from diffsim.core.inside import inside
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
@@ -185,7 +186,10 @@ class RigidBodyDescription(Description):
         camera = self.camera
         if camera is None or camera.points is None:
             return []
-        path = (study.folder or Path()) / camera.points.file
+        try:
+            path = inside(study.folder or Path(), camera.points.file, "file")
+        except ValueError as error:
+            return [Problem("error", "model.camera.points.file", str(error))]
         if path.is_file():
             return []
         what = "the camera keeps its first guess" if camera.is_stated else "nothing else finds it"

@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from diffsim import mesh as meshes
+from diffsim.core.inside import inside
 from diffsim.core.schema import Part, number
 from diffsim.core.units import factor
 from diffsim.mesh import HexMesh, TetMesh
@@ -128,7 +129,7 @@ class MeshFile(Part):
 
     def mesh(self, coarser: float, folder: Path | None) -> HexMesh | TetMesh:
         """The body, a filled surface with cells ``coarser`` times as long."""
-        path = Path(self.path) if folder is None else folder / self.path
+        path = inside(folder or Path(), self.path, "model: path")
         scale = factor(self.unit, "m")
         if path.suffix.lower() in VOLUMES:
             return self._kept(meshes.load(path, scale))

@@ -1,0 +1,273 @@
+// Derivatives of the elastic force with respect to the energy's parameters.
+#include "kernels/soft/damping.h"
+#include "kernels/soft/element_stage.h"
+
+namespace diffsim {
+namespace {
+
+using namespace elements;
+
+// Directions whose nodal vectors are held at once.
+constexpr Index kDirections = 16;
+
+/// Adjoint of the damping force. With Z = dz/dX, Y = sym(F_n^T Z) and S the strain rate:
+///   z . grad D = Y : T(S),  d/dF_n = Z T(S) + delta T(Y),  d/dF_v = -F_n T(Y).
+template <typename Group>
+void damping_adjoint(const SoftModel& model, const SoftParameters& p,
+                     const std::vector<DampingFrame>& frames, const double* x, const double* z,
+                     const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool) {
+  const ElementBlock& solid = model.solid;
+  std::fill(scratch.vectors.begin(), scratch.vectors.end(), 0.0);
+  // Two passes, since both nodal gradients go through the one vectors buffer.
+  for (const bool frame_pass : {true, false}) {
+    for_groups(solid, pool, [&](Index g) {
+      Native F[kParts][9], Z[kParts][9], A[kParts][9], products[kParts], traces[kParts];
+      deformation_gradient<Group>(solid, g, x, F);
+      deformation_gradient<Group>(solid, g, z, Z);
+      const auto& shape = Group::shape(solid, g);
+      for (int part = 0; part < kParts; ++part) {
+        Native Fn[9], delta[9], S[9], Y[9], TS[9], TY[9], B[9];
+        split_matrix(frames[at(g)].Fn, part, Fn);
+        split_matrix(frames[at(g)].Fv, part, delta);
+        for (int i = 0; i < 9; ++i) delta[i] = F[part][i] - delta[i];
+        const Native d_mu = Group::part_value(solid, g, part, p.damp_mu);
+        const Native d_lambda = Group::part_value(solid, g, part, p.damp_lambda);
+        strain_rate(Fn, delta, S);
+        strain_rate(Fn, Z[part], Y);
+        viscous(S, d_mu, d_lambda, TS);
+        viscous(Y, d_mu, d_lambda, TY);
+        if (frame_pass) {
+          const Native weight = split(shape.weight, part);
+          products[part] = weight * contract(Y, S);
+          traces[part] = weight * (Y[0] + Y[4] + Y[8]) * (S[0] + S[4] + S[8]);
+          times(Z[part], TS, A[part]);
+          times(delta, TY, B);
+          for (int i = 0; i < 9; ++i) A[part][i] += B[i];
+        } else {
+          times(Fn, TY, A[part]);
+          for (int i = 0; i < 9; ++i) A[part][i] = -A[part][i];
+        }
+      }
+      if (frame_pass) {
+        Group::add_element_value(solid, g, products, out.damp_mu);
+        Group::add_element_value(solid, g, traces, out.damp_lambda);
+      }
+      scatter_stress(shape, A, scratch.vectors.data() + g * solid.vectors_size());
+    });
+    gather_vectors(model, scratch.vectors.data(), frame_pass ? out.x_frame : out.x_velocity, pool);
+  }
+}
+
+template <typename Group, typename M>
+void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p,
+                          const std::vector<DampingFrame>& frames, const double* x, const double* z,
+                          const ParameterAdjoint& out, ElasticityScratch& scratch,
+                          ThreadPool& pool) {
+  const ElementBlock& solid = model.solid;
+  const ElementBlock& fiber = model.fiber;
+  const Native zero{}, one = broadcast<Native>(1.0);
+  const KeptFrames kept = kept_frames(scratch, model, x);
+  for_stages(solid, pool, [&](Index first, int count) {
+    const Stage<Group> stage(solid, first, count, x, kept, false);
+    for (int n = 0; n < count; ++n) {
+      const Index g = first + n;
+      Native Z[kParts][9], by_mu[kParts], by_vol[kParts];
+      deformation_gradient<Group>(solid, g, z, Z);
+      for (int part = 0; part < kParts; ++part) {
+        const PrincipalFrame<Native>& frame = stage.frame(n * kParts + part);
+        const typename M::template Sample<Native> sample(frame);
+        const Native weight = split(Group::shape(solid, g).weight, part);
+        // P : Z = sum of d_i u_i . Z v_i, and the stress is linear in the weights: its derivative
+        // is that of unit weights.
+        Native along[3], d[3];
+        for (int i = 0; i < 3; ++i) {
+          Native Zv[3];
+          for (int a = 0; a < 3; ++a)
+            Zv[a] = Z[part][3 * a] * frame.V[i] + Z[part][3 * a + 1] * frame.V[3 + i] +
+                    Z[part][3 * a + 2] * frame.V[6 + i];
+          along[i] =
+              weight * (frame.U[i] * Zv[0] + frame.U[3 + i] * Zv[1] + frame.U[6 + i] * Zv[2]);
+        }
+        M::stress(sample, one, zero, d);
+        by_mu[part] = d[0] * along[0] + d[1] * along[1] + d[2] * along[2];
+        M::stress(sample, zero, one, d);
+        by_vol[part] = d[0] * along[0] + d[1] * along[1] + d[2] * along[2];
+      }
+      Group::add_element_value(solid, g, by_mu, out.w_mu);
+      Group::add_element_value(solid, g, by_vol, out.w_vol);
+    }
+  });
+  for_groups(fiber, pool, [&](Index g) {
+    Native F[kParts][9], Z[kParts][9], by_stiffness[kParts], by_activation[kParts];
+    deformation_gradient<Group>(fiber, g, x, F);
+    deformation_gradient<Group>(fiber, g, z, Z);
+    for (int part = 0; part < kParts; ++part) {
+      const FiberPart f = fiber_part<Group>(model, p, g, part, F[part]);
+      const Native* m = f.state.direction;
+      Native along{};  // e . Z m
+      for (int i = 0; i < 3; ++i)
+        along += f.state.unit[i] *
+                 (Z[part][3 * i] * m[0] + Z[part][3 * i + 1] * m[1] + Z[part][3 * i + 2] * m[2]);
+      const Native weight = split(Group::shape(fiber, g).weight, part);
+      by_stiffness[part] = weight * f.pull.stretch * along;
+      by_activation[part] = -weight * f.pull.stiffness * along;
+    }
+    Group::add_element_value(fiber, g, by_stiffness, out.fiber_stiffness);
+    Group::add_element_value(fiber, g, by_activation, out.activation);
+  });
+  if (p.damp_mu) damping_adjoint<Group>(model, p, frames, x, z, out, scratch, pool);
+}
+
+/// Item k of a (count, size) array at a part of a group; zero for null.
+template <typename Group>
+Native direction_value(const ElementBlock& block, Index g, int part, const double* values,
+                       Index k) {
+  return values ? Group::part_value(block, g, part, values + k * block.num_elements) : Native{};
+}
+
+/// Deformation gradients of item k of a (count, num_nodes, 3) array; zero for null.
+template <typename Group>
+void direction_gradient(const SoftModel& model, Index g, const double* values, Index k,
+                        Native out[kParts][9]) {
+  if (values)
+    deformation_gradient<Group>(model.solid, g, values + 3 * k * model.num_nodes, out);
+  else
+    for (int i = 0; i < 9 * kParts; ++i) out[i / 9][i % 9] = Native{};
+}
+
+/// Adds d(F_n T(S)) = dF_n T(S) + F_n (dT(S) + T(dS)), dS = sym(dF_n^T delta - F_n^T dF_v).
+template <typename Group>
+void add_damping_tangent(const SoftModel& model, const SoftParameters& p, const DampingFrame& frame,
+                         const Native (*F)[9], Index g, Index k, const ParameterDirections& d,
+                         Native (*P)[9]) {
+  const ElementBlock& solid = model.solid;
+  Native dFn[kParts][9], dFv[kParts][9];
+  direction_gradient<Group>(model, g, d.x_frame, k, dFn);
+  direction_gradient<Group>(model, g, d.x_velocity, k, dFv);
+  for (int part = 0; part < kParts; ++part) {
+    Native Fn[9], delta[9], S[9], dS[9], T[9], A[9], B[9];
+    split_matrix(frame.Fn, part, Fn);
+    split_matrix(frame.Fv, part, delta);
+    for (int i = 0; i < 9; ++i) delta[i] = F[part][i] - delta[i];
+    const Native d_mu = Group::part_value(solid, g, part, p.damp_mu);
+    const Native d_lambda = Group::part_value(solid, g, part, p.damp_lambda);
+    strain_rate(Fn, delta, S);
+    viscous(S, d_mu, d_lambda, T);
+    times(dFn[part], T, A);
+    for (int i = 0; i < 9; ++i) P[part][i] += A[i];
+    strain_rate(dFn[part], delta, dS);
+    strain_rate(Fn, dFv[part], B);
+    for (int i = 0; i < 9; ++i) dS[i] -= B[i];
+    viscous(S, direction_value<Group>(solid, g, part, d.damp_mu, k),
+            direction_value<Group>(solid, g, part, d.damp_lambda, k), T);
+    viscous(dS, d_mu, d_lambda, A);
+    for (int i = 0; i < 9; ++i) T[i] += A[i];
+    times(Fn, T, A);
+    for (int i = 0; i < 9; ++i) P[part][i] += A[i];
+  }
+}
+
+/// Stresses of unit weights, at every part of a stage.
+struct UnitStresses {
+  Native mu[kStageParts][9], vol[kStageParts][9];
+};
+template <typename M>
+void unit_stresses(const PrincipalFrame<Native>* frame, int parts, UnitStresses& out) {
+  const Native zero{}, one = broadcast<Native>(1.0);
+  for (int r = 0; r < parts; ++r) {
+    const typename M::template Sample<Native> sample(frame[r]);
+    stress<M>(sample, one, zero, out.mu[r]);
+    stress<M>(sample, zero, one, out.vol[r]);
+  }
+}
+
+/// Directions [first, last) into their vectors buffers, one behind the other.
+template <typename Group, typename M>
+void parameter_tangent_of(const SoftModel& model, const SoftParameters& p,
+                          const std::vector<DampingFrame>& frames, const double* x, Index first,
+                          Index last, const ParameterDirections& d, double* vectors,
+                          ThreadPool& pool) {
+  const ElementBlock& solid = model.solid;
+  const ElementBlock& fiber = model.fiber;
+  for_stages(solid, pool, [&](Index begin, int count) {
+    const Stage<Group> stage(solid, begin, count, x);
+    UnitStresses unit;
+    unit_stresses<M>(stage.frames(), count * kParts, unit);
+    for (int n = 0; n < count; ++n) {
+      const Index g = begin + n;
+      for (Index k = first; k < last; ++k) {
+        Native P[kParts][9];
+        for (int part = 0; part < kParts; ++part) {
+          const Native mu = direction_value<Group>(solid, g, part, d.w_mu, k);
+          const Native vol = direction_value<Group>(solid, g, part, d.w_vol, k);
+          for (int i = 0; i < 9; ++i)
+            P[part][i] = mu * unit.mu[n * kParts + part][i] + vol * unit.vol[n * kParts + part][i];
+        }
+        if (p.damp_mu)
+          add_damping_tangent<Group>(model, p, frames[at(g)], stage.F + n * kParts, g, k, d, P);
+        scatter_stress(Group::shape(solid, g), P,
+                       vectors + (k - first) * model.vectors_size + g * solid.vectors_size());
+      }
+    }
+  });
+  for_groups(fiber, pool, [&](Index g) {
+    Native F[kParts][9];
+    deformation_gradient<Group>(fiber, g, x, F);
+    FiberPart f[kParts];
+    for (int part = 0; part < kParts; ++part)
+      f[part] = fiber_part<Group>(model, p, g, part, F[part]);
+    for (Index k = first; k < last; ++k) {
+      Native P[kParts][9];
+      for (int part = 0; part < kParts; ++part) {
+        const Native tension =
+            direction_value<Group>(fiber, g, part, d.fiber_stiffness, k) * f[part].pull.stretch -
+            direction_value<Group>(fiber, g, part, d.activation, k) * f[part].pull.stiffness;
+        for (int i = 0; i < 9; ++i)
+          P[part][i] = tension * f[part].state.unit[i / 3] * f[part].state.direction[i % 3];
+      }
+      scatter_stress(Group::shape(fiber, g), P,
+                     vectors + (k - first) * model.vectors_size + model.fiber_vectors_start +
+                         g * fiber.vectors_size());
+    }
+  });
+}
+
+}  // namespace
+
+void parameter_adjoint(const SoftModel& model, const SoftParameters& p,
+                       const std::vector<DampingFrame>& frames, const double* x, const double* z,
+                       const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool) {
+  const auto clear = [](double* values, Index size) { std::fill(values, values + size, 0.0); };
+  clear(out.w_mu, model.solid.num_elements);
+  clear(out.w_vol, model.solid.num_elements);
+  clear(out.fiber_stiffness, model.fiber.num_elements);
+  clear(out.activation, model.fiber.num_elements);
+  if (p.damp_mu) {
+    clear(out.damp_mu, model.solid.num_elements);
+    clear(out.damp_lambda, model.solid.num_elements);
+  }
+  scratch.vectors.resize(at(model.vectors_size));
+  with_types(model, [&](auto group, auto material) {
+    parameter_adjoint_of<decltype(group), decltype(material)>(model, p, frames, x, z, out, scratch,
+                                                              pool);
+  });
+}
+
+void parameter_tangent(const SoftModel& model, const SoftParameters& p,
+                       const std::vector<DampingFrame>& frames, const double* x, Index count,
+                       const ParameterDirections& directions, double* out,
+                       ElasticityScratch& scratch, ThreadPool& pool) {
+  scratch.vectors.resize(at(std::min(count, kDirections) * model.vectors_size));
+  for (Index first = 0; first < count; first += kDirections) {
+    const Index last = std::min(count, first + kDirections);
+    with_types(model, [&](auto group, auto material) {
+      parameter_tangent_of<decltype(group), decltype(material)>(
+          model, p, frames, x, first, last, directions, scratch.vectors.data(), pool);
+    });
+    for (Index k = first; k < last; ++k)
+      gather_vectors(model, scratch.vectors.data() + (k - first) * model.vectors_size,
+                     out + 3 * k * model.num_nodes, pool);
+  }
+}
+
+}  // namespace diffsim

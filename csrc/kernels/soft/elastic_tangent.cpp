@@ -1,0 +1,159 @@
+#include "kernels/soft/damping.h"
+#include "kernels/soft/element_matrix.h"
+#include "kernels/soft/element_stage.h"
+
+namespace diffsim {
+namespace {
+
+using namespace elements;
+
+// Groups whose element matrices are held at once while the tangent is assembled: less than a core's
+// own cache (hexahedra: 384 KiB), and a task for each of eight threads.
+constexpr Index kChunk = 8 * kTask;
+
+/// How the matrices of a group are made and read.
+struct HexMatrices {
+  static constexpr Index kSize = kHexMatrixSize, kElements = 1;
+
+  static void make(const ElementBlock& block, Index g, const GroupTangent& tangent, double* out) {
+    element_matrix(block.hex_nodes[at(block.hex_class[at(g)])], tangent, out);
+  }
+  static void read(const double* matrix, int, int a, int b, double out[9]) {
+    element_block(matrix, a, b, out);
+  }
+};
+struct TetMatrices {
+  static constexpr Index kSize = kTetMatrixSize, kElements = kLanes;
+
+  static void make(const ElementBlock& block, Index g, const GroupTangent& tangent, double* out) {
+    element_matrix(TetGroup::shape(block, g), tangent, out);
+  }
+  static void read(const double* matrix, int lane, int a, int b, double out[9]) {
+    const double* from = matrix + 9 * (b * (b + 1) / 2 + a) * kLanes + lane;
+    for (int i = 0; i < 9; ++i) out[i] = from[i * kLanes];
+  }
+};
+template <typename Group>
+using MatricesOf = std::conditional_t<Group::kNodes == 8, HexMatrices, TetMatrices>;
+
+DIFFSIM_INLINE void add_block(double* strip, Index width, const double block[9]) {
+  for (int i = 0; i < 3; ++i)
+    for (int k = 0; k < 3; ++k) strip[i * width + k] += block[3 * i + k];
+}
+DIFFSIM_INLINE void add_transposed(double* strip, Index width, const double block[9]) {
+  for (int i = 0; i < 3; ++i)
+    for (int k = 0; k < 3; ++k) strip[i * width + k] += block[3 * k + i];
+}
+
+/// Adds the element matrices of groups [first, last) to rows, a fixed row range per thread: every
+/// entry receives its contributions in element order.
+template <typename Group>
+void scatter_matrices(const SoftModel& model, const ElementBlock& block,
+                      const std::vector<std::int32_t>& slots, const double* matrices, Index first,
+                      Index last, double* values, ThreadPool& pool) {
+  using Matrices = MatricesOf<Group>;
+  constexpr int n = Group::kNodes;
+  const Index element_end = std::min(block.num_elements, last * Matrices::kElements);
+  const int parts = pool.size();
+  pool.run(parts, [&](Index part) {
+    const Index row_begin = model.num_nodes * part / parts;
+    const Index row_end = model.num_nodes * (part + 1) / parts;
+    for (Index e = first * Matrices::kElements; e < element_end; ++e) {
+      const double* matrix = matrices + (e / Matrices::kElements - first) * Matrices::kSize;
+      const int lane = static_cast<int>(e % Matrices::kElements);
+      const Index* node = block.nodes.data() + e * n;
+      const std::int32_t* slot = slots.data() + e * n * n;
+      double* strip[n];  // null where another thread's
+      Index width[n];
+      for (int a = 0; a < n; ++a) {
+        const bool mine = node[a] >= row_begin && node[a] < row_end;
+        strip[a] = mine ? values + model.strip_start[at(node[a])] : nullptr;
+        width[a] = model.strip_width(node[a]);
+      }
+      for (int b = 0; b < n; ++b)
+        for (int a = 0; a <= b; ++a) {
+          if (!strip[a] && !strip[b]) continue;
+          double k[9];
+          Matrices::read(matrix, lane, a, b, k);
+          if (strip[a]) add_block(strip[a] + 3 * slot[a * n + b], width[a], k);
+          if (a != b && strip[b]) add_transposed(strip[b] + 3 * slot[b * n + a], width[b], k);
+        }
+    }
+  });
+}
+
+/// Assembles one block; fill(first, count, tangents) writes the tangents of a stage's groups.
+template <typename Group, typename Fill>
+void assemble(const SoftModel& model, const ElementBlock& block,
+              const std::vector<std::int32_t>& slots, Fill&& fill, double* values,
+              ElasticityScratch& scratch, ThreadPool& pool) {
+  using Matrices = MatricesOf<Group>;
+  scratch.blocks.resize(at(std::min(kChunk, block.num_groups) * Matrices::kSize));
+  for (Index first = 0; first < block.num_groups; first += kChunk) {
+    const Index last = std::min(block.num_groups, first + kChunk);
+    pool.run(num_tasks(last - first, kTask), [&](Index task) {
+      const Index begin = first + task * kTask;
+      for_stages(begin, std::min(last, begin + kTask), [&](Index g, int count) {
+        GroupTangent tangents[kStage];
+        fill(g, count, tangents);
+        for (int n = 0; n < count; ++n)
+          Matrices::make(block, g + n, tangents[n],
+                         scratch.blocks.data() + (g + n - first) * Matrices::kSize);
+      });
+    });
+    scatter_matrices<Group>(model, block, slots, scratch.blocks.data(), first, last, values, pool);
+  }
+}
+
+template <typename Group, typename M>
+void tangent_of(const SoftModel& model, const SoftParameters& p,
+                const std::vector<DampingFrame>& frames, const double* x, bool clamp,
+                double* values, ElasticityScratch& scratch, ThreadPool& pool) {
+  const ElementBlock& solid = model.solid;
+  const ElementBlock& fiber = model.fiber;
+  const KeptFrames kept = kept_frames(scratch, model, x);
+  const auto fill_solid = [&](Index first, int count, GroupTangent* tangents) {
+    const Stage<Group> stage(solid, first, count, x, kept, false);
+    for (int r = 0; r < count * kParts; ++r) {
+      const Index g = first + r / kParts;
+      const int part = r % kParts;
+      Native* H = tangents[r / kParts].H[part];
+      const typename M::template Sample<Native> sample(stage.frame(r));
+      PrincipalTangent<Native> core = M::tangent(sample, Group::part_value(solid, g, part, p.w_mu),
+                                                 Group::part_value(solid, g, part, p.w_vol));
+      if (clamp) clamp_tangent(core);
+      expand_tangent(stage.frame(r), core, H);
+      if (!p.damp_mu) continue;
+      Native Fn[9];
+      split_matrix(frames[at(g)].Fn, part, Fn);
+      add_viscous_tangent(Fn, Group::part_value(solid, g, part, p.damp_mu),
+                          Group::part_value(solid, g, part, p.damp_lambda), H);
+    }
+  };
+  const auto fill_fiber = [&](Index first, int count, GroupTangent* tangents) {
+    for (int n = 0; n < count; ++n) {
+      Native F[kParts][9];
+      deformation_gradient<Group>(fiber, first + n, x, F);
+      for (int part = 0; part < kParts; ++part) {
+        const FiberPart f = fiber_part<Group>(model, p, first + n, part, F[part]);
+        fiber_tangent(f.state, f.pull, clamp, tangents[n].H[part]);
+      }
+    }
+  };
+  std::fill(values, values + model.values_size(), 0.0);
+  assemble<Group>(model, solid, model.solid_slot, fill_solid, values, scratch, pool);
+  assemble<Group>(model, fiber, model.fiber_slot, fill_fiber, values, scratch, pool);
+}
+
+}  // namespace
+
+void tangent(const SoftModel& model, const SoftParameters& p,
+             const std::vector<DampingFrame>& frames, const double* x, bool clamp, double* values,
+             ElasticityScratch& scratch, ThreadPool& pool) {
+  with_types(model, [&](auto group, auto material) {
+    tangent_of<decltype(group), decltype(material)>(model, p, frames, x, clamp, values, scratch,
+                                                    pool);
+  });
+}
+
+}  // namespace diffsim

@@ -1,0 +1,100 @@
+"""``diffsim convert``: what a recorded file holds, and its tables in another format."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+
+from diffsim.core.files import write_text_atomic
+from diffsim.data.formats import (
+    WRITTEN,
+    Columns,
+    is_container,
+    parts_of,
+    read_columns,
+    split_part,
+    write_columns,
+)
+
+HELP = "show what a recorded file holds, or write a table of it in another format"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``diffsim convert``."""
+    parser.add_argument(
+        "source",
+        metavar="FILE[#PART]",
+        help="Parquet, HDF5, MAT, PX4 ULog (.ulg), MCAP, rosbag (.bag, .db3) or CSV",
+    )
+    parser.add_argument(
+        "out",
+        nargs="?",
+        type=Path,
+        metavar="OUT",
+        help=f".csv, {', '.join(WRITTEN)}; without it, parts and columns are shown",
+    )
+
+
+def command(args: argparse.Namespace) -> None:
+    """Show the parts and columns of a file, or write one of its tables.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ImportError: the format's library is not installed.
+        ValueError: the file cannot be read, or OUT has an ending that is not written.
+    """
+    file, part = split_part(args.source)
+    if args.out is None:
+        for name in [part] if part or not is_container(file) else parts_of(file):
+            _show(f"{file}#{name}" if name else str(file))
+        return
+    columns = _columns(args.source)
+    if args.out.suffix.lower() == ".csv":
+        write_text_atomic(args.out, _as_csv(columns))
+    else:
+        write_columns(args.out, columns)
+    print(f"wrote {args.out}: {len(next(iter(columns.values())))} rows, {len(columns)} columns")
+
+
+def _columns(source: str) -> Columns:
+    if is_container(source):
+        return read_columns(source)
+    from diffsim.data.columns import Table
+
+    table = Table(Path(source), "table")
+    return {
+        name: table.numbers(name) if table.is_number[name] else np.array(table.texts(name))
+        for name in table.header
+    }
+
+
+def _show(source: str) -> None:
+    columns = _columns(source)
+    print(f"{source}: {len(next(iter(columns.values())))} rows")
+    for name, values in columns.items():
+        if values.dtype.kind in "US":
+            print(f"  {name}: text, such as {values[0]!r}")
+        else:
+            there = values[np.isfinite(values)]
+            seen = f"{there.min():g} to {there.max():g}" if len(there) else "empty"
+            print(f"  {name}: {seen}")
+
+
+def _as_csv(columns: Columns) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    cells = [_cells(values) for values in columns.values()]
+    writer.writerows(zip(*cells, strict=True))
+    return text.getvalue()
+
+
+def _cells(values: np.ndarray) -> list[str]:
+    """Shortest texts that read back as the same numbers; missing ones are empty."""
+    if values.dtype.kind == "f":
+        return ["" if np.isnan(v) else repr(v) for v in values.tolist()]
+    return [str(v) for v in values.tolist()]

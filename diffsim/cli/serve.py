@@ -1,0 +1,82 @@
+"""``diffsim serve``: all runs in the browser, on this machine only."""
+
+from __future__ import annotations
+
+import argparse
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from diffsim.core.optional import ask_for, present
+
+HELP = "show runs, their pages, recordings and progress in the browser"
+LOCAL = "127.0.0.1"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of ``diffsim serve``."""
+    parser.add_argument(
+        "runs", nargs="?", type=Path, default=Path("runs"), help="folder, default: %(default)s"
+    )
+    parser.add_argument("--port", type=int, default=8765, help="default: %(default)s; 0: any")
+    parser.add_argument("--open", action="store_true", help="open the browser")
+
+
+def command(args: argparse.Namespace) -> None:
+    """Serve until Ctrl-C.
+
+    Raises:
+        ValueError: RUNS is no folder, or the port is taken.
+        ImportError: jinja2 is not installed.
+    """
+    from diffsim.viz.run_index import make_server
+
+    ask_for(["jinja2"], purpose="the index of runs")
+    if not args.runs.is_dir():
+        raise ValueError(f"RUNS must be an existing folder, got {args.runs}")
+    with _viewer() as viewer:
+        try:
+            server = make_server(args.runs, args.port, viewer)
+        except (OSError, OverflowError) as error:
+            raise ValueError(f"--port {args.port}: {error}; --port 0 takes a free one") from error
+        address = f"http://{LOCAL}:{server.server_address[1]}/"
+        print(f"runs in {args.runs}: {address} (this machine only; Ctrl-C ends)", flush=True)
+        if args.open:
+            import webbrowser
+
+            webbrowser.open(address)
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            print("\nended")
+        finally:
+            server.server_close()
+
+
+@contextmanager
+def _viewer() -> Iterator[str | None]:
+    """Address of rerun's web viewer while it runs; None where rerun is not installed."""
+    if not present("rerun"):
+        yield None
+        return
+    with socket.socket() as free:
+        free.bind((LOCAL, 0))
+        port = free.getsockname()[1]
+    # given an address to show, it hosts the viewer alone, without a server for data
+    process = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "rerun", "--serve-web", "--bind", LOCAL),
+            *("--web-viewer-port", str(port), f"http://{LOCAL}/none.rrd"),
+        ],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        yield f"http://{LOCAL}:{port}"
+    finally:
+        process.terminate()
+        process.wait(timeout=10)

@@ -1,0 +1,69 @@
+"""Paths and names that files state: they stay in their folder, whoever wrote the file."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+MAX_NAME = 120  # characters: file systems end at 255 bytes, and suffixes are added
+_NOT_IN_NAMES = re.compile(r"[\x00-\x1f\x7f/\\]")
+
+
+def inside(folder: Path, stated: str, what: str) -> Path:
+    """A stated path as a path in a folder.
+
+    Args:
+        folder: Folder that the path cannot leave.
+        stated: Path as a file states it, relative to the folder.
+        what: What states it, for the message, such as "runs[2].file".
+
+    Returns:
+        ``folder / stated``; it need not exist.
+
+    Raises:
+        ValueError: it is absolute, goes up by ``..``, or leads out of the folder by a link.
+    """
+    if not stated or "\x00" in stated:
+        raise ValueError(f"{what} must name a file, got {stated!r}")
+    for form in (PurePosixPath(stated), PureWindowsPath(stated)):
+        if form.is_absolute() or form.drive or form.root:
+            raise ValueError(
+                f"{what} must be a path relative to its folder, got {_shown(stated)}; put the file "
+                "into the folder"
+            )
+        if ".." in form.parts:
+            raise ValueError(
+                f"{what} must stay in its folder, got {_shown(stated)}, which goes up by '..'; put "
+                "the file into the folder"
+            )
+    path = folder / stated
+    try:
+        stays = path.resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError) as error:  # a circle of links
+        raise ValueError(f"{what}: {_shown(stated)} cannot be followed: {error}") from None
+    if not stays:
+        raise ValueError(
+            f"{what} must stay in its folder, but {_shown(stated)} is a link that leaves it; put "
+            "the file itself into the folder"
+        )
+    return path
+
+
+def require_file_name(what: str, name: str) -> str:
+    """Check that a name can be that of a file or folder, in whatever folder it is put.
+
+    Raises:
+        ValueError: it is empty, ``.`` or ``..``, too long, has a separator or a control character.
+    """
+    if not name.strip() or name.strip(".") == "" or _NOT_IN_NAMES.search(name):
+        raise ValueError(
+            f"{what} must be a plain name, since files are called by it, got {_shown(name)}; use "
+            "letters, digits, spaces, '_', '-' and '.'"
+        )
+    if len(name) > MAX_NAME:
+        raise ValueError(f"{what} must have at most {MAX_NAME} characters, got {len(name)}")
+    return name
+
+
+def _shown(text: str) -> str:
+    return repr(text if len(text) <= MAX_NAME else text[:MAX_NAME] + "...")

@@ -1,0 +1,63 @@
+"""Nested records as columns: ``pose.position.x``, ``q[0]``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Columns by name, all of one length: float64, integers or text.
+Columns = dict[str, NDArray[Any]]
+
+MOST_ENTRIES = 64  # of a list in a message: clouds and pictures are no columns
+
+
+def flat(name: str, values: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Columns of an array with a row per sample.
+
+    Args:
+        name: What the array is called.
+        values: (num_rows,) or (num_rows, ...).
+
+    Yields:
+        One column per entry of a row: ``name``, or ``name[0]``, ``name[1]`` and so on.
+    """
+    if values.ndim == 1:
+        yield name, values
+    elif values.ndim == 2 and values.shape[1] == 1:
+        yield name, values[:, 0]
+    else:
+        for k in range(values.shape[1]):
+            yield from flat(f"{name}[{k}]", values[:, k])
+
+
+def of_messages(messages: Sequence[Mapping[str, Any]]) -> Columns:
+    """Columns of messages with the same fields; what only some have is empty in the others.
+
+    Args:
+        messages: Numbers, text, and mappings and short lists of them.
+    """
+    rows = [dict(_leaves("", message)) for message in messages]
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {name: _column([row.get(name) for row in rows]) for name in names}
+
+
+def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            yield from _leaves(f"{name}.{key}" if name else str(key), inner)
+    elif isinstance(value, (str, bool, int, float, np.generic)):
+        yield name, value
+    elif isinstance(value, (list, tuple, np.ndarray)) and 0 < len(value) <= MOST_ENTRIES:
+        for k, inner in enumerate(value):
+            yield from _leaves(f"{name}[{k}]", inner)
+
+
+def _column(cells: list[Any]) -> NDArray[Any]:
+    if any(isinstance(cell, str) for cell in cells):
+        return np.array(["" if cell is None else str(cell) for cell in cells])
+    if None not in cells and all(isinstance(cell, (int, np.integer)) for cell in cells):
+        return np.array(cells)
+    return np.array([np.nan if cell is None else cell for cell in cells], dtype=np.float64)

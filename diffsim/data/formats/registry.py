@@ -1,0 +1,138 @@
+"""Which reader a file has, by its ending."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffsim.core.check import did_you_mean
+from diffsim.data.formats import hdf5, logs, mat, parquet
+from diffsim.data.formats.columns import Columns
+
+Parts = Callable[[Path], list[str]]
+Read = Callable[[Path, str], Columns]
+Write = Callable[[Path, Mapping[str, NDArray[Any]]], None]
+
+_READERS: dict[str, tuple[Parts, Read]] = {
+    ".parquet": (parquet.parts, parquet.read),
+    ".h5": (hdf5.parts, hdf5.read),
+    ".hdf5": (hdf5.parts, hdf5.read),
+    ".mat": (mat.parts, mat.read),
+    ".ulg": (logs.ulog_parts, logs.read_ulog),
+    ".mcap": (logs.mcap_parts, logs.read_mcap),
+    ".bag": (logs.rosbag_parts, logs.read_rosbag),
+    ".db3": (logs.rosbag_parts, logs.read_rosbag),
+}
+WRITTEN: dict[str, Write] = {
+    ".parquet": parquet.write,
+    ".h5": hdf5.write,
+    ".hdf5": hdf5.write,
+    ".mat": mat.write,
+}
+"""Formats that ``write_columns`` writes, besides CSV."""
+
+SUFFIXES = tuple(_READERS)
+"""Endings of the files that are read by their format's own library."""
+
+
+def split_part(path: str | Path) -> tuple[Path, str]:
+    """File and part of ``FILE#PART``.
+
+    Args:
+        path: As a study names it.
+
+    Returns:
+        The file, and the part or "".
+    """
+    head, _, part = str(path).partition("#")
+    return (Path(path), "") if not part and "#" not in str(path) else (Path(head), part)
+
+
+def is_container(path: str | Path) -> bool:
+    """Whether a file, or a part of one, is of a format with its own library."""
+    return split_part(path)[0].suffix.lower() in _READERS
+
+
+def parts_of(path: Path) -> list[str]:
+    """Tables that a file holds, such as topics; [""] where it is one table.
+
+    Args:
+        path: The file, without a part.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ImportError: the format's library is not installed.
+        ValueError: the file cannot be read.
+    """
+    return _guarded(path, lambda: _READERS[path.suffix.lower()][0](path))
+
+
+def read_columns(path: str | Path) -> Columns:
+    """Columns of a table.
+
+    Args:
+        path: ``FILE``, or ``FILE#PART`` where the file holds several tables.
+
+    Returns:
+        Columns by name, each (num_rows,).
+
+    Raises:
+        FileNotFoundError: no such file.
+        ImportError: the format's library is not installed.
+        ValueError: the file cannot be read, or holds several tables, or not this one.
+    """
+    file, part = split_part(path)
+    parts = parts_of(file)
+    if not part and len(parts) == 1:
+        part = parts[0]
+    if part not in parts:
+        shown = ", ".join(f"{file.name}#{p}" for p in parts[:30])
+        what = f"has no part {part!r}{did_you_mean(part, parts)}" if part else "holds several parts"
+        raise ValueError(f"{file}: {what}; name one as FILE#PART: {shown}")
+    columns = _guarded(file, lambda: _READERS[file.suffix.lower()][1](file, part))
+    lengths = {len(values) for values in columns.values()}
+    if not columns or lengths == {0}:
+        raise ValueError(f"{path}: no rows")
+    if len(lengths) > 1:
+        raise ValueError(f"{path}: columns of different lengths {sorted(lengths)}; name a part")
+    return columns
+
+
+def write_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> Path:
+    """Write a table, in place of an older one only when it is whole.
+
+    Args:
+        path: Its ending tells the format.
+        columns: Columns by name, each (num_rows,).
+
+    Raises:
+        ImportError: the format's library is not installed.
+        ValueError: a format that is not written.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in WRITTEN:
+        raise ValueError(f"{path}: tables are written as .csv, {', '.join(WRITTEN)}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.stem}.part{suffix}")
+    try:
+        WRITTEN[suffix](beside, {name: np.asarray(values) for name, values in columns.items()})
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+    return path
+
+
+def _guarded(path: Path, read: Callable[[], Any]) -> Any:
+    """What a library throws at a damaged file, as one error that names the file."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file")
+    try:
+        return read()
+    except (ImportError, MemoryError):
+        raise
+    except Exception as error:  # each library has its own
+        raise ValueError(f"{path}: cannot be read as {path.suffix}: {error}") from error

@@ -1,0 +1,136 @@
+"""The page that lists all runs, and the server that shows it to this machine's browser only."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from importlib import resources
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from diffsim.core.optional import advice, optional
+from diffsim.viz.run_folders import PAGES, PICTURES, RECORDINGS, RunFolder, run_folders
+
+LOCAL = "127.0.0.1"
+_INDEX = ("/", "/index.html")
+
+
+def render_index(root: Path, runs: Sequence[RunFolder], viewer: str | None, base: str) -> str:
+    """The page as text; names of files and folders are escaped.
+
+    Args:
+        root: Folder of all runs.
+        runs: As ``run_folders`` gives them.
+        viewer: Address of rerun's web viewer; None: recordings are links to the files.
+        base: Address of this server.
+    """
+    jinja2 = optional("jinja2", purpose="the index of runs")
+    source = resources.files("diffsim.viz").joinpath("templates/runs.html.j2").read_text("utf-8")
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.from_string(source).render(
+        root=str(root),
+        runs=[_shown(run, viewer, base) for run in runs],
+        is_going_on=any(run.progress != "finished" for run in runs),
+        has_viewer=viewer is not None,
+        viewer_advice=advice(["rerun"]),
+    )
+
+
+def make_server(root: Path, port: int, viewer: str | None = None) -> ThreadingHTTPServer:
+    """A server of the runs below a folder, on this machine's own address only.
+
+    Args:
+        root: Folder of all runs.
+        port: Port; 0: any that is free.
+        viewer: Address of rerun's web viewer, which may read recordings from here.
+
+    Returns:
+        The server; ``serve_forever`` runs it.
+
+    Raises:
+        OSError: the port is taken.
+    """
+    return ThreadingHTTPServer((LOCAL, port), partial(_Handler, root=root.resolve(), viewer=viewer))
+
+
+def _shown(run: RunFolder, viewer: str | None, base: str) -> dict[str, Any]:
+    folder = "" if run.path == "." else f"{quote(run.path)}/"
+
+    def links(endings: tuple[str, ...], through: str | None = None) -> list[dict[str, str]]:
+        out = []
+        for name in run.of_kind(endings):
+            href = f"/{folder}{quote(name)}"
+            if through is not None:
+                href = f"{through}/?url={quote(base + href, safe='')}"
+            out.append({"name": name, "href": href})
+        return out
+
+    return {
+        "path": "this folder" if run.path == "." else run.path,
+        "kind": run.kind,
+        "said": run.said,
+        "progress": run.progress,
+        "when": datetime.fromtimestamp(run.changed).strftime("%Y-%m-%d %H:%M"),
+        "pages": links(PAGES),
+        "pictures": links(PICTURES),
+        "recordings": links(RECORDINGS, viewer),
+    }
+
+
+class _Handler(SimpleHTTPRequestHandler):
+    """Files below the folder, nothing else: no listing, no link that leads out of it."""
+
+    def __init__(self, *args: Any, root: Path, viewer: str | None, **kwargs: Any):
+        self._root, self._viewer = root, viewer
+        super().__init__(*args, directory=str(root), **kwargs)
+
+    def do_GET(self) -> None:
+        """The index, or a file."""
+        if not self._is_local():
+            self.send_error(403, "ask by 127.0.0.1 or localhost")
+        elif self.path.partition("?")[0] in _INDEX:
+            self._send_index()
+        elif self._is_inside():
+            super().do_GET()
+        else:
+            self.send_error(404)
+
+    def do_HEAD(self) -> None:
+        """As ``do_GET``, without content."""
+        if self._is_local() and self._is_inside():
+            super().do_HEAD()
+        else:
+            self.send_error(404)
+
+    def end_headers(self) -> None:
+        """Recordings may be read by the viewer's page; nothing is kept, as runs go on."""
+        if self._viewer is not None:
+            self.send_header("Access-Control-Allow-Origin", self._viewer)
+        self.send_header("Cache-Control", "no-store")
+        super().end_headers()
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Say nothing of what went well."""
+
+    def _is_local(self) -> bool:
+        """Whether the browser asked for this machine: another name might be a page's trick."""
+        return (self.headers.get("Host") or "").partition(":")[0] in (LOCAL, "localhost")
+
+    def _is_inside(self) -> bool:
+        path = Path(self.translate_path(self.path)).resolve()
+        hidden = any(p[:1] == "." for p in path.parts[len(self._root.parts) :])
+        return path.is_file() and path.is_relative_to(self._root) and not hidden
+
+    def _send_index(self) -> None:
+        base = f"http://{self.headers.get('Host')}"  # checked: this machine's own
+        page = render_index(self._root, run_folders(self._root), self._viewer, base).encode()
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html; charset=utf-8")
+        self.send_header("Content-Length", str(len(page)))
+        self.end_headers()
+        self.wfile.write(page)
