@@ -107,7 +107,8 @@ class FabricationPlan:
     def problems(self) -> tuple[str, ...]:
         """What stands in the way of printing, assembly and flying, one sentence each."""
         prints = [f"{p.file}: {text}" for p in self.printed for text in p.check.problems]
-        solid = {part.name for part in self.design.parts}  # two propellers are discs: below
+        # two propellers are told by their discs, below
+        solid = {p.name for p in self.design.parts if p.part.kind != "propeller"}
         gaps = disc_clearances(self.design.multicopter()).tolist()
         pairs = itertools.combinations(self.motors, 2)
         return (
