@@ -43,7 +43,7 @@ class Plan:
 
     widths: Sequence[int] = (4, 6, 8, 12, 16, 22, 29)
     kinds: Sequence[str] = ("hex", "tet")
-    methods: Sequence[str] = METHODS  # auto first: newton_pcg is skipped where it is the same
+    methods: Sequence[str] = METHODS
     rtol: float = 1e-4
     num_steps: int = 2
     degrees: float = 10.0
@@ -98,9 +98,6 @@ def measure(
     """Run the child, unless smaller sizes say that it would take too long or too much memory."""
     width = settings["cells"][1]
     key = {"kind": settings["kind"], "method": settings["method"], "num_dof": num_dof(width)}
-    auto = [r for r in rows(results, key["kind"], "auto") if r["num_dof"] == key["num_dof"]]
-    if key["method"] == "newton_pcg" and measured(auto) and not auto[0]["factorized"]:
-        return {**key, "same_as": "auto"}
     smaller = rows(results, key["kind"], key["method"])
     if any("skipped" in r for r in smaller):
         return {**key, "skipped": "a smaller mesh was skipped"}

@@ -49,10 +49,19 @@ void bind_prepared(nb::module_& m) {
   nb::class_<SoftPattern>(m, "SoftPattern")
       .def_prop_ro("num_nodes", [](const SoftPattern& p) { return p.model().num_nodes; })
       .def_prop_ro("num_blocks", [](const SoftPattern& p) { return p.model().num_blocks(); });
-  nb::class_<ConstantSystem>(m, "ConstantSystem").def_prop_ro("plan", [](const ConstantSystem& s) {
-    const SolverPlan& p = s.plan();
-    return nb::make_tuple(p.iterations, p.constant_cost, p.tangent_cost, p.factorize_cost);
-  });
+  nb::class_<ConstantSystem>(m, "ConstantSystem")
+      .def_prop_ro("plan",
+                   [](const ConstantSystem& s) {
+                     const SolverPlan& p = s.plan();
+                     return nb::make_tuple(p.iterations, p.iteration_cost, p.tangent_cost,
+                                           p.factorize_cost);
+                   })
+      .def_prop_ro("preconditioner",
+                   [](const ConstantSystem& s) { return s.plan().preconditioner; });
+  nb::enum_<Preconditioner>(m, "Preconditioner")
+      .value("auto", Preconditioner::kAuto)
+      .value("constant", Preconditioner::kConstant)
+      .value("multigrid", Preconditioner::kMultigrid);
 
   m.def(
       "make_soft_pattern",
@@ -98,7 +107,8 @@ void bind_prepared(nb::module_& m) {
       "make_constant_system",
       // Returns (system, -1, 0), or (None, unknown, pivot) where A is not positive definite.
       [](std::shared_ptr<SoftPattern> pattern, Address fixed, Address inertia, Address kappa,
-         Address fiber_kappa, const SoftArrays& parameters, int num_threads) {
+         Address fiber_kappa, const SoftArrays& parameters, Preconditioner preconditioner,
+         int num_threads) {
         std::shared_ptr<ConstantSystem> system;
         std::int64_t unknown = -1;
         double pivot = 0.0;
@@ -106,8 +116,11 @@ void bind_prepared(nb::module_& m) {
           nb::gil_scoped_release release;
           ThreadPool pool(num_threads);
           const ConstantSystemInputs inputs{reinterpret_cast<const std::uint8_t*>(fixed),
-                                            in(inertia), in(kappa), in(fiber_kappa),
-                                            parameters.inputs().parameters};
+                                            in(inertia),
+                                            in(kappa),
+                                            in(fiber_kappa),
+                                            parameters.inputs().parameters,
+                                            preconditioner};
           try {
             system = std::make_shared<ConstantSystem>(std::move(pattern), inputs, pool);
           } catch (const NotPositiveDefinite& e) {
@@ -118,7 +131,8 @@ void bind_prepared(nb::module_& m) {
         return nb::make_tuple(system, unknown, pivot);
       },
       nb::arg("pattern"), nb::kw_only(), nb::arg("fixed"), nb::arg("inertia"), nb::arg("kappa"),
-      nb::arg("fiber_kappa"), nb::arg("parameters"), nb::arg("num_threads"));
+      nb::arg("fiber_kappa"), nb::arg("parameters"), nb::arg("preconditioner"),
+      nb::arg("num_threads"));
 }
 
 }  // namespace

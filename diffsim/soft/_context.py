@@ -21,6 +21,8 @@ from diffsim.core.errors import FactorizationError, InvertedElementError
 from diffsim.soft._arrays import StepArrays
 
 _CACHED_SYSTEMS = 4
+PRECONDITIONERS = ("auto", "constant", "multigrid")
+MULTIGRID_METHODS = ("auto", "newton_pcg")
 MATERIALS = ("pd", "corotated", "stable_neo_hookean", "neo_hookean", "stvk")
 _handles = itertools.count(1)
 contexts: weakref.WeakValueDictionary[int, SoftContext] = weakref.WeakValueDictionary()
@@ -91,7 +93,7 @@ class SoftContext:
             lid_start=chambers.lid_start.data_ptr(),
             lid_nodes=chambers.lid_nodes.data_ptr(),
         )
-        self._systems: OrderedDict[tuple[Tensor, ...], object] = OrderedDict()
+        self._systems: OrderedDict[tuple[str, tuple[Tensor, ...]], object] = OrderedDict()
         self._lock = threading.Lock()
         contexts[self.handle] = self
 
@@ -105,13 +107,23 @@ class SoftContext:
             "num_chambers": self.num_chambers,
         }
 
-    def system(self, inputs: StepArrays, num_threads: int) -> object:
-        """The constant system of these inputs, from the cache where all it depends on is equal."""
+    def system(
+        self, inputs: StepArrays, num_threads: int, method: str, preconditioner: str
+    ) -> object:
+        """The constant system of these inputs, from the cache where all it depends on is equal.
+
+        Args:
+            inputs: What it depends on is among them.
+            num_threads: Threads to make it with.
+            method, preconditioner: As in :class:`~diffsim.soft.SolverOptions`.
+        """
+        by_choice = method == "auto" or preconditioner == "multigrid"
+        kind = preconditioner if by_choice else "constant"
         shared = inputs.shared()  # all that it depends on
         key = tuple(shared.values())
         with self._lock:
             for known in self._systems:
-                if all(torch.equal(a, b) for a, b in zip(known, key, strict=True)):
+                if known[0] == kind and all(map(torch.equal, known[1], key)):
                     self._systems.move_to_end(known)
                     return self._systems[known]
         key = tuple(k.contiguous().clone() for k in key)
@@ -125,6 +137,7 @@ class SoftContext:
             kappa=kappa.data_ptr(),
             fiber_kappa=fiber_kappa.data_ptr(),
             parameters=soft_addresses(shared),
+            preconditioner=getattr(core.Preconditioner, kind),
             num_threads=num_threads,
         )
         if made is None:
@@ -136,7 +149,7 @@ class SoftContext:
                 value=pivot,
             )
         with self._lock:
-            self._systems[key] = made
+            self._systems[(kind, key)] = made
             while len(self._systems) > _CACHED_SYSTEMS:
                 self._systems.popitem(last=False)
         return made

@@ -71,6 +71,7 @@ def soft_step(
     *,
     handle: int,
     method: str,
+    preconditioner: str,
     rtol: float,
     atol: float,
     max_iters: int,
@@ -93,7 +94,7 @@ def soft_step(
     x = torch.empty_like(arrays.y)
     stats = new_stats(batch)
     core.implicit_step(
-        system=ctx.system(arrays, num_threads),
+        system=ctx.system(arrays, num_threads, method, preconditioner),
         inputs=soft_addresses(arrays.named()),
         options=step_options(method, rtol=rtol, atol=atol, max_iters=max_iters),
         batch=batch,
@@ -121,6 +122,7 @@ def soft_step_vjp(
     *,
     handle: int,
     method: str,
+    preconditioner: str,
     rtol: float,
     max_iters: int,
     num_threads: int,
@@ -134,7 +136,7 @@ def soft_step_vjp(
     grads = arrays.gradient_buffers(batch)
     stats = new_stats(batch)
     core.implicit_step_adjoint(
-        system=ctx.system(arrays, num_threads),
+        system=ctx.system(arrays, num_threads, method, preconditioner),
         inputs=soft_addresses(arrays.named()),
         options=step_options(method, rtol=rtol, max_iters=max_iters),
         batch=batch,
@@ -156,7 +158,7 @@ def _(grad_x, x, inputs, **_options):
 
 def adjoint_arguments(step: Mapping[str, Any]) -> dict[str, Any]:
     """Keyword arguments of a step's adjoint from those of the step."""
-    same = ("handle", "method", "num_threads", "on_failure")
+    same = ("handle", "method", "preconditioner", "num_threads", "on_failure")
     own = {"rtol": step["adjoint_rtol"], "max_iters": step["adjoint_max_iters"]}
     return {name: step[name] for name in same} | own
 
@@ -183,6 +185,7 @@ def step_tangents(
     *,
     handle: int,
     method: str,
+    preconditioner: str,
     rtol: float,
     max_iters: int,
     num_threads: int,
@@ -195,7 +198,8 @@ def step_tangents(
         inputs: Of the step, of batch 1.
         directions: By name of ``StepArrays.differentiable()``, with a leading K instead of the
             batch axis; what does not move may be missing.
-        handle, method, rtol, max_iters, num_threads, on_failure: As for :func:`soft_step_vjp`.
+        handle, method, preconditioner, rtol, max_iters, num_threads, on_failure: As for
+            :func:`soft_step_vjp`.
 
     Returns:
         (K, V, 3).
@@ -210,7 +214,7 @@ def step_tangents(
     dx = x.new_empty(count, *x.shape[1:])
     stats = new_stats(1)
     core.implicit_step_tangent(
-        system=ctx.system(arrays, num_threads),
+        system=ctx.system(arrays, num_threads, method, preconditioner),
         inputs=soft_addresses(arrays.named()),
         options=step_options(method, rtol=rtol, max_iters=max_iters),
         count=count,
@@ -233,6 +237,7 @@ def soft_step_jvp(
     *,
     handle: int,
     method: str,
+    preconditioner: str,
     rtol: float,
     max_iters: int,
     num_threads: int,
@@ -255,7 +260,7 @@ def soft_step_jvp(
     dx, stats = torch.empty_like(x), new_stats(x.shape[0])
     for k in range(x.shape[0]):
         core.implicit_step_tangent(
-            system=ctx.system(arrays, num_threads),
+            system=ctx.system(arrays, num_threads, method, preconditioner),
             inputs=soft_addresses(arrays.item(k)),
             options=step_options(method, rtol=rtol, max_iters=max_iters),
             count=1,

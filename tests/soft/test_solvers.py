@@ -21,11 +21,20 @@ from diffsim.soft._arrays import StepArrays
 from tests.soft.cases import SHARP, deformed, irregular_mesh, leaf, noise, soft_body, two_muscles
 
 pytestmark = pytest.mark.reference
-METHODS = ["auto", "quasi_newton", "newton_pcg", "newton_jacobi", "newton_cholesky"]
+METHODS = ["auto", "quasi_newton", "newton_pcg", "multigrid", "newton_jacobi", "newton_cholesky"]
+
+
+def solver_of(method):
+    """``newton_pcg`` on the constant factor, ``multigrid`` the same on multigrid."""
+    chosen = {"newton_pcg": "constant", "multigrid": "multigrid"}.get(method, "auto")
+    return {
+        "method": "newton_pcg" if method == "multigrid" else method,
+        "preconditioner": chosen,
+    }
 
 
 def options(method="auto", **changes):
-    return soft.SolverOptions(**{"method": method, **SHARP, **changes})
+    return soft.SolverOptions(**{**solver_of(method), **SHARP, **changes})
 
 
 def bar(kind="hex", cells=(6, 2, 2), **changes):
@@ -291,7 +300,7 @@ def test_the_adjoint_at_an_indefinite_point_solves_its_system_or_raises(method, 
         x[None],
         arrays.tensors(),
         handle=body.handle,
-        method=method,
+        **solver_of(method),
         rtol=1e-10,
         max_iters=2000,
         num_threads=1,
@@ -452,6 +461,7 @@ def test_prepared_objects_die_with_their_body():
         ("newton_cholesky", "num_factorizations", 50),
         ("auto", "num_factorizations", 8),  # 17
         ("newton_pcg", "num_solves", 500),  # 1746
+        ("multigrid", "num_solves", 300),  # 207
     ],
 )
 def test_a_bar_that_buckles_within_a_step_takes_few_iterations(method, counter, limit):
@@ -465,7 +475,7 @@ def test_a_bar_that_buckles_within_a_step_takes_few_iterations(method, counter, 
     side[:, 2] = 1e-5
     ended = {}
     for name in (method, "quasi_newton"):
-        solver = soft.SolverOptions(method=name, rtol=1e-8)
+        solver = soft.SolverOptions(**solver_of(name), rtol=1e-8)
         body = soft.SoftBody(box, solver=solver, **options)
         with soft.record_stats() as solves:
             end = soft.step(body, body.rest_state(), external_force=side, dirichlet_target=target).x

@@ -70,6 +70,33 @@ Vector with_dirichlet(const SoftModel& model, Vector values, const std::uint8_t*
   return values;
 }
 
+// Multigrid that needs more iterations than this at rest is compared with the constant factor.
+constexpr double kFewIterations = 12.0;
+
+/// Throws where a part of the body has neither inertia nor a fixed node on some axis.
+void require_held(const SoftModel& model, const ConstantSystemInputs& in) {
+  std::vector<std::uint8_t> seen(at(model.num_nodes), 0);
+  std::vector<Index> todo;
+  for (Index first = 0; first < model.num_nodes; ++first) {
+    if (seen[at(first)]) continue;
+    bool held[3] = {false, false, false};
+    seen[at(first)] = 1;
+    todo.assign(1, first);
+    while (!todo.empty()) {
+      const Index i = todo.back();
+      todo.pop_back();
+      for (int axis = 0; axis < 3; ++axis)
+        held[axis] = held[axis] || in.inertia[i] > 0.0 || in.fixed[3 * i + axis];
+      for (Index k = model.row_start[at(i)]; k < model.row_start[at(i + 1)]; ++k) {
+        const Index j = model.column[at(k)];
+        if (!seen[at(j)]) todo.push_back(j);
+        seen[at(j)] = 1;
+      }
+    }
+    if (!held[0] || !held[1] || !held[2]) throw NotPositiveDefinite(first, 0.0);
+  }
+}
+
 bool same_set(const SoftModel& model, const std::uint8_t* fixed, int a, int b) {
   for (Index i = 0; i < model.num_nodes; ++i)
     if (fixed[3 * i + a] != fixed[3 * i + b]) return false;
@@ -97,6 +124,16 @@ std::shared_ptr<const CholeskySymbolic> SoftPattern::blocks() const {
   return blocks_;
 }
 
+std::shared_ptr<const RigidHierarchy> SoftPattern::hierarchy() const {
+  std::call_once(hierarchy_once_, [this] {
+    Pattern nodes;
+    nodes.row_start = model_.row_start;
+    nodes.column.assign(model_.column.begin(), model_.column.end());
+    hierarchy_ = std::make_shared<const RigidHierarchy>(std::move(nodes));
+  });
+  return hierarchy_;
+}
+
 ConstantSystem::ConstantSystem(std::shared_ptr<const SoftPattern> pattern,
                                const ConstantSystemInputs& inputs, ThreadPool& pool)
     : pattern_(std::move(pattern)),
@@ -105,19 +142,37 @@ ConstantSystem::ConstantSystem(std::shared_ptr<const SoftPattern> pattern,
       inverse_columns_(*this) {
   const Vector values = scalar_matrix(model(), inputs);
   for (Index d : model().diagonal) diagonal_.push_back(values[at(d)]);
+  require_held(model(), inputs);
+  const bool tries_multigrid =
+      inputs.preconditioner == Preconditioner::kMultigrid ||
+      (inputs.preconditioner == Preconditioner::kAuto && suits_multigrid(model()));
+  if (tries_multigrid) {
+    plan_ = make_solver_plan(*this, inputs.parameters, Preconditioner::kMultigrid, pool);
+    if (inputs.preconditioner == Preconditioner::kMultigrid || plan_.iterations <= kFewIterations)
+      return;
+  }
+  factorize(values, pool);
+  const SolverPlan constant =
+      make_solver_plan(*this, inputs.parameters, Preconditioner::kConstant, pool);
+  const auto cost = [](const SolverPlan& plan) { return plan.iterations * plan.iteration_cost; };
+  if (tries_multigrid && cost(plan_) < cost(constant))
+    factors_.clear();
+  else
+    plan_ = constant;
+}
+
+void ConstantSystem::factorize(const Vector& values, ThreadPool& pool) {
   for (int axis = 0; axis < 3; ++axis) {
     bool shared = false;
     for (AxisFactor& f : factors_)
-      if (!shared && same_set(model(), inputs.fixed, f.axes[0], axis)) {
+      if (!shared && same_set(model(), fixed(), f.axes[0], axis)) {
         f.axes.push_back(axis);
         shared = true;
       }
     if (shared) continue;
     factors_.push_back({{axis}, CholeskyFactor(pattern_->scalar())});
-    factors_.back().factor.refactor(with_dirichlet(model(), values, inputs.fixed, axis).data(),
-                                    pool);
+    factors_.back().factor.refactor(with_dirichlet(model(), values, fixed(), axis).data(), pool);
   }
-  plan_ = make_solver_plan(*this, inputs.parameters, pool);
 }
 
 std::int64_t ConstantSystem::factor_bytes() const {

@@ -1,5 +1,6 @@
 // The constant system of projective dynamics, A = diag(inertia) + sum of kappa G^T G (eq. 4.15),
-// factorized once and used by the forward step and by its adjoint.
+// factorized once and used by the forward step and by its adjoint. Where multigrid on the tangent
+// is the better preconditioner, A is not factorized at all.
 //
 // A acts on each coordinate alone, so one scalar factor (n x n) serves three right-hand sides. An
 // axis with its own Dirichlet set needs its own factor; axes with equal sets share one.
@@ -9,6 +10,7 @@
 #include <mutex>
 
 #include "kernels/linalg/cholesky.h"
+#include "kernels/linalg/rigid_hierarchy.h"
 #include "kernels/soft/inverse_columns.h"
 #include "kernels/soft/soft_model.h"
 #include "kernels/soft/solver_plan.h"
@@ -24,12 +26,14 @@ class SoftPattern {
   const double* coords() const { return coords_.data(); }  // (num_nodes, 3) rest positions [m]
   std::shared_ptr<const CholeskySymbolic> scalar() const;
   std::shared_ptr<const CholeskySymbolic> blocks() const;
+  std::shared_ptr<const RigidHierarchy> hierarchy() const;
 
  private:
   SoftModel model_;
   std::vector<double> coords_;
-  mutable std::once_flag scalar_once_, blocks_once_;
+  mutable std::once_flag scalar_once_, blocks_once_, hierarchy_once_;
   mutable std::shared_ptr<const CholeskySymbolic> scalar_, blocks_;
+  mutable std::shared_ptr<const RigidHierarchy> hierarchy_;
 };
 
 /// What A is made of and what the plan is for; everything the content depends on.
@@ -39,6 +43,7 @@ struct ConstantSystemInputs {
   const double* kappa = nullptr;        // (num_elements,) [Pa]
   const double* fiber_kappa = nullptr;  // (num_fibers,) [Pa]
   SoftParameters parameters;            // of the energy; activation unused
+  Preconditioner preconditioner = Preconditioner::kAuto;
 };
 
 /// Immutable once made; throws NotPositiveDefinite for a body that nothing holds.
@@ -62,7 +67,8 @@ class ConstantSystem {
   const SolverPlan& plan() const { return plan_; }
   std::int64_t factor_bytes() const;
 
-  /// z = A^-1 r on free unknowns, zero on fixed ones; r is (num_nodes, 3), zero on fixed ones.
+  /// z = A^-1 r on free unknowns, zero on fixed ones, where the plan is on the constant factor; r
+  /// is (num_nodes, 3), zero on fixed ones.
   void solve(const Vector& r, Vector& z, Scratch& scratch, ThreadPool& pool) const;
 
   /// Scalar factors: axes with equal Dirichlet sets share one.
@@ -80,6 +86,8 @@ class ConstantSystem {
     std::vector<int> axes;
     CholeskyFactor factor;
   };
+  void factorize(const Vector& values, ThreadPool& pool);
+
   std::shared_ptr<const SoftPattern> pattern_;
   std::vector<std::uint8_t> fixed_;
   Vector inertia_, diagonal_;

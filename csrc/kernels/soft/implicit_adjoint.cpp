@@ -13,7 +13,7 @@ bool wants_factor(const ConstantSystem& system, const StepOptions& options) {
 StepStats implicit_step_adjoint(const ConstantSystem& system, const StepInputs& inputs,
                                 const StepOptions& options, const double* x_in,
                                 const double* grad_x, const StepAdjoint& out, ThreadPool& pool) {
-  StepProblem problem(system, inputs, pool);
+  StepProblem problem(system, inputs, pool, uses_multigrid(system, options.method));
   const std::size_t size = problem.size();
   const Vector x(x_in, x_in + size);
   problem.assemble(x, false);
@@ -23,7 +23,7 @@ StepStats implicit_step_adjoint(const ConstantSystem& system, const StepInputs& 
   StepStats stats;
   stats.scale = problem.ops().norm(b);
   stats.tolerance = options.rtol * stats.scale + options.atol;
-  const KrylovResult solve = LinearizedSolver(problem, x)
+  const KrylovResult solve = LinearizedSolver(problem, system.plan(), x)
                                  .solve(options.method, wants_factor(system, options), b,
                                         stats.tolerance, options.max_iters, z);
   stats.residual_norm = solve.residual_norm;

@@ -73,7 +73,8 @@ bool line_search(StepProblem& problem, const Vector& d, double slope, Vector& x,
   return false;
 }
 
-/// L-BFGS on the constant factor (Liu et al. 2017): A^-1 is the initial inverse Hessian.
+/// L-BFGS whose initial inverse Hessian is the preconditioner: on the constant factor, A^-1 (Liu et
+/// al. 2017).
 class QuasiNewton {
  public:
   explicit QuasiNewton(StepProblem& problem) : problem_(problem) {}
@@ -86,7 +87,7 @@ class QuasiNewton {
       alpha[k] = ops.dot(pairs_[k].s, q) / pairs_[k].sy;
       ops.add(-alpha[k], pairs_[k].y, q);
     }
-    problem_.solve_constant(q, d);
+    problem_.precondition(q, d);
     for (std::size_t k = 0; k < pairs_.size(); ++k)
       ops.add(alpha[k] - ops.dot(pairs_[k].y, d) / pairs_[k].sy, pairs_[k].s, d);
     for (double& v : d) v = -v;
@@ -154,7 +155,7 @@ class Newton {
     if (problem_.ops().dot(d, gradient) < 0.0) return;
     // Not a descent direction: that of the constant system always is one.
     clamp_ = true;
-    problem_.solve_constant(rhs, d);
+    problem_.precondition(rhs, d);
   }
 
   bool is_clamped() const { return clamp_; }
@@ -201,7 +202,7 @@ class Newton {
     if (preconditioner_ == Preconditioner::kTangent) factor_age_ += result.num_iters;
     spent_ += result.num_iters;
     if (method_ == StepMethod::kAuto && preconditioner_ == Preconditioner::kConstant &&
-        spent_ > plan_.patience(plan_.constant_cost))
+        spent_ > plan_.patience(plan_.iteration_cost))
       preconditioner_ = Preconditioner::kTangent;
   }
 
@@ -214,7 +215,7 @@ class Newton {
       else if (preconditioner_ == Preconditioner::kJacobi)
         problem_.solve_jacobi(in, out);
       else
-        problem_.solve_constant(in, out);
+        problem_.precondition(in, out);
     };
     return conjugate_gradients(apply, precondition, rhs, d, false, tolerance,
                                static_cast<int>(problem_.size()), krylov_, problem_.ops());
@@ -242,7 +243,7 @@ bool follow_targets(StepProblem& problem, const ConstantSystem& system, const St
   x.assign(inputs.guess, inputs.guess + problem.size());
   KrylovScratch scratch;
   const auto apply = [&](const Vector& in, Vector& out) { problem.multiply(in, out); };
-  const auto constant = [&](const Vector& in, Vector& out) { problem.solve_constant(in, out); };
+  const auto constant = [&](const Vector& in, Vector& out) { problem.precondition(in, out); };
   Vector move, rhs, d, gradient;
   for (int piece = 0; piece < kPieces; ++piece) {
     if (!std::isfinite(problem.value_gradient(x, gradient))) break;
@@ -275,7 +276,7 @@ bool follow_targets(StepProblem& problem, const ConstantSystem& system, const St
 
 StepStats implicit_step(const ConstantSystem& system, const StepInputs& inputs,
                         const StepOptions& options, double* x_out, ThreadPool& pool) {
-  StepProblem problem(system, inputs, pool);
+  StepProblem problem(system, inputs, pool, uses_multigrid(system, options.method));
   Vector x(inputs.guess, inputs.guess + problem.size());
   for (std::size_t i = 0; i < x.size(); ++i)
     if (system.fixed()[i]) x[i] = inputs.target[i];

@@ -39,14 +39,18 @@ void transpose(Index rows, Index columns, const double* from, double* to) {
 StepStats implicit_step_tangent(const ConstantSystem& system, const StepInputs& inputs,
                                 const StepOptions& options, const double* x_in,
                                 const StepDirections& d, double* dx, ThreadPool& pool) {
-  StepProblem problem(system, inputs, pool);
+  StepProblem problem(system, inputs, pool, uses_multigrid(system, options.method));
   const Index size = static_cast<Index>(problem.size());
   const Vector x(x_in, x_in + size);
   problem.assemble(x, false);
   const Vector rhs = right_hand_sides(problem, system, x, d);
 
-  // Many right-hand sides repay a factor wherever memory allows one.
-  const bool direct = std::isfinite(system.plan().factorize_cost) && problem.factorize();
+  // Many right-hand sides repay a factor wherever memory allows one; multigrid may do a few sooner.
+  const SolverPlan& plan = system.plan();
+  const bool wants_factor = std::isfinite(plan.factorize_cost) &&
+                            (!problem.by_multigrid() ||
+                             plan.factorize_adjoint(options.rtol, static_cast<double>(d.count)));
+  const bool direct = wants_factor && problem.factorize();
   if (direct) {
     Vector columns(rhs.size());
     transpose(d.count, size, rhs.data(), columns.data());
@@ -54,7 +58,7 @@ StepStats implicit_step_tangent(const ConstantSystem& system, const StepInputs& 
     transpose(size, d.count, columns.data(), dx);
   }
 
-  LinearizedSolver solver(problem, x);
+  LinearizedSolver solver(problem, plan, x);
   Vector b(problem.size()), z(problem.size()), residual;
   StepStats worst;
   worst.converged = 1.0;

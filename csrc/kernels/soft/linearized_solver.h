@@ -10,8 +10,8 @@ class LinearizedSolver {
   auto apply() {
     return [this](const Vector& in, Vector& out) { problem_.multiply(in, out); };
   }
-  auto constant() {
-    return [this](const Vector& in, Vector& out) { problem_.solve_constant(in, out); };
+  auto base() {
+    return [this](const Vector& in, Vector& out) { problem_.precondition(in, out); };
   }
   auto tangent() {
     return [this](const Vector& in, Vector& out) { problem_.solve_factorized(in, out); };
@@ -24,7 +24,8 @@ class LinearizedSolver {
   }
 
  public:
-  LinearizedSolver(StepProblem& problem, const Vector& x) : problem_(problem), x_(x) {}
+  LinearizedSolver(StepProblem& problem, const SolverPlan& plan, const Vector& x)
+      : problem_(problem), plan_(plan), x_(x) {}
 
   KrylovResult solve(StepMethod method, bool factorize, const Vector& b, double tolerance,
                      int max_iters, Vector& z) {
@@ -37,23 +38,25 @@ class LinearizedSolver {
     else if (method == StepMethod::kNewtonJacobi)
       result = conjugate(jacobi, b, tolerance, max_iters, z);
     else if (!factorize)
-      result = conjugate(constant(), b, tolerance, max_iters, z);
+      result = conjugate(base(), b, tolerance, max_iters, z);
     if (result.converged) return result;
     // Indefinite (the step stopped at a saddle) or stalled: MINRES needs no sign. Its
-    // preconditioner must be positive definite: a factor of the clamped tangent, else the constant
-    // one.
+    // preconditioner must be positive definite: a factor of the clamped tangent where memory allows
+    // one, else multigrid on it or the constant factor.
     const int spent = result.num_iters;
     problem_.assemble(x_, true);
-    const bool clamped = problem_.factorize();
+    const bool clamped = std::isfinite(plan_.factorize_cost) && problem_.factorize();
+    if (!clamped && problem_.by_multigrid()) problem_.keep_multigrid();
     problem_.assemble(x_, false);
     result = clamped ? minres(apply(), tangent(), b, z, tolerance, max_iters, problem_.ops())
-                     : minres(apply(), constant(), b, z, tolerance, max_iters, problem_.ops());
+                     : minres(apply(), base(), b, z, tolerance, max_iters, problem_.ops());
     result.num_iters += spent;
     return result;
   }
 
  private:
   StepProblem& problem_;
+  const SolverPlan& plan_;
   const Vector& x_;
   KrylovScratch scratch_;
 };

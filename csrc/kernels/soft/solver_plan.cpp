@@ -13,16 +13,28 @@ constexpr double kCacheBytesPerSecond = 5e10, kMemoryBytesPerSecond = 2.5e10, kC
 constexpr double kFlopsPerSecond = 6e10 * kNativeBytes / 64.0;
 // A factor of the tangent above this is not worth its memory (its work arrays need as much again).
 constexpr double kMaxFactorBytes = 4e9;
+// Beyond so many nodes multigrid does not ask what a factor would cost: the analysis alone would
+// take longer than a step.
+constexpr std::int64_t kMostAnalyzedNodes = 150000;
 constexpr int kMaxProbe = 400, kLeastProbe = 20;
 constexpr double kProbeTolerance = 1e-2;  // of the right-hand side: kProbeDigits
+// Tangents that a step preconditions on, one after the other.
+constexpr double kSetupsPerStep = 3.0;
+
+// Below this a factor of the tangent is cheaper still.
+constexpr std::int64_t kLeastMultigridNodes = 300;
+// Matrices in float32 that a cycle streams, with the transfers and the coarse levels, and products
+// that making one amounts to.
+constexpr double kCycleProducts = 6.0, kSetupProducts = 30.0;
 
 struct Probe {
-  int constant, jacobi;
+  int preconditioned, jacobi;
 };
 
-/// Iterations to kProbeTolerance at rest, for a smooth right-hand side, on either preconditioner.
-Probe probe(const ConstantSystem& system, const SoftParameters& parameters, int limit,
-            int jacobi_limit, ThreadPool& pool) {
+/// Iterations to kProbeTolerance at rest, for a smooth right-hand side; 3x3 diagonal blocks are
+/// tried on the constant factor alone, for steps in contact.
+Probe probe(const ConstantSystem& system, const SoftParameters& parameters,
+            Preconditioner preconditioner, int limit, int jacobi_limit, ThreadPool& pool) {
   const SoftModel& model = system.model();
   const std::size_t size = static_cast<std::size_t>(3 * model.num_nodes);
   const Vector rest(system.pattern().coords(), system.pattern().coords() + size);
@@ -33,7 +45,7 @@ Probe probe(const ConstantSystem& system, const SoftParameters& parameters, int 
   inputs.parameters.activation = one.data();
   inputs.y = inputs.target = inputs.guess = inputs.x_frame = inputs.x_velocity = rest.data();
   inputs.force = zero.data();
-  StepProblem problem(system, inputs, pool);
+  StepProblem problem(system, inputs, pool, preconditioner == Preconditioner::kMultigrid);
   problem.assemble(rest, false);
   Vector b(size), x;
   std::uint64_t random = 1;
@@ -44,21 +56,22 @@ Probe probe(const ConstantSystem& system, const SoftParameters& parameters, int 
   problem.zero_fixed(b);
   KrylovScratch scratch;
   const auto apply = [&](const Vector& in, Vector& out) { problem.multiply(in, out); };
-  const auto constant = [&](const Vector& in, Vector& out) { problem.solve_constant(in, out); };
+  const auto precondition = [&](const Vector& in, Vector& out) { problem.precondition(in, out); };
   // b is rough; a smooth right-hand side is what steps have.
   Vector smooth;
-  problem.solve_constant(b, smooth);
+  problem.precondition(b, smooth);
   for (std::size_t i = 0; i < size; ++i) smooth[i] *= system.inertia()[i / 3];
   const Vector& rhs = problem.ops().norm(smooth) > 0.0 ? smooth : b;
   const auto jacobi = [&](const Vector& in, Vector& out) { problem.solve_jacobi(in, out); };
   // Cut off where a factor would have paid already; by how much more is not worth finding out.
-  const auto count = [&](const auto& preconditioner, int most) {
-    const KrylovResult result = conjugate_gradients(apply, preconditioner, rhs, x, false,
+  const auto count = [&](const auto& inverse, int most) {
+    const KrylovResult result = conjugate_gradients(apply, inverse, rhs, x, false,
                                                     kProbeTolerance * problem.ops().norm(rhs), most,
                                                     scratch, problem.ops());
     return result.converged ? result.num_iters : 4 * most;
   };
-  return {count(constant, limit), count(jacobi, jacobi_limit)};
+  if (preconditioner == Preconditioner::kMultigrid) return {count(precondition, limit), 0};
+  return {count(precondition, limit), count(jacobi, jacobi_limit)};
 }
 
 }  // namespace
@@ -74,12 +87,13 @@ double decades(double rtol) { return std::max(1.0, -std::log10(rtol)); }
 bool SolverPlan::factorize_step(double rtol) const {
   // over all Newton iterations of a step
   const double total = iterations / kProbeDigits * decades(rtol);
-  return total * constant_cost > factorize_cost + kTangentIterations * tangent_cost;
+  return total * iteration_cost + kSetupsPerStep * setup_cost >
+         factorize_cost + kTangentIterations * tangent_cost;
 }
 
-bool SolverPlan::factorize_adjoint(double rtol) const {
+bool SolverPlan::factorize_adjoint(double rtol, double count) const {
   const double total = iterations * (0.6 + 0.22 * decades(rtol));
-  return total * constant_cost > factorize_cost + 2.0 * tangent_cost;
+  return count * total * iteration_cost + setup_cost > factorize_cost + 2.0 * count * tangent_cost;
 }
 
 int SolverPlan::patience(double cost) const {
@@ -90,25 +104,37 @@ int SolverPlan::refactor_after() const {
   return static_cast<int>(std::min(factorize_cost / tangent_cost + 5.0, 1e9));
 }
 
+bool suits_multigrid(const SoftModel& model) { return model.num_nodes >= kLeastMultigridNodes; }
+
 SolverPlan make_solver_plan(const ConstantSystem& system, const SoftParameters& parameters,
-                            ThreadPool& pool) {
+                            Preconditioner preconditioner, ThreadPool& pool) {
   SolverPlan plan;
+  plan.preconditioner = preconditioner;
   const double matrix_bytes = 8.0 * static_cast<double>(system.model().values_size());
-  const CholeskyFactor tangent(system.pattern().blocks());
-  plan.constant_cost =
-      streaming_cost(matrix_bytes + 2.0 * static_cast<double>(system.factor_bytes()));
-  plan.tangent_cost = streaming_cost(matrix_bytes + 2.0 * static_cast<double>(tangent.bytes()));
-  plan.factorize_cost = static_cast<double>(tangent.bytes()) > kMaxFactorBytes
-                            ? std::numeric_limits<double>::infinity()
-                            : flop_cost(tangent.flops()) + 2.0 * streaming_cost(matrix_bytes);
+  const bool by_multigrid = preconditioner == Preconditioner::kMultigrid;
+  if (by_multigrid) {
+    plan.iteration_cost = streaming_cost((1.0 + 0.5 * kCycleProducts) * matrix_bytes);
+    plan.setup_cost = streaming_cost(0.5 * kSetupProducts * matrix_bytes);
+  } else {
+    plan.iteration_cost =
+        streaming_cost(matrix_bytes + 2.0 * static_cast<double>(system.factor_bytes()));
+  }
+  plan.factorize_cost = std::numeric_limits<double>::infinity();
+  if (!by_multigrid || system.model().num_nodes <= kMostAnalyzedNodes) {
+    const CholeskyFactor tangent(system.pattern().blocks());
+    const double bytes = static_cast<double>(tangent.bytes());
+    plan.tangent_cost = streaming_cost(matrix_bytes + 2.0 * bytes);
+    if (bytes <= kMaxFactorBytes)
+      plan.factorize_cost = flop_cost(tangent.flops()) + 2.0 * streaming_cost(matrix_bytes);
+  }
   plan.jacobi_cost = streaming_cost(matrix_bytes);
   const auto limit = [&](double cost) {
     return static_cast<int>(
         std::min<double>(kMaxProbe, std::max<double>(kLeastProbe, plan.factorize_cost / cost)));
   };
-  const Probe found =
-      probe(system, parameters, limit(plan.constant_cost), limit(plan.jacobi_cost), pool);
-  plan.iterations = found.constant;
+  const Probe found = probe(system, parameters, preconditioner, limit(plan.iteration_cost),
+                            limit(plan.jacobi_cost), pool);
+  plan.iterations = found.preconditioned;
   plan.jacobi_iterations = found.jacobi;
   return plan;
 }

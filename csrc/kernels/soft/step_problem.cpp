@@ -28,13 +28,16 @@ double force_scale(const ConstantSystem& system, const StepInputs& in) {
 
 }  // namespace
 
-StepProblem::StepProblem(const ConstantSystem& system, const StepInputs& inputs, ThreadPool& pool)
+StepProblem::StepProblem(const ConstantSystem& system, const StepInputs& inputs, ThreadPool& pool,
+                         bool by_multigrid)
     : system_(system),
       in_(inputs),
       pool_(pool),
       ops_(pool),
       size_(at(3 * system.model().num_nodes)),
-      scale_(force_scale(system, inputs)) {
+      scale_(force_scale(system, inputs)),
+      by_multigrid_(by_multigrid) {
+  elastic_.keep_frames = true;
   if (in_.parameters.damp_mu)
     frames_ = damping_frames(system.model(), in_.x_frame, in_.x_velocity, pool);
 }
@@ -60,6 +63,10 @@ double StepProblem::value_gradient(const Vector& x, Vector& gradient) {
 }
 
 void StepProblem::assemble(const Vector& x, bool clamp) {
+  if (by_multigrid_ && !is_multigrid_kept_) {
+    assembled_at_ = x;
+    is_multigrid_stale_ = true;
+  }
   values_.resize(at(system_.model().values_size()));
   tangent(system_.model(), in_.parameters, frames_, x.data(), clamp, values_.data(), elastic_,
           pool_);
@@ -122,6 +129,30 @@ void StepProblem::load_tangents(const Vector& x, const StepDirections& d, double
       if (d.inertia) b[i] -= d.inertia[k * model.num_nodes + i / 3] * (x[at(i)] - in_.y[i]);
     }
   }
+}
+
+void StepProblem::prepare_multigrid() {
+  if (!multigrid_) multigrid_ = std::make_unique<RigidMultigrid>(system_.pattern().hierarchy());
+  const SoftModel& model = system_.model();
+  const StripMatrix matrix{model.num_nodes, model.strip_start.data(), values_.data(),
+                           system_.inertia(), system_.fixed()};
+  multigrid_->prepare(matrix, assembled_at_.data(), pool_);
+  is_multigrid_stale_ = false;
+}
+
+void StepProblem::keep_multigrid() {
+  prepare_multigrid();
+  is_multigrid_kept_ = true;
+}
+
+void StepProblem::precondition(const Vector& r, Vector& z) {
+  if (!by_multigrid_) {
+    solve_constant(r, z);
+    return;
+  }
+  if (is_multigrid_stale_) prepare_multigrid();
+  ++num_solves;
+  multigrid_->apply(r, z, pool_);
 }
 
 void StepProblem::solve_constant(const Vector& r, Vector& z) {

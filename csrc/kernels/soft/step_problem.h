@@ -5,14 +5,23 @@
 #include <functional>
 
 #include "kernels/linalg/krylov.h"
+#include "kernels/linalg/rigid_multigrid.h"
 #include "kernels/soft/block_matrix.h"
 #include "kernels/soft/implicit_step.h"
 
 namespace diffsim {
 
+/// Whether a method's iterations are preconditioned by multigrid; the baselines' are not.
+inline bool uses_multigrid(const ConstantSystem& system, StepMethod method) {
+  return system.plan().preconditioner == Preconditioner::kMultigrid &&
+         (method == StepMethod::kAuto || method == StepMethod::kNewtonPcg);
+}
+
 class StepProblem {
  public:
-  StepProblem(const ConstantSystem& system, const StepInputs& inputs, ThreadPool& pool);
+  /// @param by_multigrid  whether precondition() is a multigrid cycle, else the constant system
+  StepProblem(const ConstantSystem& system, const StepInputs& inputs, ThreadPool& pool,
+              bool by_multigrid = false);
 
   std::size_t size() const { return size_; }
   VectorOps& ops() { return ops_; }
@@ -48,6 +57,12 @@ class StepProblem {
 
   /// z = A^-1 r.
   void solve_constant(const Vector& r, Vector& z);
+  /// z = P^-1 r, P the constant system, or a multigrid cycle on the tangent that was assembled last
+  /// (which must have been).
+  void precondition(const Vector& r, Vector& z);
+  bool by_multigrid() const { return by_multigrid_; }
+  /// The tangent that was assembled last serves to precondition from here on, whatever comes.
+  void keep_multigrid();
   /// z = (3x3 diagonal blocks of H)^-1 r.
   void solve_jacobi(const Vector& r, Vector& z) const;
   /// Factorizes H; false where it is not positive definite.
@@ -61,6 +76,7 @@ class StepProblem {
   int num_factorizations = 0;
 
  private:
+  void prepare_multigrid();
   /// Upper left entry of the diagonal block of node i in its strip.
   const double* diagonal_block(std::int64_t i) const;
 
@@ -76,6 +92,9 @@ class StepProblem {
   CholeskyWorkspace cholesky_;
   AlignedBuffer<double> values_, blocks_;
   std::vector<CholeskyFactor> factor_;  // none or one
+  std::unique_ptr<RigidMultigrid> multigrid_;
+  Vector assembled_at_;  // by multigrid only
+  bool by_multigrid_, is_multigrid_stale_ = true, is_multigrid_kept_ = false;
 };
 
 }  // namespace diffsim

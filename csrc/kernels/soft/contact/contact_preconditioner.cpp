@@ -228,8 +228,8 @@ double ContactPreconditioner::constant_cost(double iterations) const {
   const double size = coupled ? rows : active;
   const double build = flop_cost(size * size * size / 3.0);
   const double apply = flop_cost(2.0 * size * size * (coupled ? 1.0 : 3.0)) +
-                       std::min(streaming_cost(column_bytes), system_.plan().constant_cost);
-  return kSetsPerStep * build + iterations * (system_.plan().constant_cost + apply);
+                       std::min(streaming_cost(column_bytes), system_.plan().iteration_cost);
+  return kSetsPerStep * build + iterations * (system_.plan().iteration_cost + apply);
 }
 
 double ContactPreconditioner::tangent_cost() const {

@@ -27,7 +27,7 @@ void ContactSolve::choose() {
                             : digits * plan.jacobi_iterations * plan.jacobi_cost;
   kind_ = jacobi < constant ? Kind::kJacobi : Kind::kConstant;
   if (std::min(constant, jacobi) > preconditioner_.tangent_cost() ||
-      spent_ > plan.patience(kind_ == Kind::kJacobi ? plan.jacobi_cost : plan.constant_cost))
+      spent_ > plan.patience(kind_ == Kind::kJacobi ? plan.jacobi_cost : plan.iteration_cost))
     kind_ = Kind::kTangent;
 }
 

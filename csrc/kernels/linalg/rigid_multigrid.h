@@ -1,0 +1,88 @@
+// A preconditioner for elasticity by smoothed aggregation with rigid-body modes.
+//
+// One V-cycle in float32: Chebyshev smoothing on the blocks' diagonal, coarse spaces that hold the
+// translations and rotations of aggregates, Cholesky on the coarsest level (Vanek, Mandel and
+// Brezina 1996; Adams, Brezina, Hu and Tuminaro 2003 for the smoother). Symmetric and positive
+// definite, also where the matrix is not quite. The numbers of a hierarchy are cheap to make anew:
+// the patterns are known, and a coarse unknown has a meaning (a displacement or a rotation of its
+// aggregate), so no orthogonalization is needed.
+#pragma once
+
+#include "kernels/linalg/aligned_buffer.h"
+#include "kernels/linalg/rigid_hierarchy.h"
+#include "kernels/vector_ops.h"
+
+namespace diffsim {
+
+/// A matrix of 3x3 blocks in strips: row i is dense, (3, strip width) row-major, its columns those
+/// of the hierarchy's finest pattern.
+struct StripMatrix {
+  std::int64_t num_nodes = 0;
+  const std::int64_t* strip_start = nullptr;  // (num_nodes + 1)
+  const double* values = nullptr;
+  const double* diagonal = nullptr;     // (num_nodes,) added to the diagonal, all three axes
+  const std::uint8_t* fixed = nullptr;  // (num_nodes, 3), 1 where an unknown takes no part
+};
+
+class RigidMultigrid {
+ public:
+  explicit RigidMultigrid(std::shared_ptr<const RigidHierarchy> hierarchy);
+
+  /// Takes over new numbers.
+  /// @param[in] x  (num_nodes, 3) positions, whose rigid motions cost no energy [m]
+  void prepare(const StripMatrix& matrix, const double* x, ThreadPool& pool);
+  bool is_prepared() const { return is_prepared_; }
+
+  /// z = approximate inverse times r; both (num_nodes, 3).
+  void apply(const Vector& r, Vector& z, ThreadPool& pool);
+
+  std::int64_t bytes() const;
+
+ private:
+  struct Level {
+    AlignedBuffer<float> matrix;        // level 0: strips; else blocks (6, 8) column-major
+    AlignedBuffer<float> inverse;       // inverse diagonal blocks (nodes, K, K)
+    AlignedBuffer<float> prolongation;  // blocks (K, 8)
+    AlignedBuffer<float> product;       // the same, of matrix times prolongation
+    AlignedBuffer<float> tentative;     // (nodes, K, 8) before smoothing
+    std::vector<double> position;       // (nodes, 3)
+    double length = 1.0;                // of which a rotation of one moves by one [m]
+    float largest = 0.0F;               // eigenvalue of inverse times matrix
+    std::vector<float> mode;            // its eigenvector, as far as known
+    std::vector<float> x, b, residual, step, image;
+  };
+  const Pattern& pattern(int l) const { return hierarchy_->matrix(l); }
+  int stride(int l) const { return l == 0 ? 3 : 8; }
+
+  void copy_matrix(const StripMatrix& matrix, ThreadPool& pool);
+  void invert_diagonal(int l, ThreadPool& pool);
+  void estimate_largest(int l, ThreadPool& pool);
+  void place_aggregates(int l);
+  void make_tentative(int l, ThreadPool& pool);
+  template <int K>
+  void make_prolongation(int l, ThreadPool& pool);
+  template <int K>
+  void make_product(int l, ThreadPool& pool);
+  template <int K>
+  void make_coarse(int l, ThreadPool& pool);
+  void mirror_coarse(int l, ThreadPool& pool);
+  void factorize_coarsest(ThreadPool& pool);
+
+  void multiply(int l, const float* x, float* y, ThreadPool& pool) const;
+  void scale(int l, const float* r, float* z, ThreadPool& pool) const;
+  void smooth(int l, bool from_zero, bool keep_residual, ThreadPool& pool);
+  void restrict_residual(int l, ThreadPool& pool);
+  void prolong(int l, ThreadPool& pool);
+  void cycle(int l, ThreadPool& pool);
+
+  std::shared_ptr<const RigidHierarchy> hierarchy_;
+  std::vector<Level> levels_;
+  const std::int64_t* strip_start_ = nullptr;
+  std::vector<std::uint8_t> fixed_;
+  CholeskyFactor coarsest_;
+  CholeskyWorkspace cholesky_;
+  std::vector<double> coarse_rhs_, coarse_blocks_;
+  bool is_prepared_ = false;
+};
+
+}  // namespace diffsim

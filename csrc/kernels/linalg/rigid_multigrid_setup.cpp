@@ -1,0 +1,398 @@
+#include <Eigen/Dense>
+#include <cmath>
+
+#include "kernels/linalg/float_lanes.h"
+#include "kernels/linalg/rigid_multigrid.h"
+
+namespace diffsim {
+namespace {
+
+using Index = std::int64_t;
+std::size_t at(Index i) { return static_cast<std::size_t>(i); }
+
+constexpr int kBlock = 6 * kFloatLanes;  // floats of a block of a coarse level
+// Smoothing of the tentative prolongation, over the largest eigenvalue (Vanek et al. 1996).
+constexpr double kProlongationDamping = 4.0 / 3.0;
+// Power iterations, at first and on a matrix that has changed, and what they may have missed.
+constexpr int kFirstPowers = 8, kMorePowers = 2;
+constexpr float kEigenvalueMargin = 1.1F;
+// Unknowns of a coarse level that nothing moves (an aggregate of one node does not turn) get this
+// of the largest entry beside them.
+constexpr float kLeastDiagonal = 1e-5F;
+constexpr Index kRowsPerTask = 512;
+
+/// Calls f(row, local) for every row, with scratch of a task's own.
+template <typename Local, typename F>
+void for_rows(Index num_rows, ThreadPool& pool, Local&& make_local, F&& f) {
+  pool.run((num_rows + kRowsPerTask - 1) / kRowsPerTask, [&](Index task) {
+    auto local = make_local();
+    const Index last = std::min(num_rows, (task + 1) * kRowsPerTask);
+    for (Index i = task * kRowsPerTask; i < last; ++i) f(i, local);
+  });
+}
+
+struct Nothing {};
+
+/// Entries of the matrix of a level.
+template <int K>
+struct Entries;
+template <>
+struct Entries<3> {
+  const float* values;
+  const std::int64_t* strip_start;
+  const Pattern& pattern;
+  float operator()(Index row, Index entry, int k, int m) const {
+    const Index width = (strip_start[row + 1] - strip_start[row]) / 3;
+    return values[strip_start[row] + k * width + 3 * (entry - pattern.begin(row)) + m];
+  }
+};
+template <>
+struct Entries<6> {
+  const float* values;
+  const std::int64_t* strip_start;
+  const Pattern& pattern;
+  float operator()(Index, Index entry, int k, int m) const {
+    return values[entry * kBlock + m * kFloatLanes + k];
+  }
+};
+
+/// Inverse of a symmetric block, or of its diagonal where the block is not positive definite.
+template <int K>
+void invert(const Eigen::Matrix<double, K, K>& block, float* out) {
+  using Matrix = Eigen::Matrix<double, K, K>;
+  const Eigen::LLT<Matrix> llt(block);
+  Matrix inverse = Matrix::Zero();
+  if (llt.info() == Eigen::Success)
+    inverse = llt.solve(Matrix::Identity());
+  else
+    inverse.diagonal() = block.diagonal().cwiseAbs().cwiseMax(1e-300).cwiseInverse();
+  for (int k = 0; k < K; ++k)
+    for (int m = 0; m < K; ++m) out[k * K + m] = static_cast<float>(inverse(k, m));
+}
+
+}  // namespace
+
+void RigidMultigrid::prepare(const StripMatrix& matrix, const double* x, ThreadPool& pool) {
+  strip_start_ = matrix.strip_start;
+  fixed_.assign(matrix.fixed, matrix.fixed + 3 * matrix.num_nodes);
+  levels_[0].position.assign(x, x + 3 * matrix.num_nodes);
+  copy_matrix(matrix, pool);
+  for (int l = 0; l + 1 < hierarchy_->num_levels(); ++l) {
+    invert_diagonal(l, pool);
+    estimate_largest(l, pool);
+    place_aggregates(l);
+    make_tentative(l, pool);
+    if (l == 0) {
+      make_prolongation<3>(l, pool);
+      make_product<3>(l, pool);
+      make_coarse<3>(l, pool);
+    } else {
+      make_prolongation<6>(l, pool);
+      make_product<6>(l, pool);
+      make_coarse<6>(l, pool);
+    }
+    mirror_coarse(l + 1, pool);
+  }
+  factorize_coarsest(pool);
+  is_prepared_ = true;
+}
+
+void RigidMultigrid::copy_matrix(const StripMatrix& matrix, ThreadPool& pool) {
+  float* to = levels_[0].matrix.resize(at(strip_start_[matrix.num_nodes]) + kFloatLanes);
+  for_rows(
+      matrix.num_nodes, pool, [] { return Nothing{}; },
+      [&](Index i, Nothing&) {
+        const Index begin = strip_start_[i], end = strip_start_[i + 1];
+        for (Index k = begin; k < end; ++k) to[k] = static_cast<float>(matrix.values[k]);
+        const Index width = (end - begin) / 3;
+        const Index place = 3 * (hierarchy_->diagonal(0, i) - pattern(0).begin(i));
+        for (int a = 0; a < 3; ++a)
+          to[begin + a * width + place + a] += static_cast<float>(matrix.diagonal[i]);
+      });
+}
+
+void RigidMultigrid::invert_diagonal(int l, ThreadPool& pool) {
+  Level& level = levels_[at(l)];
+  const Index n = pattern(l).num_rows();
+  const int size = l == 0 ? 9 : 36;
+  float* inverse = level.inverse.resize(at(n * size));
+  for_rows(
+      n, pool, [] { return Nothing{}; },
+      [&](Index i, Nothing&) {
+        const Index entry = hierarchy_->diagonal(l, i);
+        if (l > 0) {
+          const Entries<6> entries{level.matrix.data(), nullptr, pattern(l)};
+          Eigen::Matrix<double, 6, 6> block;
+          for (int k = 0; k < 6; ++k)
+            for (int m = 0; m < 6; ++m) block(k, m) = static_cast<double>(entries(i, entry, k, m));
+          invert<6>(block, inverse + i * size);
+          return;
+        }
+        const Entries<3> entries{level.matrix.data(), strip_start_, pattern(0)};
+        const std::uint8_t* fixed = fixed_.data() + 3 * i;
+        Eigen::Matrix3d block;
+        for (int k = 0; k < 3; ++k)
+          for (int m = 0; m < 3; ++m)
+            block(k, m) = fixed[k] || fixed[m] ? (k == m ? 1.0 : 0.0)
+                                               : static_cast<double>(entries(i, entry, k, m));
+        float* out = inverse + i * size;
+        invert<3>(block, out);
+        for (int k = 0; k < 3; ++k)
+          if (fixed[k])
+            for (int m = 0; m < 3; ++m) out[3 * k + m] = out[3 * m + k] = 0.0F;
+      });
+}
+
+void RigidMultigrid::estimate_largest(int l, ThreadPool& pool) {
+  Level& level = levels_[at(l)];
+  const std::size_t size = at(pattern(l).num_rows() * stride(l));
+  const bool is_first = level.mode.empty();
+  if (is_first) {
+    level.mode.resize(size);
+    std::uint64_t random = 1;
+    for (float& v : level.mode) {
+      random = random * 6364136223846793005u + 1442695040888963407u;  // Knuth's MMIX generator
+      v = static_cast<float>(static_cast<double>(random >> 11) * 0x1p-53 - 0.5);
+    }
+  }
+  level.image.resize(size);
+  level.step.resize(size);
+  for (int k = 0; k < (is_first ? kFirstPowers : kMorePowers); ++k) {
+    multiply(l, level.mode.data(), level.image.data(), pool);
+    scale(l, level.image.data(), level.step.data(), pool);
+    double before = 0.0, after = 0.0;
+    for (std::size_t i = 0; i < size; ++i) {
+      const double m = static_cast<double>(level.mode[i]), s = static_cast<double>(level.step[i]);
+      before += m * m;
+      after += s * s;
+    }
+    if (!(after > 0.0)) break;
+    level.largest = kEigenvalueMargin * static_cast<float>(std::sqrt(after / before));
+    const float norm = static_cast<float>(1.0 / std::sqrt(after));
+    for (std::size_t i = 0; i < size; ++i) level.mode[i] = norm * level.step[i];
+  }
+}
+
+void RigidMultigrid::place_aggregates(int l) {
+  const Aggregates& aggregates = hierarchy_->transfer(l).aggregates;
+  const Level& fine = levels_[at(l)];
+  Level& coarse = levels_[at(l + 1)];
+  const std::size_t n = aggregates.of_node.size();
+  coarse.position.assign(at(3 * aggregates.count), 0.0);
+  std::vector<double> count(at(aggregates.count), 0.0);
+  for (std::size_t i = 0; i < n; ++i) {
+    const std::size_t a = at(aggregates.of_node[i]);
+    count[a] += 1.0;
+    for (std::size_t k = 0; k < 3; ++k) coarse.position[3 * a + k] += fine.position[3 * i + k];
+  }
+  for (std::size_t a = 0; a < count.size(); ++a)
+    for (std::size_t k = 0; k < 3; ++k) coarse.position[3 * a + k] /= count[a];
+  double square = 0.0;
+  for (std::size_t i = 0; i < n; ++i)
+    for (std::size_t k = 0; k < 3; ++k) {
+      const double d =
+          fine.position[3 * i + k] - coarse.position[3 * at(aggregates.of_node[i]) + k];
+      square += d * d;
+    }
+  coarse.length = std::sqrt(square / static_cast<double>(n));
+  if (!(coarse.length > 0.0)) coarse.length = 1.0;
+}
+
+void RigidMultigrid::make_tentative(int l, ThreadPool& pool) {
+  const Aggregates& aggregates = hierarchy_->transfer(l).aggregates;
+  Level& fine = levels_[at(l)];
+  const Level& coarse = levels_[at(l + 1)];
+  const int K = l == 0 ? 3 : 6;
+  const Index n = pattern(l).num_rows();
+  float* tentative = fine.tentative.resize(at(n * K * kFloatLanes));
+  for_rows(
+      n, pool, [] { return Nothing{}; },
+      [&](Index i, Nothing&) {
+        float* T = tentative + i * K * kFloatLanes;
+        std::fill(T, T + K * kFloatLanes, 0.0F);
+        double d[3];
+        for (int k = 0; k < 3; ++k)
+          d[k] = (fine.position[at(3 * i + k)] -
+                  coarse.position[at(3 * aggregates.of_node[at(i)] + k)]) /
+                 coarse.length;
+        for (int k = 0; k < 3; ++k) {  // u = t + w x d
+          if (l == 0 && fixed_[at(3 * i + k)]) continue;
+          float* row = T + k * kFloatLanes;
+          const int p = (k + 1) % 3, q = (k + 2) % 3;
+          row[k] = 1.0F;
+          row[3 + p] = static_cast<float>(d[q]);
+          row[3 + q] = static_cast<float>(-d[p]);
+        }
+        for (int k = 3; k < K; ++k)
+          T[k * kFloatLanes + k] = static_cast<float>(fine.length / coarse.length);
+      });
+}
+
+template <int K>
+void RigidMultigrid::make_prolongation(int l, ThreadPool& pool) {
+  Level& level = levels_[at(l)];
+  const RigidTransfer& t = hierarchy_->transfer(l);
+  const Pattern& p = t.prolongation;
+  float* out = level.prolongation.resize(p.column.size() * K * kFloatLanes);
+  const Entries<K> entries{level.matrix.data(), strip_start_, pattern(l)};
+  const float omega =
+      level.largest > 0.0F ? static_cast<float>(kProlongationDamping) / level.largest : 0.0F;
+  for_rows(
+      p.num_rows(), pool, [&] { return std::vector<Index>(at(t.aggregates.count)); },
+      [&](Index i, std::vector<Index>& place) {
+        for (Index e = p.begin(i); e < p.end(i); ++e) {
+          place[at(p[e])] = e;
+          std::fill(out + e * K * kFloatLanes, out + (e + 1) * K * kFloatLanes, 0.0F);
+        }
+        for (Index e = pattern(l).begin(i); e < pattern(l).end(i); ++e) {
+          const Index j = pattern(l)[e];
+          const float* T = level.tentative.data() + j * K * kFloatLanes;
+          float* to = out + place[at(t.aggregates.of_node[at(j)])] * K * kFloatLanes;
+          FloatLane rows[K];
+          for (int m = 0; m < K; ++m) rows[m] = load_floats(T + m * kFloatLanes);
+          for (int k = 0; k < K; ++k) {
+            FloatLane total = load_floats(to + k * kFloatLanes);
+            for (int m = 0; m < K; ++m) total += entries(i, e, k, m) * rows[m];
+            store_floats(to + k * kFloatLanes, total);
+          }
+        }
+        const float* inverse = level.inverse.data() + i * K * K;
+        for (Index e = p.begin(i); e < p.end(i); ++e) {
+          float* to = out + e * K * kFloatLanes;
+          FloatLane rows[K];
+          for (int m = 0; m < K; ++m) rows[m] = load_floats(to + m * kFloatLanes);
+          for (int k = 0; k < K; ++k) {
+            FloatLane total = {};
+            for (int m = 0; m < K; ++m) total -= (omega * inverse[k * K + m]) * rows[m];
+            store_floats(to + k * kFloatLanes, total);
+          }
+        }
+        float* own = out + place[at(t.aggregates.of_node[at(i)])] * K * kFloatLanes;
+        const float* T = level.tentative.data() + i * K * kFloatLanes;
+        for (int k = 0; k < K * kFloatLanes; ++k) own[k] += T[k];
+      });
+}
+
+template <int K>
+void RigidMultigrid::make_product(int l, ThreadPool& pool) {
+  Level& level = levels_[at(l)];
+  const RigidTransfer& t = hierarchy_->transfer(l);
+  const Pattern& p = t.prolongation;
+  const Pattern& ap = t.product;
+  float* out = level.product.resize(ap.column.size() * K * kFloatLanes);
+  const Entries<K> entries{level.matrix.data(), strip_start_, pattern(l)};
+  for_rows(
+      ap.num_rows(), pool, [&] { return std::vector<Index>(at(t.aggregates.count)); },
+      [&](Index i, std::vector<Index>& place) {
+        for (Index e = ap.begin(i); e < ap.end(i); ++e) place[at(ap[e])] = e;
+        std::fill(out + ap.begin(i) * K * kFloatLanes, out + ap.end(i) * K * kFloatLanes, 0.0F);
+        for (Index e = pattern(l).begin(i); e < pattern(l).end(i); ++e) {
+          const Index j = pattern(l)[e];
+          float a[K][K];
+          for (int k = 0; k < K; ++k)
+            for (int m = 0; m < K; ++m) a[k][m] = entries(i, e, k, m);
+          for (Index q = p.begin(j); q < p.end(j); ++q) {
+            const float* P = level.prolongation.data() + q * K * kFloatLanes;
+            float* to = out + place[at(p[q])] * K * kFloatLanes;
+            FloatLane rows[K];
+            for (int m = 0; m < K; ++m) rows[m] = load_floats(P + m * kFloatLanes);
+            for (int k = 0; k < K; ++k) {
+              FloatLane total = load_floats(to + k * kFloatLanes);
+              for (int m = 0; m < K; ++m) total += a[k][m] * rows[m];
+              store_floats(to + k * kFloatLanes, total);
+            }
+          }
+        }
+      });
+}
+
+/// Blocks (I, J) with J >= I of P^T A P.
+template <int K>
+void RigidMultigrid::make_coarse(int l, ThreadPool& pool) {
+  const Level& level = levels_[at(l)];
+  Level& coarse = levels_[at(l + 1)];
+  const RigidTransfer& t = hierarchy_->transfer(l);
+  const Pattern& matrix = pattern(l + 1);
+  float* out = coarse.matrix.resize(matrix.column.size() * kBlock);
+  for_rows(
+      matrix.num_rows(), pool, [&] { return std::vector<Index>(at(matrix.num_rows())); },
+      [&](Index I, std::vector<Index>& place) {
+        for (Index e = matrix.begin(I); e < matrix.end(I); ++e) place[at(matrix[e])] = e;
+        std::fill(out + matrix.begin(I) * kBlock, out + matrix.end(I) * kBlock, 0.0F);
+        for (Index r = t.restriction.begin(I); r < t.restriction.end(I); ++r) {
+          const Index i = t.restriction[r];
+          const float* P = level.prolongation.data() + t.restriction_entry[at(r)] * K * kFloatLanes;
+          FloatLane rows[K];
+          for (int m = 0; m < K; ++m) rows[m] = load_floats(P + m * kFloatLanes);
+          for (Index e = t.product.begin(i); e < t.product.end(i); ++e) {
+            const Index J = t.product[e];
+            if (J < I) continue;
+            const float* AP = level.product.data() + e * K * kFloatLanes;
+            float* to = out + place[at(J)] * kBlock;
+            for (int c = 0; c < 6; ++c) {
+              FloatLane total = load_floats(to + c * kFloatLanes);
+              for (int m = 0; m < K; ++m) total += AP[m * kFloatLanes + c] * rows[m];
+              store_floats(to + c * kFloatLanes, total);
+            }
+          }
+        }
+      });
+}
+
+void RigidMultigrid::mirror_coarse(int l, ThreadPool& pool) {
+  Level& level = levels_[at(l)];
+  const Pattern& matrix = pattern(l);
+  float* values = level.matrix.data();
+  for_rows(
+      matrix.num_rows(), pool, [] { return Nothing{}; },
+      [&](Index I, Nothing&) {
+        for (Index e = matrix.begin(I); e < matrix.end(I); ++e) {
+          const Index J = matrix[e];
+          if (J >= I) break;
+          const auto first = matrix.column.begin() + matrix.begin(J);
+          const auto last = matrix.column.begin() + matrix.end(J);
+          const Index other =
+              std::lower_bound(first, last, static_cast<std::int32_t>(I)) - matrix.column.begin();
+          for (int c = 0; c < 6; ++c)
+            for (int k = 0; k < 6; ++k)
+              values[e * kBlock + c * kFloatLanes + k] =
+                  values[other * kBlock + k * kFloatLanes + c];
+        }
+        float* diagonal = values + hierarchy_->diagonal(l, I) * kBlock;
+        float largest = 0.0F;
+        for (int k = 0; k < 6; ++k)
+          largest = std::max(largest, std::abs(diagonal[k * kFloatLanes + k]));
+        if (!(largest > 0.0F)) largest = 1.0F / kLeastDiagonal;  // all of its nodes are fixed
+        for (int k = 0; k < 6; ++k) diagonal[k * kFloatLanes + k] += kLeastDiagonal * largest;
+      });
+}
+
+void RigidMultigrid::factorize_coarsest(ThreadPool& pool) {
+  const int l = hierarchy_->num_levels() - 1;
+  const float* values = levels_[at(l)].matrix.data();
+  const Pattern& matrix = pattern(l);
+  coarse_blocks_.resize(matrix.column.size() * 36);
+  for (std::size_t e = 0; e < matrix.column.size(); ++e)
+    for (std::size_t k = 0; k < 6; ++k)
+      for (std::size_t m = 0; m < 6; ++m)
+        coarse_blocks_[36 * e + 6 * k + m] =
+            static_cast<double>(values[e * kBlock + m * kFloatLanes + k]);
+  // Float32 leaves a softest mode that is 1e-6 of the stiffest undecided, and a tangent at a saddle
+  // has negative ones: a share of the diagonal makes it definite, the least that does.
+  for (double share = 1e-3;; share *= 10.0) {
+    try {
+      coarsest_.refactor(coarse_blocks_.data(), pool);
+      return;
+    } catch (const NotPositiveDefinite&) {
+      if (share > 1e6) throw;
+    }
+    for (Index I = 0; I < matrix.num_rows(); ++I) {
+      double* block = coarse_blocks_.data() + 36 * hierarchy_->diagonal(l, I);
+      double largest = 0.0;
+      for (int k = 0; k < 6; ++k) largest = std::max(largest, std::abs(block[7 * k]));
+      for (int k = 0; k < 6; ++k) block[7 * k] += share * largest;
+    }
+  }
+}
+
+}  // namespace diffsim
