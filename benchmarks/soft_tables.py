@@ -151,8 +151,8 @@ def scaling(stage: dict[str, Any]) -> list[str]:
         )
     lines = [
         "Wall time per step of 10 ms from a slightly twisted shape. Memory is the peak of forward "
-        "and backward above that of the imported package, the mesh included. newton_pcg is "
-        "listed where auto did something else.",
+        "and backward above that of the imported package, the mesh included. newton_pcg runs on "
+        "the constant factor, auto on what the plan chose.",
         "",
         *table(header, rows),
     ]

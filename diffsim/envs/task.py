@@ -88,6 +88,7 @@ class Task(ABC):
         max_steps: Length of an episode, after which it is truncated.
         actions, observations: Data sheets; actions lie in [-1, 1].
         randomizable: Quantities that ``randomization`` may name.
+        clock_inputs: Which observations are a clock's.
     """
 
     name: str
@@ -96,6 +97,7 @@ class Task(ABC):
     actions: tuple[Entry, ...]
     observations: tuple[Entry, ...]
     randomizable: tuple[str, ...] = ()
+    clock_inputs: tuple[int, ...] = ()
 
     def __init__(self, *, action_delay: int = 0, randomization: Randomizing = None):
         self.action_delay = require_count("action_delay", action_delay)

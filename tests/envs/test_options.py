@@ -178,7 +178,7 @@ def test_refusals_of_environments() -> None:
     with pytest.raises(ValueError, match="action"):
         vector.step(np.zeros((2, 3)))
     with pytest.raises(ValueError, match="render_mode"):
-        envs.TaskEnv(Advance(block(), 5), render_mode="human")
+        envs.TaskEnv(Advance(block(), 5), render_mode="window")
     with pytest.raises(ValueError, match="goal_low"):
         Reach(block(), 5, goal_low=(0.0, 0.0, 0.1), goal_high=(0.0, 0.0, 0.0))
     with pytest.raises(ValueError, match="drive must have shape"):
@@ -294,5 +294,5 @@ def test_stepping_past_the_end_is_refused() -> None:
 
 def test_options_of_reset_are_not_dropped() -> None:
     env = envs.TaskEnv(envs.make_task("CopterHover"))
-    with pytest.raises(ValueError, match=r"reset\(\) takes no options, got 'wind'"):
+    with pytest.raises(ValueError, match=r"options\['wind'\] is no quantity of"):
         env.reset(options={"wind": 3.0})

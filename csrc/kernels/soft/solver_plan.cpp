@@ -13,6 +13,9 @@ constexpr double kCacheBytesPerSecond = 5e10, kMemoryBytesPerSecond = 2.5e10, kC
 constexpr double kFlopsPerSecond = 6e10 * kNativeBytes / 64.0;
 // A factor of the tangent above this is not worth its memory (its work arrays need as much again).
 constexpr double kMaxFactorBytes = 4e9;
+// Beyond so many nodes multigrid does not ask what a factor would cost: the analysis alone would
+// take longer than a step.
+constexpr std::int64_t kMostAnalyzedNodes = 150000;
 constexpr int kMaxProbe = 400, kLeastProbe = 20;
 constexpr double kProbeTolerance = 1e-2;  // of the right-hand side: kProbeDigits
 // Tangents that a step preconditions on, one after the other.
@@ -108,18 +111,22 @@ SolverPlan make_solver_plan(const ConstantSystem& system, const SoftParameters& 
   SolverPlan plan;
   plan.preconditioner = preconditioner;
   const double matrix_bytes = 8.0 * static_cast<double>(system.model().values_size());
-  const CholeskyFactor tangent(system.pattern().blocks());
-  if (preconditioner == Preconditioner::kMultigrid) {
+  const bool by_multigrid = preconditioner == Preconditioner::kMultigrid;
+  if (by_multigrid) {
     plan.iteration_cost = streaming_cost((1.0 + 0.5 * kCycleProducts) * matrix_bytes);
     plan.setup_cost = streaming_cost(0.5 * kSetupProducts * matrix_bytes);
   } else {
     plan.iteration_cost =
         streaming_cost(matrix_bytes + 2.0 * static_cast<double>(system.factor_bytes()));
   }
-  plan.tangent_cost = streaming_cost(matrix_bytes + 2.0 * static_cast<double>(tangent.bytes()));
-  plan.factorize_cost = static_cast<double>(tangent.bytes()) > kMaxFactorBytes
-                            ? std::numeric_limits<double>::infinity()
-                            : flop_cost(tangent.flops()) + 2.0 * streaming_cost(matrix_bytes);
+  plan.factorize_cost = std::numeric_limits<double>::infinity();
+  if (!by_multigrid || system.model().num_nodes <= kMostAnalyzedNodes) {
+    const CholeskyFactor tangent(system.pattern().blocks());
+    const double bytes = static_cast<double>(tangent.bytes());
+    plan.tangent_cost = streaming_cost(matrix_bytes + 2.0 * bytes);
+    if (bytes <= kMaxFactorBytes)
+      plan.factorize_cost = flop_cost(tangent.flops()) + 2.0 * streaming_cost(matrix_bytes);
+  }
   plan.jacobi_cost = streaming_cost(matrix_bytes);
   const auto limit = [&](double cost) {
     return static_cast<int>(
