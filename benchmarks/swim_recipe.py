@@ -22,13 +22,14 @@ import numpy as np
 import torch
 
 from diffsim.core.files import to_plain, write_text_atomic
+from diffsim.core.paths import PROJECT
 from diffsim.learn.methods import Options, train_once
 from diffsim.learn.recipes import recipe
 from diffsim.learn.run import Row, is_finished, read_rows
 from diffsim.learn.setup import Setup
 
 SWIMS = 0.1  # mean reward per step above which a run counts as swimming
-RECORD = Path("rl/results/recipe")
+RECORD = PROJECT / "rl" / "results" / "recipe"
 
 
 @dataclass(frozen=True)
@@ -69,9 +70,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     add = parser.add_argument
     add("--task", choices=("SharkSwim", "StarfishSwim"), default="SharkSwim", help="(SharkSwim)")
     add("--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS), help="(all)")
-    add("--seeds", type=int, default=None, help="how many (the variant's)")
+    add("--seeds", type=int, nargs="+", help="which (0 to as many as the variant has)")
     add("--out", type=Path, default=Path("runs/recipe"), help="of the runs (runs/recipe)")
-    add("--record", type=Path, default=RECORD, help=f"of the ratings ({RECORD})")
+    add("--record", type=Path, default=RECORD, help="of the ratings (rl/results/recipe)")
     add("--report", action="store_true", help="run nothing")
     args = parser.parse_args(argv)
     torch.set_num_threads(1)
@@ -79,7 +80,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     known = _read(record)
     for name in [] if args.report else args.variants:
         variant = VARIANTS[name]
-        for seed in range(args.seeds or variant.seeds):
+        for seed in args.seeds or range(variant.seeds):
             if (name, seed) in known:
                 continue
             folder = args.out / args.task / name.replace(" ", "_") / f"seed_{seed}"

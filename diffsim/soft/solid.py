@@ -31,6 +31,7 @@ from diffsim.soft.physics import (
     Physics,
     make_physics,
 )
+from diffsim.soft.plausible import warn_of_units
 from diffsim.soft.state import State
 
 
@@ -105,6 +106,8 @@ class Solid(nn.Module):
         for name in PARAMETERS:
             hold(self, name, given[name])
         self.physics()  # refuse bad parameters now, not at the first step
+        modulus = as_tensor("youngs_modulus", youngs_modulus)
+        warn_of_units(self.x_rest, modulus, as_tensor("density", density))
         self._context = self._make_context()
 
     def _make_context(self) -> SoftContext:
