@@ -136,11 +136,13 @@ def measure(case: Case, rounds: int) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("runs/bench_envs"))
+    parser.add_argument("--only", choices=list(CASES), help="one case")
     parser.add_argument("--quick", action="store_true", help="one round, no thesis size")
     args = parser.parse_args()
     torch.set_num_threads(1)
     assert diffsim.envs.ENV_IDS  # importing registers them
-    cases = {k: c for k, c in CASES.items() if not (args.quick and "thesis" in k)}
+    wanted = [args.only] if args.only else list(CASES)
+    cases = {k: CASES[k] for k in wanted if not (args.quick and "thesis" in k)}
     results: dict[str, Any] = {"machine": machine(), "cases": {}}
     for name, case in cases.items():
         results["cases"][name] = measure(case, 1 if args.quick else 5)
