@@ -24,6 +24,8 @@ ROOT = Path(__file__).resolve().parent
 PROCESSOR = runpy.run_path(str(ROOT / "diffsim" / "core" / "processor.py"))
 # name -> compiler flags; diffsim/core/compiled.py picks the best one the processor has.
 PREFIX = "diffsim._core_"
+# Sanitizers, say; tests/test_sanitizers.py builds with them.
+MORE_FLAGS = os.environ.get("DIFFSIM_BUILD_FLAGS", "").split()
 INSTRUCTION_SETS: dict[str, list[str]] = {"baseline": []}
 if platform.machine().lower() in ("x86_64", "amd64"):
     INSTRUCTION_SETS["avx2"] = ["-march=x86-64-v3"]
@@ -66,6 +68,7 @@ def extensions() -> list[Extension]:
             "-Wno-psabi",
             "-Wno-maybe-uninitialized",
         ),
+        *MORE_FLAGS,
     ]
     return [
         Extension(
@@ -83,7 +86,7 @@ def extensions() -> list[Extension]:
                 ("NB_COMPACT_ASSERTIONS", None),
             ],
             extra_compile_args=[*flags, *arch],
-            extra_link_args=["-pthread"],
+            extra_link_args=["-pthread", *(f for f in MORE_FLAGS if f.startswith("-fsanitize"))],
             language="c++",
         )
         for name, arch in INSTRUCTION_SETS.items()

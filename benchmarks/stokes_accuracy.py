@@ -113,9 +113,10 @@ def table(rows: Rows, flow: str) -> str:
         found = sorted(select(mine, label=name), key=lambda r: r["cells"])
         entries = [f"{r['error']:.2e}" for r in found] + [f"{order(found):.1f}"]
         lines.append(f"| {name} | " + " | ".join(entries) + " |")
-    known = dict(zip(CELLS, PROTOTYPE[flow], strict=True))
-    entries = [f"{known[n]:.1e}" if n in known else "" for n in cells]
-    lines.append("| prototype | " + " | ".join(entries) + " | |")
+    if flow in PROTOTYPE:
+        known = dict(zip(CELLS, PROTOTYPE[flow], strict=True))
+        entries = [f"{known[n]:.1e}" if n in known else "" for n in cells]
+        lines.append("| prototype | " + " | ".join(entries) + " | |")
     return "\n".join(lines)
 
 

@@ -149,5 +149,27 @@ def couette(inner: float = 0.35, outer: float = 0.8) -> Exact:
     )
 
 
+def bubble(radius: float = 0.23) -> Exact:
+    """Flow past a disk with a slip wall; exact velocity on the box.
+
+    Stream function psi = r ln(r / a) sin(angle): no velocity through the wall and no shear on it.
+    """
+    center = torch.tensor([0.503, 0.507], dtype=torch.float64)
+
+    def velocity(points: Tensor) -> Tensor:
+        arm = points - center
+        r = arm.norm(dim=-1).clamp(min=0.05)
+        log, cosine, sine = (r / radius).log(), arm[..., 0] / r, arm[..., 1] / r
+        return torch.stack([log + sine**2, -sine * cosine], dim=-1)
+
+    return Exact(
+        name="disk, slip",
+        wall="no_separation",
+        level=lambda points: (points - center).norm(dim=-1) - radius,
+        velocity=velocity,
+        faces=("x-", "x+", "y-", "y+"),
+    )
+
+
 def all_flows() -> list[Exact]:
-    return [pipe(), pipe("no_separation"), rotated_channel(), couette()]
+    return [pipe(), pipe("no_separation"), bubble(), rotated_channel(), couette()]

@@ -1,5 +1,8 @@
 """Train a controller with Adam through the simulator; open-loop ones with L-BFGS.
 
+Options not given are those of the task's recipe (``diffsim/learn/recipes.py``); with ``--plain``
+they are those that ``--help`` shows.
+
 python rl/train_gradient.py --task CopterHover --seed 0
 python rl/train_gradient.py --task StarfishSwim --task-options '{"robot": {"coarse": true}}'
 python rl/train_gradient.py --controller sinusoid --task SharkSwim   # L-BFGS, few parameters

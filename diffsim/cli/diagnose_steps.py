@@ -193,8 +193,10 @@ def _say_again(out: Path) -> None:
 
 
 def _extend(args: argparse.Namespace) -> None:
-    inputs, out = _inputs(args)
+    study = read_study(args.study)
+    out = args.out or Path(DIAGNOSES) / study.name
     saved = read_extended(args.saved or out)
+    inputs, _ = _inputs(args, saved.framed(study))  # sizes mean what they meant
     extension = extend(inputs, saved)
     path = extension.save(out)
     sizes = [n for n in extension.fit.problem.names if n not in extension.null.problem.names]

@@ -18,6 +18,7 @@ from diffsim.cli import (
     fit_rotors,
     fly,
     info,
+    play,
     serve,
     track,
 )
@@ -32,6 +33,7 @@ COMMANDS = {
     "examples": examples,
     "diagnose": diagnose,
     "fly": fly,
+    "play": play,
     "fabricate": fabricate,
     "track": track,
     "convert": convert,

@@ -8,7 +8,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from diffsim.core.check import require_number
+from diffsim.core.check import require, require_number
 
 
 class Normalizer(nn.Module):
@@ -67,6 +67,7 @@ class MLPController(nn.Module):
         normalize: Whether observations pass a ``Normalizer``.
         seed: Seed of the weights.
         output_gain: Gain of the last layer's weights.
+        input_gains: Factors on the first layer's weights, one per observation; None: ones.
     """
 
     def __init__(
@@ -78,6 +79,7 @@ class MLPController(nn.Module):
         normalize: bool = True,
         seed: int = 0,
         output_gain: float = 0.01,
+        input_gains: Tensor | None = None,
     ):
         super().__init__()
         self.normalizer = Normalizer(num_observations) if normalize else None
@@ -92,6 +94,11 @@ class MLPController(nn.Module):
             nn.init.zeros_(layer.bias)
             layers += [layer, nn.Tanh()]
         self.layers = nn.Sequential(*layers)
+        if input_gains is not None:
+            gains = require("input_gains", input_gains, (num_observations,))
+            with torch.no_grad():
+                first = next(layer for layer in layers if isinstance(layer, nn.Linear))
+                first.weight.mul_(gains)
 
     @property
     def num_parameters(self) -> int:

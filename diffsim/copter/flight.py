@@ -21,7 +21,8 @@ from diffsim.copter.flight_rows import (
 )
 from diffsim.copter.flight_state import FlightState
 from diffsim.copter.vehicle import GRAVITY, Multicopter
-from diffsim.core.check import all_finite, require, require_number, require_threads, values_of
+from diffsim.core.check import all_finite, require, require_number, values_of
+from diffsim.core.check_options import require_count, require_threads
 from diffsim.core.errors import DiffsimError
 
 _NAMES = {"feed_forward": "commands"}  # what callers know an input as
@@ -250,8 +251,7 @@ def prepare_flight(
         TypeError, ValueError: bad arguments.
     """
     dt = require_number("dt", dt, above=0.0)
-    if substeps != int(substeps) or substeps < 1:
-        raise ValueError(f"substeps must be a whole number >= 1, got {substeps}")
+    substeps = require_count("substeps", substeps, at_least=1)
     num_threads = require_threads(num_threads)
     effects = FlightEffects() if effects is None else effects
     present = [name for name, _ in effects.present()]

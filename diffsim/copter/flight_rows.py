@@ -58,6 +58,8 @@ def start_rows(start: FlightState, commands: Tensor) -> Tensor:
         "thrusts": commands[:, 0] if start.thrusts is None else start.thrusts,
     }
     sizes = {"start": start.position.shape[0], "commands": parts["thrusts"].shape[0]}
+    if 0 in sizes.values():
+        raise ValueError(f"start and commands must have at least one flight, got {sizes}")
     batch = common_size("batch", sizes)
     fitted = [p if p.shape[0] == batch else p.expand(batch, -1) for p in parts.values()]
     row = torch.cat(fitted, dim=-1)

@@ -10,15 +10,11 @@ from diffsim.copter import _ops_hover
 from diffsim.copter._ops_hover import HoverProblem, HoverSolution
 from diffsim.copter.hover_result import HoverResult, report
 from diffsim.copter.vehicle import Multicopter
-from diffsim.core.check import (
-    require,
-    require_choice,
-    require_number,
-    require_range,
-    require_threads,
-)
+from diffsim.core.check import require, require_choice, require_number, require_range
+from diffsim.core.check_options import require_threads
 from diffsim.core.record import announce, is_recording
 from diffsim.core.rotation import roll_pitch_of_thrust
+from diffsim.core.values import scalar
 
 _WEAK = 1e-6  # multiplier or distance to a bound, in shares of the weight per rotor
 
@@ -95,6 +91,7 @@ def hover_thrusts(
     lever = torch.linalg.vector_norm(T, dim=(-2, -1)) / n**0.5
     lever = torch.where(lever > 0.0, lever, 1.0)[:, None, None]
     problem = HoverProblem(force=F / n, torque=T / (n * lever), weights=h, upper=upper)
+    num_threads = require_threads(num_threads)
     solution = _ops_hover.solve(problem, barrier=smoothing, num_threads=num_threads)
     u, state = solution.thrusts, solution.state
     net = (problem.force @ u[..., None]).squeeze(-1)
@@ -117,7 +114,7 @@ def hover_thrusts(
         weakly_active=weak.reshape(*batch, n),
         num_iters=num_iters,
     )
-    if is_recording() and not torch.compiler.is_compiling():
+    if not torch.compiler.is_compiling() and is_recording():
         announce(result.solve)
     return result
 
@@ -156,7 +153,7 @@ def hover(
     result = hover_thrusts(
         copter.force_matrix,
         copter.torque_matrix,
-        copter.weight + load,
+        copter.weight + scalar("load", load),
         copter.max_thrusts,
         weights=weights,
         smoothing=smoothing,

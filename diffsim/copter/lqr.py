@@ -9,7 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from diffsim.copter import _ops_riccati
-from diffsim.core.check import require, require_threads
+from diffsim.core.check import require
+from diffsim.core.check_options import require_threads
 from diffsim.core.record import Solve
 
 _SYMMETRY = 1e-9  # relative to the largest entry: products in two orders round apart
@@ -67,6 +68,7 @@ def lyapunov(A: Tensor, Q: Tensor, *, num_threads: int = 1) -> Tensor:
     _require_square("A", A)
     Q = require("Q", Q, ("...", n, n))
     batch = torch.Size(np.broadcast_shapes(A.shape[:-2], Q.shape[:-2]))
+    num_threads = require_threads(num_threads)
     X = _ops_riccati.lyapunov_layer(A=_flat(A, batch), Q=_flat(Q, batch), num_threads=num_threads)
     return X.reshape(*batch, n, n)
 
@@ -96,7 +98,8 @@ def lqr(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, *, num_threads: int = 1) -> 
     Gradients: A, B, Q, R (of their symmetric parts); any order.
     """
     A, B, Q, R = _require_problem(A, B, Q, R)
-    P, _ = _solve(A, B, Q, R, require_threads(num_threads))
+    num_threads = require_threads(num_threads)
+    P, _ = _solve(A, B, Q, R, num_threads)
     return LqrGain(torch.linalg.solve(R, B.mT @ P), P)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -49,24 +50,18 @@ def require(
         ``value``, contiguous.
 
     Raises:
-        TypeError: not a tensor, wrong dtype or device.
+        TypeError: not a tensor, sparse or nested, wrong dtype or device, without values.
         ValueError: wrong shape, or not finite.
     """
-    if not isinstance(value, Tensor):
-        raise TypeError(
-            f"{name} must be a torch.Tensor, got {type(value).__name__}; "
-            f"convert with torch.as_tensor({name}, dtype={dtype})"
-        )
-    if value.dtype != dtype:
-        raise TypeError(
-            f"{name} must be {dtype}, got {value.dtype}; convert with {name}.to({dtype})"
-        )
-    if not value.is_cpu:
-        raise TypeError(f"{name} must be on the CPU, got device {value.device}; use {name}.cpu()")
+    require_tensor(name, value, dtype)
     if not _fits(value.shape, shape):
         expected = ", ".join(str(s) for s in shape)
         raise ValueError(f"{name} must have shape ({expected}), got {tuple(value.shape)}")
-    if not finite or not value.is_floating_point() or torch.compiler.is_compiling():
+    if torch.compiler.is_compiling():
+        return value.contiguous()
+    if value.is_inference() and not torch.is_inference_mode_enabled():
+        value = value.clone()  # one made in inference mode cannot be kept for a gradient
+    if not finite or not value.is_floating_point():
         return value.contiguous()
     numbers = values_of(value)
     if not all_finite(numbers):
@@ -76,6 +71,31 @@ def require(
             f"{name} must be finite, got {len(bad)} NaN or infinite entries, first at {first}"
         )
     return value.contiguous()
+
+
+def require_tensor(name: str, value: Tensor, dtype: torch.dtype = torch.float64) -> None:
+    """Check that a value is a tensor of a dtype whose numbers kernels can read.
+
+    Raises:
+        TypeError: not a tensor, sparse or nested, wrong dtype or device, without values.
+    """
+    if not isinstance(value, Tensor):
+        raise TypeError(
+            f"{name} must be a torch.Tensor, got {type(value).__name__}; "
+            f"convert with torch.as_tensor({name}, dtype={dtype})"
+        )
+    if value.layout is not torch.strided or value.is_nested:
+        raise TypeError(
+            f"{name} must be dense, got layout {value.layout}; convert with {name}.to_dense()"
+        )
+    if value.dtype != dtype:
+        raise TypeError(
+            f"{name} must be {dtype}, got {value.dtype}; convert with {name}.to({dtype})"
+        )
+    if not value.is_cpu:
+        if value.is_meta:
+            raise TypeError(f"{name} must be on the CPU, got device meta: a shape without values")
+        raise TypeError(f"{name} must be on the CPU, got device {value.device}; use {name}.cpu()")
 
 
 def _fits(got: Sequence[int], want: Sequence[int | str]) -> bool:
@@ -109,30 +129,28 @@ def require_number(
     at_most: float = math.inf,
     hint: str = "",
 ) -> float:
-    """Check that a number is finite and lies in a range; ``hint`` says how to mend it."""
+    """Check that a number is finite and lies in a range; ``hint`` says how to mend it.
+
+    A number of NumPy, or a () tensor without gradient, is taken as Python's.
+    """
+    if getattr(value, "ndim", None) == 0 and not getattr(value, "requires_grad", False):
+        value = _item(name, value)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise TypeError(f"{name} must be a number, got {type(value).__name__}")
-    value = float(value)
+        raise TypeError(f"{name} must be a number, got {type(value).__name__}{_hint(hint)}")
+    try:
+        value = float(value)
+    except OverflowError:  # a whole number of more than 308 digits
+        value = math.inf
     if not (math.isfinite(value) and above < value < below and at_least <= value <= at_most):
         interval = _interval(above, below, at_least, at_most)
         raise ValueError(f"{name} must lie in {interval}, got {value:g}{_hint(hint)}")
     return value
 
 
-MAX_THREADS = 1024
-"""More than any processor runs; a larger number is a mistake, or the size of something else."""
-
-
-def require_threads(num_threads: int) -> int:
-    """Check a number of threads: a whole number from 1 to ``MAX_THREADS``."""
-    if isinstance(num_threads, bool) or not isinstance(num_threads, int):
-        raise TypeError(f"num_threads must be an int, got {type(num_threads).__name__}")
-    if not 1 <= num_threads <= MAX_THREADS:
-        raise ValueError(
-            f"num_threads must lie in [1, {MAX_THREADS}], got {num_threads}; more than the "
-            "processor has cores does not pay"
-        )
-    return num_threads
+def _item(name: str, value: Any) -> Any:
+    if isinstance(value, Tensor) and (value.is_meta or value.layout is not torch.strided):
+        raise TypeError(f"{name} must be a number, got a tensor without plain values")
+    return value.item()
 
 
 def require_range(
@@ -146,6 +164,7 @@ def require_range(
     hint: str = "",
 ) -> Tensor:
     """``require_number`` for every entry of a tensor; the message shows the worst entry."""
+    require_tensor(name, value)
     v = values_of(value)
     bad = ~((v > above) & (v < below) & (v >= at_least) & (v <= at_most))
     if bool(bad.any()):

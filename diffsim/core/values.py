@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -32,6 +34,25 @@ def vector(name: str, value: Vector) -> Tensor:
     if v.shape != (3,) or not bool(torch.isfinite(v).all()):
         raise ValueError(f"{name} must be three finite numbers, got {value!r}")
     return v
+
+
+def as_array(name: str, value: Any, dtype: torch.dtype = torch.float64) -> Tensor:
+    """Numbers in lists, arrays or a tensor as a tensor; gradients are kept.
+
+    Raises:
+        TypeError: no numbers, rows of different lengths, or a tensor of another kind.
+    """
+    if isinstance(value, Tensor):
+        return value
+    try:
+        given = np.asarray(value, dtype=None if dtype == torch.float64 else np.int64)
+        if given.dtype.kind not in "iuf":
+            raise TypeError(f"entries are of type {given.dtype}")
+        if dtype == torch.int64 and isinstance(value, np.ndarray) and value.dtype.kind == "f":
+            raise TypeError("entries are no whole numbers")
+    except (TypeError, ValueError, OverflowError) as error:
+        raise TypeError(f"{name} must be an array of numbers, got {value!r}: {error}") from None
+    return torch.tensor(given, dtype=dtype)
 
 
 def friction_coefficient(value: Number) -> Tensor:

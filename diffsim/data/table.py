@@ -13,6 +13,7 @@ from typing import TextIO
 
 from diffsim.core.check import did_you_mean
 
+MAKER = "make_csv.py"  # beside recordings that may not be copied: it makes them from the original
 MAX_COLUMNS = 10_000
 MAX_LINE = 4_000_000  # characters
 MISSING = ("nan", "na", "n/a", "null", "none", "-")
@@ -65,6 +66,8 @@ def open_table(
     if not path.is_file():
         beside = sorted(p.name for p in path.parent.glob("*.csv")) if path.parent.is_dir() else []
         there = f"; that folder has {', '.join(beside)}" if beside else ""
+        if (maker := path.parent / MAKER).is_file():
+            there += f"; files of this data set are made by `python {maker}`"
         raise FileNotFoundError(f"{path}: no such {what}{there}{did_you_mean(path.name, beside)}")
     skipped = (first_line or header_line + 1) - 1
     with open_text(path) as file:

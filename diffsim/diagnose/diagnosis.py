@@ -83,7 +83,7 @@ def diagnose(
     case = _case(study.without_tests(), model, effects, unknowns, settings, progress)
     case.progress("null fit", 0.0, "the model without effects")
     null = null_fit(case)
-    null.case.progress("checks", 0.15, "numerical settings, gradients")
+    null.case.progress("checks", 0.15, "numerical settings")
     null, checks, simulations = _checked(null, gates, cache, started)
     if checks.numerics_failed and not null.case.settings.accept_numerics:
         decision = Decision("numerical", frozenset(), (), None, 0.0)
@@ -164,7 +164,9 @@ def _checked(
     at, simulations = simulations.screen(NONE, None)
     center = simulations.center(NONE, at, 1)
     spent = process_time() - started
+    case.progress("checks", 0.2, "gradients")
     gates = (*gates, *gradient_gate(center.evidence, GRADIENT_SHARE * spent))
+    case.progress("checks", 0.25, "gradients are checked")
     return null, Checks(gates, changes, center), simulations
 
 

@@ -149,9 +149,6 @@ def save_model(best: Fit, null: Fit, folder: Path, *, study: Study, verdict: str
     """
     noise = null.problem.whitener
     facts = facts_of(study, noise) if isinstance(noise, ArWhitener) else None
-    made_from = dict(null.problem.model.made_from)
-    if facts is not None and made_from:
-        facts |= {"made_from": made_from}
     return save_extended(
         best, folder / MODEL_FILE, study=study, verdict=verdict, plain=null, facts=facts
     )

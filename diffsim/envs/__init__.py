@@ -8,25 +8,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from diffsim.envs._gymnasium import gymnasium
+from diffsim.envs._gymnasium import gymnasium  # noqa: F401  asked for first
 from diffsim.envs.env import TaskEnv
-from diffsim.envs.registry import ENV_IDS, make_task, make_vector
+from diffsim.envs.registry import ENV_IDS, make_task, make_vector, register
 from diffsim.envs.task import Entry, Randomization, Task, TaskState
 from diffsim.envs.vector_env import TaskVectorEnv
 
-
-def _register() -> None:
-    for env_id in ENV_IDS:
-        if env_id not in gymnasium.registry:
-            name = env_id.removeprefix("diffsim/").removesuffix("-v0")
-            gymnasium.register(
-                env_id,
-                entry_point=f"diffsim.envs.registry:{name}Env",
-                vector_entry_point=f"diffsim.envs.registry:{name}VectorEnv",
-            )
-
-
-_register()
+register()
 
 
 def __getattr__(name: str) -> Any:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.copter import (
+    Battery,
     FlightEffects,
     FlightState,
     Multicopter,
@@ -25,8 +26,9 @@ from diffsim.copter import (
 from diffsim.copter.effects import BodyDrag, MotorLag
 from diffsim.core.check import require_number
 from diffsim.core.rotation import matrix_from_quaternion
+from diffsim.envs.copter_random import PACKED, randomizable, sag_of, with_factors
 from diffsim.envs.pictures import copter_picture
-from diffsim.envs.task import Entry, Randomization, Task, TaskState
+from diffsim.envs.task import Entry, Randomizing, Task, TaskState
 
 T = TypeVar("T")
 _ORIGIN = torch.zeros(1, 3, dtype=torch.float64)
@@ -58,11 +60,15 @@ class CopterHover(Task):
         motor_time_constant: Lag of the thrust behind its command [s].
         drag: Linear drag of the body [N s/m].
         wind_speed: Standard deviation of each horizontal component of the episode's wind [m/s].
-        action_delay, randomization: The same as for every task; ``thrust`` may be randomized.
+        battery: Sags under the rotors' currents (their models are the design's); None: a voltage
+            that stays.
+        action_delay, randomization: The same as for every task. ``thrust``, ``mass``, ``inertia``,
+            ``drag`` and ``motor_lag`` (its time constant) may be randomized; with a battery also
+            ``battery``, its charge at the start. Hover thrust, which an action of zero
+            commands, stays that of the nominal vehicle.
     """
 
     name = "CopterHover"
-    randomizable = ("thrust",)
 
     def __init__(
         self,
@@ -74,9 +80,11 @@ class CopterHover(Task):
         motor_time_constant: float = 0.03,
         drag: float = 0.1,
         wind_speed: float = 0.0,
+        battery: Battery | None = None,
         action_delay: int = 0,
-        randomization: Randomization | None = None,
+        randomization: Randomizing = None,
     ):
+        self.randomizable = randomizable(battery, randomization)
         super().__init__(action_delay=action_delay, randomization=randomization)
         if not isinstance(design, Multicopter):
             design = load_design(design).multicopter()
@@ -98,7 +106,8 @@ class CopterHover(Task):
         )
         linear = torch.full((3,), require_number("drag", drag, at_least=0.0), dtype=torch.float64)
         body_drag = BodyDrag(linear=linear, quadratic=torch.zeros(3, dtype=torch.float64))
-        self._effects = FlightEffects(motor_lag=lag, body_drag=body_drag)
+        self.sag = None if battery is None else sag_of(battery, design)
+        self._effects = FlightEffects(motor_lag=lag, body_drag=body_drag, battery=self.sag)
         self._packed: _Kept[PreparedFlight] | None = None
         self.actions = tuple(Entry(f"thrust of rotor {i}", -1.0, 1.0) for i in range(n))
         self.observations = tuple(self._entries())
@@ -116,7 +125,7 @@ class CopterHover(Task):
         phase = torch.from_numpy(rng.uniform(0.0, 2.0 * math.pi, batch))
         begin = {"step": torch.zeros(batch, dtype=torch.int64), "phase": phase}
         place, along = self._reference(begin)
-        return {
+        out = {
             "position": position + place,
             "quaternion": state.quaternion,
             "velocity": velocity + along,
@@ -125,14 +134,24 @@ class CopterHover(Task):
             "wind": wind,
             "phase": phase,
         }
+        if self.sag is not None:
+            out["charge"] = torch.ones(batch, dtype=torch.float64)
+        return out
+
+    def start(self, batch: int, rng: np.random.Generator) -> TaskState:
+        """See ``Task``; a randomized battery starts with the charge that was drawn."""
+        state = super().start(batch, rng)
+        if "random.battery" in state:
+            state["charge"] = state["random.battery"].clone()
+        return state
 
     def advance(self, state: TaskState, action: Tensor) -> TaskState:
         """One control period of flight."""
         thrust = self.trim + self.span * action
         if "random.thrust" in state:
             thrust = thrust * state["random.thrust"][:, None]
-        end = self._flights().step(self._flight(state), thrust, wind=state["wind"])
-        after = {k: getattr(end, k) for k in _STATE}
+        end = self._flights(state).step(self._flight(state), thrust, wind=state["wind"])
+        after = {k: getattr(end, k) for k in (*_STATE, "charge") if k in state}
         return after | {"wind": state["wind"], "phase": state["phase"]}
 
     def observe(self, state: TaskState) -> Tensor:
@@ -181,14 +200,20 @@ class CopterHover(Task):
         path = self._places(one, np.linspace(0.0, 6.0, 60).tolist())[0]
         return copter_picture(self.vehicle, self._flight(one), place, path)
 
-    def _flights(self) -> PreparedFlight:
-        """What flies the vehicle; packed anew where a tensor of it changed or carries gradients."""
+    def _flights(self, state: TaskState) -> PreparedFlight:
+        """What flies the vehicles; packed anew where a tensor of it changed or carries gradients.
+
+        Random factors stay the same tensors throughout an episode.
+        """
         sources = self.vehicle, self._effects.motor_lag, self._effects.body_drag
         tensors = [t for s in sources for t in vars(s).values() if isinstance(t, Tensor)]
+        factors = {name: state[f"random.{name}"] for name in PACKED if f"random.{name}" in state}
+        tensors += factors.values()
         kept = self._packed
         if kept is not None and kept.is_of(tensors) and kept.value.dt == self.dt:
             return kept.value
-        flights = prepare_flight(self.vehicle, dt=self.dt, effects=self._effects)
+        vehicles, effects = with_factors(self.vehicle, self._effects, factors)
+        flights = prepare_flight(vehicles, dt=self.dt, effects=effects)
         if not any(t.requires_grad for t in tensors):
             self._packed = _Kept(flights, tensors)
         return flights
@@ -203,7 +228,7 @@ class CopterHover(Task):
 
     @staticmethod
     def _flight(state: TaskState) -> FlightState:
-        return FlightState(*(state[k] for k in _STATE))
+        return FlightState(**{k: state[k] for k in (*_STATE, "charge") if k in state})
 
     def _entries(self) -> list[Entry]:
         inf = math.inf
@@ -280,7 +305,8 @@ class _Kept(Generic[T]):
 
     def is_of(self, tensors: list[Tensor]) -> bool:
         """Whether it was made of these, and none has changed since."""
-        same = all(map(operator.is_, tensors, self._tensors))
+        same = len(tensors) == len(self._tensors)
+        same = same and all(map(operator.is_, tensors, self._tensors))
         return same and _versions(tensors) == self._versions
 
 

@@ -13,9 +13,11 @@ from torch import Tensor
 
 from diffsim.core.check import require_choice
 from diffsim.envs.sensing import Sensing
+from diffsim.envs.starts import with_options
 from diffsim.envs.task import Entry, Task, TaskState, detached
+from diffsim.envs.window import Window
 
-RENDER_MODES = ("rgb_array",)
+RENDER_MODES = ("rgb_array", "human")
 
 
 class TaskEnv(gymnasium.Env):
@@ -23,7 +25,7 @@ class TaskEnv(gymnasium.Env):
 
     Args:
         task: What is simulated.
-        render_mode: "rgb_array" or None.
+        render_mode: "rgb_array", "human" (a window that shows every step) or None.
         sensor_noise: Standard deviation of white noise on observations.
 
     ``info`` holds the terms of the reward by name. An episode that reaches ``task.max_steps`` is
@@ -42,18 +44,29 @@ class TaskEnv(gymnasium.Env):
         if render_mode is not None:
             require_choice("render_mode", render_mode, RENDER_MODES)
         self.task, self.render_mode = task, render_mode
-        self.metadata = {**type(self).metadata, "render_fps": max(1, round(1.0 / task.dt))}
+        self.metadata = {**type(self).metadata, "render_fps": frame_rate(task)}
         self.sensing = Sensing(sensor_noise, task.num_observations)
         self.action_space, self.observation_space = spaces_of(task)
         self.state: TaskState | None = None
+        self._has_ended = False
+        self.window = Window(task.name, frame_rate(task)) if render_mode == "human" else None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Start an episode."""
+        """Start an episode.
+
+        Args:
+            seed: Of everything drawn at random from here on; None: go on drawing.
+            options: Quantities of the first state by name (``task.start`` has them), each
+                broadcast to (1, ...); all of ``differentiable_state()`` starts a copy of it.
+        """
         super().reset(seed=seed)
         with torch.no_grad():
-            self.state = self.task.start(1, self.np_random)
+            state = self.task.start(1, self.np_random)
+        self.state = with_options(state, options or {}, self.task.name)
+        self._has_ended = False
+        self._show()
         return self._observation(), {}
 
     def step(
@@ -61,23 +74,39 @@ class TaskEnv(gymnasium.Env):
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """One control step."""
         state = self._started()
-        row = torch.as_tensor(np.asarray(action), dtype=torch.float64).reshape(1, -1)
+        if self._has_ended:
+            raise gymnasium.error.ResetNeeded(
+                f"{self.task.name}: the episode has ended after {int(state['step'][0])} steps; "
+                "call reset() before the next step()"
+            )
+        row = action_rows(self.task, action, ())[None]
         with torch.no_grad():
             self.state, terms = self.task.step_terms(state, row)
             failed = bool(self.task.failed(self.state).item())
         info = {name: value.item() for name, value in terms.items()}
         truncated = self.state["step"].item() >= self.task.max_steps
+        self._has_ended = failed or truncated
+        self._show()
         return self._observation(), sum(info.values()), failed, truncated and not failed, info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Picture of the present state, (height, width, 3)."""
+        """Picture of the present state, (height, width, 3); None with a window."""
         if self.render_mode is None:
             gymnasium.logger.warn(
                 f"{self.task.name}: render() without a render_mode; make the environment with "
                 'render_mode="rgb_array"'
             )
             return None
+        if self.render_mode == "human":  # every step shows itself
+            return None
         return self.task.picture(self._started(), 0)
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self.window is not None:
+            self.window.close()
+            self.window = None
+        super().close()
 
     def differentiable_step(self, state: TaskState, action: Tensor) -> tuple[TaskState, Tensor]:
         """The same step in torch: see ``Task.step``. Leaves the environment's own state alone."""
@@ -86,6 +115,10 @@ class TaskEnv(gymnasium.Env):
     def differentiable_state(self) -> TaskState:
         """A copy of the present state, from which ``differentiable_step`` can go on."""
         return {k: v.clone() for k, v in detached(self._started()).items()}
+
+    def _show(self) -> None:
+        if self.window is not None:
+            self.window.show(self.task.picture(self._started(), 0))
 
     def _started(self) -> TaskState:
         if self.state is None:
@@ -96,6 +129,32 @@ class TaskEnv(gymnasium.Env):
         with torch.no_grad():
             plain = self.task.observe(self._started())[0].numpy()
         return self.sensing(plain, self.np_random)
+
+
+def action_rows(task: Task, action: Any, batch: tuple[int, ...]) -> Tensor:
+    """Actions as the task takes them, (*batch, num_actions) float64.
+
+    Raises:
+        TypeError: not numbers.
+        ValueError: another shape, or not finite.
+    """
+    try:
+        given = np.asarray(action, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(f"{task.name}: action must be numbers, got {action!r}") from None
+    shape = (*batch, task.num_actions)
+    if given.shape != shape:
+        raise ValueError(
+            f"{task.name}: action must have shape {shape}, one for each actuator, got {given.shape}"
+        )
+    if not np.isfinite(given).all():
+        raise ValueError(f"{task.name}: action must be finite, got {given.tolist()}")
+    return torch.from_numpy(given.copy())
+
+
+def frame_rate(task: Task) -> int:
+    """Pictures per second at which a film runs as fast as the robot."""
+    return max(1, round(1.0 / task.dt))
 
 
 def spaces_of(task: Task) -> tuple[spaces.Box, spaces.Box]:

@@ -4,27 +4,69 @@ from __future__ import annotations
 
 from functools import partial
 from importlib import import_module
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
+import gymnasium
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from diffsim.core.check import require_choice
+from diffsim.core.check import require_choice, require_number
+from diffsim.core.check_options import require_options
 from diffsim.envs.env import TaskEnv
 from diffsim.envs.task import Task
 from diffsim.envs.vector_env import TaskVectorEnv
 
+
+class Named(NamedTuple):
+    """What is registered of a task.
+
+    Attributes:
+        module: Where its class is.
+        max_steps: Length of an episode with default options, control steps.
+        threshold: Return of an episode at which the task counts as solved: what published runs
+            (``docs/measured/learning.md``) reached, rounded down; None where none was measured.
+    """
+
+    module: str
+    max_steps: int
+    threshold: float | None = None
+
+
+_COPTER, _SOFT = "diffsim.envs.copter_tasks", "diffsim.envs.soft_named"
 _TASKS = {
-    "CopterHover": "diffsim.envs.copter_tasks",
-    "CopterTrack": "diffsim.envs.copter_tasks",
-    "StarfishSwim": "diffsim.envs.soft_named",
-    "SharkSwim": "diffsim.envs.soft_named",
-    "QuadrupedWalk": "diffsim.envs.soft_named",
-    "CowWalk": "diffsim.envs.soft_named",
-    "TorusRoll": "diffsim.envs.soft_named",
-    "TendonReach": "diffsim.envs.soft_named",
+    "CopterHover": Named(_COPTER, 200, 180.0),
+    "CopterTrack": Named(_COPTER, 200, 150.0),
+    "StarfishSwim": Named(_SOFT, 200, 80.0),
+    "SharkSwim": Named(_SOFT, 200, 90.0),
+    "QuadrupedWalk": Named(_SOFT, 100),
+    "CowWalk": Named(_SOFT, 60),
+    "TorusRoll": Named(_SOFT, 100),
+    "TendonReach": Named(_SOFT, 100),
 }
 ENV_IDS = tuple(f"diffsim/{name}-v0" for name in _TASKS)
+
+
+def short_name(name: str) -> str:
+    """A task's name, also from an environment's id.
+
+    Raises:
+        ValueError: no such task; the message offers the closest names.
+    """
+    return require_choice("task", name.removeprefix("diffsim/").removesuffix("-v0"), _TASKS)
+
+
+def register() -> None:
+    """Tell gymnasium of the environments."""
+    for name, named in _TASKS.items():
+        if f"diffsim/{name}-v0" not in gymnasium.registry:
+            gymnasium.register(
+                f"diffsim/{name}-v0",
+                entry_point=f"{__name__}:{name}Env",
+                vector_entry_point=f"{__name__}:{name}VectorEnv",
+                max_episode_steps=named.max_steps,
+                reward_threshold=named.threshold,
+            )
 
 
 def make_task(name: str, **options: Any) -> Task:
@@ -35,18 +77,21 @@ def make_task(name: str, **options: Any) -> Task:
         **options: Options of the task's class.
 
     Raises:
-        ValueError: no such task; the message offers the closest names.
+        ValueError: no such task, or an option that it does not have; the message offers the closest
+            names.
     """
-    short = name.removeprefix("diffsim/").removesuffix("-v0")
-    module = import_module(_TASKS[require_choice("task", short, _TASKS)])
-    task: Task = getattr(module, short)(**options)
-    return task
+    short = short_name(name)
+    kind: type[Task] = getattr(import_module(_TASKS[short].module), short)
+    require_options(short, options, kind)
+    return kind(**options)
 
 
 def make_vector(
     name: str,
     num_envs: int,
     *,
+    max_episode_steps: int | None = None,
+    autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
     render_mode: str | None = None,
     sensor_noise: float | NDArray[np.float64] = 0.0,
     **options: Any,
@@ -56,19 +101,30 @@ def make_vector(
     Args:
         name: Name of a task, as ``make_task`` takes it.
         num_envs: Members.
-        render_mode: "rgb_array" or None.
+        max_episode_steps: Length of an episode, where it is not the registered one; None: the
+            task's. gymnasium hands on the registered length with every batch.
+        autoreset_mode: What follows the end of an episode; see ``TaskVectorEnv``.
+        render_mode: "rgb_array", "human" or None.
         sensor_noise: Standard deviation of white noise on observations.
         **options: Options of the task's class.
     """
     task = make_task(name, **options)
-    return TaskVectorEnv(task, num_envs, render_mode=render_mode, sensor_noise=sensor_noise)
+    if max_episode_steps not in (None, _TASKS[short_name(name)].max_steps):
+        task.max_steps = int(require_number("max_episode_steps", max_episode_steps, at_least=1))
+    return TaskVectorEnv(
+        task,
+        num_envs,
+        autoreset_mode=autoreset_mode,
+        render_mode=render_mode,
+        sensor_noise=sensor_noise,
+    )
 
 
 class NamedEnv(TaskEnv):
     """An environment that makes its own task; its subclasses are what gymnasium registers.
 
     Args:
-        render_mode: "rgb_array" or None.
+        render_mode: "rgb_array", "human" or None.
         sensor_noise: Standard deviation of white noise on observations.
         **options: Options of the task, such as ``randomization`` and ``action_delay``.
     """
@@ -84,6 +140,22 @@ class NamedEnv(TaskEnv):
     ):
         task = make_task(self.task_name, **options)
         super().__init__(task, render_mode=render_mode, sensor_noise=sensor_noise)
+        self._limit: int | None = _TASKS[self.task_name].max_steps  # None once it was reported
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start an episode; see ``TaskEnv``."""
+        length, limit = self.task.max_steps, self._limit
+        cut = self.state is not None and int(self.state["step"]) == limit
+        if cut and limit is not None and limit < length:
+            gymnasium.logger.warn(
+                f"{self.task_name}: the task lasts {length} steps, but gymnasium's time limit "
+                f"ended the episode after {limit}; give max_episode_steps={length} to "
+                "gymnasium.make as well"
+            )
+            self._limit = None
+        return super().reset(seed=seed, options=options)
 
 
 class CopterHoverEnv(NamedEnv):
@@ -102,7 +174,8 @@ at hover thrust |
     | termination | farther than 3 m, upside down, turning faster than 30 rad/s |
     | truncation | 200 steps of 20 ms |
     | options | design (shipped name, file, vehicle), dt, seconds, start_spread, \
-motor_time_constant, drag, wind_speed, action_delay, randomization (thrust), sensor_noise |
+motor_time_constant, drag, wind_speed, battery, action_delay, randomization (thrust, mass, \
+inertia, drag, motor_lag, battery), sensor_noise |
     | versions | v0: first |
     """
 
@@ -139,7 +212,7 @@ class StarfishSwimEnv(NamedEnv):
     | termination | none |
     | truncation | 200 steps of 33.3 ms |
     | options | robot (arguments of ``diffsim.systems.robots.starfish``, ``coarse`` for quick \
-trials), num_steps, substeps, start_speed, current, drift_weight, rise_weight, speed_scale, \
+trials), num_steps, substeps, start_speed, current, clock, drift_weight, rise_weight, speed_scale, \
 action_delay, randomization (muscles, water), sensor_noise |
     | versions | v0: first |
     """
@@ -179,8 +252,8 @@ mean deformation gradient by rows [-]: where the robot's axes point; all unbound
     | termination | tipped over: its z axis has turned by more than about 60 degrees |
     | truncation | 100 steps of 10 ms |
     | options | robot (arguments of ``diffsim.systems.robots.quadruped``: coarse, friction, \
-per_muscle, ...), num_steps, substeps, start_speed, drift_weight, rise_weight, speed_scale, \
-action_delay, randomization (muscles), sensor_noise |
+per_muscle, ...), num_steps, substeps, start_speed, clock, drift_weight, rise_weight, \
+speed_scale, action_delay, randomization (muscles), sensor_noise |
     | versions | v0: first |
     """
 
@@ -239,7 +312,7 @@ zero) - 0.001 mean squared action |
     | termination | none |
     | truncation | 100 steps of 10 ms |
     | options | robot (arguments of ``diffsim.systems.robots.tendon_arm``: coarse, gravity, ...), \
-num_steps, substeps, goal_low, goal_high, node, effort_weight, start_speed, action_delay, \
+num_steps, substeps, goal_low, goal_high, node, effort_weight, start_speed, clock, action_delay, \
 randomization (muscles), sensor_noise |
     | versions | v0: first |
     """

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -20,6 +21,11 @@ class Sb3VecEnv(VecEnv):
     """
 
     def __init__(self, env: TaskVectorEnv):
+        if env.autoreset_mode != AutoresetMode.SAME_STEP:
+            raise ValueError(
+                "stable-baselines3 restarts within the step: the environment's autoreset_mode "
+                f"must be SAME_STEP, got {env.autoreset_mode.name}"
+            )
         self.env = env
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self._seed: int | None = None
@@ -57,7 +63,8 @@ class Sb3VecEnv(VecEnv):
         return observations, rewards.astype(np.float32), done, infos
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Close the environment's window, if it has one."""
+        self.env.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Attribute of the vector environment, once per member."""

@@ -19,9 +19,16 @@ class Sensing:
     """
 
     def __init__(self, noise: float | NDArray[np.float64], size: int):
-        sd = np.broadcast_to(np.asarray(noise, dtype=np.float64), (size,))
-        require_number("sensor_noise", float(sd.min()), at_least=0.0)
-        self.sd = sd
+        hint = f"give one standard deviation, or one for each of the {size} observations"
+        try:
+            given = np.asarray(noise, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise TypeError(f"sensor_noise must be numbers, got {noise!r}; {hint}") from None
+        if given.shape not in ((), (1,), (size,)):
+            raise ValueError(f"sensor_noise must have shape ({size},), got {given.shape}; {hint}")
+        for extreme in (given.min(), given.max()):  # NaN is both
+            require_number("sensor_noise", float(extreme), at_least=0.0)
+        self.sd = np.broadcast_to(given, (size,))
 
     def __call__(self, observation: NDArray[np.float64], rng: np.random.Generator) -> Array32:
         """Noisy observation(s), (..., n) float32."""

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Any
 
+from diffsim.core.check_options import require_options
 from diffsim.envs.soft_tasks import Advance, Reach
 from diffsim.systems import robots
+from diffsim.systems.robots import SoftRobot
+
+
+def _made(make: Callable[..., SoftRobot], options: Mapping[str, Any] | None) -> SoftRobot:
+    """A robot from options; one that it does not have is refused with the closest names."""
+    require_options(f"robot {make.__name__}", options or {}, make)
+    return make(**(options or {}))
 
 
 class StarfishSwim(Advance):
@@ -21,7 +30,7 @@ class StarfishSwim(Advance):
         robot: dict[str, Any] | None = None,
         **options: Any,
     ):
-        body = robots.starfish(**(robot or {}))
+        body = _made(robots.starfish, robot)
         super().__init__(body, num_steps, start_speed=start_speed, **options)
 
 
@@ -38,7 +47,7 @@ class SharkSwim(Advance):
         robot: dict[str, Any] | None = None,
         **options: Any,
     ):
-        body = robots.shark(**(robot or {}))
+        body = _made(robots.shark, robot)
         super().__init__(body, num_steps, start_speed=start_speed, **options)
 
 
@@ -50,7 +59,7 @@ class QuadrupedWalk(Advance):
     def __init__(
         self, *, num_steps: int = 100, robot: dict[str, Any] | None = None, **options: Any
     ):
-        super().__init__(robots.quadruped(**(robot or {})), num_steps, **options)
+        super().__init__(_made(robots.quadruped, robot), num_steps, **options)
 
 
 class CowWalk(Advance):
@@ -68,7 +77,7 @@ class CowWalk(Advance):
         **options: Any,
     ):
         super().__init__(
-            robots.cow(**(robot or {})),
+            _made(robots.cow, robot),
             num_steps,
             substeps=substeps,
             rise_weight=rise_weight,
@@ -89,7 +98,7 @@ class TorusRoll(Advance):
         robot: dict[str, Any] | None = None,
         **options: Any,
     ):
-        super().__init__(robots.torus(**(robot or {})), num_steps, substeps=substeps, **options)
+        super().__init__(_made(robots.torus, robot), num_steps, substeps=substeps, **options)
 
 
 class TendonReach(Reach):
@@ -107,7 +116,7 @@ class TendonReach(Reach):
         **options: Any,
     ):
         super().__init__(
-            robots.tendon_arm(**(robot or {})),
+            _made(robots.tendon_arm, robot),
             num_steps,
             goal_low=goal_low,
             goal_high=goal_high,

@@ -12,11 +12,13 @@ from torch import Tensor
 
 from diffsim import mesh, soft
 from diffsim.core.check import require_number
+from diffsim.core.check_options import require_count
 from diffsim.envs.pictures import body_picture
-from diffsim.envs.task import Entry, Randomization, Task, TaskState
+from diffsim.envs.task import Entry, Randomizing, Task, TaskState
 from diffsim.systems.robots import SoftRobot
 
 _BODY = ("x", "v", "x_prev", "v_prev", "contact_force")
+_CLOCK = ("sine", "cosine")
 MIN_UPRIGHT = 0.5  # of the upright axis's share along its old direction: a tilt of 60 degrees
 
 
@@ -33,6 +35,9 @@ class SoftTask(Task):
         start_speed: The episode begins with velocities linear in place, at random, as large as
             this at the farthest nodes; the center is at rest [m/s].
         current: Standard deviation of each component of the episode's current [m/s]; in water.
+        clock: Frequencies of a clock [Hz], observed after all else as the sine and cosine of
+            each since the episode's start. A gait is a matter of time; velocities alone do not tell
+            a controller at rest when to begin a stroke.
         action_delay, randomization: As every task has them; ``muscles`` (their stroke) and,
             in water, ``water`` (drag and thrust) may be randomized, per member of a batch.
 
@@ -49,21 +54,25 @@ class SoftTask(Task):
         substeps: int = 1,
         start_speed: float = 0.0,
         current: float = 0.0,
+        clock: Sequence[float] = (),
         action_delay: int = 0,
-        randomization: Randomization | None = None,
+        randomization: Randomizing = None,
     ):
         self.randomizable = ("muscles",) if robot.water is None else ("muscles", "water")
         super().__init__(action_delay=action_delay, randomization=randomization)
         self.robot = robot
-        self.substeps = _count("substeps", substeps)
+        self.substeps = require_count("substeps", substeps, at_least=1)
         self.dt = robot.body.dt * self.substeps
-        self.max_steps = _count("num_steps", num_steps)
+        self.max_steps = require_count("num_steps", num_steps, at_least=1)
         self.start_speed = require_number("start_speed", start_speed, at_least=0.0)
         self.current = require_number("current", current, at_least=0.0)
         if self.current and robot.water is None:
             raise ValueError(f"current must be 0: the {robot.name} is not in water")
+        self.clock = _frequencies(clock)
         self.actions = tuple(Entry(name, -1.0, 1.0) for name in robot.command_names)
         self.observations = tuple(self._entries())
+        clocked = 2 * len(self.clock)
+        self.clock_inputs = tuple(range(len(self.observations))[-clocked:] if clocked else ())
         shape = robot.body.mesh
         surface = (
             mesh.surface_quads(shape)
@@ -104,12 +113,11 @@ class SoftTask(Task):
         return out
 
     def observe(self, state: TaskState) -> Tensor:
-        """Velocities of the sensors' nodes; on a floor also height and attitude."""
-        seen = state["v"][:, self.robot.sensors].flatten(1)
-        if not self.robot.obstacles:
-            return seen
-        height = self.robot.center(state["x"])[:, 2:]
-        return torch.cat([seen, height, self.robot.attitude(state["x"]).flatten(1)], 1)
+        """Velocities of the sensors' nodes; on a floor also height and attitude; the clock."""
+        seen = [state["v"][:, self.robot.sensors].flatten(1), *self._lying(state)]
+        if len(self.clock):
+            seen.append(self._hands(state))
+        return torch.cat(seen, 1) if len(seen) > 1 else seen[0]
 
     def failed(self, state: TaskState) -> Tensor:
         """Tipped over."""
@@ -131,6 +139,18 @@ class SoftTask(Task):
             goal=state["goal"][index] if "goal" in state else None,
         )
 
+    def _lying(self, state: TaskState) -> list[Tensor]:
+        """Height of the center (batch, 1) and mean deformation gradient (batch, 9); on a floor."""
+        if not self.robot.obstacles:
+            return []
+        height = self.robot.center(state["x"])[:, 2:]
+        return [height, self.robot.attitude(state["x"]).flatten(1)]
+
+    def _hands(self, state: TaskState) -> Tensor:
+        """Sine and cosine of each frequency of the clock, (batch, 2 len(clock))."""
+        turn = 2.0 * math.pi * self.dt * state["step"].double()[:, None] * self.clock
+        return torch.stack([torch.sin(turn), torch.cos(turn)], -1).flatten(1)
+
     def _entries(self) -> list[Entry]:
         inf = math.inf
         out = [
@@ -141,6 +161,8 @@ class SoftTask(Task):
         if self.robot.obstacles:
             out.append(Entry("height of the center", -inf, inf, "m"))
             out += [Entry(f"deformation {r}{c}", -inf, inf) for r in "xyz" for c in "xyz"]
+        for frequency in self.clock.tolist():
+            out += [Entry(f"{f} of a clock of {frequency:g} Hz", -1.0, 1.0) for f in _CLOCK]
         return out
 
 
@@ -255,7 +277,8 @@ class Reach(SoftTask):
         return {"distance": -distance, "effort": -effort}
 
 
-def _count(name: str, value: int) -> int:
-    if isinstance(value, bool) or value != int(value) or value < 1:
-        raise ValueError(f"{name} must be a whole number >= 1, got {value!r}")
-    return int(value)
+def _frequencies(clock: Sequence[float]) -> Tensor:
+    """(n,) [Hz], checked."""
+    rates = [clock] if isinstance(clock, int | float) else list(clock)
+    checked = [require_number("clock", rate, above=0.0) for rate in rates]
+    return torch.tensor(checked, dtype=torch.float64)

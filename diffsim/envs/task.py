@@ -7,9 +7,11 @@ One task serves both worlds. A gymnasium environment (``TaskEnv``), a vector env
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.core.check import require, require_choice
+from diffsim.core.check_options import require_count
 
 TaskState = dict[str, Tensor]
 """Tensors by name, all with a leading batch axis; holds everything that the next step needs."""
@@ -56,12 +59,28 @@ class Randomization:
         }
 
 
+Randomizing = Randomization | Mapping[str, tuple[float, float]] | None
+"""As a task takes it: a mapping of names to (low, high) will do."""
+
+
+def _interval(name: str, bounds: Any) -> tuple[float, float]:
+    try:
+        low, high = (float(bound) for bound in bounds)
+    except (TypeError, ValueError):
+        low = high = math.nan
+    if not 0.0 < low <= high < math.inf:
+        raise ValueError(
+            f"randomization[{name!r}] must be (low, high), 0 < low <= high, got {bounds!r}"
+        )
+    return low, high
+
+
 class Task(ABC):
     """A robot, what it is asked to do, and what it senses.
 
     Args:
         action_delay: Control steps between a command and its effect.
-        randomization: Factors on physical quantities, per episode; None: none.
+        randomization: Factors on physical quantities, per episode, by name; None: none.
 
     Attributes:
         name: Such as "StarfishSwim".
@@ -69,6 +88,7 @@ class Task(ABC):
         max_steps: Length of an episode, after which it is truncated.
         actions, observations: Data sheets; actions lie in [-1, 1].
         randomizable: Quantities that ``randomization`` may name.
+        clock_inputs: Which observations are a clock's.
     """
 
     name: str
@@ -77,17 +97,26 @@ class Task(ABC):
     actions: tuple[Entry, ...]
     observations: tuple[Entry, ...]
     randomizable: tuple[str, ...] = ()
+    clock_inputs: tuple[int, ...] = ()
 
-    def __init__(self, *, action_delay: int = 0, randomization: Randomization | None = None):
-        if isinstance(action_delay, bool) or action_delay != int(action_delay) or action_delay < 0:
-            raise ValueError(f"action_delay must be a whole number >= 0, got {action_delay!r}")
-        self.action_delay, self.randomization = int(action_delay), randomization
-        for name, bounds in ({} if randomization is None else randomization.factors).items():
+    def __init__(self, *, action_delay: int = 0, randomization: Randomizing = None):
+        self.action_delay = require_count("action_delay", action_delay)
+        self.randomization = self._randomized(randomization)
+
+    def _randomized(self, given: Randomizing) -> Randomization | None:
+        if given is None:
+            return None
+        factors = given.factors if isinstance(given, Randomization) else given
+        if not isinstance(factors, Mapping):
+            raise TypeError(
+                "randomization must map names to (low, high), as {'"
+                f"{(*self.randomizable, 'NAME')[0]}': (0.8, 1.2)}}, got {type(factors).__name__}"
+            )
+        checked = {}
+        for name, bounds in factors.items():
             require_choice("randomization", name, self.randomizable)
-            if len(bounds) != 2 or not 0.0 < bounds[0] <= bounds[1]:
-                raise ValueError(
-                    f"randomization[{name!r}] must be (low, high), 0 < low <= high, got {bounds}"
-                )
+            checked[name] = _interval(name, bounds)
+        return Randomization(checked)
 
     # what a task defines
 

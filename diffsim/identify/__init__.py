@@ -9,9 +9,10 @@ from diffsim.identify.model import Parameter, Scene, SimModel
 from diffsim.identify.model_file import save_extended
 from diffsim.identify.multi_start import descend, random_starts
 from diffsim.identify.numerics import NumericalEffect, Numerics, coarse
-from diffsim.identify.problem import Problem, Whitener, WhiteNoise
+from diffsim.identify.problem import Problem
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.identify.unknown import Unknown, UnknownDrift, UnknownForce, smooth_covariance
+from diffsim.identify.whitening import Whitener, WhiteNoise
 
 __all__ = [
     "DiagnosisSettings",

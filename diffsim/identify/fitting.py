@@ -18,7 +18,8 @@ from diffsim.core.errors import DiffsimError
 from diffsim.core.record import Ended, Solve, announce, is_recording
 from diffsim.identify.jacobian import Jacobian
 from diffsim.identify.model import Parameter
-from diffsim.identify.problem import Problem, Whitener, WhiteNoise
+from diffsim.identify.problem import Problem
+from diffsim.identify.whitening import Whitener, WhiteNoise
 
 if TYPE_CHECKING:
     from diffsim.data.study import Channel, Run

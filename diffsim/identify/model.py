@@ -131,15 +131,13 @@ class SimModel:
     Attributes:
         prepared_q: Point that ``prepared_at`` made this model for, (num_base,) standardized; None
             where nothing is prepared.
-        frame: What its setup takes from the runs of the study, such as labels, in types that JSON
-            has; a study with this ``frame`` makes causes that mean the same.
-        made_from: What sizes of effects mean by: magnitudes of recordings, in types that YAML has.
-            Extended models are saved with them.
+        frame: What its setup takes from the runs of the study, such as labels and the magnitudes
+            that sizes of effects mean by, in types that JSON has; a study with this ``frame`` makes
+            causes that mean the same. Extended models are saved with it.
     """
 
     prepared_q: Tensor | None = None
     frame: Mapping[str, Any] = MappingProxyType({})
-    made_from: Mapping[str, Any] = MappingProxyType({})
 
     def __init__(
         self,

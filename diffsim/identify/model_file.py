@@ -12,7 +12,7 @@
       mass: {value: 1.41, sd: 0.004, unit: kg}
     effects:                     # sizes; components of vector effects as "wind.north"
       wind.north: {value: 0.31, sd: 0.01, unit: N}
-    frame: {labels: ...}         # what the causes took from the fitted runs
+    frame: {labels: ...}         # what the causes took from the fitted runs: labels, magnitudes
     plain:                       # parameters of the plain model at its own fit
       mass: {value: 1.52, sd: 0.003, unit: kg}
     facts: ...                   # noise floor, fitted runs and their range: to judge new runs by
@@ -157,6 +157,11 @@ def read_extended(path: str | Path) -> SavedModel:
         if not isinstance(given, dict):
             raise ValueError(f"{path}: {part} must be a mapping of names to value, sd and unit")
         parts[part] = given
+    if "made_from" in (content.get("facts") or {}):
+        raise ValueError(
+            f"{path}: written by an earlier version, which kept magnitudes elsewhere; write it "
+            "again with `diffsim diagnose explain`"
+        )
     entries = {**parts["parameters"], **parts["effects"]}
     for name, entry in (*entries.items(), *parts["plain"].items()):
         _require_entry(f"{path}: {name}", entry)
@@ -238,18 +243,18 @@ def rebuilt(saved: SavedModel, setup: DiagnosisSetup) -> ExtendedModel:
 
     Args:
         saved: Content of the file, as ``read_extended`` returns it.
-        setup: Plain model and effects by name. Nuisances of runs that the file does not know
-            ("offset@run_9") keep their prior.
+        setup: Plain model and effects by name, made for a study that is framed by the file
+            (``SavedModel.framed``), so that sizes mean what they were fitted as. Nuisances of runs
+            that the file does not know ("offset@run_9") keep their prior.
 
     Returns:
         A model whose priors are centered at the saved values.
 
     Raises:
         ValueError: an effect or parameter that the setup does not have; the message names the
-            closest ones.
+            closest ones. A setup whose causes mean something else.
     """
-    if setup.remade is not None and (made_from := saved.facts.get("made_from")):
-        setup = setup.remade(made_from)
+    _require_frame(saved, setup.model)
     effects = effects_of(saved, setup.effects)
     known = {p.name: p for p in setup.model.base}
     stems = {name.partition("[")[0] for name in known}
@@ -286,6 +291,17 @@ def effects_of(saved: SavedModel, candidates: Sequence[Effect]) -> tuple[Effect,
             )
         chosen.append(by_name[name])
     return tuple(chosen)
+
+
+def _require_frame(saved: SavedModel, model: SimModel) -> None:
+    made = to_plain(dict(model.frame))
+    differing = [k for k, v in to_plain(dict(saved.frame)).items() if k in made and made[k] != v]
+    if differing:
+        raise ValueError(
+            f"{saved.path}: the setup takes its {differing[0]} from other runs than the model was "
+            "fitted to, so that sizes mean something else; make it for the framed study, "
+            "setup_of(read_extended(path).framed(study))"
+        )
 
 
 def _prepared(model: SimModel, saved: SavedModel) -> SimModel:

@@ -12,22 +12,21 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy import sparse
 from torch import Tensor
 
 from diffsim.core.errors import DiffsimError
-from diffsim.data.study import Channel, Run
+from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.identify.jacobian import Jacobian, Stencil
 from diffsim.identify.line import Line, Point
 from diffsim.identify.model import SimModel, has_tangents
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.sizes import PRIOR_WIDTH, coordinate_of, scaled_at, stretch_at
+from diffsim.identify.whitening import Whitener
 
 Array = NDArray[np.float64]
 SECANT = 0.1  # of the typical size
@@ -35,37 +34,6 @@ SECANT = 0.1  # of the typical size
 
 class PredictionError(DiffsimError):
     """A simulation left the range of numbers."""
-
-
-class Whitener(Protocol):
-    """Makes the noise of a run white with standard deviation one."""
-
-    def matrix(self, run: Run) -> sparse.csr_array:
-        """(num_valid, num_samples * num_channels); missing samples have no row."""
-        ...
-
-
-class WhiteNoise:
-    """Independent noise of known standard deviation in every channel.
-
-    Args:
-        channels: Channels with a known noise ``sd`` each.
-    """
-
-    def __init__(self, channels: Sequence[Channel]):
-        missing = [c.name for c in channels if c.sd is None]
-        if missing:
-            raise ValueError(
-                f"channels {missing} have no sd; state it, or estimate it from repeats with "
-                "diffsim.diagnose.noise.noise_floor"
-            )
-        self.sd = np.array([c.sd for c in channels], dtype=np.float64)
-
-    def matrix(self, run: Run) -> sparse.csr_array:
-        """Rows of the measured samples of ``diag(1 / sd)``."""
-        valid = np.isfinite(run.measured).ravel()
-        weight = np.tile(1.0 / self.sd, len(run.time_s))
-        return sparse.csr_array(sparse.diags_array(weight).tocsr()[np.flatnonzero(valid)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -338,16 +306,31 @@ class Problem:
         leaf = torch.tensor(x, dtype=torch.float64, requires_grad=True)
 
         def one(run: Run) -> tuple[float, Array]:
-            predicted = self.predict(run, leaf)
-            matrix = self.whitener.matrix(run)
+            predicted, matrix = self.predict(run, leaf), self.whitener.matrix(run)
             left = np.nan_to_num(run.measured).ravel() - predicted.detach().numpy().ravel()
             r = matrix @ left
-            cotangent = torch.from_numpy(np.asarray(-(matrix.T @ r))).view_as(predicted)
-            (grad,) = torch.autograd.grad(predicted, leaf, cotangent)
-            return 0.5 * float(r @ r), grad.numpy()
+            return 0.5 * float(r @ r), _pulled_back(predicted, leaf, -(matrix.T @ r))
 
         parts = self._each(one)
         return sum(p[0] for p in parts), np.sum([p[1] for p in parts], axis=0)
+
+    def pullback(self, x: Array, cotangent: Array) -> Array:
+        """A'c by reverse mode, A = d(W S)/dx, (n,): one backward pass per run.
+
+        Args:
+            x: Standardized coordinates, (n,).
+            cotangent: c in whitened samples of all runs, (num_valid,).
+        """
+        leaf = torch.tensor(x, dtype=torch.float64, requires_grad=True)
+        counts = [int(np.isfinite(run.measured).sum()) for run in self.runs]
+        parts = np.split(cotangent, np.cumsum(counts)[:-1])
+        of_run = {run.name: part for run, part in zip(self.runs, parts, strict=True)}
+
+        def one(run: Run) -> Array:
+            matrix = self.whitener.matrix(run)
+            return _pulled_back(self.predict(run, leaf), leaf, matrix.T @ of_run[run.name])
+
+        return np.asarray(np.sum(self._each(one), axis=0))
 
     def whiten(self, run: Run, record: Array) -> Array:
         """(num_valid, ...) of a flattened record (num_samples * num_channels, ...)."""
@@ -379,6 +362,12 @@ def touches(name: str, run: Run) -> bool:
 
 def _inside(lower: float, log: bool) -> bool:
     return bool(np.isfinite(lower)) and not (log and lower <= 0.0)
+
+
+def _pulled_back(predicted: Tensor, leaf: Tensor, cotangent: Array) -> Array:
+    given = torch.from_numpy(np.ascontiguousarray(cotangent)).view_as(predicted)
+    (grad,) = torch.autograd.grad(predicted, leaf, given)
+    return np.asarray(grad.numpy())
 
 
 def _finite(predicted: Array, run: Run) -> Array:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
@@ -23,8 +21,6 @@ class DiagnosisSetup:
         unknowns: Generic causes of this system; drifts of channels are added by ``diagnose``.
         bank: Runs that could be recorded next.
         settings: Effort of the diagnosis, such as the largest set and the derivatives.
-        remade: The same setup by the magnitudes that a saved model was made from (``made_from`` of
-            its model), not by those of this study; None: it depends on no recording.
         study: Study to diagnose, where a setup cuts or combines the recordings; None: the study as
             recorded.
     """
@@ -34,5 +30,4 @@ class DiagnosisSetup:
     unknowns: tuple[Unknown, ...] = ()
     bank: tuple[Run, ...] = ()
     settings: DiagnosisSettings = field(default_factory=DiagnosisSettings)
-    remade: Callable[[Mapping[str, Any]], DiagnosisSetup] | None = None
     study: Study | None = None

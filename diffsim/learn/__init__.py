@@ -22,11 +22,13 @@ if TYPE_CHECKING:
     from diffsim.learn.options import main_training
     from diffsim.learn.ppo import PpoLearner, PpoOptions
     from diffsim.learn.presets import PRESETS, preset
+    from diffsim.learn.recipes import RECIPES, Recipe, recipe
     from diffsim.learn.run import Learner, Run, train
     from diffsim.learn.sac import SacLearner, SacOptions
     from diffsim.learn.sapo import SapoLearner, SapoOptions
     from diffsim.learn.setup import Setup
     from diffsim.learn.shac import ShacLearner, ShacOptions
+    from diffsim.learn.trained import Trained, load_trained, read_trained, trained_names
 
 _WHERE = {
     "CmaLearner": "cma_es",
@@ -41,6 +43,8 @@ _WHERE = {
     "Plan": "methods",
     "PpoLearner": "ppo",
     "PpoOptions": "ppo",
+    "RECIPES": "recipes",
+    "Recipe": "recipes",
     "Run": "run",
     "SacLearner": "sac",
     "SacOptions": "sac",
@@ -49,18 +53,24 @@ _WHERE = {
     "Setup": "setup",
     "ShacLearner": "shac",
     "ShacOptions": "shac",
+    "Trained": "trained",
     "comparison": "comparison",
+    "load_trained": "trained",
     "main_training": "options",
     "make_learner": "methods",
     "open_loop": "open_loop",
     "preset": "presets",
+    "read_trained": "trained",
+    "recipe": "recipes",
     "train": "run",
+    "trained_names": "trained",
 }
 __getattr__, __dir__ = offered(__name__, {n: f"{__name__}.{m}" for n, m in _WHERE.items()})
 
 __all__ = [
     "METHODS",
     "PRESETS",
+    "RECIPES",
     "CmaLearner",
     "CmaOptions",
     "GradientLearner",
@@ -71,6 +81,7 @@ __all__ = [
     "Plan",
     "PpoLearner",
     "PpoOptions",
+    "Recipe",
     "Run",
     "SacLearner",
     "SacOptions",
@@ -79,10 +90,15 @@ __all__ = [
     "Setup",
     "ShacLearner",
     "ShacOptions",
+    "Trained",
     "comparison",
+    "load_trained",
     "main_training",
     "make_learner",
     "open_loop",
     "preset",
+    "read_trained",
+    "recipe",
     "train",
+    "trained_names",
 ]

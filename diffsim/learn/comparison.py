@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ from diffsim.core.files import to_plain, write_json_atomic, write_text_atomic
 from diffsim.learn.methods import FAILURE, METHODS, Plan, train_once, tune
 from diffsim.learn.quality import gradient_quality
 from diffsim.learn.run import CHECKPOINT, Row, load_controller, read_rows
-from diffsim.learn.setup import first_controller, untrained_reward
+from diffsim.learn.setup import untrained_reward
 from diffsim.learn.statistics import Scale, bootstrap_interval, first_reach, interquartile_mean
 
 AXES = {
@@ -141,7 +142,7 @@ def quality_of(plan: Plan, folder: Path) -> dict[str, list[Row]]:
         kept: dict[str, list[Row]] = json.loads(path.read_text())
         return kept
     task, seed = plan.setup.make_task(), plan.seeds[0]
-    controller = first_controller(task, seed, plan.setup.warm_up)
+    controller = dataclasses.replace(plan.setup, seed=seed).first_controller(task)
     horizons = [h for h in HORIZONS if h <= task.max_steps]
     options = {"horizons": horizons} | dict(plan.quality)
     out = {"untrained": gradient_quality(task, controller, **options)}

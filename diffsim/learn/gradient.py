@@ -14,7 +14,7 @@ from diffsim.control import MLPController
 from diffsim.envs.rollout import rollout_task
 from diffsim.envs.task import Task, TaskState
 from diffsim.learn.run import Update, rng_state, set_rng_state
-from diffsim.learn.setup import Setup, broke_down, first_controller
+from diffsim.learn.setup import Setup, broke_down
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,8 @@ class GradientOptions:
 
     Attributes:
         batch: Episodes per update.
-        learning_rate: Rate of Adam at the start; falls to a tenth along a half cosine.
+        learning_rate: Rate of Adam at the start; falls along a half cosine over the budget.
+        last_rate: What is left of the rate at the end of the budget, as a share; 1: no decay.
         horizon: Steps of an episode; 0: the task's.
         cut_every: Forget gradients of the state every so many steps; 0: never.
         clip: Largest norm of a gradient.
@@ -32,6 +33,7 @@ class GradientOptions:
 
     batch: int = 8
     learning_rate: float = 3e-3
+    last_rate: float = 0.1
     horizon: int = 0
     cut_every: int = 0
     clip: float = 1.0
@@ -107,7 +109,7 @@ class GradientLearner:
     def __init__(self, setup: Setup, options: GradientOptions | None = None):
         self.options = options or GradientOptions()
         self.task: Task = setup.make_task()
-        self.net: MLPController = first_controller(self.task, setup.seed, setup.warm_up)
+        self.net: MLPController = setup.first_controller(self.task)
         self.rng = np.random.default_rng([setup.seed, 2])
         self.adam = torch.optim.Adam(self.net.parameters(), lr=self.options.learning_rate)
         self.guard = NanGuard(self.options.max_bad)
@@ -122,7 +124,7 @@ class GradientLearner:
         horizon = o.horizon or self.task.max_steps
         start = self.task.start(o.batch, self.rng)
         self.adam.zero_grad()
-        set_rate(self.adam, cosine_rate(o.learning_rate, progress))
+        set_rate(self.adam, cosine_rate(o.learning_rate, progress, o.last_rate))
         batch, norm = None, None
         try:
             batch = self._differentiate(start, horizon)

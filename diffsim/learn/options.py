@@ -12,6 +12,8 @@ from typing import Any, TypeVar
 import torch
 
 from diffsim.core.interrupts import EXIT_INTERRUPTED
+from diffsim.learn.gradient import GradientOptions
+from diffsim.learn.recipes import recipe
 from diffsim.learn.run import Learner, Run, train
 from diffsim.learn.setup import Setup
 
@@ -48,6 +50,9 @@ def training_parser(description: str | None) -> argparse.ArgumentParser:
     add("--out", type=Path, default=None, help="folder of results (runs/TASK/METHOD/seed_N)")
     add("--resume", action="store_true", help="continue from the folder's checkpoint")
     add("--quick", action="store_true", help="a tiny run, to see that all works")
+    add("--output-gain", type=float, default=0.01, help="of the first network's last layer (0.01)")
+    add("--balance-clock", action=argparse.BooleanOptionalAction, default=False, help="(no)")
+    add("--plain", action="store_true", help="without the task's recipe: these defaults")
     add("--threads", type=int, default=1, help="of torch (1)")
     return parser
 
@@ -64,8 +69,32 @@ def setup_from(args: argparse.Namespace) -> Setup:
             evaluate_every=160,
             evaluation_episodes=2,
             warm_up=5,
+            output_gain=args.output_gain,
+            balance_clock=args.balance_clock,
         )
     return options_from(Setup, args)
+
+
+def start_from_recipe(
+    parser: argparse.ArgumentParser, words: Sequence[str] | None, *, by_gradient: bool
+) -> argparse.Namespace:
+    """Parse arguments whose defaults are those of the task's recipe, unless ``--plain``.
+
+    Args:
+        parser: Of a training script, with its method's options.
+        words: Arguments; None: those of the command line.
+        by_gradient: Whether budget and options of the recipe are this method's, too.
+    """
+    given = parser.parse_args(words)
+    if given.plain:
+        return given
+    chosen = recipe(given.task)
+    parser.set_defaults(**chosen.setup)
+    if by_gradient:
+        parser.set_defaults(**chosen.budget, **chosen.gradient)
+    args = parser.parse_args(words)
+    args.task_options = {**chosen.task_options, **args.task_options}
+    return args
 
 
 def main_training(
@@ -87,7 +116,7 @@ def main_training(
     """
     parser = training_parser(description)
     add_options(parser, options, "method")
-    args = parser.parse_args(argv)
+    args = start_from_recipe(parser, argv, by_gradient=options is GradientOptions)
     torch.set_num_threads(args.threads)
     setup = setup_from(args)
     folder = args.out or Path("runs") / setup.task / method / f"seed_{setup.seed}"

@@ -21,7 +21,7 @@ from diffsim.envs.sb3 import Sb3VecEnv
 from diffsim.envs.task import Task
 from diffsim.envs.vector_env import TaskVectorEnv
 from diffsim.learn.run import Update
-from diffsim.learn.setup import Setup, first_controller
+from diffsim.learn.setup import Setup
 from diffsim.learn.stable_baselines3 import (
     as_controller,
     go_on_from,
@@ -84,7 +84,7 @@ class PpoLearner:
     def __init__(self, setup: Setup, options: PpoOptions | None = None):
         self.options = o = options or PpoOptions()
         self.task: Task = setup.make_task()
-        first = first_controller(self.task, setup.seed, setup.warm_up)
+        first = setup.first_controller(self.task)
         self.venv = VecNormalize(
             Sb3VecEnv(TaskVectorEnv(self.task, o.envs)), gamma=o.discount, clip_obs=10.0
         )

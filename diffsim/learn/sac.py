@@ -19,7 +19,7 @@ from diffsim.envs.sb3 import Sb3VecEnv
 from diffsim.envs.task import Task
 from diffsim.envs.vector_env import TaskVectorEnv
 from diffsim.learn.run import Update
-from diffsim.learn.setup import Setup, first_controller
+from diffsim.learn.setup import Setup
 from diffsim.learn.stable_baselines3 import (
     as_controller,
     go_on_from,
@@ -73,7 +73,7 @@ class SacLearner:
     def __init__(self, setup: Setup, options: SacOptions | None = None):
         self.options = o = options or SacOptions()
         self.task: Task = setup.make_task()
-        first = first_controller(self.task, setup.seed, setup.warm_up)
+        first = setup.first_controller(self.task)
         self.venv = VecNormalize(
             Sb3VecEnv(TaskVectorEnv(self.task, o.envs)),
             gamma=o.discount,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -35,6 +37,11 @@ class Setup:
         evaluation_episodes: Whose mean reward is the rating; the same ones for every method.
         step_cost: What a step with its gradient costs, in steps without (``gradient_step_cost``).
         warm_up: Control steps of random commands from which observations are first normalized.
+        output_gain: Gain of the first network's last layer, for every method. A small one makes a
+            controller that hardly moves, which is where a copter hovers and a swimmer learns
+            nothing.
+        balance_clock: Whether the first network listens to the task's clock, if it has one, as
+            much as to all its other observations together.
     """
 
     task: str
@@ -45,13 +52,32 @@ class Setup:
     evaluation_episodes: int = 16
     step_cost: float = 2.5
     warm_up: int = 50
+    output_gain: float = 0.01
+    balance_clock: bool = False
 
     def make_task(self) -> Task:
         """The task."""
         return make_task(self.task, **dict(self.task_options))
 
+    def first_controller(self, task: Task) -> MLPController:
+        """The controller that every method starts from; ``task`` is what ``make_task`` made."""
+        return first_controller(
+            task,
+            self.seed,
+            self.warm_up,
+            output_gain=self.output_gain,
+            balance_clock=self.balance_clock,
+        )
 
-def first_controller(task: Task, seed: int, warm_up: int = 50) -> MLPController:
+
+def first_controller(
+    task: Task,
+    seed: int,
+    warm_up: int = 50,
+    *,
+    output_gain: float = 0.01,
+    balance_clock: bool = False,
+) -> MLPController:
     """The controller that all methods start from: seeded weights, observations normalized.
 
     The moments come from episodes under random commands, held for a few steps each; training
@@ -61,8 +87,16 @@ def first_controller(task: Task, seed: int, warm_up: int = 50) -> MLPController:
         task: The task to be controlled.
         seed: Seed of weights and commands.
         warm_up: Steps of each of eight episodes.
+        output_gain: Gain of the last layer's weights.
+        balance_clock: As of ``Setup``.
     """
-    controller = MLPController(task.num_observations, task.num_actions, seed=seed)
+    controller = MLPController(
+        task.num_observations,
+        task.num_actions,
+        seed=seed,
+        output_gain=output_gain,
+        input_gains=clock_gains(task) if balance_clock else None,
+    )
     assert controller.normalizer is not None  # asked for by default
     rng = np.random.default_rng([seed, 1])
     env = TaskVectorEnv(task, WARM_UP_ENVS)
@@ -73,6 +107,19 @@ def first_controller(task: Task, seed: int, warm_up: int = 50) -> MLPController:
         observations, *_ = env.step(commands)
         controller.normalizer.update(torch.from_numpy(observations).double())
     return controller
+
+
+def clock_gains(task: Task) -> Tensor:
+    """Factors on a first layer's weights, (num_observations,), so that a clock is heard.
+
+    Normalized observations are alike in size and weights are alike in size: a layer's units hear
+    the sum of n sensors sqrt(n / c) times as loud as that of c entries of a clock.
+    """
+    gains = torch.ones(task.num_observations, dtype=torch.float64)
+    clocked = list(task.clock_inputs)
+    if clocked:
+        gains[clocked] = math.sqrt((task.num_observations - len(clocked)) / len(clocked))
+    return gains
 
 
 def evaluate(task: Task, controller: Controller, episodes: int) -> float:
@@ -107,9 +154,10 @@ def broke_down(error: BaseException) -> bool:
 
 def untrained_reward(setup: Setup, networks: int = 16) -> float:
     """Mean rating of untrained networks: the zero of normalized rewards (thesis Fig. 4-17)."""
+    episodes = setup.evaluation_episodes
     task = setup.make_task()
     ratings = [
-        evaluate(task, first_controller(task, 1000 + k, setup.warm_up), setup.evaluation_episodes)
+        evaluate(task, dataclasses.replace(setup, seed=1000 + k).first_controller(task), episodes)
         for k in range(networks)
     ]
     return float(np.nanmean(ratings))
@@ -118,7 +166,7 @@ def untrained_reward(setup: Setup, networks: int = 16) -> float:
 def gradient_step_cost(setup: Setup, *, batch: int, steps: int = 20, repeats: int = 3) -> float:
     """CPU time of a step and its gradient over that of a step alone: its forward-equivalents."""
     task = setup.make_task()
-    controller = first_controller(task, 0, setup.warm_up)
+    controller = dataclasses.replace(setup, seed=0).first_controller(task)
     start = task.start(batch, np.random.default_rng(0))
     ratios = []
     for _ in range(repeats):

@@ -17,7 +17,7 @@ from diffsim.learn.critics import Critics, td_lambda_targets
 from diffsim.learn.explorer import Explorer
 from diffsim.learn.gradient import NanGuard, cosine_rate, set_rate
 from diffsim.learn.run import Update, rng_state, set_rng_state
-from diffsim.learn.setup import Setup, broke_down, first_controller
+from diffsim.learn.setup import Setup, broke_down
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class ShortHorizonLearner:
     ):
         self.options = o = options
         self.task: Task = setup.make_task()
-        self.net = first_controller(self.task, setup.seed, setup.warm_up)
+        self.net = setup.first_controller(self.task)
         assert self.net.normalizer is not None  # of first_controller
         self.normalizer = self.net.normalizer
         self.explorer = explorer(self.task)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 import torch
 
-from diffsim.core.check import require_number
+from diffsim.core.check_options import require_counts, require_numbers
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import HEX_CORNERS, Array, IntArray
 
@@ -46,19 +47,19 @@ def tet_box(
     return TetMesh(torch.from_numpy(x), torch.from_numpy(hexes[:, KUHN].reshape(-1, 4)))
 
 
+MAX_NODES = 500_000_000
+"""More would not fit into memory, and are most likely a mistake of units."""
+
+
 def box_arrays(
     cells: Sequence[int], size: Sequence[float], origin: Sequence[float]
 ) -> tuple[Array, IntArray]:
     """Nodes (V, 3) [m] and hexahedra (E, 8) of a box, unchecked but for the arguments."""
-    if len(cells) != 3 or any(int(n) != n or n < 1 for n in cells):
-        raise ValueError(f"cells must be three whole numbers >= 1, got {tuple(cells)}")
-    if len(size) != 3 or len(origin) != 3:
-        raise ValueError(
-            f"size and origin must have three entries [m], got {tuple(size)} and {tuple(origin)}"
-        )
-    lengths = [require_number(f"size[{c}]", float(size[c]), above=0.0) for c in range(3)]
-    start = [require_number(f"origin[{c}]", float(origin[c])) for c in range(3)]
-    count = [int(n) for n in cells]
+    count = require_counts("cells", cells, 3)
+    if math.prod(n + 1 for n in count) > MAX_NODES:
+        raise ValueError(f"cells must make at most {MAX_NODES:,} nodes, got {count}")
+    lengths = require_numbers("size", size, 3, above=0.0)
+    start = require_numbers("origin", origin, 3)
     axes = [start[c] + np.arange(count[c] + 1) * (lengths[c] / count[c]) for c in range(3)]
     x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     ijk = np.indices(count).reshape(3, -1).T

@@ -70,7 +70,7 @@ def load(path: str | Path, scale: float = 1.0) -> HexMesh | TetMesh:
 def load_arrays(path: str | Path, scale: float = 1.0) -> tuple[Tensor, Tensor]:
     """Positions (V, 3) float64 [m] and elements (E, 8) or (E, 4) int64 of a file, unchecked."""
     path = Path(path)
-    scale = require_number("scale", float(scale), above=0.0)
+    scale = require_number("scale", scale, above=0.0)
     suffix = _suffix(path, list(VOLUME_FORMATS))
     if not path.is_file():
         raise FileNotFoundError(f"no file {path}{_similar_files(path)}")
@@ -116,7 +116,7 @@ def load_surface(path: str | Path, scale: float = 1.0) -> trimesh.Trimesh:
         MeshError: damaged, cut off, no triangles, or faces of vertices that there are not.
     """
     path = Path(path)
-    scale = require_number("scale", float(scale), above=0.0)
+    scale = require_number("scale", scale, above=0.0)
     _suffix(path, list(SURFACE_FORMATS))
     if not path.is_file():
         raise FileNotFoundError(f"no file {path}{_similar_files(path)}")

@@ -33,6 +33,7 @@ def voxelize(surface: SurfaceLike, spacing: float, keep: str = "largest") -> Hex
     Raises:
         MeshError: the surface is not closed, or no center is inside.
     """
+    spacing = require_number("spacing", spacing, above=0.0)
     x, faces = closed_surface(surface)
     _, counts = grid([x.min(axis=0).tolist(), x.max(axis=0).tolist()], spacing)
     low = 0.5 * (x.min(axis=0) + x.max(axis=0)) - 0.5 * spacing * counts
@@ -65,9 +66,9 @@ def tetrahedralize(
         MeshError: the surface is not closed.
     """
     require_choice("method", method, ["auto", "ftetwild", "stuffing"])
-    spacing = require_number("spacing", float(spacing), above=0.0)
+    spacing = require_number("spacing", spacing, above=0.0)
     if tolerance is not None:
-        tolerance = require_number("tolerance", float(tolerance), above=0.0)
+        tolerance = require_number("tolerance", tolerance, above=0.0)
     if method == "auto":
         try:
             _pytetwild()

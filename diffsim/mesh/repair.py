@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require
+from diffsim.core.check import require, require_number
 from diffsim.mesh.components import connected_parts
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import HEX_MIRROR, IntArray
@@ -20,6 +20,8 @@ from diffsim.mesh.validate import (
     relative_tet_volume,
     smallest_hex_jacobian,
 )
+
+MAX_PLACE = 1e100  # squares of distances must be numbers [m]
 
 
 def merge_duplicate_nodes(
@@ -36,8 +38,10 @@ def merge_duplicate_nodes(
         Positions without the merged nodes, and elements that use what is left.
     """
     x, elements = _arrays(x, elements)
-    points = x.numpy()
-    if tol is None:
+    points = x.detach().numpy()
+    if tol is not None:
+        tol = require_number("tol", tol, at_least=0.0)
+    else:
         tol = COINCIDENT * bounding_diagonal(points)
     from scipy.spatial import cKDTree
 
@@ -94,6 +98,8 @@ def repair(x: Tensor, elements: Tensor) -> HexMesh | TetMesh:
 
 def _arrays(x: Tensor, elements: Tensor) -> tuple[Tensor, Tensor]:
     x = require("x", x, ("num_vertices", 3), torch.float64)
+    if x.numel():
+        require_number("x", float(x.detach().abs().max()), at_most=MAX_PLACE, hint="unit is m")
     elements = require("elements", elements, ("num_elements", "8 or 4"), torch.int64)
     if elements.shape[1] not in (4, 8):
         raise ValueError(
@@ -114,5 +120,5 @@ def _mirror(width: int) -> IntArray:
 def _both_ways(x: Tensor, elements: Tensor) -> tuple[np.ndarray, np.ndarray]:
     """Relative Jacobian or volume of each element as given and mirrored."""
     measure = smallest_hex_jacobian if elements.shape[1] == 8 else relative_tet_volume
-    points, idx = x.numpy(), elements.numpy()
+    points, idx = x.detach().numpy(), elements.numpy()
     return measure(points, idx), measure(points, idx[:, _mirror(idx.shape[1])])

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from diffsim.core.check import require_number
+from diffsim.core.check_options import require_numbers
 from diffsim.mesh import sdf
 from diffsim.mesh.box import box_arrays
 from diffsim.mesh.core import HexMesh, TetMesh
@@ -20,6 +21,8 @@ Center = Sequence[float]
 
 _CORE = 0.6
 """Half width of the square core of an O-grid over the radius."""
+MAX_CELLS = 1000
+"""Along a radius: more would not fit into any memory."""
 _ROUND = 0.6
 """How round the core is: 0 a cube, 1 a ball."""
 
@@ -56,7 +59,7 @@ def hex_cylinder(
 ) -> HexMesh:
     """A cylinder along z with nodes on its mantle; ``height`` is the full height [m]."""
     radius, num, layers = _resolution("radius", radius, spacing)
-    height = require_number("height", float(height), above=0.0)
+    height = require_number("height", height, above=0.0)
     uv, quads = _disc(num, layers)
     count = max(1, round(height / spacing))
     z = np.linspace(-0.5 * height, 0.5 * height, count + 1)
@@ -78,7 +81,7 @@ def hex_torus(
         center: Center of the solid, (3,) [m].
     """
     minor, num, layers = _resolution("minor_radius", minor_radius, spacing)
-    major = require_number("major_radius", float(major_radius), above=minor)
+    major = require_number("major_radius", major_radius, above=minor)
     uv, quads = _disc(num, layers)
     count = max(8, round(2.0 * math.pi * major / spacing))
     phi = -2.0 * math.pi * np.arange(count) / count  # (radial, z, -phi) is right-handed
@@ -120,10 +123,9 @@ def _around(center: Center, reach: Sequence[float]) -> tuple[list[float], list[f
 
 def _resolution(name: str, radius: float, spacing: float) -> tuple[float, int, int]:
     """Radius, cells along a side of the core (a quarter of the circumference), layers."""
-    radius = require_number(name, float(radius), above=0.0)
-    spacing = require_number(
-        "spacing", float(spacing), above=0.0, at_most=radius, hint=f"at most {name}"
-    )
+    radius = require_number(name, radius, above=0.0)
+    spacing = require_number("spacing", spacing, above=0.0, at_most=radius, hint=f"at most {name}")
+    require_number(name, radius, at_most=MAX_CELLS * spacing, hint="or a larger spacing")
     num = max(2, round(0.5 * math.pi * radius / spacing))
     return radius, num, max(1, round(0.35 * radius / spacing))
 
@@ -170,4 +172,5 @@ def _sweep(quads: IntArray, num_nodes: int, count: int, closed: bool) -> IntArra
 
 
 def _hex(x: Array, hexes: IntArray, center: Center) -> HexMesh:
-    return HexMesh(torch.from_numpy(x + np.array(center, np.float64)), torch.from_numpy(hexes))
+    middle = require_numbers("center", center, 3)
+    return HexMesh(torch.from_numpy(x + np.array(middle)), torch.from_numpy(hexes))

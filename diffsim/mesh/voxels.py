@@ -68,7 +68,7 @@ def hex_from_mask(inside: np.ndarray, origin: Array, spacing: float, keep: str) 
 
 def grid(bounds: Sequence[Sequence[float]], spacing: float) -> tuple[Array, IntArray]:
     """Lower corner (3,) [m] and number of cells (3,) of a grid that covers the bounds."""
-    spacing = require_number("spacing", float(spacing), above=0.0)
+    spacing = require_number("spacing", spacing, above=0.0)
     corners = np.array(bounds, dtype=np.float64)
     if corners.shape != (2, 3) or not np.isfinite(corners).all():
         raise ValueError(f"bounds must be two corners of three numbers [m], got {bounds}")

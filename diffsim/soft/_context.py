@@ -93,7 +93,7 @@ class SoftContext:
             lid_start=chambers.lid_start.data_ptr(),
             lid_nodes=chambers.lid_nodes.data_ptr(),
         )
-        self._systems: OrderedDict[tuple[str | Tensor, ...], object] = OrderedDict()
+        self._systems: OrderedDict[tuple[str, tuple[Tensor, ...]], object] = OrderedDict()
         self._lock = threading.Lock()
         contexts[self.handle] = self
 
@@ -123,8 +123,7 @@ class SoftContext:
         key = tuple(shared.values())
         with self._lock:
             for known in self._systems:
-                same = zip(known[1:], key, strict=True)
-                if known[0] == kind and all(torch.equal(a, b) for a, b in same):
+                if known[0] == kind and all(map(torch.equal, known[1], key)):
                     self._systems.move_to_end(known)
                     return self._systems[known]
         key = tuple(k.contiguous().clone() for k in key)
@@ -150,7 +149,7 @@ class SoftContext:
                 value=pivot,
             )
         with self._lock:
-            self._systems[(kind, *key)] = made
+            self._systems[(kind, key)] = made
             while len(self._systems) > _CACHED_SYSTEMS:
                 self._systems.popitem(last=False)
         return made

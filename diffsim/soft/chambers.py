@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require, require_indices, require_number
+from diffsim.core.check import require, require_indices, require_number, require_tensor
 from diffsim.mesh import HexMesh, TetMesh, cavities, surface_quads, surface_triangles
 from diffsim.mesh.surface import face_keys
 
@@ -161,11 +161,21 @@ def sealed_pressure(
         Gauge pressure, shape of ``volume`` [Pa]. Gradients: all tensors.
     """
     require_number("ambient_pressure", ambient_pressure, at_least=0.0, hint="unit is Pa")
+    require_tensor("volume", volume)
     if not torch.compiler.is_compiling() and not bool((volume > 0.0).all()):
         worst = float(volume.min())
         raise ValueError(f"volume must be positive, got {worst:g}; the chamber has turned over")
+    filled_volume = _amounts("filled_volume", filled_volume)
+    filled_pressure = _amounts("filled_pressure", filled_pressure)
     amount = (filled_pressure + ambient_pressure) * filled_volume
     return amount / volume - ambient_pressure
+
+
+def _amounts(name: str, value: Tensor | float) -> Tensor | float:
+    """A number, or a tensor of them, that is finite."""
+    if not isinstance(value, Tensor):
+        return require_number(name, value)
+    return require(name, value, ("...",))
 
 
 def _triple(a: Tensor, b: Tensor, c: Tensor) -> Tensor:

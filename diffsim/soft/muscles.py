@@ -16,6 +16,7 @@ from diffsim.core.check import (
     require_number,
     require_range,
 )
+from diffsim.core.values import as_array
 
 KINDS = ("length", "contraction", "tendon")
 
@@ -48,10 +49,15 @@ class Muscle:
     weights: Tensor | None = None
 
     def __post_init__(self) -> None:
-        elements = require("elements", torch.as_tensor(self.elements), ("num_fibers",), torch.int64)
+        elements = require(
+            "elements",
+            as_array("elements", self.elements, torch.int64),
+            ("num_fibers",),
+            torch.int64,
+        )
         if elements.numel() == 0:
             raise ValueError("elements must name at least one element, got none")
-        direction = torch.as_tensor(self.direction, dtype=torch.float64)
+        direction = as_array("direction", self.direction, torch.float64)
         if direction.ndim == 1:
             direction = direction.expand(elements.numel(), -1)
         direction = require("direction", direction, (elements.numel(), 3))

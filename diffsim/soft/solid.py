@@ -31,6 +31,7 @@ from diffsim.soft.physics import (
     Physics,
     make_physics,
 )
+from diffsim.soft.plausible import warn_of_units
 from diffsim.soft.state import State
 
 
@@ -74,6 +75,7 @@ class Solid(nn.Module):
         contact = _options("contact", contact, ContactOptions)
         self.mesh = mesh
         self.dt = require_number("dt", dt, above=0.0, hint="unit is s")
+        require_number("dt", self.dt, at_least=1e-15, at_most=1e9, hint="unit is s")
         self.integrator = require_choice("integrator", integrator, INTEGRATORS)
         self.material = material if isinstance(material, Material) else Material(material)
         self.solver = _options("solver", solver, SolverOptions)
@@ -104,6 +106,8 @@ class Solid(nn.Module):
         for name in PARAMETERS:
             hold(self, name, given[name])
         self.physics()  # refuse bad parameters now, not at the first step
+        modulus = as_tensor("youngs_modulus", youngs_modulus)
+        warn_of_units(self.x_rest, modulus, as_tensor("density", density))
         self._context = self._make_context()
 
     def _make_context(self) -> SoftContext:

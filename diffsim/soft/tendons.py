@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from diffsim.core.check import require, require_number
+from diffsim.core.values import as_array
 from diffsim.mesh import HexMesh, TetMesh, element_volumes, shape_gradients
 from diffsim.soft.muscles import Muscle
 from diffsim.soft.routing import route
@@ -66,7 +67,7 @@ class Tendon(nn.Module):
         self.axial_stiffness = require_number(
             "axial_stiffness", axial_stiffness, above=0.0, hint="unit is N"
         )
-        corners = require("path", torch.as_tensor(path, dtype=torch.float64), ("k", 3)).detach()
+        corners = require("path", as_array("path", path, torch.float64), ("k", 3)).detach()
         if corners.shape[0] < 2:
             raise ValueError(f"path must have at least two corners, got {corners.shape[0]}")
         if bool((corners.diff(dim=0).norm(dim=1) == 0).any()):

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require, require_threads
+from diffsim.core.check import require
+from diffsim.core.check_options import require_threads
 from diffsim.stokes import _ops_cut
 from diffsim.stokes.grid import Grid
 
@@ -39,6 +40,7 @@ def cut_cells(grid: Grid, phi: Tensor, *, num_threads: int = 1) -> CutCells:
 
     Reference: thesis eqs. 4.72, 4.74 (the same numbers where those are defined).
     """
+    num_threads = require_threads(num_threads)
     phi = require("phi", phi, grid.node_shape, torch.float64)
     volume, area, normal = _ops_cut.cut_cells_layer(
         phi=phi.reshape(-1),

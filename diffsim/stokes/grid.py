@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_number
+from diffsim.core.check_options import require_counts, require_numbers
 
 AXES = "xyz"
 
@@ -35,9 +36,7 @@ class Grid:
         size: float | Sequence[float] | None = None,
         origin: Sequence[float] | None = None,
     ):
-        self.shape = tuple(int(n) for n in shape)
-        if len(self.shape) not in (2, 3) or any(n < 1 for n in self.shape):
-            raise ValueError(f"shape must be two or three integers >= 1, got {tuple(shape)}")
+        self.shape = require_counts("shape", shape, (2, 3))
         if (spacing is None) == (size is None):
             raise ValueError("give either spacing or size")
         given = self._per_axis(
@@ -45,15 +44,13 @@ class Grid:
         )
         cells = self.shape if size is not None else (1,) * self.dim
         self.spacing = tuple(s / n for s, n in zip(given, cells, strict=True))
-        self.origin = (0.0,) * self.dim if origin is None else tuple(float(x) for x in origin)
-        if len(self.origin) != self.dim or not all(map(math.isfinite, self.origin)):
-            raise ValueError(f"origin must be {self.dim} finite numbers, got {origin}")
+        zero = (0.0,) * self.dim
+        self.origin = zero if origin is None else require_numbers("origin", origin, self.dim)
 
     def _per_axis(self, name: str, value: float | Sequence[float] | None) -> tuple[float, ...]:
-        values = [value] * self.dim if isinstance(value, (int, float)) else list(value or [])
-        if len(values) != self.dim:
-            raise ValueError(f"{name} must be a number or {self.dim} numbers, got {value}")
-        return tuple(require_number(name, float(v), above=0.0) for v in values)
+        if isinstance(value, (int, float, complex)) or getattr(value, "ndim", None) == 0:
+            return (require_number(name, value, above=0.0),) * self.dim  # type: ignore[arg-type]
+        return require_numbers(name, value, self.dim, above=0.0)  # type: ignore[arg-type]
 
     def __repr__(self) -> str:
         return f"Grid({self.shape}, spacing={self.spacing}, origin={self.origin})"

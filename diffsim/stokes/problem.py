@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require
+from diffsim.core.values import as_array
 from diffsim.stokes._ops_flow import FlowInputs
 from diffsim.stokes.boundary import Boundary
 
@@ -47,6 +48,8 @@ def flow_inputs(
         raise ValueError(f"viscosity must be above 0, got {float(eta.detach()):g}")
     if isinstance(inlet, Mapping):
         inlet = {name: _as_tensor(value) for name, value in inlet.items()}
+    elif inlet is not None:
+        inlet = as_array("inlet", inlet)
     velocities = boundary.inlet_velocities(inlet)
 
     def load(name: str, value: Tensor | None) -> Tensor:

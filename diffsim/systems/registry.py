@@ -125,7 +125,8 @@ def load_extended(
         path: ``extended_model.yaml`` or the folder that holds it.
         study: Study of the system; its setup gives the plain model and the effects by name.
             Nuisances of runs that the file does not know ("offset@run_9") keep their prior.
-        setup: Setup to use in place of the study's own.
+        setup: Setup to use in place of the study's own; where causes depend on recordings, made
+            for the framed study, ``read_extended(path).framed(study)``.
 
     Returns:
         A model whose priors are centered at the saved values.

@@ -174,3 +174,10 @@ def test_a_run_name_that_is_a_path_is_refused(tmp_path):
     with pytest.raises(ValueError, match=re.escape("'../up' cannot be a file name")):
         save_study(bad, tmp_path / "out")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_missing_recording_of_a_set_with_a_maker_says_how_it_is_made(folder):
+    (folder / "make_csv.py").write_text("")
+    (folder / "b.csv").unlink()
+    with pytest.raises(ValueError, match=r"made by `python .*make_csv\.py`"):
+        load_study(folder)

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from diffsim.diagnose import gradients
 from diffsim.diagnose.evidence import LaplaceEvidence
 from diffsim.diagnose.gradients import LEFT_OUT, gradient_gate
-from diffsim.identify import Jacobian
+from diffsim.identify import Jacobian, Problem
 from tests.diagnose import linear
 
 
@@ -110,6 +111,60 @@ def test_what_a_spent_budget_leaves_out_is_said():
     assert gate.name == LEFT_OUT and not gate.applies and "push, pull" in gate.note
     named = {g.name: g.passed for g in gradient_gate(at)}
     assert named == {"gradient:push": True, "gradient:pull": False}
+
+
+def many_runs(effects, count=12):
+    """Slopes of a problem with many runs, by forward mode."""
+    runs = [linear.run(f"r{i}", i) for i in range(count)]
+    problem = replace(linear.problem(effects, runs), jacobian=Jacobian(method="forward_mode"))
+    x = np.zeros(problem.num_base + len(effects))
+    return LaplaceEvidence(problem, x, *problem.linearize(x), [], 1)
+
+
+def steeper(effect):
+    """The same values, and 1 % more slope."""
+
+    def apply(scene, size, run):
+        more = 0.01 * (linear.shapes(effect.name, run) @ (size - size.detach()))
+        scene = effect.apply(scene, size, run)
+        return replace(scene, record=scene.record + more)
+
+    return replace(effect, apply=apply)
+
+
+@pytest.mark.grad
+def test_one_run_of_many_shows_a_wrong_gradient_when_time_is_short():
+    at = many_runs((linear.line("push"), steeper(linear.line("pull"))))
+    simulations = at.problem.model.simulations
+    before = simulations.count
+    gates = {g.name: g for g in gradient_gate(at, seconds=1e-9)}
+    # is there a gradient, the adjoint of one run; then nothing else is begun but a direction
+    assert simulations.count - before <= 1 + 1 + 9
+    assert gates[LEFT_OUT].note.startswith("of push, pull")
+    gates = {g.name: g for g in gradient_gate(at)}
+    assert gates["gradient:push"].passed and not gates["gradient:pull"].passed
+    assert "of 12 runs" not in gates["gradient:pull"].note
+
+
+@pytest.mark.grad
+def test_runs_that_show_every_effect_come_first(monkeypatch):
+    """An effect that acts in one run of twelve is checked, though time is for two of them."""
+
+    def only_in_r9(scene, size, run):
+        there = 1.0 if run.name == "r9" else 0.0
+        shape = there * linear.shapes("rare", run)[..., 0]
+        more = 0.01 * shape * (size - size.detach())
+        return replace(scene, record=scene.record + shape * size + more)
+
+    rare = replace(linear.line("rare"), apply=only_in_r9)
+    at = many_runs((linear.line("push"), linear.line("pull"), rare))
+    adjoints = []
+    pullback = Problem.pullback
+    monkeypatch.setattr(Problem, "pullback", lambda *given: adjoints.append(0) or pullback(*given))
+    monkeypatch.setattr(gradients, "process_time", lambda: float(len(adjoints)))
+    gates = {g.name: g for g in gradient_gate(at, seconds=3.0)}
+    assert not gates["gradient:rare"].passed
+    assert gates["gradient:rare"].note.endswith("2 of 12 runs")
 
 
 @pytest.mark.grad

@@ -178,8 +178,121 @@ def test_refusals_of_environments() -> None:
     with pytest.raises(ValueError, match="action"):
         vector.step(np.zeros((2, 3)))
     with pytest.raises(ValueError, match="render_mode"):
-        envs.TaskEnv(Advance(block(), 5), render_mode="human")
+        envs.TaskEnv(Advance(block(), 5), render_mode="window")
     with pytest.raises(ValueError, match="goal_low"):
         Reach(block(), 5, goal_low=(0.0, 0.0, 0.1), goal_high=(0.0, 0.0, 0.0))
     with pytest.raises(ValueError, match="drive must have shape"):
         replace(block(), command_names=("a", "b"))
+
+
+# mistakes ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"desing": "quadcopter"},
+            "option of CopterHover .*'desing'; did you mean 'design'",
+        ),
+        ({"randomisation": {}}, "'randomisation'; did you mean 'randomization'"),
+        ({"randomization": {"thurst": (0.9, 1.1)}}, "'thurst'; did you mean 'thrust'"),
+        ({"randomization": {"thrust": 0.9}}, r"randomization\['thrust'\] must be \(low, high\)"),
+        ({"randomization": {"thrust": (0.9, np.inf)}}, r"must be \(low, high\)"),
+        (
+            {"randomization": [0.9, 1.1]},
+            r"randomization must map .*\{'thrust': \(0.8, 1.2\)\}",
+        ),
+        ({"action_delay": 1.5}, "action_delay must be a whole number >= 0, got 1.5"),
+        ({"action_delay": "one"}, "action_delay must be a number, got str"),
+        ({"dt": [0.02]}, "dt must be a number, got list"),
+    ],
+)
+def test_wrong_options_are_named(options: dict, message: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=message):
+        envs.make_task("CopterHover", **options)
+
+
+def test_wrong_options_of_a_robot_offer_the_closest() -> None:
+    with pytest.raises(ValueError, match=r"option of robot starfish .*did you mean 'coarse'"):
+        envs.make_task("StarfishSwim", robot={"coarser": True})
+    with pytest.raises(ValueError, match=r"num_steps must be a whole number >= 1, got 5.5"):
+        envs.make_task("StarfishSwim", **{**OPTIONS["StarfishSwim"], "num_steps": 5.5})
+    with pytest.raises(ValueError, match=r"option of StarfishSwim .*'rise_wieght'.*'rise_weight'"):
+        gymnasium.make("diffsim/StarfishSwim-v0", rise_wieght=1.0)
+
+
+def test_a_plain_mapping_randomizes() -> None:
+    task = envs.make_task("CopterHover", randomization={"thrust": [0.5, 0.9]})
+    drawn = task.start(3, np.random.default_rng(0))["random.thrust"]
+    assert bool((drawn >= 0.5).all() and (drawn <= 0.9).all()) and drawn[0] != drawn[1]
+
+
+@pytest.mark.parametrize(
+    ("noise", "message"),
+    [
+        ([0.1, 0.2], r"sensor_noise must have shape \(22,\), got \(2,\); give one standard"),
+        (-0.1, "sensor_noise must lie in .*got -0.1"),
+        ([0.1] * 21 + [np.nan], "sensor_noise must lie in .*got nan"),
+        (np.inf, "sensor_noise must lie in .*got inf"),
+        ("loud", "sensor_noise must be numbers, got 'loud'"),
+    ],
+)
+def test_wrong_noise_is_named(noise: object, message: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=message):
+        envs.TaskEnv(envs.make_task("CopterHover"), sensor_noise=noise)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("count", [2.5, 0, True, "two", None, np.nan])
+def test_wrong_numbers_of_members_are_refused(count: object) -> None:
+    with pytest.raises((TypeError, ValueError), match="num_envs must"):
+        envs.make_vector("CopterHover", count)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (np.zeros((2, 2)), r"action must have shape \(4,\).* got \(2, 2\)"),
+        (np.zeros((1, 4)), r"got \(1, 4\)"),
+        (np.zeros(3), r"got \(3,\)"),
+        (0.0, r"got \(\)"),
+        ([0.0, 0.0, np.nan, 0.0], "action must be finite"),
+        ([0.0, "up", 0.0, 0.0], "action must be numbers"),
+        (None, "action must"),
+    ],
+)
+def test_wrong_actions_are_named(action: object, message: str) -> None:
+    env = envs.TaskEnv(envs.make_task("CopterHover"))
+    env.reset(seed=0)
+    with pytest.raises((TypeError, ValueError), match=message):
+        env.step(action)  # type: ignore[arg-type]
+    vector = envs.make_vector("CopterHover", 2)
+    vector.reset(seed=0)
+    with pytest.raises((TypeError, ValueError), match=r"action must"):
+        vector.step(action)  # type: ignore[arg-type]
+
+
+def test_lists_are_actions_too() -> None:
+    ends = []
+    for action in ([0.1, 0.2, 0.3, 0.4], np.array([0.1, 0.2, 0.3, 0.4]), torch.arange(1, 5) / 10):
+        env = envs.TaskEnv(envs.make_task("CopterHover"))
+        env.reset(seed=0)
+        ends.append(env.step(action)[0])  # type: ignore[arg-type]
+    np.testing.assert_array_equal(ends[0], ends[1])
+    np.testing.assert_allclose(ends[0], ends[2], atol=1e-6)
+
+
+def test_stepping_past_the_end_is_refused() -> None:
+    env = envs.TaskEnv(envs.make_task("CopterHover", seconds=0.04))
+    env.reset(seed=0)
+    assert [env.step(np.zeros(4))[3] for _ in range(2)] == [False, True]
+    with pytest.raises(gymnasium.error.ResetNeeded, match="has ended after 2 steps; call reset"):
+        env.step(np.zeros(4))
+    env.reset(seed=0)
+    env.step(np.zeros(4))
+
+
+def test_options_of_reset_are_not_dropped() -> None:
+    env = envs.TaskEnv(envs.make_task("CopterHover"))
+    with pytest.raises(ValueError, match=r"options\['wind'\] is no quantity of"):
+        env.reset(options={"wind": 3.0})

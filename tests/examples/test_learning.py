@@ -19,3 +19,19 @@ def test_ppo_keeps_the_quadcopter_in_the_air() -> None:
     pytest.importorskip("stable_baselines3", reason="needs the extra rl")
     found = load_story("learning/ppo_in_ten_lines.py").main(steps=24_576, num_envs=32)
     assert found["after"] > found["before"] + 15.0
+
+
+@pytest.mark.example
+def test_a_loop_written_out_learns_on_gymnasiums_wrappers() -> None:
+    """Quadcopters stay longer in the air; at a third of the steps of the example."""
+    pytest.importorskip("gymnasium", reason="environments need the extra 'rl'")
+    found = load_story("learning/ppo_on_the_batch.py").main(steps=20_480)
+    assert found["last"] > found["first"] + 10.0
+
+
+@pytest.mark.example
+def test_torchrl_collects() -> None:
+    pytest.importorskip("torchrl", reason="TorchRL is no extra of the package; pip install torchrl")
+    found = load_story("learning/torchrl_collector.py").main(frames=200)
+    assert found["shape"] == (200,)
+    assert 0.0 < found["reward"] < 1.0

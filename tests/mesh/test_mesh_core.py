@@ -169,7 +169,7 @@ def test_edges():
 
 
 def test_arguments_of_boxes():
-    with pytest.raises(ValueError, match="cells must be three whole numbers >= 1"):
+    with pytest.raises(ValueError, match=r"cells\[1\] must be a whole number >= 1"):
         m.hex_box((1, 0, 1))
     with pytest.raises(ValueError, match=r"size\[1\] must lie in"):
         m.tet_box((1, 1, 1), (1, -1, 1))

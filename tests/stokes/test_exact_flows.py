@@ -36,16 +36,16 @@ def test_second_order_in_two_dimensions(make, limits, incompressible):
 @pytest.mark.order
 def test_slip_in_a_disk_converges():
     # only means over facets are held: point by point, straight facets would resist sliding, and the
-    # order was 0.9 (Babuska's paradox)
+    # order was 0.9 (Babuska's paradox); with the facets' own normals it was 1.4
     sizes = (16, 32, 64)
     found = errors(rotation, sizes)
-    assert found[-1] < 4e-4
-    assert order(sizes, found) > 1.3
+    assert found[-1] < 4e-6
+    assert order(sizes, found) > 1.9
 
 
 @pytest.mark.order
 @pytest.mark.parametrize(
-    ("wall", "limits"), [("no_slip", (8e-3, 1.7e-3)), ("no_separation", (1.5e-3, 4e-4))]
+    ("wall", "limits"), [("no_slip", (8e-3, 1.7e-3)), ("no_separation", (2.7e-4, 7e-5))]
 )
 def test_second_order_in_an_inclined_pipe(wall, limits):
     sizes = (16, 32)

@@ -52,7 +52,7 @@ def test_causes_mean_the_same_on_new_runs(made, faster):
         command={**like.command, faster: 3.0 * like.command[faster]},
     )
     later = replace(study, runs=(new,))
-    framed = setup_of(replace(later, frame=full.model.frame)).remade(full.model.made_from)
+    framed = setup_of(replace(later, frame=full.model.frame))
     plain, moved, alone = _at(full, new), [], setup_of(later)
     for effect in full.effects:
         there = _at(full, new, effect)
@@ -105,3 +105,20 @@ def test_a_drift_from_run_to_run_needs_three_runs():
     notes = {row.name: row.note for row in report.causes}
     assert "order_drift_of_thrust" in {e.name for e in setup.effects}
     assert all("three runs" in notes[n] for n in notes if n == "order_drift_of_thrust")
+
+
+def test_what_was_described_after_the_fit_is_refused():
+    """A law that the saved model does not know has no magnitudes of the fitted runs."""
+    study = _fast_bench()
+    frame = dict(setup_of(study).model.frame)
+    assert list(frame["law_scales"])
+    kept = {f"other_{law}": scale for law, scale in frame["law_scales"].items()}
+    with pytest.raises(ValueError, match="is not in the saved model, which knows other_"):
+        setup_of(replace(study, frame={**frame, "law_scales": kept}))
+
+
+def test_a_file_with_magnitudes_in_its_facts_is_refused(tmp_path):
+    path = tmp_path / "extended_model.yaml"
+    path.write_text("parameters: {}\neffects: {}\nfacts: {made_from: {laws: {}}}\n")
+    with pytest.raises(ValueError, match="written by an earlier version"):
+        read_extended(path)

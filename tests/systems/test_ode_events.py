@@ -181,7 +181,7 @@ def test_a_saved_model_means_the_same_on_new_recordings_alone(tmp_path):
         sd=dict.fromkeys(values, 0.01),
         parameters=tuple(p.name for p in first.model.base),
         components=names,
-        facts={"made_from": dict(first.model.made_from)},
+        frame=first.model.frame,
     )
     run = new.runs[0]
 
@@ -190,9 +190,12 @@ def test_a_saved_model_means_the_same_on_new_recordings_alone(tmp_path):
         return model.predict(run, model.at_prior())
 
     meant = record(first, saved)
-    torch.testing.assert_close(record(second, saved), meant, rtol=0, atol=1e-12)
-    forgotten = record(second, replace(saved, facts={}))
+    again = record(setup_of(saved.framed(new)), saved)
+    torch.testing.assert_close(again, meant, rtol=0, atol=1e-12)
+    forgotten = record(second, replace(saved, frame={}))
     assert (forgotten - meant).abs().max() > 1e-3
+    with pytest.raises(ValueError, match=r"takes its .* from other runs than the model was fitted"):
+        rebuilt(saved, second)
 
 
 TANK = """

@@ -110,7 +110,7 @@ DIFFSIM_INLINE void put_part(To& a, int i, const Part& part) {
 
 template <class V = Lane>
 DIFFSIM_INLINE V broadcast(double value) {
-  return V{} + value;
+  return value - V{};  // folds to a broadcast; V{} + value would not, for -0.0 + 0.0 is 0.0
 }
 template <class V = Lane>
 DIFFSIM_INLINE V load(const double* p) {  // any alignment

@@ -8,7 +8,8 @@
 //    rounding however the angles were computed.
 // 2. Two or three 90-degree rotations sort the columns.
 // 3. Givens QR of B = F V gives U and s. Rounding of S is eps s0^2, so it leaves R_01 and R_02 at
-//    eps s0, but R_12 as large as eps s0^2 / s1: one 2x2 SVD removes it.
+//    eps s0, but R_12 as large as eps s0^2 / s1: one 2x2 SVD removes it. Where the values of all
+//    lanes are of one magnitude, the columns of B are normalized instead.
 //
 // A lane stops turning once it has converged, so its bits do not depend on its neighbors. NaN or
 // infinity in a lane makes every output of that lane NaN.
@@ -86,6 +87,92 @@ DIFFSIM_INLINE void givens(const T& x, const T& y, T& c, T& s, T& r) {
   r = select(tiny, T{}, c * x + s * y);
 }
 
+// All of s0^2, s1^2 and s2^2 within this of the largest: Gram-Schmidt keeps U a rotation to
+// rounding.
+constexpr double kWellConditioned = 0.1;
+
+// U and the values from B = F V, whose columns are orthogonal to eps s0, where none is much shorter
+// than the first: returns those lanes.
+template <class T>
+DIFFSIM_INLINE auto normalize_columns(const T* B0, const T* B1, const T* B2, T* U0, T* U1, T* U2,
+                                      T& r00, T& r11, T& r22) {
+  const T n0 = B0[0] * B0[0] + B0[1] * B0[1] + B0[2] * B0[2];
+  const T n1 = B1[0] * B1[0] + B1[1] * B1[1] + B1[2] * B1[2];
+  const T n2 = B2[0] * B2[0] + B2[1] * B2[1] + B2[2] * B2[2];
+  const T inverse0 = 1.0 / sqrt(n0);
+  for (int i = 0; i < 3; ++i) U0[i] = B0[i] * inverse0;
+  const T along = U0[0] * B1[0] + U0[1] * B1[1] + U0[2] * B1[2];
+  T rest[3];
+  for (int i = 0; i < 3; ++i) rest[i] = B1[i] - along * U0[i];
+  const T nn = rest[0] * rest[0] + rest[1] * rest[1] + rest[2] * rest[2];
+  const T inverse1 = 1.0 / sqrt(nn);
+  for (int i = 0; i < 3; ++i) U1[i] = rest[i] * inverse1;
+  for (int i = 0; i < 3; ++i) {
+    const int j = (i + 1) % 3, k = (i + 2) % 3;
+    U2[i] = U0[j] * U1[k] - U0[k] * U1[j];
+  }
+  r00 = n0 * inverse0;
+  r11 = nn * inverse1;
+  r22 = U2[0] * B2[0] + U2[1] * B2[1] + U2[2] * B2[2];
+  return greater(min(n1, n2), n0 * kWellConditioned);
+}
+
+// The same for any B, by Givens rotations; V1 and V2 turn along where B's rounding needs it.
+template <class T>
+DIFFSIM_INLINE void givens_qr(const T* B0, const T* B1, const T* B2, T* V1, T* V2, T* U0, T* U1,
+                              T* U2, T& r00, T& r11, T& r22) {
+  // B = Q R; R_01 and R_02 are rounding
+  T c1, s1, c2, s2, c3, s3, r;
+  givens(B0[0], B0[1], c1, s1, r);
+  givens(r, B0[2], c2, s2, r00);
+  const T b10 = c1 * B1[0] + s1 * B1[1], b20 = c1 * B2[0] + s1 * B2[1];
+  const T b11 = c1 * B1[1] - s1 * B1[0], b21 = c1 * B2[1] - s1 * B2[0];
+  const T b12 = c2 * B1[2] - s2 * b10, b22 = c2 * B2[2] - s2 * b20;
+  givens(b11, b12, c3, s3, r11);
+  const T r12 = c3 * b21 + s3 * b22;
+  r22 = c3 * b22 - s3 * b21;
+  U0[0] = c2 * c1, U0[1] = c2 * s1, U0[2] = s2;
+  const T p[3] = {-s1, c1, T{}};
+  const T q[3] = {-s2 * c1, -s2 * s1, c2};
+  for (int i = 0; i < 3; ++i) {
+    U1[i] = c3 * p[i] + s3 * q[i];
+    U2[i] = c3 * q[i] - s3 * p[i];
+  }
+
+  // [r11 r12; 0 r22]: turn columns 1 and 2 until orthogonal, the larger first, then QR again
+  const auto repair = greater(abs(r12), r00 * 1.1102230246251565e-16) | greater(abs(r22), r11);
+  if (any(repair)) {
+    const T d = (r11 - r12) * (r11 + r12) - r22 * r22, a = 2.0 * (r11 * r12);
+    const T h = sqrt(d * d + a * a);
+    const T along = h + abs(d);
+    const auto first = less(T{}, d);
+    T cx = select(first, along, abs(a));
+    T sx = select(first, a, copysign(along, a));
+    T c, s, length;
+    givens(cx, sx, c, s, length);
+    c = select(repair, c, constant<T>(1.0));
+    s = keep(repair, s);
+    for (int i = 0; i < 3; ++i) {
+      const T v1 = V1[i];
+      V1[i] = c * v1 + s * V2[i];
+      V2[i] = c * V2[i] - s * v1;
+    }
+    const T p0 = c * r11 + s * r12, p1 = s * r22;
+    const T q0 = c * r12 - s * r11, q1 = c * r22;
+    T cl, sl, r1;
+    givens(p0, p1, cl, sl, r1);
+    cl = select(repair, cl, constant<T>(1.0));
+    sl = keep(repair, sl);
+    r11 = select(repair, r1, r11);
+    r22 = select(repair, cl * q1 - sl * q0, r22);
+    for (int i = 0; i < 3; ++i) {
+      const T u1 = U1[i];
+      U1[i] = cl * u1 + sl * U2[i];
+      U2[i] = cl * U2[i] - sl * u1;
+    }
+  }
+}
+
 // Out of line: it is large, and inlined into a caller's loop GCC spills more.
 template <class T>
 __attribute__((noinline)) void svd3_core(const T* F, T* U, T* sigma, T* V) {
@@ -136,56 +223,22 @@ __attribute__((noinline)) void svd3_core(const T* F, T* U, T* sigma, T* V) {
     B2[i] = A[3 * i] * V2[0] + A[3 * i + 1] * V2[1] + A[3 * i + 2] * V2[2];
   }
 
-  // B = Q R; R_01 and R_02 are rounding
-  T c1, s1, c2, s2, c3, s3, r, r00, r11;
-  givens(B0[0], B0[1], c1, s1, r);
-  givens(r, B0[2], c2, s2, r00);
-  const T b10 = c1 * B1[0] + s1 * B1[1], b20 = c1 * B2[0] + s1 * B2[1];
-  const T b11 = c1 * B1[1] - s1 * B1[0], b21 = c1 * B2[1] - s1 * B2[0];
-  const T b12 = c2 * B1[2] - s2 * b10, b22 = c2 * B2[2] - s2 * b20;
-  givens(b11, b12, c3, s3, r11);
-  T r12 = c3 * b21 + s3 * b22;
-  T r22 = c3 * b22 - s3 * b21;
-  const T U0[3] = {c2 * c1, c2 * s1, s2};
-  const T p[3] = {-s1, c1, T{}};
-  const T q[3] = {-s2 * c1, -s2 * s1, c2};
-  T U1[3], U2[3];
-  for (int i = 0; i < 3; ++i) {
-    U1[i] = c3 * p[i] + s3 * q[i];
-    U2[i] = c3 * q[i] - s3 * p[i];
-  }
-
-  // [r11 r12; 0 r22]: turn columns 1 and 2 until orthogonal, the larger first, then QR again
-  const auto repair = greater(abs(r12), r00 * 1.1102230246251565e-16) | greater(abs(r22), r11);
-  if (any(repair)) {
-    const T d = (r11 - r12) * (r11 + r12) - r22 * r22, a = 2.0 * (r11 * r12);
-    const T h = sqrt(d * d + a * a);
-    const T along = h + abs(d);
-    const auto first = less(T{}, d);
-    T cx = select(first, along, abs(a));
-    T sx = select(first, a, copysign(along, a));
-    T c, s, length;
-    givens(cx, sx, c, s, length);
-    c = select(repair, c, constant<T>(1.0));
-    s = keep(repair, s);
+  T U0[3], U1[3], U2[3], r00, r11, r22;
+  const auto normalized = normalize_columns(B0, B1, B2, U0, U1, U2, r00, r11, r22);
+  if (!all(normalized)) {
+    T G0[3], G1[3], G2[3], W1[3], W2[3], g00, g11, g22;
+    for (int i = 0; i < 3; ++i) W1[i] = V1[i], W2[i] = V2[i];
+    givens_qr(B0, B1, B2, W1, W2, G0, G1, G2, g00, g11, g22);
     for (int i = 0; i < 3; ++i) {
-      const T v1 = V1[i];
-      V1[i] = c * v1 + s * V2[i];
-      V2[i] = c * V2[i] - s * v1;
+      U0[i] = select(normalized, U0[i], G0[i]);
+      U1[i] = select(normalized, U1[i], G1[i]);
+      U2[i] = select(normalized, U2[i], G2[i]);
+      V1[i] = select(normalized, V1[i], W1[i]);
+      V2[i] = select(normalized, V2[i], W2[i]);
     }
-    const T p0 = c * r11 + s * r12, p1 = s * r22;
-    const T q0 = c * r12 - s * r11, q1 = c * r22;
-    T cl, sl, r1;
-    givens(p0, p1, cl, sl, r1);
-    cl = select(repair, cl, constant<T>(1.0));
-    sl = keep(repair, sl);
-    r11 = select(repair, r1, r11);
-    r22 = select(repair, cl * q1 - sl * q0, r22);
-    for (int i = 0; i < 3; ++i) {
-      const T u1 = U1[i];
-      U1[i] = cl * u1 + sl * U2[i];
-      U2[i] = cl * U2[i] - sl * u1;
-    }
+    r00 = select(normalized, r00, g00);
+    r11 = select(normalized, r11, g11);
+    r22 = select(normalized, r22, g22);
   }
 
   // Equal values may come out an ulp apart in the wrong order.

@@ -34,6 +34,7 @@ void elastic_gradient_adjoint(const SoftModel& model, const StepInputs& in, cons
                               int num_threads) {
   ThreadPool pool(num_threads);
   ElasticityScratch scratch;
+  scratch.keep_frames = true;
   const std::vector<DampingFrame> frames = frames_of(model, in, pool);
   AlignedBuffer<double> values(static_cast<std::size_t>(model.values_size()));
   const Vector no_inertia(static_cast<std::size_t>(model.num_nodes), 0.0);

@@ -66,14 +66,15 @@ void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p,
   const ElementBlock& solid = model.solid;
   const ElementBlock& fiber = model.fiber;
   const Native zero{}, one = broadcast<Native>(1.0);
+  const KeptFrames kept = kept_frames(scratch, model, x);
   for_stages(solid, pool, [&](Index first, int count) {
-    const Stage<Group> stage(solid, first, count, x);
+    const Stage<Group> stage(solid, first, count, x, kept, false);
     for (int n = 0; n < count; ++n) {
       const Index g = first + n;
       Native Z[kParts][9], by_mu[kParts], by_vol[kParts];
       deformation_gradient<Group>(solid, g, z, Z);
       for (int part = 0; part < kParts; ++part) {
-        const PrincipalFrame<Native>& frame = stage.frame[n * kParts + part];
+        const PrincipalFrame<Native>& frame = stage.frame(n * kParts + part);
         const typename M::template Sample<Native> sample(frame);
         const Native weight = split(Group::shape(solid, g).weight, part);
         // P : Z = sum of d_i u_i . Z v_i, and the stress is linear in the weights: its derivative
@@ -191,7 +192,7 @@ void parameter_tangent_of(const SoftModel& model, const SoftParameters& p,
   for_stages(solid, pool, [&](Index begin, int count) {
     const Stage<Group> stage(solid, begin, count, x);
     UnitStresses unit;
-    unit_stresses<M>(stage.frame, count * kParts, unit);
+    unit_stresses<M>(stage.frames(), count * kParts, unit);
     for (int n = 0; n < count; ++n) {
       const Index g = begin + n;
       for (Index k = first; k < last; ++k) {

@@ -7,8 +7,9 @@ namespace {
 
 using namespace elements;
 
-// Groups whose element matrices are held at once while the tangent is assembled: 1.5 MiB.
-constexpr Index kChunk = 512;
+// Groups whose element matrices are held at once while the tangent is assembled: less than a core's
+// own cache (hexahedra: 384 KiB), and a task for each of eight threads.
+constexpr Index kChunk = 8 * kTask;
 
 /// How the matrices of a group are made and read.
 struct HexMatrices {
@@ -110,17 +111,18 @@ void tangent_of(const SoftModel& model, const SoftParameters& p,
                 double* values, ElasticityScratch& scratch, ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
   const ElementBlock& fiber = model.fiber;
+  const KeptFrames kept = kept_frames(scratch, model, x);
   const auto fill_solid = [&](Index first, int count, GroupTangent* tangents) {
-    const Stage<Group> stage(solid, first, count, x);
+    const Stage<Group> stage(solid, first, count, x, kept, false);
     for (int r = 0; r < count * kParts; ++r) {
       const Index g = first + r / kParts;
       const int part = r % kParts;
       Native* H = tangents[r / kParts].H[part];
-      const typename M::template Sample<Native> sample(stage.frame[r]);
+      const typename M::template Sample<Native> sample(stage.frame(r));
       PrincipalTangent<Native> core = M::tangent(sample, Group::part_value(solid, g, part, p.w_mu),
                                                  Group::part_value(solid, g, part, p.w_vol));
       if (clamp) clamp_tangent(core);
-      expand_tangent(stage.frame[r], core, H);
+      expand_tangent(stage.frame(r), core, H);
       if (!p.damp_mu) continue;
       Native Fn[9];
       split_matrix(frames[at(g)].Fn, part, Fn);

@@ -16,15 +16,16 @@ double energy_gradient_of(const SoftModel& model, const SoftParameters& p,
   const ElementBlock& fiber = model.fiber;
   scratch.vectors.resize(at(model.vectors_size));
   scratch.partial.resize(at(solid.num_groups + fiber.num_groups));
+  const KeptFrames kept = kept_frames(scratch, model, x);
   for_stages(solid, pool, [&](Index first, int count) {
-    const Stage<Group> stage(solid, first, count, x);
+    const Stage<Group> stage(solid, first, count, x, kept, p.damp_mu != nullptr);
     for (int n = 0; n < count; ++n) {
       const Index g = first + n;
       const auto& shape = Group::shape(solid, g);
       Native P[kParts][9], energy[kParts];
       for (int part = 0; part < kParts; ++part) {
         const int r = n * kParts + part;
-        const typename M::template Sample<Native> sample(stage.frame[r]);
+        const typename M::template Sample<Native> sample(stage.frame(r));
         Native psi = stress<M>(sample, Group::part_value(solid, g, part, p.w_mu),
                                Group::part_value(solid, g, part, p.w_vol), P[part]);
         if (p.damp_mu) {

@@ -4,6 +4,7 @@
 
 #include <vector>
 
+#include "kernels/linalg/aligned_buffer.h"
 #include "kernels/parallel.h"
 #include "kernels/soft/soft_model.h"
 
@@ -25,9 +26,15 @@ struct DampingFrame {
   Lane Fn[9], Fv[9];
 };
 
-/// Reusable memory of one evaluation at a time.
+/// Reusable memory of one evaluation at a time, of one model.
 struct ElasticityScratch {
   std::vector<double> vectors, partial, blocks;
+  /// Whether the solid's singular values are kept, so that another derivative at the same positions
+  /// (compared bit by bit) need not find them again. Not those of large bodies, see
+  /// element_stage.h.
+  bool keep_frames = false;
+  std::vector<double> kept_at;  // positions that `frames` belongs to
+  AlignedBuffer<double> frames;
 };
 
 /// @param[in] x_frame     (num_nodes, 3) predicted positions, F_n [m]

@@ -23,12 +23,17 @@ template <int kFirst>
 DIFFSIM_INLINE void node_products(const double (*weighted)[8], const Native (*Y)[kParts], int a0,
                                   double (*out)[8]) {
   Native total[kMatrixRows][kParts] = {};
-  for (int r = 0; r < 24; ++r)
+  for (int r = 0; r < 24; ++r) {
+#pragma GCC unroll 8
     for (int a = 0; a < kMatrixRows; ++a) {
       const Native w = broadcast<Native>(weighted[r][a0 + a]);
+#pragma GCC unroll 8
       for (int part = kFirst; part < kParts; ++part) total[a][part] += w * Y[r][part];
     }
+  }
+#pragma GCC unroll 8
   for (int a = 0; a < kMatrixRows; ++a)
+#pragma GCC unroll 8
     for (int part = kFirst; part < kParts; ++part)
       store(out[a0 + a] + part * kNativeLanes, total[a][part]);
 }
@@ -51,20 +56,26 @@ inline void element_matrix(const NodeShape& shape, const GroupTangent& tangent, 
   Native Y[24][kParts];
   for (int pair = 0; pair < 6; ++pair) {
     const int i = kComponents[pair][0], k = kComponents[pair][1];
+    int entry[3][3];  // where d P_ij / d F_kl lies
+    for (int j = 0; j < 3; ++j)
+      for (int l = 0; l < 3; ++l) {
+        const int row = 3 * i + j, col = 3 * k + l;
+        entry[j][l] = (row <= col ? 9 * row + col : 9 * col + row) * kNativeLanes;
+      }
     for (int q = 0; q < kLanes; ++q) {
       const double* H =
           reinterpret_cast<const double*>(tangent.H[q / kNativeLanes]) + q % kNativeLanes;
-      for (int j = 0; j < 3; ++j)
-        for (int part = 0; part < kParts; ++part) {
-          Native sum{};
-          for (int l = 0; l < 3; ++l) {
-            const int row = 3 * i + j, col = 3 * k + l;
-            const int entry = row <= col ? 9 * row + col : 9 * col + row;
-            sum += broadcast<Native>(H[entry * kNativeLanes]) *
-                   load<Native>(shape.grad[3 * q + l] + part * kNativeLanes);
-          }
-          Y[3 * q + j][part] = sum;
-        }
+#pragma GCC unroll 8
+      for (int part = 0; part < kParts; ++part) {
+        Native grad[3];
+        for (int l = 0; l < 3; ++l)
+          grad[l] = load<Native>(shape.grad[3 * q + l] + part * kNativeLanes);
+#pragma GCC unroll 3
+        for (int j = 0; j < 3; ++j)
+          Y[3 * q + j][part] = broadcast<Native>(H[entry[j][0]]) * grad[0] +
+                               broadcast<Native>(H[entry[j][1]]) * grad[1] +
+                               broadcast<Native>(H[entry[j][2]]) * grad[2];
+      }
     }
     double (*K)[8] = reinterpret_cast<double (*)[8]>(out + 64 * pair);
     if (i == k)

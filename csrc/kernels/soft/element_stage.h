@@ -3,6 +3,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cstring>
 
 #include "kernels/parallel.h"
 #include "kernels/soft/elasticity.h"
@@ -45,17 +46,49 @@ void for_stages(const ElementBlock& block, ThreadPool& pool, F&& f) {
   });
 }
 
+/// Principal frames of the solid kept between evaluations, one after another by part; null where
+/// they are not kept, and to be made where not ready.
+struct KeptFrames {
+  PrincipalFrame<Native>* data = nullptr;
+  bool is_ready = false;
+};
+
+inline KeptFrames kept_frames(ElasticityScratch& scratch, const SoftModel& model, const double* x) {
+  constexpr std::size_t kMostDoubles = std::size_t{1} << 25;  // 256 MiB
+  const std::size_t size =
+      at(model.solid.num_groups) * kParts * sizeof(PrincipalFrame<Native>) / sizeof(double);
+  if (!scratch.keep_frames || size > kMostDoubles) return {};
+  const std::size_t count = at(3 * model.num_nodes);
+  std::vector<double>& kept_at = scratch.kept_at;
+  const bool is_ready =
+      kept_at.size() == count && std::memcmp(kept_at.data(), x, count * sizeof(double)) == 0;
+  if (!is_ready) kept_at.assign(x, x + count);
+  return {reinterpret_cast<PrincipalFrame<Native>*>(scratch.frames.resize(size)), is_ready};
+}
+
 /// Deformation gradients and principal frames of the groups of a stage, part by part.
 template <typename Group>
-struct Stage {
-  Native F[kStageParts][9];
-  PrincipalFrame<Native> frame[kStageParts];
+class Stage {
+ public:
+  Native F[kStageParts][9];  // made unless there are frames and no need
 
-  Stage(const ElementBlock& block, Index first, int count, const double* x) {
-    for (int n = 0; n < count; ++n)
-      deformation_gradient<Group>(block, first + n, x, F + n * kParts);
-    principal_frames(F, count * kParts, frame);
+  Stage(const ElementBlock& block, Index first, int count, const double* x,
+        const KeptFrames& kept = {}, bool needs_F = true) {
+    if (kept.data) frames_ = kept.data + first * kParts;
+    if (needs_F || !kept.is_ready)
+      for (int n = 0; n < count; ++n)
+        deformation_gradient<Group>(block, first + n, x, F + n * kParts);
+    if (!kept.is_ready) principal_frames(F, count * kParts, frames_);
   }
+  Stage(const Stage&) = delete;
+  Stage& operator=(const Stage&) = delete;
+
+  const PrincipalFrame<Native>& frame(int part) const { return frames_[part]; }
+  const PrincipalFrame<Native>* frames() const { return frames_; }
+
+ private:
+  PrincipalFrame<Native> own_[kStageParts];
+  PrincipalFrame<Native>* frames_ = own_;
 };
 
 /// One part of nine Lanes in memory.

@@ -60,9 +60,8 @@ def with_equal_lengths(columns: Columns) -> Columns:
 
 def _groups(h5py: Any, name: str, group: Any, depth: int = 0) -> Iterator[tuple[str, Any]]:
     if depth > MAX_DEPTH:
-        raise ValueError(
-            f"{group.file.filename}: more than {MAX_DEPTH} groups inside of each other"
-        )
+        file = group.file.filename
+        raise ValueError(f"{file}: more than {MAX_DEPTH} groups inside of each other")
     yield name, group
     for key, inner in _own(h5py, group):
         if isinstance(inner, h5py.Group):

@@ -32,9 +32,10 @@ from diffsim.diagnose.faults.verdict import (
 from diffsim.diagnose.records import Interval
 from diffsim.diagnose.screen import VISIBLE
 from diffsim.identify.effect import Effect
-from diffsim.identify.problem import PredictionError, Problem, WhiteNoise
+from diffsim.identify.problem import PredictionError, Problem
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.identify.sizes import PRIOR_WIDTH
+from diffsim.identify.whitening import WhiteNoise
 
 Array = NDArray[np.float64]
 REFINED_NATS = 8.0  # below the best set: sets that are linearized again at their own sizes

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
-from functools import partial
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field
 
@@ -18,7 +16,7 @@ from diffsim.systems.ode.applying import LABELS
 from diffsim.systems.ode.described import Described, Motion
 from diffsim.systems.ode.keys import FormulaKeys, Input, Inputs, Law
 from diffsim.systems.ode.law_effects import (
-    LawScale,
+    LAW_SCALES,
     check_laws,
     labels_of_laws,
     law_effects,
@@ -55,20 +53,15 @@ class BenchDescription(FormulaKeys):
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""
-        return self._setup(study, None)
-
-    def _setup(self, study: Study, made_from: Mapping[str, Any] | None) -> DiagnosisSetup:
-        """The setup by the magnitudes of a study, or by those that a saved model was made from."""
         reader = Reader(study)
         read = self._described(study, reader)
         reader.finish()
         model = read.model()
-        if made_from is None:
-            scales = law_scales(self.laws, study, model, read.network, read.known)
-        else:
-            scales = {name: LawScale(**scale) for name, scale in made_from["laws"].items()}
-        model.made_from = {"laws": {name: asdict(scale) for name, scale in scales.items()}}
-        model.frame = {LABELS: {**read.labels, **labels_of_laws(self.laws, study)}}
+        scales = law_scales(self.laws, study, model, read.network, read.known)
+        model.frame = {
+            LABELS: {**read.labels, **labels_of_laws(self.laws, study)},
+            LAW_SCALES: {name: asdict(scale) for name, scale in scales.items()},
+        }
         laws = law_effects(self.laws, study, scales, read.network, read.known)
         advised = DiagnosisSettings(
             search=SearchSettings(
@@ -84,7 +77,6 @@ class BenchDescription(FormulaKeys):
             model,
             effects,
             settings=settings_with(advised, self.effort),
-            remade=partial(self._setup, study),
         )
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
-from functools import partial
 from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -31,13 +30,13 @@ from diffsim.systems.ode.keys import (
     Store,
 )
 from diffsim.systems.ode.law_effects import (
-    LawScale,
+    LAW_SCALES,
     check_laws,
     labels_of_laws,
     law_effects,
     law_scales,
 )
-from diffsim.systems.ode.library import Library, Magnitudes, magnitudes
+from diffsim.systems.ode.library import MAGNITUDES, Library, magnitudes
 from diffsim.systems.ode.names import Reader, longest, where_of
 from diffsim.systems.ode.unknown import unknown_forces
 
@@ -118,24 +117,12 @@ class OdeDescription(FormulaKeys):
         """Model, candidate causes and options for a study."""
         if self.function is not None:
             raise ValueError(f"{where_of(study)}.function: {self._not_run()}")
-        return self._setup(study, None)
-
-    def _setup(self, study: Study, made_from: Mapping[str, Any] | None) -> DiagnosisSetup:
-        """The setup by the magnitudes of a study, or by those that a saved model was made from."""
         reader = Reader(study)
         read = self._described(study, reader)
         reader.finish()
         model = read.model()
-        if made_from is None:
-            usual = magnitudes(study, model, read.network, read.known, self.places, self.stores)
-            bends = law_scales(self.laws, study, model, read.network, read.known)
-        else:
-            usual = Magnitudes.of(made_from["library"])
-            bends = {name: LawScale(**scale) for name, scale in made_from["laws"].items()}
-        model.made_from = {
-            "library": usual.saved(),
-            "laws": {name: asdict(scale) for name, scale in bends.items()},
-        }
+        usual = magnitudes(study, model, read.network, read.known, self.places, self.stores)
+        bends = law_scales(self.laws, study, model, read.network, read.known)
         library = Library(
             study=study,
             known=read.known,
@@ -151,6 +138,8 @@ class OdeDescription(FormulaKeys):
             LABELS: labels,
             HELD: dict(read.input_held),
             LONGEST: study.frame.get(LONGEST) or longest(study.runs),
+            MAGNITUDES: usual.saved(),
+            LAW_SCALES: {name: asdict(scale) for name, scale in bends.items()},
         }
         found = (*ode_effects(library), *event_effects(library, model, self.events))
         laws = law_effects(self.laws, study, bends, read.network, read.known)
@@ -160,7 +149,6 @@ class OdeDescription(FormulaKeys):
             effects,
             unknown_forces(library),
             settings=settings_with(DiagnosisSettings(), self.effort),
-            remade=partial(self._setup, study),
         )
 
 

@@ -15,12 +15,13 @@ from diffsim.identify.effect import Apply, Effect, Needs, needs_nothing
 from diffsim.identify.model import SimModel
 from diffsim.systems.ode.applying import Groups, by_formulas_in, labels_of, symbol
 from diffsim.systems.ode.keys import Law
-from diffsim.systems.ode.library import needs_order
+from diffsim.systems.ode.library import needs_order, require_kept
 from diffsim.systems.ode.names import Reader
 from diffsim.systems.ode.network import Change, Network, filled, named
 from diffsim.systems.ode.scene import OdeScene
 
 LEAST = 0.02  # of the usual x: below it a power is not raised
+LAW_SCALES = "law_scales"  # place in a study's frame
 _WAY, _SHARE = "way of the sweep", "share of the run"
 
 
@@ -300,6 +301,8 @@ def law_scales(
 ) -> dict[str, LawScale]:
     """Usual magnitudes of laws, from one simulation of each run to fit.
 
+    A study with a ``frame`` has them from there.
+
     Args:
         laws: Laws of the description.
         study: Study with the recordings.
@@ -309,6 +312,10 @@ def law_scales(
     """
     if not laws:
         return {}
+    if LAW_SCALES in study.frame:
+        kept = {name: LawScale(**scale) for name, scale in study.frame[LAW_SCALES].items()}
+        require_kept("law", [law.name for law in laws], kept)
+        return kept
     pairs = [(law, w) for law in laws for w in (law.of, law.name)]
     read = network.with_readings(
         {f"{law.name} {w}": parse_expression(w, known) for law, w in pairs}

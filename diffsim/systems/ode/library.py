@@ -24,6 +24,7 @@ from diffsim.systems.ode.scene import OdeScene
 
 Array = NDArray[np.float64]
 SHARE_OF_USUAL = 0.1  # of a usual magnitude: what a cause may be without surprise
+MAGNITUDES = "magnitudes"  # place in a study's frame
 
 
 def needs_order(study: Study) -> str | None:
@@ -192,6 +193,11 @@ def magnitudes(
         places: Where forces may act.
         stores: What fills and empties.
     """
+    if MAGNITUDES in study.frame:
+        kept = Magnitudes.of(study.frame[MAGNITUDES])
+        require_kept("place", [p.name for p in places], kept.places)
+        require_kept("store", [s.name for s in stores], kept.stores)
+        return kept
     between = {n: parse_expression(n, known) for n in (*network.inputs, *network.definitions)}
     inside = _inside(network, known, places, stores)
     read = network.with_readings({**inside, **{f"usual {n}": e for n, e in between.items()}})
@@ -218,6 +224,19 @@ def magnitudes(
         max(float(r.time_s[-1] - r.time_s[0]) for r in study.runs),
         len({r.order for r in study.fit_runs}) > 2,
     )
+
+
+def require_kept(what: str, names: Sequence[str], kept: Mapping[str, object]) -> None:
+    """Require the magnitudes of everything that opens causes among those of a saved model.
+
+    Raises:
+        ValueError: what was described after the model was fitted.
+    """
+    if missing := [name for name in names if name not in kept]:
+        raise ValueError(
+            f"{what} {missing[0]} is not in the saved model, which knows "
+            f"{', '.join(kept) or 'none'}; leave it out, or fit the model again"
+        )
 
 
 def _range(study: Study, channel: int) -> tuple[float, float]:

@@ -1,0 +1,81 @@
+"""What may differ from one copter's episode to the next, and the vehicles that this makes."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+
+from torch import Tensor
+
+from diffsim.copter import Battery, Fleet, FlightEffects, Multicopter, rotor_model
+from diffsim.copter.effects import BatterySag
+from diffsim.envs.task import Randomization, Randomizing
+
+PACKED = ("mass", "inertia", "drag", "motor_lag")  # factors that are parameters of the kernel
+
+
+def randomizable(battery: Battery | None, randomization: Randomizing) -> tuple[str, ...]:
+    """Names that a randomization of a copter may have.
+
+    Args:
+        battery: Of the task; without one there is no charge to be drawn.
+        randomization: Of the task; a battery's factors are charges.
+
+    Raises:
+        ValueError: a battery's charge above 1.
+    """
+    if battery is None:
+        return ("thrust", *PACKED)
+    given = randomization.factors if isinstance(randomization, Randomization) else randomization
+    low, high = (given or {}).get("battery", (1.0, 1.0))
+    if high > 1.0:
+        raise ValueError(
+            "randomization['battery'] is the charge at the start and must be at most 1, got "
+            f"({low:g}, {high:g})"
+        )
+    return ("thrust", *PACKED, "battery")
+
+
+def sag_of(battery: Battery, vehicle: Multicopter) -> BatterySag:
+    """What a battery does under a vehicle's rotors.
+
+    Raises:
+        ValueError: the vehicle does not say which rotors it has.
+    """
+    if not vehicle.rotor_models:
+        raise ValueError(
+            "battery needs the currents of the rotors, but the vehicle's rotor_models is empty; "
+            "name one model per rotor (diffsim.copter.rotor_names() lists them)"
+        )
+    return battery.sag([rotor_model(name) for name in vehicle.rotor_models])
+
+
+def with_factors(
+    vehicle: Multicopter, effects: FlightEffects, factors: Mapping[str, Tensor]
+) -> tuple[Multicopter | Fleet, FlightEffects]:
+    """One vehicle per member of a batch.
+
+    Args:
+        vehicle: The nominal one.
+        effects: With motor lag and body drag.
+        factors: Factors (batch,) on some of ``PACKED``, by name.
+
+    Returns:
+        Vehicles and effects as ``prepare_flight`` takes them, leading axis (batch or 1,).
+    """
+    if not factors:
+        return vehicle, effects
+    fleet = Fleet.of([vehicle])
+    if "mass" in factors:
+        fleet = fleet.replace(mass=fleet.mass * factors["mass"])
+    if "inertia" in factors:
+        fleet = fleet.replace(inertia=fleet.inertia * factors["inertia"][:, None, None])
+    drag, lag = effects.body_drag, effects.motor_lag
+    assert drag is not None and lag is not None  # of the copters' tasks
+    if "drag" in factors:
+        f = factors["drag"][:, None]
+        drag = dataclasses.replace(drag, linear=drag.linear * f, quadratic=drag.quadratic * f)
+    if "motor_lag" in factors:
+        slower = lag.time_constants * factors["motor_lag"][:, None]
+        lag = dataclasses.replace(lag, time_constants=slower)
+    return fleet, dataclasses.replace(effects, body_drag=drag, motor_lag=lag)

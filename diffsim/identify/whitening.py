@@ -1,0 +1,42 @@
+"""What makes the noise of a run white."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from scipy import sparse
+
+from diffsim.data.study import Channel, Run
+
+
+class Whitener(Protocol):
+    """Makes the noise of a run white with standard deviation one."""
+
+    def matrix(self, run: Run) -> sparse.csr_array:
+        """(num_valid, num_samples * num_channels); missing samples have no row."""
+        ...
+
+
+class WhiteNoise:
+    """Independent noise of known standard deviation in every channel.
+
+    Args:
+        channels: Channels with a known noise ``sd`` each.
+    """
+
+    def __init__(self, channels: Sequence[Channel]):
+        missing = [c.name for c in channels if c.sd is None]
+        if missing:
+            raise ValueError(
+                f"channels {missing} have no sd; state it, or estimate it from repeats with "
+                "diffsim.diagnose.noise.noise_floor"
+            )
+        self.sd = np.array([c.sd for c in channels], dtype=np.float64)
+
+    def matrix(self, run: Run) -> sparse.csr_array:
+        """Rows of the measured samples of ``diag(1 / sd)``."""
+        valid = np.isfinite(run.measured).ravel()
+        weight = np.tile(1.0 / self.sd, len(run.time_s))
+        return sparse.csr_array(sparse.diags_array(weight).tocsr()[np.flatnonzero(valid)])

@@ -1,0 +1,78 @@
+"""What a controller is trained with unless told otherwise, task by task: by measurement, one seed
+after the other, with nothing left to tune.
+
+Swimmers: the reward is flat around a controller that hardly moves, and velocities alone do not
+tell it when to begin a stroke. With a clock among the observations and a last layer that is not
+small, the first network already strokes, and the gradient has something to make better.
+``docs/measured/learning.md`` says what each part does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from diffsim.learn.gradient import GradientOptions
+from diffsim.learn.setup import Setup
+
+Options = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a task is trained.
+
+    Attributes:
+        task_options: Options of the task, for every method.
+        setup: Fields of ``Setup`` that differ from their defaults, for every method.
+        budget: Fields of ``Setup`` that differ from their defaults for training by gradient.
+        gradient: Fields of ``GradientOptions`` that differ from their defaults.
+    """
+
+    task_options: Options = field(default_factory=dict)
+    setup: Options = field(default_factory=dict)
+    budget: Options = field(default_factory=dict)
+    gradient: Options = field(default_factory=dict)
+
+    def setup_of(self, task: str, *, task_options: Options | None = None, **fields: Any) -> Setup:
+        """Set-up of a run by gradient; what is given here goes before the recipe's.
+
+        Args:
+            task: Name of the task.
+            task_options: Further options of the task.
+            **fields: Further fields of ``Setup``.
+        """
+        options = {**self.task_options, **(task_options or {})}
+        return Setup(task, options, **{**self.setup, **self.budget, **fields})
+
+    def gradient_options(self, **fields: Any) -> GradientOptions:
+        """Options of ``GradientLearner`` by this recipe; what is given here goes before it."""
+        return GradientOptions(**{**self.gradient, **fields})
+
+
+# of a gait of 1 Hz: its own frequency, and half of it, so that two strokes may differ
+CLOCK = (0.5, 1.0)
+_SWIM = Recipe(
+    task_options={"clock": CLOCK},
+    setup={"output_gain": 0.5, "balance_clock": True, "evaluation_episodes": 2},
+    budget={"steps": 1_200, "evaluate_every": 600},
+    gradient={"batch": 1, "learning_rate": 3e-3},
+)
+_COPTER_BUDGET = {"steps": 24_000, "evaluate_every": 2_400}
+RECIPES: dict[str, Recipe] = {
+    "StarfishSwim": _SWIM,
+    "SharkSwim": _SWIM,
+    # the search's winner, and what did better than it afterwards
+    "CopterHover": Recipe(
+        budget=_COPTER_BUDGET, gradient={"batch": 16, "horizon": 100, "learning_rate": 1e-2}
+    ),
+    "CopterTrack": Recipe(
+        budget=_COPTER_BUDGET, gradient={"batch": 4, "cut_every": 50, "learning_rate": 1e-2}
+    ),
+}
+
+
+def recipe(task: str) -> Recipe:
+    """The recipe of a task, by its name; an empty one where none was measured."""
+    return RECIPES.get(task.removeprefix("diffsim/").removesuffix("-v0"), Recipe())

@@ -1,0 +1,60 @@
+"""Keep a trained run's controller with the package, for `diffsim play`.
+
+python rl/train_gradient.py --task CopterHover --seed 0
+python rl/keep_controller.py runs/CopterHover/gradient/seed_0
+
+The numbers are rounded first and rated afterwards; the rating is what `diffsim play` compares with.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+
+from diffsim.control import MLPController
+from diffsim.learn.run import CHECKPOINT
+from diffsim.learn.setup import Setup, evaluate
+from diffsim.learn.trained import FOLDER, Trained, stored, write_trained
+
+
+def main(argv: Sequence[str] | None = None) -> Path:
+    """Round, rate, write."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("run", type=Path, help="folder with checkpoint.pt")
+    parser.add_argument("--out", type=Path, default=FOLDER, help="folder (the package's)")
+    parser.add_argument("--made-by", default=None, help="command of the training, for the record")
+    args = parser.parse_args(argv)
+    torch.set_num_threads(1)
+    saved = torch.load(args.run / CHECKPOINT, weights_only=True)
+    setup = Setup(**json.loads(saved["setup"]))
+    task = setup.make_task()
+    net = MLPController(task.num_observations, task.num_actions)
+    net.load_state_dict(saved["controller"])
+    made_by = args.made_by or f"python rl/train_gradient.py --task {setup.task} --seed {setup.seed}"
+    kept = Trained(
+        task=setup.task,
+        task_options=setup.task_options,
+        episodes=setup.evaluation_episodes,
+        reward=0.0,
+        made_by=made_by,
+        state=stored(net),
+    )
+    reward = evaluate(task, kept.controller(task), setup.evaluation_episodes)
+    path = write_trained(
+        args.out / f"{setup.task}.npz", Trained(**{**vars(kept), "reward": reward})
+    )
+    size = path.stat().st_size / 1e3
+    print(
+        f"{path}: {size:.0f} kB, reward {reward:.4f} (in the run {saved['rows'][-1]['reward']:.4f})"
+    )
+    return path
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,60 @@
+"""The tutorials run as they stand, cell after cell, in an empty folder."""
+
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+
+from diffsim.cli import main
+
+TUTORIALS = Path(__file__).resolve().parents[2] / "docs" / "tutorials"
+
+
+def cells(name):
+    notebook = json.loads((TUTORIALS / name).read_text(encoding="utf-8"))
+    return [(c["cell_type"], "".join(c["source"])) for c in notebook["cells"]]
+
+
+def run(name, folder, monkeypatch):
+    """Names that the code cells leave; lines with ``!diffsim`` are commands."""
+    monkeypatch.chdir(folder)
+    names = {"__name__": "__main__"}
+    for k, (kind, text) in enumerate(cells(name)):
+        if kind != "code":
+            continue
+        if text.startswith("!diffsim "):
+            assert main(shlex.split(text.removeprefix("!diffsim "))) == 0, text
+        else:
+            exec(compile(text, f"{name}, cell {k}", "exec"), names)
+    return names
+
+
+@pytest.mark.example
+def test_own_shape(tmp_path, monkeypatch):
+    names = run("1_own_shape.ipynb", tmp_path, monkeypatch)
+    assert abs(float(names["miss"])) < 1e-5  # the tip ends where it was wanted [m]
+
+
+@pytest.mark.example
+def test_own_quadrotor(tmp_path, monkeypatch):
+    names = run("2_own_quadrotor.ipynb", tmp_path, monkeypatch)
+    assert names["log"].summary()["outcome"] == "done"
+    assert (tmp_path / "flight" / "flight.csv").is_file()
+
+
+@pytest.mark.example
+def test_own_recording(tmp_path, monkeypatch, capsys):
+    names = run("3_own_recording.ipynb", tmp_path, monkeypatch)
+    certain = {c["name"] for c in names["report"]["causes"] if c["status"] == "certain"}
+    assert certain == {"dry_friction_at_hinge"}, (
+        capsys.readouterr().out
+    )  # the rubbing joint, nothing else
+
+
+def test_every_tutorial_is_tested_and_has_no_outputs():
+    names = sorted(p.name for p in TUTORIALS.glob("*.ipynb"))
+    assert names == ["1_own_shape.ipynb", "2_own_quadrotor.ipynb", "3_own_recording.ipynb"]
+    for name in names:
+        notebook = json.loads((TUTORIALS / name).read_text(encoding="utf-8"))
+        assert all(not c.get("outputs") for c in notebook["cells"])
