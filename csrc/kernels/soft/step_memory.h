@@ -1,7 +1,8 @@
 // The large arrays of a step, handed from one step to the next.
 //
 // The system clears fresh pages when they are first written, which takes a fifth of a step of a
-// large body. Only memory is handed on, never what was in it: steps do not depend on their past.
+// large body. Only memory is handed on, and singular values of positions that are equal bit by bit
+// (an adjoint begins where its step ended): the bits of a step do not depend on what ran before.
 #pragma once
 
 #include <memory>
