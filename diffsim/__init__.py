@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from diffsim.core.errors import (
+    ContactWarning,
     ConvergenceError,
     ConvergenceWarning,
     DiffsimError,
@@ -78,6 +79,7 @@ def __dir__() -> list[str]:
 
 
 __all__ = [
+    "ContactWarning",
     "ConvergenceError",
     "ConvergenceWarning",
     "DiffsimError",

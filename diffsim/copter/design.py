@@ -23,7 +23,9 @@ from diffsim.copter.placement import PlacedPart, distance_weights
 from diffsim.copter.spec import DesignSpec
 from diffsim.copter.spec_file import write_spec
 from diffsim.copter.vehicle import Multicopter
-from diffsim.core.check import require, require_choice
+from diffsim.core.check import require, require_choice, values_of
+
+_SLACK = 2e-6  # [m], more than the step of a difference quotient at a bound
 
 if TYPE_CHECKING:
     import trimesh
@@ -41,12 +43,15 @@ class Design:
         parts: All of them, adapters included.
         feasible: Constraints and their elimination.
         values: Current free parameters s, (n_free,) [m].
+        bounded: Whether free parameters outside of the feasible set are refused. An optimizer whose
+            trial points may lie there switches it off; rods can be negative then.
     """
 
     spec: DesignSpec
     parts: tuple[PlacedPart, ...]
     feasible: FeasibleSet
     values: Tensor
+    bounded: bool = True
 
     @property
     def name(self) -> str:
@@ -126,8 +131,14 @@ class Design:
         return PartTensors(self.parts, self.feasible.names)
 
     def all_values(self, s: Tensor | None = None) -> Tensor:
-        """All parameters x of free ones, (n,)."""
+        """All parameters x of free ones, (n,), wherever these are."""
         return self.offset + self.basis @ self._free(s)
+
+    def _possible_values(self, s: Tensor | None) -> Tensor:
+        """All parameters x of free ones in the feasible set, (n,)."""
+        if s is not None and self.bounded and not torch.compiler.is_compiling():
+            self._require_feasible(values_of(self._free(s)))
+        return self.all_values(s)
 
     def value(self, name: str, s: Tensor | None = None) -> float:
         """One parameter by name [m]."""
@@ -152,11 +163,11 @@ class Design:
             The vehicle. Gradients: s, directions, spins.
 
         Raises:
-            ValueError: wrong shapes, no rotors.
+            ValueError: wrong shapes, no rotors, s is not in the feasible set.
         """
         if not self.rotors:
             raise ValueError(f"design {self.name!r} has no motor; add a part of kind 'motor'")
-        x = self.all_values(s)
+        x = self._possible_values(s)
         mass, com, inertia = rigid_body(self._tensors.moments(x))
         data = [mount.rotor for mount in self.rotors]
 
@@ -177,24 +188,24 @@ class Design:
 
     def center_of_mass(self, s: Tensor | None = None) -> Tensor:
         """In the design's frame, (3,) [m]. Gradient: s."""
-        return rigid_body(self._tensors.moments(self.all_values(s)))[1]
+        return rigid_body(self._tensors.moments(self._possible_values(s)))[1]
 
     def mass(self, s: Tensor | None = None) -> Tensor:
         """() [kg] (thesis eq. 3.19). Gradient: s."""
-        return self._tensors.moments(self.all_values(s)).mass.sum()
+        return self._tensors.moments(self._possible_values(s)).mass.sum()
 
     def cost(self, s: Tensor | None = None) -> Tensor:
         """Price of all parts, () [EUR]; linear in s but for printed frames (thesis eq. 3.18)."""
-        x = self.all_values(s)
+        x = self._possible_values(s)
         return self._tensors.cost(x, self._tensors.moments(x).mass)
 
     def size(self, s: Tensor | None = None) -> Tensor:
         """Total length of the rods, () [m]; linear in s (thesis eq. 3.16)."""
-        return self._tensors.rod_length(self.all_values(s))
+        return self._tensors.rod_length(self._possible_values(s))
 
     def extent(self, s: Tensor | None = None) -> Tensor:
         """Size of the box around the propellers' centers, (3,) [m]."""
-        centers = self._tensors.rotor_positions(self.all_values(s))
+        centers = self._tensors.rotor_positions(self._possible_values(s))
         return centers.amax(0) - centers.amin(0)
 
     def closest(self, values: Mapping[str, float]) -> Design:
@@ -225,13 +236,7 @@ class Design:
             ValueError: outside the feasible set; names the worst constraint.
         """
         s = self._free(s).detach().clone()
-        slack = self.feasible.inequality_matrix @ s.numpy() - self.feasible.inequality_bound
-        if len(slack) and float(slack.max()) > 1e-6:
-            worst = self.feasible.inequality_labels[int(slack.argmax())]
-            raise ValueError(
-                f"s violates '{worst}' by {float(slack.max()):.3g} m; use closest(...) to stay "
-                "feasible"
-            )
+        self._require_feasible(s)
         return replace(self, values=s)
 
     def with_directions(self, directions: Tensor) -> Design:
@@ -286,12 +291,12 @@ class Design:
             s: Free parameters, (n_free,); the current ones if None.
             directions: Thrust directions, (n_rotors, 3), to draw motors and propellers tilted.
         """
-        x = self.all_values(s).detach().numpy()
+        x = self._possible_values(s).detach().numpy()
         return placed_meshes(self.parts, dict(zip(self.all_names, x, strict=True)), directions)
 
     def bill_of_materials(self, s: Tensor | None = None) -> tuple[PartEntry, ...]:
         """Every part with mass and price."""
-        x = self.all_values(s).detach()
+        x = self._possible_values(s).detach()
         masses = self._tensors.moments(x).mass.tolist()
         return part_entries(self.parts, dict(zip(self.all_names, x.tolist(), strict=True)), masses)
 
@@ -301,6 +306,19 @@ class Design:
 
     def _free(self, s: Tensor | None) -> Tensor:
         return self.values if s is None else require("s", s, (len(self.names),))
+
+    def _require_feasible(self, s: Tensor) -> None:
+        """Refuse free parameters outside of A s <= b; (n_free,), or more as torch.func maps."""
+        rows = self.feasible.inequality_matrix
+        points = np.array(s.reshape(-1, len(self.names)).tolist())
+        slack = points @ rows.T - self.feasible.inequality_bound
+        if not slack.size or float(slack.max()) <= _SLACK:
+            return
+        _, row = np.unravel_index(int(slack.argmax()), slack.shape)
+        raise ValueError(
+            f"s violates '{self.feasible.inequality_labels[row]}' by {float(slack.max()):.3g} m; "
+            "use closest(...) to stay feasible"
+        )
 
     def _index(self, name: str) -> int:
         if name in self.feasible.names:

@@ -27,6 +27,10 @@ class ConvergenceWarning(UserWarning):
     """An iterative solve stopped above its tolerance, where the caller chose to go on."""
 
 
+class ContactWarning(UserWarning):
+    """Contacts whose law has no answer; the warning says what was taken instead."""
+
+
 class FactorizationError(DiffsimError):
     """A matrix that should be symmetric positive definite is not.
 

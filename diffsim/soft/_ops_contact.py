@@ -32,6 +32,7 @@ from diffsim.soft._ops_step import (
     require_step,
     step_options,
 )
+from diffsim.soft._sticking import report_pulling
 
 
 def _require_contacts(
@@ -100,6 +101,8 @@ def contact_step(
     notify("step", stats, max_iters, contact=True)
     require_upright(ctx, stats[:, STATS.index("energy")], x)  # x is the start where that failed
     report_failure(stats, "implicit step in contact", STEP_HINT, on_failure)
+    tolerance = stats[:, STATS.index("tolerance")]
+    report_pulling(planes.normal, planes.friction, force, tolerance)
     return x, force, status, stats
 
 

@@ -1,12 +1,14 @@
 """Hard cases end in the contact law or in a clear error: far, deep, fast, stiff, crowded."""
 
 import math
+import warnings
 
 import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import diffsim
 from diffsim import contact, mesh, soft
 from diffsim.core.errors import ConvergenceError, DiffsimError
 from tests.contact.scenes import moving, slab, violations
@@ -160,6 +162,18 @@ def test_cycling_statuses_are_resolved():
                 state, _ = checked_step(body, state, contact.floor(friction=0.7))
             cycles += int(solves[0].num_cycles)
     assert cycles > 0
+
+
+def test_endless_friction_that_pulls_is_reported():
+    body = slab("hex", (3, 3, 1), youngs_modulus=1e4, **GOOD)
+    start = moving(body, (0.2, 0.1, -1.0), spin=(0.5, 1.0, 3.0), wobble=0.5, seed=3)
+    with pytest.warns(diffsim.ContactWarning, match=r"friction=inf holds \d+ nodes"):
+        end = body(start, obstacles=contact.floor(friction=math.inf))
+    assert float(end.contact_force[:, 2].min()) < -1e-3
+    with warnings.catch_warnings():  # a finite coefficient has an answer, which presses
+        warnings.simplefilter("error")
+        end = body(start, obstacles=contact.floor(friction=2.0))
+    assert float(end.contact_force[:, 2].min()) >= -1e-8
 
 
 unit = st.floats(-1.0, 1.0)

@@ -536,3 +536,19 @@ def test_without_osqp(monkeypatch):
     design = build_design(cross())
     with pytest.raises(ImportError, match=r"pip install 'diffsim-robot\[opt\]'"):
         design.closest({"arm_1.length": 0.3})
+
+
+def test_parameters_outside_of_the_bounds_are_refused():
+    design = load_design("quadcopter")
+    for step in (-1.0, 3.0):  # rods of negative length, and longer than allowed
+        s = design.values + step
+        for ask in (design.multicopter, design.mass, design.cost, design.meshes, design.extent):
+            with pytest.raises(ValueError, match=r"s violates .* use closest"):
+                ask(s)
+    s = design.values.clone().requires_grad_()
+    assert torch.autograd.gradcheck(lambda s: design.multicopter(s).mass, (s,))
+    torch.func.jacrev(lambda s: design.mass(s))(design.values)
+    with pytest.raises(ValueError, match="s violates"):
+        torch.func.vmap(design.mass)(design.values + torch.tensor([[0.0], [3.0]]).double())
+    trial = replace(design, bounded=False)  # for a solver's trial points
+    assert torch.isfinite(trial.mass(design.values + 0.3))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -14,6 +14,7 @@ from torch import Tensor
 
 from diffsim.copter.codesign.polynomial import RTOL, Polynomial, fit
 from diffsim.copter.codesign.polytope import closest_feasible, random_feasible
+from diffsim.copter.design import Design
 from diffsim.copter.vehicle import Multicopter
 
 Array = NDArray[np.float64]
@@ -100,7 +101,8 @@ class ShapeModel:
         ):
             if not np.isfinite(array).all():
                 raise ValueError(f"the design's {name} must be finite, got {array.tolist()}")
-        self._design = design
+        # trial points of the solvers and samples of the quadratics may lie outside of the bounds
+        self._design = replace(design, bounded=False) if isinstance(design, Design) else design
         self._directions = directions
         self.start = closest_feasible(self.A, self.b, self.start)
         self.vehicle = design.multicopter(torch.as_tensor(self.start), directions).detach()

@@ -2,6 +2,7 @@
 
 from diffsim.copter.fabrication.files import write_plan
 from diffsim.copter.fabrication.motors import MotorPlan
+from diffsim.copter.fabrication.overlap import Overlap, overlaps
 from diffsim.copter.fabrication.planner import FabricationError, FabricationPlan, PrintedPart, plan
 from diffsim.copter.fabrication.print_check import PrintCheck, Printer
 from diffsim.copter.fabrication.printable import clip_mesh
@@ -11,12 +12,14 @@ __all__ = [
     "FabricationError",
     "FabricationPlan",
     "MotorPlan",
+    "Overlap",
     "PrintCheck",
     "PrintedPart",
     "Printer",
     "RodCut",
     "StockBar",
     "clip_mesh",
+    "overlaps",
     "plan",
     "write_plan",
 ]

@@ -6,6 +6,7 @@ import itertools
 import re
 from collections import defaultdict
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import trimesh
@@ -16,6 +17,7 @@ from diffsim.copter.design import Design
 from diffsim.copter.fabrication.assembly import ConnectorPlace, connector_places, steps
 from diffsim.copter.fabrication.materials import MaterialLine, bill, consumables
 from diffsim.copter.fabrication.motors import MotorPlan, motor_plans
+from diffsim.copter.fabrication.overlap import Overlap, overlaps
 from diffsim.copter.fabrication.print_check import PrintCheck, Printer, check_print
 from diffsim.copter.fabrication.printable import print_mesh
 from diffsim.copter.fabrication.rods import RodCut, StockBar, pack, rod_cuts
@@ -96,14 +98,21 @@ class FabricationPlan:
         bought = sum(bar.length for bar in self.bars)
         return 1.0 - sum(bar.used for bar in self.bars) / bought if bought else 0.0
 
+    @cached_property
+    def overlaps(self) -> tuple[Overlap, ...]:
+        """Parts that interpenetrate as the design stands, the deepest first."""
+        return overlaps(self.design.meshes())
+
     @property
     def problems(self) -> tuple[str, ...]:
-        """What stands in the way of printing and flying, one sentence each."""
+        """What stands in the way of printing, assembly and flying, one sentence each."""
         prints = [f"{p.file}: {text}" for p in self.printed for text in p.check.problems]
+        solid = {part.name for part in self.design.parts}  # two propellers are discs: below
         gaps = disc_clearances(self.design.multicopter()).tolist()
         pairs = itertools.combinations(self.motors, 2)
         return (
             *prints,
+            *(str(o) for o in self.overlaps if not solid.isdisjoint(o.parts)),
             *(
                 f"the propellers of motors {a.number} and {b.number} cut into each other"
                 for (a, b), gap in zip(pairs, gaps, strict=True)
