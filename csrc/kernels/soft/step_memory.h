@@ -28,6 +28,7 @@ class StepMemories {
     std::unique_ptr<StepMemory> memory = std::move(idle_.back());
     idle_.pop_back();
     if (memory->multigrid) memory->multigrid->forget();
+    memory->elastic.kept_at.clear();
     return memory;
   }
   void give_back(std::unique_ptr<StepMemory> memory) {

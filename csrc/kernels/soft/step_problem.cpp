@@ -38,7 +38,7 @@ StepProblem::StepProblem(const ConstantSystem& system, const StepInputs& inputs,
       scale_(force_scale(system, inputs)),
       memory_(system.pattern().memories().take()),
       by_multigrid_(by_multigrid) {
-  elastic_.keep_frames = true;
+  memory_->elastic.keep_frames = true;
   if (in_.parameters.damp_mu)
     frames_ = damping_frames(system.model(), in_.x_frame, in_.x_velocity, pool);
 }
