@@ -52,8 +52,9 @@ class StokesFlow(nn.Module):
     Gradients: phi, inlet velocities, viscosity, wall velocity, body force, traction; first order.
     Not modeled: inertia, time, free surfaces, surface tension, shapes thinner than a cell (warns;
     with "no_separation" a part of one cut cell that touches nothing raises FactorizationError).
-    Slip along curved walls converges with an order of about 1.5, since walls are flat facets. Read
-    velocities where phi > 0: those beyond the wall appear and vanish with the cells that need them.
+    Slip walls take their normal from the level set's slopes within one cell around (order two where
+    phi is smooth). Read velocities where phi > 0: those beyond the wall appear and vanish with the
+    cells that need them.
 
     Example:
         >>> flow = StokesFlow(grid, [Inlet("x-"), Open("x+")], viscosity=1e-3)
