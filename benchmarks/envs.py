@@ -1,8 +1,9 @@
 """Environment steps per second: one, a batch, gymnasium's vector environments; price of gradients.
 
-All kinds of one task take turns in one run, several rounds, medians over rounds. Steps per second
-are of the wall clock with one thread per process, so on a busy machine they are too low for all
-alike; worker processes (forkserver, one thread each) use as many cores as there are workers.
+All kinds of one task take turns in one run, several rounds, medians over rounds. Steps are per
+second of CPU time of this process, with one thread, which a busy machine changes little; those of
+worker processes (forkserver, one thread each) are per second of the wall clock, and use as many
+cores as there are workers.
 
 python -m benchmarks.envs --out runs/bench_envs
 python -m benchmarks.envs --quick
@@ -31,6 +32,7 @@ from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.envs import make_task, make_vector
 
 BATCHES = (1, 8, 64)
+LARGE = 8192  # of vehicles, whose batches are cheap
 WORKERS = 2
 
 
@@ -45,6 +47,7 @@ class Case:
 
 CASES = {
     "CopterHover": Case("CopterHover", {}, 60),
+    "CopterTrack": Case("CopterTrack", {}, 60),
     "StarfishSwim, coarse": Case("StarfishSwim", {"robot": {"coarse": True}}, 10),
     "StarfishSwim, thesis size": Case("StarfishSwim", {}, 3),
 }
@@ -70,7 +73,7 @@ def kinds(case: Case) -> dict[str, tuple[Any, int]]:
     """Environments of a case by name, with their numbers of members."""
     make = partial(gymnasium.make, f"diffsim/{case.task}-v0", **case.options)
     out: dict[str, tuple[Any, int]] = {"single": (make(), 1)}
-    for count in BATCHES:
+    for count in (*BATCHES, *([LARGE] if case.task.startswith("Copter") else [])):
         out[f"native batch of {count}"] = (make_vector(case.task, count, **case.options), count)
     out["SyncVectorEnv of 8"] = (SyncVectorEnv([make] * 8), 8)
     out[f"AsyncVectorEnv, {WORKERS} processes"] = (
@@ -117,9 +120,10 @@ def measure(case: Case, rounds: int) -> dict[str, Any]:
         rates: dict[str, list[float]] = {name: [] for name in calls}
         for _ in range(rounds + 1):  # the first round warms up
             for name, call in calls.items():
-                began = time.perf_counter()
+                clock = time.perf_counter if name.startswith("Async") else time.process_time
+                began = clock()
                 count = call()
-                rates[name].append(count / (time.perf_counter() - began))
+                rates[name].append(count / (clock() - began))
     finally:
         for env, _ in envs.values():
             env.close()
@@ -132,17 +136,20 @@ def measure(case: Case, rounds: int) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("runs/bench_envs"))
+    parser.add_argument("--only", choices=list(CASES), help="one case")
     parser.add_argument("--quick", action="store_true", help="one round, no thesis size")
     args = parser.parse_args()
     torch.set_num_threads(1)
     assert diffsim.envs.ENV_IDS  # importing registers them
-    cases = {k: c for k, c in CASES.items() if not (args.quick and "thesis" in k)}
+    wanted = [args.only] if args.only else list(CASES)
+    cases = {k: CASES[k] for k in wanted if not (args.quick and "thesis" in k)}
     results: dict[str, Any] = {"machine": machine(), "cases": {}}
     for name, case in cases.items():
         results["cases"][name] = measure(case, 1 if args.quick else 5)
         print(name)
         for kind, rate in results["cases"][name]["steps_per_second"].items():
-            print(f"  {kind:32s} {rate['median']:10.0f} steps/s")
+            each = 1e3 / rate["median"]
+            print(f"  {kind:32s} {rate['median']:10.0f} steps/s, {each:8.4f} ms each")
         price = results["cases"][name]["gradient"]
         print(f"  a step with its gradient costs {price['ratio']:.1f} steps without")
         write_json_atomic(args.out / "results.json", to_plain(results))

@@ -6,19 +6,14 @@ import argparse
 import csv
 import io
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from diffsim.core.files import write_text_atomic
-from diffsim.data.formats import (
-    WRITTEN,
-    Columns,
-    is_container,
-    parts_of,
-    read_columns,
-    split_part,
-    write_columns,
-)
+
+if TYPE_CHECKING:
+    from diffsim.data.formats import Columns
 
 HELP = "show what a recorded file holds, or write a table of it in another format"
 
@@ -35,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         type=Path,
         metavar="OUT",
-        help=f".csv, {', '.join(WRITTEN)}; without it, parts and columns are shown",
+        help=".csv, .parquet, .h5, .hdf5 or .mat; without it, parts and columns are shown",
     )
 
 
@@ -47,6 +42,8 @@ def command(args: argparse.Namespace) -> None:
         ImportError: the format's library is not installed.
         ValueError: the file cannot be read, or OUT has an ending that is not written.
     """
+    from diffsim.data.formats import is_container, parts_of, split_part, write_columns
+
     file, part = split_part(args.source)
     if args.out is None:
         for name in [part] if part or not is_container(file) else parts_of(file):
@@ -61,9 +58,11 @@ def command(args: argparse.Namespace) -> None:
 
 
 def _columns(source: str) -> Columns:
+    from diffsim.data.columns import Table
+    from diffsim.data.formats import is_container, read_columns
+
     if is_container(source):
         return read_columns(source)
-    from diffsim.data.columns import Table
 
     table = Table(Path(source), "table")
     return {

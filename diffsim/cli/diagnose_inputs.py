@@ -28,7 +28,7 @@ from diffsim.systems.ode.traced import with_function
 from diffsim.systems.registry import setup_of
 
 MAX_PATH = 200  # longer texts of a description are no paths
-QUICK = {"num_refits": 2, "max_rounds": 4, "max_effects": 2, "scan_seconds": 20.0}
+QUICK: dict[str, Any] = {"num_refits": 2, "max_rounds": 4, "max_effects": 2, "scan_seconds": 20.0}
 
 
 def read_study(given: str) -> Study:

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from diffsim.copter.battery import LIPO_NOMINAL, Battery
 from diffsim.copter.rotor import RotorModel, rotor_model
-from diffsim.copter.vehicle_keys import BatteryFacts, RotorFacts, VehicleFile
 from diffsim.copter.vehicle_mjcf import body_of, vehicle_of_mjcf
 from diffsim.copter.vehicle_record import (
     DEFAULT_CELLS,
@@ -26,7 +25,9 @@ from diffsim.copter.vehicle_record import (
     own_rotor,
 )
 from diffsim.copter.yaml_lines import read_yaml
-from diffsim.core.schema import problem_lines
+
+if TYPE_CHECKING:
+    from diffsim.copter.vehicle_keys import BatteryFacts, RotorFacts, VehicleFile
 
 Array = NDArray[np.float64]
 
@@ -81,6 +82,11 @@ def vehicle_from_text(
         folder: Where ``body_file`` lies; None: the current folder.
         name: Of the vehicle, if the text gives none.
     """
+    from pydantic import ValidationError  # a third of a second: only for those who read a file
+
+    from diffsim.copter.vehicle_keys import VehicleFile
+    from diffsim.core.schema import problem_lines
+
     try:
         said = VehicleFile.model_validate(read_yaml(text, source).value)
     except ValidationError as error:

@@ -252,8 +252,8 @@ mean deformation gradient by rows [-]: where the robot's axes point; all unbound
     | termination | tipped over: its z axis has turned by more than about 60 degrees |
     | truncation | 100 steps of 10 ms |
     | options | robot (arguments of ``diffsim.systems.robots.quadruped``: coarse, friction, \
-per_muscle, ...), num_steps, substeps, start_speed, drift_weight, rise_weight, speed_scale, \
-action_delay, randomization (muscles), sensor_noise |
+per_muscle, ...), num_steps, substeps, start_speed, clock, drift_weight, rise_weight, \
+speed_scale, action_delay, randomization (muscles), sensor_noise |
     | versions | v0: first |
     """
 
@@ -312,7 +312,7 @@ zero) - 0.001 mean squared action |
     | termination | none |
     | truncation | 100 steps of 10 ms |
     | options | robot (arguments of ``diffsim.systems.robots.tendon_arm``: coarse, gravity, ...), \
-num_steps, substeps, goal_low, goal_high, node, effort_weight, start_speed, action_delay, \
+num_steps, substeps, goal_low, goal_high, node, effort_weight, start_speed, clock, action_delay, \
 randomization (muscles), sensor_noise |
     | versions | v0: first |
     """

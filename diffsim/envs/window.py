@@ -89,9 +89,7 @@ class Window:
         axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0))
         axes.set_axis_off()
         self._image = axes.imshow(picture)
-        if self._figure.canvas.manager is not None and hasattr(
-            self._figure.canvas, "required_interactive_framework"
-        ):
+        if getattr(self._figure.canvas, "required_interactive_framework", None) is not None:
             pyplot.show(block=False)
 
 

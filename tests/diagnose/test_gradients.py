@@ -173,3 +173,17 @@ def test_effects_with_kinks_are_not_compared():
     problem = linear.problem((linear.line("push"), kinked))
     at = LaplaceEvidence(problem, np.zeros(4), *problem.linearize(np.zeros(4)), [], 1)
     assert [g.name for g in gradient_gate(at)] == ["gradient:push"]
+
+
+@pytest.mark.grad
+def test_a_sharply_bent_response_is_followed_up_with_shorter_steps():
+    """Differences of slopes that are themselves differences: both are too long at first."""
+
+    def friction(scene, size, run):
+        moved = linear.shapes("drag", run)[..., 0] * 0.02 * torch.tanh(size[0] / 0.02)
+        return replace(scene, record=scene.record + moved)
+
+    drag = replace(linear.line("drag"), apply=friction)
+    problem = linear.problem((linear.line("push"), drag))
+    at = LaplaceEvidence(problem, np.zeros(4), *problem.linearize(np.zeros(4)), [], 1)
+    assert all(g.passed for g in gradient_gate(at))

@@ -31,7 +31,8 @@ class RigidMultigrid {
   /// Takes over new numbers.
   /// @param[in] x  (num_nodes, 3) positions, whose rigid motions cost no energy [m]
   void prepare(const StripMatrix& matrix, const double* x, ThreadPool& pool);
-  bool is_prepared() const { return is_prepared_; }
+  /// Leaves its memory alone and forgets all numbers.
+  void forget();
 
   /// z = approximate inverse times r; both (num_nodes, 3).
   void apply(const Vector& r, Vector& z, ThreadPool& pool);
@@ -82,7 +83,6 @@ class RigidMultigrid {
   CholeskyFactor coarsest_;
   CholeskyWorkspace cholesky_;
   std::vector<double> coarse_rhs_, coarse_blocks_;
-  bool is_prepared_ = false;
 };
 
 }  // namespace diffsim

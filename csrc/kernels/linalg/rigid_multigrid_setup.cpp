@@ -94,7 +94,10 @@ void RigidMultigrid::prepare(const StripMatrix& matrix, const double* x, ThreadP
     mirror_coarse(l + 1, pool);
   }
   factorize_coarsest(pool);
-  is_prepared_ = true;
+}
+
+void RigidMultigrid::forget() {
+  for (Level& level : levels_) level.mode.clear();  // all else is overwritten
 }
 
 void RigidMultigrid::copy_matrix(const StripMatrix& matrix, ThreadPool& pool) {

@@ -10,10 +10,10 @@
 #include <mutex>
 
 #include "kernels/linalg/cholesky.h"
-#include "kernels/linalg/rigid_hierarchy.h"
 #include "kernels/soft/inverse_columns.h"
 #include "kernels/soft/soft_model.h"
 #include "kernels/soft/solver_plan.h"
+#include "kernels/soft/step_memory.h"
 #include "kernels/vector_ops.h"
 
 namespace diffsim {
@@ -27,6 +27,7 @@ class SoftPattern {
   std::shared_ptr<const CholeskySymbolic> scalar() const;
   std::shared_ptr<const CholeskySymbolic> blocks() const;
   std::shared_ptr<const RigidHierarchy> hierarchy() const;
+  StepMemories& memories() const { return memories_; }
 
  private:
   SoftModel model_;
@@ -34,6 +35,7 @@ class SoftPattern {
   mutable std::once_flag scalar_once_, blocks_once_, hierarchy_once_;
   mutable std::shared_ptr<const CholeskySymbolic> scalar_, blocks_;
   mutable std::shared_ptr<const RigidHierarchy> hierarchy_;
+  mutable StepMemories memories_;
 };
 
 /// What A is made of and what the plan is for; everything the content depends on.

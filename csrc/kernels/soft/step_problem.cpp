@@ -36,8 +36,9 @@ StepProblem::StepProblem(const ConstantSystem& system, const StepInputs& inputs,
       ops_(pool),
       size_(at(3 * system.model().num_nodes)),
       scale_(force_scale(system, inputs)),
+      memory_(system.pattern().memories().take()),
       by_multigrid_(by_multigrid) {
-  elastic_.keep_frames = true;
+  memory_->elastic.keep_frames = true;
   if (in_.parameters.damp_mu)
     frames_ = damping_frames(system.model(), in_.x_frame, in_.x_velocity, pool);
 }
@@ -45,7 +46,7 @@ StepProblem::StepProblem(const ConstantSystem& system, const StepInputs& inputs,
 double StepProblem::value_gradient(const Vector& x, Vector& gradient) {
   gradient.resize(size_);
   energy_ = energy_gradient(system_.model(), in_.parameters, frames_, x.data(), gradient.data(),
-                            elastic_, pool_);
+                            memory_->elastic, pool_);
   const double inflation = add_pressure_gradient(system_.model(), in_.parameters.pressure, x.data(),
                                                  gradient.data(), pool_);
   double kinetic = 0.0, work = 0.0;
@@ -67,17 +68,19 @@ void StepProblem::assemble(const Vector& x, bool clamp) {
     assembled_at_ = x;
     is_multigrid_stale_ = true;
   }
-  values_.resize(at(system_.model().values_size()));
-  tangent(system_.model(), in_.parameters, frames_, x.data(), clamp, values_.data(), elastic_,
-          pool_);
+  memory_->values.resize(at(system_.model().values_size()));
+  tangent(system_.model(), in_.parameters, frames_, x.data(), clamp, memory_->values.data(),
+          memory_->elastic, pool_);
   // Clamped, the matrix must be definite, which the geometric stiffness of a pressure is not.
   if (!clamp)
-    add_pressure_tangent(system_.model(), in_.parameters.pressure, x.data(), values_.data(), pool_);
+    add_pressure_tangent(system_.model(), in_.parameters.pressure, x.data(), memory_->values.data(),
+                         pool_);
 }
 
 void StepProblem::multiply_all(const Vector& in, Vector& out) {
   out.resize(size_);
-  block_multiply(system_.model(), values_.data(), system_.inertia(), in.data(), out.data(), pool_);
+  block_multiply(system_.model(), memory_->values.data(), system_.inertia(), in.data(), out.data(),
+                 pool_);
 }
 
 void StepProblem::multiply(const Vector& in, Vector& out) {
@@ -103,14 +106,14 @@ void StepProblem::input_gradients(const Vector& x, const Vector& z, const Vector
   Vector minus_z(z);
   for (double& v : minus_z) v = -v;
   parameter_adjoint(system_.model(), in_.parameters, frames_, x.data(), minus_z.data(),
-                    out.parameters, elastic_, pool_);
+                    out.parameters, memory_->elastic, pool_);
   pressure_adjoint(system_.model(), x.data(), minus_z.data(), out.parameters.pressure, pool_);
 }
 
 void StepProblem::parameter_tangent(const Vector& x, std::int64_t count,
                                     const ParameterDirections& directions, double* out) {
   diffsim::parameter_tangent(system_.model(), in_.parameters, frames_, x.data(), count, directions,
-                             out, elastic_, pool_);
+                             out, memory_->elastic, pool_);
 }
 
 void StepProblem::load_tangents(const Vector& x, const StepDirections& d, double* out) {
@@ -132,11 +135,12 @@ void StepProblem::load_tangents(const Vector& x, const StepDirections& d, double
 }
 
 void StepProblem::prepare_multigrid() {
-  if (!multigrid_) multigrid_ = std::make_unique<RigidMultigrid>(system_.pattern().hierarchy());
+  if (!memory_->multigrid)
+    memory_->multigrid = std::make_unique<RigidMultigrid>(system_.pattern().hierarchy());
   const SoftModel& model = system_.model();
-  const StripMatrix matrix{model.num_nodes, model.strip_start.data(), values_.data(),
+  const StripMatrix matrix{model.num_nodes, model.strip_start.data(), memory_->values.data(),
                            system_.inertia(), system_.fixed()};
-  multigrid_->prepare(matrix, assembled_at_.data(), pool_);
+  memory_->multigrid->prepare(matrix, assembled_at_.data(), pool_);
   is_multigrid_stale_ = false;
 }
 
@@ -152,7 +156,7 @@ void StepProblem::precondition(const Vector& r, Vector& z) {
   }
   if (is_multigrid_stale_) prepare_multigrid();
   ++num_solves;
-  multigrid_->apply(r, z, pool_);
+  memory_->multigrid->apply(r, z, pool_);
 }
 
 void StepProblem::solve_constant(const Vector& r, Vector& z) {
@@ -162,7 +166,7 @@ void StepProblem::solve_constant(const Vector& r, Vector& z) {
 
 const double* StepProblem::diagonal_block(std::int64_t i) const {
   const SoftModel& model = system_.model();
-  return values_.data() + model.strip_start[at(i)] +
+  return memory_->values.data() + model.strip_start[at(i)] +
          3 * (model.diagonal[at(i)] - model.row_start[at(i)]);
 }
 
@@ -198,7 +202,7 @@ bool StepProblem::factorize(const std::function<void(double*)>& edit) {
   double diagonal = 0.0;
   for (std::int64_t i = 0; i < model.num_nodes; ++i) diagonal += system_.inertia()[i];
   for (std::int64_t i = 0; i < model.num_nodes; ++i) diagonal += diagonal_block(i)[0];
-  export_blocks(model, values_.data(), system_.inertia(), system_.fixed(),
+  export_blocks(model, memory_->values.data(), system_.inertia(), system_.fixed(),
                 diagonal / static_cast<double>(model.num_nodes), blocks_.data(), pool_);
   if (edit) edit(blocks_.data());
   if (factor_.empty()) factor_.emplace_back(system_.pattern().blocks());

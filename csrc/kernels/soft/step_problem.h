@@ -5,7 +5,6 @@
 #include <functional>
 
 #include "kernels/linalg/krylov.h"
-#include "kernels/linalg/rigid_multigrid.h"
 #include "kernels/soft/block_matrix.h"
 #include "kernels/soft/implicit_step.h"
 
@@ -22,6 +21,9 @@ class StepProblem {
   /// @param by_multigrid  whether precondition() is a multigrid cycle, else the constant system
   StepProblem(const ConstantSystem& system, const StepInputs& inputs, ThreadPool& pool,
               bool by_multigrid = false);
+  ~StepProblem() { system_.pattern().memories().give_back(std::move(memory_)); }
+  StepProblem(const StepProblem&) = delete;
+  StepProblem& operator=(const StepProblem&) = delete;
 
   std::size_t size() const { return size_; }
   VectorOps& ops() { return ops_; }
@@ -87,13 +89,12 @@ class StepProblem {
   std::size_t size_;
   double scale_ = 0.0, magnitude_ = 0.0, energy_ = 0.0;
   std::vector<DampingFrame> frames_;
-  ElasticityScratch elastic_;
+  std::unique_ptr<StepMemory> memory_;
   ConstantSystem::Scratch constant_;
   CholeskyWorkspace cholesky_;
-  AlignedBuffer<double> values_, blocks_;
+  AlignedBuffer<double> blocks_;
   std::vector<CholeskyFactor> factor_;  // none or one
-  std::unique_ptr<RigidMultigrid> multigrid_;
-  Vector assembled_at_;  // by multigrid only
+  Vector assembled_at_;                 // by multigrid only
   bool by_multigrid_, is_multigrid_stale_ = true, is_multigrid_kept_ = false;
 };
 

@@ -10,8 +10,8 @@ tolerance, so that the body hardly moves, while the adjoint, which solves its ow
 would. Unstable feedback then shows in gradients alone (norms beyond 1e50 over 200 steps at zero
 reward). Conjugate gradients at 1e-4 still show it: at an untrained network, gradients of 25 steps
 of the large shark have a cosine of -0.1 with sampled ones, at 1e-5 one of 0.995. Large bodies take
-them at 1e-5; coarse ones take a factor of the tangent at every iteration, whose last iteration
-leaves far less than 1e-4 and which costs them about the same (docs/learning.md).
+them at 1e-5; coarse ones take one factor of the tangent per step, on which 1e-6 costs a third more
+than 1e-4 and moves gradients by 1e-5 instead of 3e-3 (docs/measured/environments.md).
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def starfish(
         amplitude: Largest contraction of a muscle [-].
         droop: Slope of the arms' ends at rest [rad].
         num_sensors: Velocity sensors; 137 give the 411 inputs of the thesis's network.
-        rtol: Relative tolerance of a time step's solution [-]; None: 1e-5, coarse 1e-4 (see the
+        rtol: Relative tolerance of a time step's solution [-]; None: 1e-5, coarse 1e-6 (see the
             module).
     """
     wide, long, thick = (2, 9, 2) if coarse else (5, 18, 4)
@@ -152,7 +152,7 @@ def shark(
         youngs_modulus: Young's modulus of the body [Pa].
         amplitude: Largest contraction of a muscle [-].
         num_sensors: Velocity sensors; 95 give the 285 inputs of the thesis's network.
-        rtol: Relative tolerance of a time step's solution [-]; None: 1e-5, coarse 1e-4 (see the
+        rtol: Relative tolerance of a time step's solution [-]; None: 1e-5, coarse 1e-6 (see the
             module).
     """
     n, wide, tall, fin = (15, 4, 4, 2) if coarse else (44, 6, 8, 6)
@@ -220,7 +220,7 @@ def _spindle(u: Tensor, reach: Tensor) -> Tensor:
 
 
 def _solver(coarse: bool, rtol: float | None) -> soft.SolverOptions:
-    method, default = ("newton_cholesky", 1e-4) if coarse else ("newton_pcg", 1e-5)
+    method, default = ("auto", 1e-6) if coarse else ("newton_pcg", 1e-5)
     return soft.SolverOptions(method=method, rtol=default if rtol is None else rtol)
 
 

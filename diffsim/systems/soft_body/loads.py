@@ -58,6 +58,7 @@ def tip_mass(typical_kg: float) -> Effect:
         kind="force",
         unit="kg",
         typical=typical_kg,
+        signed=False,  # no mass is below zero; central slopes across that are half of the true ones
         also_looks_like=("density", "markers and cables that weigh something"),
         apply=_tip_mass,
     )

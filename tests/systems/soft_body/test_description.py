@@ -78,6 +78,19 @@ def test_columns_are_those_of_differences():
         assert np.abs(columns[:, i] - slope).max() < 2e-3 * np.abs(slope).max(), problem.names[i]
 
 
+@pytest.mark.grad
+def test_the_slope_of_a_mass_from_nothing_is_that_of_the_adjoint():
+    """It was half of it: differences reached below zero, where a mass is none."""
+    study = study_of(BAR, (LIGHT,))
+    setup = setup_of(study)
+    (mass,) = (e for e in setup.effects if e.name == "tip_mass")
+    problem = Problem(setup.model, study.runs, WhiteNoise(study.channels), (mass,))
+    x = np.zeros(len(problem.names))
+    slope = problem.linearize(x)[1][:, -1]
+    along = slope / np.linalg.norm(slope)
+    assert problem.pullback(x, along)[-1] == pytest.approx(np.linalg.norm(slope), rel=1e-3)
+
+
 def test_a_density_per_part_goes_with_hooks():
     region = {"name": "head", "where": {"x": [0.06, None]}, "density": 2000.0}
     study = study_of(BAR, (LIGHT,), regions=[region], vibration={"frequency": 5.0})
