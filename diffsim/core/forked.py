@@ -9,12 +9,12 @@ nothing. Forking servers and ``spawn`` are not concerned.
 from __future__ import annotations
 
 import os
-
-import torch
+import sys
 
 
 def _use_one_thread() -> None:
-    if torch.get_num_threads() > 1:
+    torch = sys.modules.get("torch")  # who has not imported it has no threads of it
+    if torch is not None and torch.get_num_threads() > 1:
         torch.set_num_threads(1)
 
 
