@@ -197,7 +197,7 @@ def _compared(
         for share in SHORTER:
             wanted = _extrapolated(slopes, problem.columns_of(effect), share)
             errors[effect] = min(errors[effect], error(effect, wanted))
-            if errors[effect] < GRADIENT_RTOL or process_time() > end:
+            if errors[effect] < GRADIENT_RTOL:
                 break
     return errors, late
 
