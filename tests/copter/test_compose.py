@@ -534,7 +534,7 @@ def test_without_osqp(monkeypatch):
     """Loading needs no QP; moving a parameter says what is missing."""
     monkeypatch.setitem(sys.modules, "osqp", None)
     design = build_design(cross())
-    with pytest.raises(ImportError, match=r"pip install 'diffsim-robot\[opt\]'"):
+    with pytest.raises(ImportError, match=r"pip install 'osqp>="):
         design.closest({"arm_1.length": 0.3})
 
 

@@ -10,7 +10,6 @@ import trimesh
 
 from diffsim import mesh as m
 from diffsim.core.errors import MeshError
-from diffsim.mesh import from_surface
 from diffsim.mesh.inside import grid_inside
 
 
