@@ -114,7 +114,7 @@ FILES = ("report.json", "extended_model.yaml", "report.html", "runs.rrd", "input
 def test_an_explanation_is_finished_when_all_its_files_are_there(
     study_folder, explained_quick, tmp_path, capsys, lost
 ):
-    pytest.importorskip("rerun", reason="recordings need pip install 'diffsim-robot[viz]'")
+    pytest.importorskip("rerun", reason="recordings need pip install matplotlib plotly rerun-sdk")
     for name in FILES:
         if name != lost:
             (tmp_path / name).write_bytes((explained_quick / name).read_bytes())
@@ -128,7 +128,7 @@ def test_an_explanation_is_finished_when_all_its_files_are_there(
 def test_a_page_that_lacked_its_package_is_made_once_it_is_there(
     study_folder, tmp_path, monkeypatch, capsys
 ):
-    pytest.importorskip("matplotlib", reason="pages need pip install 'diffsim-robot[viz]'")
+    pytest.importorskip("matplotlib", reason="pages need pip install matplotlib plotly rerun-sdk")
 
     def no_package(*_, **__):
         raise ImportError("no matplotlib")
