@@ -178,8 +178,9 @@ class BuildExt(build_ext):
         name = getattr(self.compiler, "compiler_so_cxx", self.compiler.compiler_so)[0]
         if shutil.which(name) is None:
             raise SystemExit(NO_COMPILER.format(name=name))
-        key = [compiler, nanobind.__version__, eigen_version(), sys.version]
-        self.kernels = self.bindings = folder_of(key)
+        plain = [compiler, eigen_version()]
+        self.kernels = folder_of(plain)
+        self.bindings = folder_of([*plain, nanobind.__version__, sys.version])
         jobs = [(ext, source) for ext in self.extensions for source in ext.sources]
         with ThreadPoolExecutor(max_workers=self.parallel or os.cpu_count()) as pool:
             objects = list(pool.map(lambda job: self._compile(*job), jobs))
