@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -132,7 +132,7 @@ def flight_layer() -> tuple[Callable[..., tuple[Tensor, ...]], list[Tensor]]:
 
 def mass_layer(name: str) -> tuple[Callable[..., tuple[Tensor, ...]], list[Tensor]]:
     """Mass, inertia and rotors' places of a shipped design from its free parameters."""
-    design = load_design(name)
+    design = replace(load_design(name), bounded=False)  # differences step over bounds
 
     def layer(s: Tensor) -> tuple[Tensor, ...]:
         copter: Multicopter = design.multicopter(s)

@@ -36,14 +36,13 @@ MAX_THREADS = 1024
 
 def require_threads(num_threads: int) -> int:
     """Check the number of threads of a call: a whole number from 1 to ``MAX_THREADS``."""
-    if isinstance(num_threads, bool) or not isinstance(num_threads, int):
-        raise TypeError(f"num_threads must be an int, got {type(num_threads).__name__}")
-    if not 1 <= num_threads <= MAX_THREADS:
+    count = require_count("num_threads", num_threads, at_least=1)
+    if count > MAX_THREADS:
         raise ValueError(
-            f"num_threads must lie in [1, {MAX_THREADS}], got {num_threads}; more than the "
-            "processor has cores does not pay"
+            f"num_threads must lie in [1, {MAX_THREADS}], got {count}; more than the processor has "
+            "cores does not pay"
         )
-    return num_threads
+    return count
 
 
 def require_numbers(

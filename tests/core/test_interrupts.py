@@ -7,7 +7,8 @@ import sys
 import pytest
 
 SCRIPT = """
-import sys, time
+import signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # shells start jobs in the background deaf
 from diffsim.core.interrupts import interruptible
 with interruptible("go on with --resume"):
     print("ready", flush=True)

@@ -271,7 +271,7 @@ def test_refuses_bad_matrices():
         SparseCholesky(good, block=2)
     with pytest.raises(ValueError, match="block must be an integer from 1 to 6"):
         SparseCholesky(good, block=7)
-    with pytest.raises(ValueError, match=r"num_threads must lie in \[1, 1024\], got 0"):
+    with pytest.raises(ValueError, match=r"num_threads must be a whole number >= 1, got 0"):
         SparseCholesky(good, num_threads=0)
     with pytest.raises(ValueError, match="did you mean 'float32'"):
         SparseCholesky(good, precision="float23")

@@ -69,6 +69,7 @@ def library(name: str) -> str:
 @pytest.fixture(scope="module")
 def sanitized() -> Path:
     """A copy of the package and its tests, with a core built with ASan and UBSan."""
+    pytest.importorskip("nanobind", reason="pip install -c constraints.txt nanobind cmeel-eigen")
     place = PLACE / "address"
     for name in ("diffsim", "tests", "examples", "benchmarks"):
         shutil.rmtree(place / name, ignore_errors=True)

@@ -342,8 +342,8 @@ BAD_OPTIONS = [
     ({"max_iters": 0}, ValueError, "max_iters must lie in"),
     ({"max_iters": 10.0}, TypeError, "max_iters must be an int, got float"),
     ({"adjoint_max_iters": 0}, ValueError, "adjoint_max_iters must lie in"),
-    ({"num_threads": 0}, ValueError, "num_threads must lie in"),
-    ({"num_threads": True}, TypeError, "num_threads must be an int, got bool"),
+    ({"num_threads": 0}, ValueError, "num_threads must be a whole number"),
+    ({"num_threads": True}, TypeError, "num_threads must be a number, got bool"),
     (
         {"on_failure": "ignore"},
         ValueError,

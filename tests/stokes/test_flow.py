@@ -329,7 +329,7 @@ class TestRefusals:
             self.flow(wall="free")
         with pytest.raises(ValueError, match=r"method must be one of.*did you mean"):
             stokes.SolverOptions(method="iterativ")
-        with pytest.raises(ValueError, match="num_threads must lie in"):
+        with pytest.raises(ValueError, match="num_threads must be a whole number >= 1"):
             stokes.SolverOptions(num_threads=0)
         with pytest.raises(ValueError, match="viscosity must lie in"):
             self.flow(viscosity=0.0)
