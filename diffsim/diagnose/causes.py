@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diffsim.diagnose.averaging import HALF_90, Averaged
-from diffsim.diagnose.data_sheet import PULLED, pull_of, words_of
+from diffsim.diagnose.data_sheet import pull_of, words_of
 from diffsim.diagnose.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.judge import NAMES, Decision, Judgment
@@ -305,8 +305,8 @@ def _finding_row(told: Told, row: BaseRow) -> CauseRow:
         status, rivals = UNTOLD, _unknown_names(told, decision)
     else:
         half = HALF_90 * row.sd / row.prior_sd if row.prior_sd else 0.0
-        status = CERTAIN if abs(row.pull) - half > PULLED else LIKELY
-        others = _sets_without_pull(told, about, row.name)
+        status = CERTAIN if abs(row.pull) - half > row.limit else LIKELY
+        others = _sets_without_pull(told, about, row)
         if others:
             status, rivals = UNTOLD, others
     return CauseRow(
@@ -322,15 +322,19 @@ def _finding_row(told: Told, row: BaseRow) -> CauseRow:
     )
 
 
-def _sets_without_pull(told: Told, about: Averaged | None, name: str) -> tuple[str, ...]:
+def _sets_without_pull(told: Told, about: Averaged | None, row: BaseRow) -> tuple[str, ...]:
     """Causes of the sets within reach in which the parameter stays near its data sheet."""
     names: dict[str, None] = {}
     for h in () if about is None else about.reach:
         fit = about.search.weighed[h].fit if about and h in about.search.weighed else None
         if fit is None:
             continue
-        own = [i for i, n in enumerate(fit.problem.names) if n == name or n.startswith(f"{name}@")]
-        if own and abs(pull_of(fit.x[own].tolist())) <= PULLED:
+        own = [
+            i
+            for i, n in enumerate(fit.problem.names)
+            if n == row.name or n.startswith(f"{row.name}@")
+        ]
+        if own and abs(pull_of(fit.x[own].tolist())) <= row.limit:
             more = h.effects - told.judgment.decision.best
             names |= dict.fromkeys(told.effects[k].name for k in sorted(more))
     return tuple(names)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from scipy.stats import norm
 
 from diffsim.data.study import Run
 from diffsim.diagnose.averaging import HALF_90, Widening
@@ -14,8 +15,22 @@ from diffsim.diagnose.records import BaseRow
 from diffsim.identify import Fit
 from diffsim.identify.model import Parameter
 
-PULLED = 3.0  # prior standard deviations from the data sheet that are a finding
+PULLED = 3.0  # least prior standard deviations from the data sheet that are a finding
+FALSE_FINDINGS = 0.01  # share of right data sheets of which one parameter passes for wrong
 TOGETHER = 4  # runs whose own parameters must all lie on one side to be a finding
+
+
+def pull_limit(parameters: Sequence[Parameter]) -> float:
+    """Distance from the data sheet from which on a parameter is a finding [prior sd].
+
+    Of many parameters one is far off by chance: the limit grows with their number, so that one
+    right description in a hundred has a finding (Bonferroni).
+
+    Args:
+        parameters: All base parameters; those that each run has of its own count once.
+    """
+    num = len({p.name.partition("@")[0] for p in parameters})
+    return max(PULLED, float(norm.isf(FALSE_FINDINGS / (2.0 * max(1, num)))))
 
 
 def words_of(name: str) -> str:
@@ -40,20 +55,21 @@ def base_rows(
         judged: Whether findings may be stated: repeats and numerical settings are in order.
     """
     sd, names = np.sqrt(np.diag(fit.covariance)), {run.name for run in runs}
-    rows = []
-    for i, p in enumerate(fit.problem.model.base):
+    base, rows = fit.problem.model.base, []
+    limit = pull_limit(base)
+    for i, p in enumerate(base):
         run = p.name.partition("@")[2] or None
         if run is not None and run not in names:
             continue
         factor = wider.factors.get(p.name, wider.usual if run is None else 1.0)
-        rows.append(_base_row(p, float(fit.x[i]), float(sd[i]) * factor, run))
+        rows.append(_base_row(p, float(fit.x[i]), float(sd[i]) * factor, run, limit))
     if not judged:
         return tuple(rows)
     alone = (replace(r, finding=r.run is None and _is_off(r)) for r in rows)
     return (*alone, *_pulled_together(rows))
 
 
-def _base_row(p: Parameter, x: float, sd: float, run: str | None) -> BaseRow:
+def _base_row(p: Parameter, x: float, sd: float, run: str | None, limit: float) -> BaseRow:
     def at(q: float) -> float:
         return float(p.value_at(torch.tensor(q, dtype=torch.float64)))
 
@@ -69,6 +85,7 @@ def _base_row(p: Parameter, x: float, sd: float, run: str | None) -> BaseRow:
         prior_value=p.value,
         prior_sd=p.sd * p.value if p.log else p.sd,
         pull=x,
+        limit=limit,
         run=run,
     )
 
@@ -76,7 +93,7 @@ def _base_row(p: Parameter, x: float, sd: float, run: str | None) -> BaseRow:
 def _is_off(row: BaseRow) -> bool:
     """Whether a parameter ended far off, and its interval does not hold the data sheet's value."""
     is_held = row.low <= row.prior_value <= row.high
-    return abs(row.pull) > PULLED and not is_held
+    return abs(row.pull) > row.limit and not is_held
 
 
 def pull_of(pulls: Sequence[float]) -> float:
@@ -95,7 +112,7 @@ def _pulled_together(rows: Sequence[BaseRow]) -> tuple[BaseRow, ...]:
     for stem, own in stems.items():
         pulls = [row.pull for row in own]
         same_side = len(own) >= TOGETHER and abs(np.sign(pulls).sum()) == len(own)
-        if same_side and abs(pull_of(pulls)) > PULLED:
+        if same_side and abs(pull_of(pulls)) > own[0].limit:
             together = replace(
                 own[0],
                 name=stem,

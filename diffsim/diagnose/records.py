@@ -42,8 +42,8 @@ class CauseRow:
     Attributes:
         name: Name of the effect, the base parameter or the unknown cause.
         words: The same in plain words, such as "sliding friction".
-        origin: "effect" of the library, "data sheet" (a base parameter beyond 3 prior standard
-            deviations), or "unknown" (a smooth force or drift without a name).
+        origin: "effect" of the library, "data sheet" (a base parameter beyond the ``limit``
+            of its row), or "unknown" (a smooth force or drift without a name).
         status: One of ``STATUSES``. "certain": in every set of causes within reach; "likely":
             in sets of 80 % probability; "cannot be told from": of the causes in ``rivals``;
             "refuted": by runs that it was not fitted to, or by the evidence although it would be
@@ -92,8 +92,10 @@ class BaseRow:
         prior_value: Value of the data sheet, in ``unit``.
         prior_sd: Its standard deviation, in ``unit``.
         pull: Distance from the data sheet in prior standard deviations, with sign.
+        limit: Distance from which on it is a finding: at least 3, more where many parameters could
+            be off by chance.
         run: Run that it belongs to; None: all runs.
-        finding: Whether it is a cause of its own: beyond 3 prior standard deviations.
+        finding: Whether it is a cause of its own: beyond ``limit``.
     """
 
     name: str
@@ -106,6 +108,7 @@ class BaseRow:
     prior_value: float
     prior_sd: float
     pull: float
+    limit: float
     run: str | None = None
     finding: bool = False
 

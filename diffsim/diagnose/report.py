@@ -59,7 +59,7 @@ class Report:
         headline: The answer in at most 25 plain words, with the error on unseen runs before and
             after in the recordings' own unit.
         causes: Every candidate cause with its status, probability and size.
-        findings: Base parameters that ended beyond 3 standard deviations of the data sheet.
+        findings: Base parameters that ended beyond the limit of their row, 3 prior sd or more.
         base: Base parameters: fitted value, data sheet, and how far apart they are.
         errors: Error before and after on every test run, by kind of channel.
         outside: Where test runs lie outside of what was fitted.

@@ -12,12 +12,13 @@ from diffsim.data.study import Study
 from diffsim.diagnose import Report, assemble, diagnose
 from diffsim.diagnose.averaging import Widening, _interval, widening
 from diffsim.diagnose.causes import certain_of
-from diffsim.diagnose.data_sheet import _pulled_together, base_rows, words_of
+from diffsim.diagnose.data_sheet import _pulled_together, base_rows, pull_limit, words_of
 from diffsim.diagnose.gain import Gain
 from diffsim.diagnose.left_out import folds_of
 from diffsim.diagnose.records import BaseRow, CauseRow, ErrorRow
 from diffsim.diagnose.wording import _on_unseen, _opened
 from diffsim.identify import DiagnosisSettings, SearchSettings, fit
+from diffsim.identify.model import Parameter
 from tests.diagnose import linear
 
 QUICK = DiagnosisSettings(search=SearchSettings(num_refits=4))
@@ -118,6 +119,16 @@ def test_an_interval_that_holds_the_data_sheet_is_no_finding():
     }
     found = {w: [r.name for r in made if r.finding] for w, made in rows.items()}
     assert found == {1.0: ["mass"], 1e4: []}
+
+
+def test_of_many_data_sheets_one_is_far_off_by_chance():
+    """One right description in a hundred has a finding, however many parameters it has."""
+    rng = np.random.default_rng(0)
+    for num in (1, 12, 40):
+        made = [Parameter(f"p{k}@run_{r}", 1.0, 0.1) for k in range(num) for r in range(3)]
+        limit = pull_limit(made)
+        off = (np.abs(rng.normal(size=(20_000, num))) > limit).any(axis=1).mean()
+        assert off == pytest.approx(0.01 if num > 3 else 0.0027, abs=0.003)
 
 
 def test_symbols_keep_their_case():
@@ -273,6 +284,7 @@ def _row(run, pull):
         0.0,
         0.015,
         pull,
+        3.0,
         run,
     )
 

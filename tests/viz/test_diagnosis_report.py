@@ -122,8 +122,8 @@ CAUSES = (
     ),
 )  # fmt: skip
 BASE = (
-    BaseRow("a", "gain", "-", 1.4, 0.02, 1.37, 1.43, 1.0, 0.1, 4.0, finding=True),
-    BaseRow("offset@a", "offset", "m", 0.0, 0.1, -0.2, 0.2, 0.0, 0.1, 0.0, run="a"),
+    BaseRow("a", "gain", "-", 1.4, 0.02, 1.37, 1.43, 1.0, 0.1, 4.0, 3.0, finding=True),
+    BaseRow("offset@a", "offset", "m", 0.0, 0.1, -0.2, 0.2, 0.0, 0.1, 0.0, 3.0, run="a"),
 )
 ERRORS = (
     ErrorRow("b", "position", "mm", 2.1, 0.12, 0.1, 150, 2),
