@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from diffsim.data.study import Run
 from diffsim.diagnose.averaging import HALF_90, Widening
@@ -30,7 +30,7 @@ def pull_limit(parameters: Sequence[Parameter]) -> float:
         parameters: All base parameters; those that each run has of its own count once.
     """
     num = len({p.name.partition("@")[0] for p in parameters})
-    return max(PULLED, float(norm.isf(FALSE_FINDINGS / (2.0 * max(1, num)))))
+    return max(PULLED, -float(ndtri(FALSE_FINDINGS / (2.0 * max(1, num)))))
 
 
 def words_of(name: str) -> str:
