@@ -131,6 +131,7 @@ def chooser(labels: Sequence[str], owners: Sequence[int], num_always: int = 0) -
         "xanchor": "right",
         "y": 1.07,
         "yanchor": "bottom",
+        "pad": {"b": 18},  # px, clear of the titles of subplots
         "showactive": True,
     }
 
