@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import csv
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from diffsim.core.files import write_text_atomic
 from diffsim.core.optional import ask_for
 
 if TYPE_CHECKING:
@@ -76,13 +78,13 @@ def _play(kept: Trained, folder: Path, *, film: bool) -> None:
 
 def _record(path: Path, task: Task, commands: Tensor, rewards: Tensor) -> Path:
     """Time, commands and reward of the first episode."""
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["time_s", *(entry.name for entry in task.actions), "reward"])
-        for k, command in enumerate(commands.tolist()):
-            numbers = [k * task.dt, *command, float(rewards[k])]
-            writer.writerow([f"{number:.6g}" for number in numbers])
-    return path
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(["time_s", *(entry.name for entry in task.actions), "reward"])
+    for k, command in enumerate(commands.tolist()):
+        numbers = [k * task.dt, *command, float(rewards[k])]
+        writer.writerow([f"{number:.6g}" for number in numbers])
+    return write_text_atomic(path, text.getvalue())
 
 
 def _film(path: Path, task: Task, states: list[TaskState]) -> Path:

@@ -13,7 +13,6 @@ from pathlib import Path
 from diffsim.core.optional import ask_for, present
 
 HELP = "show runs, their pages, recordings and progress in the browser"
-LOCAL = "127.0.0.1"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,12 +31,12 @@ def command(args: argparse.Namespace) -> None:
         ValueError: RUNS is no folder, or the port is taken.
         ImportError: jinja2 is not installed.
     """
-    from diffsim.viz.run_index import make_server
+    from diffsim.viz.run_index import LOCAL, make_server
 
     ask_for(["jinja2"], purpose="the index of runs")
     if not args.runs.is_dir():
         raise ValueError(f"RUNS must be an existing folder, got {args.runs}")
-    with _viewer() as viewer:
+    with _viewer(LOCAL) as viewer:
         try:
             server = make_server(args.runs, args.port, viewer)
         except (OSError, OverflowError) as error:
@@ -57,26 +56,26 @@ def command(args: argparse.Namespace) -> None:
 
 
 @contextmanager
-def _viewer() -> Iterator[str | None]:
+def _viewer(host: str) -> Iterator[str | None]:
     """Address of rerun's web viewer while it runs; None where rerun is not installed."""
     if not present("rerun"):
         yield None
         return
     with socket.socket() as free:
-        free.bind((LOCAL, 0))
+        free.bind((host, 0))
         port = free.getsockname()[1]
     # given an address to show, it hosts the viewer alone, without a server for data
     process = subprocess.Popen(
         [
-            *(sys.executable, "-m", "rerun", "--serve-web", "--bind", LOCAL),
-            *("--web-viewer-port", str(port), f"http://{LOCAL}/none.rrd"),
+            *(sys.executable, "-m", "rerun", "--serve-web", "--bind", host),
+            *("--web-viewer-port", str(port), f"http://{host}/none.rrd"),
         ],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
     )
     try:
-        yield f"http://{LOCAL}:{port}"
+        yield f"http://{host}:{port}"
     finally:
         process.terminate()
         process.wait(timeout=10)

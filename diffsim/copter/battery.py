@@ -13,6 +13,7 @@ from torch import Tensor
 from diffsim.copter.effects import BatterySag
 from diffsim.copter.rotor import RotorModel
 from diffsim.core.check import require_number
+from diffsim.core.check_options import require_count
 
 # Resting voltage of a lithium-polymer cell against its charge: the table that hobby chargers and
 # battery alarms print, 0 to 100 % in steps of 5 %.
@@ -66,8 +67,7 @@ class Battery:
             resistance: Resistance of each cell [ohm]; 0.012 is usual for 2 A h at 20 C, more when
                 old or cold.
         """
-        if cells != int(cells) or cells < 1:
-            raise ValueError(f"cells must be a whole number >= 1, got {cells}")
+        cells = require_count("cells", cells, at_least=1)
         require_number("capacity_mah", capacity_mah, above=0.0)
         charge = np.linspace(0.05, 1.0, 20)
         per_cell = np.polynomial.polynomial.polyfit(charge, LIPO_CELL_VOLTAGE[1:], 3)

@@ -125,12 +125,10 @@ def gradient_gate(linear: LaplaceEvidence, seconds: float = np.inf) -> list[Gate
 def _by_run(linear: LaplaceEvidence) -> list[_Slopes]:
     """Rows of each run."""
     problem = linear.problem
-    counts = [int(np.isfinite(run.measured).sum()) for run in problem.runs]
-    edges = np.cumsum(counts)[:-1]
     rows = zip(
         problem.runs,
-        np.split(linear.residual, edges),
-        np.split(linear.jacobian, edges),
+        problem.by_run(linear.residual),
+        problem.by_run(linear.jacobian),
         strict=True,
     )
     return [

@@ -352,9 +352,3 @@ def _time_of_rows(problem: Problem) -> Array:
         for run in problem.runs
     ]
     return np.concatenate(times)
-
-
-def split_by_run(problem: Problem, rows: Array) -> Sequence[Array]:
-    """Rows of all runs, by run."""
-    counts = [problem.whitener.matrix(run).shape[0] for run in problem.runs]
-    return np.split(rows, np.cumsum(counts)[:-1])

@@ -16,7 +16,6 @@ from diffsim.diagnose.left_out import (
     Repeats,
     folds_of,
     left_out_residual,
-    split_by_run,
 )
 from diffsim.identify import Fit, Problem
 
@@ -89,7 +88,7 @@ class LeftOut:
         """(num_valid,) whitened residuals by run."""
         if fit not in self._kept:
             rows = left_out_residual(fit, self.folds, self.repeats)
-            self._kept[fit] = split_by_run(fit.problem, rows)
+            self._kept[fit] = fit.problem.by_run(rows)
         return self._kept[fit]
 
 

@@ -322,8 +322,7 @@ class Problem:
             cotangent: c in whitened samples of all runs, (num_valid,).
         """
         leaf = torch.tensor(x, dtype=torch.float64, requires_grad=True)
-        counts = [int(np.isfinite(run.measured).sum()) for run in self.runs]
-        parts = np.split(cotangent, np.cumsum(counts)[:-1])
+        parts = self.by_run(cotangent)
         of_run = {run.name: part for run, part in zip(self.runs, parts, strict=True)}
 
         def one(run: Run) -> Array:
@@ -331,6 +330,11 @@ class Problem:
             return _pulled_back(self.predict(run, leaf), leaf, matrix.T @ of_run[run.name])
 
         return np.asarray(np.sum(self._each(one), axis=0))
+
+    def by_run(self, rows: Array) -> list[Array]:
+        """Whitened rows of all runs, (num_valid, ...), by run."""
+        counts = [int(np.isfinite(run.measured).sum()) for run in self.runs]
+        return np.split(rows, np.cumsum(counts)[:-1])
 
     def whiten(self, run: Run, record: Array) -> Array:
         """(num_valid, ...) of a flattened record (num_samples * num_channels, ...)."""

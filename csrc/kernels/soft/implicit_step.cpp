@@ -245,7 +245,7 @@ bool follow_targets(StepProblem& problem, const ConstantSystem& system, const St
   x.assign(inputs.guess, inputs.guess + problem.size());
   KrylovScratch scratch;
   const auto apply = [&](const Vector& in, Vector& out) { problem.multiply(in, out); };
-  const auto constant = [&](const Vector& in, Vector& out) { problem.precondition(in, out); };
+  const auto base = [&](const Vector& in, Vector& out) { problem.precondition(in, out); };
   Vector move, rhs, d, gradient;
   for (int piece = 0; piece < kPieces; ++piece) {
     if (!std::isfinite(problem.value_gradient(x, gradient))) break;
@@ -255,7 +255,7 @@ bool follow_targets(StepProblem& problem, const ConstantSystem& system, const St
     problem.assemble(x, true);
     problem.multiply(move, rhs);
     for (double& v : rhs) v = -v;
-    conjugate_gradients(apply, constant, rhs, d, false, kAccuracy * problem.ops().norm(rhs),
+    conjugate_gradients(apply, base, rhs, d, false, kAccuracy * problem.ops().norm(rhs),
                         static_cast<int>(x.size()), scratch, problem.ops());
     problem.ops().add(1.0, move, d);
     const Vector start = x;
