@@ -127,7 +127,8 @@ def train(
                 _write_rows(run)
     except KeyboardInterrupt:
         # an update cut in half would not be repeatable: the last checkpoint stands
-        bar.write(f"interrupted; continue with --resume (from {run.folder / CHECKPOINT})")
+        if show:
+            bar.write(f"interrupted; continue with --resume (from {run.folder / CHECKPOINT})")
         raise
     finally:
         bar.close()
