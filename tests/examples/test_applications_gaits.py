@@ -36,17 +36,20 @@ def test_torus_learns_to_roll():
     assert abs(after["drift mm"]) < 0.05 * after["travel mm"]
 
 
-def test_quadruped_learns_to_go_three_times_as_far():
+def test_quadruped_goes_as_far_with_half_the_time_step():
     application = quick("quadruped")
-    found = minimize(application, max_evaluations=4)
-    assert found.best.loss < 3.0 * found.evaluations[0].loss < 0.0
+    found = minimize(application, max_evaluations=3)
+    assert found.num_starts == 8
+    assert found.best.loss < found.evaluations[8].loss < 0.0  # the best of the random signals
     after = meaning(application, found.best.values)
     assert after["travel body lengths"] > 1.5
+    half = meaning(quick("quadruped", refine=2), found.best.values)
+    assert half["travel mm"] == pytest.approx(after["travel mm"], rel=0.1)
     assert after["largest tilt degrees"] < 45.0
     assert abs(after["drift mm"]) < 0.05 * after["travel mm"]
 
 
-@pytest.mark.parametrize(("name", "steps"), [("torus", None), ("quadruped", 30), ("cow", 160)])
+@pytest.mark.parametrize(("name", "steps"), [("torus", None), ("quadruped", 120), ("cow", 160)])
 def test_slope_is_the_central_difference(name, steps):
     """Over a stretch in which feet touch and leave; the whole of a gait amplifies rounding."""
     application = quick(name, rtol=1e-10, steps=steps)
@@ -86,12 +89,12 @@ def test_refined_time_steps_cover_the_same_time(name):
 
 @pytest.mark.parametrize("name", ["torus", "quadruped", "cow"])
 def test_thesis_sizes(name):
-    """Thesis Table 4.2: elements, time step, steps; the shapes are ours, within 7 % of its size."""
+    """Thesis Table 4.2: elements, within 7 %, and time step, steps; the quadruped's are a fourth."""
     module = load_story(f"applications/{name}.py")
     application = module.build(solver_options("projective_dynamics", rtol=module.RTOL), False)
     elements, dt, steps, parameters = {
         "torus": (568, 0.004, 400, 160),
-        "quadruped": (648, 0.01, 100, 3),
+        "quadruped": (648, 0.0025, 400, 3),
         "cow": (475, 0.001, 600, 3),
     }[name]
     assert application.body.mesh.num_elements == pytest.approx(elements, rel=0.07)
