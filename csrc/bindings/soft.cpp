@@ -36,7 +36,8 @@ void bind_arrays(nb::module_& m) {
       .value("quasi_newton", StepMethod::kQuasiNewton)
       .value("newton_pcg", StepMethod::kNewtonPcg)
       .value("newton_jacobi", StepMethod::kNewtonJacobi)
-      .value("newton_cholesky", StepMethod::kNewtonCholesky);
+      .value("newton_cholesky", StepMethod::kNewtonCholesky)
+      .value("linearly_implicit", StepMethod::kLinearlyImplicit);
 }
 
 void bind_prepared(nb::module_& m) {

@@ -26,6 +26,7 @@ struct SoftArrays {
     step.force = in(force);
     step.target = in(target);
     step.guess = in(guess);
+    step.inertia = in(inertia);
     step.x_frame = in(x_frame);
     step.x_velocity = in(x_velocity);
     return step;
@@ -36,6 +37,7 @@ struct SoftArrays {
     grads.y = out(y);
     grads.force = out(force);
     grads.target = out(target);
+    grads.guess = out(guess);
     grads.inertia = out(inertia);
     grads.parameters.w_mu = out(w_mu);
     grads.parameters.w_vol = out(w_vol);

@@ -175,14 +175,15 @@ class StepArrays(EnergyArrays):
         y: Inertial positions, (batch, num_vertices, 3) [m].
         force: (batch, num_vertices, 3) [N].
         target: Positions of Dirichlet nodes, (batch, num_vertices, 3) [m].
-        guess: Start of the iteration, (batch, num_vertices, 3) [m]; no gradient.
+        guess: Start of the iteration, (batch, num_vertices, 3) [m]; its gradient is zero but in
+            linearly implicit steps.
         inertia: (num_vertices,) [N/m].
     """
 
     y: Tensor = field(metadata=_spec("num_vertices", 3))
     force: Tensor = field(metadata=_spec("num_vertices", 3))
     target: Tensor = field(metadata=_spec("num_vertices", 3))
-    guess: Tensor = field(metadata=_spec("num_vertices", 3, differentiable=False))
+    guess: Tensor = field(metadata=_spec("num_vertices", 3))
     inertia: Tensor = field(metadata=_spec("num_vertices", batched=False))
 
 

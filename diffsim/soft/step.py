@@ -11,6 +11,7 @@ from torch import Tensor
 from diffsim.contact import Obstacle
 from diffsim.contact.obstacle import require_obstacles
 from diffsim.core.errors import DiffsimError
+from diffsim.soft._ops_step import LINEAR
 from diffsim.soft.forces import elastic_gradient
 from diffsim.soft.in_contact import contact_planes, enters, in_contact, solve_in_contact
 from diffsim.soft.inputs import DampingFrame, Loads, check_inputs, flat
@@ -73,6 +74,11 @@ def step(
         raise ValueError(
             f"obstacles need one of the integrators {list(WITH_CONTACT)}, the body has "
             f"{body.integrator!r}; or use contact.penalty_force as an external force"
+        )
+    if many and body.solver.method == LINEAR:
+        raise ValueError(
+            f"obstacles need a solver that iterates, the body has method={LINEAR!r}; use "
+            "method='auto', or contact.penalty_force as an external force"
         )
     if body.integrator in EXPLICIT:
         return _explicit_step(body, state, x, loads)
