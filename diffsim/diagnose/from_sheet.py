@@ -12,17 +12,26 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
+from scipy import sparse
 
 from diffsim.core.errors import DiffsimError
+from diffsim.data.study import Run
 from diffsim.diagnose.evidence import Weighed
+from diffsim.diagnose.gauss_newton import gauss_newton
 from diffsim.diagnose.simulations import NONE, Center, Members, Simulations
-from diffsim.identify import Fit
+from diffsim.identify import Fit, Problem, Whitener
 from diffsim.identify.effort import SearchSettings
-from diffsim.identify.linearization import linearization_at
+from diffsim.identify.linearization import (
+    Linearization,
+    linearization_at,
+    measured_of,
+    whitened,
+)
 
 FAR = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
 LEAST_REFITS = 4  # sets that are fitted from there
 SHARE = 0.5  # of the CPU time of scans, for those at the data sheet
+WARM = 25.0  # chi2 per sample at the start, from which a fit is cooled
 PAIRED = 12  # causes that are best alone, each paired with every other
 
 
@@ -56,6 +65,42 @@ def center_at_sheet(
     except DiffsimError:
         return None, simulations
     return center, replace(simulations, scan_seconds=made.scan_seconds)
+
+
+class _Warm:
+    """A whitener for noise that is larger by a factor: what is known beforehand holds longer."""
+
+    def __init__(self, whitener: Whitener, factor: float):
+        self._whitener, self._factor = whitener, factor
+        self._made: dict[int, tuple[Run, sparse.csr_array]] = {}
+
+    def matrix(self, run: Run) -> sparse.csr_array:
+        """(num_valid, num_samples * num_channels)."""
+        if id(run) not in self._made:  # the run is kept, so its id stays its own
+            self._made[id(run)] = (run, self._whitener.matrix(run) * (1.0 / self._factor))
+        return self._made[id(run)][1]
+
+
+def cooled(problem: Problem, start: Linearization) -> Linearization:
+    """Where a fit begins that first trusts the data sheet, then the record more and more.
+
+    Under noise so large that the record at the start is no surprise, the base parameters stay near
+    their priors and the sizes move; then under the geometric mean of that noise and the true one.
+
+    Args:
+        problem: Problem of a set.
+        start: Start point in its coordinates.
+    """
+    residual = whitened(problem, measured_of(problem) - start.record)
+    excess = float(residual @ residual) / max(len(residual), 1)
+    if not np.isfinite(excess) or excess < WARM:
+        return start
+    at = start
+    for factor in (excess**0.5, excess**0.25):
+        warm = replace(problem, whitener=_Warm(problem.whitener, factor))
+        _, at = gauss_newton(warm, at)
+        at = linearization_at(problem, at.x)
+    return at
 
 
 def promising_sets(center: Center, max_effects: int) -> list[tuple[Members, Weighed]]:
