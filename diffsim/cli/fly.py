@@ -22,7 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "design",
         metavar="DESIGN",
-        help="a shipped design, a design or vehicle file (YAML), or MJCF with motors at sites",
+        help="a shipped design, a design or vehicle file (YAML), MJCF with motors at sites, or SDF "
+        "with Gazebo's motor models",
     )
     pilot = parser.add_mutually_exclusive_group()
     pilot.add_argument(

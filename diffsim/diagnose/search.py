@@ -26,6 +26,7 @@ from diffsim.diagnose.evidence import (
     unrealized,
 )
 from diffsim.diagnose.fit import Null
+from diffsim.diagnose.from_sheet import LEAST_REFITS, center_at_sheet, has_left, promising_sets
 from diffsim.diagnose.gauss_newton import MISFIT_RTOL
 from diffsim.diagnose.scan import BORROWED, SCAN_NATS, masking_pairs
 from diffsim.diagnose.simulations import NONE, Center, Members, Simulations
@@ -150,8 +151,10 @@ def begin(null: Null, simulations: Simulations) -> Search:
 def search_sets(search: Search) -> Search:
     """Weigh sets of effects until none of the best set's neighbors is better; then its rivals, and
     unknown causes beside it."""
-    center, search = _scanned(search, search.plain)
-    search = replace(search, plain=center)
+    center, search = _from_data_sheet(search)
+    if center is search.plain:
+        center, search = _scanned(search, search.plain)
+        search = replace(search, plain=center)
     for _ in range(search.settings.max_rounds):
         ranked, search = _promising(search, center)
         for members in ranked[: search.settings.num_refits]:
@@ -162,6 +165,21 @@ def search_sets(search: Search) -> Search:
             break
         center, search = _center(search, best, center)
     return _weigh_unknowns(repaired(_refit_rivals(search, center)), center)
+
+
+def _from_data_sheet(search: Search) -> tuple[Center, Search]:
+    """The plain model; or the best set that was fitted from the data sheet, if its fit has left
+    that."""
+    if not has_left(search.fit_of(NONE)):
+        return search.plain, search
+    sheet, made = center_at_sheet(search.simulations, search.settings, search.num_families)
+    search = replace(search, simulations=made)
+    if sheet is not None:
+        ranked = promising_sets(sheet, search.settings.max_effects)
+        for members, _ in ranked[: max(search.settings.num_refits, LEAST_REFITS)]:
+            search = refit(search, members, sheet)
+    best = max((h for h in search.weighed if h.unknown is None), key=search.nats).effects
+    return (search.plain, search) if best == NONE else _center(search, best, search.plain)
 
 
 def refit(search: Search, members: Members, near: Center | None = None) -> Search:

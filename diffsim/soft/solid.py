@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TypeVar
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from diffsim.core.check import require, require_choice, require_indices, require_number
 from diffsim.core.check_options import require_count
+from diffsim.core.values import as_array
 from diffsim.mesh import (
     HexMesh,
     TetMesh,
@@ -214,8 +216,9 @@ def _dirichlet_mask(fixed: Tensor | None, num_vertices: int) -> Tensor:
     mask = torch.zeros(num_vertices, 3, dtype=torch.bool)
     if fixed is None:
         return mask
-    if not isinstance(fixed, Tensor):
-        raise TypeError(f"fixed must be a torch.Tensor, got {type(fixed).__name__}")
+    if not isinstance(fixed, Tensor):  # a list or an array: of indices, or of True and False
+        is_mask = np.asarray(fixed).dtype.kind == "b"
+        fixed = as_array("fixed", fixed, torch.bool if is_mask else torch.int64)
     if fixed.dtype == torch.bool:
         if fixed.ndim == 1:
             return mask | require("fixed", fixed, (num_vertices,), torch.bool)[:, None]
@@ -231,6 +234,7 @@ def _contact_nodes(given: Tensor | None, mesh: HexMesh | TetMesh, fixed: Tensor)
     if given is None:
         surface = surface_vertices(mesh)
         return surface[~held[surface]]
+    given = as_array("contact_nodes", given, torch.int64)
     nodes = require("contact_nodes", given, ("k",), torch.int64)
     require_indices("contact_nodes", nodes, mesh.num_vertices, "vertices")
     if len(nodes.unique()) < len(nodes):
