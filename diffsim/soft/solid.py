@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -144,11 +144,12 @@ class Solid(nn.Module):
         """Handle of the prepared solver; the ops take this number."""
         return self._context.handle
 
-    def physics(self, *, batch: int | None = None, **overrides: Value) -> Physics:
+    # Any: a checker holds every keyword against what ``**mapping`` of tensors may contain
+    def physics(self, *, batch: Any = None, **overrides: Value) -> Physics:
         """The body's parameters, some replaced; give the result to :meth:`forward` or ``rollout``.
 
         Args:
-            batch: Members of a batch of states. Then each override may lead with a batch axis: one
+            batch: Members of a batch of states, an int. Then each override may lead with a batch axis: one
                 number per member is (batch,) or (batch, 1), a number per member and element
                 (batch, num_elements). None: one set for all.
             **overrides: Any of youngs_modulus, poissons_ratio, density, gravity, rayleigh_alpha,
