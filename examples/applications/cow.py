@@ -20,7 +20,6 @@ from diffsim.systems import robots
 
 RTOL, MAX_EVALUATIONS = 1e-6, 25  # the thesis's tolerance
 DT, STEPS = 0.001, 600  # [s]
-DAMPING = 0.02  # of the material [s], as the quadruped's
 RISE_WEIGHT = 0.3
 
 
@@ -39,7 +38,6 @@ def build(solver: soft.SolverOptions, quick: bool, refine: int = 1, cells: int =
         youngs_modulus=3e5,
         amplitude=0.5,
         per_muscle=False,
-        damping=DAMPING,
         refine=cells,
     )
     return gait(
