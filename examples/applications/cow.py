@@ -24,7 +24,7 @@ RISE_WEIGHT = 0.3
 
 
 def build(solver: soft.SolverOptions, quick: bool, refine: int = 1, cells: int = 1) -> Application:
-    """The cow of 1 cm cubes (quick: 1.5 cm and steps of 4 ms), of the quadruped's material.
+    """The cow of 1 cm cubes (quick: 1.5 cm and steps of 4 ms), as stiff as the quadruped.
 
     ``refine`` time steps are made of one, and ``cells`` elements along each edge of one, to see
     what they do.
