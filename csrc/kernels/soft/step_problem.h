@@ -38,6 +38,8 @@ class StepProblem {
 
   /// Assembles d^2 g/dx^2 at x.
   void assemble(const Vector& x, bool clamp);
+  /// Where it was assembled last, or what multigrid is kept of (num_nodes, 3) [m].
+  const Vector& assembled_at() const { return assembled_at_; }
   /// out = H in on free unknowns; fixed entries of `in` must be zero, those of `out` are zeroed.
   void multiply(const Vector& in, Vector& out);
   /// The same without zeroing: forces that fixed unknowns feel.
@@ -94,7 +96,7 @@ class StepProblem {
   CholeskyWorkspace cholesky_;
   AlignedBuffer<double> blocks_;
   std::vector<CholeskyFactor> factor_;  // none or one
-  Vector assembled_at_;                 // by multigrid only
+  Vector assembled_at_;
   bool by_multigrid_, is_multigrid_stale_ = true, is_multigrid_kept_ = false;
 };
 
