@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import pytest
 import torch
-import torch.autograd.forward_ad as fwAD
 from torch import Tensor
 
 
@@ -16,7 +14,6 @@ def check_layer(
     args: Sequence[Any],
     *,
     ops: Sequence[tuple[Any, ...]],
-    forward: bool = True,
     **gradcheck_options: Any,
 ) -> None:
     """Check a layer's ops, that its gradient is not zero and is right, and that it compiles.
@@ -26,7 +23,6 @@ def check_layer(
         args: Its arguments; those to be checked require gradients.
         ops: The custom ops behind it with arguments for each, ``(op, op_args)`` or
             ``(op, op_args, op_kwargs)``.
-        forward: Whether the layer has forward mode; if not, it must refuse it.
         **gradcheck_options: Passed to ``torch.autograd.gradcheck`` (``eps``, ``atol``, ...).
     """
     for op, *given in ops:  # schema, fake kernel, aliasing
@@ -38,23 +34,13 @@ def check_layer(
     assert inputs, "no argument requires a gradient"
     grads = torch.autograd.grad(out, inputs, cotangent)
     assert all(g.abs().max() > 0 for g in grads)  # or gradcheck proves nothing
-    options = {"check_forward_ad": forward, **gradcheck_options}
+    options = {"check_forward_ad": True, **gradcheck_options}
     assert torch.autograd.gradcheck(layer, args, **options)
-    if not forward:
-        with fwAD.dual_level(), pytest.raises(NotImplementedError, match="forward-mode"):
-            layer(*(_moving(a) for a in args))
     whole = torch.compile(layer, fullgraph=True, backend="aot_eager")
     compiled = whole(*args)
     torch.testing.assert_close(compiled, out)
     compiled_grads = torch.autograd.grad(compiled, inputs, cotangent)
     torch.testing.assert_close(compiled_grads, grads)
-
-
-def _moving(value: Any) -> Any:
-    """A tensor that requires a gradient, with a tangent."""
-    if not (isinstance(value, Tensor) and value.requires_grad):
-        return value
-    return fwAD.make_dual(value.detach(), torch.ones_like(value))
 
 
 def op_arguments(op) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-// Stokes flow: cut cells, prepared systems, solve and adjoint.
+// Stokes flow: cut cells, prepared systems, solve, tangent and adjoint.
 #include <nanobind/stl/shared_ptr.h>
 
 #include "bindings/bindings.h"
@@ -128,7 +128,21 @@ void bind_stokes(nb::module_& m) {
           },
           nb::kw_only(), "inputs"_a, "velocity"_a, "pressure"_a, "grad_velocity"_a,
           "grad_pressure"_a, "grad_fraction"_a, "grads"_a, "grad_phi"_a, "grad_viscosity"_a,
-          "stats"_a, "num_threads"_a);
+          "stats"_a, "num_threads"_a)
+      .def(
+          "tangent",
+          [](StokesSystem& s, const StokesArrays& inputs, Address velocity, Address pressure,
+             const StokesArrays& directions, Address d_phi, Address d_velocity, Address d_pressure,
+             Address d_fraction, Address stats, int num_threads) {
+            nb::gil_scoped_release release;
+            ThreadPool pool(num_threads);
+            const FlowInputs rates = directions.inputs();
+            const FlowDirections along{in(d_phi), rates.viscosity, rates.prescribed, rates.data};
+            s.tangent(inputs.inputs(), in(velocity), in(pressure), along, out(d_velocity),
+                      out(d_pressure), out(d_fraction), reinterpret_cast<FlowStats*>(stats), pool);
+          },
+          nb::kw_only(), "inputs"_a, "velocity"_a, "pressure"_a, "directions"_a, "d_phi"_a,
+          "d_velocity"_a, "d_pressure"_a, "d_fraction"_a, "stats"_a, "num_threads"_a);
 
   // Returns (system, -1, 0), or (None, node * dim + axis, pivot) where K is not positive definite.
   m.def(
@@ -178,6 +192,16 @@ void bind_stokes(nb::module_& m) {
       nb::kw_only(), "shape"_a, "phi"_a, "grad_volume"_a, "grad_area"_a, "grad_normal"_a,
       "grad_phi"_a, "num_threads"_a);
   m.def(
+      "cut_cells_jvp",
+      [](const GridShape& shape, Address phi, Address d_phi, Address d_volume, Address d_area,
+         Address d_normal, int num_threads) {
+        nb::gil_scoped_release release;
+        ThreadPool pool(num_threads);
+        cut_cells_jvp(shape, in(phi), in(d_phi), out(d_volume), out(d_area), out(d_normal), pool);
+      },
+      nb::kw_only(), "shape"_a, "phi"_a, "d_phi"_a, "d_volume"_a, "d_area"_a, "d_normal"_a,
+      "num_threads"_a);
+  m.def(
       "plane_flux",
       [](const GridShape& shape, Address phi, Address velocity, std::int64_t num_cases, int axis,
          std::int64_t index, Address flux) {
@@ -196,6 +220,16 @@ void bind_stokes(nb::module_& m) {
       },
       nb::kw_only(), "shape"_a, "phi"_a, "velocity"_a, "num_cases"_a, "axis"_a, "index"_a,
       "grad_flux"_a, "grad_phi"_a, "grad_velocity"_a);
+  m.def(
+      "plane_flux_jvp",
+      [](const GridShape& shape, Address phi, Address velocity, Address d_phi, Address d_velocity,
+         std::int64_t num_cases, int axis, std::int64_t index, Address d_flux) {
+        nb::gil_scoped_release release;
+        plane_flux_jvp(shape, in(phi), in(velocity), in(d_phi), in(d_velocity), num_cases, axis,
+                       index, out(d_flux));
+      },
+      nb::kw_only(), "shape"_a, "phi"_a, "velocity"_a, "d_phi"_a, "d_velocity"_a, "num_cases"_a,
+      "axis"_a, "index"_a, "d_flux"_a);
 }
 
 }  // namespace diffsim

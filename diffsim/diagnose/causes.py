@@ -185,6 +185,7 @@ def _effect_row(told: Told, i: int, values: Mapping[str, float]) -> CauseRow:
         smallest_visible=smallest,
         gain=gains.get(i),
         note=effect.form,
+        shown_unit=effect.shown_unit,
     )
     if about is None or decision.verdict == "unrepeatable":
         why = "repeats differ more than the noise" if about else "numerical settings come first"

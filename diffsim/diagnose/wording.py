@@ -356,7 +356,7 @@ def _sets(rivals: Sequence[tuple[str, ...]]) -> str:
 def _sizes(rows: Sequence[CauseRow]) -> str:
     """Causes with their 90 % intervals."""
     parts = []
-    for row in rows:
+    for row in (row.as_read() for row in rows):
         sizes = ", ".join(
             f"{'' if len(row.size) == 1 else c + ' '}{_ends(size)}" for c, size in row.size.items()
         )
@@ -366,6 +366,7 @@ def _sizes(rows: Sequence[CauseRow]) -> str:
 
 
 def _range(row: CauseRow) -> str:
+    row = row.as_read()
     unit = "" if row.unit == "-" else f" {row.unit}"
     return f"{_ends(next(iter(row.size.values())))}{unit}"
 

@@ -83,6 +83,34 @@ def _(grad_volume, grad_area, grad_normal, phi, *args):
     return torch.empty_like(phi)
 
 
+@custom_op("diffsim::stokes_cut_cells_jvp")
+def cut_cells_jvp(
+    phi: Tensor, d_phi: Tensor, cells: list[int], spacing: list[float], num_threads: int
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Rates of :func:`cut_cells` along a direction of phi."""
+    shape = _grid(cells, spacing, phi)
+    d_phi = d_phi.contiguous()
+    _grid(cells, spacing, d_phi)
+    volume = phi.new_empty(math.prod(cells))
+    area, normal = torch.empty_like(volume), volume.new_empty(volume.numel(), len(cells))
+    core.cut_cells_jvp(
+        shape=shape,
+        phi=phi.data_ptr(),
+        d_phi=d_phi.data_ptr(),
+        d_volume=volume.data_ptr(),
+        d_area=area.data_ptr(),
+        d_normal=normal.data_ptr(),
+        num_threads=num_threads,
+    )
+    return volume, area, normal
+
+
+@cut_cells_jvp.register_fake
+def _(phi, d_phi, cells, spacing, num_threads):
+    count = math.prod(cells)
+    return phi.new_empty(count), phi.new_empty(count), phi.new_empty(count, len(cells))
+
+
 def _cut_setup(ctx, inputs, output):
     phi, ctx.cells, ctx.spacing, ctx.num_threads = inputs
     ctx.save_for_backward(phi)
@@ -102,8 +130,22 @@ def _cut_backward(ctx, grad_volume, grad_area, grad_normal):
     return grad_phi, None, None, None
 
 
+def _cut_tangent(ctx, d_phi, *_):
+    (phi,) = ctx.saved_tensors
+    return cut_cells_jvp_layer(
+        phi=phi,
+        d_phi=torch.zeros_like(phi) if d_phi is None else d_phi,
+        cells=ctx.cells,
+        spacing=ctx.spacing,
+        num_threads=ctx.num_threads,
+    )
+
+
 cut_cells_vjp_layer = make_first_order(cut_cells_vjp)
-cut_cells_layer = make_layer(cut_cells, setup=_cut_setup, backward=_cut_backward)
+cut_cells_jvp_layer = make_first_order(cut_cells_jvp)
+cut_cells_layer = make_layer(
+    cut_cells, setup=_cut_setup, backward=_cut_backward, tangent=_cut_tangent
+)
 
 
 @custom_op("diffsim::stokes_plane_flux")
@@ -167,6 +209,43 @@ def _(grad_flux, phi, velocity, *args):
     return torch.empty_like(phi), torch.empty_like(velocity)
 
 
+@custom_op("diffsim::stokes_plane_flux_jvp")
+def plane_flux_jvp(
+    phi: Tensor,
+    velocity: Tensor,
+    d_phi: Tensor,
+    d_velocity: Tensor,
+    cells: list[int],
+    spacing: list[float],
+    axis: int,
+    index: int,
+) -> Tensor:
+    """Rate of :func:`plane_flux` along a direction of phi and velocity."""
+    shape = _grid(cells, spacing, phi)
+    d_phi, d_velocity = d_phi.contiguous(), d_velocity.contiguous()
+    _grid(cells, spacing, d_phi)
+    if d_velocity.shape != velocity.shape:
+        raise ValueError(f"d_velocity must have shape {tuple(velocity.shape)}")
+    flux = phi.new_empty(velocity.shape[0])
+    core.plane_flux_jvp(
+        shape=shape,
+        phi=phi.data_ptr(),
+        velocity=velocity.data_ptr(),
+        d_phi=d_phi.data_ptr(),
+        d_velocity=d_velocity.data_ptr(),
+        num_cases=len(flux),
+        axis=axis,
+        index=index,
+        d_flux=flux.data_ptr(),
+    )
+    return flux
+
+
+@plane_flux_jvp.register_fake
+def _(phi, velocity, *args):
+    return phi.new_empty(velocity.shape[0])
+
+
 def _flux_setup(ctx, inputs, output):
     phi, velocity, ctx.cells, ctx.spacing, ctx.axis, ctx.index = inputs
     ctx.save_for_backward(phi, velocity)
@@ -186,5 +265,22 @@ def _flux_backward(ctx, grad_flux):
     return grad_phi, grad_velocity, None, None, None, None
 
 
+def _flux_tangent(ctx, d_phi, d_velocity, *_):
+    phi, velocity = ctx.saved_tensors
+    return plane_flux_jvp_layer(
+        phi=phi,
+        velocity=velocity,
+        d_phi=torch.zeros_like(phi) if d_phi is None else d_phi,
+        d_velocity=torch.zeros_like(velocity) if d_velocity is None else d_velocity,
+        cells=ctx.cells,
+        spacing=ctx.spacing,
+        axis=ctx.axis,
+        index=ctx.index,
+    )
+
+
 plane_flux_vjp_layer = make_first_order(plane_flux_vjp)
-plane_flux_layer = make_layer(plane_flux, setup=_flux_setup, backward=_flux_backward)
+plane_flux_jvp_layer = make_first_order(plane_flux_jvp)
+plane_flux_layer = make_layer(
+    plane_flux, setup=_flux_setup, backward=_flux_backward, tangent=_flux_tangent
+)

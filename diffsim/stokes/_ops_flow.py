@@ -1,4 +1,4 @@
-"""Stokes flow and its adjoint as torch custom ops.
+"""Stokes flow, its adjoint and its tangent as torch custom ops.
 
 Everything is float64 with nodes and cells flattened, the last axis fastest. Ops take flat tensors;
 :class:`FlowInputs` and :class:`FlowOutputs` name them, and their fields are in the order in which
@@ -191,6 +191,61 @@ def _(grad_velocity, grad_pressure, grad_fraction, velocity, pressure, *args):
     return tuple(torch.empty_like(value) for value in inputs)
 
 
+@custom_op("diffsim::stokes_flow_jvp")
+def stokes_flow_jvp(
+    velocity: Tensor,
+    pressure: Tensor,
+    phi: Tensor,
+    viscosity: Tensor,
+    prescribed: Tensor,
+    wall_velocity: Tensor,
+    body_force: Tensor,
+    traction: Tensor,
+    d_phi: Tensor,
+    d_viscosity: Tensor,
+    d_prescribed: Tensor,
+    d_wall_velocity: Tensor,
+    d_body_force: Tensor,
+    d_traction: Tensor,
+    handle: int,
+    num_threads: int,
+    on_failure: str,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Velocity, pressure and fraction of :func:`stokes_flow` along one direction in its inputs."""
+    inputs = FlowInputs(phi, viscosity, prescribed, wall_velocity, body_force, traction)
+    given = d_phi, d_viscosity, d_prescribed, d_wall_velocity, d_body_force, d_traction
+    directions = FlowInputs(*(direction.contiguous() for direction in given))
+    ctx = context(handle)
+    for (name, value), direction in zip(inputs._asdict().items(), directions, strict=True):
+        _require_size(f"d_{name}", direction, tuple(value.shape))
+    _require_size("phi", phi, (ctx.num_nodes,))
+    rates = torch.empty_like(velocity), torch.empty_like(pressure), phi.new_empty(ctx.num_cells)
+    stats = phi.new_zeros(prescribed.shape[0], len(STATS))
+    arrays = _arrays(ctx, inputs, float(viscosity))
+    with ctx.lock:
+        system = ctx.system(phi, num_threads)
+        system.tangent(
+            inputs=arrays,
+            velocity=velocity.data_ptr(),
+            pressure=pressure.data_ptr(),
+            directions=_arrays(ctx, directions, float(directions.viscosity)),
+            d_phi=directions.phi.data_ptr(),
+            d_velocity=rates[0].data_ptr(),
+            d_pressure=rates[1].data_ptr(),
+            d_fraction=rates[2].data_ptr(),
+            stats=stats.data_ptr(),
+            num_threads=num_threads,
+        )
+    _finish(stats, "tangent of the Stokes solve", ctx, system.report.iterative, on_failure)
+    return rates
+
+
+@stokes_flow_jvp.register_fake
+def _(velocity, pressure, phi, *args):
+    ctx = context(args[-3])
+    return torch.empty_like(velocity), torch.empty_like(pressure), phi.new_empty(ctx.num_cells)
+
+
 def _setup(ctx, inputs, output):
     count = len(FlowInputs._fields)
     ctx.handle, ctx.num_threads, ctx.on_failure = inputs[count:]
@@ -217,8 +272,29 @@ def _backward(ctx, grad_velocity, grad_pressure, grad_fraction, _grad_stats):
     return *grads, None, None, None
 
 
+def _tangent(ctx, *moved):
+    # The same system along the direction of the inputs; csrc/kernels/stokes/flow_system.cpp.
+    velocity, pressure, *saved = ctx.saved_tensors
+    inputs = FlowInputs(*saved)
+    directions = {
+        f"d_{name}": torch.zeros_like(value) if direction is None else direction
+        for (name, value), direction in zip(inputs._asdict().items(), moved, strict=False)
+    }
+    rates = stokes_flow_jvp_layer(
+        velocity=velocity,
+        pressure=pressure,
+        **inputs._asdict(),
+        **directions,
+        handle=ctx.handle,
+        num_threads=ctx.num_threads,
+        on_failure=ctx.on_failure,
+    )
+    return *rates, None
+
+
 stokes_flow_vjp_layer = make_first_order(stokes_flow_vjp)
-stokes_flow_layer = make_layer(stokes_flow, setup=_setup, backward=_backward)
+stokes_flow_jvp_layer = make_first_order(stokes_flow_jvp)
+stokes_flow_layer = make_layer(stokes_flow, setup=_setup, backward=_backward, tangent=_tangent)
 
 
 def _require_size(name: str, tensor: Tensor, shape: tuple[int, ...]) -> None:

@@ -131,8 +131,8 @@ def test_contract(dim):
         ops=[
             (ops.cut_cells, (flat.clone().requires_grad_(), *args)),
             (ops.cut_cells_vjp, (*ones, flat, *args)),
+            (ops.cut_cells_jvp, (flat, torch.ones_like(flat), *args)),
         ],
-        forward=False,
     )
 
 

@@ -75,6 +75,7 @@ def test_contract(dim):
     velocity, pressure, fraction, _ = _ops_flow.stokes_flow(*given, *args)
     vjp_args = (torch.ones_like(velocity), torch.ones_like(pressure), torch.ones_like(fraction),
                 velocity, pressure, *given, *args)  # fmt: skip
+    directions = [torch.ones_like(value) for value in given]
     moving = given._replace(phi=flat.clone().requires_grad_())
     flux_args = (list(flow.grid.shape), list(flow.grid.spacing), 0, 2)
     check_layer(
@@ -83,10 +84,11 @@ def test_contract(dim):
         ops=[
             (_ops_flow.stokes_flow, (*moving, *args)),
             (_ops_flow.stokes_flow_vjp, vjp_args),
+            (_ops_flow.stokes_flow_jvp, (velocity, pressure, *given, *directions, *args)),
             (_ops_cut.plane_flux, (flat.clone().requires_grad_(), velocity, *flux_args)),
             (_ops_cut.plane_flux_vjp, (tensor(1.0, 1.0), flat, velocity, *flux_args)),
+            (_ops_cut.plane_flux_jvp, (flat, velocity, flat, velocity, *flux_args)),
         ],
-        forward=False,
         rtol=1e-5,
         atol=1e-4,  # pressures of about 1e3, of which differences are taken
         fast_mode=True,

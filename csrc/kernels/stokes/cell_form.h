@@ -19,11 +19,13 @@
 namespace diffsim {
 
 /// Weights of one cell; a full cell has no interface (area = nullptr).
-struct CellWeights {
-  const double* volume = nullptr;  // (3^D,) [m^D]
-  const double* area = nullptr;    // (3^D,) [m^(D-1)]
-  const double* normal = nullptr;  // (D,)
+template <typename T>
+struct CellWeightsOf {
+  const T* volume = nullptr;  // (3^D,) [m^D]
+  const T* area = nullptr;    // (3^D,) [m^(D-1)]
+  const T* normal = nullptr;  // (D,)
 };
+using CellWeights = CellWeightsOf<double>;
 
 template <int D>
 class CellForm {
@@ -48,11 +50,13 @@ class CellForm {
       }
   }
 
-  /// C(v, g); g may be null.
-  double outflow(const CellWeights& cell, const Corner v, const double (*g)[D]) const {
-    double sum = 0.0;
+  /// C(v, g); g may be null. With T = Dual<1>: and its derivative along one of the weights.
+  template <typename T>
+  T outflow(const CellWeightsOf<T>& cell, const Corner v, const double (*g)[D]) const {
+    T sum = 0.0;
     for (int q = 0; q < kPoints; ++q) {
-      double div = 0.0, wall = 0.0;
+      double div = 0.0;
+      T wall = 0.0;
       for (int i = 0; i < kCorners; ++i)
         for (int a = 0; a < D; ++a) {
           div += basis_.dN[q][a][i] * v[i][a];
@@ -77,7 +81,7 @@ class CellForm {
       }
     Corner c;
     divergence(cell, c);
-    Facet facet;
+    Facet<double> facet;
     if (cell.area && slip_) facet = facet_of(cell);
     for (int i = 0; i < kCorners; ++i)
       for (int j = 0; j < kCorners; ++j) {
@@ -108,15 +112,17 @@ class CellForm {
       }
   }
 
-  /// R for given v, g, f (null: zero), pressure and viscosity; added to r.
-  void residual(const CellWeights& cell, const Corner v, const double (*g)[D], const double (*f)[D],
-                double pressure, double eta, Corner r) const {
-    FacetValues mean;
+  /// R for given v, g, f (null: zero), pressure and viscosity; added to r. With T =
+  /// Dual<1>: and its derivative along one of the weights.
+  template <typename T>
+  void residual(const CellWeightsOf<T>& cell, const Corner v, const double (*g)[D],
+                const double (*f)[D], double pressure, double eta, T (*r)[D]) const {
+    FacetValues<T> mean;
     if (cell.area && slip_) mean = facet_values(cell, v, g);
     for (int q = 0; q < kPoints; ++q) {
       Point at;
       evaluate(q, v, at);
-      double F[D][D], s[D] = {};  // coefficients of the test function's gradient and value
+      T F[D][D], s[D] = {};  // coefficients of the test function's gradient and value
       for (int a = 0; a < D; ++a)
         for (int b = 0; b < D; ++b)
           F[a][b] =
@@ -127,10 +133,11 @@ class CellForm {
         for (int a = 0; a < D; ++a) s[a] -= cell.volume[q] * force[a];
       }
       if (cell.area) {
-        const double *n = cell.normal, S = cell.area[q];
+        const T* n = cell.normal;
+        const T S = cell.area[q];
         double w[D];
         subtract(q, g, at.value, w);
-        double t[D], tn, wn;
+        T t[D], tn, wn;
         wall_values(n, at, w, t, tn, wn);
         for (int a = 0; a < D; ++a) {
           if (slip_) {
@@ -146,7 +153,7 @@ class CellForm {
       }
       for (int i = 0; i < kCorners; ++i)
         for (int a = 0; a < D; ++a) {
-          double sum = s[a] * basis_.N[q][i];
+          T sum = s[a] * basis_.N[q][i];
           for (int b = 0; b < D; ++b) sum += F[a][b] * basis_.dN[q][b][i];
           r[i][a] += sum;
         }
@@ -160,7 +167,7 @@ class CellForm {
                        const double (*g)[D], const double (*f)[D], double p, double pi, double eta,
                        double* by_volume, double* by_area, double* by_normal) const {
     for (int a = 0; a < D && cell.area; ++a) by_normal[a] = 0.0;
-    FacetValues mean_v, mean_z;
+    FacetValues<double> mean_v, mean_z;
     if (cell.area && slip_) {
       mean_v = facet_values(cell, v, g);
       mean_z = facet_values(cell, z, nullptr);
@@ -216,7 +223,7 @@ class CellForm {
   /// Derivative of the same by the wall velocity; added.
   void wall_gradient(const CellWeights& cell, const Corner z, double pi, double eta,
                      Corner grad_g) const {
-    FacetValues mean;
+    FacetValues<double> mean;
     if (slip_) mean = facet_values(cell, z, nullptr);
     for (int q = 0; q < kPoints; ++q) {
       Point y;
@@ -247,16 +254,19 @@ class CellForm {
     double value[D], grad[D][D];  // grad[a][b] = d v_a / d x_b
   };
   /// Means over the facet: of N_i, and of its slope along the normal.
+  template <typename T>
   struct Facet {
-    double area = 0.0, mean[kCorners] = {}, slope[kCorners] = {};
+    T area = 0.0, mean[kCorners] = {}, slope[kCorners] = {};
   };
   /// Means over the facet: of w.n, and of 2 n.D(v) n.
+  template <typename T>
   struct FacetValues {
-    double normal = 0.0, stress = 0.0;
+    T normal = 0.0, stress = 0.0;
   };
 
-  Facet facet_of(const CellWeights& cell) const {
-    Facet facet;
+  template <typename T>
+  Facet<T> facet_of(const CellWeightsOf<T>& cell) const {
+    Facet<T> facet;
     for (int q = 0; q < kPoints; ++q) {
       facet.area += cell.area[q];
       for (int i = 0; i < kCorners; ++i) {
@@ -265,15 +275,17 @@ class CellForm {
           facet.slope[i] += cell.area[q] * cell.normal[a] * basis_.dN[q][a][i];
       }
     }
-    for (int i = 0; i < kCorners && facet.area > 0.0; ++i) {
-      facet.mean[i] /= facet.area;
-      facet.slope[i] /= facet.area;
+    for (int i = 0; i < kCorners && value_of(facet.area) > 0.0; ++i) {
+      facet.mean[i] = facet.mean[i] / facet.area;
+      facet.slope[i] = facet.slope[i] / facet.area;
     }
     return facet;
   }
-  FacetValues facet_values(const CellWeights& cell, const Corner v, const double (*g)[D]) const {
-    const Facet facet = facet_of(cell);
-    FacetValues out;
+  template <typename T>
+  FacetValues<T> facet_values(const CellWeightsOf<T>& cell, const Corner v,
+                              const double (*g)[D]) const {
+    const Facet<T> facet = facet_of(cell);
+    FacetValues<T> out;
     for (int i = 0; i < kCorners; ++i)
       for (int a = 0; a < D; ++a) {
         out.normal += facet.mean[i] * (v[i][a] - (g ? g[i][a] : 0.0)) * cell.normal[a];
@@ -306,8 +318,8 @@ class CellForm {
     for (int a = 0; a < D; ++a) w[a] -= wall[a];
   }
   /// t = 2 D(v) n, tn = t.n, wn = w.n.
-  static void wall_values(const double* n, const Point& at, const double* w, double* t, double& tn,
-                          double& wn) {
+  template <typename T>
+  static void wall_values(const T* n, const Point& at, const double* w, T* t, T& tn, T& wn) {
     tn = wn = 0.0;
     for (int a = 0; a < D; ++a) {
       t[a] = 0.0;

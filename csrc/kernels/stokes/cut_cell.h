@@ -99,6 +99,14 @@ struct CutCell {
       for (int i = 0; i < kParameters; ++i) grad[i] += grad_value[k] * jacobian[k][i];
   }
 
+  /// Rate of change of every value, given those of c and g.
+  void tangent(const double* d_plane, double* d_value) const {
+    for (int k = 0; k < kSize; ++k) {
+      d_value[k] = 0.0;
+      for (int i = 0; i < kParameters; ++i) d_value[k] += jacobian[k][i] * d_plane[i];
+    }
+  }
+
   /// Moments of the fluid part of a face in the unit square, (3^(D-1),).
   template <typename T>
   static void face_moments(const T& c, const T* g, int axis, int side, T* moments) {

@@ -40,6 +40,26 @@ void cut_cells_vjp_of(const GridShape& shape, const double* phi, const double* g
   }
 }
 
+template <int D>
+void cut_cells_jvp_of(const GridShape& shape, const double* phi, const double* d_phi,
+                      double* d_volume, double* d_area, double* d_normal, ThreadPool& pool) {
+  using Cut = CutCell<D>;
+  const FlowGeometry<D> geometry(StokesGrid<D>(shape), phi, false, pool);
+  const std::int64_t num_cells = geometry.grid().num_cells;
+  std::fill(d_volume, d_volume + num_cells, 0.0);
+  std::fill(d_area, d_area + num_cells, 0.0);
+  std::fill(d_normal, d_normal + num_cells * D, 0.0);
+  for (std::int64_t cell : geometry.cut_cells()) {
+    Dual<1> value[Cut::kSize];
+    geometry.cut_tangent(cell, phi, d_phi, value);
+    for (int q = 0; q < Cut::kPoints; ++q) {
+      d_volume[cell] += value[Cut::kVolume + q].grad[0];
+      d_area[cell] += value[Cut::kArea + q].grad[0];
+    }
+    for (int a = 0; a < D; ++a) d_normal[cell * D + a] = value[Cut::kNormal + a].grad[0];
+  }
+}
+
 /// f(cell, side of the cell, share) for the cells at a grid plane.
 template <int D, typename F>
 void for_plane(const StokesGrid<D>& grid, int axis, std::int64_t index, F&& f) {
@@ -84,6 +104,34 @@ void plane_flux_of(const GridShape& shape, const double* phi, const double* v, s
   });
 }
 
+template <int D>
+void plane_flux_jvp_of(const GridShape& shape, const double* phi, const double* v,
+                       const double* d_phi, const double* d_v, std::int64_t cases, int axis,
+                       std::int64_t index, double* d_flux) {
+  ThreadPool pool(1);
+  const FlowGeometry<D> geometry(StokesGrid<D>(shape), phi, false, pool);
+  const StokesGrid<D>& grid = geometry.grid();
+  const std::int64_t N = grid.num_nodes * D;
+  for_plane<D>(grid, axis, index, [&](std::int64_t cell, int side, double share) {
+    if (!geometry.active(cell)) return;
+    Dual<D + 1> moments[pow3(D - 1)];
+    geometry.face_moments(cell, axis, side, phi, moments);
+    double d_plane[D + 1];
+    geometry.plane_tangent(cell, d_phi, d_plane);
+    for_face_points<D>(grid, geometry.first_node(cell), axis, side,
+                       [&](int q, const std::int64_t* nodes, const double* shape_fn) {
+                         double d_moment = 0.0;
+                         for (int j = 0; j <= D; ++j) d_moment += moments[q].grad[j] * d_plane[j];
+                         for (std::int64_t k = 0; k < cases; ++k)
+                           for (int i = 0; i < 1 << (D - 1); ++i) {
+                             const std::int64_t at = k * N + nodes[i] * D + axis;
+                             d_flux[k] += share * shape_fn[i] *
+                                          (d_moment * v[at] + moments[q].value * d_v[at]);
+                           }
+                       });
+  });
+}
+
 }  // namespace
 
 void cut_cells(const GridShape& shape, const double* phi, double* volume, double* area,
@@ -101,6 +149,14 @@ void cut_cells_vjp(const GridShape& shape, const double* phi, const double* grad
     cut_cells_vjp_of<2>(shape, phi, grad_volume, grad_area, grad_normal, grad_phi, pool);
   else
     cut_cells_vjp_of<3>(shape, phi, grad_volume, grad_area, grad_normal, grad_phi, pool);
+}
+
+void cut_cells_jvp(const GridShape& shape, const double* phi, const double* d_phi, double* d_volume,
+                   double* d_area, double* d_normal, ThreadPool& pool) {
+  if (shape.dim == 2)
+    cut_cells_jvp_of<2>(shape, phi, d_phi, d_volume, d_area, d_normal, pool);
+  else
+    cut_cells_jvp_of<3>(shape, phi, d_phi, d_volume, d_area, d_normal, pool);
 }
 
 void plane_flux(const GridShape& shape, const double* phi, const double* v, std::int64_t cases,
@@ -123,6 +179,16 @@ void plane_flux_vjp(const GridShape& shape, const double* phi, const double* v, 
     plane_flux_of<2>(shape, phi, v, cases, axis, index, nullptr, grad_flux, grad_phi, grad_v);
   else
     plane_flux_of<3>(shape, phi, v, cases, axis, index, nullptr, grad_flux, grad_phi, grad_v);
+}
+
+void plane_flux_jvp(const GridShape& shape, const double* phi, const double* v, const double* d_phi,
+                    const double* d_v, std::int64_t cases, int axis, std::int64_t index,
+                    double* d_flux) {
+  std::fill(d_flux, d_flux + cases, 0.0);
+  if (shape.dim == 2)
+    plane_flux_jvp_of<2>(shape, phi, v, d_phi, d_v, cases, axis, index, d_flux);
+  else
+    plane_flux_jvp_of<3>(shape, phi, v, d_phi, d_v, cases, axis, index, d_flux);
 }
 
 }  // namespace diffsim

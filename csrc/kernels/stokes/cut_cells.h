@@ -18,6 +18,10 @@ void cut_cells_vjp(const GridShape& shape, const double* phi, const double* grad
                    const double* grad_area, const double* grad_normal, double* grad_phi,
                    ThreadPool& pool);
 
+/// Rates of volume, area and normal along d_phi, (num_nodes,); overwritten.
+void cut_cells_jvp(const GridShape& shape, const double* phi, const double* d_phi, double* d_volume,
+                   double* d_area, double* d_normal, ThreadPool& pool);
+
 /// Volume flow through the fluid part of the grid plane `index` normal to `axis`, positive along
 /// it; within the box the mean of what the cells on its two sides take as fluid.
 /// @param[in]  v    (cases, num_nodes, D) [m/s]
@@ -29,5 +33,10 @@ void plane_flux(const GridShape& shape, const double* phi, const double* v, std:
 void plane_flux_vjp(const GridShape& shape, const double* phi, const double* v, std::int64_t cases,
                     int axis, std::int64_t index, const double* grad_flux, double* grad_phi,
                     double* grad_v);
+
+/// Rate of the flux along d_phi (num_nodes,) and d_v (cases, num_nodes, D); overwritten.
+void plane_flux_jvp(const GridShape& shape, const double* phi, const double* v, const double* d_phi,
+                    const double* d_v, std::int64_t cases, int axis, std::int64_t index,
+                    double* d_flux);
 
 }  // namespace diffsim

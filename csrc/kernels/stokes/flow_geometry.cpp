@@ -84,7 +84,9 @@ void FlowGeometry<D>::make_wall_normals(const double* phi) {
     const FacetMeans<D> means(cuts_[i].area());
     double* normal = wall_normals_.data() + i * D;
     if (means.area > 0.0)
-      WallNormal<D>(grid_, phi, first_node(cut_cells_[i]), means.value, cuts_[i].normal())
+      WallNormal<D>(
+          grid_, [&](std::int64_t node) { return phi[node]; }, first_node(cut_cells_[i]),
+          means.value, cuts_[i].normal())
           .normal(normal);
     else
       std::copy_n(cuts_[i].normal(), D, normal);
@@ -101,7 +103,8 @@ void FlowGeometry<D>::cut_vjp(std::int64_t cell, const double* phi, double sign,
     double by_mean[1 << D], by_plane_normal[D];
     if (means.area > 0.0) {
       const std::int64_t node = first_node(cell);
-      WallNormal<D>(grid_, phi, node, means.value, c.normal())
+      WallNormal<D>(
+          grid_, [&](std::int64_t i) { return phi[i]; }, node, means.value, c.normal())
           .vjp(grid_, node, by_value + Cut::kNormal, sign, by_mean, by_plane_normal, grad_phi);
       means.vjp(by_mean, by_value + Cut::kArea);
       std::copy_n(by_plane_normal, D, by_value + Cut::kNormal);
@@ -110,6 +113,31 @@ void FlowGeometry<D>::cut_vjp(std::int64_t cell, const double* phi, double sign,
   double by_plane[Cut::kParameters];
   c.vjp(by_value, by_plane);
   plane_vjp(cell, by_plane, sign, grad_phi);
+}
+
+template <int D>
+void FlowGeometry<D>::cut_tangent(std::int64_t cell, const double* phi, const double* d_phi,
+                                  Dual<1>* value) const {
+  using Cut = CutCell<D>;
+  const Cut& c = *cut(cell);
+  const auto moving = [](double at, double rate) {
+    Dual<1> x(at);
+    x.grad[0] = rate;
+    return x;
+  };
+  double d_plane[Cut::kParameters], d_value[Cut::kSize];
+  plane_tangent(cell, d_phi, d_plane);
+  c.tangent(d_plane, d_value);
+  for (int k = 0; k < Cut::kSize; ++k) value[k] = moving(c.value[k], d_value[k]);
+  if (!curved_) return;
+  const FacetMeans<D, Dual<1>> means(value + Cut::kArea);
+  if (!(means.area.value > 0.0)) return;
+  Dual<1> normal[D];
+  WallNormal<D, Dual<1>>(
+      grid_, [&](std::int64_t node) { return moving(phi[node], d_phi[node]); }, first_node(cell),
+      means.value, value + Cut::kNormal)
+      .normal(normal);
+  std::copy_n(normal, D, value + Cut::kNormal);
 }
 
 template <int D>

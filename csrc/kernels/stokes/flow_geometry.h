@@ -102,6 +102,16 @@ class FlowGeometry {
                double* grad_phi) const;
   /// The same, given dL/dc and dL/dg of the cell's plane.
   void plane_vjp(std::int64_t cell, const double* by_plane, double sign, double* grad_phi) const;
+  /// Weights, wall's normal and apertures of a cut cell, with their rates along d_phi.
+  /// @param d_phi (num_nodes,)
+  /// @param[out] value (CutCell::kSize,)
+  void cut_tangent(std::int64_t cell, const double* phi, const double* d_phi, Dual<1>* value) const;
+  /// Rates of c and g of the cell's plane, (D + 1,).
+  void plane_tangent(std::int64_t cell, const double* d_phi, double* d_plane) const {
+    const CellPlane<D> rate = plane(cell, d_phi);  // linear in phi
+    d_plane[0] = rate.c;
+    for (int a = 0; a < D; ++a) d_plane[1 + a] = rate.g[a];
+  }
   double aperture(std::int64_t cell, int axis, int side) const {
     const CutCell<D>* c = cut(cell);
     return c ? c->aperture(axis, side) : (active(cell) ? 1.0 : 0.0);

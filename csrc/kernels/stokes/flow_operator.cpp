@@ -7,27 +7,6 @@ namespace {
 
 std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
 
-/// The 2^(D-1) positions across a face: corners of the cell on the face's low side.
-template <int D>
-void face_corners(int axis, int* corners) {
-  const int low = (1 << (D - 1 - axis)) - 1;  // bits behind the axis
-  for (int i = 0; i < 1 << (D - 1); ++i) corners[i] = (i & low) | ((i & ~low) << 1);
-}
-
-/// A stencil across a face at its node positions.
-template <int D>
-void face_values(const StokesGrid<D>& grid, std::int64_t node, int axis, const int* corners,
-                 const double* stencil, int layers, const double* v, double (*values)[D]) {
-  for (int i = 0; i < 1 << (D - 1); ++i) {
-    const double* at = v + (node + grid.corner_offset[corners[i]]) * D;
-    for (int a = 0; a < D; ++a) {
-      values[i][a] = 0.0;
-      for (int l = 0; l < layers; ++l)
-        values[i][a] += stencil[l] * at[l * grid.node_stride[axis] * D + a];
-    }
-  }
-}
-
 }  // namespace
 
 template <int D>
@@ -51,14 +30,6 @@ FlowOperator<D>::FlowOperator(const StokesGrid<D>& grid, const double* phi, cons
         open_faces_.push_back({cell, axis, 1});
     }
   }
-}
-
-template <int D>
-void FlowOperator<D>::gather(const double* field, std::int64_t node,
-                             typename Form::Corner out) const {
-  for (int i = 0; i < kCorners; ++i)
-    for (int a = 0; a < D; ++a)
-      out[i][a] = field[(node + geometry_.grid().corner_offset[i]) * D + a];
 }
 
 template <int D>
@@ -97,39 +68,10 @@ void FlowOperator<D>::residual(const double* v, const FlowData& data, const doub
     for (int i = 0; i < kCorners; ++i)
       for (int a = 0; a < D; ++a) r[(node + grid.corner_offset[i]) * D + a] += re[i][a];
   });
-  add_face_residual(v, eta, r, pool);
+  add_face_residual(
+      v, eta, [](std::int64_t, int, FaceKind, const FaceTerm& term) { return term.weight; }, r,
+      pool);
   if (data.traction) add_traction(data.traction, r);
-}
-
-template <int D>
-void FlowOperator<D>::add_face_residual(const double* v, double eta, double* r,
-                                        ThreadPool& pool) const {
-  const StokesGrid<D>& grid = geometry_.grid();
-  constexpr int kFace = kCorners / 2;
-  for (int axis = 0; axis < D; ++axis) {
-    int corners[kFace];
-    face_corners<D>(axis, corners);
-    for (FaceKind kind : kFaceKinds)
-      run_colors(geometry_.penalty_faces(axis, kind), pool, [&](std::int64_t cell) {
-        const std::int64_t node = geometry_.first_node(cell);
-        FaceTerm terms[2];
-        const int count = face_terms(cell, axis, kind, terms);
-        for (int t = 0; t < count; ++t) {
-          double values[kFace][D];
-          face_values<D>(grid, node, axis, corners, terms[t].stencil, face_layers(kind), v, values);
-          const double w = terms[t].weight * eta / grid.h[axis];
-          for (int i = 0; i < kFace; ++i)
-            for (int a = 0; a < D; ++a) {
-              double sum = 0.0;
-              for (int j = 0; j < kFace; ++j)
-                sum += form_.basis().face_mass[axis][i][j] * values[j][a];
-              for (int l = 0; l < face_layers(kind); ++l)
-                r[(node + grid.corner_offset[corners[i]] + l * grid.node_stride[axis]) * D + a] +=
-                    w * terms[t].stencil[l] * sum;
-            }
-        }
-      });
-  }
 }
 
 template <int D>
@@ -175,8 +117,8 @@ void FlowOperator<D>::outflow(const double* v, const double* wall_velocity, doub
 
 template <int D>
 void FlowOperator<D>::gradient(const double* v, const double* z, const FlowData& data,
-                               const double* p, const double* pi, double inverse_bulk,
-                               const double* mean, const double* mu, double eta, double* grad_phi,
+                               const double* p, const double* pi, const double* by_volume,
+                               const double* by_mass, double eta, double* grad_phi,
                                const FlowDataGradient& grad, ThreadPool& pool) const {
   using Cut = CutCell<D>;
   const StokesGrid<D>& grid = geometry_.grid();
@@ -217,11 +159,8 @@ void FlowOperator<D>::gradient(const double* v, const double* z, const FlowData&
                           data.body_force ? fe : nullptr, p[cell], pi[cell], eta,
                           out + Cut::kVolume, out + Cut::kArea, out + Cut::kNormal);
     const PressureVolume M = pressure_volume_terms(cell);
-    double by_fluid = pi[cell] * p[cell] * inverse_bulk * M.by_fluid_volume;
-    for (int k = 0; k < 2 * D; ++k)
-      out[Cut::kAperture + k] += pi[cell] * p[cell] * inverse_bulk * M.by_open;
-    if (mean) by_fluid -= pi[cell] * mean[cell];
-    if (mu) by_fluid += mu[cell] * p[cell];
+    const double by_fluid = by_volume[cell] + by_mass[cell] * M.by_fluid_volume;
+    for (int k = 0; k < 2 * D; ++k) out[Cut::kAperture + k] += by_mass[cell] * M.by_open;
     for (int q = 0; q < Cut::kPoints; ++q) out[Cut::kVolume + q] += by_fluid;
   });
 
@@ -253,8 +192,8 @@ void FlowOperator<D>::gradient(const double* v, const double* z, const FlowData&
               const bool high = inner ? side == 0 : kind == FaceKind::kHigh;
               out[Cut::kAperture + 2 * axis + high] +=
                   geometry_.face_share(cell, axis, kind) * sum * terms[t].by_aperture;
-              const double by_volume = sum * terms[t].by_fraction[side] / grid.cell_volume;
-              for (int q = 0; q < Cut::kPoints; ++q) out[Cut::kVolume + q] += by_volume;
+              const double by_fraction = sum * terms[t].by_fraction[side] / grid.cell_volume;
+              for (int q = 0; q < Cut::kPoints; ++q) out[Cut::kVolume + q] += by_fraction;
             }
           }
         }

@@ -109,21 +109,31 @@ class FlowOperator {
                 double* r, ThreadPool& pool) const;
   /// C(v, wall velocity) of every cell, (num_cells,) [m^D/s]; zero in empty cells.
   void outflow(const double* v, const double* wall_velocity, double* C, ThreadPool& pool) const;
+  /// The penalties' part of the residual, added.
+  /// @param weight (cell, axis, kind, term): of a term in place of its own
+  template <typename Weight>
+  void add_face_residual(const double* v, double eta, Weight&& weight, double* r,
+                         ThreadPool& pool) const;
 
-  /// Adds -d/d(phi, data) [e(v, z) - p C(z, 0) + pi (C(v, g) - mean V) + pi p M / (bulk eta)
-  ///                        + mu p V], summed over cells.
-  /// @param inverse_bulk 1 / (bulk eta), or 0 where incompressible
-  /// @param mean, mu     (num_cells,) dilatation [1/s] of the flow and of the adjoint, or nullptr
+  /// Adds -d/d(phi, data) [e(v, z) - p C(z, 0) + pi C(v, g) + by_volume V + by_mass M], summed over
+  /// cells; V fluid volume, M that of PressureVolume.
+  /// @param by_volume, by_mass (num_cells,)
   void gradient(const double* v, const double* z, const FlowData& data, const double* p,
-                const double* pi, double inverse_bulk, const double* mean, const double* mu,
-                double eta, double* grad_phi, const FlowDataGradient& grad, ThreadPool& pool) const;
+                const double* pi, const double* by_volume, const double* by_mass, double eta,
+                double* grad_phi, const FlowDataGradient& grad, ThreadPool& pool) const;
 
   /// Added: the share of dL/dphi that comes through dL/d(fluid fraction), (num_cells,).
   void fraction_gradient(const double* grad_fraction, double* grad_phi) const;
 
+  /// Values of a nodal field at a cell's corners.
+  void gather(const double* field, std::int64_t node, typename Form::Corner out) const {
+    for (int i = 0; i < kCorners; ++i)
+      for (int a = 0; a < D; ++a)
+        out[i][a] = field[(node + geometry_.grid().corner_offset[i]) * D + a];
+  }
+  const double* phi() const { return phi_.data(); }
+
  private:
-  void gather(const double* field, std::int64_t node, typename Form::Corner out) const;
-  void add_face_residual(const double* v, double eta, double* r, ThreadPool& pool) const;
   void add_traction(const double* traction, double* r) const;
   template <typename F>
   void on_face(const OpenFace& face, F&& f) const;
@@ -166,6 +176,59 @@ void for_face_points(const StokesGrid<D>& grid, std::int64_t first_node, int axi
       }
     }
     f(q, nodes, N);
+  }
+}
+
+/// The 2^(D-1) positions across a face: corners of the cell on the face's low side.
+template <int D>
+void face_corners(int axis, int* corners) {
+  const int low = (1 << (D - 1 - axis)) - 1;  // bits behind the axis
+  for (int i = 0; i < 1 << (D - 1); ++i) corners[i] = (i & low) | ((i & ~low) << 1);
+}
+
+/// A stencil across a face at its node positions.
+template <int D>
+void face_values(const StokesGrid<D>& grid, std::int64_t node, int axis, const int* corners,
+                 const double* stencil, int layers, const double* v, double (*values)[D]) {
+  for (int i = 0; i < 1 << (D - 1); ++i) {
+    const double* at = v + (node + grid.corner_offset[corners[i]]) * D;
+    for (int a = 0; a < D; ++a) {
+      values[i][a] = 0.0;
+      for (int l = 0; l < layers; ++l)
+        values[i][a] += stencil[l] * at[l * grid.node_stride[axis] * D + a];
+    }
+  }
+}
+
+template <int D>
+template <typename Weight>
+void FlowOperator<D>::add_face_residual(const double* v, double eta, Weight&& weight, double* r,
+                                        ThreadPool& pool) const {
+  const StokesGrid<D>& grid = geometry_.grid();
+  constexpr int kFace = kCorners / 2;
+  for (int axis = 0; axis < D; ++axis) {
+    int corners[kFace];
+    face_corners<D>(axis, corners);
+    for (FaceKind kind : kFaceKinds)
+      run_colors(geometry_.penalty_faces(axis, kind), pool, [&](std::int64_t cell) {
+        const std::int64_t node = geometry_.first_node(cell);
+        FaceTerm terms[2];
+        const int count = face_terms(cell, axis, kind, terms);
+        for (int t = 0; t < count; ++t) {
+          double values[kFace][D];
+          face_values<D>(grid, node, axis, corners, terms[t].stencil, face_layers(kind), v, values);
+          const double w = weight(cell, axis, kind, terms[t]) * eta / grid.h[axis];
+          for (int i = 0; i < kFace; ++i)
+            for (int a = 0; a < D; ++a) {
+              double sum = 0.0;
+              for (int j = 0; j < kFace; ++j)
+                sum += form_.basis().face_mass[axis][i][j] * values[j][a];
+              for (int l = 0; l < face_layers(kind); ++l)
+                r[(node + grid.corner_offset[corners[i]] + l * grid.node_stride[axis]) * D + a] +=
+                    w * terms[t].stencil[l] * sum;
+            }
+        }
+      });
   }
 }
 

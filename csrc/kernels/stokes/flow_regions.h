@@ -68,36 +68,11 @@ class FlowRegions {
     }
   }
 
-  /// In regions without an open face: C -= mean V with mean = sum C / sum V, V fluid volumes.
-  /// @param[out] mean (num_cells,) or nullptr; zero elsewhere
-  void subtract_mean(const FlowOperator<D>& op, double* C, double* mean) const {
-    std::vector<double> sum(parts_.size(), 0.0), volume(parts_.size(), 0.0);
-    for (std::size_t cell = 0; cell < region_.size(); ++cell) {
-      if (mean) mean[cell] = 0.0;
-      if (region_[cell] < 0 || parts_[u(region_[cell])].open) continue;
-      sum[u(region_[cell])] += C[cell];
-      volume[u(region_[cell])] += op.fluid_volume(static_cast<std::int64_t>(cell));
-    }
-    for (std::size_t cell = 0; cell < region_.size(); ++cell) {
-      if (region_[cell] < 0 || parts_[u(region_[cell])].open) continue;
-      const double m = sum[u(region_[cell])] / volume[u(region_[cell])];
-      C[cell] -= m * op.fluid_volume(static_cast<std::int64_t>(cell));
-      if (mean) mean[cell] = m;
-    }
-  }
-
-  /// In regions without an open face: p -= sum V p / sum V.
-  void subtract_level(const FlowOperator<D>& op, double* p) const {
-    std::vector<double> sum(parts_.size(), 0.0), volume(parts_.size(), 0.0);
-    for (std::size_t cell = 0; cell < region_.size(); ++cell) {
-      if (region_[cell] < 0 || parts_[u(region_[cell])].open) continue;
-      const double V = op.fluid_volume(static_cast<std::int64_t>(cell));
-      sum[u(region_[cell])] += V * p[cell];
-      volume[u(region_[cell])] += V;
-    }
-    for (std::size_t cell = 0; cell < region_.size(); ++cell)
-      if (region_[cell] >= 0 && !parts_[u(region_[cell])].open)
-        p[cell] -= sum[u(region_[cell])] / volume[u(region_[cell])];
+  std::int64_t num_parts() const { return static_cast<std::int64_t>(parts_.size()); }
+  /// The part of a cell if it has no open face, -1 elsewhere and where there is no fluid.
+  std::int64_t closed_part(std::int64_t cell) const {
+    const std::int64_t region = region_[u(cell)];
+    return region < 0 || parts_[u(region)].open ? -1 : region;
   }
 
   /// Largest |net flux| / (gross flux) through box and walls of the regions without an open face.

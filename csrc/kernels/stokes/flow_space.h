@@ -7,7 +7,7 @@
 #include <stdexcept>
 #include <vector>
 
-#include "kernels/stokes/flow_regions.h"
+#include "kernels/stokes/closed_regions.h"
 #include "kernels/stokes/flow_system.h"
 
 namespace diffsim {
@@ -21,11 +21,11 @@ class FlowSpace {
   FlowSpace(const FlowGeometryInputs& in, const FlowOptions& options, ThreadPool& pool)
       : op_(StokesGrid<D>(in.shape), in.phi, in.open, options, pool),
         regions_(op_, in.fixed),
-        fixed_(in.fixed, in.fixed + grid().num_nodes * D) {
+        fixed_(in.fixed, in.fixed + grid().num_nodes * D),
+        rigid_cells_(find_rigid_cells()),
+        closed_(op_, regions_, rigid_cells_) {
     if (geometry().active_nodes().empty())
       throw std::invalid_argument("phi leaves no fluid: it must be > 0 somewhere in the box");
-    for (std::int64_t cell = 0; cell < grid().num_cells; ++cell)
-      if (geometry().active(cell) && all_prescribed(cell)) rigid_cells_.push_back(cell);
   }
 
   const FlowOperator<D>& op() const { return op_; }
@@ -34,7 +34,6 @@ class FlowSpace {
   const StokesGrid<D>& grid() const { return op_.geometry().grid(); }
   const FlowRegions<D>& regions() const { return regions_; }
   bool fixed(std::int64_t component) const { return fixed_[u(component)]; }
-  const std::vector<std::int64_t>& rigid_cells() const { return rigid_cells_; }
   std::size_t num_unknowns() const { return geometry().active_nodes().size() * D; }
 
   /// f(component of the grid, component of the matrix)
@@ -78,14 +77,11 @@ class FlowSpace {
     for (std::int64_t cell = 0; cell < grid().num_cells; ++cell)
       if (geometry().active(cell)) p[cell] += scale * C[cell] / op_.pressure_volume(cell);
   }
-  /// What of C must vanish where incompressible: not in cells whose velocities are all prescribed,
-  /// and not the mean of regions without an open face, which is returned.
-  void constrain(double* C, double* mean) const {
+  const ClosedRegions<D>& closed() const { return closed_; }
+  /// Zeroes C where it need not vanish in an incompressible flow: all velocities are prescribed.
+  void skip_rigid(double* C) const {
     for (std::int64_t cell : rigid_cells_) C[cell] = 0.0;
-    regions_.subtract_mean(op_, C, mean);
   }
-  /// Takes the mean pressure off regions without an open face, where incompressible.
-  void subtract_level(double* p) const { regions_.subtract_level(op_, p); }
 
  private:
   static std::size_t u(std::int64_t i) { return static_cast<std::size_t>(i); }
@@ -96,10 +92,18 @@ class FlowSpace {
     return true;
   }
 
+  std::vector<std::int64_t> find_rigid_cells() const {
+    std::vector<std::int64_t> found;
+    for (std::int64_t cell = 0; cell < grid().num_cells; ++cell)
+      if (geometry().active(cell) && all_prescribed(cell)) found.push_back(cell);
+    return found;
+  }
+
   FlowOperator<D> op_;
   FlowRegions<D> regions_;
   std::vector<std::uint8_t> fixed_;        // (num_nodes, D) nonzero: prescribed
   std::vector<std::int64_t> rigid_cells_;  // active, all velocities prescribed
+  ClosedRegions<D> closed_;
 };
 
 }  // namespace diffsim

@@ -1,4 +1,4 @@
-// Stokes flow in one geometry: a factorized matrix, the solve and its adjoint.
+// Stokes flow in one geometry: a factorized matrix, the solve, its tangent and its adjoint.
 //
 //   e(v, z) - p C(z, 0) = traction(z)  for all z,   C(v, g) = -p M / (bulk eta)
 // with one pressure p per cell (cell_form.h). Eliminating p gives the symmetric positive definite
@@ -60,6 +60,14 @@ struct FlowGradients {
   FlowDataGradient data;         // same strides as the inputs, added to
 };
 
+/// Rates of the inputs; their fields have the inputs' strides and are absent where nothing moves.
+struct FlowDirections {
+  const double* phi = nullptr;         // (num_nodes,)
+  double viscosity = 0.0;              // [Pa]
+  const double* prescribed = nullptr;  // (cases, num_nodes, D)
+  FlowData data;
+};
+
 class StokesSystem {
  public:
   virtual ~StokesSystem() = default;
@@ -74,6 +82,11 @@ class StokesSystem {
   /// @param grad_v, grad_p dL/dv, dL/dp; grad_fraction (num_cells,) dL/d(fluid fraction)
   virtual void adjoint(const FlowInputs& in, const double* v, const double* p, const double* grad_v,
                        const double* grad_p, const double* grad_fraction, const FlowGradients& grad,
+                       FlowStats* stats, ThreadPool& pool) = 0;
+  /// Rates of v, p and the fractions along `along`, from one solve with the system of the flow.
+  /// @param[out] d_v, d_p as v and p; d_fraction (num_cells,)
+  virtual void tangent(const FlowInputs& in, const double* v, const double* p,
+                       const FlowDirections& along, double* d_v, double* d_p, double* d_fraction,
                        FlowStats* stats, ThreadPool& pool) = 0;
 };
 

@@ -15,6 +15,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "kernels/stokes/dual.h"
 #include "kernels/stokes/half_space.h"
 #include "kernels/stokes/stokes_grid.h"
 
@@ -63,18 +64,18 @@ double shape_value(int point, int corner) {
 }
 
 /// Means of the shape functions over a facet, and their derivatives by its weights.
-template <int D>
+template <int D, typename T = double>
 struct FacetMeans {
   static constexpr int kCorners = 1 << D, kPoints = pow3(D);
-  double area = 0.0, value[kCorners] = {};
+  T area = 0.0, value[kCorners] = {};
 
   /// @param weights (3^D,) of the facet, with a sum above zero
-  explicit FacetMeans(const double* weights) {
+  explicit FacetMeans(const T* weights) {
     for (int q = 0; q < kPoints; ++q) {
       area += weights[q];
       for (int i = 0; i < kCorners; ++i) value[i] += weights[q] * shape_value<D>(q, i);
     }
-    for (double& v : value) v /= area;
+    for (T& v : value) v = v / area;
   }
   /// @param[out] by_weights (3^D,), added to
   void vjp(const double* by_value, double* by_weights) const {
@@ -84,45 +85,48 @@ struct FacetMeans {
   }
 };
 
-template <int D>
+/// With T = Dual<1>: and the normal's derivative along one of phi, mean and plane.
+template <int D, typename T = double>
 class WallNormal {
  public:
   static constexpr int kCorners = 1 << D;
 
-  /// @param phi   (num_nodes,) level set
+  /// @param phi   phi(node): level set
   /// @param mean  (2^D,) means of the shape functions over the facet
   /// @param plane (D,) normal of the cell's plane, out of the fluid
-  WallNormal(const StokesGrid<D>& grid, const double* phi, std::int64_t first_node,
-             const double* mean, const double* plane) {
-    double square = 0.0;
+  template <typename Field>
+  WallNormal(const StokesGrid<D>& grid, Field&& phi, std::int64_t first_node, const T* mean,
+             const T* plane) {
+    using std::sqrt;
+    T square = 0.0;
     for (int i = 0; i < kCorners; ++i) {
       mean_[i] = mean[i];
-      for (double& s : slope_[i]) s = 0.0;
+      for (T& s : slope_[i]) s = 0.0;
       for_slope<D>(grid, first_node, i, [&](int a, std::int64_t node, double weight) {
-        slope_[i][a] += weight * phi[node];
+        slope_[i][a] += weight * phi(node);
       });
       for (int a = 0; a < D; ++a) {
         average_[a] += mean[i] * slope_[i][a];
         square += mean[i] * slope_[i][a] * slope_[i][a];
       }
     }
-    for (double s : average_) norm2_ += s * s;
-    if (norm2_ > 0.0) {
+    for (const T& s : average_) norm2_ += s * s;
+    if (value_of(norm2_) > 0.0) {
       spread_ = (square - norm2_) / (kKink * norm2_);
       weight_ = 1.0 / (1.0 + spread_ * spread_ * spread_ * spread_);
     }
-    double b2 = 0.0;
+    T b2 = 0.0;
     for (int a = 0; a < D; ++a) {
       plane_[a] = -plane[a];
       blend_[a] = (1.0 - weight_) * plane_[a];
-      if (weight_ > 0.0) blend_[a] += weight_ * average_[a] / std::sqrt(norm2_);
+      if (value_of(weight_) > 0.0) blend_[a] += weight_ * average_[a] / sqrt(norm2_);
       b2 += blend_[a] * blend_[a];
     }
-    length_ = std::sqrt(b2);
-    for (double& b : blend_) b /= length_;
+    length_ = sqrt(b2);
+    for (T& b : blend_) b = b / length_;
   }
 
-  void normal(double* n) const {
+  void normal(T* n) const {
     for (int a = 0; a < D; ++a) n[a] = -blend_[a];
   }
 
@@ -165,10 +169,10 @@ class WallNormal {
   }
 
  private:
-  double mean_[kCorners], slope_[kCorners][D];
-  double average_[D] = {}, norm2_ = 0.0;  // G, |G|^2
-  double spread_ = 0.0, weight_ = 0.0;    // V / (kKink |G|^2), w
-  double plane_[D], blend_[D], length_;   // g / |g|, b / |b|, |b|
+  T mean_[kCorners], slope_[kCorners][D];
+  T average_[D] = {}, norm2_ = 0.0;  // G, |G|^2
+  T spread_ = 0.0, weight_ = 0.0;    // V / (kKink |G|^2), w
+  T plane_[D], blend_[D], length_;   // g / |g|, b / |b|, |b|
 };
 
 }  // namespace diffsim

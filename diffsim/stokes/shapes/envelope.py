@@ -17,6 +17,8 @@ class SignedDistance(torch.autograd.Function):
     need the curvature: they raise.
     """
 
+    generate_vmap_rule = True  # jacfwd and jacrev map gradients and tangents, not the shape
+
     @staticmethod
     def forward(p: Tensor, q: Tensor, normal: Tensor) -> Tensor:
         return ((p - q) * normal).sum(-1)
@@ -42,8 +44,16 @@ class SignedDistance(torch.autograd.Function):
         return (motion * normal).sum(-1)
 
 
+_SECOND = (
+    "second derivatives of this level set are not available; differentiate it once, "
+    "without create_graph=True"
+)
+
+
 class _FirstOrder(torch.autograd.Function):
     """The identity; differentiating its gradient raises an error."""
+
+    generate_vmap_rule = True
 
     @staticmethod
     def forward(along: Tensor, p: Tensor, q: Tensor) -> Tensor:
@@ -55,10 +65,11 @@ class _FirstOrder(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, _: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        raise RuntimeError(
-            "second derivatives of this level set are not available; differentiate it once, "
-            "without create_graph=True"
-        )
+        raise RuntimeError(_SECOND)
+
+    @staticmethod
+    def jvp(ctx: Any, *_: Tensor | None) -> Tensor:
+        raise RuntimeError(_SECOND)
 
 
 def signed_distance(p: Tensor, q: Tensor, normal: Tensor) -> Tensor:
