@@ -68,11 +68,11 @@ class StokesContext:
 
     def system(self, phi: Tensor, num_threads: int):
         """The factorized system of a level set, from the cache where phi is equal."""
-        for i, (known, system) in enumerate(self._systems):
-            if torch.equal(known, phi):
-                self._systems.append(self._systems.pop(i))
-                return system
-        del self._systems[: max(0, len(self._systems) + 1 - self.num_kept)]  # before the new one
+        known = self._known(phi)
+        if known is not None:
+            return known
+        # Before the new one is made, and with no name left for it: two factors never share memory.
+        del self._systems[: max(0, len(self._systems) + 1 - self.num_kept)]
         phi = phi.clone()
         system, unknown, pivot = core.make_stokes_system(
             shape=self.shape,
@@ -96,6 +96,14 @@ class StokesContext:
         self.inspect(system.report, phi)
         self._systems.append((phi, system))
         return system
+
+    def _known(self, phi: Tensor):
+        """The kept system of an equal level set, now the latest, or None."""
+        for i, (kept, system) in enumerate(self._systems):
+            if torch.equal(kept, phi):
+                self._systems.append(self._systems.pop(i))
+                return system
+        return None
 
 
 def context(handle: int) -> StokesContext:
