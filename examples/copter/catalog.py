@@ -3,7 +3,7 @@
 Every choice of 4, 6 or 8 rotors, one of the shipped rotor models, a battery, and a torque that must
 be left at full load is a co-design of arm lengths, rotor directions and hover. Its figures are the
 payload with that torque left, the endurance without payload, and the torque. They pull apart: the
-front is what no other choice beats in all three. Before a choice is solved its bounds are compared
+front is what no other choice surpasses in all three. Before a choice is solved its bounds are compared
 with what is solved already: thrusts must carry the weight (the bound of ``codesign``), and no
 hover takes less power than equal thrusts that just carry the lightest frame.
 
@@ -143,7 +143,7 @@ def picture(found: Chosen[Choice], path: Path) -> None:
         axis.plot([], [], "o", color=color, label=f"{torque:g} N m left")
     for count, mark in marks.items():
         axis.plot([], [], mark, color="#64748b", label=f"{count} rotors")
-    axis.plot([], [], ".", color="#cbd5e1", label="solved, beaten")
+    axis.plot([], [], ".", color="#cbd5e1", label="solved, dominated")
     axis.set_xlabel("endurance without payload [min]")
     axis.set_ylabel("payload with the torque left [kg]")
     axis.legend(frameon=False, fontsize=8)
